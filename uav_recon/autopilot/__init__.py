@@ -1,0 +1,1 @@
+"""The only code that speaks MAVLink: codec, firmware personalities, link and pilot."""

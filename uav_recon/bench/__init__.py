@@ -1,0 +1,1 @@
+"""Benchmarks: composition roots like run.py."""

@@ -1,0 +1,182 @@
+"""Last-value channels: in memory for lockstep, memory-mapped files between processes.
+
+A record is a JSON head and raw array bytes behind a sequence word and a CRC; no pickle, so a hostile writer can at worst
+be refused. A reader copies once, then rechecks the sequence.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import mmap
+import os
+import struct
+import types
+import typing
+import zlib
+from enum import Enum
+from pathlib import Path
+from typing import Any, Generic, TypeVar, cast
+
+import numpy as np
+
+T = TypeVar("T")
+
+_HEAD = struct.Struct("<8sqIIq")  # magic, sequence, length, crc, sequence again
+_MAGIC = b"UAVCHAN1"
+
+
+class MemoryChannel(Generic[T]):
+    """The lockstep form: same bytes, through encode and decode, so both worlds see the same values."""
+
+    def __init__(self, kind: type[T]) -> None:
+        self._kind, self._value, self._sequence = kind, cast("T | None", None), 0
+
+    def publish(self, value: T) -> None:
+        """Replace the value."""
+        self._value = decode(encode(value), self._kind)
+        self._sequence += 1
+
+    def latest(self) -> T | None:
+        """The newest value."""
+        return self._value
+
+    def sequence(self) -> int:
+        """Values published so far."""
+        return self._sequence
+
+
+class FileChannel(Generic[T]):
+    """One file, one writer, any number of readers; the file outlives a crashed process of either side."""
+
+    def __init__(self, path: Path, kind: type[T], capacity_bytes: int = 1 << 16) -> None:
+        self._path, self._kind, self._capacity = path, kind, capacity_bytes + _HEAD.size
+        self._map = _map_file(path, self._capacity)
+        self._read_sequence, self._value = -1, cast("T | None", None)
+
+    def publish(self, value: T) -> None:
+        """Replace the value. Raises ValueError if it does not fit."""
+        data = encode(value)
+        if len(data) + _HEAD.size > self._capacity:
+            raise ValueError(f"{self._path.name}: {len(data)} bytes do not fit in {self._capacity - _HEAD.size}")
+        sequence = self.sequence() + 1
+        self._map[: _HEAD.size] = _HEAD.pack(_MAGIC, sequence, len(data), zlib.crc32(data), -1)  # -1: being written
+        self._map[_HEAD.size : _HEAD.size + len(data)] = data
+        self._map[: _HEAD.size] = _HEAD.pack(_MAGIC, sequence, len(data), zlib.crc32(data), sequence)
+
+    def latest(self) -> T | None:
+        """The newest value; a torn record gives the one before it."""
+        magic, sequence, length, crc, sequence_end = _HEAD.unpack(self._map[: _HEAD.size])
+        if magic != _MAGIC or sequence == self._read_sequence:
+            return self._value
+        if sequence != sequence_end or length > self._capacity - _HEAD.size:
+            return self._value
+        data = self._map[_HEAD.size : _HEAD.size + length]
+        if zlib.crc32(data) != crc:
+            return self._value
+        self._value, self._read_sequence = decode(data, self._kind), sequence
+        return self._value
+
+    def sequence(self) -> int:
+        """Values published so far."""
+        magic, sequence, *_ = _HEAD.unpack(self._map[: _HEAD.size])
+        return int(sequence) if magic == _MAGIC else 0
+
+
+def _map_file(path: Path, size: int) -> mmap.mmap:
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    try:
+        if os.fstat(descriptor).st_size < size:
+            os.ftruncate(descriptor, size)
+        return mmap.mmap(descriptor, size)
+    finally:
+        os.close(descriptor)
+
+
+def encode(value: Any) -> bytes:
+    """A frozen dataclass tree of numbers, strings, enums, tuples and arrays, as bytes."""
+    arrays: list[np.ndarray[Any, Any]] = []
+    head = json.dumps(_encode(value, arrays)).encode()
+    parts = [struct.pack("<I", len(head)), head]
+    for array in arrays:
+        shape = struct.pack(f"<B{array.ndim}I", array.ndim, *array.shape)
+        kind = array.dtype.str.encode()
+        parts += [struct.pack("<B", len(kind)), kind, shape, array.tobytes()]
+    return b"".join(parts)
+
+
+def _encode(value: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
+    if isinstance(value, np.ndarray):
+        arrays.append(value)
+        return len(arrays) - 1
+    if isinstance(value, Enum):
+        return value.value
+    if dataclasses.is_dataclass(value):
+        return [_encode(getattr(value, f.name), arrays) for f in dataclasses.fields(value)]
+    if isinstance(value, tuple):
+        return [_encode(item, arrays) for item in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def decode(data: bytes, kind: type[T]) -> T:
+    """The inverse of encode(), led by the declared types. Raises ValueError on bytes that do not fit them."""
+    try:
+        (length,) = struct.unpack_from("<I", data)
+        tree = json.loads(data[4 : 4 + length])
+        arrays = _read_arrays(data, 4 + length)
+        return cast("T", _decode(tree, kind, arrays))
+    except (struct.error, TypeError, IndexError, KeyError, UnicodeDecodeError) as error:
+        raise ValueError(f"not a {kind.__name__}: {error}") from None
+
+
+def _read_arrays(data: bytes, offset: int) -> list[np.ndarray[Any, Any]]:
+    arrays = []
+    while offset < len(data):
+        kind_length = data[offset]
+        dtype = np.dtype(data[offset + 1 : offset + 1 + kind_length].decode())
+        if dtype.hasobject:
+            raise ValueError("object arrays are not carried")
+        offset += 1 + kind_length
+        dimensions = data[offset]
+        shape = struct.unpack_from(f"<{dimensions}I", data, offset + 1)
+        offset += 1 + 4 * dimensions
+        count = int(np.prod(shape, dtype=np.int64))
+        array = np.frombuffer(data, dtype, count, offset).reshape(shape)
+        array.setflags(write=False)
+        arrays.append(array)
+        offset += array.nbytes
+    return arrays
+
+
+@functools.cache
+def _fields(kind: type) -> list[tuple[str, Any]]:
+    hints = typing.get_type_hints(kind)
+    return [(f.name, hints[f.name]) for f in dataclasses.fields(kind)]
+
+
+def _decode(tree: Any, kind: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
+    if kind is type(None) or tree is None:
+        return None
+    origin = typing.get_origin(kind)
+    if origin is np.ndarray:
+        return arrays[tree]
+    if origin in (types.UnionType, typing.Union):
+        (inner,) = [a for a in typing.get_args(kind) if a is not type(None)]
+        return _decode(tree, inner, arrays)
+    if origin is tuple:
+        arguments = typing.get_args(kind)
+        if len(arguments) == 2 and arguments[1] is Ellipsis:
+            return tuple(_decode(item, arguments[0], arrays) for item in tree)
+        return tuple(_decode(item, a, arrays) for item, a in zip(tree, arguments, strict=True))
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return kind(tree)
+    if dataclasses.is_dataclass(kind):
+        fields = _fields(cast("type", kind))
+        if len(fields) != len(tree):
+            raise ValueError(f"{kind} has {len(fields)} fields, got {len(tree)}")
+        make = cast("Any", kind)
+        return make(**{name: _decode(item, hint, arrays) for (name, hint), item in zip(fields, tree, strict=True)})
+    return kind(tree)

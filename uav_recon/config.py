@@ -1,0 +1,224 @@
+"""The typed config tree. TOML in; unknown key = error; degrees live only here and on screens.
+
+Every field has one line of documentation. All protective numbers stand in [safety], which has no defaults:
+whoever flies writes them down.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Vec3 = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class ConfigError(Exception):
+    """A config that cannot be flown; its text is one line a person can act on."""
+
+
+class Section(BaseModel):
+    """A table of the file: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SafetyConfig(Section):
+    """Protective numbers. No defaults."""
+
+    fence_min_m: Vec3  # lower corner of the fence box, world frame
+    fence_max_m: Vec3  # upper corner of the fence box, world frame
+    fence_inset_m: Annotated[float, Field(ge=0.0, le=2.0)]  # the guard keeps the body's centre this far inside
+    max_speed_mps: Annotated[float, Field(gt=0.0, le=3.0)]  # any direction
+    max_acceleration_mps2: Annotated[float, Field(gt=0.0, le=5.0)]  # any direction
+    max_yaw_rate_degps: Annotated[float, Field(gt=0.0, le=120.0)]  # rotation of the heading
+    vehicle_radius_m: Annotated[float, Field(gt=0.0, le=1.0)]  # cylinder around the rotors
+    vehicle_height_m: Annotated[float, Field(gt=0.0, le=1.0)]  # cylinder height, body origin in its middle
+    intent_timeout_s: Annotated[float, Field(gt=0.0, le=5.0)]  # mission silent for longer: hold
+    pose_timeout_s: Annotated[float, Field(gt=0.0, le=1.0)]  # pose older: hold, stop feeding the autopilot
+    pose_land_s: Annotated[float, Field(gt=0.0, le=5.0)]  # pose still missing: land
+    land_timeout_s: Annotated[float, Field(gt=0.0, le=60.0)]  # mission silent for this long in flight: land
+
+    @model_validator(mode="after")
+    def _fence_is_a_box(self) -> SafetyConfig:
+        for low, high, axis in zip(self.fence_min_m, self.fence_max_m, "xyz", strict=True):
+            if not high - low > 2 * self.fence_inset_m:
+                raise ValueError(f"fence_max_m.{axis} {high} must exceed fence_min_m.{axis} {low} by twice the inset")
+        return self
+
+
+class LinkConfig(Section):
+    """The way to the autopilot."""
+
+    autopilot: Literal["px4"] = "px4"  # firmware personality
+    url: str = "udp:127.0.0.1:14540"  # udp:HOST:PORT (listens there) or serial:DEVICE:BAUD
+    setpoint_rate_hz: Annotated[float, Field(ge=10.0, le=100.0)] = 30.0  # setpoints on the wire
+    origin_lat_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.3977  # origin handed to the autopilot
+    origin_lon_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 8.5456  # any place will do indoors
+    origin_alt_m: float = 488.0  # height above the ellipsoid
+
+
+class CameraConfig(Section):
+    """Which camera, and how it sits on the body."""
+
+    source: Literal["stream", "realsense", "recorded"] = "realsense"  # stream = any outside camera by memory-mapped file
+    stream: Path = Path("camera.stream")  # stream file, inside the runtime directory unless absolute
+    recording: Path | None = None  # flight folder or recorder file for source = "recorded"
+    mount: Literal["fixed", "gimbal"] = "fixed"  # gimbal = pitch driven through MAVLink
+    position_body_m: Vec3 = (0.10, 0.0, 0.0)  # depth imager on the body
+    pitch_down_deg: Annotated[float, Field(ge=-60.0, le=60.0)] = 15.0  # tilt of a fixed mount, positive looks down
+    gimbal_limit_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 60.0  # gimbal range, both ways
+    depth_min_m: Positive = 0.3  # nearer returns are not believed
+    depth_max_m: Positive = 6.0  # farther returns are not believed
+    depth_noise_px: Annotated[float, Field(gt=0.0, le=1.0)] = 0.08  # disparity error assumed by mapper and voxels
+    baseline_m: Positive = 0.05  # stereo baseline
+
+
+class LocalizationConfig(Section):
+    """From late poses to steady odometry."""
+
+    rate_hz: Annotated[float, Field(ge=20.0, le=200.0)] = 30.0  # odom output
+    pose_lost_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # no pose for longer: quality 0
+    frame_wait_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.2  # longest wait of a frame for the pose after it
+
+
+class VoxelConfig(Section):
+    """Occupancy map."""
+
+    resolution_m: Annotated[float, Field(ge=0.05, le=0.3)] = 0.1  # voxel edge
+    max_range_m: Positive = 5.0  # depth beyond it frees up to it, but marks nothing
+    distance_cap_m: Positive = 1.1  # the distance field saturates here
+    takeoff_radius_m: Positive = 0.6  # operator's word: this cylinder over the pad is free
+    margin_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3  # map beyond the fence, to see its walls
+
+
+class MapperConfig(Section):
+    """Neural surface."""
+
+    steps_per_view: Annotated[int, Field(ge=1, le=200)] = 20  # training steps after each new view
+    idle_steps_hz: Annotated[float, Field(ge=0.0, le=1000.0)] = 20.0  # at most so many steps a second between views
+    polish_steps: Annotated[int, Field(ge=0, le=20000)] = 400  # after landing
+    mesh_voxel_m: Annotated[float, Field(ge=0.005, le=0.1)] = 0.02  # final mesh
+    surface_voxel_m: Annotated[float, Field(ge=0.01, le=0.2)] = 0.05  # elements handed to the planner
+    seed: int = 0  # random sampling
+
+
+class PlannerConfig(Section):
+    """The paper's parameters (table I); None = derived from room size and camera."""
+
+    variant: Literal["adaptive", "explore", "merged"] = "adaptive"  # V5, V2, V4
+    shell_min_m: Positive = 0.8  # d_r, nearest viewpoint to a task
+    shell_max_m: Positive = 1.8  # d_f, farthest
+    clearance_m: Annotated[float, Field(ge=0.3, le=1.0)] = 0.35  # d_s, body centre to anything not known free
+    local_radius_m: Positive = 2.0  # R_loc
+    cluster_radius_m: Positive = 1.1  # R_clu
+    max_reconstruct_tasks: Annotated[int, Field(ge=1, le=100)] = 10  # N_rec
+    min_visible: Annotated[int, Field(ge=1)] = 20  # N_min
+    near_distance_m: Positive = 1.5  # d_near
+    near_count: Annotated[int, Field(ge=0)] = 3  # explore if more frontiers than this are near ...
+    near_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.2  # ... and their share is larger
+    horizon_m: Positive = 5.0  # L_exec
+    view_spacing_m: Positive = 0.3  # l_res
+    end_factor: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0  # alpha, once no frontier is left
+    downsample: Annotated[int, Field(ge=1, le=50)] = 5  # N_down
+
+
+class MotionConfig(Section):
+    """Limits of planned motion; inside the guard's."""
+
+    speed_mps: Positive = 0.8  # in the open
+    tight_speed_mps: Positive = 0.5  # where clearance is the planning distance
+    acceleration_mps2: Positive = 0.8  # along and across
+    yaw_rate_degps: Positive = 45.0  # rotation
+    yaw_acceleration_degps2: Positive = 90.0  # rotation
+    smoothing_s: Positive = 0.6  # total width of the smoothing that bounds the jerk
+
+
+class MissionConfig(Section):
+    """What to do with the flight."""
+
+    views: Annotated[int, Field(ge=4, le=5000)] = 120  # keyframes given to the mapper, at most
+    takeoff_height_m: Annotated[float, Field(ge=0.5, le=3.0)] = 1.1  # body above the pad
+    survey_views: Annotated[int, Field(ge=0, le=36)] = 8  # keyframes of the first look round
+    max_flight_s: Positive = 900.0  # then it returns
+    plan_cost_s: Annotated[float, Field(ge=0.0, le=5.0)] = 0.1  # declared planning cost on a simulated clock
+    autostart: bool = True  # start as soon as the pilot is READY; otherwise wait for `uav-recon start`
+
+
+class RecordingConfig(Section):
+    """What the flight leaves behind."""
+
+    folder: Path = Path("/var/lib/uav_recon/flights")  # flight folder
+    rerun: bool = True  # write flight.rrd
+    live: bool = False  # stream to a viewer on this machine
+
+
+class RuntimeConfig(Section):
+    """Where processes meet."""
+
+    folder: Path = Path("/run/uav_recon")  # channels and stream files
+
+
+class Config(Section):
+    """The whole tree."""
+
+    safety: SafetyConfig
+    link: LinkConfig = LinkConfig()
+    camera: CameraConfig = CameraConfig()
+    localization: LocalizationConfig = LocalizationConfig()
+    voxels: VoxelConfig = VoxelConfig()
+    mapper: MapperConfig = MapperConfig()
+    planner: PlannerConfig = PlannerConfig()
+    motion: MotionConfig = MotionConfig()
+    mission: MissionConfig = MissionConfig()
+    recording: RecordingConfig = RecordingConfig()
+    runtime: RuntimeConfig = RuntimeConfig()
+
+    @model_validator(mode="after")
+    def _motion_inside_the_guard(self) -> Config:
+        if self.motion.speed_mps > self.safety.max_speed_mps:
+            raise ValueError(
+                f"motion.speed_mps {self.motion.speed_mps} exceeds safety.max_speed_mps {self.safety.max_speed_mps}"
+            )
+        if self.motion.acceleration_mps2 > self.safety.max_acceleration_mps2:
+            raise ValueError("motion.acceleration_mps2 exceeds safety.max_acceleration_mps2")
+        if self.motion.yaw_rate_degps > self.safety.max_yaw_rate_degps:
+            raise ValueError("motion.yaw_rate_degps exceeds safety.max_yaw_rate_degps")
+        return self
+
+
+def load(path: Path) -> Config:
+    """Read a TOML file. Raises ConfigError with one line naming file, key, value and range."""
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+    return parse(tree, str(path))
+
+
+def parse(tree: dict[str, Any], source: str) -> Config:
+    """Check a tree. Raises ConfigError with one line for the first fault."""
+    try:
+        return Config.model_validate(tree)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "config"
+        value = first.get("input")
+        shown = "" if isinstance(value, dict) or value is None else f" (got {value!r})"
+        raise ConfigError(f"{source}: {key}: {first['msg'][0].lower()}{first['msg'][1:]}{shown}") from None
+
+
+def save(config: Config, path: Path) -> None:
+    """Write the effective config."""
+    path.write_text(tomli_w.dumps(config.model_dump(mode="json", exclude_none=True)), encoding="utf-8")

@@ -1,0 +1,1 @@
+"""Pure metrics of a reconstruction against truth."""

@@ -1,0 +1,1 @@
+"""Pure kernels shared by many stages: grids, ray traversal, projection."""

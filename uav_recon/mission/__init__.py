@@ -1,0 +1,1 @@
+"""Events, a pure state machine, and the conductor that gives the stages their order."""

@@ -1,0 +1,140 @@
+"""The interfaces between stages. Each says whether it blocks, how stale its answer may be, and what it raises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol, TypeVar, runtime_checkable
+
+from uav_recon.types.camera import Frame, ImuSample, PosedFrame
+from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.pose import StampedPose
+from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath
+
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+
+
+class Clock(Protocol):
+    """The only source of time. now_s() never blocks and never goes back."""
+
+    def now_s(self) -> float:
+        """Seconds of the companion's monotonic clock."""
+        ...
+
+    def sleep_until(self, instant_s: float) -> None:
+        """Block until the instant (a manual clock returns at once: its owner moves it)."""
+        ...
+
+
+class Channel(Protocol[T]):
+    """A last-value channel: a reader sees the newest value, never a queue. Neither side ever blocks."""
+
+    def publish(self, value: T) -> None:
+        """Replace the value. Raises ValueError if it does not fit."""
+        ...
+
+    def latest(self) -> T | None:
+        """The newest value, or None before the first. A reader's None is also the answer to a torn or corrupt record."""
+        ...
+
+    def sequence(self) -> int:
+        """How many values were published so far; tells whether latest() is new."""
+        ...
+
+
+class Pending(Protocol[T_co]):
+    """Work handed to an Executor."""
+
+    def done(self) -> bool:
+        """Whether result() would return at once."""
+        ...
+
+    def result(self) -> T_co:
+        """The result; raises what the work raised. Blocks only if not done."""
+        ...
+
+
+class Executor(Protocol):
+    """Runs work beside the loop: a thread in real time, inline with a fixed simulated cost in lockstep."""
+
+    def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
+        """Start work; cost_s is its declared cost on a simulated clock and ignored in real time. Does not block."""
+        ...
+
+    def close(self) -> None:
+        """Wait for running work and end."""
+        ...
+
+
+class Camera(Protocol):
+    """A depth camera. poll() never blocks; a frame is handed out once, newest first, older ones dropped."""
+
+    def poll(self) -> Frame | None:
+        """The newest frame that was not handed out yet."""
+        ...
+
+    def imu(self) -> list[ImuSample]:
+        """Inertial samples since the last call, oldest first (empty for a camera without an IMU)."""
+        ...
+
+    def close(self) -> None:
+        """Release the device."""
+        ...
+
+
+class PoseSource(Protocol):
+    """Absolute poses in odom, late and at its own rate; each is stamped at capture."""
+
+    def poses(self) -> list[StampedPose]:
+        """Poses since the last call, oldest first. Never blocks."""
+        ...
+
+
+@runtime_checkable
+class ByteLink(Protocol):
+    """A byte pipe to an autopilot: UDP, serial, or memory."""
+
+    def read(self) -> bytes:
+        """Whatever arrived; b'' if nothing. Never blocks. Raises OSError if the link is gone."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send. Never blocks for long. Raises OSError if the link is gone."""
+        ...
+
+    def wait(self, timeout_s: float) -> None:
+        """Block until bytes are there or the time is over (memory links return at once)."""
+        ...
+
+    def close(self) -> None:
+        """Release it."""
+        ...
+
+
+class Mapper(Protocol):
+    """Learns the surface from keyframes, in its own process or inline. No call blocks except finish()."""
+
+    def add(self, keyframe: PosedFrame) -> bool:
+        """Hand over a view. False if it was refused (not finite, empty, outside the box) or the mapper is down."""
+        ...
+
+    def surface(self) -> SurfaceElements | None:
+        """The newest surface; may be a few views behind. None before the first."""
+        ...
+
+    def alive(self) -> bool:
+        """False while the mapper is dead or restarting."""
+        ...
+
+    def finish(self, folder: Path) -> None:
+        """Polish, write mesh.ply (and its uncertainty) into the folder, and end. Blocks, bounded by its polish budget."""
+        ...
+
+
+class Planner(Protocol):
+    """Pure: the same request gives the same answer, whatever the machine's load."""
+
+    def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
+        """Choose the next views and the way to them."""
+        ...

@@ -1,0 +1,1 @@
+"""Everything a flight leaves behind: recorder, review blueprint, report."""

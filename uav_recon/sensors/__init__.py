@@ -1,0 +1,1 @@
+"""Cameras behind one protocol: RealSense, any outside stream, a recording."""

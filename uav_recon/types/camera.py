@@ -1,0 +1,87 @@
+"""What a depth camera gives: intrinsics, frames, inertial samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.types.frames import ByteArray, Float32Array, FloatArray, frozen
+from uav_recon.types.pose import Pose
+
+# optical RDF axes seen from a level FLU body that looks along x
+BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """Pinhole camera without distortion, pixels. Pixel (0, 0) is the CENTRE of the top-left pixel."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    @staticmethod
+    def from_fov(width: int, height: int, horizontal_rad: float, vertical_rad: float) -> Intrinsics:
+        """Build from full angles of view, principal point in the middle."""
+        return Intrinsics(
+            fx=width / 2 / float(np.tan(horizontal_rad / 2)),
+            fy=height / 2 / float(np.tan(vertical_rad / 2)),
+            cx=(width - 1) / 2,
+            cy=(height - 1) / 2,
+            width=width,
+            height=height,
+        )
+
+    def bearings(self) -> FloatArray:
+        """Direction through each pixel with z = 1, shape (height, width, 3)."""
+        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u, dtype=np.float64)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One RGB-D frame. depth_m (H, W) float32 along the optical axis, NaN = no return; rgb (h, w, 3) uint8 sRGB.
+
+    A D435i's depth is wider than its colour: geometry comes from all depth, colour where there is colour.
+    rgb_from_depth carries a point from the depth frame to the colour frame.
+    """
+
+    stamp_s: float
+    sequence: int
+    depth_m: Float32Array
+    depth_intrinsics: Intrinsics
+    rgb: ByteArray
+    rgb_intrinsics: Intrinsics
+    rgb_from_depth: Pose
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "depth_m", frozen(np.asarray(self.depth_m, dtype=np.float32)))
+        object.__setattr__(self, "rgb", frozen(np.asarray(self.rgb, dtype=np.uint8)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosedFrame:
+    """A frame and where its depth imager was at its own stamp."""
+
+    frame: Frame
+    world_from_depth: Pose
+    map_epoch: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuSample:
+    """One inertial sample in body FLU axes: angular rate (3,) rad/s and specific force (3,) m/s²."""
+
+    stamp_s: float
+    gyro_radps: FloatArray
+    specific_force_mps2: FloatArray
+
+
+def body_from_camera(position_body_m: FloatArray, pitch_down_rad: float) -> Pose:
+    """Pose of an optical camera on the body: at ``position_body_m`` (3,), looking forward and tilted down."""
+    tilt = Pose(np.array([np.cos(pitch_down_rad / 2), 0.0, np.sin(pitch_down_rad / 2), 0.0]), position_body_m)
+    return tilt @ Pose.from_matrix(BODY_FROM_OPTICAL)

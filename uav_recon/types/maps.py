@@ -1,0 +1,86 @@
+"""What is known of the space and of the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, frozen
+
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridSpec:
+    """A voxel grid: voxel (i, j, k) spans origin + resolution * [(i,j,k), (i,j,k)+1]; C order (x, y, z)."""
+
+    origin_world_m: FloatArray
+    resolution_m: float
+    shape: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "origin_world_m", frozen(np.asarray(self.origin_world_m, dtype=np.float64)))
+
+    @staticmethod
+    def covering(lower_m: FloatArray, upper_m: FloatArray, resolution_m: float) -> GridSpec:
+        """The smallest grid on multiples of the resolution that covers a box."""
+        first = np.floor(np.asarray(lower_m) / resolution_m + 1e-6).astype(int)
+        last = np.ceil(np.asarray(upper_m) / resolution_m - 1e-6).astype(int)
+        nx, ny, nz = (int(n) for n in last - first)
+        return GridSpec(first * resolution_m, resolution_m, (nx, ny, nz))
+
+    def index(self, points_world: FloatArray) -> IntArray:
+        """Voxel index (N, 3) or (3,) of points; may lie outside the grid."""
+        return np.floor((points_world - self.origin_world_m) / self.resolution_m).astype(np.int64)
+
+    def centre(self, index: IntArray) -> FloatArray:
+        """Centres in world (N, 3) or (3,) of voxel indices."""
+        centre: FloatArray = self.origin_world_m + (np.asarray(index) + 0.5) * self.resolution_m
+        return centre
+
+    def contains(self, index: IntArray) -> BoolArray:
+        """Which indices (N, 3) lie inside, (N,) bool."""
+        inside: BoolArray = np.asarray((index >= 0) & (index < np.array(self.shape))).all(axis=-1)
+        return inside
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VoxelMap:
+    """A frozen picture of the voxels.
+
+    state: (nx, ny, nz) uint8 of UNKNOWN | FREE | OCCUPIED.
+    distance_m: (nx, ny, nz) float32, from a voxel's centre to the centre of the nearest voxel that is NOT known free
+    (occupied, unknown, or outside the fence), capped; 0 inside such a voxel. Unknown is not free.
+    """
+
+    grid: GridSpec
+    state: ByteArray
+    distance_m: Float32Array
+    revision: int
+    map_epoch: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "state", frozen(np.asarray(self.state, dtype=np.uint8)))
+        object.__setattr__(self, "distance_m", frozen(np.asarray(self.distance_m, dtype=np.float32)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceElements:
+    """Points of the learned surface: position_world (N, 3), outward normal_world (N, 3), uncertainty (N,) >= 0."""
+
+    position_world: FloatArray
+    normal_world: FloatArray
+    uncertainty: FloatArray
+    revision: int
+    map_epoch: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriangleMesh:
+    """vertices_world (V, 3) float64, faces (F, 3) int64, rgb (V, 3) uint8, uncertainty (V,) float32."""
+
+    vertices_world: FloatArray
+    faces: IntArray
+    rgb: ByteArray
+    uncertainty: Float32Array

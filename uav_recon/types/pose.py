@@ -1,0 +1,136 @@
+"""Rigid transforms: one value, one composition operator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uav_recon.types.frames import FloatArray, frozen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """A rigid transform ``target_from_source``: p_target = R(quat) p_source + translation_m.
+
+    quat_wxyz: (4,) Hamilton unit quaternion, normalised here. translation_m: (3,).
+    Raises ValueError if a number is not finite or the quaternion has no direction.
+    """
+
+    quat_wxyz: FloatArray
+    translation_m: FloatArray
+
+    def __post_init__(self) -> None:
+        quat = np.asarray(self.quat_wxyz, dtype=np.float64)
+        translation = np.asarray(self.translation_m, dtype=np.float64)
+        norm = float(np.linalg.norm(quat))
+        if quat.shape != (4,) or translation.shape != (3,):
+            raise ValueError(f"pose wants quat_wxyz (4,) and translation_m (3,), got {quat.shape} and {translation.shape}")
+        if not (np.isfinite(norm) and np.isfinite(translation).all()) or norm < 1e-9:
+            raise ValueError(f"pose is not finite: quat_wxyz {quat}, translation_m {translation}")
+        object.__setattr__(self, "quat_wxyz", frozen(quat / norm))
+        object.__setattr__(self, "translation_m", frozen(translation))
+
+    @staticmethod
+    def identity() -> Pose:
+        """The transform that changes nothing."""
+        return Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
+
+    @staticmethod
+    def from_rotation_vector(rotation_rad: FloatArray, translation_m: FloatArray) -> Pose:
+        """Build from axis times angle (3,) and translation (3,)."""
+        angle = float(np.linalg.norm(rotation_rad))
+        if angle < 1e-12:
+            half = 0.5 * np.asarray(rotation_rad, dtype=np.float64)
+            return Pose(np.concatenate(([1.0], half)), translation_m)
+        axis = np.asarray(rotation_rad, dtype=np.float64) / angle
+        return Pose(np.concatenate(([np.cos(angle / 2)], np.sin(angle / 2) * axis)), translation_m)
+
+    @staticmethod
+    def from_yaw(yaw_rad: float, translation_m: FloatArray) -> Pose:
+        """Build a level pose: rotation about z by ``yaw_rad``."""
+        return Pose(np.array([np.cos(yaw_rad / 2), 0.0, 0.0, np.sin(yaw_rad / 2)]), translation_m)
+
+    @staticmethod
+    def from_matrix(matrix: FloatArray) -> Pose:
+        """Build from a 4x4 homogeneous matrix (Shepperd's method)."""
+        r = np.asarray(matrix, dtype=np.float64)[:3, :3]
+        candidates = np.array([np.trace(r), r[0, 0], r[1, 1], r[2, 2]])
+        i = int(np.argmax(candidates))
+        if i == 0:
+            quat = np.array([1 + candidates[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+        else:
+            a, b, c = i - 1, i % 3, (i + 1) % 3
+            quat = np.zeros(4)
+            quat[0] = r[c, b] - r[b, c]
+            quat[1 + a] = 1 + r[a, a] - r[b, b] - r[c, c]
+            quat[1 + b] = r[b, a] + r[a, b]
+            quat[1 + c] = r[c, a] + r[a, c]
+        return Pose(quat, np.asarray(matrix, dtype=np.float64)[:3, 3])
+
+    def rotation(self) -> FloatArray:
+        """Rotation matrix (3, 3)."""
+        w, x, y, z = self.quat_wxyz
+        return np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+
+    def matrix(self) -> FloatArray:
+        """Homogeneous matrix (4, 4)."""
+        out = np.eye(4)
+        out[:3, :3] = self.rotation()
+        out[:3, 3] = self.translation_m
+        return out
+
+    def inverse(self) -> Pose:
+        """source_from_target."""
+        conjugate = self.quat_wxyz * np.array([1.0, -1.0, -1.0, -1.0])
+        return Pose(conjugate, -self.rotation().T @ self.translation_m)
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """a_from_b @ b_from_c = a_from_c."""
+        aw, ax, ay, az = self.quat_wxyz
+        bw, bx, by, bz = other.quat_wxyz
+        quat = np.array(
+            [
+                aw * bw - ax * bx - ay * by - az * bz,
+                aw * bx + ax * bw + ay * bz - az * by,
+                aw * by - ax * bz + ay * bw + az * bx,
+                aw * bz + ax * by - ay * bx + az * bw,
+            ]
+        )
+        return Pose(quat, self.rotation() @ other.translation_m + self.translation_m)
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Carry points (3,) or (N, 3) from the source frame into the target frame."""
+        return points @ self.rotation().T + self.translation_m
+
+    def yaw_rad(self) -> float:
+        """Heading of the x axis about z, in (-pi, pi]."""
+        w, x, y, z = self.quat_wxyz
+        return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StampedPose:
+    """Odometry: where the body is, how fast, and how far to trust it.
+
+    velocity_odom_mps: (3,). covariance: (6, 6), position then rotation vector, m² and rad².
+    quality: 0 (lost) to 100. reset_counter: +1 (mod 256) whenever odom itself jumps.
+    """
+
+    stamp_s: float
+    odom_from_body: Pose
+    velocity_odom_mps: FloatArray
+    covariance: FloatArray = field(default_factory=lambda: np.diag([1e-4] * 3 + [1e-5] * 3))
+    quality: int = 100
+    reset_counter: int = 0
+    map_epoch: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "velocity_odom_mps", frozen(np.asarray(self.velocity_odom_mps, dtype=np.float64)))
+        object.__setattr__(self, "covariance", frozen(np.asarray(self.covariance, dtype=np.float64)))

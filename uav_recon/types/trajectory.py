@@ -1,0 +1,105 @@
+"""Motion handed from the mission to the pilot, and what the guard makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from uav_recon.types.frames import FloatArray, frozen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setpoint:
+    """Where to be now, in odom: position, velocity, acceleration (3,), heading and its rate, camera pitch down."""
+
+    position_m: FloatArray
+    velocity_mps: FloatArray
+    acceleration_mps2: FloatArray
+    yaw_rad: float
+    yaw_rate_radps: float
+    camera_pitch_down_rad: float
+
+    @staticmethod
+    def hold(position_m: FloatArray, yaw_rad: float, camera_pitch_down_rad: float = 0.0) -> Setpoint:
+        """Stay there."""
+        return Setpoint(np.asarray(position_m, dtype=np.float64), np.zeros(3), np.zeros(3), yaw_rad, 0.0, camera_pitch_down_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """A motion sampled at a fixed step that ENDS AT REST in space that was known free when it was made.
+
+    position_m, velocity_mps, acceleration_mps2: (N, 3) in odom; yaw_rad (N,) unwrapped; yaw_rate_radps (N,);
+    camera_pitch_down_rad (N,). Sample i is at start_s + i * step_s. views_s: instants, relative to start_s, at which
+    a view is to be captured.
+    """
+
+    start_s: float
+    step_s: float
+    position_m: FloatArray
+    velocity_mps: FloatArray
+    acceleration_mps2: FloatArray
+    yaw_rad: FloatArray
+    yaw_rate_radps: FloatArray
+    camera_pitch_down_rad: FloatArray
+    views_s: FloatArray
+    map_epoch: int
+    identifier: int
+
+    def __post_init__(self) -> None:
+        for name in (
+            "position_m", "velocity_mps", "acceleration_mps2", "yaw_rad", "yaw_rate_radps", "camera_pitch_down_rad", "views_s",
+        ):  # fmt: skip
+            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.float64)))
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from start to rest."""
+        return float((len(self.yaw_rad) - 1) * self.step_s)
+
+    def setpoint_at(self, now_s: float) -> Setpoint:
+        """The setpoint at an instant: before the start its first sample, after the end at rest on its last one."""
+        t = min(max((now_s - self.start_s) / self.step_s, 0.0), len(self.yaw_rad) - 1.0)
+        i = min(int(t), max(len(self.yaw_rad) - 2, 0))
+        j = min(i + 1, len(self.yaw_rad) - 1)
+        f = t - i
+
+        def mix(a: FloatArray) -> FloatArray:
+            mixed: FloatArray = (1 - f) * a[i] + f * a[j]
+            return mixed
+
+        return Setpoint(
+            mix(self.position_m),
+            mix(self.velocity_mps),
+            mix(self.acceleration_mps2),
+            float(mix(self.yaw_rad)),
+            float(mix(self.yaw_rate_radps)),
+            float(mix(self.camera_pitch_down_rad)),
+        )
+
+
+class Goal(Enum):
+    """What the mission wants of the pilot."""
+
+    STANDBY = "standby"  # on the ground: be ready, do not arm
+    FLY = "fly"  # arm if on the ground, then follow the trajectory
+    LAND = "land"  # land here and disarm
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Intent:
+    """The mission's proposal, renewed at every mission step: stamp_s is the mission's pulse."""
+
+    stamp_s: float
+    goal: Goal
+    trajectory: Trajectory | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refusal:
+    """A proposal the guard did not let through, why, and what flies instead."""
+
+    reason: str
+    instead: Setpoint

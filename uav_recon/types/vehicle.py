@@ -1,0 +1,69 @@
+"""What the autopilot says of the vehicle, and what the mission says of itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from uav_recon.types.frames import FloatArray, frozen
+from uav_recon.types.pose import Pose
+
+
+class FlightPhase(Enum):
+    """The pilot's own account of where it stands with the autopilot."""
+
+    CONNECTING = "connecting"  # no heartbeat, no pose, or the estimator does not follow yet
+    READY = "ready"  # on the ground, everything needed for arming is there
+    ARMING = "arming"  # stream runs, mode and arm requested, not confirmed yet
+    FLYING = "flying"  # armed, our mode, following trajectories or holding
+    LANDING = "landing"  # land mode commanded or met
+    LANDED = "landed"  # disarmed after a flight
+    YIELDED = "yielded"  # a human has the vehicle: nothing is sent any more
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VehicleState:
+    """Telemetry in our frames; world = odom at epoch 0.
+
+    battery_fraction: NaN if unknown. camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount.
+    trajectory_id: the trajectory being flown, -1 for none. refusals: proposals turned down by the guard so far.
+    note: the newest reason in words (refused arming, failsafe, refusal), '' for none.
+    """
+
+    stamp_s: float
+    world_from_body: Pose
+    velocity_world_mps: FloatArray
+    armed: bool
+    mode: str
+    phase: FlightPhase
+    battery_fraction: float
+    human_in_control: bool
+    camera_pitch_down_rad: float
+    trajectory_id: int
+    refusals: int
+    note: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "velocity_world_mps", frozen(np.asarray(self.velocity_world_mps, dtype=np.float64)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MissionProgress:
+    """One line of the mission's life, for screens, recorders and the report."""
+
+    stamp_s: float
+    phase: str
+    mode: str
+    views: int
+    views_budget: int
+    explored_m3: float
+    path_length_m: float
+    frontiers: int
+    tasks: int
+    plans: int
+    planning_s: float
+    note: str
+    finished: bool
+    position_world: FloatArray = field(default_factory=lambda: np.zeros(3))
