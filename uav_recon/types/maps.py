@@ -41,7 +41,7 @@ class GridSpec:
 
     def contains(self, index: IntArray) -> BoolArray:
         """Which indices (N, 3) lie inside, (N,) bool."""
-        inside: BoolArray = np.asarray((index >= 0) & (index < np.array(self.shape))).all(axis=-1)
+        inside: BoolArray = np.all((index >= 0) & (index < np.array(self.shape)), axis=-1)
         return inside
 
 
