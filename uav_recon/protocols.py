@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
 from uav_recon.types.camera import Frame, ImuSample, PosedFrame
-from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.pose import StampedPose
-from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath
+from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
+from uav_recon.types.trajectory import Setpoint, Trajectory
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -137,4 +139,62 @@ class Planner(Protocol):
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         """Choose the next views and the way to them."""
+        ...
+
+    def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
+        """The shortest clear way to one view (home), as a path with that single view."""
+        ...
+
+
+class Voxels(Protocol):
+    """The occupancy map. Nothing blocks; costs are a few milliseconds."""
+
+    def integrate(self, posed: PosedFrame) -> int:
+        """Fuse a frame; how many voxels changed."""
+        ...
+
+    def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:
+        """The operator's word: this upright cylinder is free."""
+        ...
+
+    def snapshot(self) -> VoxelMap:
+        """A frozen copy with its distance field."""
+        ...
+
+    def explored_m3(self) -> float:
+        """Volume known (free or occupied)."""
+        ...
+
+
+class Motion(Protocol):
+    """Pure: paths to trajectories under limits. A str answer is the reason why there is none."""
+
+    def through(
+        self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
+    ) -> Trajectory | str:
+        """From rest at ``start`` through every view of the path to rest at the last."""
+        ...
+
+    def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
+        """Look round on the spot."""
+        ...
+
+    def line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
+        """Straight, rest to rest."""
+        ...
+
+    def stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
+        """Brake along the same path."""
+        ...
+
+    def still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
+        """Whether what is left of the trajectory is clear in a newer map."""
+        ...
+
+
+class Journal(Protocol):
+    """The flight's own account: one line per event, crash-safe. Never blocks for long, never raises in flight."""
+
+    def write(self, kind: str, stamp_s: float, **fields: object) -> None:
+        """Append one event."""
         ...

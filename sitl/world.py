@@ -1,0 +1,162 @@
+"""The outside world as one object with a step(): vehicle and autopilot, camera, late poses, and the truth it keeps."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.clearance import Clearance
+from sitl.d435i import Camera
+from sitl.poses import NoisyPoses
+from sitl.px4 import Px4
+from sitl.transform import matrix_from_quat
+from uav_recon.sensors.wire import StreamWriter
+
+IMU_RATE_HZ = 200.0
+TRUTH_RATE_HZ = 50.0
+PAD_HEIGHT_M = 0.4  # below it, take-off and landing, nearness to the pad is no fault
+
+
+@dataclass
+class TruthLog:
+    """What really happened, sampled at TRUTH_RATE_HZ, in the world frame."""
+
+    rows: list[tuple[float, ...]]
+
+    def save(self, path: Path, world: World) -> None:
+        """Write it with the setpoint arrivals and the failsafes; atomic."""
+        table = np.array(self.rows, dtype=np.float64).reshape(-1, 11)
+        temporary = path.with_suffix(".new.npz")
+        np.savez_compressed(
+            temporary,
+            stamp_s=table[:, 0],
+            position_m=table[:, 1:4],
+            quat_wxyz=table[:, 4:8],
+            hull_m=table[:, 8],
+            armed=table[:, 9] > 0,
+            landing=table[:, 10] > 0,
+            setpoint_arrivals_s=np.array(world.autopilot.setpoint_arrivals_s, dtype=np.float64),
+            failsafes=np.array(world.autopilot.failsafes, dtype=np.str_),
+        )
+        temporary.replace(path)
+
+
+class World:
+    """Everything outside the product. step(now_s) is called every few milliseconds of its clock."""
+
+    def __init__(
+        self,
+        autopilot: Px4,
+        camera: Camera,
+        poses: NoisyPoses,
+        clearance: Clearance,
+        stream: StreamWriter,
+        camera_rate_hz: float,
+        start_s: float,
+    ) -> None:
+        self.autopilot, self.camera, self._poses, self._clearance = autopilot, camera, poses, clearance
+        self._stream, self._start_s = stream, start_s
+        self._camera_period_s = 1.0 / camera_rate_hz
+        self._imu_count = self._truth_count = self._frame_count = 0
+        self.truth_log = TruthLog([])
+
+    def step(self, now_s: float) -> None:
+        """Fly to now_s, publish what the sensors saw on the way, keep the truth."""
+        self.autopilot.step(now_s)
+        self._publish_imu(now_s)
+        self._publish_poses(now_s)
+        self._keep_truth(now_s)
+
+    def _publish_imu(self, now_s: float) -> None:
+        while self._start_s + self._imu_count / IMU_RATE_HZ <= now_s:
+            truth = self.autopilot.truth()
+            stamp_s = self._start_s + self._imu_count / IMU_RATE_HZ
+            self._stream.write_imu(stamp_s, np.asarray(truth.gyro), np.asarray(truth.specific_force))
+            self._imu_count += 1
+
+    def _publish_poses(self, now_s: float) -> None:
+        for record in self._poses.step(now_s, self._world_from_body()):
+            self._stream.write_pose(
+                record.stamp_s, record.position_m, record.quat_wxyz, record.variance, record.quality, record.reset_counter
+            )
+
+    def _keep_truth(self, now_s: float) -> None:
+        if self._start_s + self._truth_count / TRUTH_RATE_HZ > now_s:
+            return
+        self._truth_count = int((now_s - self._start_s) * TRUTH_RATE_HZ) + 1
+        truth = self.autopilot.truth()
+        position = np.asarray(truth.position)
+        hull_m = self._clearance.hull_m(position) if truth.armed and position[2] > PAD_HEIGHT_M else np.nan
+        landing = float("LAND" in truth.mode)
+        self.truth_log.rows.append((now_s, *position, *truth.quat_wxyz, hull_m, float(truth.armed), landing))
+
+    def _world_from_body(self) -> NDArray[np.float64]:
+        truth = self.autopilot.truth()
+        matrix = np.eye(4)
+        matrix[:3, :3] = matrix_from_quat(np.asarray(truth.quat_wxyz))
+        matrix[:3, 3] = truth.position
+        return matrix
+
+    def frame_due(self, now_s: float) -> bool:
+        """Whether the shutter opens now; true once per camera period."""
+        if self._start_s + self._frame_count * self._camera_period_s > now_s:
+            return False
+        self._frame_count = int((now_s - self._start_s) / self._camera_period_s + 1e-9) + 1
+        return True
+
+    def expose(self, now_s: float) -> Exposure:
+        """What the shutter caught: take it in the stepping thread, develop it anywhere."""
+        return Exposure(now_s, self._world_from_body(), self.autopilot.truth().gimbal_pitch_down_rad)
+
+    def develop(self, exposure: Exposure) -> None:
+        """Render an exposure and publish it."""
+        depth_mm, rgb = self.camera.capture(exposure.world_from_body, exposure.pitch_down_rad)
+        self._stream.write_frame(exposure.stamp_s, depth_mm, rgb)
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Where the camera was when the shutter opened."""
+
+    stamp_s: float
+    world_from_body: NDArray[np.float64]
+    pitch_down_rad: float
+
+
+class Darkroom:
+    """A thread that develops the newest exposure, so that rendering never delays the autopilot."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._newest: Exposure | None = None
+        self._wake = threading.Condition()
+        self._open = True
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread.start()
+
+    def submit(self, exposure: Exposure) -> None:
+        """Hand over an exposure; an older one not begun yet is dropped, as a real camera would."""
+        with self._wake:
+            self._newest = exposure
+            self._wake.notify()
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._wake:
+            self._open = False
+            self._wake.notify()
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._newest is not None or not self._open)
+                if not self._open:
+                    return
+                exposure, self._newest = self._newest, None
+            if exposure is not None:
+                self._world.develop(exposure)

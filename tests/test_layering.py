@@ -1,0 +1,127 @@
+"""Who may import whom: walks every import of the tree. There is no exception list."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BASE = {"types", "protocols", "config", "clock", "channels", "geometry"}
+ALLOWED = {
+    "types": {"types"},
+    "protocols": {"types", "protocols"},
+    "config": {"types", "config"},
+    "clock": {"types", "protocols", "clock"},
+    "channels": {"types", "protocols", "channels"},
+    "geometry": {"types", "geometry"},
+    **{stage: BASE | {stage} for stage in ("sensors", "localization", "mapping", "planning", "motion", "recording")},
+    "safety": {"types", "safety"},
+    "autopilot": {"types", "protocols", "clock", "channels", "config", "safety", "autopilot"},
+    "mission": {"types", "protocols", "clock", "mission"},
+    "evaluation": {"types", "geometry", "evaluation"},
+    "notify": set(),
+}
+ROOTS = {"run", "bench", "cli", "__main__"}
+HEAVY = {
+    "torch": {"uav_recon/mapping/neural"},
+    "pyrealsense2": {"uav_recon/sensors/realsense.py"},
+    "pymavlink": {"uav_recon/autopilot", "sitl"},
+    "rerun": {"uav_recon/recording"},
+}
+PILOT_FORBIDS = {"torch", "open3d", "rerun", "cv2", "numba"}
+
+
+def modules(folder: str) -> list[Path]:
+    return sorted(p for p in (ROOT / folder).rglob("*.py"))
+
+
+def imports(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def stage_of(path: Path) -> str:
+    parts = path.relative_to(ROOT / "uav_recon").with_suffix("").parts
+    return parts[0]
+
+
+@pytest.mark.parametrize("path", modules("uav_recon"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_a_stage_imports_only_what_its_rank_allows(path: Path) -> None:
+    stage = stage_of(path)
+    if stage == "__init__":
+        return
+    ours = {name.split(".")[1] for name in imports(path) if name.startswith("uav_recon.") and name.count(".") >= 1}
+    outside = {name for name in imports(path) if name.split(".")[0] == "sitl"}
+    if stage in ROOTS:
+        allowed = (
+            {"run"}
+            | (set() if stage in ("cli", "__main__") else set(ALLOWED))
+            | ({"config", "cli"} if stage != "run" else set())
+        )
+        assert ours <= allowed, f"{path.name} imports {ours - allowed}"
+        return
+    assert not outside, f"{path.name} imports the simulation: {outside}"
+    assert stage in ALLOWED, f"{stage} has no rank in this table"
+    assert ours <= ALLOWED[stage], f"{path.name} imports {ours - ALLOWED[stage]}"
+
+
+def test_the_machine_and_the_events_import_types_only() -> None:
+    for name in ("events.py", "machine.py"):
+        ours = {i for i in imports(ROOT / "uav_recon/mission" / name) if i.startswith("uav_recon.")}
+        assert all(i.startswith(("uav_recon.types", "uav_recon.mission")) for i in ours), ours
+
+
+@pytest.mark.parametrize("path", modules("sitl"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_the_outside_world_shares_only_the_wire_format(path: Path) -> None:
+    if path.name.startswith("fly"):
+        return
+    ours = {name for name in imports(path) if name.startswith("uav_recon")}
+    assert all(name.startswith("uav_recon.sensors.wire") for name in ours), f"{path.name} imports {ours}"
+
+
+@pytest.mark.parametrize("path", modules("uav_recon") + modules("sitl"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_heavy_packages_stay_in_their_room(path: Path) -> None:
+    where = str(path.relative_to(ROOT))
+    for name in imports(path):
+        rooms = HEAVY.get(name.split(".")[0])
+        assert rooms is None or any(where.startswith(room) for room in rooms), f"{where} imports {name}"
+
+
+def test_the_pilot_reaches_no_heavy_package() -> None:
+    seen: set[Path] = set()
+    todo = modules("uav_recon/autopilot") + modules("uav_recon/safety")
+    while todo:
+        path = todo.pop()
+        if path in seen:
+            continue
+        seen.add(path)
+        for name in imports(path):
+            assert name.split(".")[0] not in PILOT_FORBIDS, f"{path} imports {name}"
+            if name.startswith("uav_recon."):
+                for candidate in (name, name.rpartition(".")[0]):
+                    file = ROOT / (candidate.replace(".", "/") + ".py")
+                    if file.exists():
+                        todo.append(file)
+    assert len(seen) > 10
+
+
+@pytest.mark.parametrize("path", modules("uav_recon") + modules("sitl"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_files_are_one_noun(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= 400
+    assert path.stem not in {"utils", "util", "common", "helpers", "helper", "manager", "misc"}
+
+
+def test_the_product_does_not_know_that_it_is_simulated() -> None:
+    for path in modules("uav_recon"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.If):
+                words = {n.id for n in ast.walk(node.test) if isinstance(n, ast.Name)}
+                words |= {n.attr for n in ast.walk(node.test) if isinstance(n, ast.Attribute)}
+                assert not words & {"sim", "sitl", "simulated", "simulation", "is_sim"}, f"{path}: if {words}"

@@ -1,0 +1,32 @@
+"""Which frames become views: instants promised by a trajectory, each met by the first frame at or after it."""
+
+from __future__ import annotations
+
+from uav_recon.types.trajectory import Trajectory
+
+
+class Captures:
+    """Pending capture instants, in absolute seconds."""
+
+    def __init__(self, late_s: float) -> None:
+        self._instants_s: list[float] = []
+        self._late_s = late_s
+
+    def expect(self, trajectory: Trajectory) -> None:
+        """Replace what is pending by the views of a trajectory."""
+        self._instants_s = [trajectory.start_s + float(t) for t in trajectory.views_s]
+
+    def cancel_after(self, instant_s: float) -> None:
+        """Forget the views that a stopped trajectory will not reach."""
+        self._instants_s = [t for t in self._instants_s if t <= instant_s]
+
+    def take(self, stamp_s: float) -> bool:
+        """Whether the frame captured at ``stamp_s`` is a view; one frame serves all instants up to its stamp."""
+        met = [t for t in self._instants_s if t <= stamp_s]
+        self._instants_s = [t for t in self._instants_s if t > stamp_s]
+        return bool(met)
+
+    def waiting(self, now_s: float) -> bool:
+        """Whether a view is still to come; one that no frame met in time is given up."""
+        self._instants_s = [t for t in self._instants_s if now_s - t < self._late_s]
+        return bool(self._instants_s)

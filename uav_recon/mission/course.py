@@ -1,0 +1,60 @@
+"""Where the drone has been and what it is flying now."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.trajectory import Setpoint, Trajectory
+from uav_recon.types.vehicle import VehicleState
+
+BREADCRUMB_M = 0.2
+
+
+class Course:
+    """The current trajectory, the way flown so far, and the breadcrumbs back to the pad."""
+
+    def __init__(self, camera_pitch_down_rad: float) -> None:
+        self.trajectory: Trajectory | None = None
+        self.path_length_m = 0.0
+        self.breadcrumbs: list[FloatArray] = []
+        self._pitch_down_rad = camera_pitch_down_rad
+        self._position: FloatArray | None = None
+        self._identifier = 0
+
+    def next_identifier(self) -> int:
+        """A fresh trajectory number."""
+        self._identifier += 1
+        return self._identifier
+
+    def follow(self, vehicle: VehicleState) -> None:
+        """Note where the vehicle is."""
+        position = vehicle.world_from_body.translation_m
+        if self._position is not None and vehicle.armed:
+            self.path_length_m += float(np.linalg.norm(position - self._position))
+        self._position = position
+        if vehicle.armed and (not self.breadcrumbs or np.linalg.norm(position - self.breadcrumbs[-1]) > BREADCRUMB_M):
+            self.breadcrumbs.append(position)
+
+    def at_rest(self, now_s: float) -> bool:
+        """Whether the trajectory has been played to its end."""
+        return self.trajectory is not None and now_s >= self.trajectory.start_s + self.trajectory.duration_s
+
+    def rest(self, vehicle: VehicleState) -> Setpoint:
+        """The setpoint held now: the end of the trajectory, or where the vehicle stands if there was none."""
+        if self.trajectory is None:
+            pose = vehicle.world_from_body
+            return Setpoint.hold(pose.translation_m, pose.yaw_rad(), self._pitch_down_rad)
+        end = self.trajectory.setpoint_at(self.trajectory.start_s + self.trajectory.duration_s)
+        return Setpoint.hold(end.position_m, end.yaw_rad, end.camera_pitch_down_rad)
+
+    def way_back(self) -> tuple[FloatArray, ...]:
+        """Breadcrumbs from here to the pad's first hover, newest first, loops cut out."""
+        crumbs = self.breadcrumbs[::-1]
+        way: list[FloatArray] = []
+        i = 0
+        while i < len(crumbs):
+            way.append(crumbs[i])
+            near = [j for j in range(i + 1, len(crumbs)) if np.linalg.norm(crumbs[j] - crumbs[i]) <= BREADCRUMB_M * 1.5]
+            i = near[-1] if near else i + 1
+        return tuple(way)
