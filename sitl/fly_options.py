@@ -1,0 +1,154 @@
+"""The options of `uav-recon sim`, checked, and the config of the product that they amount to."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from sitl.fly_world import WorldOptions
+from sitl.scene import Scene
+from uav_recon import run
+from uav_recon.config import Config, ConfigError, parse
+
+NOISES = ("d435i", "paper", "kinect", "none")
+CAMERAS = ("d435i", "wide")
+VARIANTS = ("adaptive", "explore", "merged")
+AUTOPILOTS = ("px4",)
+BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
+
+
+class UsageError(run.Failure):
+    """An option that makes no sense; exit code 2."""
+
+    code = 2
+
+
+@dataclass(frozen=True)
+class SimOptions:
+    """What the user asked for. mount_pitch_down_deg None = gimbal."""
+
+    scene: str | None
+    start: tuple[float, float, float, float] | None
+    fence: tuple[float, float, float, float, float, float] | None
+    views: int
+    seed: int
+    out: Path
+    autopilot: str
+    variant: str
+    mount: str
+    mount_pitch_down_deg: float | None
+    depth_noise: str
+    camera: str
+    lockstep: bool
+    live: bool
+    port: int
+
+    @staticmethod
+    def parse(
+        *, scene: str | None = None, start: str | None = None, fence: str | None = None, views: int | None = None, seed: int = 0,
+        out: Path | None = None, autopilot: str = "px4", variant: str = "adaptive", mount: str = "fixed:15",
+        depth_noise: str = "d435i", camera: str = "d435i", lockstep: bool = False, live: bool = False, port: int = 14540,
+    ) -> SimOptions:  # fmt: skip
+        """Check the words of the command line. Raises UsageError with one line."""
+        for name, value, allowed in (
+            ("autopilot", autopilot, AUTOPILOTS), ("variant", variant, VARIANTS), ("depth-noise", depth_noise, NOISES),
+            ("camera", camera, CAMERAS),
+        ):  # fmt: skip
+            if value not in allowed:
+                raise UsageError(f"--{name} {value}: want one of {', '.join(allowed)}")
+        s = _numbers("start", start, 4)
+        f = _numbers("fence", fence, 6)
+        if f is not None and any(f[i] >= f[i + 3] for i in range(3)):
+            raise UsageError(f"--fence {fence}: each upper corner number must exceed its lower one")
+        stem = "room" if scene is None else Path(scene).stem
+        folder = out or Path("flights") / f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
+        return SimOptions(
+            scene=scene,
+            start=None if s is None else (s[0], s[1], s[2], s[3]),
+            fence=None if f is None else (f[0], f[1], f[2], f[3], f[4], f[5]),
+            views=views if views is not None else BUILT_IN_VIEWS if scene is None else SCENE_VIEWS,
+            seed=seed, out=folder.absolute(), autopilot=autopilot, variant=variant, mount=mount,
+            mount_pitch_down_deg=_mount(mount), depth_noise=depth_noise, camera=camera, lockstep=lockstep, live=live, port=port,
+        )  # fmt: skip
+
+    def make_folder(self) -> None:
+        """Make the flight folder. Raises Failure if it cannot be written or holds a flight already."""
+        try:
+            self.out.mkdir(parents=True, exist_ok=True)
+            (self.out / "logs").mkdir(exist_ok=True)
+        except OSError as error:
+            raise run.Failure(f"--out {self.out}: cannot be written ({error.strerror})") from None
+        if (self.out / "report.json").exists() or (self.out / "timeline.jsonl").exists():
+            raise UsageError(f"--out {self.out}: holds a flight already")
+
+    def world(self, runtime: Path) -> WorldOptions:
+        """The options of the outside world."""
+        return WorldOptions(
+            scene=self.scene, start=self.start, fence=self.fence, seed=self.seed, mount_pitch_down_deg=self.mount_pitch_down_deg,
+            depth_noise=self.depth_noise, camera=self.camera, port=self.port, stream=str(runtime / "camera.stream"),
+            truth=str(self.out / "truth.npz"),
+        )  # fmt: skip
+
+    def config(self, scene: Scene, runtime: Path) -> Config:
+        """The product's config for this flight. Raises ConfigError."""
+        gimbal = self.mount_pitch_down_deg is None
+        noise_px = {"d435i": 0.08, "paper": 0.002, "kinect": 0.02, "none": 0.001}[self.depth_noise]
+        tree = {
+            "safety": {
+                "fence_min_m": [float(x) for x in scene.fence_min],
+                "fence_max_m": [float(x) for x in scene.fence_max],
+                "fence_inset_m": 0.3,
+                "max_speed_mps": 1.2,
+                "max_acceleration_mps2": 2.0,
+                "max_yaw_rate_degps": 60.0,
+                "vehicle_radius_m": 0.20,
+                "vehicle_height_m": 0.20,
+                "intent_timeout_s": 0.5,
+                "pose_timeout_s": 0.25,
+                "pose_land_s": 1.0,
+                "land_timeout_s": 20.0,
+            },
+            "link": {"autopilot": self.autopilot, "url": f"udp:127.0.0.1:{self.port}"},
+            "camera": {
+                "source": "stream",
+                "mount": "gimbal" if gimbal else "fixed",
+                "pitch_down_deg": self.mount_pitch_down_deg or 0.0,
+                "depth_noise_px": noise_px,
+            },
+            "mapper": {"seed": self.seed},
+            "planner": {"variant": self.variant},
+            "mission": {"views": self.views},
+            "recording": {"folder": str(self.out), "live": self.live},
+            "runtime": {"folder": str(runtime)},
+        }
+        try:
+            return parse(tree, "sim")
+        except ConfigError as error:
+            raise run.Failure(str(error), run.EXIT_CONFIG) from None
+
+
+def _numbers(name: str, text: str | None, count: int) -> tuple[float, ...] | None:
+    if text is None:
+        return None
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count or not all(math.isfinite(n) for n in numbers):
+        raise UsageError(f"--{name} {text}: want {count} numbers with commas between them")
+    return numbers
+
+
+def _mount(text: str) -> float | None:
+    if text == "gimbal":
+        return None
+    kind, _, degrees = text.partition(":")
+    try:
+        pitch = float(degrees or "15")
+    except ValueError:
+        pitch = math.nan
+    if kind != "fixed" or not -60.0 <= pitch <= 60.0:
+        raise UsageError(f"--mount {text}: want fixed:DEG with DEG in -60..60 (down is plus), or gimbal")
+    return pitch

@@ -1,0 +1,127 @@
+"""The command line: parses, calls run. Heavy imports are lazy, so that --help is quick."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from uav_recon import run
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    help="Put a drone on the floor of an unknown room; get back a watertight, coloured, metric model of it.\n\n"
+    "Try `uav-recon sim` first: it flies a whole mission in a built-in room on this machine.",
+)
+
+ConfigOption = Annotated[Path, typer.Option("--config", help="TOML config; see systemd/config.toml for every key.")]
+FlightOption = Annotated[
+    Path | None, typer.Option("--flight", help="Flight folder; default: a dated one below recording.folder.")
+]
+
+
+@app.command()
+def sim(
+    scene: Annotated[
+        str | None,
+        typer.Option(help="Folder with scene.json, or a .ply/.obj/.glb mesh in metres, z up. Default: the built-in room."),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z,YAW", help="Start in the mesh's frame, metres and degrees; needed for a bare mesh file."),
+    ] = None,
+    fence: Annotated[
+        str | None,
+        typer.Option(metavar="X0,Y0,Z0,X1,Y1,Z1", help="Fence box in the mesh's frame; needed where the scene is open."),
+    ] = None,
+    views: Annotated[
+        int | None,
+        typer.Option(
+            min=4, max=5000, help="View budget: keyframes given to the mapper, at most. Default: 60, or 120 with --scene."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of wind, noise and learning; one seed, one lockstep flight.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="Flight folder. Default: flights/SCENE-DATE.")] = None,
+    autopilot: Annotated[str, typer.Option(help="Firmware personality: px4.")] = "px4",
+    variant: Annotated[str, typer.Option(help="adaptive (explore, then merge), explore, or merged.")] = "adaptive",
+    mount: Annotated[
+        str, typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount; DEG is the tilt, down is plus.")
+    ] = "fixed:15",
+    depth_noise: Annotated[str, typer.Option(help="d435i, paper, kinect or none.")] = "d435i",
+    camera: Annotated[
+        str, typer.Option(help="d435i (colour narrower than depth) or wide (one registered RGB-D camera).")
+    ] = "d435i",
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="One process on a simulated clock: repeatable and fast.")
+    ] = False,
+    live: Annotated[bool, typer.Option("--live", help="Open the rerun viewer and watch while it flies.")] = False,
+    port: Annotated[int, typer.Option(min=1024, max=65535, help="Loopback UDP port of the MAVLink link.")] = 14540,
+) -> None:
+    """Fly a whole mission in simulation and write a flight folder with model, report and recording.
+
+    The outside world (scene, camera, autopilot) is simulated; the pilot, perception and mission processes are the very
+    programs that fly a real drone. Ctrl-C lands and still writes the report; a second Ctrl-C ends everything at once.
+    """
+    from sitl.fly import SimOptions, simulate
+
+    _exit(
+        lambda: simulate(
+            SimOptions.parse(
+                scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
+                mount=mount, depth_noise=depth_noise, camera=camera, lockstep=lockstep, live=live, port=port,
+            )
+        )
+    )  # fmt: skip
+
+
+@app.command()
+def pilot(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
+    """The process next to the autopilot: the only MAVLink link, the guard, the setpoint stream."""
+    _exit(lambda: run.pilot(config, flight))
+
+
+@app.command()
+def perception(config: ConfigOption = Path("/etc/uav_recon/config.toml")) -> None:
+    """The process next to the camera: frames, poses, steady odometry."""
+    _exit(lambda: run.perception(config))
+
+
+@app.command()
+def mission(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
+    """The process that decides: voxels, planner, state machine, with the mapper and the recorder as children."""
+    _exit(lambda: run.mission(config, flight))
+
+
+@app.command(hidden=True)
+def record(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
+    """The recorder, started by the mission: reads the channels, writes flight.rrd."""
+    _exit(lambda: run.record(config, flight))
+
+
+@app.command()
+def review(flight: Annotated[Path, typer.Argument(help="A flight folder.")]) -> None:
+    """Open a flight in the rerun viewer: map, path, model, camera and figures on one timeline."""
+    _exit(lambda: run.review(flight))
+
+
+def _exit(work: Callable[[], Any]) -> None:
+    try:
+        code = work()
+    except run.Failure as failure:
+        print(f"uav-recon: {failure}", file=sys.stderr)
+        raise typer.Exit(failure.code) from None
+    raise typer.Exit(code or 0)
+
+
+def main() -> None:
+    """Entry point."""
+    app()
+
+
+if __name__ == "__main__":
+    main()
