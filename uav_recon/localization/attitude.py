@@ -1,0 +1,210 @@
+"""Gyro and accelerometer integrated once, as they arrive, in a frame of their own.
+
+The GYRO frame is any inertial frame: it starts aligned with the first sample's body axes and drifts with the gyro. In it
+
+    q(t): gyro_from_body,    V(t) = integral of R(q) f dt,    X(t) = integral of V dt        (f: specific force)
+
+so the motion between ANY two instants a < b follows from differences, whatever is learned later about where the gyro
+frame stands in odom (odom_from_gyro, R below) and about gravity g (strapdown mechanisation, e.g. Titterton and Weston,
+Strapdown Inertial Navigation Technology, ch. 3):
+
+    v(b) = v(a) + R (V(b) - V(a)) + g (b - a)
+    p(b) = p(a) + v(a) (b - a) + R (X(b) - X(a) - V(a) (b - a)) + g (b - a)^2 / 2
+
+A late pose therefore costs no second pass over the samples.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.types.frames import FloatArray
+
+Quaternion = tuple[float, float, float, float]  # wxyz
+Vector = tuple[float, float, float]
+
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+GRAVITY_MPS2 = 9.80665
+_CAPACITY = 4096  # 20 s at 200 Hz, between two halvings
+
+
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product, wxyz. Plain floats: ten times faster than numpy for four numbers."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def conjugate(q: Quaternion) -> Quaternion:
+    """Inverse of a unit quaternion."""
+    return (q[0], -q[1], -q[2], -q[3])
+
+
+def normalised(q: Quaternion) -> Quaternion:
+    """The unit quaternion of the same direction."""
+    n = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return (q[0] / n, q[1] / n, q[2] / n, q[3] / n)
+
+
+def rotate(q: Quaternion, v: Vector) -> Vector:
+    """Carry a vector from the source frame of ``q`` into its target frame."""
+    w, x, y, z = q
+    tx, ty, tz = 2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])
+    return (
+        v[0] + w * tx + y * tz - z * ty,
+        v[1] + w * ty + z * tx - x * tz,
+        v[2] + w * tz + x * ty - y * tx,
+    )
+
+
+def exponential(rotation_rad: Vector) -> Quaternion:
+    """Unit quaternion of a rotation vector."""
+    x, y, z = rotation_rad
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle < 1e-9:
+        return (1.0, 0.5 * x, 0.5 * y, 0.5 * z)
+    s = math.sin(0.5 * angle) / angle
+    return (math.cos(0.5 * angle), s * x, s * y, s * z)
+
+
+def logarithm(q: Quaternion) -> Vector:
+    """Rotation vector of a unit quaternion, the shorter way round."""
+    w, x, y, z = q if q[0] >= 0 else (-q[0], -q[1], -q[2], -q[3])
+    s = math.sqrt(x * x + y * y + z * z)
+    k = 2.0 if s < 1e-9 else 2.0 * math.atan2(s, w) / s
+    return (k * x, k * y, k * z)
+
+
+@dataclass(frozen=True, slots=True)
+class InertialState:
+    """The track at one instant: gyro_from_body, and V (m/s) and X (m) in the gyro frame."""
+
+    stamp_s: float
+    gyro_from_body: Quaternion
+    velocity_integral: Vector
+    position_integral: Vector
+
+
+class InertialTrack:
+    """The integrals at every sample of the last seconds; between samples rate and force are constant.
+
+    ``hover_force_gyro`` (gyro frame, m/s²) is the specific force that cancels gravity: it is what a gap is filled with,
+    so a track without an accelerometer coasts at constant velocity.
+    """
+
+    def __init__(self, gap_s: float = 0.05) -> None:
+        self.hover_force_gyro: Vector = (0.0, 0.0, GRAVITY_MPS2)
+        self._gap_s = gap_s
+        self._count = 0
+        self._stamp = np.empty(_CAPACITY)
+        self._state = np.empty((_CAPACITY, 10))  # q, V, X at the sample
+        self._step = np.zeros((_CAPACITY, 6))  # rate (body) and force (gyro frame) from this sample to the next
+        self._last: tuple[Vector, Vector] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # newest measured rate and force
+        self._measured = False  # whether the newest sample came from an IMU
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def newest_s(self) -> float:
+        """Stamp of the newest sample; -inf for an empty track."""
+        return float(self._stamp[self._count - 1]) if self._count else -math.inf
+
+    @property
+    def oldest_s(self) -> float:
+        """Stamp of the oldest sample still kept; inf for an empty track."""
+        return float(self._stamp[0]) if self._count else math.inf
+
+    def push(self, stamp_s: float, rate_radps: Vector, force_mps2: Vector) -> None:
+        """Append a sample: body rate (bias already taken off) and body specific force. Stamps must increase."""
+        self._make_room()
+        i = self._count - 1
+        if i >= 0:
+            dt = stamp_s - float(self._stamp[i])
+            if self._measured and dt > self._gap_s:
+                self._step[i] = (0.0, 0.0, 0.0, *self.hover_force_gyro)
+            elif self._measured:
+                (px, py, pz), (fx, fy, fz) = self._last
+                rate = (0.5 * (px + rate_radps[0]), 0.5 * (py + rate_radps[1]), 0.5 * (pz + rate_radps[2]))
+                force = (0.5 * (fx + force_mps2[0]), 0.5 * (fy + force_mps2[1]), 0.5 * (fz + force_mps2[2]))
+                middle = multiply(
+                    self._quaternion(i), exponential((0.5 * dt * rate[0], 0.5 * dt * rate[1], 0.5 * dt * rate[2]))
+                )
+                self._step[i] = (*rate, *rotate(middle, force))
+            self._append(self._advance(i, stamp_s))
+        else:
+            self._append(InertialState(stamp_s, IDENTITY, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        self._last, self._measured = (rate_radps, force_mps2), True
+        newest = self._count - 1
+        self._step[newest] = (*rate_radps, *rotate(self._quaternion(newest), force_mps2))
+
+    def coast(self, stamp_s: float, rate_radps: Vector) -> None:
+        """Append a sample without an IMU: turning at ``rate_radps``, not accelerating."""
+        self._make_room()
+        step = (*rate_radps, *self.hover_force_gyro)
+        if self._count:
+            i = self._count - 1
+            if self._measured and stamp_s - float(self._stamp[i]) > self._gap_s:
+                self._step[i] = step
+            self._append(self._advance(i, stamp_s))
+        else:
+            self._append(InertialState(stamp_s, IDENTITY, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        self._step[self._count - 1] = step
+        self._measured = False
+
+    def turn(self, rate_radps: Vector) -> None:
+        """Change the rate at which the newest sample, a coasted one, goes on."""
+        self._step[self._count - 1, :3] = rate_radps
+
+    def at(self, stamp_s: float) -> InertialState | None:
+        """The track at an instant, extrapolated after its end; None before its beginning."""
+        if not self._count or stamp_s < self._stamp[0]:
+            return None
+        i = int(np.searchsorted(self._stamp[: self._count], stamp_s, side="right")) - 1
+        if i == self._count - 1 and self._measured and stamp_s - self._stamp[i] > self._gap_s:
+            return self._advance(i, stamp_s, (0.0, 0.0, 0.0, *self.hover_force_gyro))
+        return self._advance(i, stamp_s)
+
+    def _quaternion(self, i: int) -> Quaternion:
+        w, x, y, z = self._state[i, :4].tolist()
+        return (w, x, y, z)
+
+    def _advance(self, i: int, stamp_s: float, step: tuple[float, ...] | None = None) -> InertialState:
+        """Sample i carried along its own step, or another one, to ``stamp_s``."""
+        dt = stamp_s - float(self._stamp[i])
+        w, x, y, z, vx, vy, vz, px, py, pz = self._state[i].tolist()
+        rx, ry, rz, ax, ay, az = self._step[i].tolist() if step is None else step
+        half = 0.5 * dt * dt
+        return InertialState(
+            stamp_s,
+            normalised(multiply((w, x, y, z), exponential((rx * dt, ry * dt, rz * dt)))),
+            (vx + ax * dt, vy + ay * dt, vz + az * dt),
+            (px + vx * dt + ax * half, py + vy * dt + ay * half, pz + vz * dt + az * half),
+        )
+
+    def _append(self, state: InertialState) -> None:
+        self._stamp[self._count] = state.stamp_s
+        self._state[self._count] = (*state.gyro_from_body, *state.velocity_integral, *state.position_integral)
+        self._count += 1
+
+    def _make_room(self) -> None:
+        """Full: forget the older half and restart the integrals there, so that they stay within what a float resolves."""
+        if self._count < _CAPACITY:
+            return
+        k = _CAPACITY // 2
+        self._stamp[:k] = self._stamp[k:]
+        self._state[:k] = self._state[k:]
+        self._step[:k] = self._step[k:]
+        v0, x0 = self._state[0, 4:7].copy(), self._state[0, 7:10].copy()
+        since: FloatArray = self._stamp[:k] - self._stamp[0]
+        self._state[:k, 7:10] -= x0 + np.outer(since, v0)
+        self._state[:k, 4:7] -= v0
+        self._count = k

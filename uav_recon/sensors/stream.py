@@ -1,0 +1,160 @@
+"""Any outside camera, through the memory-mapped stream of wire.py: frames, inertial samples and poses."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from uav_recon.protocols import Clock
+from uav_recon.sensors.wire import CameraSpec, RawFrame, StreamError, StreamReader
+from uav_recon.types.camera import Frame, ImuSample, Intrinsics
+from uav_recon.types.frames import Float32Array
+from uav_recon.types.pose import Pose, StampedPose
+
+__all__ = ["StreamCamera", "StreamError", "StreamPoses", "depth_table", "open_stream"]
+
+_POLL_S = 0.05
+
+
+def open_stream(path: Path, clock: Clock, timeout_s: float) -> StreamReader:
+    """Wait until a stream stands at ``path`` and open it. Raises StreamError, one line, when the time is over."""
+    start_s = clock.now_s()
+    attempts = max(1, math.ceil(timeout_s / _POLL_S))
+    for attempt in range(attempts):  # counted, so that it ends on any clock
+        try:
+            return StreamReader(path)
+        except StreamError:
+            if attempt + 1 == attempts:
+                break
+        clock.sleep_until(start_s + (attempt + 1) * _POLL_S)
+    try:
+        return StreamReader(path)
+    except StreamError as error:
+        raise StreamError(f"{error}; waited {timeout_s:g} s") from None
+
+
+def depth_table(depth_min_m: float, depth_max_m: float, metres_per_unit: float = 0.001) -> Float32Array:
+    """Metres of every 16-bit depth, (65536,) float32: 0 and what lies outside [depth_min_m, depth_max_m] is NaN."""
+    metres = np.arange(65536) * metres_per_unit
+    believed = (metres >= depth_min_m - 1e-9) & (metres <= depth_max_m + 1e-9) & (metres > 0.0)
+    return np.where(believed, metres, np.nan).astype(np.float32)
+
+
+class _Stream:
+    """A reader that follows the file when the camera is restarted and puts a new one under the same name."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._reader = StreamReader(path)
+        self._inode = path.stat().st_ino
+        self._read = 0
+
+    def _follow(self) -> bool:
+        """Open the new file if there is one. The old one stays until the new one can be read."""
+        try:
+            inode = self._path.stat().st_ino
+            if inode == self._inode:
+                return False
+            reader = StreamReader(self._path)
+        except (OSError, StreamError):
+            return False
+        self._reader, self._inode, self._read = reader, inode, 0
+        return True
+
+    def close(self) -> None:
+        """The mapping goes with the object."""
+
+
+class StreamCamera(_Stream):
+    """Camera protocol over a stream. Raises StreamError (one line) if the file is not a stream or its optics make no sense.
+
+    dropped_frames: stamps that were not finite, or not newer than the frame before.
+    """
+
+    def __init__(self, path: Path, depth_min_m: float = 0.3, depth_max_m: float = 6.0) -> None:
+        super().__init__(path)
+        self._table = depth_table(depth_min_m, depth_max_m)
+        self._optics = _optics(self._reader, path)
+        self._imu_read = 0
+        self._newest_s = -math.inf
+        self.dropped_frames = 0
+
+    def poll(self) -> Frame | None:
+        """The newest frame that was not handed out yet. About 1 ms for 424x240."""
+        raw = self._reader.frame(self._read)
+        if raw is None:
+            if self._follow():
+                self._imu_read = 0
+                self._optics = _optics(self._reader, self._path)
+            return None
+        self._read = raw.sequence
+        if not math.isfinite(raw.stamp_s) or raw.stamp_s <= self._newest_s:
+            self.dropped_frames += 1
+            return None
+        self._newest_s = raw.stamp_s
+        return self._frame(raw)
+
+    def imu(self) -> list[ImuSample]:
+        """Inertial samples since the last call."""
+        self._imu_read, samples = self._reader.imu(self._imu_read)
+        return [
+            ImuSample(float(s["stamp_s"]), s["gyro_radps"].astype(np.float64), s["specific_force_mps2"].astype(np.float64))
+            for s in samples
+        ]
+
+    def _frame(self, raw: RawFrame) -> Frame:
+        depth, rgb, rgb_from_depth = self._optics
+        return Frame(raw.stamp_s, raw.sequence, self._table[raw.depth_mm], depth, raw.rgb, rgb, rgb_from_depth)
+
+
+class StreamPoses(_Stream):
+    """PoseSource protocol over a stream. refused: records that are not finite or whose quaternion is not a rotation."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.refused = 0
+
+    def poses(self) -> list[StampedPose]:
+        """Poses since the last call, in the order of their arrival."""
+        self._read, records = self._reader.poses(self._read)
+        if not len(records):
+            self._follow()
+        out: list[StampedPose] = []
+        for record in records:
+            quat, variance = record["quat_wxyz"].astype(np.float64), record["variance"].astype(np.float64)
+            numbers = np.concatenate(([record["stamp_s"]], record["position_m"], quat, variance))
+            if not np.isfinite(numbers).all() or abs(np.linalg.norm(quat) - 1.0) > 0.01 or (variance < 0).any():
+                self.refused += 1
+                continue
+            out.append(
+                StampedPose(
+                    float(record["stamp_s"]),
+                    Pose(quat, record["position_m"].astype(np.float64)),
+                    np.zeros(3),
+                    np.diag(variance),
+                    int(np.clip(record["quality"], 0, 100)),
+                    int(record["reset_counter"]) % 256,
+                )
+            )
+        return out
+
+
+def _optics(reader: StreamReader, path: Path) -> tuple[Intrinsics, Intrinsics, Pose]:
+    header = reader.header
+    for name, spec in (("depth", header.depth), ("rgb", header.rgb)):
+        if not all(map(math.isfinite, (spec.fx, spec.fy, spec.cx, spec.cy))) or min(spec.fx, spec.fy) <= 0:
+            raise StreamError(
+                f"{path}: {name} intrinsics make no sense: fx {spec.fx}, fy {spec.fy}, cx {spec.cx}, cy {spec.cy}"
+            )
+    numbers = np.array(header.rgb_from_depth)
+    try:
+        rgb_from_depth = Pose(numbers[:4], numbers[4:])
+    except ValueError as error:
+        raise StreamError(f"{path}: rgb_from_depth: {error}") from None
+    return _intrinsics(header.depth), _intrinsics(header.rgb), rgb_from_depth
+
+
+def _intrinsics(spec: CameraSpec) -> Intrinsics:
+    return Intrinsics(spec.fx, spec.fy, spec.cx, spec.cy, spec.width, spec.height)
