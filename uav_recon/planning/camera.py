@@ -1,0 +1,86 @@
+"""The camera as the planner sees it: a frustum on the body, and the few numbers its kernels need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import FloatArray, frozen
+
+EDGE_MARGIN = 0.95  # of the half-frustum's tangent: what a small error of pose would push out of the picture is not promised
+# order of the numbers in CameraGeometry.lens()
+TAN_H, TAN_V, NEAR, RANGE, CAM_X, CAM_Y, CAM_Z, PITCH_MIN, PITCH_MAX = range(9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraGeometry:
+    """Depth camera on the body.
+
+    hfov_rad, vfov_rad: full angles. position_body_m: (3,) of the imager. pitch_min_rad, pitch_max_rad: how far it can look
+    DOWN (a fixed mount: both its tilt). range_m: to which an unknown voxel is expected to be decided. surface_range_m: to
+    which a surface counts as seen well. near_m: nearer returns are not believed.
+    """
+
+    hfov_rad: float
+    vfov_rad: float
+    position_body_m: FloatArray
+    pitch_min_rad: float
+    pitch_max_rad: float
+    range_m: float
+    surface_range_m: float = 3.0
+    near_m: float = 0.3
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_body_m", frozen(np.asarray(self.position_body_m, dtype=np.float64)))
+        if self.pitch_max_rad < self.pitch_min_rad:
+            raise ValueError(f"camera pitch range is empty: {self.pitch_min_rad} to {self.pitch_max_rad} rad")
+
+    def lens(self, resolution_m: float, range_m: float) -> FloatArray:
+        """Pack the numbers for a kernel, lengths in voxels: (9,) in the order TAN_H ... PITCH_MAX."""
+        position = self.position_body_m / resolution_m
+        return np.array(
+            [
+                np.tan(self.hfov_rad / 2) * EDGE_MARGIN,
+                np.tan(self.vfov_rad / 2) * EDGE_MARGIN,
+                self.near_m / resolution_m,
+                range_m / resolution_m,
+                position[0],
+                position[1],
+                position[2],
+                self.pitch_min_rad,
+                self.pitch_max_rad,
+            ]
+        )
+
+
+@kernel
+def in_view(lens: FloatArray, yaw_rad: float, pitch_down_rad: float, dx: float, dy: float, dz: float) -> bool:
+    """Tell whether an offset from the camera (voxels, world axes) is in front of it, inside its frustum and its range."""
+    distance2 = dx * dx + dy * dy + dz * dz
+    if distance2 > lens[RANGE] * lens[RANGE] or distance2 < lens[NEAR] * lens[NEAR]:
+        return False
+    cy, sy, cp, sp = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_down_rad), np.sin(pitch_down_rad)
+    along = cy * dx + sy * dy
+    forward = cp * along - sp * dz
+    left = -sy * dx + cy * dy
+    up = sp * along + cp * dz
+    return bool(forward > 0.0 and abs(left) <= forward * lens[TAN_H] and abs(up) <= forward * lens[TAN_V])
+
+
+@kernel
+def aim(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float, tz: float) -> tuple[float, float]:
+    """Yaw and pitch (down) with which a body at (x, y, z) looks at a target, voxels; pitch as near as the mount allows."""
+    dx, dy = tx - x, ty - y
+    yaw = np.arctan2(dy, dx)
+    flat = max(np.sqrt(dx * dx + dy * dy) - lens[CAM_X], 1e-6)
+    pitch = np.arctan2(z + lens[CAM_Z] - tz, flat)
+    return yaw, min(max(pitch, lens[PITCH_MIN]), lens[PITCH_MAX])
+
+
+@kernel
+def eye(lens: FloatArray, x: float, y: float, z: float, yaw_rad: float) -> tuple[float, float, float]:
+    """Where the camera is when a level body is at (x, y, z), voxels."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return x + c * lens[CAM_X] - s * lens[CAM_Y], y + s * lens[CAM_X] + c * lens[CAM_Y], z + lens[CAM_Z]

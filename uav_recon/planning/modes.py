@@ -1,0 +1,62 @@
+"""When to explore alone and when to merge exploring with looking at uncertain surface (paper, section III-C; V2, V4, V5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from uav_recon.config import PlannerConfig
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.tasks import PlanMode
+
+
+class ModeRule(Protocol):
+    """Chooses the mode of one plan from the path lengths (N,) in metres to the frontiers that can be viewed; never blocks."""
+
+    def choose(self, frontier_distance_m: FloatArray) -> PlanMode:
+        """Return the mode."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Adaptive:
+    """V5: explore while more than ``near_count`` frontiers are near and they are more than ``near_share`` of all."""
+
+    near_distance_m: float
+    near_count: int
+    near_share: float
+
+    def choose(self, frontier_distance_m: FloatArray) -> PlanMode:
+        """N_near and beta_near by PATH length: a frontier behind a wall is not near."""
+        near = int(np.count_nonzero(frontier_distance_m <= self.near_distance_m))
+        share = near / max(len(frontier_distance_m), 1)
+        return PlanMode.EXPLORE if near > self.near_count and share > self.near_share else PlanMode.MERGED
+
+
+@dataclass(frozen=True, slots=True)
+class ExploreOnly:
+    """V2: frontiers, and nothing after them."""
+
+    def choose(self, frontier_distance_m: FloatArray) -> PlanMode:
+        """Explore."""
+        return PlanMode.EXPLORE
+
+
+@dataclass(frozen=True, slots=True)
+class AlwaysMerged:
+    """V4: both kinds of task from the start."""
+
+    def choose(self, frontier_distance_m: FloatArray) -> PlanMode:
+        """Merge."""
+        return PlanMode.MERGED
+
+
+def mode_rule(variant: Literal["adaptive", "explore", "merged"], config: PlannerConfig) -> ModeRule:
+    """Pick the rule of a variant."""
+    if variant == "explore":
+        return ExploreOnly()
+    if variant == "merged":
+        return AlwaysMerged()
+    return Adaptive(config.near_distance_m, config.near_count, config.near_share)

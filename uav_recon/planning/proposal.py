@@ -1,0 +1,37 @@
+"""A task that can be flown to: what the tour orders and the memory keeps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from uav_recon.planning.flyable import FlyableSpace
+from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.types.maps import VoxelMap
+from uav_recon.types.tasks import Task
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposal:
+    """task; cell: flat padded index of its viewpoint; distance_m: path length from the vehicle, on the grid.
+
+    promised: (M,) flat indices into VoxelMap.state of the frontier cells, or of the voxels of surface, that it should settle.
+    """
+
+    task: Task
+    cell: int
+    distance_m: float
+    promised: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Situation:
+    """What one plan looks at: the map, where one may fly, how far each cell is, and the way out to the first of them.
+
+    reach: (n,) path lengths in voxels from ``exit_cells[-1]`` on the flat padded mask, inf = not reached; previous: (n,).
+    """
+
+    voxels: VoxelMap
+    space: FlyableSpace
+    exit_cells: IntArray
+    reach: FloatArray
+    previous: IntArray

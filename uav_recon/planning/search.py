@@ -1,0 +1,142 @@
+"""Shortest paths on a padded voxel mask, and pulling them straight. All lengths are in voxels, positions in padded voxels.
+
+A mask is (nx, ny, nz) uint8 with a border of zeros: 1 = may be entered.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+
+_STEPS = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)])
+_STEP_LENGTHS = np.sqrt((_STEPS**2).sum(axis=1).astype(np.float64))
+
+
+def distances_from(mask: ByteArray, source: int, targets: IntArray, limit: float) -> tuple[FloatArray, IntArray]:
+    """Exact 26-connected path lengths from one cell, flat arrays (n,): distance (inf = not reached) and previous cell (-1).
+
+    Stops once all ``targets`` (flat indices; none = never) are settled, or beyond ``limit`` voxels. The source is taken as
+    given, whatever the mask says of it.
+    """
+    strides = np.array([mask.shape[1] * mask.shape[2], mask.shape[2], 1], dtype=np.int64)
+    return _spread(mask.ravel(), _STEPS @ strides, _STEP_LENGTHS, source, targets, limit)
+
+
+@kernel
+def _spread(
+    mask: ByteArray, offsets: IntArray, lengths: FloatArray, source: int, targets: IntArray, limit: float
+) -> tuple[FloatArray, IntArray]:
+    # Dijkstra with buckets one voxel wide (Dinitz): no edge is shorter than a bucket, so the order inside one is free
+    n = len(mask)
+    distance = np.full(n, np.inf)
+    previous = np.full(n, -1, dtype=np.int64)
+    buckets = np.empty((3, n), dtype=np.int64)
+    sizes = np.zeros(3, dtype=np.int64)
+    listed = np.full(n, -1, dtype=np.int64)  # last bucket that a cell was put on
+    distance[source] = 0.0
+    buckets[0, 0] = source
+    sizes[0] = 1
+    level = 0
+    open_targets = len(targets)
+    while sizes[0] + sizes[1] + sizes[2] > 0 and level <= limit:
+        slot = level % 3
+        for m in range(sizes[slot]):
+            cell = buckets[slot, m]
+            here = distance[cell]
+            if here < level:
+                continue  # settled in an earlier bucket
+            for e in range(len(offsets)):
+                neighbour = cell + offsets[e]
+                if mask[neighbour] == 0:
+                    continue
+                reached = here + lengths[e]
+                if reached < distance[neighbour] and reached <= limit:
+                    distance[neighbour] = reached
+                    previous[neighbour] = cell
+                    into = int(reached)
+                    if listed[neighbour] != into:
+                        listed[neighbour] = into
+                        buckets[into % 3, sizes[into % 3]] = neighbour
+                        sizes[into % 3] += 1
+        sizes[slot] = 0
+        level += 1
+        if open_targets > 0:
+            open_targets = 0
+            for m in range(len(targets)):
+                if distance[targets[m]] >= level:
+                    open_targets += 1
+            if open_targets == 0:
+                break
+    return distance, previous
+
+
+@kernel
+def chain(previous: IntArray, cell: int) -> IntArray:
+    """Cells from the source to ``cell``, both included."""
+    count = 1
+    at = cell
+    while previous[at] >= 0:
+        at = previous[at]
+        count += 1
+    out = np.empty(count, dtype=np.int64)
+    at = cell
+    for n in range(count - 1, -1, -1):
+        out[n] = at
+        at = previous[at]
+    return out
+
+
+@kernel
+def line_is_open(mask: ByteArray, a: FloatArray, b: FloatArray) -> bool:
+    """Tell whether every sample of a straight segment, at most half a voxel apart, lies in the mask."""
+    length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    # mid-interval samples of an even number of intervals: never exactly on the corner that a diagonal step passes
+    count = 2 * math.ceil(length) + 2
+    for n in range(count):
+        t = (n + 0.5) / count
+        i = math.floor(a[0] + t * (b[0] - a[0]))
+        j = math.floor(a[1] + t * (b[1] - a[1]))
+        k = math.floor(a[2] + t * (b[2] - a[2]))
+        if i < 0 or j < 0 or k < 0 or i >= mask.shape[0] or j >= mask.shape[1] or k >= mask.shape[2]:
+            return False
+        if mask[i, j, k] == 0:
+            return False
+    return True
+
+
+@kernel
+def pull(mask: ByteArray, points: FloatArray) -> FloatArray:
+    """Straighten a polyline (N, 3): leave out points wherever the direct line is open. Ends stay."""
+    count = len(points)
+    keep = np.zeros(count, dtype=np.bool_)
+    keep[0] = True
+    keep[count - 1] = True
+    anchor = 0
+    while anchor < count - 1:
+        reach = anchor + 1
+        # the farthest point in sight, looked for from the far end: paths are short, and this pulls tightest
+        for far in range(count - 1, anchor + 1, -1):
+            if line_is_open(mask, points[anchor], points[far]):
+                reach = far
+                break
+        keep[reach] = True
+        anchor = reach
+    return points[keep]
+
+
+def length_of(points: FloatArray) -> float:
+    """Length of a polyline (N, 3), in its own unit."""
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def warm_up() -> None:
+    """Compile all kernels."""
+    mask = np.zeros((4, 4, 4), dtype=np.uint8)
+    mask[1:3, 1:3, 1:3] = 1
+    _, previous = distances_from(mask, 21, np.array([42]), np.inf)
+    chain(previous, 42)
+    pull(mask, np.array([[1.5, 1.5, 1.5], [1.5, 2.5, 1.5], [2.5, 2.5, 2.5]]))

@@ -1,0 +1,243 @@
+"""Views of frontiers: a full spherical shell around each cluster, ray-cast gain (paper, section III-A).
+
+A cell counts as seen when one of its UNKNOWN neighbours is in the frustum, in range, and reached through known-free voxels
+alone: that neighbour is what a look from there decides.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from uav_recon.config import PlannerConfig
+from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.traversal import is_visible
+from uav_recon.planning.camera import CameraGeometry, aim, eye, in_view
+from uav_recon.planning.frontiers import FACES, Frontier
+from uav_recon.planning.proposal import Proposal, Situation
+from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
+from uav_recon.types.tasks import Task, TaskKind, Viewpoint
+
+MIN_SEEN = 4  # cells: less is not worth a stop
+PROBE_CELLS = 8  # cells tried from every candidate ...
+FULL_VIEWS = 24  # ... and candidates that are then counted in full
+TRAVEL_DISCOUNT_PER_M = 0.03  # of two views that see the same, the nearer one
+_FALLBACK_RADII_M = (0.5, 0.65)  # tight rooms
+_FAR_RADII_M = (2.4, 3.0, 3.6, 4.2)  # a fixed mount sees high and low cells from afar only
+_AZIMUTHS = 16
+_ELEVATIONS = 5
+# why a frontier has no view
+FOUND, TOO_NARROW, OUT_OF_SIGHT, UNREACHABLE = range(4)
+REASONS = {TOO_NARROW: "too narrow", OUT_OF_SIGHT: "out of the camera's sight", UNREACHABLE: "not reachable"}
+
+
+def shell(camera: CameraGeometry, radii_m: tuple[float, ...], resolution_m: float) -> FloatArray:
+    """Offsets (K, 3) in voxels from a target to viewpoints: full circles, at all heights the mount can look from."""
+    half = camera.vfov_rad / 2 * 0.8
+    steepest = np.radians(80.0)
+    low, high = max(camera.pitch_min_rad - half, -steepest), min(camera.pitch_max_rad + half, steepest)
+    rows = [
+        (radius * np.cos(elevation) * np.cos(azimuth), radius * np.cos(elevation) * np.sin(azimuth), radius * np.sin(elevation))
+        for radius in radii_m
+        for elevation in np.linspace(low, high, _ELEVATIONS)
+        for azimuth in np.arange(_AZIMUTHS) * (2 * np.pi / _AZIMUTHS)
+    ]
+    return np.array(rows) / resolution_m
+
+
+def explore_shell(config: PlannerConfig, camera: CameraGeometry, resolution_m: float) -> FloatArray:
+    """[d_r, d_f], nearer for tight rooms, farther for what is too high or too low for a fixed mount."""
+    far = tuple(r for r in _FAR_RADII_M if config.shell_max_m < r < camera.range_m - 0.2)
+    near = tuple(r for r in _FALLBACK_RADII_M if r < config.shell_min_m)
+    return shell(camera, near + tuple(np.linspace(config.shell_min_m, config.shell_max_m, 4)) + far, resolution_m)
+
+
+def quality_steps(config: PlannerConfig, resolution_m: float) -> FloatArray:
+    """(d_r, d_f, 3 m) in voxels: where the quality of a view changes."""
+    return np.array([config.shell_min_m, config.shell_max_m, 3.0]) / resolution_m
+
+
+@kernel
+def _quality(distance: float, steps: FloatArray) -> float:
+    if distance < steps[0] - 1.0:
+        return 0.8
+    if distance <= steps[1] + 1.0:
+        return 1.0
+    return 0.9 if distance <= steps[2] else 0.9 * steps[2] / distance
+
+
+@kernel
+def _sees_cell(
+    state: ByteArray,
+    lens: FloatArray,
+    x: float,
+    y: float,
+    z: float,
+    yaw: float,
+    pitch: float,
+    cell: IntArray,
+    bits: int,
+    faces: IntArray,
+) -> bool:
+    ex, ey, ez = eye(lens, x, y, z, yaw)
+    for f in range(6):
+        if bits & (1 << f):
+            ux, uy, uz = cell[0] + faces[f, 0] + 0.5, cell[1] + faces[f, 1] + 0.5, cell[2] + faces[f, 2] + 0.5
+            if in_view(lens, yaw, pitch, ux - ex, uy - ey, uz - ez) and is_visible(state, ex, ey, ez, ux, uy, uz, 0.0):
+                return True
+    return False
+
+
+@kernel
+def _count(
+    state: ByteArray,
+    lens: FloatArray,
+    place: FloatArray,
+    yaw: float,
+    pitch: float,
+    cells: IntArray,
+    bits: ByteArray,
+    faces: IntArray,
+) -> BoolArray:
+    seen = np.zeros(len(cells), dtype=np.bool_)
+    for n in range(len(cells)):
+        seen[n] = _sees_cell(state, lens, place[0], place[1], place[2], yaw, pitch, cells[n], int(bits[n]), faces)
+    return seen
+
+
+@kernel
+def _probe(
+    state: ByteArray,
+    reach: FloatArray,
+    mask: ByteArray,
+    lens: FloatArray,
+    places: FloatArray,
+    steps: FloatArray,
+    centre: FloatArray,
+    cells: IntArray,
+    bits: ByteArray,
+    faces: IntArray,
+    reached: bool,
+) -> tuple[FloatArray, int]:
+    """Score each place by a few cells; also how many places are flyable. reached = False asks the unreachable ones."""
+    scores = np.zeros(len(places))
+    flyable = 0
+    stride = max(1, len(cells) // PROBE_CELLS)
+    for p in range(len(places)):
+        i, j, k = int(places[p, 0]) + 1, int(places[p, 1]) + 1, int(places[p, 2]) + 1
+        if places[p].min() < 0 or i >= mask.shape[0] or j >= mask.shape[1] or k >= mask.shape[2] or mask[i, j, k] == 0:
+            continue
+        flyable += 1
+        if np.isfinite(reach[(i * mask.shape[1] + j) * mask.shape[2] + k]) != reached:
+            continue
+        x, y, z = places[p, 0], places[p, 1], places[p, 2]
+        yaw, pitch = aim(lens, x, y, z, centre[0], centre[1], centre[2])
+        count = 0
+        for n in range(stride // 2, len(cells), stride):
+            if _sees_cell(state, lens, x, y, z, yaw, pitch, cells[n], int(bits[n]), faces):
+                count += 1
+        distance = np.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2 + (z - centre[2]) ** 2)
+        scores[p] = count * _quality(distance, steps)
+    return scores, flyable
+
+
+@kernel
+def _best_view(
+    state: ByteArray,
+    reach: FloatArray,
+    mask: ByteArray,
+    lens: FloatArray,
+    places: FloatArray,
+    scores: FloatArray,
+    steps: FloatArray,
+    centre: FloatArray,
+    cells: IntArray,
+    bits: ByteArray,
+    faces: IntArray,
+    discount: float,
+) -> tuple[int, float, float, BoolArray]:
+    """Count the best places in full; index (-1: none), yaw, pitch and the cells seen."""
+    best, best_yaw, best_pitch, best_score = -1, 0.0, 0.0, 0.0
+    best_seen = np.zeros(len(cells), dtype=np.bool_)
+    for p in np.argsort(-scores, kind="mergesort")[:FULL_VIEWS]:
+        if scores[p] <= 0.0:
+            break
+        place = places[p]
+        yaw, pitch = aim(lens, place[0], place[1], place[2], centre[0], centre[1], centre[2])
+        distance = np.sqrt(((place - centre) ** 2).sum())
+        path = reach[((int(place[0]) + 1) * mask.shape[1] + int(place[1]) + 1) * mask.shape[2] + int(place[2]) + 1]
+        factor = _quality(distance, steps) / (1.0 + discount * path)
+        for turn in range(2):
+            seen = _count(state, lens, place, yaw, pitch, cells, bits, faces)
+            score = seen.sum() * factor
+            if score > best_score:
+                best, best_yaw, best_pitch, best_score = p, yaw, pitch, score
+                best_seen = seen
+            if turn == 0 and seen.any():
+                # the heading that has the seen cells in its middle: a mean of angles, so by their sum as vectors
+                c, s = 0.0, 0.0
+                for n in range(len(cells)):
+                    if seen[n]:
+                        bearing = np.arctan2(cells[n, 1] + 0.5 - place[1], cells[n, 0] + 0.5 - place[0])
+                        c += np.cos(bearing)
+                        s += np.sin(bearing)
+                yaw = np.arctan2(s, c)
+    return best, best_yaw, best_pitch, best_seen
+
+
+class FrontierViews:
+    """Finds the best view of each frontier for one vehicle and camera."""
+
+    def __init__(self, config: PlannerConfig, camera: CameraGeometry) -> None:
+        self._config = config
+        self._camera = camera
+
+    def propose(self, situation: Situation, frontiers: tuple[Frontier, ...]) -> tuple[list[Proposal], Counter[str]]:
+        """Return a task per frontier that can be seen from somewhere, and how many cannot, by reason."""
+        resolution_m = situation.voxels.grid.resolution_m
+        lens = self._camera.lens(resolution_m, self._camera.range_m)
+        offsets = explore_shell(self._config, self._camera, resolution_m)
+        steps = quality_steps(self._config, resolution_m)
+        here = situation.space.centre(situation.exit_cells[-1:]) - 1.0
+        proposals: list[Proposal] = []
+        without: Counter[str] = Counter()
+        for frontier in frontiers:
+            centre = frontier.centre_voxels()
+            places = np.concatenate([np.floor(centre + offsets) + 0.5, here])
+            found = self._propose_one(situation, frontier, centre, places, lens, steps)
+            if isinstance(found, Proposal):
+                proposals.append(found)
+            else:
+                without[REASONS[found]] += 1
+        return proposals, without
+
+    def _propose_one(
+        self,
+        situation: Situation,
+        frontier: Frontier,
+        centre: FloatArray,
+        places: FloatArray,
+        lens: FloatArray,
+        steps: FloatArray,
+    ) -> Proposal | int:
+        state, mask, reach = situation.voxels.state, situation.space.mask, situation.reach
+        cells, bits = frontier.cells, frontier.faces
+        scores, flyable = _probe(state, reach, mask, lens, places, steps, centre, cells, bits, FACES, True)
+        if not flyable:
+            return TOO_NARROW
+        discount = TRAVEL_DISCOUNT_PER_M * situation.voxels.grid.resolution_m
+        best, yaw, pitch, seen = _best_view(
+            state, reach, mask, lens, places, scores, steps, centre, cells, bits, FACES, discount
+        )
+        if best < 0 or np.count_nonzero(seen) < MIN_SEEN:
+            beyond, _ = _probe(state, reach, mask, lens, places, steps, centre, cells, bits, FACES, False)
+            return UNREACHABLE if beyond.any() else OUT_OF_SIGHT
+        grid = situation.voxels.grid
+        cell = situation.space.flat(np.floor(places[best]).astype(np.int64) + 1)
+        viewpoint = Viewpoint(grid.origin_world_m + places[best] * grid.resolution_m, yaw, pitch)
+        task = Task(
+            TaskKind.EXPLORE, grid.origin_world_m + centre * grid.resolution_m, viewpoint, float(np.count_nonzero(seen))
+        )
+        promised = np.ravel_multi_index(tuple(cells[seen].T), grid.shape).astype(np.int64)
+        return Proposal(task, cell, float(reach[cell]) * grid.resolution_m, promised)

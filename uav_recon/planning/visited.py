@@ -1,0 +1,102 @@
+"""What earlier plans promised and what came of it: so that nothing is looked at for ever.
+
+A frontier that a camera cannot settle (a ceiling corner, glass) stays a frontier after the view that should have settled it.
+Each voxel that was promised and not delivered twice is exhausted and makes no more tasks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.planning.proposal import Proposal
+from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
+from uav_recon.types.tasks import PlanRequest, TaskKind, ViewPath
+
+MAX_LOOKS = 2  # in vain, then a frontier voxel is exhausted
+ARRIVED_M = 0.35  # a view counts as flown from here ...
+ARRIVED_RAD = 0.4  # ... with this heading
+STALLED_PLANS = 3  # plans in a row at the same place: whoever flies refuses the first view, so it counts as flown
+
+
+class Visited:
+    """Memory of one flight, changed by the planner alone: settle() before a plan, promise() after it.
+
+    Grids have the map's shape and are forgotten when the map's frame changes (another epoch, origin or shape).
+    """
+
+    def __init__(self) -> None:
+        self._forget((0, 0, 0), ())
+
+    def settle(self, request: PlanRequest, is_frontier: BoolArray) -> None:
+        """Judge the views flown since the last plan against the map as it is now."""
+        self._keep_frame(request)
+        for proposal in self._newly_flown(request):
+            if proposal.task.kind is TaskKind.EXPLORE:
+                self._waiting.append((request.voxels.revision, proposal.promised))
+            else:
+                looks = self.surface_looks.ravel()
+                looks[proposal.promised] = np.minimum(looks[proposal.promised], 254) + 1
+        # a view is judged by a map newer than the arrival: the picture taken there may still be on its way
+        due = [voxels for revision, voxels in self._waiting if revision < request.voxels.revision]
+        self._waiting = [(revision, voxels) for revision, voxels in self._waiting if revision >= request.voxels.revision]
+        for voxels in due:
+            still = voxels[is_frontier.ravel()[voxels]]
+            in_vain = self.looks_in_vain.ravel()
+            in_vain[still] = np.minimum(in_vain[still], 254) + 1
+        self._position = np.array(request.position_world)
+
+    def exhausted(self) -> BoolArray:
+        """Voxels (nx, ny, nz) that were looked at in vain often enough."""
+        return self.looks_in_vain >= MAX_LOOKS
+
+    def promise(self, path: ViewPath, proposals: tuple[Proposal, ...]) -> None:
+        """Keep what the new path's views (same order) are to settle."""
+        self._path, self._proposals = path, proposals
+
+    def _keep_frame(self, request: PlanRequest) -> None:
+        grid = request.voxels.grid
+        frame = (request.voxels.map_epoch, grid.shape, grid.resolution_m, *grid.origin_world_m.tolist())
+        if frame != self._frame:
+            self._forget(grid.shape, frame)
+
+    def _forget(self, shape: tuple[int, int, int], frame: tuple[object, ...]) -> None:
+        self._frame = frame
+        self.looks_in_vain: ByteArray = np.zeros(shape, dtype=np.uint8)
+        self.surface_looks: ByteArray = np.zeros(shape, dtype=np.uint8)
+        self._path: ViewPath | None = None
+        self._proposals: tuple[Proposal, ...] = ()
+        self._position: FloatArray = np.zeros(3)
+        self._stalls = 0
+        self._waiting: list[tuple[int, IntArray]] = []  # map revision and frontier voxels of views flown, not yet judged
+
+    def _newly_flown(self, request: PlanRequest) -> tuple[Proposal, ...]:
+        if self._path is None:
+            return ()
+        flown = _views_passed(self._path, request.position_world, request.yaw_rad)
+        stayed = float(np.linalg.norm(request.position_world - self._position)) < 0.1
+        self._stalls = self._stalls + 1 if flown == 0 and stayed else 0
+        if self._stalls >= STALLED_PLANS:
+            self._stalls, flown = 0, 1
+        return self._proposals[:flown]
+
+
+def _views_passed(path: ViewPath, position_world: FloatArray, yaw_rad: float) -> int:
+    """How many views lie behind the vehicle: up to the last one that it stands at, else by the nearest leg of the way."""
+    at = [
+        float(np.linalg.norm(view.position_world - position_world)) < ARRIVED_M
+        and abs((view.yaw_rad - yaw_rad + np.pi) % (2 * np.pi) - np.pi) < ARRIVED_RAD
+        for view in path.viewpoints
+    ]
+    if any(at):
+        return len(at) - at[::-1].index(True)
+    distances = [_distance_to(way, position_world) for way in path.waypoints_world]
+    nearest = int(np.argmin(distances))
+    return nearest if distances[nearest] < ARRIVED_M else 0
+
+
+def _distance_to(way: FloatArray, point: FloatArray) -> float:
+    if len(way) == 1:
+        return float(np.linalg.norm(way[0] - point))
+    step = np.diff(way, axis=0)
+    along = np.clip(((point - way[:-1]) * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-12), 0.0, 1.0)
+    return float(np.linalg.norm(way[:-1] + along[:, None] * step - point, axis=1).min())
