@@ -1,0 +1,56 @@
+"""Decisions beside the loop: a plan and the motion made of it, or the reason why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.protocols import Executor, Motion, Pending, Planner
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
+from uav_recon.types.trajectory import Setpoint, Trajectory
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A plan and its motion; motion is the reason in words where there is none."""
+
+    path: ViewPath | NothingLeft
+    motion: Trajectory | str
+
+
+class Decider:
+    """Runs planner and motion on the executor. Every method starts work from rest and returns at once."""
+
+    def __init__(self, planner: Planner, motion: Motion, executor: Executor, plan_cost_s: float, view_spacing_m: float) -> None:
+        self._planner, self._motion, self._executor = planner, motion, executor
+        self._plan_cost_s, self._view_spacing_m = plan_cost_s, view_spacing_m
+
+    def next_views(self, request: PlanRequest, rest: Setpoint, identifier: int) -> Pending[Decision]:
+        """Where to look next."""
+        return self._submit(lambda: self._flown(self._planner.plan(request), request, rest, self._view_spacing_m, identifier))
+
+    def way_home(self, request: PlanRequest, rest: Setpoint, home: Viewpoint, identifier: int) -> Pending[Decision]:
+        """The shortest clear way to the pad."""
+        return self._submit(lambda: self._flown(self._planner.route(request, home), request, rest, np.inf, identifier))
+
+    def way_back(
+        self, request: PlanRequest, rest: Setpoint, crumbs: tuple[FloatArray, ...], home: Viewpoint, identifier: int
+    ) -> Pending[Decision]:
+        """Back along the breadcrumbs: where the vehicle has been is free."""
+        waypoints = np.array([rest.position_m, *crumbs, home.position_world])
+        revision, epoch = request.voxels.revision, request.voxels.map_epoch
+        path = ViewPath((home,), (waypoints,), PlanMode.EXPLORE, revision, epoch, (), 0.0, 0.0)
+        return self._submit(lambda: self._flown(path, request, rest, np.inf, identifier))
+
+    def _submit(self, work: Callable[[], Decision]) -> Pending[Decision]:
+        return self._executor.submit(work, self._plan_cost_s)
+
+    def _flown(
+        self, path: ViewPath | NothingLeft, request: PlanRequest, rest: Setpoint, spacing_m: float, identifier: int
+    ) -> Decision:
+        if isinstance(path, NothingLeft):
+            return Decision(path, path.reason)
+        return Decision(path, self._motion.through(path, request.voxels, rest, 0.0, spacing_m, identifier))
