@@ -9,9 +9,10 @@ from typing import Protocol, TypeVar, runtime_checkable
 from uav_recon.types.camera import Frame, ImuSample, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements, VoxelMap
-from uav_recon.types.pose import StampedPose
+from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
+from uav_recon.types.vehicle import MissionProgress
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -195,6 +196,36 @@ class Motion(Protocol):
 class Journal(Protocol):
     """The flight's own account: one line per event, crash-safe. Never blocks for long, never raises in flight."""
 
-    def write(self, kind: str, stamp_s: float, **fields: object) -> None:
-        """Append one event."""
+    def progress(self, now: MissionProgress) -> None:
+        """A sample of the mission's life."""
+        ...
+
+    def plan(
+        self,
+        stamp_s: float,
+        mode: str,
+        task_s: float,
+        step_s: float,
+        frontiers: int,
+        tasks: int,
+        views: int,
+        hover_wait_s: float,
+    ) -> None:
+        """A plan, what it cost, and how long the vehicle stood waiting for it."""
+        ...
+
+    def view(self, stamp_s: float, index: int, world_from_depth: Pose) -> None:
+        """A keyframe."""
+        ...
+
+    def phase(self, stamp_s: float, phase: str, note: str) -> None:
+        """A change of phase."""
+        ...
+
+    def refusal(self, stamp_s: float, reason: str) -> None:
+        """Something that was turned down."""
+        ...
+
+    def outcome(self, stamp_s: float, outcome: str, stop_reason: str) -> None:
+        """The last line."""
         ...

@@ -146,7 +146,7 @@ class Conductor:
     def _change_phase(self, phase: Phase, now_s: float) -> None:
         if phase is self.phase:
             return
-        self._account.phase(now_s, self.phase, phase)
+        self._account.phase(now_s, phase)
         if phase is Phase.RETURN:
             self._account.stop_reason = self._account.stop_reason or self._why_return(now_s)
         if phase in (Phase.HOLD, Phase.RETURN, Phase.RETREAT):
@@ -201,7 +201,7 @@ class Conductor:
         if self._decision is None or not self._decision.done():
             return
         decision, self._decision = self._decision.result(), None
-        self._account.plan(now_s, decision.path)
+        self._account.plan(now_s, decision.path, now_s - self._resting_since_s)
         if isinstance(decision.path, NothingLeft):
             return
         self._wires.plan.publish(decision.path)
@@ -209,7 +209,6 @@ class Conductor:
             self._give_up_plan(decision.motion, now_s)
             return
         self._account.failed_in_a_row = 0
-        self._account.hover_wait_s += now_s - self._resting_since_s
         self._fly(decision.motion, now_s)
 
     def _give_up_plan(self, reason: str, now_s: float) -> None:
@@ -276,13 +275,16 @@ class Conductor:
             self._reported_s = now_s
             if self._map is not None:
                 self._wires.voxels.publish(self._map)
-            explored_m3, path_m = self._stages.voxels.explored_m3(), self._course.path_length_m
-            self._wires.progress.publish(self._account.progress(now_s, self.phase, explored_m3, path_m, self.finished))
+            explored_m3, course = self._stages.voxels.explored_m3(), self._course
+            progress = self._account.progress(
+                now_s, self.phase, explored_m3, course.path_length_m, course.position_world, self.finished
+            )
+            self._wires.progress.publish(progress)
 
     def close(self) -> str:
         """Write the last line of the journal; returns the outcome."""
         home = self.phase is Phase.DONE and self._homing and not self._abort
         why = self._account.aborted or self._account.note or self.phase.value
         outcome = "completed" if home else f"aborted: {why}"
-        self._account.close(self._clock.now_s(), outcome, self._stages.voxels.explored_m3(), self._course.path_length_m)
+        self._account.close(self._clock.now_s(), outcome)
         return outcome

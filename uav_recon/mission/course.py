@@ -19,7 +19,8 @@ class Course:
         self.path_length_m = 0.0
         self.breadcrumbs: list[FloatArray] = []
         self._pitch_down_rad = camera_pitch_down_rad
-        self._position: FloatArray | None = None
+        self.position_world: FloatArray = np.zeros(3)
+        self._placed = False
         self._identifier = 0
 
     def next_identifier(self) -> int:
@@ -30,9 +31,9 @@ class Course:
     def follow(self, vehicle: VehicleState) -> None:
         """Note where the vehicle is."""
         position = vehicle.world_from_body.translation_m
-        if self._position is not None and vehicle.armed:
-            self.path_length_m += float(np.linalg.norm(position - self._position))
-        self._position = position
+        if self._placed and vehicle.armed:
+            self.path_length_m += float(np.linalg.norm(position - self.position_world))
+        self.position_world, self._placed = position, True
         if vehicle.armed and (not self.breadcrumbs or np.linalg.norm(position - self.breadcrumbs[-1]) > BREADCRUMB_M):
             self.breadcrumbs.append(position)
 

@@ -1,0 +1,241 @@
+"""The mission's own account of a flight: timeline.jsonl, one line per event, readable after any crash.
+
+Each line is written whole and at once; a torn line (power lost in the middle of it) costs that line only.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose
+from uav_recon.types.vehicle import MissionProgress
+
+TIMELINE = "timeline.jsonl"
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ProgressSample:
+    """One MissionProgress. position_world in metres."""
+
+    stamp_s: float
+    phase: str
+    mode: str
+    views: int
+    explored_m3: float
+    path_length_m: float
+    frontiers: int
+    planning_s: float
+    position_world: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRecord:
+    """One plan. mode: explore | merged, "" when nothing was left. hover_wait_s: how long the vehicle stood waiting for it."""
+
+    stamp_s: float
+    mode: str
+    task_s: float
+    step_s: float
+    frontiers: int
+    tasks: int
+    views: int
+    hover_wait_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ViewRecord:
+    """One keyframe given to the mapper: capture stamp and where its depth imager was."""
+
+    stamp_s: float
+    index: int
+    quat_wxyz: tuple[float, float, float, float]
+    translation_m: tuple[float, float, float]
+
+    def world_from_depth(self) -> Pose:
+        """The pose as a value."""
+        return Pose(np.array(self.quat_wxyz), np.array(self.translation_m))
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseRecord:
+    """A new phase of the mission and why."""
+
+    stamp_s: float
+    phase: str
+    note: str
+
+
+@dataclass(frozen=True, slots=True)
+class RefusalRecord:
+    """Something that was turned down (by guard, autopilot or mapper), in words."""
+
+    stamp_s: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class OutcomeRecord:
+    """How the flight ended: "completed" or "aborted: reason", and why it stopped looking."""
+
+    stamp_s: float
+    outcome: str
+    stop_reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """A flight read back, each list in the order of writing. torn_lines: lines that could not be read."""
+
+    progress: tuple[ProgressSample, ...]
+    plans: tuple[PlanRecord, ...]
+    views: tuple[ViewRecord, ...]
+    phases: tuple[PhaseRecord, ...]
+    refusals: tuple[RefusalRecord, ...]
+    outcomes: tuple[OutcomeRecord, ...]
+    torn_lines: int
+
+    def start_s(self) -> float:
+        """Stamp of the first event, 0 for an empty timeline."""
+        records: tuple[Sequence[Any], ...] = (self.progress, self.plans, self.views, self.phases, self.refusals)
+        return min((float(record[0].stamp_s) for record in records if record), default=0.0)
+
+    def path_world(self) -> tuple[FloatArray, FloatArray]:
+        """Stamps (N,) and positions (N, 3) of the progress samples."""
+        stamps = np.array([sample.stamp_s for sample in self.progress])
+        return stamps, np.array([sample.position_world for sample in self.progress]).reshape(-1, 3)
+
+
+_KINDS: dict[str, type[Any]] = {
+    "progress": ProgressSample,
+    "plan": PlanRecord,
+    "view": ViewRecord,
+    "phase": PhaseRecord,
+    "refusal": RefusalRecord,
+    "outcome": OutcomeRecord,
+}
+
+
+class FlightLog:
+    """Appends events to ``folder``/timeline.jsonl. A full disk is logged once and counted: it never stops a flight."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / TIMELINE
+        self.lost_lines = 0
+        before = self.path.read_bytes() if self.path.exists() else b""
+        self._file = self.path.open("a", encoding="utf-8", buffering=1)
+        if before and not before.endswith(b"\n"):
+            self._file.write("\n")  # a crash tore the last line: do not let it take the next one with it
+
+    def progress(self, now: MissionProgress) -> None:
+        """Add a sample of the mission's progress."""
+        self._write(
+            "progress",
+            ProgressSample(
+                stamp_s=now.stamp_s,
+                phase=now.phase,
+                mode=now.mode,
+                views=now.views,
+                explored_m3=now.explored_m3,
+                path_length_m=now.path_length_m,
+                frontiers=now.frontiers,
+                planning_s=now.planning_s,
+                position_world=_vec3(now.position_world),
+            ),
+        )
+
+    def plan(
+        self,
+        stamp_s: float,
+        mode: str,
+        task_s: float,
+        step_s: float,
+        frontiers: int,
+        tasks: int,
+        views: int,
+        hover_wait_s: float,
+    ) -> None:
+        """Add a plan."""
+        self._write("plan", PlanRecord(stamp_s, mode, task_s, step_s, frontiers, tasks, views, hover_wait_s))
+
+    def view(self, stamp_s: float, index: int, world_from_depth: Pose) -> None:
+        """Add a keyframe."""
+        w, x, y, z = (float(v) for v in world_from_depth.quat_wxyz)
+        self._write("view", ViewRecord(stamp_s, index, (w, x, y, z), _vec3(world_from_depth.translation_m)))
+
+    def phase(self, stamp_s: float, phase: str, note: str) -> None:
+        """Add a change of phase."""
+        self._write("phase", PhaseRecord(stamp_s, phase, note))
+
+    def refusal(self, stamp_s: float, reason: str) -> None:
+        """Add a refusal."""
+        self._write("refusal", RefusalRecord(stamp_s, reason))
+
+    def outcome(self, stamp_s: float, outcome: str, stop_reason: str) -> None:
+        """Add the last line."""
+        self._write("outcome", OutcomeRecord(stamp_s, outcome, stop_reason))
+
+    def close(self) -> None:
+        """Release the file."""
+        self._file.close()
+
+    def _write(self, kind: str, record: Any) -> None:
+        tree = {"event": kind} | {name: _strict(getattr(record, name)) for name in record.__slots__}
+        try:
+            self._file.write(json.dumps(tree, allow_nan=False) + "\n")
+        except OSError as error:
+            if self.lost_lines == 0:
+                _LOG.warning("%s: %s; events are being lost", self.path, error.strerror)
+            self.lost_lines += 1
+
+
+def read_timeline(folder: Path) -> Timeline:
+    """Read ``folder``/timeline.jsonl; no file gives an empty timeline. Unreadable lines are counted, not raised."""
+    found: dict[str, list[Any]] = {kind: [] for kind in _KINDS}
+    torn = 0
+    path = folder / TIMELINE
+    for line in path.read_bytes().splitlines() if path.exists() else []:
+        try:
+            tree = json.loads(line)
+            kind = tree.pop("event")
+            found[kind].append(_KINDS[kind](**{name: _read(value) for name, value in tree.items()}))
+        except (ValueError, KeyError, TypeError, AttributeError):
+            torn += 1
+    return Timeline(
+        progress=tuple(found["progress"]),
+        plans=tuple(found["plan"]),
+        views=tuple(found["view"]),
+        phases=tuple(found["phase"]),
+        refusals=tuple(found["refusal"]),
+        outcomes=tuple(found["outcome"]),
+        torn_lines=torn,
+    )
+
+
+def _strict(value: Any) -> Any:
+    """Strict JSON has no NaN: it becomes null."""
+    if isinstance(value, tuple):
+        return [_strict(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _read(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(_read(item) for item in value)
+    return math.nan if value is None else value
+
+
+def _vec3(vector: FloatArray) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in vector)
+    return x, y, z
