@@ -1,0 +1,98 @@
+"""Sampling and probing of triangle meshes: dense and area-weighted surface points, and the first hit straight below."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.jit import kernel
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+
+
+def dense_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
+    """Points (N, 3) float32 that cover the surface: every surface point has one within about spacing_m.
+
+    A triangular grid of step h leaves no point farther than h / sqrt(3) from it; here h is 1.4 spacing_m, and one point
+    is kept in each cell of half the spacing.
+    """
+    used = np.zeros(len(vertices), bool)
+    used[faces.ravel()] = True
+    inner = _grid_points(vertices, faces, 1.4 * spacing_m)
+    points = np.concatenate([vertices[used], inner])
+    cell = np.floor((points - points.min(axis=0)) / (0.5 * spacing_m)).astype(np.int64)
+    size = cell.max(axis=0) + 1
+    _, first = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_index=True)
+    return np.ascontiguousarray(points[first], np.float32)
+
+
+def area_weighted_points(vertices: F32, faces: I32, count: int, seed: int) -> F32:
+    """count points (N, 3) float32, uniform over the mesh's area."""
+    rng = np.random.default_rng(seed)
+    a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    cumulative = np.cumsum(area)
+    chosen = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right").clip(max=len(faces) - 1)
+    root, other = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    return np.asarray(
+        (a[chosen] * (1 - root) + b[chosen] * (root * (1 - other)) + c[chosen] * (root * other)).astype(np.float32)
+    )
+
+
+def height_below(vertices: F32, faces: I32, point_m: NDArray[np.float64]) -> float | None:
+    """z of the highest surface straight below point_m (3,), or None."""
+    z = float(_height_below(vertices, faces, np.asarray(point_m, np.float64)))
+    return None if np.isnan(z) else z
+
+
+@kernel
+def _grid_points(vertices: F32, faces: I32, step_m: float) -> F32:
+    """Barycentric grid points of every triangle whose longest edge is above step_m, corners left out."""
+    steps = np.zeros(faces.shape[0], np.int64)
+    total = 0
+    for f in range(faces.shape[0]):
+        longest = 0.0
+        for i in range(3):
+            edge = 0.0
+            for k in range(3):
+                d = np.float64(vertices[faces[f, i], k]) - np.float64(vertices[faces[f, (i + 1) % 3], k])
+                edge += d * d
+            longest = max(longest, edge)
+        n = max(1, int(np.ceil(np.sqrt(longest) / step_m)))
+        steps[f] = n
+        total += (n + 1) * (n + 2) // 2 - 3
+    out = np.empty((total, 3), np.float32)
+    row = 0
+    for f in range(faces.shape[0]):
+        n = steps[f]
+        for i in range(n + 1):
+            for j in range(n + 1 - i):
+                if n in (i, j) or i + j == 0:
+                    continue
+                for k in range(3):
+                    out[row, k] = (
+                        i * vertices[faces[f, 0], k] + j * vertices[faces[f, 1], k] + (n - i - j) * vertices[faces[f, 2], k]
+                    ) / n
+                row += 1
+    return out
+
+
+@kernel
+def _height_below(vertices: F32, faces: I32, point: F64) -> float:
+    best = np.nan
+    for f in range(faces.shape[0]):
+        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
+        ax, ay = a[0] - point[0], a[1] - point[1]
+        bx, by = b[0] - point[0], b[1] - point[1]
+        cx, cy = c[0] - point[0], c[1] - point[1]
+        wa, wb, wc = bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx
+        area = wa + wb + wc
+        inside = (wa >= 0 and wb >= 0 and wc >= 0) or (wa <= 0 and wb <= 0 and wc <= 0)
+        if area == 0.0 or not inside:
+            continue
+        z = (wa * a[2] + wb * b[2] + wc * c[2]) / area
+        if z <= point[2] and (np.isnan(best) or z > best):
+            best = z
+    return best

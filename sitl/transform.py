@@ -1,0 +1,92 @@
+"""Rigid transforms of the outside world: 4x4 matrices target_from_source, quaternions Hamilton wxyz.
+
+World is ENU (z up), body FLU, camera optical RDF. Written apart from the product's pose algebra on purpose, so that one
+mistake cannot hide in both.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Matrix = NDArray[np.float64]
+
+
+def rigid(rotation: ArrayLike, translation_m: ArrayLike) -> Matrix:
+    """4x4 from a rotation (3, 3) and a translation (3,)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = translation_m
+    return matrix
+
+
+def inverse(target_from_source: Matrix) -> Matrix:
+    """source_from_target of a rigid 4x4."""
+    rotation = target_from_source[:3, :3]
+    return rigid(rotation.T, -rotation.T @ target_from_source[:3, 3])
+
+
+def rotation_from_yaw(yaw_rad: float) -> Matrix:
+    """Rotation (3, 3) about z, counter-clockwise seen from above."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def world_from_body(position_m: ArrayLike, yaw_rad: float) -> Matrix:
+    """Pose of a level body at position_m (3,) in the world."""
+    return rigid(rotation_from_yaw(yaw_rad), position_m)
+
+
+def rotation_from_rotvec(rotvec_rad: ArrayLike) -> Matrix:
+    """Rotation (3, 3) by |rotvec| about rotvec (3,); Rodrigues' formula."""
+    v = np.asarray(rotvec_rad, np.float64)
+    angle = float(np.sqrt(v @ v))
+    skew = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    if angle < 1e-9:
+        return np.asarray(np.eye(3) + skew)
+    return np.asarray(np.eye(3) + math.sin(angle) / angle * skew + (1.0 - math.cos(angle)) / angle**2 * (skew @ skew))
+
+
+def rotation_from_quat(quat_wxyz: ArrayLike) -> Matrix:
+    """Rotation (3, 3) of a quaternion (4,), which is normalised first."""
+    q = np.asarray(quat_wxyz, np.float64)
+    w, x, y, z = q / np.sqrt(q @ q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quat_from_rotation(rotation: Matrix) -> Matrix:
+    """Quaternion wxyz (4,), w >= 0, of a rotation (3, 3); Shepperd's method (largest component first)."""
+    r = rotation
+    four_squares = np.array(
+        [
+            1 + r[0, 0] + r[1, 1] + r[2, 2],
+            1 + r[0, 0] - r[1, 1] - r[2, 2],
+            1 - r[0, 0] + r[1, 1] - r[2, 2],
+            1 - r[0, 0] - r[1, 1] + r[2, 2],
+        ]
+    )
+    largest = int(np.argmax(four_squares))
+    rows = {
+        0: (four_squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]),
+        1: (r[2, 1] - r[1, 2], four_squares[1], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]),
+        2: (r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], four_squares[2], r[2, 1] + r[1, 2]),
+        3: (r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], four_squares[3]),
+    }
+    q = np.array(rows[largest]) / (2.0 * math.sqrt(four_squares[largest]))
+    q = q / np.sqrt(q @ q)
+    return -q if q[0] < 0 else q
+
+
+def body_from_camera(position_m: ArrayLike, pitch_down_rad: float) -> Matrix:
+    """Camera (RDF) in the body (FLU): looking forward, tilted down by pitch_down_rad, its centre at position_m (3,)."""
+    c, s = math.cos(pitch_down_rad), math.sin(pitch_down_rad)
+    right, down, forward = (0.0, -1.0, 0.0), (-s, 0.0, -c), (c, 0.0, -s)
+    return rigid(np.array([right, down, forward]).T, position_m)
