@@ -1,0 +1,207 @@
+"""One link: bytes in become telemetry of the one autopilot we fly; what we send goes out here and nowhere else."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uav_recon.autopilot.mavlink import Decoder, Encoder
+from uav_recon.autopilot.messages import (
+    Ack,
+    Attitude,
+    EstimatorStatus,
+    Firmware,
+    GimbalAttitude,
+    Heartbeat,
+    LocalPosition,
+    Message,
+    OriginSet,
+    Received,
+    StatusText,
+    SystemStatus,
+    TimeSync,
+)
+from uav_recon.autopilot.timesync import TimeSyncFilter
+from uav_recon.autopilot.tlog import FrameLog
+from uav_recon.clock import RateKeeper
+from uav_recon.protocols import ByteLink
+from uav_recon.safety.guard import ClearedSetpoint
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import StampedPose
+
+AUTOPILOT_COMPONENT = 1
+_NOT_AN_AUTOPILOT = 8
+_WARNING = 4
+_SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
+_NS = 1_000_000_000
+_CHATTER_S = (1.0, 5.0, 10.0)  # Hz: heartbeat, TIMESYNC, gimbal at most
+
+
+@dataclass(slots=True)
+class Telemetry:
+    """The newest word of the autopilot. Instants are ours; -inf = never."""
+
+    system: int = 0  # MAVLink system id of the vehicle; 0 = nobody heard
+    heard_s: float = -math.inf
+    heartbeat_s: float = -math.inf
+    firmware_family: int = 0  # MAV_AUTOPILOT
+    armed: bool = False
+    custom_mode: int = 0
+    version: tuple[int, int, int] | None = None
+    estimator_good: bool = False
+    prearm_good: bool = False
+    origin_known: bool = False
+    battery_fraction: float = math.nan
+    position_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    velocity_mps: FloatArray = field(default_factory=lambda: np.zeros(3))
+    quat_wxyz: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    camera_pitch_down_rad: float = math.nan
+    refused_command: int = 0  # newest command answered with anything but "accepted" or "in progress"
+    warning: str = ""  # newest text of severity warning or worse
+    pose_fed_s: float = -math.inf
+    twin_heard: bool = False  # somebody else speaks with our own id
+    reboots: int = 0
+    failure: str = ""  # why the byte link failed last
+
+
+class Link:
+    """Speaks MAVLink with one autopilot over one byte link. Methods never block and never raise on what arrives."""
+
+    def __init__(self, bytes_link: ByteLink, log: FrameLog, start_s: float, system: int = 245, component: int = 191) -> None:
+        self._bytes, self._log = bytes_link, log
+        self._own = (system, component)
+        self._decoder, self._encoder = Decoder(), Encoder(system, component)
+        self._timesync = TimeSyncFilter()
+        self._heartbeat, self._sync, self._gimbal = (RateKeeper(rate, start_s) for rate in _CHATTER_S)
+        self.telemetry = Telemetry()
+
+    @property
+    def time_known(self) -> bool:
+        """Whether the autopilot's clock is known."""
+        return self._timesync.converged
+
+    def receive(self, now_s: float) -> None:
+        """Take in whatever arrived."""
+        try:
+            data = self._bytes.read()
+        except OSError as error:
+            self.telemetry.failure = f"link: {error.strerror or error}"
+            return
+        for received in self._decoder.feed(data):
+            self._log.record(now_s, received.frame)
+            self._hear(received, now_s)
+
+    def keep_alive(self, now_s: float) -> None:
+        """Our heartbeat, and the question for the autopilot's clock."""
+        if self._heartbeat.due(now_s):
+            self._send(self._encoder.heartbeat(), now_s)
+        if self.telemetry.system and self._sync.due(now_s):
+            self._send(self._encoder.timesync(0, int(now_s * _NS)), now_s)
+
+    def feed_pose(self, pose: StampedPose, now_s: float) -> None:
+        """ODOMETRY on the autopilot's clock; nothing before that clock is known."""
+        if not self.time_known:
+            return
+        time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000
+        self._send(self._encoder.odometry(pose, time_us), now_s)
+        self.telemetry.pose_fed_s = now_s
+
+    def stream(self, cleared: ClearedSetpoint, now_s: float, gimbal: bool) -> None:
+        """Put a cleared setpoint on the wire, and at most ten times a second its camera pitch."""
+        boot_ms = self._timesync.autopilot_ns(now_s) // 1_000_000
+        self._send(self._encoder.setpoint(self.telemetry.system, cleared.setpoint, boot_ms), now_s)
+        if gimbal and self._gimbal.due(now_s):
+            pitch_rad = min(max(cleared.setpoint.camera_pitch_down_rad, -math.pi / 2), math.pi / 2)
+            self._send(self._encoder.gimbal_pitch(self.telemetry.system, pitch_rad), now_s)
+
+    def command(self, now_s: float, command: int, *parameters: float) -> None:
+        """COMMAND_LONG to the autopilot."""
+        self._send(self._encoder.command(self.telemetry.system, command, *parameters), now_s)
+
+    def request_streams(self, now_s: float, rates_hz: tuple[tuple[int, float], ...], once: tuple[int, ...]) -> None:
+        """Ask for messages (id, rate) to be sent steadily, and for others to be sent once."""
+        for identifier, rate_hz in rates_hz:
+            self.command(now_s, _SET_MESSAGE_INTERVAL, float(identifier), 1e6 / rate_hz)
+        for identifier in once:
+            self.command(now_s, _REQUEST_MESSAGE, float(identifier))
+
+    def claim_gimbal(self, now_s: float) -> None:
+        """DO_GIMBAL_MANAGER_CONFIGURE: we hold primary control; nobody secondary."""
+        self.command(now_s, 1001, float(self._own[0]), float(self._own[1]), -1.0, -1.0)
+
+    def send_origin(self, now_s: float, lat_deg: float, lon_deg: float, alt_m: float) -> None:
+        """Hand the autopilot a geographic origin."""
+        self._send(self._encoder.origin(self.telemetry.system, lat_deg, lon_deg, alt_m), now_s)
+
+    def wait(self, timeout_s: float) -> None:
+        """Block until bytes are there or the time is over."""
+        self._bytes.wait(timeout_s)
+
+    def _send(self, frame: bytes, now_s: float) -> None:
+        try:
+            self._bytes.write(frame)
+        except OSError as error:
+            self.telemetry.failure = f"link: {error.strerror or error}"
+            return
+        self._log.record(now_s, frame)
+
+    def _hear(self, received: Received, now_s: float) -> None:
+        """Only the autopilot of the first vehicle heard counts; a gimbal may sit on a component of its own."""
+        t, message = self.telemetry, received.message
+        if (received.system, received.component) == self._own:
+            t.twin_heard = True
+            return
+        from_autopilot = received.component == AUTOPILOT_COMPONENT
+        if isinstance(message, Heartbeat) and from_autopilot and t.system == 0 and message.autopilot != _NOT_AN_AUTOPILOT:
+            t.system = received.system
+        if received.system != t.system or message is None:
+            return
+        if from_autopilot:
+            t.heard_s = now_s
+            self._take(message, now_s)
+        elif isinstance(message, GimbalAttitude):
+            t.camera_pitch_down_rad = message.pitch_down_rad
+
+    def _take(self, message: Message, now_s: float) -> None:
+        t = self.telemetry
+        match message:
+            case Heartbeat():
+                t.heartbeat_s, t.firmware_family = now_s, message.autopilot
+                t.armed, t.custom_mode = message.armed, message.custom_mode
+            case TimeSync():
+                self._synchronise(message, now_s)
+            case EstimatorStatus():
+                t.estimator_good = message.position_good
+            case SystemStatus():
+                t.prearm_good, t.battery_fraction = message.prearm_good, message.battery_fraction
+            case LocalPosition():
+                t.position_m, t.velocity_mps = message.position_m, message.velocity_mps
+            case Attitude():
+                t.quat_wxyz = message.quat_wxyz
+            case OriginSet():
+                t.origin_known = True
+            case Firmware():
+                t.version = message.version
+            case StatusText():
+                t.warning = message.text if message.severity <= _WARNING else t.warning
+            case GimbalAttitude():
+                t.camera_pitch_down_rad = message.pitch_down_rad
+            case Ack():
+                t.refused_command = message.command if message.result not in (0, 5) else t.refused_command
+
+    def _synchronise(self, message: TimeSync, now_s: float) -> None:
+        """Learn from answers; answer requests in the autopilot's OWN clock, once we know it.
+
+        Pose stamps are on that clock too, so an autopilot that corrects stamps by what it learns from our answers finds
+        an offset of zero, and one that takes stamps as they are is right as well.
+        """
+        if message.tc1_ns == 0:
+            if self.time_known:
+                self._send(self._encoder.timesync(self._timesync.autopilot_ns(now_s), message.ts1_ns), now_s)
+            return
+        self._timesync.observe(message.ts1_ns, message.tc1_ns, int(now_s * _NS))
+        if self._timesync.restarts > self.telemetry.reboots:
+            self.telemetry.reboots = self._timesync.restarts
+            self.telemetry.origin_known = self.telemetry.estimator_good = self.telemetry.prearm_good = False

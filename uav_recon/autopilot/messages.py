@@ -1,0 +1,115 @@
+"""What the autopilot says, in our frames and units: the codec turns wire messages into these values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from uav_recon.types.frames import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat:
+    """vehicle: MAV_TYPE; autopilot: MAV_AUTOPILOT (8 = not an autopilot); custom_mode: the firmware's own number."""
+
+    vehicle: int
+    autopilot: int
+    armed: bool
+    custom_mode: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """Answer to a command. result 0 is accepted; an acceptance proves nothing, only the state does."""
+
+    command: int
+    result: int
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSync:
+    """tc1_ns = 0: a request carrying the sender's clock in ts1_ns; otherwise the answer to our ts1_ns."""
+
+    tc1_ns: int
+    ts1_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorStatus:
+    """Whether the estimator follows: horizontal position relative to its origin is good."""
+
+    position_good: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SystemStatus:
+    """prearm_good: the autopilot's own checks pass. battery_fraction: NaN if unknown."""
+
+    prearm_good: bool
+    battery_fraction: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalPosition:
+    """The autopilot's estimate: position (3,) m and velocity (3,) m/s, ENU about its origin."""
+
+    position_m: FloatArray
+    velocity_mps: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attitude:
+    """The autopilot's estimate of world_from_body (ENU from FLU), Hamilton wxyz (4,)."""
+
+    quat_wxyz: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class OriginSet:
+    """The autopilot has a geographic origin (GPS_GLOBAL_ORIGIN) or a home (HOME_POSITION)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """Version as (major, minor, patch)."""
+
+    version: tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class StatusText:
+    """What the autopilot tells people; control characters removed. severity: 0 emergency to 7 debug."""
+
+    severity: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class GimbalAttitude:
+    """Measured camera pitch, positive down."""
+
+    pitch_down_rad: float
+
+
+Message = (
+    Heartbeat
+    | Ack
+    | TimeSync
+    | EstimatorStatus
+    | SystemStatus
+    | LocalPosition
+    | Attitude
+    | OriginSet
+    | Firmware
+    | StatusText
+    | GimbalAttitude
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Received:
+    """One checked MAVLink 2 frame. message is None if it says nothing we use."""
+
+    system: int
+    component: int
+    message: Message | None
+    frame: bytes

@@ -1,0 +1,84 @@
+"""flight.tlog: every frame of both directions behind its time, written beside the loop, never by it."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections import deque
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+_STAMP = struct.Struct(">Q")
+
+
+class FrameLog(Protocol):
+    """Where the link puts what it sent and received."""
+
+    def record(self, now_s: float, frame: bytes) -> None:
+        """Note one frame at an instant of the injected clock. Never blocks, never raises."""
+        ...
+
+
+class NoLog:
+    """Keeps nothing."""
+
+    def record(self, now_s: float, frame: bytes) -> None:
+        """Forget it."""
+
+
+class Tlog:
+    """The common telemetry log: 8 bytes big-endian microseconds since 1970, then the raw frame.
+
+    epoch_s is added to the injected clock: time.time() - clock.now_s() in flight, a constant in lockstep.
+    The queue is bounded and drops its oldest frame; ``dropped`` counts them. A full disk ends the log, not the flight:
+    ``failure`` then says why. Raises OSError if the file cannot be opened.
+    """
+
+    def __init__(self, path: Path, epoch_s: float, capacity_frames: int = 8192) -> None:
+        self._file: BinaryIO = path.open("wb")
+        self._epoch_s = epoch_s
+        self._queue: deque[bytes] = deque(maxlen=capacity_frames)
+        self._hurry = capacity_frames // 4
+        self._recorded = 0
+        self._written = 0
+        self._wake = threading.Event()
+        self._closing = False
+        self.failure = ""
+        self._thread = threading.Thread(target=self._write_all, name="tlog", daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Frames lost so far: recorded, but neither waiting nor written."""
+        return self._recorded - self._written - len(self._queue)
+
+    def record(self, now_s: float, frame: bytes) -> None:
+        """Note one frame."""
+        self._queue.append(_STAMP.pack(int((now_s + self._epoch_s) * 1e6)) + frame)
+        self._recorded += 1
+        if len(self._queue) > self._hurry:  # otherwise the writer wakes by itself, a few times a second
+            self._wake.set()
+
+    def close(self) -> None:
+        """Write what waits, and end."""
+        self._closing = True
+        self._wake.set()
+        self._thread.join(timeout=5.0)
+        self._file.close()
+
+    def _write_all(self) -> None:
+        while not self._closing:
+            self._wake.wait(0.25)
+            self._wake.clear()
+            self._drain()
+        self._drain()
+
+    def _drain(self) -> None:
+        try:
+            while self._queue:
+                self._file.write(self._queue.popleft())
+                self._written += 1
+            self._file.flush()
+        except OSError as error:
+            self.failure = self.failure or f"flight log ended: {error.strerror}"
+            self._queue.clear()
