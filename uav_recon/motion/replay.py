@@ -1,0 +1,95 @@
+"""The same motion at another pace: p(tau(t)) has velocity v tau' and acceleration a tau'^2 + v tau''."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import AnyArray, FloatArray
+from uav_recon.types.trajectory import Trajectory
+
+STEP_S = 0.02
+BRAKE_RISE_S = 0.15  # in which a brake comes on
+
+Pace = tuple[FloatArray, FloatArray, FloatArray]  # (N,) each: old time played, its rate, and that one's rate
+
+
+@kernel
+def _slow_down(old: AnyArray, first_s: float, acceleration: float, spin: float, played: AnyArray) -> int:
+    """Brake by playing old samples ever slower; returns how many rows of ``played`` (tau, tau', tau'') were filled.
+
+    old: (N, 5) of speed, tangential and normal acceleration, yaw rate, and yaw acceleration in the sense of that rate.
+    tau'' is as low as the bounds on acceleration and spin allow at this very sample (tangential a tau'^2 + v tau''), but
+    comes on and, by the root law, goes off with bounded jerk. Ends at tau' = 0 or with the old samples.
+    """
+    last_s = (len(old) - 1) * STEP_S
+    tau, rate, change = first_s, 1.0, 0.0
+    for n in range(len(played)):
+        played[n] = tau, rate, change
+        if rate <= 0.0 or tau >= last_s:
+            return n + 1
+        at = min(tau / STEP_S + rate, len(old) - 1.000001)  # where the change will have come to bear
+        low = int(at)
+        speed, along, across, turning, spinning = old[low] + (at - low) * (old[low + 1] - old[low])
+        speed, turning = max(speed, 0.01), max(turning, 0.01)
+        held = np.sqrt(max(acceleration**2 - (across * rate * rate) ** 2, 0.0))
+        bound = max(-(held + along * rate * rate) / speed, -(spin + spinning * rate * rate) / turning)
+        slew = min(acceleration / speed, spin / turning) / BRAKE_RISE_S
+        wanted = max(min(bound, 0.0), -np.sqrt(2.0 * slew * rate))
+        change = max(wanted, change - slew * STEP_S)
+        slower = rate + change * STEP_S
+        slower = slower if slower > 1e-3 else 0.0
+        tau += 0.5 * (rate + slower) * STEP_S
+        rate = slower
+    return len(played)
+
+
+def braking(
+    trajectory: Trajectory, first_s: float, acceleration: float, spin: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The fastest stop from ``first_s`` into a trajectory; the rate falls from 1 to 0."""
+    velocity, turning = trajectory.velocity_mps, trajectory.yaw_rate_radps
+    speed = np.linalg.norm(velocity, axis=1)
+    total2 = np.sum(trajectory.acceleration_mps2**2, axis=1)
+    along = np.sum(trajectory.acceleration_mps2 * velocity, axis=1) / np.maximum(speed, 1e-6)
+    across = np.sqrt(np.maximum(total2 - along**2, 0.0))
+    spinning = np.gradient(turning, trajectory.step_s) * np.sign(turning)
+    played = np.zeros((int(4 * (trajectory.duration_s - first_s) / STEP_S) + 250, 3))
+    old = np.stack([speed, along, across, np.abs(turning), spinning], axis=1)
+    count = _slow_down(old, first_s, acceleration, spin, played)
+    played[count - 1, 1:] = 0.0
+    return played[:count, 0] - first_s, played[:count, 1], played[:count, 2]
+
+
+def replayed(trajectory: Trajectory, first_s: float, pace: Pace, start_s: float, identifier: int) -> Trajectory:
+    """A trajectory from ``first_s`` (seconds into it) on at another pace (old time, rate, rate's rate), without captures."""
+    played_s, rate, change = pace
+    grid = np.arange(len(trajectory.yaw_rad)) * trajectory.step_s
+
+    def old(values: FloatArray) -> FloatArray:
+        columns = [np.interp(first_s + played_s, grid, column) for column in np.atleast_2d(values.T)]
+        return np.asarray(columns[0] if values.ndim == 1 else np.stack(columns, axis=1), dtype=np.float64)
+
+    velocity = old(trajectory.velocity_mps)
+    return dataclasses.replace(
+        trajectory,
+        start_s=start_s,
+        position_m=old(trajectory.position_m),
+        velocity_mps=velocity * rate[:, None],
+        acceleration_mps2=old(trajectory.acceleration_mps2) * rate[:, None] ** 2 + velocity * change[:, None],
+        yaw_rad=old(trajectory.yaw_rad),
+        yaw_rate_radps=old(trajectory.yaw_rate_radps) * rate,
+        camera_pitch_down_rad=old(trajectory.camera_pitch_down_rad),
+        views_s=np.zeros(0),
+        identifier=identifier,
+    )
+
+
+def stretched(trajectory: Trajectory, factor: float) -> Trajectory:
+    """The same motion, slower all over by a factor >= 1."""
+    now_s = np.arange(int(np.ceil(trajectory.duration_s * factor / STEP_S)) + 1) * np.float64(STEP_S)
+    rate = np.full(len(now_s), 1.0 / factor)
+    slow = replayed(trajectory, 0.0, (now_s / factor, rate, 0.0 * rate), trajectory.start_s, trajectory.identifier)
+    return dataclasses.replace(slow, views_s=trajectory.views_s * factor)
