@@ -1,0 +1,352 @@
+"""The simulated EKF2: IMU integration corrected by late external poses, with PX4's gates, timeouts and resets.
+
+Frames: local NED (the frame of the poses it is fed), body FRD. Instants: seconds of the autopilot's own clock.
+Gains per axis are those of a critically damped g-h-k filter (fading memory, Morrison 1969, ch. 9), so the loop
+is stable at any pose rate. Horizontal acceleration error is understood as tilt error, as in a real EKF.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sitl.parameters import Parameters
+from sitl.rotation import IDENTITY, Quat, Vec3, from_small_rotation, from_yaw, multiply, normalised, rotate, wrapped, yaw_of
+from sitl.vehicle import GRAVITY_MPS2
+
+_HISTORY_S = 0.32  # samples older than 0.2 s delay + 0.1 s search window are never fused (HAZARDS 0.8)
+_EXPECTED_GAP_S = 0.2  # EV_MAX_INTERVAL
+_FUSION_STOPS_S = 0.4  # twice EV_MAX_INTERVAL
+_REJECT_TIMEOUT_S = 1.0  # no_aid_timeout_max: then reset to vision
+_RESETS_IN_AIR = 5
+_START_S = 0.5  # poses must come steadily for so long before they are used
+_NORM_TOLERANCE = 1e-3  # wire floats carry 1e-7 each
+_POSITION_BANDWIDTH = 3.0  # rad/s
+_YAW_BANDWIDTH = 3.0
+
+ATTITUDE, VELOCITY_HORIZ, VELOCITY_VERT, POS_HORIZ_REL, POS_HORIZ_ABS = 1, 2, 4, 8, 16
+POS_VERT_ABS, POS_VERT_AGL, CONST_POS_MODE, PRED_POS_HORIZ_REL, PRED_POS_HORIZ_ABS = 32, 64, 128, 256, 512
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalPose:
+    """One ODOMETRY as the estimator sees it: local frame (down third), body FRD; NaN = not measured.
+
+    position_variance_m2 and yaw_variance_rad2: NaN if the sender does not know. quality: 0 unknown, 1 to 100 %.
+    """
+
+    stamp_s: float
+    position: Vec3
+    quat_wxyz: Quat
+    position_variance_m2: float
+    yaw_variance_rad2: float
+    quality: int
+    reset_counter: int
+
+
+class Estimator:
+    """Local position, velocity and attitude. on_reset(delta_position, delta_yaw) is called at each jump of the estimate."""
+
+    def __init__(self, parameters: Parameters, on_reset: Callable[[Vec3, float], None] | None = None) -> None:
+        self._on_reset = on_reset
+        self.configure(parameters)
+        self.position: Vec3 = (0.0, 0.0, 0.0)
+        self.velocity: Vec3 = (0.0, 0.0, 0.0)
+        self.acceleration: Vec3 = (0.0, 0.0, 0.0)
+        self.quat_wxyz: Quat = IDENTITY
+        self.angular_rate: Vec3 = (0.0, 0.0, 0.0)
+        self.height_offset_m = 0.0
+        self.fusing = False
+        self.reset_count = 0
+        self.position_test_ratio = 0.0
+        self.height_test_ratio = 0.0
+        self.ignored: dict[str, int] = {}
+        self.origin_set = False
+        self._accel_down_bias = 0.0
+        self._yaw_rate_bias = 0.0
+        self._history: deque[list[float]] = deque()
+        self._now_s = 0.0
+        self._last_pose_s = -math.inf
+        self._steady_since_s = math.inf
+        self._fused_xy_s = -math.inf
+        self._fused_z_s = -math.inf
+        self._fused_yaw_s = -math.inf
+        self._reset_counter = -1
+        self._resets_left = _RESETS_IN_AIR
+        self.started = False
+        self._baro_zero = math.nan
+        self._on_ground = True
+
+    def configure(self, parameters: Parameters) -> None:
+        """Take over changed parameters."""
+        control = parameters.integer("EKF2_EV_CTRL")
+        self._fuse_xy, self._fuse_z, self._fuse_yaw = bool(control & 1), bool(control & 2), bool(control & 8)
+        self._noise_from_message = parameters.integer("EKF2_EV_NOISE_MD") == 0
+        self._position_noise = parameters["EKF2_EVP_NOISE"]
+        self._yaw_noise = parameters["EKF2_EVA_NOISE"]
+        self._gate = parameters["EKF2_EVP_GATE"]
+        self._quality_min = parameters.integer("EKF2_EV_QMIN")
+        self._delay_s = parameters["EKF2_EV_DELAY"] * 1e-3
+        self._no_aid_s = max(parameters["EKF2_NOAID_TOUT"], 500000.0) * 1e-6
+        self._eph_limit = parameters["COM_POS_FS_EPH"]
+
+    # -- what others may know -------------------------------------------------------------------------------------
+
+    @property
+    def horizontal_valid(self) -> bool:
+        """Whether the local horizontal position may be flown on.
+
+        Measured on the firmware with EKF2_NOAID_TOUT = 5 s: the flag falls 4.7 s after the last pose.
+        """
+        silent = self._now_s - self._fused_xy_s
+        return self.started and silent <= max(self._no_aid_s - 0.3, 0.6)
+
+    @property
+    def position_accuracy_m(self) -> float:
+        """Standard deviation of the horizontal position; grows while nothing is fused."""
+        silent = min(max(self._now_s - self._fused_xy_s, 0.0), 60.0)
+        return 0.03 + 0.05 * silent + 0.05 * silent * silent
+
+    @property
+    def flags(self) -> int:
+        """ESTIMATOR_STATUS_FLAGS."""
+        if not self.started:
+            return ATTITUDE | VELOCITY_VERT | POS_VERT_ABS | CONST_POS_MODE
+        flags = ATTITUDE | VELOCITY_VERT | POS_VERT_ABS
+        if self.horizontal_valid:
+            flags |= VELOCITY_HORIZ | POS_HORIZ_REL
+            if self.origin_set:
+                flags |= POS_HORIZ_ABS
+        if self._now_s - self._fused_xy_s <= 0.6:
+            flags |= PRED_POS_HORIZ_REL
+        return flags
+
+    @property
+    def yaw(self) -> float:
+        """Heading in the local frame, rad."""
+        return yaw_of(self.quat_wxyz)
+
+    # -- 250 Hz ---------------------------------------------------------------------------------------------------
+
+    def predict(self, now_s: float, dt_s: float, gyro: Vec3, specific_force: Vec3, on_ground: bool) -> None:
+        """Integrate one IMU sample (FRD). on_ground: the land detector's word; allows any number of resets."""
+        self._now_s = now_s
+        self._on_ground = on_ground
+        if on_ground:
+            self._resets_left = _RESETS_IN_AIR
+        rate = (gyro[0], gyro[1], gyro[2] - self._yaw_rate_bias)
+        self.angular_rate = rate
+        turn = from_small_rotation(rate[0] * dt_s, rate[1] * dt_s, rate[2] * dt_s)
+        self.quat_wxyz = normalised(multiply(self.quat_wxyz, turn))
+        f = rotate(self.quat_wxyz, specific_force)
+        ax, ay, az = f[0], f[1], f[2] + GRAVITY_MPS2 + self._accel_down_bias
+        s = 0.2  # low pass of 20 ms for the controller's damping term
+        a = self.acceleration
+        self.acceleration = (a[0] + s * (ax - a[0]), a[1] + s * (ay - a[1]), a[2] + s * (az - a[2]))
+        self.fusing = now_s - self._last_pose_s <= _FUSION_STOPS_S and self.started
+        if not self.started:  # constant position mode, level, until the first pose
+            self.velocity = (0.0, 0.0, 0.0)
+            self.quat_wxyz = from_yaw(self.yaw)
+        else:
+            vx, vy, vz = self.velocity
+            vx, vy, vz = vx + ax * dt_s, vy + ay * dt_s, vz + az * dt_s
+            x, y, z = self.position
+            self.velocity = (vx, vy, vz)
+            self.position = (x + vx * dt_s, y + vy * dt_s, z + vz * dt_s)
+        x, y, z = self.position
+        self._history.append([now_s, x, y, z, self.yaw])
+        while self._history[0][0] < now_s - _HISTORY_S:
+            self._history.popleft()
+
+    def correct_baro(self, height_m: float, dt_s: float) -> None:
+        """Barometric height. Follows vision while that is fused, carries the height when it is not."""
+        if math.isnan(self._baro_zero) or not self.started:
+            self._baro_zero = height_m + self.position[2]
+            return
+        if self._now_s - self._fused_z_s < 0.5:
+            self._baro_zero += 0.02 * (height_m + self.position[2] - self._baro_zero)
+            return
+        self._correct_height(self._baro_zero - height_m - self.position[2], self._now_s, dt_s, 1.0)
+
+    # -- external poses -------------------------------------------------------------------------------------------
+
+    def take(self, pose: ExternalPose) -> None:
+        """Fuse, hold back, reset or ignore one pose; why it was ignored is counted in `ignored`."""
+        stamp = pose.stamp_s - self._delay_s
+        if not self._usable(pose, stamp):
+            return
+        gap = stamp - self._last_pose_s
+        if gap > _EXPECTED_GAP_S:
+            self._steady_since_s = stamp
+        self._last_pose_s = stamp
+        past = self._at(stamp)
+        if past is None:
+            return
+        if not self.started:
+            if stamp - self._steady_since_s >= _START_S:
+                self._start(pose, past)
+            return
+        if pose.reset_counter != self._reset_counter:
+            self._reset_counter = pose.reset_counter
+            self._reset_to(pose, past, stamp, xy=True, z=True, yaw=True)
+            return
+        dt = min(max(gap, 0.004), _EXPECTED_GAP_S)
+        self._fuse_position(pose, past, stamp, dt)
+        self._fuse_heading(pose, past, stamp, dt)
+
+    def offset_height(self, altitude_m: float) -> None:
+        """An origin that came before any pose was fused: the local height keeps its altitude for the flight."""
+        self.height_offset_m = altitude_m
+        x, y, _ = self.position
+        self.position = (x, y, altitude_m)
+
+    def _usable(self, pose: ExternalPose, stamp: float) -> bool:
+        if pose.quality < self._quality_min:
+            return self._ignore("quality")
+        if stamp <= self._last_pose_s + 0.002:
+            return self._ignore("repeated")
+        if stamp < self._now_s - _HISTORY_S + 0.02:
+            return self._ignore("late")
+        if stamp > self._now_s + _EXPECTED_GAP_S:
+            return self._ignore("future")
+        return True
+
+    def _ignore(self, why: str) -> bool:
+        self.ignored[why] = self.ignored.get(why, 0) + 1
+        return False
+
+    def _at(self, stamp: float) -> list[float] | None:
+        """The estimate at an instant of the past (newest for a stamp slightly in the future)."""
+        later = None
+        for entry in reversed(self._history):
+            if entry[0] <= stamp:
+                if later is None:
+                    return entry
+                f = (stamp - entry[0]) / (later[0] - entry[0])
+                turn = wrapped(later[4] - entry[4])
+                mixed = [a + f * (b - a) for a, b in zip(entry[:4], later[:4], strict=True)]
+                return [*mixed, entry[4] + f * turn]
+            later = entry
+        return later
+
+    def _start(self, pose: ExternalPose, past: list[float]) -> None:
+        if not (self._fuse_xy and self._position_of(pose)):
+            self._ignore("not configured" if not self._fuse_xy else "not finite")
+            return
+        self.started = True
+        self._reset_counter = pose.reset_counter
+        self._reset_to(pose, past, pose.stamp_s, xy=True, z=True, yaw=True)
+
+    def _position_of(self, pose: ExternalPose) -> bool:
+        return all(math.isfinite(c) for c in pose.position)
+
+    def _yaw_of(self, pose: ExternalPose) -> float:
+        q = pose.quat_wxyz
+        norm = math.sqrt(sum(c * c for c in q))
+        if not math.isfinite(norm) or abs(norm - 1.0) > _NORM_TOLERANCE:
+            return math.nan
+        return yaw_of(q)
+
+    def _reset_to(self, pose: ExternalPose, past: list[float], stamp: float, xy: bool, z: bool, yaw: bool) -> None:
+        dx = dy = dz = turn = 0.0
+        if self._position_of(pose):
+            if xy and self._fuse_xy:
+                dx, dy, self._fused_xy_s = pose.position[0] - past[1], pose.position[1] - past[2], stamp
+            if z and self._fuse_z:
+                dz, self._fused_z_s = pose.position[2] + self.height_offset_m - past[3], stamp
+        heading = self._yaw_of(pose)
+        if yaw and self._fuse_yaw and math.isfinite(heading):
+            turn, self._fused_yaw_s = wrapped(heading - past[4]), stamp
+        self._shift(dx, dy, dz, 0.0, 0.0, 0.0, stamp, turn)
+        if turn:  # the velocity turns with the heading: it is known in the body
+            self.velocity = rotate(from_yaw(turn), self.velocity)
+        self.reset_count += 1
+        if self._on_reset is not None:
+            self._on_reset((dx, dy, dz), turn)
+
+    def _shift(self, dx: float, dy: float, dz: float, dvx: float, dvy: float, dvz: float, stamp: float, turn: float) -> None:
+        """Move the estimate at `stamp` and carry the change to now, through the history."""
+        for entry in self._history:
+            age = entry[0] - stamp
+            entry[1] += dx + dvx * age
+            entry[2] += dy + dvy * age
+            entry[3] += dz + dvz * age
+            entry[4] += turn
+        age = self._now_s - stamp
+        x, y, z = self.position
+        self.position = (x + dx + dvx * age, y + dy + dvy * age, z + dz + dvz * age)
+        vx, vy, vz = self.velocity
+        self.velocity = (vx + dvx, vy + dvy, vz + dvz)
+        if turn:
+            self.quat_wxyz = normalised(multiply(from_yaw(turn), self.quat_wxyz))
+
+    def _fuse_position(self, pose: ExternalPose, past: list[float], stamp: float, dt: float) -> None:
+        if not self._position_of(pose):
+            self._ignore("not finite")
+            return
+        ix, iy = pose.position[0] - past[1], pose.position[1] - past[2]
+        iz = pose.position[2] + self.height_offset_m - past[3]
+        noise = self._position_noise**2
+        if self._noise_from_message and math.isfinite(pose.position_variance_m2):
+            noise = max(noise, pose.position_variance_m2)
+        gate = self._gate**2 * (noise + min(self.position_accuracy_m, 0.5) ** 2)
+        self.position_test_ratio = max(ix * ix, iy * iy) / gate
+        self.height_test_ratio = iz * iz / gate
+        if self._fuse_xy:
+            if self.position_test_ratio <= 1.0:
+                self._correct_horizontal(ix, iy, stamp, dt)
+                self._fused_xy_s = stamp
+            else:
+                self._ignore("position gate")
+                if stamp - self._fused_xy_s > _REJECT_TIMEOUT_S and self._may_reset():
+                    self._reset_to(pose, past, stamp, xy=True, z=False, yaw=False)
+        if self._fuse_z:
+            if self.height_test_ratio <= 1.0:
+                self._correct_height(iz, stamp, dt, _POSITION_BANDWIDTH)
+                self._fused_z_s = stamp
+            else:
+                self._ignore("height gate")
+                if stamp - self._fused_z_s > _REJECT_TIMEOUT_S and self._may_reset():
+                    self._reset_to(pose, past, stamp, xy=False, z=True, yaw=False)
+
+    def _may_reset(self) -> bool:
+        if self._on_ground:
+            return True
+        self._resets_left -= 1
+        return self._resets_left >= 0
+
+    def _correct_horizontal(self, ix: float, iy: float, stamp: float, dt: float) -> None:
+        fade = math.exp(-_POSITION_BANDWIDTH * dt)
+        g = 1.0 - fade**3
+        h = 1.5 * (1.0 - fade) ** 2 * (1.0 + fade) / dt
+        k = (1.0 - fade) ** 3 / (dt * dt)
+        self._shift(g * ix, g * iy, 0.0, h * ix, h * iy, 0.0, stamp, 0.0)
+        # A tilt error t turns the hover force (0, 0, -g) into the acceleration error (-g t_e, g t_n).
+        tilt = from_small_rotation(k * iy / GRAVITY_MPS2, -k * ix / GRAVITY_MPS2, 0.0)
+        self.quat_wxyz = normalised(multiply(tilt, self.quat_wxyz))
+
+    def _correct_height(self, iz: float, stamp: float, dt: float, bandwidth: float) -> None:
+        fade = math.exp(-bandwidth * dt)
+        h = 1.5 * (1.0 - fade) ** 2 * (1.0 + fade) / dt
+        self._shift(0.0, 0.0, (1.0 - fade**3) * iz, 0.0, 0.0, h * iz, stamp, 0.0)
+        self._accel_down_bias += (1.0 - fade) ** 3 / (dt * dt) * iz
+
+    def _fuse_heading(self, pose: ExternalPose, past: list[float], stamp: float, dt: float) -> None:
+        heading = self._yaw_of(pose)
+        if not self._fuse_yaw or math.isnan(heading):
+            return
+        innovation = wrapped(heading - past[4])
+        noise = self._yaw_noise**2
+        if self._noise_from_message and math.isfinite(pose.yaw_variance_rad2):
+            noise = max(noise, pose.yaw_variance_rad2)
+        if innovation * innovation <= self._gate**2 * (noise + 0.02**2):
+            fade = math.exp(-_YAW_BANDWIDTH * dt)
+            self._shift(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, stamp, (1.0 - fade * fade) * innovation)
+            self._yaw_rate_bias -= (1.0 - fade) ** 2 / dt * innovation
+            self._fused_yaw_s = stamp
+            return
+        self._ignore("yaw gate")
+        if stamp - self._fused_yaw_s > _REJECT_TIMEOUT_S and self._may_reset():
+            self._reset_to(pose, past, stamp, xy=False, z=False, yaw=True)
