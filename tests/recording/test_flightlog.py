@@ -1,0 +1,95 @@
+"""The mission's own account survives what a flight may do to it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from flight_inputs import START_S, frame, position, progress, write_timeline
+
+from uav_recon.recording.flightlog import TIMELINE, FlightLog, read_timeline
+
+
+def test_everything_written_is_read_back(tmp_path: Path) -> None:
+    write_timeline(tmp_path)
+    timeline = read_timeline(tmp_path)
+    assert [record.phase for record in timeline.phases] == ["TAKEOFF", "EXPLORE", "LANDING"]
+    assert [plan.mode for plan in timeline.plans] == ["explore"] * 5 + ["merged"] * 5 + [""]
+    assert timeline.plans[3].step_s == pytest.approx(0.08)
+    assert [view.index for view in timeline.views] == list(range(10))
+    assert timeline.refusals[0].reason == "too fast"
+    assert timeline.torn_lines == 0
+    assert timeline.start_s() == START_S
+    stamps, path = timeline.path_world()
+    assert stamps.shape == (60,) and path[7] == pytest.approx(position(3.5))
+    assert timeline.views[4].world_from_depth().matrix() == pytest.approx(frame(8.0).world_from_depth.matrix())
+
+
+def test_each_line_is_on_disk_before_the_log_is_closed(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path)
+    log.refusal(1.0, "first")
+    assert read_timeline(tmp_path).refusals[0].reason == "first"
+    log.close()
+
+
+def test_a_torn_last_line_costs_that_line_only(tmp_path: Path) -> None:
+    write_timeline(tmp_path)
+    path = tmp_path / TIMELINE
+    path.write_bytes(path.read_bytes()[:-9])
+    timeline = read_timeline(tmp_path)
+    assert timeline.torn_lines == 1
+    assert len(timeline.refusals) == 0 and len(timeline.progress) == 60
+
+
+def test_a_mission_restarted_after_a_crash_appends_behind_the_torn_line(tmp_path: Path) -> None:
+    (tmp_path / TIMELINE).write_text('{"event": "refusal", "stamp_s": 1.0, "rea')
+    log = FlightLog(tmp_path)
+    log.refusal(2.0, "after")
+    log.close()
+    timeline = read_timeline(tmp_path)
+    assert [record.reason for record in timeline.refusals] == ["after"]
+    assert timeline.torn_lines == 1
+
+
+def test_garbage_is_counted_and_skipped(tmp_path: Path) -> None:
+    lines = [b"\xff\xfe", b"[1]", b'{"event": "nothing we know"}', b'{"event": "refusal", "stamp_s": 1.0}', b"null"]
+    (tmp_path / TIMELINE).write_bytes(b"\n".join(lines) + b"\n")
+    assert read_timeline(tmp_path).torn_lines == 5
+
+
+def test_the_file_is_strict_json_even_for_numbers_that_are_not(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path)
+    log.plan(1.0, "explore", np.float64(np.nan), np.float32(0.5), 1, 2, 3, np.inf)  # type: ignore[arg-type]
+    log.close()
+
+    def refuse(name: str) -> Any:
+        raise AssertionError(name)
+
+    json.loads((tmp_path / TIMELINE).read_text(), parse_constant=refuse)
+    (plan,) = read_timeline(tmp_path).plans
+    assert np.isnan(plan.task_s) and plan.step_s == 0.5
+
+
+def test_a_full_disk_never_stops_the_flight(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    class Full:
+        def write(self, text: str) -> int:
+            raise OSError(28, "No space left on device")
+
+    log = FlightLog(tmp_path)
+    log.close()
+    log._file = Full()  # type: ignore[assignment]
+    log.progress(progress(1.0))
+    log.refusal(2.0, "lost")
+    assert log.lost_lines == 2
+    assert [record.message for record in caplog.records] == [
+        f"{tmp_path / TIMELINE}: No space left on device; events are being lost"
+    ]
+
+
+def test_no_timeline_is_an_empty_one(tmp_path: Path) -> None:
+    timeline = read_timeline(tmp_path)
+    assert timeline.progress == () and timeline.start_s() == 0.0
+    assert timeline.path_world()[1].shape == (0, 3)

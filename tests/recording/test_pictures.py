@@ -1,0 +1,78 @@
+"""Pictures come out whole for every flight, an empty one included; what they show was looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from flight_inputs import INSIDE, mesh, voxel_map, write_timeline
+
+from uav_recon.recording.flightlog import Timeline, read_timeline
+from uav_recon.recording.mesh_pictures import mesh_pictures
+from uav_recon.recording.pictures import coverage_over_time, path_over_plan, planning_over_time
+from uav_recon.types.frames import ByteArray
+from uav_recon.types.maps import TriangleMesh
+
+EMPTY = Timeline((), (), (), (), (), (), 0)
+
+
+def loaded(path: Path) -> ByteArray:
+    image = cv2.imread(str(path))
+    assert image is not None, path
+    return np.asarray(image, dtype=np.uint8)
+
+
+@pytest.fixture
+def timeline(tmp_path: Path) -> Timeline:
+    write_timeline(tmp_path)
+    return read_timeline(tmp_path)
+
+
+def test_flight_pictures_have_content(tmp_path: Path, timeline: Timeline) -> None:
+    path_over_plan(tmp_path / "p" / "path.png", timeline, voxel_map())
+    coverage_over_time(tmp_path / "p" / "coverage.png", timeline)
+    coverage_over_time(tmp_path / "p" / "share.png", timeline, free_volume_m3=25.0)
+    planning_over_time(tmp_path / "p" / "planning.png", timeline)
+    for name in ("path", "coverage", "share", "planning"):
+        image = loaded(tmp_path / "p" / f"{name}.png")
+        assert image.shape[1] == 1210 and 300 < image.shape[0] < 1400
+        assert 0.01 < np.mean(image < 250) < 0.9
+
+
+def test_an_empty_flight_still_has_its_pictures(tmp_path: Path) -> None:
+    path_over_plan(tmp_path / "path.png", EMPTY, None)
+    path_over_plan(tmp_path / "plan.png", EMPTY, voxel_map())
+    coverage_over_time(tmp_path / "coverage.png", EMPTY)
+    planning_over_time(tmp_path / "planning.png", EMPTY)
+    assert len(list(tmp_path.glob("*.png"))) == 4
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return mesh_pictures(tmp_path_factory.mktemp("mesh"), mesh(), INSIDE)
+
+
+def test_the_room_is_seen_from_outside_through_its_near_walls_and_ceiling(written: list[Path]) -> None:
+    assert [path.name for path in written] == ["mesh_colour.png", "mesh_uncertainty.png", "mesh_top.png"]
+    for path in written:
+        image = loaded(path)
+        assert image.shape == (800, 1200, 3)
+        assert (image[:2, :2] == 255).all()  # white round the model
+    blue, green, red = (loaded(written[0])[..., k].astype(int) for k in range(3))
+    assert np.mean((green > red + 30) & (green > blue + 30)) > 0.1  # the floor
+    assert np.mean((red > green + 60) & (red > blue + 60)) < 0.01  # no ceiling but the rim of the walls
+    top = loaded(written[2])[400, 600].astype(int)
+    assert top[1] > top[0] + 30 and top[1] > top[2] + 30
+
+
+def test_uncertainty_goes_from_blue_to_red(written: list[Path]) -> None:
+    path = written[1]
+    blue, _, red = (loaded(path)[..., k].astype(int) for k in range(3))
+    assert np.mean(blue > red + 60) > 0.01 and np.mean(red > blue + 60) > 0.01
+
+
+def test_no_mesh_gives_no_pictures(tmp_path: Path) -> None:
+    nothing = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3), np.uint8), np.zeros(0, np.float32))
+    assert mesh_pictures(tmp_path, nothing, INSIDE) == []

@@ -1,0 +1,175 @@
+"""The recorder writes what it is told, reads each value once, and takes no harm."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from flight_inputs import START_S, frame, mesh, odometry, progress, surface, vehicle, view_path, voxel_map
+
+from uav_recon.channels import MemoryChannel
+from uav_recon.clock import ManualClock
+from uav_recon.recording import blueprint as names
+from uav_recon.recording.drawing import depth_png
+from uav_recon.recording.recorder import Inbox, Recorder, RecorderChannels
+from uav_recon.recording.review import check_recording
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.maps import SurfaceElements, VoxelMap
+from uav_recon.types.pose import StampedPose
+from uav_recon.types.tasks import ViewPath
+from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
+from uav_recon.types.vehicle import MissionProgress, VehicleState
+
+FENCE = np.array([[-1.0, -1.0, 0.0], [3.0, 2.0, 2.4]])
+
+
+def channels() -> RecorderChannels:
+    return RecorderChannels(
+        odom=MemoryChannel(StampedPose),
+        frames=MemoryChannel(PosedFrame),
+        vehicle=MemoryChannel(VehicleState),
+        intent=MemoryChannel(Intent),
+        progress=MemoryChannel(MissionProgress),
+        voxels=MemoryChannel(VoxelMap),
+        surface=MemoryChannel(SurfaceElements),
+        plan=MemoryChannel(ViewPath),
+    )
+
+
+def trajectory() -> Trajectory:
+    zeros, row = np.zeros((9, 3)), np.zeros(9)
+    return Trajectory(START_S, 0.1, zeros, zeros, zeros, row, row, row, np.zeros(0), 0, 5)
+
+
+def fly(folder: Path, duration_s: float = 6.0, **options: Any) -> tuple[Recorder, RecorderChannels]:
+    clock, wires = ManualClock(START_S), channels()
+    recorder = Recorder(folder, wires, clock, FENCE, **options)
+    for k in range(int(duration_s * 10)):
+        t_s = k / 10
+        clock.advance_to(START_S + t_s)
+        wires.odom.publish(odometry(t_s))
+        wires.frames.publish(frame(t_s))
+        wires.vehicle.publish(vehicle(t_s, "arming refused: test" if k == 20 else ""))
+        wires.intent.publish(Intent(START_S + t_s, Goal.FLY, trajectory()))
+        wires.progress.publish(progress(t_s))
+        if k % 20 == 0:
+            wires.voxels.publish(voxel_map())
+            wires.surface.publish(surface())
+            wires.plan.publish(view_path())
+        recorder.step()
+    return recorder, wires
+
+
+def rows(folder: Path) -> dict[str, int]:
+    """Rows per entity of the temporal data."""
+    from rerun.chunk import RrdReader
+
+    found: dict[str, int] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # no footer in a file of a killed recorder
+        for chunk in RrdReader(folder / names.RECORDING).stream().to_chunks():
+            entity = str(chunk.entity_path).lstrip("/")
+            found[entity] = found.get(entity, 0) + chunk.num_rows
+    return found
+
+
+def test_a_flight_is_recorded_whole(tmp_path: Path) -> None:
+    recorder, _ = fly(tmp_path)
+    recorder.close(mesh())
+    found = rows(tmp_path)
+    for entity in (
+        names.FENCE, names.BODY, names.DEPTH, f"{names.DEPTH}/image", names.RGB, f"{names.RGB}/image", names.VOXELS,
+        names.SURFACE, names.PLAN, f"{names.PLAN}/views", names.TRAJECTORY, names.MESH, names.EXPLORED, names.PLANNING,
+        names.CLEARANCE, f"{names.TRAIL}/0000", f"{names.LOG}/pilot_note", f"{names.LOG}/mission",
+    ):  # fmt: skip
+        assert found.get(entity, 0) > 0, entity
+    assert found[names.SPEED] == 60
+
+
+def test_images_come_at_a_reduced_rate_and_a_trajectory_once(tmp_path: Path) -> None:
+    recorder, _ = fly(tmp_path, duration_s=6.0)
+    recorder.close()
+    found = rows(tmp_path)
+    assert found[f"{names.DEPTH}/image"] == 12
+    assert found[names.VOXELS] == 3
+    assert found[names.TRAJECTORY] == 1
+    assert found[f"{names.LOG}/mission"] == 1  # said when it changes only
+    assert recorder.skipped()["frames"] == 44  # 56 until the last look, 12 looks
+    assert recorder.skipped()["odom"] == 0
+
+
+def test_the_trail_is_cut_into_strips(tmp_path: Path) -> None:
+    recorder, _ = fly(tmp_path, duration_s=24.0)
+    recorder.close()
+    found = rows(tmp_path)
+    assert f"{names.TRAIL}/0001" in found
+    assert max(count for entity, count in found.items() if entity.startswith(names.TRAIL)) <= 101
+
+
+def test_a_killed_recorder_leaves_a_readable_file(tmp_path: Path) -> None:
+    recorder, _ = fly(tmp_path)  # never closed, flushed at half-second steps
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    (copy / names.RECORDING).write_bytes((tmp_path / names.RECORDING).read_bytes())
+    assert rows(copy)[names.SPEED] >= 50
+    summary = check_recording(copy)
+    assert "/world/body" in summary.entities
+    recorder.close()
+
+
+def test_the_mesh_file_is_drawn_and_a_broken_one_is_only_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    import trimesh
+
+    model = mesh()
+    trimesh.Trimesh(model.vertices_world, model.faces, vertex_colors=model.rgb).export(tmp_path / "mesh.ply")
+    recorder, _ = fly(tmp_path, duration_s=0.5)
+    recorder.close()
+    assert rows(tmp_path)[names.MESH] == 1
+    (tmp_path / "mesh.ply").write_bytes(b"no mesh at all")
+    recorder, _ = fly(tmp_path, duration_s=0.5)
+    recorder.close()
+    assert names.MESH not in rows(tmp_path)
+    assert "cannot be drawn" in caplog.text
+
+
+def test_without_a_viewer_the_flight_is_recorded_all_the_same(tmp_path: Path) -> None:
+    recorder, _ = fly(tmp_path, duration_s=1.0, live=True, find_viewer=lambda: None)
+    recorder.close()
+    assert rows(tmp_path)[names.SPEED] == 10
+
+
+def test_silent_channels_are_no_trouble(tmp_path: Path) -> None:
+    clock = ManualClock(5.0)
+    recorder = Recorder(tmp_path, channels(), clock, FENCE)
+    clock.advance_to(6.0)
+    recorder.step()
+    recorder.close()
+    assert check_recording(tmp_path).chunks > 0
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"flight\.rrd"):
+        Recorder(tmp_path / "missing", channels(), ManualClock(), FENCE)
+
+
+def test_an_inbox_hands_out_once_and_counts_what_it_missed() -> None:
+    wire = MemoryChannel(Setpoint)
+    inbox: Inbox[Setpoint] = Inbox(wire)
+    assert inbox.new() is None
+    for x in (1.0, 2.0, 3.0):
+        wire.publish(Setpoint.hold(np.array([x, 0, 0]), 0.0))
+    found = inbox.new()
+    assert found is not None and found.position_m[0] == 3.0
+    assert inbox.skipped == 2
+    assert inbox.new() is None
+
+
+def test_depth_survives_as_whole_millimetres() -> None:
+    taken = frame(0.0).frame
+    image = cv2.imdecode(np.frombuffer(depth_png(taken), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert image is not None and image.dtype == np.uint16
+    assert (image[:, :5] == 0).all() and (image[:, 5:] == 2000).all()

@@ -1,0 +1,61 @@
+"""Review says in one line what is wrong with a flight folder."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from uav_recon.recording import review as module
+from uav_recon.recording.blueprint import RECORDING, review_blueprint
+from uav_recon.recording.review import ReviewError, check_recording, recording_path, review
+from uav_recon.recording.viewer import Viewer, open_viewer, viewer_command
+
+
+def one_line(error: pytest.ExceptionInfo[ReviewError]) -> bool:
+    return "\n" not in str(error.value)
+
+
+def test_missing_things_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ReviewError, match="no such flight folder") as error:
+        review(tmp_path / "nowhere")
+    assert one_line(error)
+    with pytest.raises(ReviewError, match=r"holds no flight\.rrd"):
+        review(tmp_path)
+    (tmp_path / RECORDING).touch()
+    with pytest.raises(ReviewError, match="is empty"):
+        recording_path(tmp_path)
+
+
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
+    (tmp_path / RECORDING).write_bytes(b"this is not a recording at all")
+    with pytest.raises(ReviewError, match="not a recording") as error:
+        check_recording(tmp_path)
+    assert one_line(error)
+
+
+def test_a_viewer_that_fails_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / RECORDING).write_bytes(b"x")
+    script = "import sys; sys.stderr.write('first\\nno display\\n'); sys.exit(3)"
+    monkeypatch.setattr(module, "viewer_command", lambda *_: [sys.executable, "-c", script])
+    with pytest.raises(ReviewError, match="no display") as error:
+        review(tmp_path)
+    assert one_line(error)
+
+
+def test_the_viewer_never_listens_beyond_this_machine() -> None:
+    command = viewer_command("--port", "1")
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+    assert Viewer(9).address == "rerun+http://127.0.0.1:9/proxy"
+
+
+def test_a_viewer_that_ends_at_once_costs_the_live_view_only(caplog: pytest.LogCaptureFixture) -> None:
+    assert open_viewer(port=1, command=[sys.executable, "-c", "raise SystemExit(4)"]) is None
+    assert "ended at once with status 4" in caplog.text
+    assert open_viewer(port=1, command=["/nowhere/viewer"]) is None
+    assert "cannot be started" in caplog.text
+
+
+def test_the_blueprint_is_made() -> None:
+    assert review_blueprint() is not None

@@ -1,0 +1,169 @@
+"""From our values to what the viewer draws. Each function gives (entity, archetype) pairs and keeps nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from uav_recon.recording import blueprint as names
+from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
+from uav_recon.types.frames import ByteArray, FloatArray
+from uav_recon.types.maps import OCCUPIED, SurfaceElements, TriangleMesh, VoxelMap
+from uav_recon.types.pose import Pose
+from uav_recon.types.tasks import ViewPath, Viewpoint
+from uav_recon.types.trajectory import Trajectory
+
+Drawing = list[tuple[str, Any]]
+
+_JPEG_QUALITY = 75
+_MAX_POINTS = 20_000
+_IMAGE_PLANE_M = 0.25
+_GREEN, _ORANGE, _BLUE, _GREY = (22, 163, 74), (234, 115, 23), (37, 99, 235), (123, 135, 148)
+
+
+def scene(fence_world_m: FloatArray) -> Drawing:
+    """Axes and fence; logged once."""
+    import rerun as rr
+
+    lower, upper = fence_world_m
+    fence = rr.Boxes3D(centers=[(lower + upper) / 2], half_sizes=[(upper - lower) / 2], colors=[_GREY], radii=[0.005])
+    return [(names.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP), (names.FENCE, fence)]
+
+
+def body(world_from_body: Pose, radius_m: float = 0.2) -> Drawing:
+    """The vehicle as an arrow that looks where it looks."""
+    import rerun as rr
+
+    arrow = rr.Arrows3D(origins=[[0, 0, 0]], vectors=[[2 * radius_m, 0, 0]], colors=[_BLUE], radii=[0.03])
+    return [(names.BODY, _transform(world_from_body)), (names.BODY, arrow)]
+
+
+def trail(strip: int, points_world: FloatArray) -> Drawing:
+    """One strip of the flown path; the whole path is many strips, so that none is written again and again."""
+    import rerun as rr
+
+    return [(f"{names.TRAIL}/{strip:04d}", rr.LineStrips3D([points_world.astype(np.float32)], colors=[_BLUE], radii=[0.012]))]
+
+
+def frame(posed: PosedFrame) -> Drawing:
+    """Colour as JPEG and depth as a 16 bit PNG in millimetres, each under the pinhole of its own imager."""
+    import rerun as rr
+
+    now = posed.frame
+    world_from_rgb = posed.world_from_depth @ now.rgb_from_depth.inverse()
+    return [
+        (names.DEPTH, _transform(posed.world_from_depth)),
+        (names.DEPTH, _pinhole(now.depth_intrinsics, _IMAGE_PLANE_M)),
+        (f"{names.DEPTH}/image", rr.EncodedDepthImage(blob=depth_png(now), media_type="image/png")),
+        (names.RGB, _transform(world_from_rgb)),
+        (names.RGB, _pinhole(now.rgb_intrinsics, 2 * _IMAGE_PLANE_M)),
+        (f"{names.RGB}/image", rr.EncodedImage(contents=rgb_jpeg(now.rgb), media_type="image/jpeg")),
+    ]
+
+
+def depth_png(now: Frame) -> bytes:
+    """Depth in whole millimetres, 0 where there was no return or it does not fit in 16 bits."""
+    import cv2
+
+    millimetres = np.nan_to_num(now.depth_m, nan=0.0, posinf=0.0, neginf=0.0) * 1000.0
+    millimetres[(millimetres < 0) | (millimetres > 65535)] = 0.0
+    _, data = cv2.imencode(".png", np.round(millimetres).astype(np.uint16), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return bytes(data)
+
+
+def rgb_jpeg(rgb: ByteArray) -> bytes:
+    """Colour as JPEG."""
+    import cv2
+
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return bytes(data)
+
+
+def voxels(now: VoxelMap) -> Drawing:
+    """Occupied voxels as points, coloured by height; free and unknown space stays empty."""
+    import rerun as rr
+
+    index = _thinned(np.argwhere(now.state == OCCUPIED))
+    points = now.grid.centre(index).astype(np.float32)
+    height = index[:, 2] / max(now.grid.shape[2] - 1, 1)
+    return [(names.VOXELS, rr.Points3D(points, colors=_colours(height, "viridis"), radii=[0.45 * now.grid.resolution_m]))]
+
+
+def surface(now: SurfaceElements) -> Drawing:
+    """Surface elements, coloured by uncertainty from blue (sure) to red."""
+    import rerun as rr
+
+    pick = _thinned(np.arange(len(now.uncertainty)))
+    uncertainty = now.uncertainty[pick]
+    low, high = np.percentile(uncertainty, [2.0, 98.0]) if len(uncertainty) else (0.0, 1.0)
+    colours = _colours((uncertainty - low) / max(float(high - low), 1e-9), "turbo")
+    return [(names.SURFACE, rr.Points3D(now.position_world[pick].astype(np.float32), colors=colours, radii=[0.018]))]
+
+
+def plan(now: ViewPath) -> Drawing:
+    """The way to each view, and the views as arrows."""
+    import rerun as rr
+
+    strips = [np.asarray(way, dtype=np.float32) for way in now.waypoints_world if len(way) > 1]
+    origins = np.array([view.position_world for view in now.viewpoints]).reshape(-1, 3)
+    vectors = np.array([0.3 * _looking(view) for view in now.viewpoints]).reshape(-1, 3)
+    return [
+        (names.PLAN, rr.LineStrips3D(strips, colors=[_ORANGE], radii=[0.01])),
+        (f"{names.PLAN}/views", rr.Arrows3D(origins=origins, vectors=vectors, colors=[_ORANGE], radii=[0.012])),
+    ]
+
+
+def trajectory(now: Trajectory | None) -> Drawing:
+    """The motion being proposed."""
+    import rerun as rr
+
+    strips = [] if now is None or len(now.position_m) < 2 else [now.position_m[::3].astype(np.float32)]
+    return [(names.TRAJECTORY, rr.LineStrips3D(strips, colors=[_GREEN], radii=[0.008]))]
+
+
+def mesh(now: TriangleMesh) -> Drawing:
+    """The finished model."""
+    import rerun as rr
+
+    drawn = rr.Mesh3D(
+        vertex_positions=now.vertices_world.astype(np.float32),
+        triangle_indices=now.faces.astype(np.uint32),
+        vertex_colors=now.rgb,
+    )
+    return [(names.MESH, drawn)]
+
+
+def _transform(target_from_source: Pose) -> Any:
+    import rerun as rr
+
+    w, x, y, z = target_from_source.quat_wxyz
+    return rr.Transform3D(translation=target_from_source.translation_m, quaternion=rr.Quaternion(xyzw=[x, y, z, w]))
+
+
+def _pinhole(camera: Intrinsics, image_plane_m: float) -> Any:
+    import rerun as rr
+
+    return rr.Pinhole(
+        focal_length=[camera.fx, camera.fy],
+        principal_point=[camera.cx + 0.5, camera.cy + 0.5],  # there, pixel (0, 0) begins at its corner
+        resolution=[camera.width, camera.height],
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=image_plane_m,
+    )
+
+
+def _looking(view: Viewpoint) -> FloatArray:
+    level = np.cos(view.pitch_down_rad)
+    return np.array([level * np.cos(view.yaw_rad), level * np.sin(view.yaw_rad), -np.sin(view.pitch_down_rad)])
+
+
+def _thinned(rows: Any) -> Any:
+    """At most so many rows, evenly picked."""
+    return rows[:: -(-len(rows) // _MAX_POINTS)] if len(rows) > _MAX_POINTS else rows
+
+
+def _colours(share: FloatArray, colour_map: str) -> ByteArray:
+    import matplotlib
+
+    return np.asarray(matplotlib.colormaps[colour_map](np.clip(share, 0.0, 1.0))[:, :3] * 255.0, dtype=np.uint8)

@@ -1,0 +1,263 @@
+"""Writes flight.rrd: reads last-value channels and logs what is new. It never touches flight code.
+
+In real time it lives in its own process, in lockstep its step() is called inline. What comes faster than it is read is
+skipped and counted. Nothing is kept but the end of the trail, so its memory is bounded whatever the flight's length.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from uav_recon.clock import RateKeeper
+from uav_recon.protocols import Channel, Clock
+from uav_recon.recording import blueprint as names
+from uav_recon.recording import drawing
+from uav_recon.recording.viewer import Viewer, open_viewer
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import SurfaceElements, TriangleMesh, VoxelMap
+from uav_recon.types.pose import StampedPose
+from uav_recon.types.tasks import ViewPath
+from uav_recon.types.trajectory import Intent
+from uav_recon.types.vehicle import MissionProgress, VehicleState
+
+T = TypeVar("T")
+
+_LOG = logging.getLogger(__name__)
+_FRAME_RATE_HZ = 2.0
+_MAP_RATE_HZ = 0.5
+_FLUSH_RATE_HZ = 2.0
+_FLUSH_TIMEOUT_S = 1.0
+_TRAIL_STEP_M = 0.05
+_TRAIL_STRIP_POINTS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderChannels:
+    """Everything a recorder listens to."""
+
+    odom: Channel[StampedPose]
+    frames: Channel[PosedFrame]
+    vehicle: Channel[VehicleState]
+    intent: Channel[Intent]
+    progress: Channel[MissionProgress]
+    voxels: Channel[VoxelMap]
+    surface: Channel[SurfaceElements]
+    plan: Channel[ViewPath]
+
+
+class Inbox(Generic[T]):
+    """Hands out each value of a channel once. skipped: values that were replaced before anybody looked."""
+
+    def __init__(self, channel: Channel[T]) -> None:
+        self._channel, self._read, self.skipped = channel, 0, 0
+
+    def new(self) -> T | None:
+        """The newest value if it was not handed out yet."""
+        sequence = self._channel.sequence()
+        if sequence == self._read:
+            return None
+        value = self._channel.latest()
+        if value is None:
+            return None
+        self.skipped += max(0, sequence - self._read - 1)
+        self._read = sequence
+        return value
+
+
+class Recorder:
+    """One flight into ``folder``/flight.rrd, and into a viewer if ``live`` and one can be opened.
+
+    fence_world_m: (2, 3), lower and upper corner. The timeline counts seconds from construction.
+    Raises OSError if the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        channels: RecorderChannels,
+        clock: Clock,
+        fence_world_m: FloatArray,
+        live: bool = False,
+        find_viewer: Callable[[], Viewer | None] = open_viewer,
+    ) -> None:
+        import rerun as rr
+
+        self._folder, self._clock, self._start_s = folder, clock, clock.now_s()
+        self._odom, self._frames, self._vehicle = Inbox(channels.odom), Inbox(channels.frames), Inbox(channels.vehicle)
+        self._intent, self._progress, self._plan = Inbox(channels.intent), Inbox(channels.progress), Inbox(channels.plan)
+        self._voxels, self._surface = Inbox(channels.voxels), Inbox(channels.surface)
+        self._frames_due = RateKeeper(_FRAME_RATE_HZ, self._start_s)
+        self._maps_due = RateKeeper(_MAP_RATE_HZ, self._start_s)
+        self._flush_due = RateKeeper(_FLUSH_RATE_HZ, self._start_s)
+        self._trail: list[FloatArray] = []
+        self._trail_strip = 0
+        self._map: VoxelMap | None = None
+        self._trajectory_id = -1
+        self._said: dict[str, str] = {}
+
+        path = folder / names.RECORDING
+        path.open("wb").close()  # a folder that cannot be written is found out here, by its name
+        self._file = rr.RecordingStream(names.APPLICATION)
+        self._file.save(path)
+        self._viewer = find_viewer() if live else None
+        self._live = None if self._viewer is None else rr.RecordingStream(names.APPLICATION)
+        if self._viewer is not None and self._live is not None:
+            self._live.connect_grpc(self._viewer.address)
+        for stream in self._streams():
+            stream.send_blueprint(names.review_blueprint())
+        self._draw(drawing.scene(np.asarray(fence_world_m, dtype=np.float64)), static=True)
+
+    def step(self) -> None:
+        """Log what is new since the last step; call it at any rate, ten times a second or so."""
+        now_s = self._clock.now_s()
+        self._set_time(now_s)
+        self._log_odom()
+        self._log_vehicle()
+        self._log_mission()
+        if self._frames_due.due(now_s) and (frame := self._frames.new()) is not None:
+            self._draw(drawing.frame(frame))
+        if self._maps_due.due(now_s):
+            self._log_maps()
+        if self._flush_due.due(now_s):
+            self._flush()
+
+    def skipped(self) -> dict[str, int]:
+        """How many values of each channel were replaced before they were read."""
+        return {
+            name: inbox.skipped
+            for name, inbox in (
+                ("odom", self._odom), ("frames", self._frames), ("vehicle", self._vehicle), ("intent", self._intent),
+                ("progress", self._progress), ("voxels", self._voxels), ("surface", self._surface), ("plan", self._plan),
+            )
+        }  # fmt: skip
+
+    def close(self, mesh: TriangleMesh | None = None) -> None:
+        """Log the last state of everything and the finished model (``mesh``, else ``folder``/mesh.ply), and end the file."""
+        self._set_time(self._clock.now_s())
+        self._log_odom()
+        self._log_vehicle()
+        self._log_mission()
+        self._log_maps()
+        mesh = mesh or _read_mesh(self._folder / "mesh.ply")
+        if mesh is not None:
+            self._draw(drawing.mesh(mesh))
+        for stream in self._streams():
+            stream.disconnect()
+
+    def _log_odom(self) -> None:
+        odom = self._odom.new()
+        if odom is None:
+            return
+        self._draw(drawing.body(odom.odom_from_body))
+        self._plot(names.SPEED, float(np.linalg.norm(odom.velocity_odom_mps)))
+        position = odom.odom_from_body.translation_m
+        if self._map is not None and (distance_m := _distance_m(self._map, position)) is not None:
+            self._plot(names.CLEARANCE, distance_m)
+        if not self._trail or float(np.linalg.norm(position - self._trail[-1])) >= _TRAIL_STEP_M:
+            self._trail.append(position)
+            self._draw(drawing.trail(self._trail_strip, np.array(self._trail)))
+        if len(self._trail) >= _TRAIL_STRIP_POINTS:
+            self._trail, self._trail_strip = self._trail[-1:], self._trail_strip + 1
+
+    def _log_vehicle(self) -> None:
+        vehicle = self._vehicle.new()
+        if vehicle is None:
+            return
+        armed = "armed" if vehicle.armed else "disarmed"
+        self._say("pilot", f"{vehicle.phase.value}, {vehicle.mode}, {armed}")
+        self._say("pilot note", vehicle.note)
+
+    def _log_mission(self) -> None:
+        progress = self._progress.new()
+        if progress is not None:
+            self._plot(names.EXPLORED, progress.explored_m3)
+            self._plot(names.VIEWS, float(progress.views))
+            self._plot(names.FRONTIERS, float(progress.frontiers))
+            self._say("mission", f"{progress.phase} {progress.mode}".strip())
+            self._say("mission note", progress.note)
+        plan = self._plan.new()
+        if plan is not None:
+            self._draw(drawing.plan(plan))
+            self._plot(names.PLANNING, 1e3 * plan.step_s)
+            self._plot(names.PLANNING_TASKS, 1e3 * plan.task_s)
+        intent = self._intent.new()
+        if intent is not None:
+            identifier = -1 if intent.trajectory is None else intent.trajectory.identifier
+            if identifier != self._trajectory_id:  # the intent is renewed at every step, its trajectory seldom
+                self._trajectory_id = identifier
+                self._draw(drawing.trajectory(intent.trajectory))
+            self._say("intent", intent.goal.value)
+
+    def _log_maps(self) -> None:
+        voxels = self._voxels.new()
+        if voxels is not None:
+            self._map = voxels
+            self._draw(drawing.voxels(voxels))
+        surface = self._surface.new()
+        if surface is not None:
+            self._draw(drawing.surface(surface))
+
+    def _say(self, who: str, text: str) -> None:
+        """Add a line to the log when what somebody says has changed."""
+        if text and self._said.get(who) != text:
+            import rerun as rr
+
+            self._draw([(f"{names.LOG}/{who.replace(' ', '_')}", rr.TextLog(f"{who}: {text}"))])
+        self._said[who] = text
+
+    def _plot(self, entity: str, value: float) -> None:
+        if np.isfinite(value):
+            import rerun as rr
+
+            self._draw([(entity, rr.Scalars(value))])
+
+    def _draw(self, drawn: drawing.Drawing, static: bool = False) -> None:
+        for stream in self._streams():
+            for entity, archetype in drawn:
+                stream.log(entity, archetype, static=static)
+
+    def _set_time(self, now_s: float) -> None:
+        for stream in self._streams():
+            stream.set_time(names.TIMELINE, duration=now_s - self._start_s)
+
+    def _flush(self) -> None:
+        """To disk, so that a killed recorder loses half a second; a viewer that was closed is let go."""
+        try:
+            self._file.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+        except RuntimeError as error:
+            _LOG.warning("%s: %s", self._folder / names.RECORDING, error)
+        if self._viewer is not None and not self._viewer.alive():
+            _LOG.warning("the live view was closed; the recording goes on")
+            self._viewer = self._live = None
+
+    def _streams(self) -> list[Any]:
+        return [self._file] if self._live is None else [self._file, self._live]
+
+
+def _distance_m(voxels: VoxelMap, position_world: FloatArray) -> float | None:
+    """The map's distance to what is not known free, None outside the map."""
+    index = voxels.grid.index(position_world)
+    return float(voxels.distance_m[tuple(index)]) if bool(voxels.grid.contains(index)) else None
+
+
+def _read_mesh(path: Path) -> TriangleMesh | None:
+    """mesh.ply as a value; None if there is none, with a logged line if it cannot be read."""
+    if not path.exists():
+        return None
+    import trimesh
+
+    try:
+        loaded = trimesh.load(path, process=False, force="mesh")
+        vertices = np.asarray(loaded.vertices, dtype=np.float64)
+        rgb = np.asarray(loaded.visual.vertex_colors, dtype=np.uint8)[:, :3]
+        return TriangleMesh(vertices, np.asarray(loaded.faces, dtype=np.int64), rgb, np.zeros(len(vertices), np.float32))
+    except (ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
+        _LOG.warning("%s cannot be drawn: %s", path, error)
+        return None
