@@ -93,6 +93,16 @@ def test_beyond_the_range_is_free_up_to_it_and_marks_nothing() -> None:
     assert not (state == OCCUPIED).any()
 
 
+def test_a_far_wall_leaves_what_its_noise_could_reach_unknown() -> None:
+    room, sharp = voxels(), Voxels(GRID, DepthSensor(0.3, 0.001, 0.05), 5.0, (-2, -3, 0), (6, 3, 3), 1.1)
+    for _ in range(8):
+        for one in (room, sharp):
+            one.integrate(posed(np.full((120, 212), 4.02, dtype=np.float32), looking(0.0, 0.05, 1.45)))
+    assert sharp.snapshot().state[58, 30, 14] == FREE  # 0.17 m in front of the wall, noise of 2 mm ...
+    assert room.snapshot().state[58, 30, 14] == UNKNOWN  # ... and of 116 mm
+    assert room.snapshot().state[55, 30, 14] == FREE
+
+
 def test_outside_the_fence_nothing_is_free_but_may_be_occupied() -> None:
     room = voxels(fence_max=(1.5, 3, 3))
     for _ in range(4):

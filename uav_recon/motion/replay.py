@@ -12,6 +12,7 @@ from uav_recon.types.trajectory import Trajectory
 
 STEP_S = 0.02
 BRAKE_RISE_S = 0.15  # in which a brake comes on
+HARDEST_SLEW = 50.0  # 1/s², of tau'': even a crawl takes some ten samples to stop
 
 Pace = tuple[FloatArray, FloatArray, FloatArray]  # (N,) each: old time played, its rate, and that one's rate
 
@@ -36,7 +37,7 @@ def _slow_down(old: AnyArray, first_s: float, acceleration: float, spin: float, 
         speed, turning = max(speed, 0.01), max(turning, 0.01)
         held = np.sqrt(max(acceleration**2 - (across * rate * rate) ** 2, 0.0))
         bound = max(-(held + along * rate * rate) / speed, -(spin + spinning * rate * rate) / turning)
-        slew = min(acceleration / speed, spin / turning) / BRAKE_RISE_S
+        slew = min(acceleration / speed / BRAKE_RISE_S, spin / turning / BRAKE_RISE_S, HARDEST_SLEW)
         wanted = max(min(bound, 0.0), -np.sqrt(2.0 * slew * rate))
         change = max(wanted, change - slew * STEP_S)
         slower = rate + change * STEP_S
