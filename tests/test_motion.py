@@ -56,7 +56,7 @@ def assert_within_limits(trajectory: Trajectory, rise_s: float = CONFIG.smoothin
     assert by_difference.max() <= CONFIG.acceleration_mps2 * 1.05
     assert np.abs(trajectory.yaw_rate_radps).max() <= RATE * 1.001
     assert spin.max() <= SPIN * 1.05
-    assert jerk[:-2].max(initial=0.0) <= 2.5 * CONFIG.acceleration_mps2 / rise_s  # from full ahead to full astern within one box
+    assert jerk[:-2].max(initial=0.0) <= 2.5 * CONFIG.acceleration_mps2 / rise_s  # full ahead to full astern
     moved = np.diff(trajectory.position_m, axis=0) / trajectory.step_s
     np.testing.assert_allclose(moved, (trajectory.velocity_mps[1:] + trajectory.velocity_mps[:-1]) / 2, atol=0.02)
 
