@@ -48,6 +48,13 @@ def test_a_perfect_model_has_no_error_but_the_point_figures_keep_their_floor() -
     assert quality.completion_point_cm == pytest.approx(quality.point_floor_cm, rel=0.05)
 
 
+def test_the_floor_of_one_set_of_points_agrees_with_that_of_two() -> None:
+    twice = truth_of(plane())
+    once = Truth(twice.surface, twice.points_world)
+    floors = [measure(plane(), truth, None, samples=COUNT).point_floor_cm for truth in (once, twice)]
+    assert floors[0] == pytest.approx(floors[1], rel=0.05)
+
+
 def test_a_shifted_plane_is_off_by_its_shift() -> None:
     quality = measure(plane(0.03), truth_of(plane()), psnr=None, samples=COUNT)
     assert quality.accuracy_cm == pytest.approx(3.0)

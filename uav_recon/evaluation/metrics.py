@@ -24,12 +24,13 @@ class Truth:
     """What a model is held against, in world; frozen once per scene and mount, never cut by what a flight saw.
 
     surface: the triangles a model may lie on. points (N, 3): drawn on the part that can be seen, area-weighted.
-    points_again (M, 3): the same part drawn a second time, for the floor of the point-to-point figures.
+    points_again (M, 3): the same part drawn a second time, for the floor of the point-to-point figures; without it the
+    floor is taken between two halves of the points and scaled to their whole density.
     """
 
     surface: Surface
     points_world: FloatArray
-    points_again_world: FloatArray
+    points_again_world: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,7 @@ def measure(model: Surface, truth: Truth, psnr: float | None, seed: int = 0, sam
         psnr_db=psnr,
         accuracy_point_cm=_mean_cm(point_distance_m(model_points, truth.points_world)),
         completion_point_cm=_mean_cm(point_distance_m(truth.points_world, model_points)),
-        point_floor_cm=_mean_cm(point_distance_m(truth.points_again_world, truth.points_world)),
+        point_floor_cm=_point_floor_cm(truth, seed),
     )
 
 
@@ -145,6 +146,16 @@ def explored_fraction(known_free: BoolArray, truth_free_seen: BoolArray) -> floa
         raise ValueError(f"known free {known_free.shape} and truth {truth_free_seen.shape} are on different grids")
     total = int(np.count_nonzero(truth_free_seen))
     return float(np.count_nonzero(known_free & truth_free_seen) / total) if total else None
+
+
+def _point_floor_cm(truth: Truth, seed: int) -> float | None:
+    """Truth against itself. The mean distance to the nearest of n points per area goes with 1 / sqrt(n) on a surface."""
+    if truth.points_again_world is not None:
+        return _mean_cm(point_distance_m(truth.points_again_world, truth.points_world))
+    order = np.random.default_rng(seed).permutation(len(truth.points_world))
+    half = len(order) // 2
+    floor_cm = _mean_cm(point_distance_m(truth.points_world[order[:half]], truth.points_world[order[half:]]))
+    return None if floor_cm is None else floor_cm / float(np.sqrt(2.0))
 
 
 def _mean_cm(distance_m: FloatArray) -> float | None:

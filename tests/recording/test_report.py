@@ -1,0 +1,133 @@
+"""report.json is strict and stable; report.html stands alone."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_recon.evaluation.metrics import Quality, StreamStatistics, median_p95
+from uav_recon.recording.report import Report, ReportError, ReportQuality, ReportStream, Spread, save_report
+from uav_recon.recording.report_page import Picture, verdict, write_report
+
+PIXEL = bytes.fromhex(
+    "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c4890000000d49444154789c63f8cfc0f01f0005000"
+    "1ff89993d1d0000000049454e44ae426082"
+)
+
+
+def tree() -> dict[str, Any]:
+    times = {"task_s": {"median": 0.03, "p95": 0.05}, "step_s": {"median": 0.07, "p95": 0.11}}
+    return {
+        "scene": "built-in room", "variant": "adaptive", "seed": 1, "autopilot": "px4", "mount": "fixed:15",
+        "depth_noise": "d435i", "outcome": "completed", "stop_reason": "14 frontiers left: 9 too narrow, 5 outside the fence",
+        "views": 60, "path_length_m": 38.25, "flight_time_s": 161.5, "wall_time_s": 120.0, "explored_fraction": 0.973,
+        "quality": {
+            "accuracy_cm": 1.21, "completion_cm": 1.43, "recall_5cm": 0.962, "recall_2cm": 0.871, "f_score_2cm": 0.88,
+            "psnr_db": 22.4, "accuracy_point_cm": 1.9, "completion_point_cm": 2.0, "point_floor_cm": 1.34,
+        },
+        "planning": {"explore": times, "merged": copy.deepcopy(times), "total_s": 2.4, "hover_wait_s": 0.3},
+        "stream": {"rate_hz": 29.97, "gap_p99_ms": 38.0, "gap_max_ms": 70.0},
+        "safety": {"min_clearance_m": 0.184, "fence_overshoot_m": 0.0, "contacts": 0, "refusals": 0, "failsafes": 0},
+    }  # fmt: skip
+
+
+def without(path: str) -> dict[str, Any]:
+    changed = copy.deepcopy(tree())
+    *way, last = path.split(".")
+    place = changed
+    for key in way:
+        place = place[key]
+    del place[last]
+    return changed
+
+
+def refuse(name: str) -> Any:
+    raise AssertionError(f"{name} is not JSON")
+
+
+def test_the_agreed_report_comes_back_unchanged(tmp_path: Path) -> None:
+    path = save_report(Report.from_tree(tree()), tmp_path)
+    assert json.loads(path.read_text(), parse_constant=refuse) == tree()
+    assert list(json.loads(path.read_text())) == list(tree())
+    assert Report.load(path) == Report.from_tree(tree())
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.json"]
+
+
+@pytest.mark.parametrize("key", ["scene", "quality.psnr_db", "planning.merged.step_s.p95", "safety.contacts", "stream"])
+def test_a_missing_key_is_named(key: str) -> None:
+    with pytest.raises(ReportError, match=f"{key}: missing"):
+        Report.from_tree(without(key))
+
+
+def test_an_unknown_or_mistyped_key_is_named() -> None:
+    with pytest.raises(ReportError, match=r"safety\.bumps: unknown key"):
+        Report.from_tree(tree() | {"safety": tree()["safety"] | {"bumps": 1}})
+    with pytest.raises(ReportError, match="views: must be int, got 'many'"):
+        Report.from_tree(tree() | {"views": "many"})
+    with pytest.raises(ReportError, match="views: must be int, got True"):
+        Report.from_tree(tree() | {"views": True})
+    with pytest.raises(ReportError, match="planning: must be a table"):
+        Report.from_tree(tree() | {"planning": None})
+
+
+def test_a_file_that_is_no_report_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ReportError, match="cannot be read"):
+        Report.load(tmp_path / "report.json")
+    (tmp_path / "report.json").write_text("{")
+    with pytest.raises(ReportError, match="not JSON"):
+        Report.load(tmp_path / "report.json")
+
+
+def test_numbers_that_are_none_become_null() -> None:
+    report = Report.from_tree(tree())
+    spoilt = dataclasses.replace(report, explored_fraction=float("nan"), path_length_m=np.float64("inf"))
+    back = json.loads(spoilt.to_json(), parse_constant=refuse)
+    assert back["explored_fraction"] is None and back["path_length_m"] is None
+
+
+def test_evaluation_and_report_speak_the_same_names() -> None:
+    assert [f.name for f in dataclasses.fields(Quality)] == [f.name for f in dataclasses.fields(ReportQuality)]
+    assert [f.name for f in dataclasses.fields(StreamStatistics)] == [f.name for f in dataclasses.fields(ReportStream)]
+    assert list(median_p95([1.0])) == [f.name for f in dataclasses.fields(Spread)]
+
+
+def test_the_page_stands_alone(tmp_path: Path) -> None:
+    (tmp_path / "mesh.png").write_bytes(PIXEL)
+    pictures = [Picture(tmp_path / "mesh.png", "The <model>"), Picture(tmp_path / "missing.png", "not there")]
+    _, page = write_report(tmp_path, Report.from_tree(tree()), pictures, ["a note & more"])
+    text = page.read_text()
+    assert "data:image/png;base64," in text and "not there" not in text
+    assert "The &lt;model&gt;" in text and "a note &amp; more" in text
+    assert "http" not in text  # nothing from a network
+    for figure in ("Completed without contact", "14 frontiers left", "97.3 %", "1.21 cm", "0.18 m", "22.4 dB", "2:42", "70 ms"):
+        assert figure in text, figure
+
+
+def test_a_flight_without_truth_says_so(tmp_path: Path) -> None:
+    safety = tree()["safety"] | {"min_clearance_m": None, "fence_overshoot_m": None, "contacts": None}
+    real = tree() | {"quality": None, "explored_fraction": None, "seed": None, "depth_noise": None, "safety": safety}
+    _, page = write_report(tmp_path, Report.from_tree(real))
+    text = page.read_text()
+    assert "no truth to be held against" in text
+    assert "Accuracy" not in text and "None" not in text and "nan" not in text
+
+
+@pytest.mark.parametrize(
+    ("outcome", "contacts", "failsafes", "headline", "mood"),
+    [
+        ("completed", 0, 0, "Completed without contact", "good"),
+        ("completed", None, 0, "Completed", "good"),
+        ("completed", 1, 0, "Completed, but with 1 contact", "bad"),
+        ("completed", 0, 2, "Completed, with 2 failsafes", "fair"),
+        ("aborted: pose lost", 0, 0, "Aborted: pose lost", "bad"),
+    ],
+)
+def test_verdict(outcome: str, contacts: int | None, failsafes: int, headline: str, mood: str) -> None:
+    safety = tree()["safety"] | {"contacts": contacts, "failsafes": failsafes}
+    assert verdict(Report.from_tree(tree() | {"outcome": outcome, "safety": safety})) == (headline, mood)

@@ -1,0 +1,38 @@
+"""The final voxel map of a flight: voxels.npz in its folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from uav_recon.types.maps import GridSpec, VoxelMap
+
+VOXELS = "voxels.npz"
+
+
+def save_map(folder: Path, voxels: VoxelMap) -> None:
+    """Write the map; atomic."""
+    temporary = folder / f".new-{VOXELS}"
+    grid = voxels.grid
+    np.savez_compressed(
+        temporary,
+        origin_world_m=grid.origin_world_m,
+        resolution_m=grid.resolution_m,
+        state=voxels.state,
+        distance_m=voxels.distance_m,
+        revision=voxels.revision,
+        map_epoch=voxels.map_epoch,
+    )
+    temporary.replace(folder / VOXELS)
+
+
+def load_map(folder: Path) -> VoxelMap | None:
+    """Read it back; None if the flight left none."""
+    path = folder / VOXELS
+    if not path.exists():
+        return None
+    with np.load(path) as data:
+        state = data["state"]
+        grid = GridSpec(data["origin_world_m"], float(data["resolution_m"]), (state.shape[0], state.shape[1], state.shape[2]))
+        return VoxelMap(grid, state, data["distance_m"], int(data["revision"]), int(data["map_epoch"]))

@@ -1,0 +1,180 @@
+"""report.json: the typed account of a flight. Its names are stable: others read it.
+
+A number that was not or could not be measured is null: on a real flight there is no truth, so quality, clearance and
+contacts are null, never zero.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import types
+import typing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+T = TypeVar("T")
+
+REPORT = "report.json"
+
+
+class ReportError(Exception):
+    """A report that does not have the agreed shape; its text is one line naming the key."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportQuality:
+    """Against truth: cm, shares of 1, dB. See evaluation.metrics."""
+
+    accuracy_cm: float | None
+    completion_cm: float | None
+    recall_5cm: float | None
+    recall_2cm: float | None
+    f_score_2cm: float | None
+    psnr_db: float | None
+    accuracy_point_cm: float | None
+    completion_point_cm: float | None
+    point_floor_cm: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Median and 95th percentile of something, in its unit."""
+
+    median: float | None
+    p95: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ModeTimes:
+    """Compute time per plan of one mode: making tasks, and the whole step."""
+
+    task_s: Spread
+    step_s: Spread
+
+
+@dataclass(frozen=True, slots=True)
+class ReportPlanning:
+    """Planning by mode, its sum, and how long the vehicle stood waiting for a plan."""
+
+    explore: ModeTimes
+    merged: ModeTimes
+    total_s: float
+    hover_wait_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ReportStream:
+    """Setpoints as they arrived at the autopilot."""
+
+    rate_hz: float | None
+    gap_p99_ms: float | None
+    gap_max_ms: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ReportSafety:
+    """Clearance and contacts of the hull by the simulator's truth (null without one), and what was turned down."""
+
+    min_clearance_m: float | None
+    fence_overshoot_m: float | None
+    contacts: int | None
+    refusals: int
+    failsafes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One flight. outcome: "completed" or "aborted: reason"; stop_reason in words with counts."""
+
+    scene: str
+    variant: str
+    seed: int | None
+    autopilot: str
+    mount: str
+    depth_noise: str | None
+    outcome: str
+    stop_reason: str
+    views: int
+    path_length_m: float
+    flight_time_s: float
+    wall_time_s: float
+    explored_fraction: float | None
+    quality: ReportQuality | None
+    planning: ReportPlanning
+    stream: ReportStream
+    safety: ReportSafety
+
+    @property
+    def completed(self) -> bool:
+        """Whether the mission came to its own end."""
+        return self.outcome == "completed"
+
+    def to_json(self) -> str:
+        """Strict JSON, in the order above; numbers that are not finite become null."""
+        return json.dumps(_strict(dataclasses.asdict(self)), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+    @staticmethod
+    def from_tree(tree: dict[str, Any]) -> Report:
+        """Check and type a parsed report. Raises ReportError naming the first missing, unknown or mistyped key."""
+        return _typed(tree, Report, "")
+
+    @staticmethod
+    def load(path: Path) -> Report:
+        """Read a report.json. Raises ReportError."""
+        try:
+            return Report.from_tree(json.loads(path.read_text(encoding="utf-8")))
+        except OSError as error:
+            raise ReportError(f"{path}: cannot be read ({error.strerror})") from None
+        except ValueError as error:
+            raise ReportError(f"{path}: not JSON: {error}") from None
+
+
+def save_report(report: Report, folder: Path) -> Path:
+    """Write ``folder``/report.json whole or not at all; gives its path."""
+    path = folder / REPORT
+    temporary = folder / (REPORT + ".new")
+    temporary.write_text(report.to_json(), encoding="utf-8")
+    temporary.replace(path)
+    return path
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _strict(item) for key, item in value.items()}
+    if hasattr(value, "item"):  # a numpy number
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _typed(tree: Any, kind: type[T], where: str) -> T:
+    """Build a dataclass from a parsed tree, strictly."""
+    if not isinstance(tree, dict):
+        raise ReportError(f"report: {where or 'top level'}: must be a table, got {tree!r}")
+    hints = typing.get_type_hints(kind)
+    prefix = f"{where}." if where else ""
+    for key in tree:
+        if key not in hints:
+            raise ReportError(f"report: {prefix}{key}: unknown key")
+    values = {}
+    for key, hint in hints.items():
+        if key not in tree:
+            raise ReportError(f"report: {prefix}{key}: missing")
+        values[key] = _value(tree[key], hint, prefix + key)
+    return kind(**values)
+
+
+def _value(value: Any, hint: Any, where: str) -> Any:
+    if typing.get_origin(hint) in (types.UnionType, typing.Union):
+        if value is None:
+            return None
+        (hint,) = [inner for inner in typing.get_args(hint) if inner is not type(None)]
+    if dataclasses.is_dataclass(hint):
+        return _typed(value, cast("type[Any]", hint), where)
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, hint) or isinstance(value, bool):
+        raise ReportError(f"report: {where}: must be {hint.__name__}, got {value!r}")
+    return value

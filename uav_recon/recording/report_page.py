@@ -1,0 +1,218 @@
+"""report.html: one page that needs nothing else, neither files nor network, and reads well on a phone."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from uav_recon.recording.report import ModeTimes, Report, Spread, save_report
+from uav_recon.recording.report_style import CSS
+
+PAGE = "report.html"
+
+MEASURED = (
+    "Accuracy and completion are point to surface: 300,000 points of one side, evenly over the area, each to the nearest"
+    " triangle of the other. Recall is the share of truth points with model surface within the distance. Truth is what the"
+    " camera can see from 600 poses that the vehicle can reach, drawn once per scene and mount by a fixed seed; it never"
+    " depends on what this flight saw. The explored share is over the space seen from the same poses. PSNR is over 100"
+    " held-out views from such poses, pixels without model black. Point-to-point figures are those of the literature;"
+    " their floor is truth drawn twice against itself. Clearance and contacts are measured from the hull by the"
+    " simulator's truth."
+)
+NOT_MEASURED = "This flight has no truth to be held against, so its quality, clearance and contacts were not measured."
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A PNG of the flight folder and what it shows."""
+
+    path: Path
+    caption: str
+
+
+def write_report(
+    folder: Path, report: Report, pictures: Sequence[Picture] = (), notes: Sequence[str] = ()
+) -> tuple[Path, Path]:
+    """Write report.json and report.html; gives both paths. A picture that is not there is left out.
+
+    notes: further sentences for the reader, such as what could not be measured and why.
+    """
+    json_path = save_report(report, folder)
+    page = folder / PAGE
+    page.write_text(render_page(report, pictures, notes), encoding="utf-8")
+    return json_path, page
+
+
+def verdict(report: Report) -> tuple[str, str]:
+    """The headline, and how it is coloured: good, fair or bad."""
+    if not report.completed:
+        return report.outcome[:1].upper() + report.outcome[1:], "bad"
+    if report.safety.contacts:
+        return f"Completed, but with {_count(report.safety.contacts, 'contact')}", "bad"
+    if report.safety.failsafes:
+        return f"Completed, with {_count(report.safety.failsafes, 'failsafe')}", "fair"
+    return "Completed" + (" without contact" if report.safety.contacts == 0 else ""), "good"
+
+
+def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str]) -> str:
+    """The whole page as HTML."""
+    headline, mood = verdict(report)
+    shown = [picture for picture in pictures if picture.path.is_file()]
+    sections = [
+        _header(report, headline, mood),
+        _tiles(report),
+        _figures(shown[:1], "hero"),
+        _figures(shown[1:], "pictures"),
+        '<div class="tables">',
+        _quality(report),
+        _safety(report),
+        _planning(report),
+        _flight(report),
+        "</div>",
+        _notes([MEASURED if report.quality is not None else NOT_MEASURED, *notes]),
+    ]
+    title = html.escape(f"{report.scene}: {headline}")
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{title}</title><style>{CSS}</style></head><body><main>{''.join(sections)}</main></body></html>\n"
+    )
+
+
+def _header(report: Report, headline: str, mood: str) -> str:
+    labels = [report.scene, report.variant, report.autopilot, f"mount {report.mount}"]
+    labels += [] if report.depth_noise is None else [f"{report.depth_noise} depth noise"]
+    labels += [] if report.seed is None else [f"seed {report.seed}"]
+    chips = "".join(f"<span>{html.escape(label)}</span>" for label in labels)
+    return (
+        f'<header class="{mood}"><h1>{html.escape(headline)}</h1>'
+        f'<p class="stop">{html.escape(report.stop_reason)}</p><p class="chips">{chips}</p></header>'
+    )
+
+
+def _tiles(report: Report) -> str:
+    quality, safety = report.quality, report.safety
+    minutes, seconds = divmod(round(report.flight_time_s), 60)
+    tiles = [
+        ("explored", _percent(report.explored_fraction), "of the space that can be seen"),
+        ("views", str(report.views), "given to the model"),
+        ("flight", f"{minutes}:{seconds:02d}", f"minutes, {report.path_length_m:.1f} m of path"),
+        ("clearance", _number(safety.min_clearance_m, 2, " m"), "smallest, hull to anything"),
+    ]
+    if quality is not None:
+        tiles += [
+            ("recall", _percent(quality.recall_5cm), "of the surface within 5 cm"),
+            ("accuracy", _number(quality.accuracy_cm, 2, " cm"), "model to truth"),
+            ("completion", _number(quality.completion_cm, 2, " cm"), "truth to model"),
+            ("picture", _number(quality.psnr_db, 1, " dB"), "PSNR of unseen views"),
+        ]
+    cells = "".join(f"<div><h3>{name}</h3><b>{value}</b><p>{what}</p></div>" for name, value, what in tiles)
+    return f'<section class="tiles">{cells}</section>'
+
+
+def _figures(pictures: Sequence[Picture], kind: str) -> str:
+    if not pictures:
+        return ""
+    parts = []
+    for picture in pictures:
+        data = base64.b64encode(picture.path.read_bytes()).decode("ascii")
+        caption = html.escape(picture.caption)
+        parts.append(
+            f'<figure><img src="data:image/png;base64,{data}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
+        )
+    return f'<section class="{kind}">{"".join(parts)}</section>'
+
+
+def _quality(report: Report) -> str:
+    quality = report.quality
+    if quality is None:
+        return ""
+    return _table(
+        "Quality",
+        [
+            ("Accuracy, point to surface", _number(quality.accuracy_cm, 2, " cm")),
+            ("Completion, point to surface", _number(quality.completion_cm, 2, " cm")),
+            ("Recall within 5 cm", _percent(quality.recall_5cm)),
+            ("Recall within 2 cm", _percent(quality.recall_2cm)),
+            ("F-score at 2 cm", _number(quality.f_score_2cm, 3, "")),
+            ("PSNR, held-out views", _number(quality.psnr_db, 1, " dB")),
+            ("Accuracy, point to point", _number(quality.accuracy_point_cm, 2, " cm")),
+            ("Completion, point to point", _number(quality.completion_point_cm, 2, " cm")),
+            ("Floor of point to point", _number(quality.point_floor_cm, 2, " cm")),
+        ],
+    )
+
+
+def _safety(report: Report) -> str:
+    safety, stream = report.safety, report.stream
+    return _table(
+        "Safety and stream",
+        [
+            ("Smallest clearance of the hull", _number(safety.min_clearance_m, 3, " m")),
+            ("Contacts", _number(safety.contacts, 0, "")),
+            ("Over the fence by", _number(safety.fence_overshoot_m, 3, " m")),
+            ("Proposals the guard refused", str(safety.refusals)),
+            ("Failsafes", str(safety.failsafes)),
+            ("Setpoint rate", _number(stream.rate_hz, 1, " Hz")),
+            ("Gap, 99th percentile", _number(stream.gap_p99_ms, 0, " ms")),
+            ("Gap, longest", _number(stream.gap_max_ms, 0, " ms")),
+        ],
+    )
+
+
+def _planning(report: Report) -> str:
+    planning = report.planning
+    rows = [
+        (f"{name}: {what}", f"{_milliseconds(spread.median)} / {_milliseconds(spread.p95)}")
+        for name, mode in (("Explore", planning.explore), ("Merged", planning.merged))
+        for what, spread in _steps(mode)
+    ]
+    rows += [("All planning", f"{planning.total_s:.2f} s"), ("Hovered waiting for a plan", f"{planning.hover_wait_s:.2f} s")]
+    return _table("Planning, median / 95th percentile", rows)
+
+
+def _steps(mode: ModeTimes) -> tuple[tuple[str, Spread], ...]:
+    return ("tasks", mode.task_s), ("whole step", mode.step_s)
+
+
+def _flight(report: Report) -> str:
+    files = ("report.json", "config.toml", "mesh.ply", "flight.rrd", "flight.tlog", "timeline.jsonl")
+    links = " ".join(f'<a href="{name}">{name}</a>' for name in files)
+    return _table(
+        "Flight",
+        [
+            ("Path", f"{report.path_length_m:.2f} m"),
+            ("Flight time, armed to disarmed", f"{report.flight_time_s:.1f} s"),
+            ("Wall time", f"{report.wall_time_s:.1f} s"),
+        ],
+        f'<p class="files">{links}</p>',
+    )
+
+
+def _table(title: str, rows: Sequence[tuple[str, str]], after: str = "") -> str:
+    body = "".join(f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in rows)
+    return f"<section><h2>{html.escape(title)}</h2><table>{body}</table>{after}</section>"
+
+
+def _notes(notes: Sequence[str]) -> str:
+    text = "".join(f"<p>{html.escape(note)}</p>" for note in notes)
+    return f'<section class="notes"><h2>How this was measured</h2>{text}</section>'
+
+
+def _number(value: float | None, digits: int, unit: str) -> str:
+    return "–" if value is None else f"{value:.{digits}f}{unit}"
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{100.0 * value:.1f} %"
+
+
+def _milliseconds(value: float | None) -> str:
+    return "–" if value is None else f"{1e3 * value:.0f} ms"
+
+
+def _count(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
