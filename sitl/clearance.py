@@ -1,7 +1,7 @@
 """True distance between the vehicle's hull and the scene: what reports call clearance. It never asks the product.
 
 The surface is sampled every centimetre; the samples are binned in cells, and a query walks the cells outward from the
-vehicle until no nearer sample can follow. Exact to about a centimetre at contact, and to a millimetre from 10 cm on.
+vehicle until no nearer sample can follow. Exact to about a centimetre at contact, and to a few millimetres from 10 cm on.
 """
 
 from __future__ import annotations

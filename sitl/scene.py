@@ -156,11 +156,8 @@ def _check_mesh(name: str, mesh: Mesh) -> None:
 def _check_column(name: str, vertices: F32, faces: I32) -> None:
     """The way from the floor up to the take-off height must be free for the hull, with a margin above the pad."""
     reach = HULL_RADIUS_M + START_MARGIN_M
-    near = np.linalg.norm(vertices[:, :2], axis=1) < reach
     corners = vertices[faces]
     touched = (corners[..., :2].min(axis=1) <= reach).all(axis=1) & (corners[..., :2].max(axis=1) >= -reach).all(axis=1)
-    if not touched.any() and not near.any():
-        return
     points = dense_points(vertices, faces[touched], 0.01)
     distance, height = np.linalg.norm(points[:, :2], axis=1), points[:, 2] + BODY_ABOVE_FLOOR_M
     top = TAKEOFF_HEIGHT_M + BODY_ABOVE_FLOOR_M + START_MARGIN_M

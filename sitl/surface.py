@@ -16,13 +16,13 @@ def dense_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
     """Points (N, 3) float32 that cover the surface: every surface point has one within about spacing_m.
 
     A triangular grid of step h leaves no point farther than h / sqrt(3) from it; here h is 1.4 spacing_m, and one point
-    is kept in each cell of half the spacing.
+    is kept in each cell of a quarter of the spacing.
     """
     used = np.zeros(len(vertices), bool)
     used[faces.ravel()] = True
     inner = _grid_points(vertices, faces, 1.4 * spacing_m)
     points = np.concatenate([vertices[used], inner])
-    cell = np.floor((points - points.min(axis=0)) / (0.5 * spacing_m)).astype(np.int64)
+    cell = np.floor((points - points.min(axis=0)) / (0.25 * spacing_m)).astype(np.int64)
     size = cell.max(axis=0) + 1
     _, first = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_index=True)
     return np.ascontiguousarray(points[first], np.float32)

@@ -106,7 +106,7 @@ _ARRAYS = tuple(f.name for f in fields(TruthCut) if f.name not in ("view_spec", 
 
 def _load(path: Path, spec: CameraSpec) -> TruthCut | None:
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in _ARRAYS}
     except FileNotFoundError:
         return None
