@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +62,19 @@ class FigureEight:
         return aw / w, w
 
 
+@functools.cache
+def perfect_imu(motion: FigureEight, k: int) -> ImuSample:
+    """Sample k of an IMU without errors, at 200 Hz."""
+    t = motion.start_s + k / 200
+    return ImuSample(t, motion.body_rate(t), motion.attitude(t).inv().apply(motion.acceleration(t) - GRAVITY))
+
+
+@functools.cache
+def _perfect_pose(motion: FigureEight, k: int) -> tuple[float, Rotation, NDArray[np.float64]]:
+    t = motion.start_s + 0.02 + k / 15
+    return t, motion.attitude(t), motion.position(t)
+
+
 @dataclass
 class Event:
     """Something that arrives at an instant: an inertial sample or a pose."""
@@ -78,20 +92,20 @@ def events(motion: FigureEight, duration_s: float, seed: int, *, imu: bool = Tru
     gyro_bias = np.radians(rng.normal(0.0, 0.3, 3))
     force_bias = rng.normal(0.0, 0.05, 3)
     for k in range(int(duration_s * 200) if imu else 0):
-        t = motion.start_s + k / 200
-        gyro = motion.body_rate(t) + gyro_bias + np.radians(rng.normal(0.0, 0.1, 3))
-        force = motion.attitude(t).inv().apply(motion.acceleration(t) - GRAVITY) + force_bias + rng.normal(0.0, 0.05, 3)
+        true = perfect_imu(motion, k)
+        t, gyro = true.stamp_s, true.gyro_radps + gyro_bias + np.radians(rng.normal(0.0, 0.1, 3))
+        force = true.specific_force_mps2 + force_bias + rng.normal(0.0, 0.05, 3)
         out.append(Event(t + 0.002, imu=ImuSample(t, gyro, force)))
     sigma = np.array([0.01] * 3 + [np.radians(0.3)] * 3)
     drift = sigma * rng.normal(size=6)
     dt, keep = 1 / 15, np.exp(-(1 / 15) / 20)
     for k in range(int(duration_s * 15)):
-        t = motion.start_s + 0.02 + k * dt
+        t, attitude, position = _perfect_pose(motion, k)
         drift = keep * drift + np.sqrt(1 - keep**2) * sigma * rng.normal(size=6)
         white = rng.normal(size=6) * np.array([0.002] * 3 + [np.radians(0.1)] * 3)
         error = drift + white
-        turned = Rotation.from_rotvec(error[3:]) * motion.attitude(t)
-        pose = Pose(turned.as_quat(scalar_first=True), motion.position(t) + error[:3])
+        turned = Rotation.from_rotvec(error[3:]) * attitude
+        pose = Pose(turned.as_quat(scalar_first=True), position + error[:3])
         covariance = np.diag([4e-6] * 3 + [3e-6] * 3)
         late_s = 0.06 + rng.uniform(-0.02, 0.02)
         out.append(Event(t + late_s, pose=StampedPose(t, pose, np.zeros(3), covariance), drift=drift.copy()))

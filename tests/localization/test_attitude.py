@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from figure_eight import GRAVITY, FigureEight, perfect_imu
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from uav_recon.localization.attitude import (
+    InertialState,
+    InertialTrack,
+    Vector,
+    conjugate,
+    exponential,
+    logarithm,
+    multiply,
+    normalised,
+    rotate,
+)
+
+vectors = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
+
+
+def _three(array: object) -> Vector:
+    x, y, z = np.asarray(array, dtype=float).tolist()
+    return (x, y, z)
+
+
+@given(vectors, vectors, vectors)
+def test_quaternion_algebra_is_scipys(a: Vector, b: Vector, v: Vector) -> None:
+    qa, qb = exponential(a), exponential(b)
+    ra, rb = Rotation.from_rotvec(a), Rotation.from_rotvec(b)
+    np.testing.assert_allclose(rotate(multiply(qa, qb), v), (ra * rb).apply(v), atol=1e-9)
+    np.testing.assert_allclose(rotate(conjugate(qa), v), ra.inv().apply(v), atol=1e-9)
+    turned = Rotation.from_rotvec(logarithm(multiply(qa, qb)))
+    assert (turned.inv() * ra * rb).magnitude() < 1e-7
+    np.testing.assert_allclose(np.linalg.norm(normalised(multiply(qa, qb))), 1.0)
+
+
+def _fly(track: InertialTrack, motion: FigureEight, duration_s: float) -> None:
+    for k in range(int(duration_s * 200) + 1):
+        sample = perfect_imu(motion, k)
+        track.push(sample.stamp_s, _three(sample.gyro_radps), _three(sample.specific_force_mps2))
+
+
+def _between(track: InertialTrack, a_s: float, b_s: float) -> tuple[InertialState, InertialState]:
+    a, b = track.at(a_s), track.at(b_s)
+    assert a is not None
+    assert b is not None
+    return a, b
+
+
+@pytest.mark.parametrize(("start_s", "end_s"), [(100.2, 101.7), (100.2031, 100.2679), (119.0, 124.5)])
+def test_any_two_instants_give_the_motion_between_them(start_s: float, end_s: float) -> None:
+    """Also between samples, and after the track has forgotten its beginning."""
+    motion, track = FigureEight(), InertialTrack()
+    _fly(track, motion, end_s - 99.5)
+    assert (track.oldest_s > 100.0) == (end_s > 121.0)
+    a, b = _between(track, start_s, end_s)
+    odom_from_gyro = multiply((*_wxyz(motion.attitude(start_s)),), conjugate(a.gyro_from_body))
+    dt = end_s - start_s
+    dv = rotate(odom_from_gyro, _three(np.subtract(b.velocity_integral, a.velocity_integral)))
+    dx = np.subtract(b.position_integral, a.position_integral) - np.array(a.velocity_integral) * dt
+    velocity = motion.velocity(start_s) + dv + GRAVITY * dt
+    position = (
+        motion.position(start_s) + motion.velocity(start_s) * dt + rotate(odom_from_gyro, _three(dx)) + 0.5 * GRAVITY * dt**2
+    )
+    np.testing.assert_allclose(velocity, motion.velocity(end_s), atol=2e-3 * max(1.0, dt))
+    np.testing.assert_allclose(position, motion.position(end_s), atol=2e-3 * max(1.0, dt**2))
+    turned = Rotation.from_quat(multiply(odom_from_gyro, b.gyro_from_body), scalar_first=True)
+    assert (turned.inv() * motion.attitude(end_s)).magnitude() < 1e-3
+
+
+def _wxyz(rotation: Rotation) -> tuple[float, float, float, float]:
+    w, x, y, z = rotation.as_quat(scalar_first=True).tolist()
+    return (w, x, y, z)
+
+
+def test_a_gap_is_coasted_not_extrapolated() -> None:
+    track = InertialTrack()
+    track.push(0.0, (0.0, 0.0, 1.0), (5.0, 0.0, 9.80665))
+    a, b = _between(track, 0.0, 2.0)
+    np.testing.assert_allclose(np.subtract(b.velocity_integral, a.velocity_integral), [0.0, 0.0, 2 * 9.80665])
+    assert b.gyro_from_body == (1.0, 0.0, 0.0, 0.0)
+    track.push(2.0, (0.0, 0.0, 1.0), (5.0, 0.0, 9.80665))
+    _a, c = _between(track, 0.0, 2.0)
+    np.testing.assert_allclose(c.velocity_integral, b.velocity_integral)
+
+
+def test_coasting_turns_at_its_rate() -> None:
+    track = InertialTrack()
+    track.coast(0.0, (0.0, 0.0, 0.5))
+    track.coast(1.0, (0.0, 0.0, 0.25))
+    _a, b = _between(track, 0.0, 3.0)
+    np.testing.assert_allclose(logarithm(b.gyro_from_body), [0.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_before_its_beginning_a_track_knows_nothing() -> None:
+    track = InertialTrack()
+    assert track.at(0.0) is None
+    track.coast(1.0, (0.0, 0.0, 0.0))
+    assert track.at(0.999) is None

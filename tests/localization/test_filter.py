@@ -1,0 +1,277 @@
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from figure_eight import Event, FigureEight, events
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from uav_recon.localization.filter import FusionFilter
+from uav_recon.types.camera import ImuSample
+from uav_recon.types.pose import Pose, StampedPose
+
+SETTLED_S = 5.0
+MOTION = FigureEight()
+
+
+def _rotation(pose: Pose) -> Rotation:
+    return Rotation.from_quat(pose.quat_wxyz, scalar_first=True)
+
+
+def _rms(rows: list[NDArray[np.float64]]) -> float:
+    return float(np.sqrt((np.array(rows) ** 2).sum(axis=1).mean()))
+
+
+def _feed(fusion: FusionFilter, event: Event) -> bool:
+    if event.imu:
+        fusion.add_imu([event.imu])
+        return True
+    assert event.pose
+    return fusion.add_pose(event.pose, event.arrival_s)
+
+
+class _Flight:
+    """What the filter said at 30 Hz, against the truth. Errors beyond the drift that no filter can know."""
+
+    def __init__(self, seed: int, *, imu: bool = True, duration_s: float = 15.0) -> None:
+        self.position: list[NDArray[np.float64]] = []
+        self.velocity: list[NDArray[np.float64]] = []
+        self.attitude: list[NDArray[np.float64]] = []
+        self.frame: list[NDArray[np.float64]] = []
+        self.steps_m: list[float] = []
+        self.qualities: set[int] = set()
+        fusion, due_s, drift = FusionFilter(), MOTION.start_s + SETTLED_S, np.zeros(6)
+        for event in events(MOTION, duration_s, seed, imu=imu):
+            while event.arrival_s > due_s:
+                self._compare(fusion, due_s, drift)
+                due_s += 1 / 30
+            before = fusion.odom_at(event.arrival_s)
+            assert _feed(fusion, event)
+            drift = drift if event.drift is None else event.drift
+            after = fusion.odom_at(event.arrival_s)
+            if before and after and event.arrival_s > MOTION.start_s + SETTLED_S:
+                step = after.odom_from_body.translation_m - before.odom_from_body.translation_m
+                self.steps_m.append(float(np.linalg.norm(step)))
+        assert not fusion.rejected
+
+    def _compare(self, fusion: FusionFilter, now_s: float, drift: NDArray[np.float64]) -> None:
+        now, past = fusion.odom_at(now_s), fusion.odom_at(now_s - 0.15)
+        assert now
+        assert past
+        self.position.append(now.odom_from_body.translation_m - MOTION.position(now_s) - drift[:3])
+        self.velocity.append(now.velocity_odom_mps - MOTION.velocity(now_s))
+        truth = Rotation.from_rotvec(drift[3:]) * MOTION.attitude(now_s)
+        self.attitude.append((_rotation(now.odom_from_body) * truth.inv()).as_rotvec())
+        self.frame.append(past.odom_from_body.translation_m - MOTION.position(now_s - 0.15) - drift[:3])
+        self.qualities.add(now.quality)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_odometry_now_is_good_although_poses_are_late(seed: int) -> None:
+    flight = _Flight(seed)
+    assert _rms(flight.position) < 0.008  # promised 0.015
+    assert _rms(flight.velocity) / np.sqrt(3) < 0.03
+    assert np.degrees(_rms(flight.attitude)) < 0.25
+    assert _rms(flight.frame) < 0.005
+    assert max(flight.steps_m) < 0.012  # free of jumps
+    assert flight.qualities == {100}
+
+
+def test_without_an_imu_it_works_with_less_quality() -> None:
+    flight = _Flight(1, imu=False)
+    assert _rms(flight.position) < 0.02
+    assert _rms(flight.velocity) / np.sqrt(3) < 0.1
+    assert np.degrees(_rms(flight.attitude)) < 0.7
+    assert _rms(flight.frame) < 0.006
+    assert flight.qualities == {60}
+
+
+def _warm(seed: int = 4, duration_s: float = 3.0) -> tuple[FusionFilter, list[Event]]:
+    """A filter in flight, and what it is to get next."""
+    fusion = FusionFilter()
+    stream = events(MOTION, duration_s + 4.0, seed)
+    cut = next(i for i, event in enumerate(stream) if event.arrival_s > MOTION.start_s + duration_s)
+    for event in stream[:cut]:
+        _feed(fusion, event)
+    return fusion, stream[cut:]
+
+
+def _pose(stamp_s: float, offset_m: float = 0.0, turn_rad: float = 0.0) -> StampedPose:
+    truth = MOTION.pose(stamp_s)
+    turned = Rotation.from_rotvec([0, 0, turn_rad]) * _rotation(truth)
+    return StampedPose(stamp_s, Pose(turned.as_quat(scalar_first=True), truth.translation_m + [offset_m, 0, 0]), np.zeros(3))
+
+
+NOW_S = MOTION.start_s + 3.0
+
+
+@pytest.mark.parametrize(
+    ("pose", "reason"),
+    [
+        (replace(_pose(NOW_S - 0.05), covariance=np.full((6, 6), np.nan)), "not finite"),
+        (replace(_pose(NOW_S - 0.05), stamp_s=float("nan")), "not finite"),
+        (replace(_pose(NOW_S - 0.05), stamp_s=float("inf")), "not finite"),
+        (replace(_pose(NOW_S - 0.05), quality=0), "quality"),
+        (_pose(NOW_S + 0.2), "stamp"),
+        (_pose(NOW_S - 1.5), "stamp"),
+        (replace(_pose(NOW_S - 0.05), stamp_s=0.0), "stamp"),
+        (_pose(NOW_S - 0.05, offset_m=0.55), "jump"),
+        (_pose(NOW_S - 0.05, offset_m=-1e9), "jump"),
+        (_pose(NOW_S - 0.05, turn_rad=0.6), "turn"),
+    ],
+)
+def test_what_cannot_be_true_never_enters(pose: StampedPose, reason: str) -> None:
+    fusion, _ = _warm()
+    before = fusion.odom_at(NOW_S)
+    assert before
+    assert not fusion.add_pose(pose, NOW_S)
+    after = fusion.odom_at(NOW_S)
+    assert after
+    np.testing.assert_array_equal(before.odom_from_body.matrix(), after.odom_from_body.matrix())
+    assert fusion.rejected == {reason: 1}
+
+
+def test_a_duplicate_never_enters() -> None:
+    fusion, _ = _warm()
+    assert not fusion.add_pose(_pose(fusion.newest_pose_s, offset_m=0.02), NOW_S)
+    assert fusion.rejected == {"duplicate": 1}
+
+
+def test_inertial_nonsense_never_enters() -> None:
+    fusion, rest = _warm()
+    newest = next(event.imu for event in rest if event.imu)
+    zero, up = np.zeros(3), np.array([0.0, 0.0, 9.8])
+    fusion.add_imu([newest])
+    bad = [
+        ImuSample(newest.stamp_s + 0.01, np.array([np.nan, 0, 0]), up),
+        ImuSample(newest.stamp_s + 0.01, zero, np.array([np.inf, 0, 0])),
+        ImuSample(float("nan"), zero, up),
+        ImuSample(newest.stamp_s + 0.01, np.array([100.0, 0, 0]), up),
+        newest,
+        replace(newest, stamp_s=newest.stamp_s - 0.1),
+    ]
+    before = fusion.odom_at(NOW_S + 0.03)
+    fusion.add_imu(bad)
+    after = fusion.odom_at(NOW_S + 0.03)
+    assert before
+    assert after
+    np.testing.assert_array_equal(before.odom_from_body.matrix(), after.odom_from_body.matrix())
+    assert fusion.rejected == {"imu not finite": 4, "imu stamp": 2}
+
+
+def test_poses_out_of_order_end_in_the_same_place() -> None:
+    """A pose that overtakes another changes nothing: each is put at its own stamp."""
+    ordered, rest = _warm()
+    swapped, _ = _warm()
+    poses = [event.pose for event in rest if event.pose][:4]
+    for fusion in (ordered, swapped):
+        fusion.add_imu([event.imu for event in rest if event.imu and event.imu.stamp_s < NOW_S + 0.5])
+    for k in (0, 1, 2, 3):
+        assert ordered.add_pose(poses[k], NOW_S + 0.3)
+    for k in (0, 2, 1, 3):
+        assert swapped.add_pose(poses[k], NOW_S + 0.3)
+    a, b = ordered.odom_at(NOW_S + 0.3), swapped.odom_at(NOW_S + 0.3)
+    assert a
+    assert b
+    np.testing.assert_allclose(a.odom_from_body.matrix(), b.odom_from_body.matrix(), atol=1e-3)
+    np.testing.assert_allclose(a.velocity_odom_mps, b.velocity_odom_mps, atol=1e-2)
+
+
+def test_the_way_is_continuous_across_poses() -> None:
+    fusion, _ = _warm()
+    stamps = np.arange(NOW_S - 1.0, NOW_S, 0.001)
+    track = []
+    for stamp_s in stamps:
+        odom = fusion.odom_at(float(stamp_s))
+        assert odom
+        track.append(odom.odom_from_body.translation_m)
+    assert np.linalg.norm(np.diff(track, axis=0), axis=1).max() < 0.0015  # 0.8 m/s is 0.8 mm
+
+
+def test_quality_falls_to_zero_without_poses() -> None:
+    fusion, rest = _warm()
+    fusion.add_imu([event.imu for event in rest if event.imu])
+    newest_s = fusion.newest_pose_s
+    qualities = []
+    for age_s in (0.1, 0.3, 0.45, 0.49, 0.51, 2.0):
+        odom = fusion.odom_at(newest_s + age_s)
+        assert odom
+        qualities.append(odom.quality)
+    assert qualities[0] == 100
+    assert qualities == sorted(qualities, reverse=True)
+    assert qualities[3] > 0
+    assert qualities[4:] == [0, 0]
+
+
+def test_a_short_gap_is_bridged_by_the_imu() -> None:
+    fusion, rest = _warm()
+    gap_end_s = NOW_S + 0.5
+    for event in rest:
+        if event.arrival_s > gap_end_s:
+            break
+        if event.imu:
+            _feed(fusion, event)
+    odom = fusion.odom_at(gap_end_s)
+    assert odom
+    assert np.linalg.norm(odom.odom_from_body.translation_m - MOTION.position(gap_end_s)) < 0.06
+
+
+def test_a_jumped_source_is_shut_out_and_only_taken_back_as_a_declared_reset() -> None:
+    fusion, rest = _warm()
+    counters = []
+    for event in rest:
+        if event.pose:
+            shifted = Pose(event.pose.odom_from_body.quat_wxyz, event.pose.odom_from_body.translation_m + [0.0, 1.0, 0.0])
+            event.pose = replace(event.pose, odom_from_body=shifted)
+        _feed(fusion, event)
+        odom = fusion.odom_at(event.arrival_s)
+        assert odom
+        age_s = event.arrival_s - NOW_S
+        counters.append((odom.reset_counter, age_s))
+        if odom.reset_counter == 0:
+            assert odom.quality == 0 or age_s < 0.5
+    taken_back_s = next(age_s for counter, age_s in counters if counter == 1)
+    assert 1.9 < taken_back_s < 2.3
+    assert counters[-1][0] == 1
+
+
+def test_a_reset_of_the_source_is_passed_on() -> None:
+    fusion, _ = _warm()
+    assert fusion.add_pose(replace(_pose(NOW_S - 0.05, offset_m=2.0), reset_counter=1), NOW_S)
+    odom = fusion.odom_at(NOW_S)
+    assert odom
+    assert odom.reset_counter == 1
+
+
+def test_a_dead_imu_leaves_a_working_filter() -> None:
+    fusion, rest = _warm()
+    for event in rest:
+        if event.pose:
+            assert _feed(fusion, event)
+    end_s = fusion.newest_pose_s + 0.1
+    odom = fusion.odom_at(end_s)
+    assert odom
+    assert odom.quality == 60
+    assert np.linalg.norm(odom.odom_from_body.translation_m - MOTION.position(end_s)) < 0.08
+
+
+def test_before_the_first_pose_there_is_no_odometry() -> None:
+    fusion = FusionFilter()
+    assert fusion.odom_at(1.0) is None
+    fusion.add_imu([ImuSample(1.0, np.zeros(3), np.array([0.0, 0.0, 9.8]))])
+    assert fusion.odom_at(1.0) is None
+
+
+def test_it_is_cheap() -> None:
+    """Median over a flight: 0.5 ms a pose, 0.1 ms an inertial sample (measured 0.3 and 0.015)."""
+    costs: dict[str, list[float]] = {"imu": [], "pose": []}
+    fusion = FusionFilter()
+    for event in events(MOTION, 3.0, 0):
+        start_s = time.perf_counter()
+        _feed(fusion, event)
+        costs["imu" if event.imu else "pose"].append(time.perf_counter() - start_s)
+    assert np.median(costs["imu"]) < 1e-4 * 3  # three: the machine may be busy
+    assert np.median(costs["pose"]) < 5e-4 * 3

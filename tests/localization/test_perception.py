@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from figure_eight import FigureEight, perfect_imu
+
+from uav_recon.channels import MemoryChannel
+from uav_recon.clock import ManualClock
+from uav_recon.localization.filter import FusionFilter
+from uav_recon.localization.mount import FixedMount
+from uav_recon.localization.perception import Perception
+from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
+from uav_recon.types.pose import Pose, StampedPose
+
+MOTION = FigureEight(start_s=200.0)
+OPTICS = Intrinsics(10.0, 10.0, 3.5, 2.5, 8, 6)
+BODY_FROM_DEPTH = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
+
+
+@dataclass
+class World:
+    """Camera and pose source on a manual clock: frames and poses at 15 Hz, poses ``late_s`` late, until they stop."""
+
+    clock: ManualClock
+    late_s: float = 0.06
+    poses_until_s: float = 1e9
+    frame_stamp_shift_s: float = 0.0
+    _frame: int = 0
+    _pose: int = 0
+    _sample: int = 0
+    given: list[float] = field(default_factory=list)
+
+    def _since_s(self) -> float:
+        return self.clock.now_s() - MOTION.start_s
+
+    def poll(self) -> Frame | None:
+        if self._since_s() < 0.02 + self._frame / 15:
+            return None
+        stamp_s = MOTION.start_s + self._frame / 15 + self.frame_stamp_shift_s
+        self._frame += 1
+        self.given.append(stamp_s)
+        return Frame(
+            stamp_s, self._frame, np.ones((6, 8), np.float32), OPTICS, np.zeros((6, 8, 3), np.uint8), OPTICS, Pose.identity()
+        )
+
+    def imu(self) -> list[ImuSample]:
+        out = []
+        while self._since_s() >= self._sample / 200:
+            out.append(perfect_imu(MOTION, self._sample))
+            self._sample += 1
+        return out
+
+    def poses(self) -> list[StampedPose]:
+        out = []
+        while self._since_s() >= self._pose / 15 + self.late_s:
+            stamp_s = MOTION.start_s + self._pose / 15
+            self._pose += 1
+            if stamp_s < self.poses_until_s:
+                out.append(StampedPose(stamp_s, MOTION.pose(stamp_s), np.zeros(3)))
+        return out
+
+    def close(self) -> None: ...
+
+
+@dataclass
+class Seen:
+    odom: list[StampedPose] = field(default_factory=list)
+    frames: list[tuple[float, PosedFrame]] = field(default_factory=list)
+
+
+def _run(world: World, duration_s: float = 4.0, frame_wait_s: float = 0.2) -> tuple[Perception, Seen]:
+    odom, frames, seen = MemoryChannel(StampedPose), MemoryChannel(PosedFrame), Seen()
+    mount = FixedMount(BODY_FROM_DEPTH)
+    perception = Perception(world, world, FusionFilter(), mount, odom, frames, world.clock, frame_wait_s=frame_wait_s)
+    for step in range(int(duration_s * 100)):
+        world.clock.advance_to(MOTION.start_s + step / 100)
+        before = odom.sequence(), frames.sequence()
+        perception.step()
+        value, frame = odom.latest(), frames.latest()
+        if odom.sequence() > before[0] and value:
+            seen.odom.append(value)
+        assert frames.sequence() - before[1] <= 1
+        if frames.sequence() > before[1] and frame:
+            seen.frames.append((world.clock.now_s(), frame))
+    return perception, seen
+
+
+@pytest.fixture
+def world() -> World:
+    return World(ManualClock(MOTION.start_s))
+
+
+def test_odometry_comes_at_30_hz_stamped_now(world: World) -> None:
+    perception, seen = _run(world)
+    assert perception.published_odom == len(seen.odom) >= 115
+    gaps_s = np.diff([odom.stamp_s for odom in seen.odom])
+    assert gaps_s.max() < 0.0401
+    assert len(seen.odom) / 4.0 == pytest.approx(30, abs=1)
+    late = [odom for odom in seen.odom if odom.stamp_s > MOTION.start_s + 2.0]
+    for odom in late:
+        assert np.linalg.norm(odom.odom_from_body.translation_m - MOTION.position(odom.stamp_s)) < 0.01
+
+
+def test_a_frame_gets_the_pose_of_its_own_stamp_once_it_is_known(world: World) -> None:
+    perception, seen = _run(world)
+    settled = [(at_s, posed) for at_s, posed in seen.frames if posed.frame.stamp_s > MOTION.start_s + 1.0]
+    assert len(settled) > 40
+    for at_s, posed in settled:
+        assert 0.05 < at_s - posed.frame.stamp_s < 0.09  # with the pose, not before, not much later
+        truth = MOTION.pose(posed.frame.stamp_s) @ BODY_FROM_DEPTH
+        np.testing.assert_allclose(posed.world_from_depth.matrix(), truth.matrix(), atol=0.006)
+    assert [posed.frame.stamp_s for _, posed in seen.frames] == sorted({posed.frame.stamp_s for _, posed in seen.frames})
+    assert perception.published_frames + perception.dropped_frames >= len(world.given) - 2
+
+
+def test_a_frame_waits_no_longer_than_allowed(world: World) -> None:
+    world.late_s = 0.18
+    _perception, seen = _run(world, frame_wait_s=0.1)
+    waits = [at_s - posed.frame.stamp_s for at_s, posed in seen.frames if at_s > MOTION.start_s + 1.0]
+    assert len(waits) > 20
+    assert max(waits) < 0.12
+
+
+def test_without_poses_quality_falls_and_then_nothing_is_said(world: World) -> None:
+    world.poses_until_s = MOTION.start_s + 2.0
+    _perception, seen = _run(world)
+    last_pose_s = max(k / 15 for k in range(31) if k / 15 < 2.0) + MOTION.start_s
+    qualities = [(odom.stamp_s - last_pose_s, odom.quality) for odom in seen.odom if odom.stamp_s > last_pose_s]
+    assert qualities[0][1] == 100
+    assert [quality for _, quality in qualities].count(0) == 1
+    assert qualities[-1][1] == 0
+    assert 0.5 < qualities[-1][0] < 0.54
+    assert max(at_s for at_s, _ in seen.frames) < last_pose_s + 0.75
+
+
+def test_frames_with_impossible_stamps_are_dropped(world: World) -> None:
+    world.frame_stamp_shift_s = 3.0
+    perception, seen = _run(world, 2.0)
+    assert seen.frames == []
+    assert perception.dropped_frames == len(world.given)
+
+
+def test_a_step_without_anything_is_quiet() -> None:
+    world = World(ManualClock(0.0), poses_until_s=0.0)
+    odom, frames = MemoryChannel(StampedPose), MemoryChannel(PosedFrame)
+    perception = Perception(world, world, FusionFilter(), FixedMount(BODY_FROM_DEPTH), odom, frames, world.clock)
+    perception.step()
+    assert odom.latest() is None
+    assert frames.latest() is None

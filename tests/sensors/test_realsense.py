@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import builtins
+import gc
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyrealsense2 as rs
+import pytest
+from scipy.spatial.transform import Rotation
+
+from uav_recon.clock import MonotonicClock
+from uav_recon.sensors.realsense import ClockOffset, RealSenseCamera, RealSenseError
+from uav_recon.types.camera import BODY_FROM_OPTICAL, Frame, ImuSample
+from uav_recon.types.pose import Pose
+
+FRAMES = 8
+DEPTH = (424, 240, 223.5, 224.5, 211.25, 118.75)
+RGB = (320, 180, 230.0, 231.0, 158.5, 90.5)
+ROTATION = Rotation.from_euler("xyz", [0.01, -0.02, 0.03]).as_matrix()
+TRANSLATION = [0.015, 0.001, -0.002]
+SCALE = 0.0005
+
+
+def _stream(kind: Any, uid: int, fmt: Any, bpp: int, numbers: tuple[float, ...]) -> Any:
+    intrinsics = rs.intrinsics()
+    intrinsics.width, intrinsics.height = int(numbers[0]), int(numbers[1])
+    intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy = numbers[2:]
+    intrinsics.model, intrinsics.coeffs = rs.distortion.none, [0.0] * 5
+    stream = rs.video_stream()
+    stream.type, stream.index, stream.uid, stream.fmt, stream.bpp, stream.fps = kind, 0, uid, fmt, bpp, 30
+    stream.width, stream.height, stream.intrinsics = intrinsics.width, intrinsics.height, intrinsics
+    return stream
+
+
+def _motion(kind: Any, uid: int, fps: int) -> Any:
+    stream = rs.motion_stream()
+    stream.type, stream.index, stream.uid, stream.fmt, stream.fps = kind, 0, uid, rs.format.motion_xyz32f, fps
+    intrinsics = rs.motion_device_intrinsic()
+    stream.intrinsics = intrinsics
+    return stream
+
+
+def _image(pixels: Any, profile: Any, number: int) -> Any:
+    frame = rs.software_video_frame()
+    frame.pixels, frame.bpp = pixels, pixels.dtype.itemsize * (pixels.shape[2] if pixels.ndim == 3 else 1)
+    frame.stride = pixels.shape[1] * frame.bpp
+    frame.timestamp, frame.domain = 1000.0 + number * 100.0 / 3, rs.timestamp_domain.hardware_clock
+    frame.frame_number, frame.profile = number + 1, profile.as_video_stream_profile()
+    if pixels.ndim == 2:
+        frame.depth_units = SCALE
+    return frame
+
+
+def _depth_pixels(number: int) -> Any:
+    pixels = np.full((DEPTH[1], DEPTH[0]), 2000 + 2 * number, np.uint16)
+    pixels[:, :10] = 0
+    pixels[:, 10:20] = 100  # 5 cm: nearer than believed
+    pixels[:, 20:30] = 60000  # 30 m: farther
+    pixels[100, 200] = 3333
+    return pixels
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a depth camera with colour and IMU would have recorded."""
+    path = tmp_path_factory.mktemp("realsense") / "flight.db3"
+    device = rs.software_device()
+    device.create_matcher(rs.matchers.dlr_c)
+    stereo, colour, motion = (device.add_sensor(name) for name in ("Stereo Module", "RGB Camera", "Motion Module"))
+    depth = stereo.add_video_stream(_stream(rs.stream.depth, 0, rs.format.z16, 2, DEPTH))
+    rgb = colour.add_video_stream(_stream(rs.stream.color, 1, rs.format.rgb8, 3, RGB))
+    gyro = motion.add_motion_stream(_motion(rs.stream.gyro, 2, 200))
+    accel = motion.add_motion_stream(_motion(rs.stream.accel, 3, 200))
+    stereo.add_read_only_option(rs.option.depth_units, SCALE)
+    rgb_from_depth, same = rs.extrinsics(), rs.extrinsics()
+    rgb_from_depth.rotation, rgb_from_depth.translation = ROTATION.T.ravel().tolist(), TRANSLATION  # column-major
+    same.rotation, same.translation = np.eye(3).ravel().tolist(), [0.0, 0.0, 0.0]
+    depth.register_extrinsics_to(rgb, rgb_from_depth)
+    gyro.register_extrinsics_to(depth, same)
+    accel.register_extrinsics_to(depth, same)
+    recorder = rs.recorder(str(path), device)
+    sensors = recorder.query_sensors()
+    for sensor in sensors:
+        sensor.open(sensor.get_stream_profiles())
+        sensor.start(lambda frame: None)
+    clock = MonotonicClock()
+    start_s = clock.now_s()
+    for number in range(FRAMES):
+        clock.sleep_until(start_s + number / 30)  # librealsense notes the arrival itself, and plays back at that pace
+        stereo.on_video_frame(_image(_depth_pixels(number), depth, number))
+        colour.on_video_frame(_image(np.full((RGB[1], RGB[0], 3), 20 * number, np.uint8), rgb, number))
+        for profile, data in ((accel, (0.0, -9.81, 0.1)), (gyro, (0.1, 0.2, 0.3))):
+            frame = rs.software_motion_frame()
+            vector = rs.vector()
+            vector.x, vector.y, vector.z = data
+            frame.data, frame.timestamp, frame.domain = vector, 1001.0 + number * 100.0 / 3, rs.timestamp_domain.hardware_clock
+            frame.frame_number, frame.profile = number + 1, profile.as_motion_stream_profile()
+            motion.on_motion_frame(frame)
+    for sensor in sensors:
+        sensor.stop()
+        sensor.close()
+    del sensors, recorder
+    gc.collect()
+    return path
+
+
+@pytest.fixture
+def camera(recording: Path) -> Iterator[RealSenseCamera]:
+    camera = RealSenseCamera(MonotonicClock(), playback=recording, body_from_depth=Pose.from_matrix(BODY_FROM_OPTICAL))
+    yield camera
+    camera.close()
+
+
+def _play(camera: RealSenseCamera, want_samples: int = 0) -> tuple[list[Frame], list[ImuSample]]:
+    """Poll in real time until the recording (a quarter of a second) is over."""
+    clock = MonotonicClock()
+    end_s = clock.now_s() + 3.0
+    frames: list[Frame] = []
+    samples: list[ImuSample] = []
+    while clock.now_s() < end_s and (len(frames) < FRAMES - 2 or len(samples) < want_samples):
+        frame = camera.poll()
+        frames += [frame] if frame is not None else []
+        samples += camera.imu()
+    return frames, samples
+
+
+def test_a_recording_plays_back_as_it_was_made(camera: RealSenseCamera) -> None:
+    frames, samples = _play(camera, want_samples=FRAMES - 2)
+    assert len(frames) >= 3  # a busy machine may miss some: poll() gives the newest
+    for frame in frames:
+        number = frame.sequence - 1
+        pixels = _depth_pixels(number)
+        np.testing.assert_allclose(frame.depth_m[:, 30:], pixels[:, 30:] * SCALE, rtol=1e-6)
+        assert np.isnan(frame.depth_m[:, :30]).all()
+        np.testing.assert_array_equal(frame.rgb, 20 * number)  # the colour of the same instant
+    assert frames[0].rgb.shape == (180, 320, 3)
+    assert (np.diff([frame.stamp_s for frame in frames]) > 0).all()
+    assert abs(frames[-1].stamp_s - MonotonicClock().now_s()) < 3.0
+    assert len(samples) >= 3
+    np.testing.assert_allclose(samples[0].specific_force_mps2, [0.1, 0.0, 9.81], atol=1e-6)  # up in the body
+    np.testing.assert_allclose(samples[0].gyro_radps, [0.3, -0.1, -0.2], atol=1e-6)
+
+
+def test_optics_are_those_of_the_device(camera: RealSenseCamera) -> None:
+    (frame, *_), _samples = _play(camera)
+    for ours, theirs in ((frame.depth_intrinsics, DEPTH), (frame.rgb_intrinsics, RGB)):
+        np.testing.assert_allclose((ours.width, ours.height, ours.fx, ours.fy, ours.cx, ours.cy), theirs)
+    np.testing.assert_allclose(frame.rgb_from_depth.rotation(), ROTATION, atol=1e-6)
+    np.testing.assert_allclose(frame.rgb_from_depth.translation_m, TRANSLATION, atol=1e-7)
+
+
+def test_pixel_zero_is_the_centre_of_the_first_pixel(camera: RealSenseCamera) -> None:
+    """librealsense's own deprojection of integer pixels gives our bearings."""
+    (frame, *_), _samples = _play(camera)
+    intrinsics = rs.intrinsics()
+    intrinsics.width, intrinsics.height = int(DEPTH[0]), int(DEPTH[1])
+    intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy = DEPTH[2:]
+    intrinsics.model = rs.distortion.none
+    ours = frame.depth_intrinsics.bearings()
+    for u, v in ((0, 0), (423, 239), (100, 7)):
+        np.testing.assert_allclose(ours[v, u], rs.rs2_deproject_pixel_to_point(intrinsics, [u, v], 1.0), atol=1e-6)
+
+
+def test_a_missing_recording_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(RealSenseError, match=r"absent\.db3: no such recording") as error:
+        RealSenseCamera(MonotonicClock(), playback=tmp_path / "absent.db3")
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_camera_is_one_line() -> None:
+    with pytest.raises(RealSenseError, match=r"RealSense camera 000000000000 is not connected \(seen: none\)") as error:
+        RealSenseCamera(MonotonicClock(), serial="000000000000")
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_library_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name == "pyrealsense2":
+            raise ModuleNotFoundError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.delitem(sys.modules, "pyrealsense2")
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(RealSenseError, match=r"pip install uav-recon\[realsense\]"):
+        RealSenseCamera(MonotonicClock())
+
+
+def test_the_clock_offset_is_the_shortest_delay_and_survives_a_reset() -> None:
+    rng = np.random.default_rng(3)
+    offset = ClockOffset()
+    errors = []
+    for k in range(3000):
+        t = 50.0 + k / 30
+        device_s = (t - 40.0) * (1 + 20e-6) if k < 2000 else t - 100.0  # 20 ppm fast, then its clock starts anew
+        stamp_s = offset.monotonic_s(device_s, t + 0.004 + rng.exponential(0.005))
+        if k % 2000 > 300:
+            errors.append(stamp_s - t)
+    assert 0.0035 < np.min(errors) <= np.max(errors) < 0.007

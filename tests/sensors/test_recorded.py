@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from uav_recon.clock import ManualClock
+from uav_recon.sensors.recorded import RecordedCamera, RecordedPoses, RecordingError
+from uav_recon.types.camera import Frame, body_from_camera
+from uav_recon.types.pose import Pose
+
+MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
+
+
+def _as_tree(pose: Pose) -> dict[str, list[float]]:
+    return {"quat_wxyz": pose.quat_wxyz.tolist(), "translation_m": pose.translation_m.tolist()}
+
+
+def _flown(k: int) -> Pose:
+    return Pose.from_yaw(0.3 * k, np.array([0.5 * k, 0.0, 1.0])) @ MOUNT
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Path:
+    folder = tmp_path / "keyframes"
+    folder.mkdir()
+    optics = {"fx": 20.0, "fy": 21.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
+    tree: dict[str, Any] = {
+        "depth_intrinsics": optics,
+        "rgb_intrinsics": {**optics, "width": 16, "height": 8},
+        "rgb_from_depth": _as_tree(Pose.from_yaw(0.0, np.array([0.015, 0.0, 0.0]))),
+        "frames": [{"index": k, "stamp_s": 700.0 + k, "world_from_depth": _as_tree(_flown(k))} for k in range(3)],
+    }
+    (folder / "poses.json").write_text(json.dumps(tree))
+    for k in range(3):
+        depth = np.full((24, 32), 1000 + k, np.uint16)
+        depth[0, 0] = 0
+        assert cv2.imwrite(str(folder / f"{k:04d}_depth.png"), depth)
+        assert cv2.imwrite(str(folder / f"{k:04d}_rgb.jpg"), np.full((8, 16, 3), (10, 100, 200), np.uint8))  # BGR
+    return tmp_path
+
+
+def test_keyframes_play_back_at_the_pace_they_were_flown(flight: Path) -> None:
+    clock = ManualClock(50.0)
+    camera = RecordedCamera(flight, clock)
+    frames: list[Frame] = []
+    for step in range(300):
+        clock.advance_to(50.0 + step * 0.01)
+        frame = camera.poll()
+        frames += [frame] if frame else []
+    assert [(frame.sequence, frame.stamp_s) for frame in frames] == [(0, 50.0), (1, 51.0), (2, 52.0)]
+    assert np.isnan(frames[1].depth_m[0, 0])
+    np.testing.assert_allclose(frames[1].depth_m[1:], 1.001, rtol=1e-6)
+    np.testing.assert_allclose(frames[1].rgb[4, 8], [200, 100, 10], atol=4)  # RGB, and JPEG's rounding
+    assert frames[1].depth_intrinsics.fy == 21.0
+    np.testing.assert_allclose(frames[1].rgb_from_depth.translation_m, [0.015, 0, 0])
+    assert camera.imu() == []
+
+
+def test_every_keyframe_has_its_own_pose_and_the_way_between_is_filled(flight: Path) -> None:
+    clock = ManualClock(50.0)
+    source = RecordedPoses(flight, clock, MOUNT)
+    clock.advance_to(53.0)
+    poses = source.poses()
+    assert source.poses() == []
+    by_stamp = {round(pose.stamp_s, 6): pose for pose in poses}
+    for k in range(3):
+        expected = _flown(k) @ MOUNT.inverse()
+        np.testing.assert_allclose(by_stamp[50.0 + k].odom_from_body.matrix(), expected.matrix(), atol=1e-9)
+    gaps_s = np.diff([pose.stamp_s for pose in poses])
+    assert 0.03 < gaps_s.min() <= gaps_s.max() < 0.11
+    yaws = [pose.odom_from_body.yaw_rad() for pose in poses]
+    assert (np.diff(yaws) > 0).all()
+
+
+def test_a_missing_picture_is_left_out_and_counted(flight: Path) -> None:
+    (flight / "keyframes" / "0000_rgb.jpg").unlink()
+    clock = ManualClock(0.0)
+    camera = RecordedCamera(flight, clock)
+    assert camera.poll() is None
+    clock.advance_to(1.0)
+    assert camera.poll() is not None
+    assert camera.missing_images == 1
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"frames": []}', '{"depth_intrinsics": {"fx": "a"}}'])
+def test_a_folder_that_is_no_flight_is_one_line(flight: Path, text: str) -> None:
+    (flight / "keyframes" / "poses.json").write_text(text)
+    with pytest.raises(RecordingError, match=r"poses\.json: not a keyframe list") as error:
+        RecordedCamera(flight, ManualClock())
+    assert "\n" not in str(error.value)
+
+
+def test_an_absent_folder_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"cannot be read \(No such file"):
+        RecordedCamera(tmp_path / "absent", ManualClock())

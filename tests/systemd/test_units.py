@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import configparser
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from uav_recon import config
+
+FOLDER = Path(__file__).parents[2] / "systemd"
+SERVICES = ["pilot", "perception", "mission"]
+
+
+def _options(service: str) -> dict[str, list[str]]:
+    out: dict[str, list[str]] = {}
+    for line in (FOLDER / f"uav-recon-{service}.service").read_text().splitlines():
+        if "=" in line and not line.startswith("#"):
+            key, value = line.split("=", 1)
+            out.setdefault(key, []).append(value)
+    return out
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> list[Path]:
+    """The units with an executable that exists, where systemd-analyze can check them."""
+    units = []
+    for unit in [*FOLDER.glob("*.service"), *FOLDER.glob("*.target")]:
+        text = unit.read_text().replace("/opt/uav_recon/bin/uav-recon", shutil.which("true") or "/bin/true")
+        (tmp_path / unit.name).write_text(text)
+        units.append(tmp_path / unit.name)
+    return units
+
+
+def _analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
+    tool = shutil.which("systemd-analyze")
+    assert tool, "systemd-analyze is missing: install the package 'systemd'"
+    return subprocess.run([tool, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_units_are_clean(installed: list[Path]) -> None:
+    assert len(installed) == 4
+    answer = _analyze("verify", "--man=no", "--recursive-errors=yes", *map(str, installed))
+    assert (answer.returncode, answer.stdout + answer.stderr) == (0, "")
+
+
+def test_a_fault_in_a_unit_is_seen(installed: list[Path]) -> None:
+    """The check above can fail."""
+    unit = next(unit for unit in installed if "pilot" in unit.name)
+    unit.write_text(unit.read_text().replace("WatchdogSec=", "WatchdogSecs="))
+    assert "WatchdogSecs" in _analyze("verify", "--man=no", str(unit)).stderr
+
+
+@pytest.mark.parametrize(("service", "limit"), [("pilot", 25), ("perception", 50), ("mission", 50)])
+def test_exposure_is_bounded(installed: list[Path], service: str, limit: int) -> None:
+    unit = next(unit for unit in installed if service in unit.name)
+    answer = _analyze("security", "--offline=true", f"--threshold={limit}", str(unit))
+    assert answer.returncode == 0, answer.stdout[-300:]
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_each_service_starts_its_own_command(service: str) -> None:
+    options = _options(service)
+    assert options["ExecStart"] == [f"/opt/uav_recon/bin/uav-recon {service} --config /etc/uav_recon/config.toml"]
+    assert options["Type"] == ["notify"]
+    assert options["RuntimeDirectory"] == ["uav_recon"]
+    assert options["RestartPreventExitStatus"] == ["75 78"]
+    assert float(options["WatchdogSec"][0]) <= {"pilot": 1, "perception": 3, "mission": 5}[service]
+
+
+def test_the_pilot_is_never_locked_out() -> None:
+    options = _options("pilot")
+    assert options["Restart"] == ["always"]
+    assert options["StartLimitIntervalSec"] == ["0"]
+    assert float(options["RestartSec"][0].removesuffix("ms")) <= 200
+    assert "MemoryMax" not in options
+    assert "RestrictRealtime" not in options  # it needs SCHED_FIFO
+
+
+def test_perception_and_mission_are_restarted_three_times() -> None:
+    for service in ("perception", "mission"):
+        options = _options(service)
+        assert options["StartLimitBurst"] == ["4"]  # the first start and three more
+        assert any("NUMBA_CACHE_DIR" in value and "NUMBA_THREADING_LAYER" in value for value in options["Environment"])
+
+
+def test_no_service_drags_another_down() -> None:
+    for service in SERVICES:
+        assert not {"Requires", "BindsTo", "Requisite"} & set(_options(service))
+
+
+def test_comments_do_not_share_a_line_with_a_value() -> None:
+    """systemd would take them for part of the value."""
+    for unit in FOLDER.glob("*.service"):
+        assert not re.search(r"^[A-Za-z]+=.*[ \t]#", unit.read_text(), flags=re.MULTILINE)
+        parser = configparser.ConfigParser(strict=False, interpolation=None)
+        parser.optionxform = str  # type: ignore[assignment,method-assign]
+        parser.read(unit)
+        assert parser.sections() == ["Unit", "Service", "Install"]
+
+
+def test_the_flown_config_loads_and_says_every_protective_number() -> None:
+    path = FOLDER / "config.toml"
+    flown = config.load(path)
+    assert not flown.mission.autostart
+    text = path.read_text()
+    for name in config.SafetyConfig.model_fields:
+        line = next(line for line in text.splitlines() if line.startswith(f"{name} ="))
+        assert "#" in line, f"{name} wants its reason beside it"
+
+
+def test_installation_names_every_unit_and_group() -> None:
+    text = (FOLDER / "README.md").read_text()
+    for unit in [*FOLDER.glob("*.service"), *FOLDER.glob("*.target")]:
+        assert f"`{unit.name}`" in text
+    for service in SERVICES:
+        for group in _options(service).get("SupplementaryGroups", [""])[0].split():
+            assert group in text

@@ -1,0 +1,142 @@
+"""The keyframes of a flight folder as a camera and a pose source, at the pace at which they were flown.
+
+Reads keyframes/poses.json (optics, and the pose of the depth imager for every keyframe), NNNN_rgb.jpg and NNNN_depth.png
+(16 bit, millimetres, 0 = no return), as mapping/keyframes.py writes them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from uav_recon.protocols import Clock
+from uav_recon.sensors.stream import depth_table
+from uav_recon.sensors.wire import StreamError
+from uav_recon.types.camera import Frame, ImuSample, Intrinsics
+from uav_recon.types.pose import Pose, StampedPose
+
+_POSE_RATE_HZ = 15.0
+
+
+class RecordingError(StreamError):
+    """The folder holds no keyframes that can be read; one line."""
+
+
+@dataclass(frozen=True)
+class _Keyframe:
+    index: int
+    stamp_s: float
+    world_from_depth: Pose
+
+
+class _Recording:
+    """poses.json and the moment at which it began to play: the first keyframe plays at once."""
+
+    def __init__(self, folder: Path, clock: Clock) -> None:
+        self.folder = folder / "keyframes" if (folder / "keyframes").is_dir() else folder
+        path = self.folder / "poses.json"
+        try:
+            tree = json.loads(path.read_text(encoding="utf-8"))
+            self.depth_intrinsics, self.rgb_intrinsics = (
+                Intrinsics(**{k: tree[name][k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
+                for name in ("depth_intrinsics", "rgb_intrinsics")
+            )
+            self.rgb_from_depth = _pose(tree["rgb_from_depth"])
+            frames = [_Keyframe(int(f["index"]), float(f["stamp_s"]), _pose(f["world_from_depth"])) for f in tree["frames"]]
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+        except (ValueError, KeyError, TypeError) as error:
+            raise RecordingError(f"{path}: not a keyframe list: {' '.join(repr(error).split())}") from None
+        if not frames or any(not a.stamp_s < b.stamp_s for a, b in itertools.pairwise(frames)):
+            raise RecordingError(f"{path}: wants at least one keyframe, with stamps that increase")
+        self.frames = frames
+        self.shift_s = clock.now_s() - frames[0].stamp_s  # recorded stamp + shift = ours
+
+
+class RecordedCamera:
+    """Camera protocol over a flight folder. Raises RecordingError (one line) if it cannot be played.
+
+    missing_images counts keyframes whose pictures are not there or of another size; they are left out.
+    """
+
+    def __init__(self, folder: Path, clock: Clock, depth_min_m: float = 0.3, depth_max_m: float = 6.0) -> None:
+        self._recording, self._clock = _Recording(folder, clock), clock
+        self._table = depth_table(depth_min_m, depth_max_m)
+        self._next = 0
+        self.missing_images = 0
+
+    def poll(self) -> Frame | None:
+        """The newest keyframe whose time has come, once; reads two images (about 5 ms)."""
+        recording, now_s = self._recording, self._clock.now_s()
+        due = self._next
+        while due < len(recording.frames) and recording.frames[due].stamp_s + recording.shift_s <= now_s + 1e-9:
+            due += 1
+        if due == self._next:
+            return None
+        self._next = due
+        keyframe = recording.frames[due - 1]
+        depth_mm: Any = cv2.imread(str(recording.folder / f"{keyframe.index:04d}_depth.png"), cv2.IMREAD_UNCHANGED)
+        bgr: Any = cv2.imread(str(recording.folder / f"{keyframe.index:04d}_rgb.jpg"), cv2.IMREAD_COLOR)
+        depth, rgb = recording.depth_intrinsics, recording.rgb_intrinsics
+        if (
+            depth_mm is None or bgr is None or depth_mm.dtype != np.uint16
+            or depth_mm.shape != (depth.height, depth.width) or bgr.shape != (rgb.height, rgb.width, 3)
+        ):  # fmt: skip
+            self.missing_images += 1
+            return None
+        stamp_s = keyframe.stamp_s + recording.shift_s
+        return Frame(stamp_s, keyframe.index, self._table[depth_mm], depth, bgr[..., ::-1], rgb, recording.rgb_from_depth)
+
+    def imu(self) -> list[ImuSample]:
+        """Keyframes carry no inertial samples."""
+        return []
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+class RecordedPoses:
+    """PoseSource protocol over the same folder: the keyframes' poses, joined by straight lines at 15 Hz.
+
+    body_from_depth: where the depth imager sat on the body (a fixed mount).
+    """
+
+    def __init__(self, folder: Path, clock: Clock, body_from_depth: Pose) -> None:
+        self._recording, self._clock = _Recording(folder, clock), clock
+        self._depth_from_body = body_from_depth.inverse()
+        first, last = self._recording.frames[0].stamp_s, self._recording.frames[-1].stamp_s
+        grid = first + np.arange(math.floor((last - first) * _POSE_RATE_HZ) + 1) / _POSE_RATE_HZ
+        own = np.array([frame.stamp_s for frame in self._recording.frames])
+        apart = np.abs(grid[:, None] - own).min(axis=1) > 0.5 / _POSE_RATE_HZ  # every keyframe has a pose of its own
+        self._stamps_s = np.sort(np.concatenate((grid[apart], own)))
+        self._next = 0
+
+    def poses(self) -> list[StampedPose]:
+        """Poses whose time has come since the last call."""
+        now_s = self._clock.now_s() - self._recording.shift_s
+        due = int(np.searchsorted(self._stamps_s, now_s + 1e-9, side="right"))
+        out = [self._pose_at(float(stamp_s)) for stamp_s in self._stamps_s[self._next : due]]
+        self._next = max(self._next, due)
+        return out
+
+    def _pose_at(self, stamp_s: float) -> StampedPose:
+        frames = self._recording.frames
+        after = next((i for i, frame in enumerate(frames) if frame.stamp_s >= stamp_s), len(frames) - 1)
+        a, b = frames[max(after - 1, 0)], frames[after]
+        share = (stamp_s - a.stamp_s) / (b.stamp_s - a.stamp_s) if b.stamp_s > a.stamp_s else 0.0
+        qa, qb = a.world_from_depth.quat_wxyz, b.world_from_depth.quat_wxyz
+        quat = (1 - share) * qa + share * (qb if qa @ qb >= 0 else -qb)
+        position = (1 - share) * a.world_from_depth.translation_m + share * b.world_from_depth.translation_m
+        world_from_depth = Pose(quat, position)
+        return StampedPose(stamp_s + self._recording.shift_s, world_from_depth @ self._depth_from_body, np.zeros(3))
+
+
+def _pose(tree: Any) -> Pose:
+    return Pose(np.array(tree["quat_wxyz"], dtype=np.float64), np.array(tree["translation_m"], dtype=np.float64))
