@@ -28,7 +28,7 @@ TOLERANCE_M = 0.05  # half a voxel: what a lookup in the distance field is uncer
 LEAVING_M = 0.3  # so much of the way is not checked: the body must be able to leave a tight spot ...
 ESCAPE_M = 2.0  # ... and may fly so far through free space without the clearance, until it has it once
 TRIES = 6
-BRAKE_SHARE = 0.95  # of the limits: the rest covers the step of the integration
+BRAKE_SHARE = 0.9  # of the limits: the rest covers the step of the integration
 
 
 class MotionPlanner:
