@@ -37,7 +37,7 @@ def test_flight_pictures_have_content(tmp_path: Path, timeline: Timeline) -> Non
     planning_over_time(tmp_path / "p" / "planning.png", timeline)
     for name in ("path", "coverage", "share", "planning"):
         image = loaded(tmp_path / "p" / f"{name}.png")
-        assert image.shape[1] == 1210 and 300 < image.shape[0] < 1400
+        assert image.shape[1] == 1200 and 300 < image.shape[0] < 1400
         assert 0.01 < np.mean(image < 250) < 0.9
 
 

@@ -17,7 +17,8 @@ from uav_recon.types.maps import FREE, OCCUPIED, VoxelMap
 
 INK, SOFT, GRID = "#1f2933", "#7b8794", "#e4e7eb"
 BLUE, ORANGE, GREEN, RED = "#2563eb", "#ea7317", "#16a34a", "#dc2626"
-_DPI = 110
+_DPI = 150
+_WIDTH_IN = 8.0
 _PHASE_SHADES = ("#f5f7fa", "#ffffff")
 
 
@@ -31,8 +32,7 @@ def path_over_plan(
     stamps_s, path = timeline.path_world()
     lower, upper = _extent(path, voxels)
     size = np.maximum(upper - lower, 1.0)
-    width = 11.0
-    figure = new_figure(width, float(np.clip(width * 0.86 * size[1] / size[0], 3.2, 11.0)) + 1.2)
+    figure = new_figure(_WIDTH_IN, float(np.clip(0.86 * _WIDTH_IN * size[1] / size[0], 2.4, 8.0)) + 1.2)
     axes = figure.add_subplot()
     style(axes, "x, m", "y, m", "Flown path over the floor plan")
     axes.grid(False)
@@ -48,14 +48,8 @@ def path_over_plan(
     axes.set_ylim(lower[1], upper[1])
     axes.set_aspect("equal")
     handles, _ = axes.get_legend_handles_labels()
-    axes.legend(
-        handles=[*handles, *_plan_handles(voxels is not None)],
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.11 * 6.0 / figure.get_figheight()),
-        ncols=6,
-        frameon=False,
-        fontsize=9,
-    )
+    handles += _plan_handles(voxels is not None)
+    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False, fontsize=9)
     save(figure, picture)
 
 
@@ -64,7 +58,7 @@ def coverage_over_time(picture: Path, timeline: Timeline, free_volume_m3: float 
     start_s = timeline.start_s()
     time_s = np.array([sample.stamp_s - start_s for sample in timeline.progress])
     explored = np.array([sample.explored_m3 for sample in timeline.progress])
-    figure = new_figure(11.0, 4.6)
+    figure = new_figure(_WIDTH_IN, 3.6)
     axes = figure.add_subplot()
     what = "explored, m³" if free_volume_m3 is None else "explored, % of what can be seen"
     style(axes, "flight time, s", what, "Coverage")
@@ -90,7 +84,7 @@ def coverage_over_time(picture: Path, timeline: Timeline, free_volume_m3: float 
 def planning_over_time(picture: Path, timeline: Timeline) -> None:
     """Time spent per plan: whole step as a bar, its making of tasks darker inside; colour by mode."""
     start_s = timeline.start_s()
-    figure = new_figure(11.0, 4.2)
+    figure = new_figure(_WIDTH_IN, 3.4)
     axes = figure.add_subplot()
     style(axes, "flight time, s", "time per plan, ms", "Planning")
     for mode, colour, name in (
@@ -105,11 +99,11 @@ def planning_over_time(picture: Path, timeline: Timeline) -> None:
         step_ms = [1e3 * plan.step_s for plan in plans]
         axes.vlines(time_s, 0.0, step_ms, color=colour, alpha=0.35, lw=2.4)
         axes.vlines(time_s, 0.0, [1e3 * plan.task_s for plan in plans], color=colour, lw=2.4)
-        axes.plot(time_s, step_ms, "o", color=colour, ms=5.0, mec="white", mew=0.8, label=f"{name}: {len(plans)} plans")
+        axes.plot(time_s, step_ms, "o", color=colour, ms=5.0, mec="white", mew=0.8, label=f"{name} ({len(plans)})")
     axes.set_ylim(0.0, 1.25e3 * max((plan.step_s for plan in timeline.plans), default=0.1))
     if timeline.plans:
-        axes.vlines([], 0.0, [], color=INK, lw=2.4, label="dark part: making tasks")
-        axes.legend(loc="upper center", frameon=False, fontsize=9, ncols=4)
+        axes.vlines([], 0.0, [], color=INK, lw=2.4, label="dark: making tasks")
+        axes.legend(loc="upper center", frameon=False, fontsize=8.5, ncols=4, columnspacing=1.2, handletextpad=0.4)
     save(figure, picture)
 
 
@@ -117,8 +111,11 @@ def new_figure(width_in: float, height_in: float) -> Any:
     """An empty figure on its own Agg canvas."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(figsize=(width_in, height_in), dpi=_DPI, layout="constrained", facecolor="white")
+    figure = Figure(
+        figsize=(width_in, height_in), dpi=_DPI, layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12), facecolor="white"
+    )
     FigureCanvasAgg(figure)
     return figure
 
@@ -203,7 +200,7 @@ def _draw_views(axes: Any, timeline: Timeline) -> None:
         angles="xy",
         scale_units="xy",
         scale=1.0,
-        width=0.0022,
+        width=0.0028,
         headwidth=4.5,
         color=INK,
         alpha=0.8,

@@ -25,10 +25,11 @@ h1 { font-size:clamp(24px,4.5vw,38px); line-height:1.15; letter-spacing:-.02em; 
 .tiles b { font-size:28px; letter-spacing:-.02em; font-variant-numeric:tabular-nums; white-space:nowrap; }
 .tiles p { font-size:13px; color:var(--soft); line-height:1.3; }
 .pictures { display:grid; grid-template-columns:repeat(auto-fit,minmax(min(100%,480px),1fr)); gap:16px; align-items:start; }
+@media (min-width:1000px) { .pictures figure:last-child:nth-child(odd) { grid-column:1 / -1; } }
 figure { overflow:hidden; }
 figure img { display:block; width:100%; height:auto; }
 figcaption { padding:10px 18px 14px; font-size:14px; color:var(--soft); border-top:1px solid var(--line); }
-.tables { display:grid; grid-template-columns:repeat(auto-fit,minmax(min(100%,360px),1fr)); gap:16px; align-items:start; }
+.tables { display:grid; grid-template-columns:repeat(auto-fit,minmax(min(100%,440px),1fr)); gap:16px; align-items:start; }
 .tables section, .notes { padding:18px 22px; }
 h2 { font-size:17px; margin-bottom:8px; }
 table { width:100%; border-collapse:collapse; }
