@@ -54,7 +54,8 @@ class FlyableSpace:
 
     def centre(self, flat: IntArray) -> FloatArray:
         """Centres in padded voxel units of flat indices: (N,) to (N, 3)."""
-        return np.stack(np.unravel_index(flat, self.mask.shape), axis=-1) + 0.5
+        centre: FloatArray = np.stack(np.unravel_index(flat, self.mask.shape), axis=-1) + np.float64(0.5)
+        return centre
 
 
 def way_out(space: FlyableSpace, position_world: FloatArray) -> IntArray | None:

@@ -24,7 +24,7 @@ from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath
 
-MAX_TOUR_TASKS = 30  # the nearest ones: the horizon executes only the first few
+MAX_TOUR_TASKS = 24  # the nearest ones: the horizon executes only the first few
 
 
 class AdaptivePlanner:
@@ -69,7 +69,8 @@ class AdaptivePlanner:
         explore, without_view = self._frontier_views.propose(situation, census.frontiers)
         mode = self._mode.choose(np.array([proposal.distance_m for proposal in explore]))
         widening = 1.0 if explore else self._config.end_factor
-        tasks = explore + self._reconstruct(mode, situation, request.surface, widening)
+        tasks = self._frontier_views.without_redundant(situation, explore, faces)
+        tasks += self._reconstruct(mode, situation, request.surface, widening)
         tasks_made_s = self._timer()
         if not tasks:
             return self._nothing(_why(census, without_view, request.voxels.state, faces), start_s, tasks_made_s)

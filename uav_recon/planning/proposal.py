@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from uav_recon.planning.flyable import FlyableSpace
+from uav_recon.planning.search import CellArray
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import Task
@@ -15,12 +16,14 @@ class Proposal:
     """task; cell: flat padded index of its viewpoint; distance_m: path length from the vehicle, on the grid.
 
     promised: (M,) flat indices into VoxelMap.state of the frontier cells, or of the voxels of surface, that it should settle.
+    squareness: (M,) cosine under which each is seen; 1 for frontier cells.
     """
 
     task: Task
     cell: int
     distance_m: float
     promised: IntArray
+    squareness: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,4 +37,4 @@ class Situation:
     space: FlyableSpace
     exit_cells: IntArray
     reach: FloatArray
-    previous: IntArray
+    previous: CellArray

@@ -8,15 +8,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+
+CellArray = NDArray[np.int32]  # flat cell indices: half the memory to fill for each search
 
 _STEPS = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)])
 _STEP_LENGTHS = np.sqrt((_STEPS**2).sum(axis=1).astype(np.float64))
 
 
-def distances_from(mask: ByteArray, source: int, targets: IntArray, limit: float) -> tuple[FloatArray, IntArray]:
+def distances_from(mask: ByteArray, source: int, targets: IntArray, limit: float) -> tuple[FloatArray, CellArray]:
     """Exact 26-connected path lengths from one cell, flat arrays (n,): distance (inf = not reached) and previous cell (-1).
 
     Stops once all ``targets`` (flat indices; none = never) are settled, or beyond ``limit`` voxels. The source is taken as
@@ -29,14 +32,14 @@ def distances_from(mask: ByteArray, source: int, targets: IntArray, limit: float
 @kernel
 def _spread(
     mask: ByteArray, offsets: IntArray, lengths: FloatArray, source: int, targets: IntArray, limit: float
-) -> tuple[FloatArray, IntArray]:
+) -> tuple[FloatArray, CellArray]:
     # Dijkstra with buckets one voxel wide (Dinitz): no edge is shorter than a bucket, so the order inside one is free
     n = len(mask)
     distance = np.full(n, np.inf)
-    previous = np.full(n, -1, dtype=np.int64)
-    buckets = np.empty((3, n), dtype=np.int64)
+    previous = np.full(n, -1, dtype=np.int32)
+    buckets = np.empty((3, n), dtype=np.int32)
     sizes = np.zeros(3, dtype=np.int64)
-    listed = np.full(n, -1, dtype=np.int64)  # last bucket that a cell was put on
+    listed = np.full(n, -1, dtype=np.int32)  # last bucket that a cell was put on
     distance[source] = 0.0
     buckets[0, 0] = source
     sizes[0] = 1
@@ -51,17 +54,16 @@ def _spread(
                 continue  # settled in an earlier bucket
             for e in range(len(offsets)):
                 neighbour = cell + offsets[e]
-                if mask[neighbour] == 0:
-                    continue
                 reached = here + lengths[e]
-                if reached < distance[neighbour] and reached <= limit:
-                    distance[neighbour] = reached
-                    previous[neighbour] = cell
-                    into = int(reached)
-                    if listed[neighbour] != into:
-                        listed[neighbour] = into
-                        buckets[into % 3, sizes[into % 3]] = neighbour
-                        sizes[into % 3] += 1
+                if mask[neighbour] == 0 or reached >= distance[neighbour] or reached > limit:
+                    continue
+                distance[neighbour] = reached
+                previous[neighbour] = cell
+                into = int(reached)
+                if listed[neighbour] != into:
+                    listed[neighbour] = into
+                    buckets[into % 3, sizes[into % 3]] = neighbour
+                    sizes[into % 3] += 1
         sizes[slot] = 0
         level += 1
         if open_targets > 0:
@@ -75,7 +77,7 @@ def _spread(
 
 
 @kernel
-def chain(previous: IntArray, cell: int) -> IntArray:
+def chain(previous: CellArray, cell: int) -> IntArray:
     """Cells from the source to ``cell``, both included."""
     count = 1
     at = cell

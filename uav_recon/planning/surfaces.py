@@ -13,7 +13,7 @@ import numpy as np
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import is_visible
-from uav_recon.planning.camera import CameraGeometry, aim, eye, in_view
+from uav_recon.planning.camera import RANGE, CameraGeometry, aim, eye, in_view
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.planning.search import distances_from
 from uav_recon.planning.viewpoints import shell
@@ -21,9 +21,8 @@ from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
-LOOK_DISCOUNT = 0.35  # of an element's uncertainty, for each task that has looked well at it: so that tasks run out
-WORTH_SHARE = 0.5  # of min_visible: a view that gains less is not worth its flight
-SEEN_WELL_COS = 0.34  # cosine of 70 degrees
+LOOK_DISCOUNT = 0.35  # of an element's uncertainty, for each task that has looked squarely at it: so that tasks run out
+WORTH_SHARE = 1.0  # of min_visible: a view that gains less than so many most uncertain elements is not worth its flight
 PROBE_CELL = 3.0  # voxels: elements are merged to this for the first sorting of candidates ...
 FULL_VIEWS = 6  # ... and so many of them are then counted in full
 TAIL = 1.5  # voxels before an element that may be occupied or unknown: the element's own wall
@@ -43,8 +42,8 @@ class UncertainSurface:
         return UncertainSurface(self.position[which], self.normal[which], self.weight[which], self.voxel[which])
 
 
-def thinned(surface: SurfaceElements, situation: Situation, looks: ByteArray, every: int) -> UncertainSurface:
-    """Every N_down-th element; uncertainty divided by its 90th percentile, clipped to 1, less for what was looked at well.
+def thinned(surface: SurfaceElements, situation: Situation, looks: FloatArray, every: int) -> UncertainSurface:
+    """Every N_down-th element; uncertainty divided by its 90th percentile, clipped to 1, less for what was looked at.
 
     The scale of the uncertainty is the mapper's own and drifts as it learns: only its ranking within this map is used.
     """
@@ -59,7 +58,7 @@ def thinned(surface: SurfaceElements, situation: Situation, looks: ByteArray, ev
     index = np.floor(position).astype(np.int64)
     inside = grid.contains(index)
     voxel = np.where(inside, np.ravel_multi_index(tuple(np.where(inside[:, None], index, 0).T), grid.shape), -1)
-    looked = np.where(voxel >= 0, looks.ravel()[voxel], 0)
+    looked = np.where(voxel >= 0, looks.ravel()[voxel], 0.0)
     weight = np.minimum(sigma / scale, 1.0) * LOOK_DISCOUNT**looked
     return UncertainSurface(np.ascontiguousarray(position), np.ascontiguousarray(normal, dtype=np.float64), weight, voxel)
 
@@ -112,7 +111,7 @@ def merged_to_cells(surface: UncertainSurface) -> UncertainSurface:
     cube = np.floor(surface.position / PROBE_CELL).astype(np.int64) + 4096
     key = ((cube[:, 0] * 8192 + cube[:, 1]) * 8192 + cube[:, 2]) * 6 + axis * 2 + side
     _, first, group = np.unique(key, return_index=True, return_inverse=True)
-    weight = np.bincount(group.ravel(), weights=surface.weight)
+    weight = np.bincount(group.ravel(), weights=surface.weight).astype(np.float64)
     return UncertainSurface(surface.position[first], surface.normal[first], weight, surface.voxel[first])
 
 
@@ -176,10 +175,13 @@ class SurfaceViews:
         self._config = config
         self._camera = camera
 
-    def propose(self, situation: Situation, surface: SurfaceElements | None, looks: ByteArray, factor: float) -> list[Proposal]:
+    def propose(
+        self, situation: Situation, surface: SurfaceElements | None, looks: FloatArray, factor: float
+    ) -> list[Proposal]:
         """Return at most N_rec tasks; ``factor`` multiplies R_loc, R_clu and N_rec (alpha once no frontier is left).
 
-        looks: (nx, ny, nz) uint8, how many tasks have looked well at the surface in a voxel.
+        looks: (nx, ny, nz), sum of the cosines under which tasks have looked at the surface in a voxel. Gains are what a task
+        adds to the ones before it.
         """
         if surface is None or not len(surface.position_world):
             return []
@@ -209,7 +211,8 @@ class SurfaceViews:
             ((cells.position - centre) ** 2).sum(axis=1) <= (1.5 * self._config.cluster_radius_m / grid.resolution_m) ** 2
         )
         scores = _sort_places(state, reach, mask, lens, places, centre, around.position, around.normal, around.weight)
-        in_range = elements.taken(((elements.position - centre) ** 2).sum(axis=1) <= (2 * lens[3]) ** 2)
+        within = np.flatnonzero(((elements.position - centre) ** 2).sum(axis=1) <= (2 * lens[RANGE]) ** 2)
+        in_range = elements.taken(within)
         best: tuple[float, int, float, float, FloatArray] | None = None
         for p in np.argsort(-scores, kind="stable")[:FULL_VIEWS]:
             if scores[p] <= 0.0:
@@ -224,5 +227,10 @@ class SurfaceViews:
         cell = situation.space.flat(np.floor(places[p]).astype(np.int64) + 1)
         viewpoint = Viewpoint(grid.origin_world_m + places[p] * grid.resolution_m, yaw, pitch)
         task = Task(TaskKind.RECONSTRUCT, grid.origin_world_m + centre * grid.resolution_m, viewpoint, gain)
-        well = np.unique(in_range.voxel[(cosine >= SEEN_WELL_COS) & (in_range.voxel >= 0)])
-        return Proposal(task, cell, float(reach[cell]) * grid.resolution_m, well)
+        # what this view will show is worth less to the views after it
+        elements.weight[within] *= LOOK_DISCOUNT**cosine
+        seen = np.flatnonzero((cosine > 0.0) & (in_range.voxel >= 0))
+        promised, group = np.unique(in_range.voxel[seen], return_inverse=True)
+        squareness = np.zeros(len(promised))
+        np.maximum.at(squareness, group, cosine[seen])
+        return Proposal(task, cell, float(reach[cell]) * grid.resolution_m, promised, squareness)

@@ -7,6 +7,7 @@ alone: that neighbour is what a look from there decides.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 MIN_SEEN = 4  # cells: less is not worth a stop
 PROBE_CELLS = 8  # cells tried from every candidate ...
 FULL_VIEWS = 24  # ... and candidates that are then counted in full
+COVERED_SHARE = 0.7  # of what its own view sees: a frontier that another view shows so well needs no stop of its own
 TRAVEL_DISCOUNT_PER_M = 0.03  # of two views that see the same, the nearer one
 _FALLBACK_RADII_M = (0.5, 0.65)  # tight rooms
 _FAR_RADII_M = (2.4, 3.0, 3.6, 4.2)  # a fixed mount sees high and low cells from afar only
@@ -168,13 +170,17 @@ def _best_view(
         distance = np.sqrt(((place - centre) ** 2).sum())
         path = reach[((int(place[0]) + 1) * mask.shape[1] + int(place[1]) + 1) * mask.shape[2] + int(place[2]) + 1]
         factor = _quality(distance, steps) / (1.0 + discount * path)
+        if len(cells) * factor <= best_score:
+            continue  # not even all cells would make it the best
         for turn in range(2):
             seen = _count(state, lens, place, yaw, pitch, cells, bits, faces)
             score = seen.sum() * factor
             if score > best_score:
                 best, best_yaw, best_pitch, best_score = p, yaw, pitch, score
                 best_seen = seen
-            if turn == 0 and seen.any():
+            if seen.all() or not seen.any():
+                break
+            if turn == 0:
                 # the heading that has the seen cells in its middle: a mean of angles, so by their sum as vectors
                 c, s = 0.0, 0.0
                 for n in range(len(cells)):
@@ -240,4 +246,29 @@ class FrontierViews:
             TaskKind.EXPLORE, grid.origin_world_m + centre * grid.resolution_m, viewpoint, float(np.count_nonzero(seen))
         )
         promised = np.ravel_multi_index(tuple(cells[seen].T), grid.shape).astype(np.int64)
-        return Proposal(task, cell, float(reach[cell]) * grid.resolution_m, promised)
+        return Proposal(task, cell, float(reach[cell]) * grid.resolution_m, promised, np.ones(len(promised)))
+
+    def without_redundant(self, situation: Situation, proposals: list[Proposal], faces: ByteArray) -> list[Proposal]:
+        """Leave out tasks whose cells a better view shows as well; that view then promises those too.
+
+        faces: (nx, ny, nz) uint8 of unknown_faces().
+        """
+        grid = situation.voxels.grid
+        lens = self._camera.lens(grid.resolution_m, self._camera.range_m)
+        cells = [np.stack(np.unravel_index(proposal.promised, grid.shape), axis=-1) for proposal in proposals]
+        bits = [faces.ravel()[proposal.promised] for proposal in proposals]
+        kept: list[Proposal] = []
+        left = sorted(range(len(proposals)), key=lambda n: (-proposals[n].task.gain, n))
+        while left:
+            best = proposals[left.pop(0)]
+            view = best.task.viewpoint
+            place = (view.position_world - grid.origin_world_m) / grid.resolution_m
+            sight = (situation.voxels.state, lens, place, view.yaw_rad, view.pitch_down_rad)
+            promised = [best.promised]
+            for n in tuple(left):
+                if np.mean(_count(*sight, cells[n], bits[n], FACES)) >= COVERED_SHARE:
+                    promised.append(proposals[n].promised)
+                    left.remove(n)
+            cells_promised = np.concatenate(promised)
+            kept.append(replace(best, promised=cells_promised, squareness=np.ones(len(cells_promised))))
+        return kept

@@ -1,7 +1,8 @@
 """What earlier plans promised and what came of it: so that nothing is looked at for ever.
 
 A frontier that a camera cannot settle (a ceiling corner, glass) stays a frontier after the view that should have settled it.
-Each voxel that was promised and not delivered twice is exhausted and makes no more tasks.
+Each voxel that was promised and not delivered twice is exhausted and makes no more tasks. Surface keeps the sum of the cosines
+under which tasks have looked at it: its uncertainty counts for less and less, so that reconstruction ends too.
 """
 
 from __future__ import annotations
@@ -24,6 +25,13 @@ class Visited:
     Grids have the map's shape and are forgotten when the map's frame changes (another epoch, origin or shape).
     """
 
+    looks_in_vain: ByteArray
+    surface_looks: FloatArray
+    _path: ViewPath | None
+    _proposals: tuple[Proposal, ...]
+    _position: FloatArray
+    _waiting: list[tuple[int, IntArray]]  # map revision and frontier voxels of views flown, not yet judged
+
     def __init__(self) -> None:
         self._forget((0, 0, 0), ())
 
@@ -34,8 +42,7 @@ class Visited:
             if proposal.task.kind is TaskKind.EXPLORE:
                 self._waiting.append((request.voxels.revision, proposal.promised))
             else:
-                looks = self.surface_looks.ravel()
-                looks[proposal.promised] = np.minimum(looks[proposal.promised], 254) + 1
+                self.surface_looks.ravel()[proposal.promised] += proposal.squareness
         # a view is judged by a map newer than the arrival: the picture taken there may still be on its way
         due = [voxels for revision, voxels in self._waiting if revision < request.voxels.revision]
         self._waiting = [(revision, voxels) for revision, voxels in self._waiting if revision >= request.voxels.revision]
@@ -61,13 +68,11 @@ class Visited:
 
     def _forget(self, shape: tuple[int, int, int], frame: tuple[object, ...]) -> None:
         self._frame = frame
-        self.looks_in_vain: ByteArray = np.zeros(shape, dtype=np.uint8)
-        self.surface_looks: ByteArray = np.zeros(shape, dtype=np.uint8)
-        self._path: ViewPath | None = None
-        self._proposals: tuple[Proposal, ...] = ()
-        self._position: FloatArray = np.zeros(3)
-        self._stalls = 0
-        self._waiting: list[tuple[int, IntArray]] = []  # map revision and frontier voxels of views flown, not yet judged
+        self.looks_in_vain = np.zeros(shape, dtype=np.uint8)
+        self.surface_looks = np.zeros(shape)
+        self._path, self._proposals = None, ()
+        self._position, self._stalls = np.zeros(3), 0
+        self._waiting = []
 
     def _newly_flown(self, request: PlanRequest) -> tuple[Proposal, ...]:
         if self._path is None:
