@@ -42,10 +42,10 @@ def simulate(options: SimOptions) -> int:
         else:
             _claim_port(options.port)
             fault = _RealTime(options, config, Path(runtime), console).fly()
-    from sitl.fly_report import judge
+    from sitl.fly_report import judge, summary
 
     report = judge(options, scene, time.monotonic() - started_s, fault, console)
-    console.print(report.summary(options.out))
+    console.print(summary(report, options.out))
     if fault:
         raise run.Failure(fault)
     return 0 if report.completed else 1

@@ -6,7 +6,9 @@ import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
+from sitl.d435i import Model, Noise
 from sitl.fly_world import WorldOptions
 from sitl.scene import Scene
 from uav_recon import run
@@ -47,9 +49,10 @@ class SimOptions:
 
     @staticmethod
     def parse(
-        *, scene: str | None = None, start: str | None = None, fence: str | None = None, views: int | None = None, seed: int = 0,
-        out: Path | None = None, autopilot: str = "px4", variant: str = "adaptive", mount: str = "fixed:15",
-        depth_noise: str = "d435i", camera: str = "d435i", lockstep: bool = False, live: bool = False, port: int = 14540,
+        *, scene: str | None = None, start: str | None = None, fence: str | None = None, views: int | None = None,
+        seed: int = 0, out: Path | None = None, autopilot: str = "px4", variant: str = "adaptive",
+        mount: str = "fixed:15", depth_noise: str = "d435i", camera: str = "d435i", lockstep: bool = False,
+        live: bool = False, port: int = 14540,
     ) -> SimOptions:  # fmt: skip
         """Check the words of the command line. Raises UsageError with one line."""
         for name, value, allowed in (
@@ -86,8 +89,10 @@ class SimOptions:
     def world(self, runtime: Path) -> WorldOptions:
         """The options of the outside world."""
         return WorldOptions(
-            scene=self.scene, start=self.start, fence=self.fence, seed=self.seed, mount_pitch_down_deg=self.mount_pitch_down_deg,
-            depth_noise=self.depth_noise, camera=self.camera, port=self.port, stream=str(runtime / "camera.stream"),
+            scene=self.scene, start=self.start, fence=self.fence, seed=self.seed,
+            mount_pitch_down_deg=self.mount_pitch_down_deg,
+            depth_noise=cast("Noise", self.depth_noise), camera=cast("Model", self.camera), port=self.port,
+            stream=str(runtime / "camera.stream"),
             truth=str(self.out / "truth.npz"),
         )  # fmt: skip
 

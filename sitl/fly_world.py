@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import signal
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from sitl import d435i
 from sitl.clearance import Clearance
-from sitl.d435i import Camera
 from sitl.parameters import Parameters
 from sitl.poses import NoisyPoses
 from sitl.px4 import Px4
@@ -22,9 +26,7 @@ from sitl.vehicle import Quadrotor
 from sitl.world import Darkroom, World
 from uav_recon.sensors.wire import StreamWriter
 
-CAMERA_RATE_HZ = 10.0
 STEP_S = 0.004
-PARAMETER_FILE = Path(__file__).parents[1] / "firmware_params" / "px4_indoor.params"
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,8 @@ class WorldOptions:
     fence: tuple[float, float, float, float, float, float] | None
     seed: int
     mount_pitch_down_deg: float | None  # None = gimbal
-    depth_noise: str
-    camera: str
+    depth_noise: d435i.Noise
+    camera: d435i.Model
     port: int
     stream: str
     truth: str
@@ -56,16 +58,17 @@ class WorldOptions:
         return load_scene(self.scene, self.start, self.fence)
 
 
-def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, start_s: float) -> World:
-    """Put the world together; compiles its kernels."""
+def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float]) -> World:
+    """Put the world together, compile its kernels, and only then read the clock: its time begins there."""
+    renderer, clearance = Renderer(scene.vertices, scene.faces, scene.rgb), Clearance(scene)
+    d435i.warm_up()
+    clearance.hull_m(np.zeros(3))
+    camera = d435i.Camera(renderer, options.camera, options.depth_noise, seed=options.seed)
     vehicle = Quadrotor(seed=options.seed, yaw_rad=scene.start_yaw_rad)
-    autopilot = Px4(vehicle, link, Parameters.load(PARAMETER_FILE), seed=options.seed)
-    camera = Camera(Renderer(scene.vertices, scene.faces, scene.rgb), options.camera, options.depth_noise, seed=options.seed)
+    autopilot = Px4(vehicle, link, Parameters.load(), seed=options.seed)
+    pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
-    world = World(autopilot, camera, NoisyPoses(options.seed), Clearance(scene), stream, CAMERA_RATE_HZ, start_s)
-    if options.mount_pitch_down_deg is not None:
-        world.fix_mount(options.mount_pitch_down_deg)
-    return world
+    return World(autopilot, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad)
 
 
 def fly(options: WorldOptions) -> None:
@@ -73,11 +76,8 @@ def fly(options: WorldOptions) -> None:
     stopping: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: stopping.append(number))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    scene = options.scene_of()
     link = UdpPeer(remote=("127.0.0.1", options.port))
-    world = make_world(options, scene, link, time.monotonic())
-    world.develop(world.expose(time.monotonic()))  # compiles the renderer before time runs
-    world.restart(time.monotonic())
+    world = make_world(options, options.scene_of(), link, time.monotonic)
     darkroom = Darkroom(world)
     next_s = time.monotonic()
     while not stopping:

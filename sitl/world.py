@@ -13,10 +13,11 @@ from sitl.clearance import Clearance
 from sitl.d435i import Camera
 from sitl.poses import NoisyPoses
 from sitl.px4 import Px4
-from sitl.transform import matrix_from_quat
+from sitl.transform import rigid, rotation_from_quat
 from uav_recon.sensors.wire import StreamWriter
 
 IMU_RATE_HZ = 200.0
+CAMERA_PERIOD_S = 0.1
 TRUTH_RATE_HZ = 50.0
 PAD_HEIGHT_M = 0.4  # below it, take-off and landing, nearness to the pad is no fault
 
@@ -55,12 +56,12 @@ class World:
         poses: NoisyPoses,
         clearance: Clearance,
         stream: StreamWriter,
-        camera_rate_hz: float,
         start_s: float,
+        mount_pitch_down_rad: float | None,
     ) -> None:
+        """A mount_pitch_down_rad of None is a gimbal: its angle is the autopilot's."""
         self.autopilot, self.camera, self._poses, self._clearance = autopilot, camera, poses, clearance
-        self._stream, self._start_s = stream, start_s
-        self._camera_period_s = 1.0 / camera_rate_hz
+        self._stream, self._start_s, self._mount_pitch_down_rad = stream, start_s, mount_pitch_down_rad
         self._imu_count = self._truth_count = self._frame_count = 0
         self.truth_log = TruthLog([])
 
@@ -96,21 +97,21 @@ class World:
 
     def _world_from_body(self) -> NDArray[np.float64]:
         truth = self.autopilot.truth()
-        matrix = np.eye(4)
-        matrix[:3, :3] = matrix_from_quat(np.asarray(truth.quat_wxyz))
-        matrix[:3, 3] = truth.position
-        return matrix
+        return rigid(rotation_from_quat(truth.quat_wxyz), truth.position)
 
     def frame_due(self, now_s: float) -> bool:
         """Whether the shutter opens now; true once per camera period."""
-        if self._start_s + self._frame_count * self._camera_period_s > now_s:
+        if self._start_s + self._frame_count * CAMERA_PERIOD_S > now_s:
             return False
-        self._frame_count = int((now_s - self._start_s) / self._camera_period_s + 1e-9) + 1
+        self._frame_count = int((now_s - self._start_s) / CAMERA_PERIOD_S + 1e-9) + 1
         return True
 
     def expose(self, now_s: float) -> Exposure:
         """What the shutter caught: take it in the stepping thread, develop it anywhere."""
-        return Exposure(now_s, self._world_from_body(), self.autopilot.truth().gimbal_pitch_down_rad)
+        pitch_rad = self._mount_pitch_down_rad
+        if pitch_rad is None:
+            pitch_rad = self.autopilot.truth().gimbal_pitch_down_rad
+        return Exposure(now_s, self._world_from_body(), pitch_rad)
 
     def develop(self, exposure: Exposure) -> None:
         """Render an exposure and publish it."""

@@ -23,7 +23,7 @@ ALLOWED = {
     "evaluation": {"types", "geometry", "evaluation"},
     "notify": set(),
 }
-ROOTS = {"run", "bench", "cli", "__main__"}
+ROOTS = {"run", "processes", "bench", "cli"}
 HEAVY = {
     "torch": {"uav_recon/mapping/neural"},
     "pyrealsense2": {"uav_recon/sensors/realsense.py"},

@@ -25,6 +25,7 @@ T = TypeVar("T")
 
 _HEAD = struct.Struct("<8sqIIq")  # magic, sequence, length, crc, sequence again
 _MAGIC = b"UAVCHAN1"
+_NONSENSE = (struct.error, TypeError, IndexError, KeyError, AttributeError, OverflowError, RecursionError, SyntaxError)
 
 
 class MemoryChannel(Generic[T]):
@@ -75,7 +76,11 @@ class FileChannel(Generic[T]):
         data = self._map[_HEAD.size : _HEAD.size + length]
         if zlib.crc32(data) != crc:
             return self._value
-        self._value, self._read_sequence = decode(data, self._kind), sequence
+        self._read_sequence = sequence
+        try:
+            self._value = decode(data, self._kind)
+        except ValueError:  # a hostile or foreign writer: refused, once
+            return self._value
         return self._value
 
     def sequence(self) -> int:
@@ -128,7 +133,7 @@ def decode(data: bytes, kind: type[T]) -> T:
         tree = json.loads(data[4 : 4 + length])
         arrays = _read_arrays(data, 4 + length)
         return cast("T", _decode(tree, kind, arrays))
-    except (struct.error, TypeError, IndexError, KeyError, UnicodeDecodeError) as error:
+    except (*_NONSENSE, UnicodeDecodeError) as error:
         raise ValueError(f"not a {kind.__name__}: {error}") from None
 
 

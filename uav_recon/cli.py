@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from uav_recon import run
+from uav_recon import processes, run
 
 app = typer.Typer(
     add_completion=False,
@@ -82,31 +82,31 @@ def sim(
 @app.command()
 def pilot(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
     """The process next to the autopilot: the only MAVLink link, the guard, the setpoint stream."""
-    _exit(lambda: run.pilot(config, flight))
+    _exit(lambda: processes.pilot(config, flight))
 
 
 @app.command()
 def perception(config: ConfigOption = Path("/etc/uav_recon/config.toml")) -> None:
     """The process next to the camera: frames, poses, steady odometry."""
-    _exit(lambda: run.perception(config))
+    _exit(lambda: processes.perception(config))
 
 
 @app.command()
 def mission(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
     """The process that decides: voxels, planner, state machine, with the mapper and the recorder as children."""
-    _exit(lambda: run.mission(config, flight))
+    _exit(lambda: processes.mission(config, flight))
 
 
 @app.command(hidden=True)
 def record(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
     """The recorder, started by the mission: reads the channels, writes flight.rrd."""
-    _exit(lambda: run.record(config, flight))
+    _exit(lambda: processes.record(config, flight))
 
 
 @app.command()
 def review(flight: Annotated[Path, typer.Argument(help="A flight folder.")]) -> None:
     """Open a flight in the rerun viewer: map, path, model, camera and figures on one timeline."""
-    _exit(lambda: run.review(flight))
+    _exit(lambda: processes.review(flight))
 
 
 def _exit(work: Callable[[], Any]) -> None:

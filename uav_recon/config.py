@@ -77,6 +77,8 @@ class CameraConfig(Section):
     position_body_m: Vec3 = (0.10, 0.0, 0.0)  # depth imager on the body
     pitch_down_deg: Annotated[float, Field(ge=-60.0, le=60.0)] = 15.0  # tilt of a fixed mount, positive looks down
     gimbal_limit_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 60.0  # gimbal range, both ways
+    horizontal_fov_deg: Annotated[float, Field(gt=10.0, lt=170.0)] = 87.0  # of the depth image
+    vertical_fov_deg: Annotated[float, Field(gt=10.0, lt=170.0)] = 58.0  # of the depth image
     depth_min_m: Positive = 0.3  # nearer returns are not believed
     depth_max_m: Positive = 6.0  # farther returns are not believed
     depth_noise_px: Annotated[float, Field(gt=0.0, le=1.0)] = 0.08  # disparity error assumed by mapper and voxels

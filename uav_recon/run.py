@@ -1,38 +1,41 @@
-"""The composition root: the only file that picks implementations, and the loops of the processes."""
+"""The composition root: the only file that picks implementations."""
 
 from __future__ import annotations
 
-import signal
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uav_recon import config as configuration
-from uav_recon import notify
 from uav_recon.channels import FileChannel, MemoryChannel
-from uav_recon.clock import MonotonicClock
 from uav_recon.config import Config
-from uav_recon.protocols import ByteLink, Channel, Clock, Executor, Mapper
-from uav_recon.types.camera import Intrinsics, PosedFrame, body_from_camera
+from uav_recon.protocols import ByteLink, Camera, Channel, Clock, Executor, Journal, Mapper, PoseSource
+from uav_recon.types.camera import PosedFrame, body_from_camera
 from uav_recon.types.maps import GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
 from uav_recon.types.vehicle import MissionProgress, VehicleState
 
+if TYPE_CHECKING:  # each process imports only the stages that it runs
+    from uav_recon.autopilot.pilot import Pilot
+    from uav_recon.autopilot.tlog import FrameLog
+    from uav_recon.localization.perception import Perception
+    from uav_recon.mapping.neural.trainer import Trainer
+    from uav_recon.mapping.voxels import Voxels
+    from uav_recon.mission.conductor import Conductor
+    from uav_recon.planning.planner import AdaptivePlanner
+    from uav_recon.recording.recorder import Recorder
+
 EXIT_FAILURE, EXIT_USAGE, EXIT_CONFIG = 1, 2, 78
-PERCEPTION_RATE_HZ = PILOT_RATE_HZ = 100.0
-MISSION_RATE_HZ = 30.0
-RECORDER_RATE_HZ = 10.0
 CAMERA_WAIT_S = 240.0
 
 
-class Failure(Exception):
+class Failure(Exception):  # noqa: N818 - it is what the user is told, not a bug
     """Something a person can mend, in one line; code is the exit code."""
 
     code = EXIT_FAILURE
@@ -92,3 +95,166 @@ def load_config(path: Path) -> Config:
         return configuration.load(path)
     except configuration.ConfigError as error:
         raise Failure(str(error), EXIT_CONFIG) from None
+
+
+# -- the pilot ----------------------------------------------------------------------------------------------------------
+
+
+def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, clock: Clock) -> Pilot:
+    """The loop next to the autopilot."""
+    from uav_recon.autopilot.pilot import Origin, PilotChannels, make_px4_pilot
+    from uav_recon.safety.envelope import Envelope
+    from uav_recon.safety.guard import Guard, Patience
+
+    safety = config.safety
+    envelope = Envelope(
+        fence_min_m=safety.fence_min_m,
+        fence_max_m=safety.fence_max_m,
+        inset_m=safety.fence_inset_m,
+        max_speed_mps=safety.max_speed_mps,
+        max_acceleration_mps2=safety.max_acceleration_mps2,
+        max_yaw_rate_radps=math.radians(safety.max_yaw_rate_degps),
+    )
+    patience = Patience(safety.pose_timeout_s, safety.pose_land_s, safety.intent_timeout_s, safety.land_timeout_s)
+    channels = PilotChannels(wires.odom, wires.intent, wires.vehicle)
+    origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
+    gimbal = config.camera.mount == "gimbal"
+    return make_px4_pilot(link, Guard(envelope, patience), channels, clock, origin, config.link.setpoint_rate_hz, gimbal, log)
+
+
+# -- perception ---------------------------------------------------------------------------------------------------------
+
+
+def make_perception(config: Config, wires: Wires, clock: Clock) -> Perception:
+    """The loop next to the camera. Raises Failure if there is no camera."""
+    from uav_recon.localization.filter import FusionFilter
+    from uav_recon.localization.mount import FixedMount, GimbalMount
+    from uav_recon.localization.perception import Perception
+
+    camera, poses = _camera(config, clock)
+    position = np.array(config.camera.position_body_m)
+    pitch_rad = math.radians(config.camera.pitch_down_deg)
+    mount = (
+        FixedMount(body_from_camera(position, pitch_rad))
+        if config.camera.mount == "fixed"
+        else GimbalMount(position, wires.vehicle)
+    )
+    fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
+    rate_hz, wait_s = config.localization.rate_hz, config.localization.frame_wait_s
+    return Perception(camera, poses, fusion, mount, wires.odom, wires.frames, clock, rate_hz, wait_s)
+
+
+def _camera(config: Config, clock: Clock) -> tuple[Camera, PoseSource]:
+    from uav_recon.sensors.stream import StreamCamera, StreamError, StreamPoses, open_stream
+
+    path = config.runtime.folder / config.camera.stream
+    near_m, far_m = config.camera.depth_min_m, config.camera.depth_max_m
+    try:
+        open_stream(path, clock, CAMERA_WAIT_S)
+        poses = StreamPoses(path)
+        if config.camera.source == "stream":
+            return StreamCamera(path, near_m, far_m), poses
+    except StreamError as error:
+        raise Failure(str(error)) from None
+    from uav_recon.sensors.realsense import RealSenseCamera, RealSenseError
+
+    try:
+        return RealSenseCamera(clock, playback=config.camera.recording), poses
+    except RealSenseError as error:
+        raise Failure(str(error)) from None
+
+
+# -- the mission --------------------------------------------------------------------------------------------------------
+
+
+def make_voxels(config: Config) -> Voxels:
+    """The occupancy map over the fence and a margin beyond it."""
+    from uav_recon.mapping.voxels import DepthSensor, Voxels
+
+    safety, voxels, camera = config.safety, config.voxels, config.camera
+    margin = np.full(3, voxels.margin_m)
+    grid = GridSpec.covering(np.array(safety.fence_min_m) - margin, np.array(safety.fence_max_m) + margin, voxels.resolution_m)
+    sensor = DepthSensor(camera.depth_min_m, camera.depth_noise_px, camera.baseline_m)
+    return Voxels(grid, sensor, voxels.max_range_m, safety.fence_min_m, safety.fence_max_m, voxels.distance_cap_m)
+
+
+def make_planner(config: Config, timer: Callable[[], float]) -> AdaptivePlanner:
+    """The planner of the config's variant."""
+    from uav_recon.planning.camera import CameraGeometry
+    from uav_recon.planning.planner import AdaptivePlanner
+
+    camera, safety, motion = config.camera, config.safety, config.motion
+    low, high = (camera.pitch_down_deg,) * 2 if camera.mount == "fixed" else (-camera.gimbal_limit_deg, camera.gimbal_limit_deg)
+    geometry = CameraGeometry(
+        hfov_rad=math.radians(camera.horizontal_fov_deg),
+        vfov_rad=math.radians(camera.vertical_fov_deg),
+        position_body_m=np.array(camera.position_body_m),
+        pitch_min_rad=math.radians(low),
+        pitch_max_rad=math.radians(high),
+        range_m=config.voxels.max_range_m * 0.9,
+        near_m=camera.depth_min_m,
+    )
+    return AdaptivePlanner(
+        config.planner,
+        np.array(safety.fence_min_m),
+        np.array(safety.fence_max_m),
+        geometry,
+        motion.speed_mps,
+        math.radians(motion.yaw_rate_degps),
+        timer,
+    )
+
+
+def make_trainer(config: Config) -> Trainer:
+    """The neural field of the mapper."""
+    from uav_recon.mapping.neural.trainer import Trainer
+
+    safety, camera = config.safety, config.camera
+    low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
+    return Trainer(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m)
+
+
+def make_conductor(
+    config: Config, wires: Wires, mapper: Mapper, executor: Executor, journal: Journal, clock: Clock, timer: Callable[[], float]
+) -> Conductor:
+    """The mission with every stage warm."""
+    from uav_recon.mission.conductor import Conductor, MissionWires, Orders, Stages
+    from uav_recon.motion.planner import MotionPlanner
+
+    mission = config.mission
+    voxels, planner = make_voxels(config), make_planner(config, timer)
+    motion = MotionPlanner(config.motion, config.planner.clearance_m)
+    orders = Orders(
+        views=mission.views,
+        survey_views=mission.survey_views,
+        view_spacing_m=config.planner.view_spacing_m,
+        takeoff_height_m=mission.takeoff_height_m,
+        takeoff_radius_m=config.voxels.takeoff_radius_m,
+        vehicle_height_m=config.safety.vehicle_height_m,
+        camera_pitch_down_rad=math.radians(config.camera.pitch_down_deg),
+        max_flight_s=mission.max_flight_s,
+        plan_cost_s=mission.plan_cost_s,
+    )
+    channels = MissionWires(wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan)
+    return Conductor(Stages(voxels, mapper, planner, motion), channels, orders, executor, journal, clock)
+
+
+def warm_up(config: Config) -> None:
+    """Compile every kernel of the mission process before the drone may be READY."""
+    from uav_recon.motion.planner import MotionPlanner
+    from uav_recon.planning import planner
+
+    make_voxels(config).warm_up()
+    planner.warm_up()
+    MotionPlanner(config.motion, config.planner.clearance_m).warm_up()
+
+
+def make_recorder(config: Config, wires: Wires, flight: Path, clock: Clock) -> Recorder:
+    """The subscriber that writes flight.rrd."""
+    from uav_recon.recording.recorder import Recorder, RecorderChannels
+
+    channels = RecorderChannels(
+        wires.odom, wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan
+    )
+    fence = np.array([config.safety.fence_min_m, config.safety.fence_max_m])
+    return Recorder(flight, channels, clock, fence, live=config.recording.live)

@@ -24,7 +24,7 @@ FRAME_TIMEOUT_S = 1.0
 VIEW_LATE_S = 0.6  # a view that no frame met for so long is given up
 RETHINK_S = 0.5  # pause after a plan that could not be flown
 MAX_FAILED_PLANS = 5
-REPORT_PERIOD_S = 1.0
+PROGRESS_PERIOD_S, MAP_PERIOD_S = 0.2, 1.0
 
 
 @dataclass(frozen=True)
@@ -76,12 +76,12 @@ class Conductor:
         self._course, self._captures = Course(orders.camera_pitch_down_rad), Captures(VIEW_LATE_S)
         self._account = Account(journal, orders.views)
         self.phase = Phase.IDLE
-        self._map: VoxelMap | None = None
+        self.map: VoxelMap | None = None
         self._decision: Pending[Decision] | None = None
         self._frame_sequence, self._frame_s = 0, -np.inf
         self._surface_revision = -1
         self._took_off_s = self._resting_since_s = np.inf
-        self._think_again_s = self._reported_s = -np.inf
+        self._think_again_s = self._reported_s = self._map_published_s = -np.inf
         self._start = self._abort = self._looked_round = self._homing = self._no_way_home = False
         half_m = orders.vehicle_height_m / 2
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, orders.takeoff_height_m + half_m)
@@ -119,14 +119,14 @@ class Conductor:
             return
         self._frame_sequence, self._frame_s = sequence, now_s
         self._stages.voxels.integrate(posed)
-        self._map = self._stages.voxels.snapshot()
+        self.map = self._stages.voxels.snapshot()
         if self._account.views_left > 0 and self._captures.take(posed.frame.stamp_s) and self._stages.mapper.add(posed):
             self._account.view(posed)
 
     def _facts(self, now_s: float, vehicle: VehicleState) -> Facts:
         return Facts(
             vehicle=vehicle,
-            start=self._start and self._map is not None,
+            start=self._start and self.map is not None,
             abort=self._abort,
             at_rest=self._at_rest(now_s),
             took_off=self._course.trajectory is not None,
@@ -195,9 +195,9 @@ class Conductor:
         self._fly(self._stages.motion.turn(start, now_s, 2 * np.pi, self._orders.survey_views, identifier), now_s)
 
     def _choose_views(self, now_s: float, vehicle: VehicleState) -> None:
-        if self._decision is None and self._map is not None and now_s >= self._think_again_s:
+        if self._decision is None and self.map is not None and now_s >= self._think_again_s:
             rest = self._course.rest(vehicle)
-            self._decision = self._decider.next_views(self._request(rest, self._map), rest, self._course.next_identifier())
+            self._decision = self._decider.next_views(self._request(rest, self.map), rest, self._course.next_identifier())
         if self._decision is None or not self._decision.done():
             return
         decision, self._decision = self._decision.result(), None
@@ -219,11 +219,11 @@ class Conductor:
             self._account.stop_reason = f"{MAX_FAILED_PLANS} plans in a row could not be flown: {reason}"
 
     def _go_home(self, now_s: float, vehicle: VehicleState) -> None:
-        if self._homing or not self._course.at_rest(now_s) or self._map is None:
+        if self._homing or not self._course.at_rest(now_s) or self.map is None:
             return
         rest = self._course.rest(vehicle)
         home = Viewpoint(np.array([0.0, 0.0, self._orders.takeoff_height_m]), rest.yaw_rad, rest.camera_pitch_down_rad)
-        request, identifier = self._request(rest, self._map), self._course.next_identifier()
+        request, identifier = self._request(rest, self.map), self._course.next_identifier()
         if self._decision is None and self.phase is Phase.RETURN:
             self._decision = self._decider.way_home(request, rest, home, identifier)
         elif self._decision is None:
@@ -251,7 +251,7 @@ class Conductor:
 
     def _brake_if_blocked(self, now_s: float) -> None:
         trajectory = self._course.trajectory
-        if trajectory and self._map and not self._stages.motion.still_clear(trajectory, now_s, self._map):
+        if trajectory and self.map and not self._stages.motion.still_clear(trajectory, now_s, self.map):
             self._account.refusal(now_s, "the map shows an obstacle on the way")
             self._brake(now_s)
 
@@ -271,10 +271,11 @@ class Conductor:
         if surface is not None and surface.revision != self._surface_revision:
             self._surface_revision = surface.revision
             self._wires.surface.publish(surface)
-        if now_s - self._reported_s >= REPORT_PERIOD_S or self.finished:
+        if self.map is not None and (now_s - self._map_published_s >= MAP_PERIOD_S or self.finished):
+            self._map_published_s = now_s
+            self._wires.voxels.publish(self.map)
+        if now_s - self._reported_s >= PROGRESS_PERIOD_S or self.finished:
             self._reported_s = now_s
-            if self._map is not None:
-                self._wires.voxels.publish(self._map)
             explored_m3, course = self._stages.voxels.explored_m3(), self._course
             progress = self._account.progress(
                 now_s, self.phase, explored_m3, course.path_length_m, course.position_world, self.finished

@@ -9,6 +9,8 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
 BREADCRUMB_M = 0.2
+ARRIVED_M = 0.15
+LATE_S = 5.0  # an autopilot that is still away by then will not come nearer by waiting
 
 
 class Course:
@@ -38,8 +40,12 @@ class Course:
             self.breadcrumbs.append(position)
 
     def at_rest(self, now_s: float) -> bool:
-        """Whether the trajectory has been played to its end."""
-        return self.trajectory is not None and now_s >= self.trajectory.start_s + self.trajectory.duration_s
+        """Whether the trajectory has been played to its end and the vehicle is there, or had LATE_S to get there."""
+        if self.trajectory is None:
+            return False
+        over_s = now_s - self.trajectory.start_s - self.trajectory.duration_s
+        away_m = float(np.linalg.norm(self.trajectory.position_m[-1] - self.position_world))
+        return over_s >= LATE_S or (over_s >= 0.0 and away_m <= ARRIVED_M)
 
     def rest(self, vehicle: VehicleState) -> Setpoint:
         """The setpoint held now: the end of the trajectory, or where the vehicle stands if there was none."""

@@ -105,7 +105,7 @@ def observe(facts: Facts) -> frozenset[Event]:
         Event.ABORTED: facts.abort,
         Event.PILOT_LANDS: phase is FlightPhase.LANDING,
         Event.TOUCHED_DOWN: phase is FlightPhase.LANDED,
-        Event.REFUSED: phase is FlightPhase.READY and vehicle.note.startswith("arming given up"),
+        Event.REFUSED: phase is FlightPhase.READY and bool(vehicle.note),  # back on the ground with a reason
         Event.HUMAN: vehicle.human_in_control or phase is FlightPhase.YIELDED,
     }
     return frozenset(event for event, holds in shown.items() if holds)

@@ -26,7 +26,7 @@ class Phase(Enum):
 # Events that count in a phase; all others are not of its business.
 _HEARD: dict[Phase, frozenset[Event]] = {
     Phase.IDLE: frozenset({Event.VEHICLE_READY, Event.ABORTED}),
-    Phase.READY: frozenset({Event.START, Event.ABORTED, Event.REFUSED}),
+    Phase.READY: frozenset({Event.START, Event.ABORTED}),
     Phase.TAKEOFF: frozenset({Event.AIRBORNE, Event.ABORTED, Event.PILOT_LANDS, Event.REFUSED, Event.TOUCHED_DOWN}),
     Phase.SURVEY: frozenset(Event) - {Event.VEHICLE_READY, Event.START, Event.AIRBORNE, Event.AT_HOME, Event.NO_WAY_HOME},
     Phase.HOLD: frozenset(

@@ -1,0 +1,223 @@
+"""The judge: the product's own account of a flight held against the simulator's truth, written as report.json and .html."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from sitl.fly_options import SimOptions
+from sitl.raster import Renderer
+from sitl.scene import Scene
+from sitl.visibility import TruthCut, load_truth_cut
+from uav_recon.evaluation import metrics
+from uav_recon.evaluation.surface import Surface
+from uav_recon.recording.flightlog import PlanRecord, Timeline, read_timeline
+from uav_recon.recording.mapfile import load_map
+from uav_recon.recording.mesh_pictures import mesh_pictures
+from uav_recon.recording.meshfile import load_mesh
+from uav_recon.recording.pictures import coverage_over_time, path_over_plan, planning_over_time
+from uav_recon.recording.report import (
+    ModeTimes,
+    Report,
+    ReportPlanning,
+    ReportQuality,
+    ReportSafety,
+    ReportStream,
+    Spread,
+)
+from uav_recon.recording.report_page import Picture, write_report
+from uav_recon.types.maps import FREE, TriangleMesh, VoxelMap
+
+F64 = NDArray[np.float64]
+CONTACT_M = 1e-3
+
+
+@dataclass(frozen=True)
+class TruthOfFlight:
+    """What the simulator saw; hull_m is NaN on the ground and on the pad."""
+
+    stamp_s: F64
+    position_m: F64
+    hull_m: F64
+    armed: NDArray[np.bool_]
+    setpoint_arrivals_s: F64
+    failsafes: int
+
+    @staticmethod
+    def load(path: Path) -> TruthOfFlight | None:
+        """Read what the world wrote; None if it could not write."""
+        if not path.exists():
+            return None
+        with np.load(path) as data:
+            return TruthOfFlight(
+                data["stamp_s"], data["position_m"], data["hull_m"], data["armed"], data["setpoint_arrivals_s"],
+                len(data["failsafes"]),
+            )  # fmt: skip
+
+
+def cache_folder() -> Path:
+    """Where truth cuts are kept: $XDG_CACHE_HOME or ~/.cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "uav_recon"
+
+
+def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:
+    """Measure the flight in options.out against truth and write the report beside it."""
+    folder = options.out
+    with console.status("cutting truth to what the camera could see ..."):
+        cut = load_truth_cut(scene, options.mount, options.world(folder).camera, cache_folder())
+    timeline, voxels, mesh = read_timeline(folder), load_map(folder), load_mesh(folder)
+    truth = TruthOfFlight.load(folder / "truth.npz")
+    with console.status("measuring the model against truth ..."):
+        quality = None if mesh is None else _quality(mesh, scene, cut)
+    outcome = timeline.outcomes[-1] if timeline.outcomes else None
+    report = Report(
+        scene=scene.name,
+        variant=options.variant,
+        seed=options.seed,
+        autopilot=options.autopilot,
+        mount=options.mount,
+        depth_noise=options.depth_noise,
+        outcome=f"aborted: {fault}" if fault else outcome.outcome if outcome else "aborted: the mission left no word",
+        stop_reason=outcome.stop_reason if outcome else "",
+        views=len(timeline.views),
+        path_length_m=0.0 if truth is None else _path_length_m(truth),
+        flight_time_s=0.0 if truth is None else _flight_time_s(truth),
+        wall_time_s=wall_s,
+        explored_fraction=None if voxels is None else _explored_fraction(voxels, cut),
+        quality=quality,
+        planning=_planning(timeline),
+        stream=_stream(truth),
+        safety=_safety(truth, timeline, scene),
+    )
+    with console.status("drawing pictures ..."):
+        write_report(folder, report, _pictures(folder, timeline, voxels, mesh))
+    return report
+
+
+def _pictures(folder: Path, timeline: Timeline, voxels: VoxelMap | None, mesh: TriangleMesh | None) -> list[Picture]:
+    drawn = folder / "pictures"
+    drawn.mkdir(exist_ok=True)
+    captions = []
+    if mesh is not None and timeline.views:
+        inside = np.median([view.translation_m for view in timeline.views], axis=0)
+        said = ("The model in colour.", "The model by uncertainty: bright is badly known.", "The model from above.")
+        captions += [Picture(path, text) for path, text in zip(mesh_pictures(drawn, mesh, inside), said, strict=False)]
+    path_over_plan(drawn / "path.png", timeline, voxels)
+    coverage_over_time(drawn / "coverage.png", timeline)
+    planning_over_time(drawn / "planning.png", timeline)
+    return [
+        *captions,
+        Picture(drawn / "path.png", "The flown path over the floor plan that the drone found."),
+        Picture(drawn / "coverage.png", "Explored volume and views over time."),
+        Picture(drawn / "planning.png", "Computing time of each plan."),
+    ]
+
+
+def _quality(mesh: TriangleMesh, scene: Scene, cut: TruthCut) -> ReportQuality:
+    truth = metrics.Truth(
+        surface=Surface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
+        points_world=cut.points.astype(np.float64),
+    )
+    psnr = metrics.psnr_db(*_held_out_pictures(mesh, scene, cut))
+    measured = metrics.measure(Surface(mesh.vertices_world, mesh.faces), truth, psnr)
+    return ReportQuality(**{name: getattr(measured, name) for name in ReportQuality.__dataclass_fields__})
+
+
+def _held_out_pictures(
+    mesh: TriangleMesh, scene: Scene, cut: TruthCut
+) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]:
+    model = Renderer(mesh.vertices_world.astype(np.float32), mesh.faces.astype(np.int32), mesh.rgb)
+    truth = Renderer(scene.vertices, scene.faces, scene.rgb)
+    return (
+        [model.render(view, cut.view_spec).rgb for view in cut.views],
+        [truth.render(view, cut.view_spec).rgb for view in cut.views],
+    )
+
+
+def _explored_fraction(voxels: VoxelMap, cut: TruthCut) -> float | None:
+    """Share of the truth's free cells whose centre lies in a voxel known to be free."""
+    cells = np.argwhere(cut.free_seen)
+    centres = cut.free_origin_m + (cells + 0.5) * cut.free_cell_m
+    index = voxels.grid.index(centres)
+    inside = voxels.grid.contains(index)
+    known = np.zeros(len(cells), dtype=bool)
+    known[inside] = voxels.state[tuple(index[inside].T)] == FREE
+    return metrics.explored_fraction(known, np.ones(len(cells), dtype=bool))
+
+
+def _path_length_m(truth: TruthOfFlight) -> float:
+    flown = truth.position_m[truth.armed]
+    return float(np.linalg.norm(np.diff(flown, axis=0), axis=1).sum()) if len(flown) > 1 else 0.0
+
+
+def _flight_time_s(truth: TruthOfFlight) -> float:
+    stamps = truth.stamp_s[truth.armed]
+    return float(stamps[-1] - stamps[0]) if len(stamps) else 0.0
+
+
+def _planning(timeline: Timeline) -> ReportPlanning:
+    def times(mode: str) -> ModeTimes:
+        plans = [plan for plan in timeline.plans if plan.mode == mode]
+        return ModeTimes(_spread([p.task_s for p in plans]), _spread([p.step_s for p in plans]))
+
+    plans: tuple[PlanRecord, ...] = timeline.plans
+    total_s, waited_s = sum(plan.step_s for plan in plans), sum(plan.hover_wait_s for plan in plans)
+    return ReportPlanning(explore=times("explore"), merged=times("merged"), total_s=total_s, hover_wait_s=waited_s)
+
+
+def _spread(values: list[float]) -> Spread:
+    found = metrics.median_p95(values)
+    return Spread(found["median"], found["p95"])
+
+
+def _stream(truth: TruthOfFlight | None) -> ReportStream:
+    if truth is None:
+        return ReportStream(None, None, None)
+    found = metrics.stream_statistics(truth.setpoint_arrivals_s)
+    return ReportStream(found.rate_hz, found.gap_p99_ms, found.gap_max_ms)
+
+
+def _safety(truth: TruthOfFlight | None, timeline: Timeline, scene: Scene) -> ReportSafety:
+    refusals = len(timeline.refusals)
+    if truth is None:
+        return ReportSafety(None, None, None, refusals, 0)
+    hull_m = truth.hull_m[np.isfinite(truth.hull_m)]
+    touching = hull_m < CONTACT_M
+    contacts = int(np.count_nonzero(touching[1:] & ~touching[:-1]) + (len(touching) > 0 and bool(touching[0])))
+    flown = truth.position_m[truth.armed]
+    outside = np.maximum(scene.fence_min - flown, flown - scene.fence_max) if len(flown) else np.zeros((1, 3))
+    return ReportSafety(
+        min_clearance_m=float(hull_m.min()) if len(hull_m) else None,
+        fence_overshoot_m=float(max(outside.max(), 0.0)),
+        contacts=contacts,
+        refusals=refusals,
+        failsafes=truth.failsafes,
+    )
+
+
+def summary(report: Report, folder: Path) -> str:
+    """What the launcher prints at the end."""
+    quality, safety = report.quality, report.safety
+
+    def figure(value: float | None, unit: str, digits: int = 2) -> str:
+        return "not measured" if value is None else f"{value:.{digits}f}{unit}"
+
+    lines = [
+        f"{report.outcome}: {report.stop_reason}",
+        f"flight {report.flight_time_s:.0f} s, path {report.path_length_m:.1f} m, {report.views} views, "
+        f"explored {figure(report.explored_fraction, '')}",
+        f"clearance {figure(safety.min_clearance_m, ' m')}, contacts {safety.contacts}, refusals {safety.refusals}",
+    ]
+    if quality is not None:
+        lines.append(
+            f"accuracy {figure(quality.accuracy_cm, ' cm')}, completion {figure(quality.completion_cm, ' cm')}, "
+            f"recall at 5 cm {figure(quality.recall_5cm, '', 3)}, PSNR {figure(quality.psnr_db, ' dB', 1)}"
+        )
+    lines.append(f"results: {folder / 'report.html'}")
+    lines.append(f"look at the flight: uav-recon review {folder}")
+    return "\n".join(lines)

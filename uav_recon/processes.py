@@ -1,0 +1,173 @@
+"""The loops of the processes: build with run.py, step at a rate, end in order."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+
+from uav_recon import config as configuration
+from uav_recon import notify, run
+from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
+from uav_recon.config import Config
+
+PERCEPTION_RATE_HZ = 100.0
+MISSION_RATE_HZ = 30.0
+RECORDER_RATE_HZ = 10.0
+
+
+class Stop:
+    """SIGTERM and SIGINT, counted; the loop decides what they mean."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._ask)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        self.asked = True
+
+
+def flight_folder(config: Config, flight: Path | None) -> Path:
+    """The folder of this flight, made if needed. Raises Failure if it cannot be."""
+    folder = flight or config.recording.folder / time.strftime("%Y%m%d-%H%M%S")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise run.Failure(f"flight folder {folder}: cannot be written ({error.strerror})") from None
+    return folder
+
+
+def pilot(config_path: Path, flight: Path | None) -> int:
+    """Fly next to the autopilot until SIGTERM; in the air SIGTERM means: land, then end."""
+    from uav_recon.autopilot.tlog import Tlog
+    from uav_recon.autopilot.transport import LinkError, open_link
+
+    stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
+    wires = run.file_wires(config.runtime.folder)
+    try:
+        link = open_link(config.link.url)
+    except LinkError as error:
+        raise run.Failure(str(error)) from None
+    log = Tlog(flight_folder(config, flight) / "flight.tlog", time.time() - clock.now_s())
+    the_pilot = run.make_pilot(config, wires, link, log, clock)
+    notify.ready()
+    while not (stop.asked and not the_pilot.in_flight):
+        if stop.asked:
+            the_pilot.request_land()
+        the_pilot.step()
+        notify.watchdog()
+        the_pilot.wait()
+    log.close()
+    link.close()
+    return 0
+
+
+def perception(config_path: Path) -> int:
+    """Turn camera and poses into odometry and posed frames until SIGTERM."""
+    stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
+    wires = run.file_wires(config.runtime.folder)
+    the_perception = run.make_perception(config, wires, clock)
+    notify.ready()
+    _loop(the_perception.step, PERCEPTION_RATE_HZ, clock, lambda: stop.asked)
+    return 0
+
+
+def mission(config_path: Path, flight: Path | None) -> int:
+    """Fly one mission and write its folder; SIGTERM lands. Exit code 0 if the mission was completed or landed on request."""
+    from uav_recon.mapping.neural.worker import ProcessMapper
+    from uav_recon.recording.flightlog import FlightLog
+    from uav_recon.recording.mapfile import save_map
+
+    stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
+    wires = run.file_wires(config.runtime.folder)
+    folder = flight_folder(config, flight)
+    configuration.save(config, folder / "config.toml")
+    safety, camera = config.safety, config.camera
+    low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
+    mapper = ProcessMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, folder)
+    recorder = _start_recorder(config, config_path, folder)
+    journal, executor = FlightLog(folder), ThreadExecutor("planner")
+    try:
+        run.warm_up(config)
+        conductor = run.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
+        notify.ready()
+        rate = RateKeeper(MISSION_RATE_HZ, clock.now_s())
+        while not conductor.finished:
+            if stop.asked:
+                conductor.request_abort("the operator asked to land")
+            if config.mission.autostart and mapper.ready():
+                conductor.request_start()
+            conductor.step()
+            notify.watchdog()
+            rate.due(clock.now_s())
+            clock.sleep_until(rate.next_s())
+        outcome = conductor.close()
+        if conductor.map is not None:
+            save_map(folder, conductor.map)
+    finally:
+        executor.close()
+        notify.stopping()
+        mapper.finish(folder)
+        journal.close()
+        _stop_recorder(recorder)
+    logging.getLogger(__name__).info("%s", outcome)
+    return 0
+
+
+def record(config_path: Path, flight: Path | None) -> int:
+    """Subscribe to every channel and write flight.rrd until SIGTERM."""
+    stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
+    wires = run.file_wires(config.runtime.folder)
+    parent = os.getppid()
+    recorder = run.make_recorder(config, wires, flight_folder(config, flight), clock)
+    _loop(recorder.step, RECORDER_RATE_HZ, clock, lambda: stop.asked or os.getppid() != parent)
+    recorder.close()
+    return 0
+
+
+def review(flight: Path) -> int:
+    """Open a flight in the viewer."""
+    from uav_recon.recording.blueprint import ReviewError
+    from uav_recon.recording.blueprint import review as open_review
+
+    try:
+        open_review(flight)
+    except ReviewError as error:
+        raise run.Failure(str(error)) from None
+    return 0
+
+
+def _loop(step: Callable[[], None], rate_hz: float, clock: MonotonicClock, done: Callable[[], bool]) -> None:
+    rate = RateKeeper(rate_hz, clock.now_s())
+    while not done():
+        step()
+        notify.watchdog()
+        rate.due(clock.now_s())
+        clock.sleep_until(rate.next_s())
+
+
+def _start_recorder(config: Config, config_path: Path, folder: Path) -> subprocess.Popen[bytes] | None:
+    if not config.recording.rerun:
+        return None
+    command = [sys.executable, "-m", "uav_recon.cli", "record", "--config", str(config_path), "--flight", str(folder)]
+    return subprocess.Popen(["nice", "-n", "10", *command], stdin=subprocess.DEVNULL)  # noqa: S603, S607 - our own program
+
+
+def _stop_recorder(recorder: subprocess.Popen[bytes] | None) -> None:
+    if recorder is None:
+        return
+    recorder.terminate()
+    try:
+        recorder.wait(20.0)
+    except subprocess.TimeoutExpired:
+        recorder.kill()
+        recorder.wait()
