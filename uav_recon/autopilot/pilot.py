@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.autopilot import px4
+from uav_recon.autopilot.handover import Handover
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.px4 import Arming, Outcome
 from uav_recon.autopilot.tlog import FrameLog, NoLog
@@ -15,13 +16,14 @@ from uav_recon.clock import RateKeeper
 from uav_recon.protocols import ByteLink, Channel, Clock
 from uav_recon.safety.guard import ClearedSetpoint, Guard, Proposal, Situation, fault_of
 from uav_recon.types.pose import Pose, StampedPose
-from uav_recon.types.trajectory import Goal, Intent, Refusal, Trajectory
+from uav_recon.types.trajectory import Goal, Intent, Refusal, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 _POSE_MAX_AGE_S = 0.15  # older odometry is never fed: the estimator would drop it, or take it for new
 _POSE_FUTURE_S = 0.05
 _ASK_AGAIN_S = 2.0
 _LAND_AGAIN_S = 1.5  # longer than the heartbeat's period, so a human's mode is seen before we ask again
+_MODE_FRESH_S, _MODE_WAIT_S = 0.02, 0.25
 _LATE_ARM_S = 5.0
 _LINK_HOLD_S, _LINK_LOST_S = 1.0, 3.0
 _LONGEST_NOTE = 200
@@ -75,12 +77,15 @@ class Pilot:
         self._odom_sequence = -1
         self._intent: Intent | None = None
         self._trajectory: Trajectory | None = None
-        self._malformed: tuple[int, float] | None = None
+        self._handover: Handover | None = None
+        self._flown: Setpoint | None = None  # the newest setpoint on the wire
+        self._forsaken: tuple[int, float] | None = None  # malformed, or made in an odom that is no more
         self._malformed_count = 0
         self._arming: Arming | None = None
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
         self._arm_asked_s = -math.inf
         self._land_asked_s = -math.inf
+        self._land_wait_s = math.inf
         self._land_seen = False
         self._land_wanted = ""
         self._asked_s = -math.inf
@@ -132,6 +137,7 @@ class Pilot:
         if jumped:
             self._note = "pose source was reset: holding"
             self._guard.rebase(self._situation(now_s))
+            self._forsaken, self._trajectory = _key(self._trajectory), None
         self._link.feed_pose(pose, now_s)
 
     def _is_good(self, pose: StampedPose, now_s: float) -> bool:
@@ -155,12 +161,12 @@ class Pilot:
         if trajectory is None:
             self._trajectory = None
             return
-        if _key(trajectory) == _key(self._trajectory):
+        if _key(trajectory) in (_key(self._trajectory), self._forsaken):
             return
         fault = fault_of(trajectory)
-        self._trajectory = None if fault else trajectory
-        if fault and _key(trajectory) != self._malformed:
-            self._malformed, self._note = _key(trajectory), f"refused: {fault}"
+        self._trajectory, self._handover = None if fault else trajectory, None
+        if fault:
+            self._forsaken, self._note = _key(trajectory), f"refused: {fault}"
             self._malformed_count += 1
 
     # ---- judge ------------------------------------------------------------------------------------------------
@@ -278,9 +284,16 @@ class Pilot:
             self._land_seen = True
         elif not px4.is_ours(t.custom_mode):
             self._yield(f"mode changed to {px4.mode_name(t.custom_mode)}")
-        elif now_s - self._land_asked_s >= _LAND_AGAIN_S and t.heartbeat_s > self._land_asked_s:
+        elif now_s - self._land_asked_s >= _LAND_AGAIN_S and self._mode_is_current(now_s):
             self._land_asked_s = now_s
             self._link.command(now_s, px4.LAND[0], *px4.LAND[1])
+
+    def _mode_is_current(self, now_s: float) -> bool:
+        """Whether no human can have taken over unseen: the mode was told this instant, or is not told often."""
+        self._land_wait_s = min(self._land_wait_s, now_s)
+        heartbeat_s = self._link.telemetry.heartbeat_s
+        waited = now_s - self._land_wait_s >= _MODE_WAIT_S
+        return heartbeat_s > self._land_asked_s and (waited or now_s - heartbeat_s < _MODE_FRESH_S)
 
     def _land_finished(self, why: str) -> None:
         self.phase, self._note, self._trajectory = FlightPhase.LANDED, why or self._note, None
@@ -300,6 +313,7 @@ class Pilot:
         cleared, refusal = self._clear(now_s)
         if refusal is not None:
             self._note = f"refused: {refusal.reason}"
+        self._flown = cleared.setpoint
         self._link.stream(cleared, now_s, self._gimbal)
 
     def _clear(self, now_s: float) -> tuple[ClearedSetpoint, Refusal | None]:
@@ -307,8 +321,11 @@ class Pilot:
         trajectory = self._trajectory if self.phase is FlightPhase.FLYING and linked else None
         if trajectory is None:
             return self._guard.clear(None, self._situation(now_s))
-        proposal = Proposal(trajectory.setpoint_at(now_s), trajectory.identifier, trajectory.map_epoch)
-        return self._guard.clear(proposal, self._situation(now_s))
+        if self._handover is None:
+            self._handover = Handover(self._flown, trajectory, now_s) if self._flown else None
+        sample = trajectory.setpoint_at(now_s)
+        wanted = self._handover.apply(sample, now_s) if self._handover else sample
+        return self._guard.clear(Proposal(wanted, trajectory.identifier, trajectory.map_epoch), self._situation(now_s))
 
     def _publish(self, now_s: float) -> None:
         t, pose = self._link.telemetry, self._pose

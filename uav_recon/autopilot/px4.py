@@ -28,8 +28,15 @@ ARM: Command = (ARM_DISARM, (1.0,))  # the second parameter stays 0: the autopil
 
 MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
 
-# SYS_STATUS, ATTITUDE_QUATERNION, LOCAL_POSITION_NED, GPS_GLOBAL_ORIGIN, ESTIMATOR_STATUS, GIMBAL_DEVICE_ATTITUDE_STATUS
-STREAMS_HZ = ((1, 2.0), (31, 30.0), (32, 30.0), (49, 1.0), (230, 5.0), (285, 10.0))
+STREAMS_HZ = (
+    (0, 5.0),  # HEARTBEAT: a human's mode is to be seen at once
+    (1, 2.0),  # SYS_STATUS
+    (31, 30.0),  # ATTITUDE_QUATERNION
+    (32, 30.0),  # LOCAL_POSITION_NED
+    (49, 1.0),  # GPS_GLOBAL_ORIGIN
+    (230, 5.0),  # ESTIMATOR_STATUS
+    (285, 10.0),  # GIMBAL_DEVICE_ATTITUDE_STATUS
+)
 ASKED_ONCE = (148,)  # AUTOPILOT_VERSION
 
 

@@ -1,0 +1,335 @@
+"""Flights of the pilot against the simulated PX4 in lockstep; each test is a promise."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flight_rig import ARM, ENVELOPE, MODE, TAKEOFF_LAG_S, TICK_S, Rig, Tap
+from pymavlink.dialects.v20 import common as mavlink
+
+from uav_recon.autopilot.pilot import Origin, make_px4_pilot
+from uav_recon.autopilot.tlog import Tlog
+from uav_recon.safety.guard import Guard
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.trajectory import Goal
+from uav_recon.types.vehicle import FlightPhase
+
+SETPOINT = "SET_POSITION_TARGET_LOCAL_NED"
+ORDERS = (SETPOINT, f"COMMAND_LONG {MODE}", f"COMMAND_LONG {ARM}")
+
+
+@pytest.fixture(scope="module")
+def flown_up() -> Rig:
+    rig = Rig()
+    rig.airborne()
+    return rig
+
+
+@pytest.fixture
+def hovering(flown_up: Rig) -> Rig:
+    return copy.deepcopy(flown_up)
+
+
+def setpoints(rig: Rig, since_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """Times (N,) and ENU places (N, 3) of the setpoints on the wire, turned by this test's own hand."""
+    found = [(at, m) for at, m in rig.tap.sent if Tap.name(m) == SETPOINT and at >= since_s]
+    return np.array([at for at, _ in found]), np.array([[m.y, m.x, -m.z] for _, m in found])
+
+
+def test_a_whole_flight_from_boot_to_disarmed() -> None:
+    rig = Rig()
+    rig.until(FlightPhase.READY, 20.0)
+    assert not rig.state.armed
+    assert rig.tap.since(0)[SETPOINT] == 0, "nothing is streamed before the mission wants to fly"
+    rig.intent = (Goal.FLY, None)
+    rig.until(FlightPhase.FLYING, 8.0)
+    rig.run(rig.fly((0.0, 0.0, 1.1)).duration_s + TAKEOFF_LAG_S)
+    begin = rig.clock.now_s()
+    rig.run(rig.fly((2.0, 0.0, 1.1), identifier=2).duration_s + 1.5)
+    assert rig.state.trajectory_id == 2
+    assert rig.state.refusals == 0
+
+    times, wanted = setpoints(rig, begin)
+    flown = np.array([np.interp(times, [t for t, _ in rig.track], [p[i] for _, p in rig.track]) for i in range(3)]).T
+    error = np.linalg.norm(wanted - flown, axis=1)
+    assert np.percentile(error, 95) < 0.12
+    assert np.linalg.norm(rig.px4.truth().position - np.array([2.0, 0.0, 1.1])) < 0.1
+
+    rig.intent = (Goal.LAND, None)
+    rig.until(FlightPhase.LANDED, 15.0)
+    assert not rig.px4.truth().armed
+    assert rig.px4.failsafes == []
+    assert rig.tap.since(0)[f"COMMAND_LONG {ARM}"] == 1
+
+
+def test_the_handshake_keeps_its_order_and_never_forces() -> None:
+    rig = Rig()
+    rig.airborne()
+    first: dict[str, float] = {}
+    for at, message in rig.tap.sent:
+        first.setdefault(Tap.name(message), at)
+    assert first["TIMESYNC"] < first["ODOMETRY"] < first["SET_GPS_GLOBAL_ORIGIN"] < first[SETPOINT]
+    assert first[f"COMMAND_LONG {MODE}"] - first[SETPOINT] >= 0.9, "a stream runs before OFFBOARD is asked for"
+    assert first[f"COMMAND_LONG {ARM}"] > first[f"COMMAND_LONG {MODE}"]
+    for _, message in rig.tap.sent:
+        if Tap.name(message) == f"COMMAND_LONG {ARM}":
+            assert (message.param1, message.param2) == (1.0, 0.0)
+        assert message.get_srcSystem() == 245
+        assert message.get_srcSystem() != 1
+
+
+def test_setpoints_come_at_their_rate(hovering: Rig) -> None:
+    begin = hovering.clock.now_s()
+    hovering.run(5.0)
+    times, _ = setpoints(hovering, begin)
+    assert 148 <= len(times) <= 152
+    assert np.diff(times).max() <= 0.05
+
+
+def test_poses_are_stamped_on_the_autopilots_clock(hovering: Rig) -> None:
+    errors = [
+        at - 1e-6 * m.time_usec - (100.0 - 37.5) for at, m in hovering.tap.sent if m.get_type() == "ODOMETRY"
+    ]  # the simulated autopilot booted 37.5 s before the test's clock showed 100 s
+    assert len(errors) > 400
+    assert min(errors) > -0.002
+    assert max(errors) < 0.015
+
+
+@pytest.mark.slow
+def test_a_converged_autopilot_still_reads_our_stamps_right() -> None:
+    rig = Rig()
+    rig.run(70.0)
+    assert rig.px4.timesync_converged
+    assert abs(rig.px4._state.timesync.offset_us) < 10_000, "our answers are on its own clock: nothing is left to correct"
+    rig.airborne()
+    assert rig.px4.failsafes == []
+
+
+def test_a_pilot_who_takes_over_is_left_alone(hovering: Rig) -> None:
+    hovering.px4.pilot_takes_over("POSCTL")
+    taken_s = hovering.clock.now_s()
+    assert hovering.until(FlightPhase.YIELDED, 1.2) <= 1.2
+    yielded_s = hovering.clock.now_s()
+    hovering.fly((1.0, 0.0, 1.1), identifier=9)
+    hovering.run(8.0)
+    assert hovering.state.human_in_control
+    assert not any(hovering.tap.since(yielded_s + TICK_S)[order] for order in ORDERS)
+    assert hovering.tap.since(taken_s)[f"COMMAND_LONG {MODE}"] == 0
+    hovering.intent = (Goal.LAND, None)
+    hovering.pilot.request_land()
+    hovering.run(5.0)
+    assert hovering.px4.truth().mode == "POSCTL"
+    assert not any(hovering.tap.since(yielded_s + TICK_S)[order] for order in ORDERS)
+    assert hovering.tap.since(yielded_s + 1.0)["ODOMETRY"] > 0, "a human in POSCTL needs the poses"
+
+
+@pytest.mark.parametrize("delay_ticks", [0, 1, 2, 5, 10, 15, 19, 21, 50, 99, 150, 163])
+def test_a_pilot_who_takes_over_while_we_ask_to_land_keeps_the_vehicle(hovering: Rig, delay_ticks: int) -> None:
+    """The race between our mode request and theirs: after their mode shows in HEARTBEAT nothing more is asked."""
+    rig = hovering
+    rig.pilot.request_land()
+    rig.run(delay_ticks * TICK_S)
+    rig.px4.pilot_takes_over("POSCTL")
+    rig.run(1.1)
+    assert rig.pilot.phase is FlightPhase.YIELDED
+    quiet_s = rig.clock.now_s()
+    rig.run(4.0)
+    assert rig.px4.truth().mode == "POSCTL"
+    assert not any(rig.tap.since(quiet_s)[order] for order in ORDERS)
+
+
+def test_a_failsafe_landing_of_the_autopilot_is_accepted(hovering: Rig) -> None:
+    hovering.px4.pilot_takes_over("LAND")
+    hovering.until(FlightPhase.LANDING, 1.2)
+    landing_s = hovering.clock.now_s()
+    hovering.until(FlightPhase.LANDED, 15.0)
+    assert hovering.tap.since(landing_s)[f"COMMAND_LONG {MODE}"] == 0
+    assert "lands" in hovering.state.note
+
+
+def test_a_silent_mission_ends_its_trajectory_then_hovers_then_lands(hovering: Rig) -> None:
+    trajectory = hovering.fly((2.0, 0.0, 1.1), identifier=2)
+    hovering.run(1.0)
+    hovering.intent = None
+    hovering.run(trajectory.duration_s - 1.0)
+    if hovering.pilot.phase is FlightPhase.FLYING:
+        assert abs(hovering.px4.truth().position[0] - 2.0) < 0.15
+    hovering.until(FlightPhase.LANDED, 20.0)
+    assert "mission silent" in hovering.state.note
+    assert abs(hovering.px4.truth().position[0] - 2.0) < 0.4
+    assert hovering.px4.failsafes == []
+
+
+def test_a_mission_that_comes_back_does_not_stop_a_landing(hovering: Rig) -> None:
+    hovering.intent = None
+    hovering.until(FlightPhase.LANDING, 6.0)
+    hovering.fly((1.0, 0.0, 1.1), identifier=5)
+    hovering.until(FlightPhase.LANDED, 15.0)
+    hovering.run(3.0)
+    assert hovering.pilot.phase is FlightPhase.LANDED
+    assert not hovering.px4.truth().armed
+
+
+def test_lost_poses_hold_then_land(hovering: Rig) -> None:
+    hovering.fly((2.5, 0.0, 1.1), identifier=2)
+    hovering.run(2.5)
+    assert hovering.px4.truth().velocity[0] > 0.3
+    lost_s, hovering.poses = hovering.clock.now_s(), False
+    hovering.run(0.3)
+    assert hovering.pilot.phase is FlightPhase.FLYING
+    hovering.until(FlightPhase.LANDING, 1.2)
+    assert hovering.clock.now_s() - lost_s <= 1.2
+    times, places = setpoints(hovering, lost_s + 0.6)
+    assert len(times) > 5
+    assert np.ptp(places, axis=0).max() < 1e-6, "held"
+    assert hovering.tap.since(lost_s + 0.05)["ODOMETRY"] == 0, "an old pose is never repeated"
+    hovering.until(FlightPhase.LANDED, 25.0)
+    assert "no pose" in hovering.state.note
+
+
+def test_poses_that_come_back_do_not_stop_a_landing(hovering: Rig) -> None:
+    hovering.poses = False
+    hovering.until(FlightPhase.LANDING, 1.3)
+    hovering.poses = True
+    hovering.until(FlightPhase.LANDED, 15.0)
+
+
+def test_sigterm_lands_at_once(hovering: Rig) -> None:
+    hovering.pilot.request_land()
+    begin = hovering.clock.now_s()
+    hovering.run(0.1)
+    assert hovering.tap.since(begin)[f"COMMAND_LONG {MODE}"] == 1
+    assert hovering.pilot.in_flight
+    hovering.until(FlightPhase.LANDED, 15.0)
+    assert not hovering.pilot.in_flight
+
+
+def test_sigterm_on_the_ground_begins_no_flight() -> None:
+    rig = Rig()
+    rig.until(FlightPhase.READY, 20.0)
+    rig.pilot.request_land()
+    rig.intent = (Goal.FLY, None)
+    rig.run(5.0)
+    assert rig.pilot.phase is FlightPhase.READY
+    assert not any(rig.tap.since(0)[order] for order in ORDERS)
+
+
+def test_a_trajectory_through_the_fence_ends_in_a_hover_inside(hovering: Rig) -> None:
+    trajectory = hovering.fly((4.95, 0.0, 1.1), identifier=2)
+    hovering.run(trajectory.duration_s + 2.0)
+    _, places = setpoints(hovering)
+    assert all(ENVELOPE.contains((x, y, z)) for x, y, z in np.round(places, 5).tolist())
+    assert hovering.state.refusals == 1
+    assert "fence" in hovering.state.note
+    assert hovering.pilot.phase is FlightPhase.FLYING
+    assert hovering.px4.truth().position[0] < 4.7 + 0.05
+
+
+def test_a_malformed_trajectory_holds_and_is_counted_once(hovering: Rig) -> None:
+    place = np.array(hovering.px4.truth().position)
+    broken = hovering.fly((2.0, 0.0, 1.1), identifier=2)
+    object.__setattr__(broken, "position_m", broken.position_m[:-1])
+    hovering.run(3.0)
+    assert hovering.state.refusals == 1
+    assert "malformed" in hovering.state.note
+    assert np.linalg.norm(np.array(hovering.px4.truth().position) - place) < 0.15
+
+
+def test_a_trajectory_of_another_epoch_is_not_flown(hovering: Rig) -> None:
+    trajectory = hovering.fly((2.0, 0.0, 1.1), identifier=2)
+    object.__setattr__(trajectory, "map_epoch", 3)
+    hovering.run(3.0)
+    assert "epoch" in hovering.state.note
+    assert hovering.px4.truth().position[0] < 0.2
+
+
+def test_a_pilot_started_in_the_air_only_watches(hovering: Rig) -> None:
+    second = make_px4_pilot(
+        hovering.tap, Guard(ENVELOPE, hovering.guard.patience), hovering.channels, hovering.clock, Origin(47.0, 8.0, 400.0)
+    )
+    hovering.pilot = second
+    begin = hovering.clock.now_s()
+    hovering.until(FlightPhase.YIELDED, 1.5)
+    hovering.run(8.0)
+    assert not any(hovering.tap.since(begin + TICK_S)[order] for order in ORDERS)
+    assert "somebody else" in hovering.state.note
+
+
+def test_a_silent_autopilot_gets_no_stream(hovering: Rig) -> None:
+    hovering.fly((2.0, 0.0, 1.1), identifier=2)
+    hovering.run(2.0)
+    hovering.tap.deaf = True
+    begin = hovering.clock.now_s()
+    hovering.run(1.7)
+    _, places = setpoints(hovering, begin + 1.5)
+    assert np.ptp(places, axis=0).max() < 1e-6, "held after a second of silence"
+    hovering.run(1.5)
+    assert hovering.pilot.phase is FlightPhase.YIELDED
+    assert hovering.tap.since(begin + 3.1)[SETPOINT] == 0
+    hovering.run(2.0)
+    assert hovering.px4.truth().mode == "LAND", "the autopilot's own answer to a stream that ends"
+
+
+def test_a_reset_of_odom_holds_the_new_place(hovering: Rig) -> None:
+    """The source begins anew 0.4 m aside and says so: the setpoint follows in the same tick, no flight back."""
+    rig = hovering
+    rig.fly((2.0, 0.0, 1.1), identifier=2)
+    rig.run(2.0)
+    rig.poses = False
+    begin, start = rig.clock.now_s(), np.array(rig.px4.truth().position)
+    for turn in range(400):
+        if turn % 3 == 0:
+            truth = rig.px4.truth()
+            pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position) + np.array([0.0, 0.4, 0.0]))
+            rig.channels.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity), reset_counter=1))
+        rig.step()
+    _, places = setpoints(rig, begin + 0.05)
+    assert np.abs(places[:, 1] - 0.4).max() < 0.12
+    assert np.linalg.norm(np.array(rig.px4.truth().position) - start) < 0.45
+    assert rig.pilot.phase is FlightPhase.FLYING
+
+
+@pytest.mark.parametrize("fault", ["old", "future", "repeated", "lost", "nan"])
+def test_bad_poses_are_not_fed(fault: str) -> None:
+    rig = Rig()
+    rig.until(FlightPhase.READY, 20.0)
+    rig.poses = False
+    begin = rig.clock.now_s()
+    for _ in range(50):
+        now = rig.clock.now_s()
+        stamp = {"old": now - 0.16, "future": now + 5.0, "repeated": begin}.get(fault, now)
+        velocity = np.full(3, math.nan if fault == "nan" else 0.0)
+        quality = 0 if fault == "lost" else 100
+        rig.channels.odom.publish(StampedPose(stamp, Pose.identity(), velocity, quality=quality))
+        rig.step()
+    assert rig.tap.since(begin + 0.02)["ODOMETRY"] <= (1 if fault == "repeated" else 0)
+    rig.run(1.0)
+    assert rig.pilot.phase is FlightPhase.CONNECTING
+
+
+def test_the_same_seed_sends_the_same_bytes_and_the_log_holds_them(tmp_path: Path) -> None:
+    logs = []
+    for name in ("a", "b"):
+        log = Tlog(tmp_path / name, epoch_s=0.0)
+        rig = Rig(seed=3, log=log)
+        rig.until(FlightPhase.READY, 20.0)
+        rig.intent = (Goal.FLY, None)
+        rig.run(4.0)
+        log.close()
+        assert log.dropped == 0
+        logs.append((tmp_path / name).read_bytes())
+    assert logs[0] == logs[1]
+    parser, stamps, offset, kinds = mavlink.MAVLink(None), [], 0, set()
+    while offset < len(logs[0]):
+        stamps.append(int.from_bytes(logs[0][offset : offset + 8], "big") * 1e-6)
+        length = 12 + logs[0][offset + 9]
+        kinds.add(parser.decode(bytearray(logs[0][offset + 8 : offset + 8 + length])).get_type())
+        offset += 8 + length
+    assert all(np.diff(stamps) >= 0)
+    assert stamps[0] == pytest.approx(100.0, abs=0.1)
+    assert {"HEARTBEAT", "ODOMETRY", SETPOINT, "SYS_STATUS", "COMMAND_ACK"} <= kinds
