@@ -98,7 +98,7 @@ def events(motion: FigureEight, duration_s: float, seed: int, *, imu: bool = Tru
         out.append(Event(t + 0.002, imu=ImuSample(t, gyro, force)))
     sigma = np.array([0.01] * 3 + [np.radians(0.3)] * 3)
     drift = sigma * rng.normal(size=6)
-    dt, keep = 1 / 15, np.exp(-(1 / 15) / 20)
+    keep = np.exp(-(1 / 15) / 20)  # Ornstein-Uhlenbeck with 20 s
     for k in range(int(duration_s * 15)):
         t, attitude, position = _perfect_pose(motion, k)
         drift = keep * drift + np.sqrt(1 - keep**2) * sigma * rng.normal(size=6)

@@ -102,7 +102,9 @@ def _warm(seed: int = 4, duration_s: float = 3.0) -> tuple[FusionFilter, list[Ev
 def _pose(stamp_s: float, offset_m: float = 0.0, turn_rad: float = 0.0) -> StampedPose:
     truth = MOTION.pose(stamp_s)
     turned = Rotation.from_rotvec([0, 0, turn_rad]) * _rotation(truth)
-    return StampedPose(stamp_s, Pose(turned.as_quat(scalar_first=True), truth.translation_m + [offset_m, 0, 0]), np.zeros(3))
+    return StampedPose(
+        stamp_s, Pose(turned.as_quat(scalar_first=True), truth.translation_m + np.array([offset_m, 0, 0])), np.zeros(3)
+    )
 
 
 NOW_S = MOTION.start_s + 3.0
@@ -224,7 +226,7 @@ def test_a_jumped_source_is_shut_out_and_only_taken_back_as_a_declared_reset() -
     counters = []
     for event in rest:
         if event.pose:
-            shifted = Pose(event.pose.odom_from_body.quat_wxyz, event.pose.odom_from_body.translation_m + [0.0, 1.0, 0.0])
+            shifted = Pose(event.pose.odom_from_body.quat_wxyz, event.pose.odom_from_body.translation_m + np.array([0, 1, 0]))
             event.pose = replace(event.pose, odom_from_body=shifted)
         _feed(fusion, event)
         odom = fusion.odom_at(event.arrival_s)

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uav_recon.clock import InlineExecutor, ManualClock, MonotonicClock, RateKeeper, ThreadExecutor
+
+rates = st.floats(1.0, 400.0)
+starts = st.floats(0.0, 1e6)
+
+
+@given(rates, starts, st.lists(st.floats(0.0, 0.2), min_size=1, max_size=60))
+def test_a_job_is_done_at_most_once_a_period_and_never_caught_up(rate_hz: float, start_s: float, gaps_s: list[float]) -> None:
+    keeper = RateKeeper(rate_hz, start_s)
+    now_s, done = start_s, []
+    for gap_s in gaps_s:
+        now_s += gap_s
+        if keeper.due(now_s):
+            done.append(now_s)
+            assert not keeper.due(now_s)
+    periods = int((now_s - start_s) * rate_hz + 1e-6) + 1
+    assert len(done) <= periods
+    cells = [int((t - start_s) * rate_hz + 1e-6) for t in done]
+    assert cells == sorted(set(cells))
+
+
+@given(st.integers(1, 200), starts)
+def test_it_does_not_drift(rate_hz: int, start_s: float) -> None:
+    keeper = RateKeeper(float(rate_hz), start_s)
+    done = sum(keeper.due(start_s + k / (4 * rate_hz)) for k in range(4 * rate_hz))
+    assert done == rate_hz
+    assert keeper.next_s() == pytest.approx(start_s + 1.0)
+
+
+@given(rates, starts, st.floats(0.0, 10.0))
+def test_the_next_instant_is_ahead_and_is_when_it_is_due(rate_hz: float, start_s: float, late_s: float) -> None:
+    keeper = RateKeeper(rate_hz, start_s)
+    assert keeper.due(start_s + late_s)
+    assert start_s + late_s - 1e-5 < keeper.next_s() <= start_s + late_s + 1.0 / rate_hz + 1e-6
+    assert not keeper.due(keeper.next_s() - 0.01 / rate_hz)
+    assert keeper.due(keeper.next_s())
+
+
+def test_a_manual_clock_moves_only_forward_and_only_by_its_owner() -> None:
+    clock = ManualClock(5.0)
+    clock.sleep_until(9.0)
+    assert clock.now_s() == 5.0
+    clock.advance_to(5.0)
+    clock.advance_to(6.0)
+    with pytest.raises(ValueError, match="back from 6"):
+        clock.advance_to(5.999)
+
+
+def test_the_monotonic_clock_is_the_machines_and_waits() -> None:
+    clock = MonotonicClock()
+    start_s = clock.now_s()
+    assert abs(start_s - time.clock_gettime(time.CLOCK_MONOTONIC)) < 0.5
+    clock.sleep_until(start_s - 100.0)
+    clock.sleep_until(start_s + 0.01)
+    assert clock.now_s() >= start_s + 0.01
+
+
+def test_inline_work_is_seen_after_its_declared_cost() -> None:
+    clock = ManualClock(1.0)
+    executor = InlineExecutor(clock)
+    pending = executor.submit(lambda: 42, cost_s=0.25)
+    assert not pending.done()
+    clock.advance_to(1.249)
+    assert not pending.done()
+    clock.advance_to(1.25)
+    assert pending.done()
+    assert pending.result() == 42
+    executor.close()
+
+
+def test_inline_work_raises_where_it_is_submitted() -> None:
+    with pytest.raises(ZeroDivisionError):
+        InlineExecutor(ManualClock()).submit(lambda: 1 // 0, cost_s=0.0)
+
+
+def test_threaded_work_never_overlaps_and_raises_at_its_result() -> None:
+    executor = ThreadExecutor("plan")
+    gate, order = threading.Event(), []
+
+    def first() -> int:
+        gate.wait(5.0)
+        order.append(1)
+        return 1
+
+    a = executor.submit(first, cost_s=0.0)
+    b = executor.submit(lambda: order.append(2), cost_s=0.0)
+    c = executor.submit(lambda: 1 // 0, cost_s=0.0)
+    assert not a.done()
+    assert not b.done()
+    gate.set()
+    assert a.result() == 1
+    b.result()
+    with pytest.raises(ZeroDivisionError):
+        c.result()
+    assert order == [1, 2]
+    executor.close()

@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uav_recon.config import Config, ConfigError, SafetyConfig, Section, load, parse, save
+
+FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
+
+
+@pytest.fixture
+def tree() -> dict[str, Any]:
+    return load(FLOWN).model_dump(mode="json", exclude_none=True)
+
+
+def _refused(tree: dict[str, Any]) -> str:
+    with pytest.raises(ConfigError) as error:
+        parse(tree, "config.toml")
+    text = str(error.value)
+    assert "\n" not in text
+    assert text.startswith("config.toml: ")
+    return text
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "wanted"),
+    [
+        ("safety", "max_speed_mps", 3.01, "safety.max_speed_mps: input should be less than or equal to 3 (got 3.01)"),
+        ("safety", "max_speed_mps", 0.0, "safety.max_speed_mps: input should be greater than 0 (got 0.0)"),
+        ("safety", "max_speed_mps", float("nan"), "safety.max_speed_mps: "),
+        ("safety", "max_speed_mps", "fast", "safety.max_speed_mps: "),
+        ("safety", "pose_timeout_s", 1.1, "safety.pose_timeout_s: "),
+        ("safety", "fence_min_m", [0.0, 0.0], "safety.fence_min_m.2: field required"),
+        ("camera", "pitch_down_deg", 61.0, "camera.pitch_down_deg: "),
+        ("camera", "depth_max_m", float("inf"), "camera.depth_max_m: "),
+        ("camera", "source", "kinect", "camera.source: input should be 'stream', 'realsense' or 'recorded'"),
+        ("link", "setpoint_rate_hz", 5.0, "link.setpoint_rate_hz: "),
+        ("planner", "clearance_m", 0.2, "planner.clearance_m: "),
+        ("mission", "views", 3, "mission.views: "),
+        ("mission", "speed", 1.0, "mission.speed: extra inputs are not permitted (got 1.0)"),
+        ("motion", "speed_mps", 2.0, "exceeds safety.max_speed_mps 1.0"),
+        ("motion", "acceleration_mps2", 2.5, "exceeds safety.max_acceleration_mps2"),
+        ("motion", "yaw_rate_degps", 61.0, "exceeds safety.max_yaw_rate_degps"),
+        ("safety", "fence_max_m", [3.5, 3.5, 0.2], "fence_max_m.z 0.2 must exceed fence_min_m.z -0.3 by twice the inset"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_flown_is_one_line_that_names_it(
+    tree: dict[str, Any], section: str, key: str, value: Any, wanted: str
+) -> None:
+    tree[section][key] = value
+    assert wanted in _refused(tree)
+
+
+@pytest.mark.parametrize("name", list(SafetyConfig.model_fields))
+def test_no_protective_number_has_a_default(tree: dict[str, Any], name: str) -> None:
+    del tree["safety"][name]
+    assert f"safety.{name}: field required" in _refused(tree)
+
+
+@pytest.mark.parametrize("name", list(Config.model_fields))
+def test_an_unknown_key_in_any_section_is_refused(tree: dict[str, Any], name: str) -> None:
+    tree.setdefault(name, {})["no_such_key"] = 1
+    assert f"{name}.no_such_key: extra inputs are not permitted" in _refused(tree)
+
+
+def test_an_unknown_section_is_refused(tree: dict[str, Any]) -> None:
+    tree["saftey"] = {}
+    assert "saftey: extra inputs are not permitted" in _refused(tree)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.dictionaries(st.text(max_size=8), st.recursive(st.none() | st.floats() | st.text(max_size=5), st.lists), max_size=4))
+def test_no_tree_crashes(extra: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError) as error:
+        parse({"safety": {}, **extra}, "x")
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "wanted"),
+    [(b"[safety", "not TOML"), (b"a = 1\na = 2\n", "not TOML"), (b"\xff\xfe\x00", "not TOML"), (b"", "safety: field required")],
+)
+def test_a_file_that_is_no_config_is_one_line(tmp_path: Path, content: bytes, wanted: str) -> None:
+    path = tmp_path / "config.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=wanted) as error:
+        load(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"absent\.toml: cannot be read \(No such file or directory\)"):
+        load(tmp_path / "absent.toml")
+
+
+def test_the_effective_config_can_be_flown_again(tmp_path: Path) -> None:
+    flown = load(FLOWN)
+    save(flown, tmp_path / "effective.toml")
+    assert load(tmp_path / "effective.toml") == flown
+
+
+def test_a_config_cannot_be_changed_in_flight(tree: dict[str, Any]) -> None:
+    config = parse(copy.deepcopy(tree), "x")
+    with pytest.raises(ValueError, match="frozen"):
+        config.safety.max_speed_mps = 3.0
+
+
+def test_every_key_has_its_line_of_documentation() -> None:
+    source = (Path(__file__).parents[1] / "uav_recon" / "config.py").read_text()
+    for kind in Section.__subclasses__():
+        if kind is Config:
+            continue
+        for name in kind.model_fields:
+            lines = [line for line in source.splitlines() if line.startswith(f"    {name}: ")]
+            assert any("#" in line for line in lines), f"{kind.__name__}.{name} wants a word on what it does"
