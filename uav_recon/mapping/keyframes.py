@@ -1,0 +1,127 @@
+"""Keyframes on disk: what a flight saw, readable by anything.
+
+folder/NNNN_rgb.jpg, folder/NNNN_depth.png (16 bit, millimetres, 0 = no return) and folder/poses.json with intrinsics, poses
+and stamps of all of them. Every file appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
+from uav_recon.types.frames import AnyArray
+from uav_recon.types.pose import Pose
+
+JPEG_QUALITY = 95
+PNG_COMPRESSION = 1
+
+
+class KeyframeError(Exception):
+    """A keyframe folder that cannot be read; the text names file and fault."""
+
+
+class KeyframeFolder:
+    """One writer, any number of readers. Creating it makes the folder and reads what is there already.
+
+    Raises OSError if the folder cannot be made, KeyframeError if its poses.json is damaged.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        self._entries: list[dict[str, Any]] = []
+        self.refresh()
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def refresh(self) -> None:
+        """See what another process wrote."""
+        path = self.folder / "poses.json"
+        if not path.exists():
+            return
+        try:
+            self._entries = json.loads(path.read_text(encoding="utf-8"))["keyframes"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise KeyframeError(f"{path}: not a list of keyframes ({error})") from None
+
+    def save(self, keyframe: PosedFrame) -> int:
+        """Write a keyframe; returns its number. Blocks for about 10 ms. Raises OSError if the disk refuses."""
+        import cv2
+
+        frame, number = keyframe.frame, len(self._entries)
+        millimetres = np.nan_to_num(frame.depth_m * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
+        depth = np.where(millimetres < 65535.0, np.rint(millimetres), 0.0).astype(np.uint16)
+        bgr = np.ascontiguousarray(frame.rgb[:, :, ::-1])
+        self._write(f"{number:04d}_rgb.jpg", cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))
+        self._write(f"{number:04d}_depth.png", cv2.imencode(".png", depth, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION]))
+        self._entries.append(
+            {
+                "rgb": f"{number:04d}_rgb.jpg",
+                "depth": f"{number:04d}_depth.png",
+                "stamp_s": frame.stamp_s,
+                "sequence": frame.sequence,
+                "map_epoch": keyframe.map_epoch,
+                "depth_intrinsics": _lens(frame.depth_intrinsics),
+                "rgb_intrinsics": _lens(frame.rgb_intrinsics),
+                "rgb_from_depth": _pose(frame.rgb_from_depth),
+                "world_from_depth": _pose(keyframe.world_from_depth),
+            }
+        )
+        text = json.dumps({"depth_unit_m": 0.001, "keyframes": self._entries}, indent=1)
+        write_whole(self.folder / "poses.json", text.encode())
+        return number
+
+    def load(self, number: int) -> PosedFrame:
+        """Read a keyframe back. Raises KeyframeError if it is missing or damaged."""
+        import cv2
+
+        try:
+            entry = self._entries[number]
+            depth = cv2.imread(str(self.folder / entry["depth"]), cv2.IMREAD_UNCHANGED)
+            bgr = cv2.imread(str(self.folder / entry["rgb"]), cv2.IMREAD_COLOR)
+            if depth is None or bgr is None or depth.dtype != np.uint16:
+                raise KeyframeError(f"{self.folder}: images of keyframe {number} are missing or damaged")
+            depth_m = np.where(depth > 0, depth.astype(np.float32) * np.float32(0.001), np.float32(np.nan))
+            frame = Frame(
+                float(entry["stamp_s"]),
+                int(entry["sequence"]),
+                depth_m.astype(np.float32),
+                Intrinsics(**entry["depth_intrinsics"]),
+                np.ascontiguousarray(bgr[:, :, ::-1]),
+                Intrinsics(**entry["rgb_intrinsics"]),
+                _read_pose(entry["rgb_from_depth"]),
+            )
+            return PosedFrame(frame, _read_pose(entry["world_from_depth"]), int(entry["map_epoch"]))
+        except (IndexError, KeyError, TypeError, ValueError) as error:
+            raise KeyframeError(f"{self.folder}: keyframe {number}: {error}") from None
+
+    def _write(self, name: str, encoded: tuple[bool, AnyArray]) -> None:
+        ok, data = encoded
+        if not ok:
+            raise OSError(f"{self.folder / name}: image could not be encoded")
+        write_whole(self.folder / name, data.tobytes())
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Replace a file in one step: a reader sees the old one or the new one."""
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_bytes(data)
+    os.replace(temporary, path)  # noqa: PTH105 - the atomic one
+
+
+def _lens(lens: Intrinsics) -> dict[str, float | int]:
+    return {name: getattr(lens, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
+
+
+def _pose(pose: Pose) -> dict[str, list[float]]:
+    return {"quat_wxyz": pose.quat_wxyz.tolist(), "translation_m": pose.translation_m.tolist()}
+
+
+def _read_pose(entry: dict[str, list[float]]) -> Pose:
+    return Pose(np.array(entry["quat_wxyz"]), np.array(entry["translation_m"]))

@@ -1,0 +1,89 @@
+"""The learned field: signed distance (positive in the air) and colour at any point of the box."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import fast_kernel
+from uav_recon.mapping.neural.grid import POINTS, Grid, allocate, gather, locate, make_grid
+from uav_recon.mapping.neural.network import (
+    SHAPE_FEATURES,
+    Network,
+    Scratch,
+    colour_forward,
+    distance_forward,
+    initial_parameters,
+    make_scratch,
+    views,
+)
+from uav_recon.types.frames import Float32Array, FloatArray
+
+INITIAL_FEATURE = 1e-2  # new features are uniform in ± this: small, yet enough to break the symmetry
+
+
+class Field:
+    """Parameters and queries. Coordinates are world metres; points are float32 inside."""
+
+    def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray, seed: int) -> None:
+        self._random = np.random.default_rng(seed)
+        self.grid, self.slots = make_grid(box_min_m, box_max_m)
+        self.parameters = initial_parameters(self._random)
+        self.network: Network = views(self.parameters)
+        self.scratch: Scratch = make_scratch()
+        self._fill(1, self.slots)
+
+    def cover(self, points: Float32Array) -> None:
+        """Make room for what will be learned at points (N, 3)."""
+        while True:
+            capacity = self.grid.features.shape[0]
+            before = self.slots
+            self.slots = int(allocate(self.grid, points, before, capacity))
+            self._fill(before, self.slots)
+            if self.slots < capacity:
+                return
+            grown = np.zeros((capacity * 2, self.grid.features.shape[1]), dtype=np.float32)
+            grown[:capacity] = self.grid.features
+            self.grid = self.grid._replace(features=grown)
+
+    def distance_m(self, points: Float32Array) -> Float32Array:
+        """Signed distance (N,) at points (N, 3) float32."""
+        out = np.empty(points.shape[0], dtype=np.float32)
+        query_distance(self.grid, self.network, self.scratch, points, out)
+        return out
+
+    def rgb(self, points: Float32Array) -> Float32Array:
+        """Colour (N, 3) in 0..1 at points (N, 3) float32."""
+        out = np.empty((points.shape[0], 3), dtype=np.float32)
+        query_colour(self.grid, self.network, self.scratch, points, out)
+        return out
+
+    def _fill(self, start: int, end: int) -> None:
+        width = self.grid.features.shape[1]
+        fresh = self._random.uniform(-INITIAL_FEATURE, INITIAL_FEATURE, (end - start, width))
+        self.grid.features[start:end] = fresh
+
+
+@fast_kernel
+def query_distance(grid: Grid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
+    """Distance in metres (N,)."""
+    for start in range(0, points.shape[0], POINTS):
+        count = min(POINTS, points.shape[0] - start)
+        locate(grid, points, start, count, s.node, s.weight)
+        gather(grid.features, s.node, s.weight, s.encoded)
+        distance_forward(net, s, 1)
+        for p in range(count):
+            out[start + p] = s.out[0, p]
+
+
+@fast_kernel
+def query_colour(grid: Grid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
+    """Colour (N, 3)."""
+    for start in range(0, points.shape[0], POINTS):
+        count = min(POINTS, points.shape[0] - start)
+        locate(grid, points, start, count, s.node, s.weight)
+        gather(grid.features, s.node, s.weight, s.encoded)
+        distance_forward(net, s, 1 + SHAPE_FEATURES)
+        colour_forward(net, s)
+        for p in range(count):
+            for j in range(3):
+                out[start + p, j] = s.rgb[j, p]

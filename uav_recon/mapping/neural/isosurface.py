@@ -1,0 +1,220 @@
+"""Zero level set of a field on sparse blocks: naive surface nets (Gibson 1998).
+
+One vertex per cell that the surface crosses, at the mean of its edge crossings; one quad per crossed edge. A cell with a
+corner that was not evaluated has no vertex, so nothing is closed over unknown space.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
+
+EDGE = 8  # nodes along a block
+ABSENT = 1e9  # value of a node that was not evaluated
+
+
+class SparseNodes(NamedTuple):
+    """Nodes on a lattice over a box, in blocks of EDGE³.
+
+    origin_m (3,) f32 and voxel_m: node (i, j, k) lies at origin + voxel * (i, j, k). slot (bx, by, bz) i32, -1 = no block.
+    blocks (B, 3) i32 block coordinates. values (B, EDGE, EDGE, EDGE) f32, ABSENT where not wanted, 0 where wanted.
+    """
+
+    origin_m: Float32Array
+    voxel_m: np.float32
+    slot: AnyArray
+    blocks: AnyArray
+    values: Float32Array
+
+
+def wanted_nodes(wanted: BoolArray, origin_m: FloatArray, cell_m: float, voxel_m: float) -> SparseNodes:
+    """Nodes that lie in wanted cells (nx, ny, nz) of a lattice with corner origin_m (3,)."""
+    extent = np.array(wanted.shape) * cell_m
+    shape = np.ceil((np.floor(extent / voxel_m) + 1) / EDGE).astype(int)
+    slot = np.full(tuple(int(n) for n in shape), -1, dtype=np.int32)
+    ratio = float(voxel_m / cell_m)
+    count = _place_blocks(wanted, ratio, slot)
+    blocks = np.zeros((count, 3), dtype=np.int32)
+    at = np.argwhere(slot >= 0)
+    blocks[slot[slot >= 0]] = at
+    values = np.full((count, EDGE, EDGE, EDGE), ABSENT, dtype=np.float32)
+    _mark_nodes(wanted, ratio, blocks, values)
+    return SparseNodes(np.asarray(origin_m, dtype=np.float32), np.float32(voxel_m), slot, blocks, values)
+
+
+def node_points(nodes: SparseNodes) -> tuple[Float32Array, BoolArray]:
+    """World points (N, 3) of all wanted nodes, and the mask that puts values back: nodes.values[mask] = f(points)."""
+    mask: BoolArray = nodes.values != ABSENT
+    block, i, j, k = np.nonzero(mask)
+    index = nodes.blocks[block] * EDGE + np.stack([i, j, k], axis=1)
+    points: Float32Array = (nodes.origin_m + nodes.voxel_m * index.astype(np.float32)).astype(np.float32)
+    return points, mask
+
+
+def surface_net(nodes: SparseNodes) -> tuple[Float32Array, Float32Array, IntArray]:
+    """Vertices (V, 3), unit normals towards positive values (V, 3), quads (Q, 4), counter-clockwise seen from there."""
+    cells = np.full(nodes.values.shape, -1, dtype=np.int32)
+    count = _number_cells(nodes, cells)
+    vertices = np.empty((count, 3), dtype=np.float32)
+    normals = np.empty((count, 3), dtype=np.float32)
+    _place_vertices(nodes, cells, vertices, normals)
+    quads = np.empty((3 * count, 4), dtype=np.int64)
+    return vertices, normals, quads[: _join(nodes, cells, quads)]
+
+
+@kernel
+def _place_blocks(wanted: BoolArray, ratio: float, slot: AnyArray) -> int:
+    count = 0
+    for i in range(wanted.shape[0]):
+        for j in range(wanted.shape[1]):
+            for k in range(wanted.shape[2]):
+                if not wanted[i, j, k]:
+                    continue
+                for a in range(int(np.ceil(i / ratio)) // EDGE, int(np.floor((i + 1) / ratio)) // EDGE + 1):
+                    for b in range(int(np.ceil(j / ratio)) // EDGE, int(np.floor((j + 1) / ratio)) // EDGE + 1):
+                        for c in range(int(np.ceil(k / ratio)) // EDGE, int(np.floor((k + 1) / ratio)) // EDGE + 1):
+                            inside = a < slot.shape[0] and b < slot.shape[1] and c < slot.shape[2]
+                            if inside and slot[a, b, c] < 0:
+                                slot[a, b, c] = count
+                                count += 1
+    return count
+
+
+@kernel
+def _mark_nodes(wanted: BoolArray, ratio: float, blocks: AnyArray, values: Float32Array) -> None:
+    nx, ny, nz = wanted.shape
+    for block in range(blocks.shape[0]):
+        for a in range(EDGE):
+            i = int((blocks[block, 0] * EDGE + a) * ratio)
+            for b in range(EDGE):
+                j = int((blocks[block, 1] * EDGE + b) * ratio)
+                for c in range(EDGE):
+                    k = int((blocks[block, 2] * EDGE + c) * ratio)
+                    if i < nx and j < ny and k < nz and wanted[i, j, k]:
+                        values[block, a, b, c] = 0.0
+
+
+@kernel
+def _read(slot: AnyArray, array: AnyArray, i: int, j: int, k: int, otherwise: float) -> float:
+    a, b, c = i // EDGE, j // EDGE, k // EDGE
+    if i < 0 or j < 0 or k < 0 or a >= slot.shape[0] or b >= slot.shape[1] or c >= slot.shape[2]:
+        return otherwise
+    block = slot[a, b, c]
+    if block < 0:
+        return otherwise
+    return float(array[block, i % EDGE, j % EDGE, k % EDGE])
+
+
+@kernel
+def _cell_corners(nodes: SparseNodes, i: int, j: int, k: int, corner: FloatArray) -> int:
+    """Read eight corners; 1 if the surface crosses the cell, 0 if not, -1 if a corner is absent."""
+    negative = 0
+    for n in range(8):
+        value = _read(nodes.slot, nodes.values, i + (n >> 2), j + ((n >> 1) & 1), k + (n & 1), ABSENT)
+        if value >= ABSENT:
+            return -1
+        corner[n] = value
+        negative += value < 0.0
+    return 1 if 0 < negative < 8 else 0
+
+
+@kernel
+def _number_cells(nodes: SparseNodes, cells: AnyArray) -> int:
+    corner = np.empty(8)
+    count = 0
+    for block in range(cells.shape[0]):
+        for a in range(EDGE):
+            for b in range(EDGE):
+                for c in range(EDGE):
+                    if nodes.values[block, a, b, c] >= ABSENT:
+                        continue
+                    i, j, k = (nodes.blocks[block, 0] * EDGE + a, nodes.blocks[block, 1] * EDGE + b,
+                               nodes.blocks[block, 2] * EDGE + c)  # fmt: skip
+                    if _cell_corners(nodes, i, j, k, corner) == 1:
+                        cells[block, a, b, c] = count
+                        count += 1
+    return count
+
+
+@kernel
+def _place_vertices(nodes: SparseNodes, cells: AnyArray, vertices: Float32Array, normals: Float32Array) -> None:
+    f = np.empty(8)
+    mean = np.empty(3)
+    for block in range(cells.shape[0]):
+        for a in range(EDGE):
+            for b in range(EDGE):
+                for c in range(EDGE):
+                    vertex = cells[block, a, b, c]
+                    if vertex < 0:
+                        continue
+                    i, j, k = (nodes.blocks[block, 0] * EDGE + a, nodes.blocks[block, 1] * EDGE + b,
+                               nodes.blocks[block, 2] * EDGE + c)  # fmt: skip
+                    _cell_corners(nodes, i, j, k, f)
+                    mean[:] = 0.0
+                    crossings = 0
+                    for n in range(8):
+                        for axis in range(3):
+                            bit = 4 >> axis
+                            if n & bit or (f[n] < 0.0) == (f[n | bit] < 0.0):
+                                continue
+                            crossings += 1
+                            mean[0] += n >> 2
+                            mean[1] += (n >> 1) & 1
+                            mean[2] += n & 1
+                            mean[axis] += f[n] / (f[n] - f[n | bit])
+                    u, v, w = mean[0] / crossings, mean[1] / crossings, mean[2] / crossings
+                    vertices[vertex, 0] = nodes.origin_m[0] + nodes.voxel_m * (i + u)
+                    vertices[vertex, 1] = nodes.origin_m[1] + nodes.voxel_m * (j + v)
+                    vertices[vertex, 2] = nodes.origin_m[2] + nodes.voxel_m * (k + w)
+                    gx = (1 - v) * ((1 - w) * (f[4] - f[0]) + w * (f[5] - f[1])) + v * (
+                        (1 - w) * (f[6] - f[2]) + w * (f[7] - f[3])
+                    )
+                    gy = (1 - u) * ((1 - w) * (f[2] - f[0]) + w * (f[3] - f[1])) + u * (
+                        (1 - w) * (f[6] - f[4]) + w * (f[7] - f[5])
+                    )
+                    gz = (1 - u) * ((1 - v) * (f[1] - f[0]) + v * (f[3] - f[2])) + u * (
+                        (1 - v) * (f[5] - f[4]) + v * (f[7] - f[6])
+                    )
+                    length = np.sqrt(gx * gx + gy * gy + gz * gz) + 1e-9
+                    normals[vertex, 0], normals[vertex, 1], normals[vertex, 2] = gx / length, gy / length, gz / length
+
+
+@kernel
+def _join(nodes: SparseNodes, cells: AnyArray, quads: AnyArray) -> int:
+    count = 0
+    step = np.zeros((2, 3), dtype=np.int64)
+    for block in range(cells.shape[0]):
+        for a in range(EDGE):
+            for b in range(EDGE):
+                for c in range(EDGE):
+                    if cells[block, a, b, c] < 0:
+                        continue
+                    i, j, k = (nodes.blocks[block, 0] * EDGE + a, nodes.blocks[block, 1] * EDGE + b,
+                               nodes.blocks[block, 2] * EDGE + c)  # fmt: skip
+                    here = nodes.values[block, a, b, c]
+                    for axis in range(3):
+                        there = _read(nodes.slot, nodes.values, i + (axis == 0), j + (axis == 1), k + (axis == 2), ABSENT)
+                        if (here < 0.0) == (there < 0.0):
+                            continue
+                        step[:] = 0
+                        step[0, (axis + 1) % 3] = 1
+                        step[1, (axis + 2) % 3] = 1
+                        whole = True
+                        for n in range(4):
+                            s, t = int(n in (0, 3)), int(n in (0, 1))
+                            cell = _read(
+                                nodes.slot,
+                                cells,
+                                i - s * step[0, 0] - t * step[1, 0],
+                                j - s * step[0, 1] - t * step[1, 1],
+                                k - s * step[0, 2] - t * step[1, 2],
+                                -1.0,
+                            )
+                            whole = whole and cell >= 0
+                            quads[count, n if here < 0.0 else 3 - n] = int(cell)
+                        count += whole
+    return count

@@ -1,0 +1,93 @@
+"""Adam (Kingma and Ba 2015) for a field: all network weights, and just those grid entries which a step touched."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import fast_kernel
+from uav_recon.mapping.neural.field import Field
+from uav_recon.mapping.neural.grid import Gradient, make_gradient
+from uav_recon.mapping.neural.network import PARAMETERS, Network, views
+from uav_recon.types.frames import Float32Array
+
+BETA_1, BETA_2 = np.float32(0.9), np.float32(0.99)
+EPSILON = np.float32(1e-15)  # of the grid: its gradients are tiny by nature
+WEIGHT_EPSILON = np.float32(1e-8)
+GRID_RATE, WEIGHT_RATE = 2e-2, 4e-3
+
+_ONE = np.float32(1.0)
+
+
+class Optimiser:
+    """Gradients and moments beside a field's parameters."""
+
+    def __init__(self, field: Field) -> None:
+        self._field = field
+        self.gradient: Gradient = make_gradient(field.grid.features.shape[0])
+        self.flat_gradient = np.zeros(PARAMETERS, dtype=np.float32)
+        self.network_gradient: Network = views(self.flat_gradient)
+        self._weight_moments = np.zeros((2, PARAMETERS), dtype=np.float32)
+        self._slot_moments = np.zeros((2, *field.grid.features.shape), dtype=np.float32)
+        self._step = 0
+
+    def follow_growth(self) -> None:
+        """Grow with the field's grid. Call after Field.cover()."""
+        slots, held = self._field.grid.features.shape[0], self.gradient.stamp.shape[0]
+        if slots == held:
+            return
+        grown = make_gradient(slots)
+        grown.state[0] = self.gradient.state[0]
+        grown.stamp[:held] = self.gradient.stamp
+        moments = np.zeros((2, *self._field.grid.features.shape), dtype=np.float32)
+        moments[:, :held] = self._slot_moments
+        self.gradient, self._slot_moments = grown, moments
+
+    def step(self, rate_factor: float = 1.0) -> None:
+        """Apply and clear the gradients."""
+        self._step += 1
+        first, second = self._weight_moments
+        rate = WEIGHT_RATE * rate_factor
+        step_weights(self._field.parameters, self.flat_gradient, first, second, rate, self._step)
+        first, second = self._slot_moments
+        step_slots(self._field.grid.features, self.gradient, first, second, GRID_RATE * rate_factor, self._step)
+
+
+@fast_kernel
+def step_weights(
+    value: Float32Array, gradient: Float32Array, first: Float32Array, second: Float32Array, rate: float, step: int
+) -> None:
+    """One step on vectors (P,), with bias correction for the step-th step (from 1)."""
+    scale = _corrected(rate, step)
+    for i in range(value.shape[0]):
+        g = gradient[i]
+        first[i] = BETA_1 * first[i] + (_ONE - BETA_1) * g
+        second[i] = BETA_2 * second[i] + (_ONE - BETA_2) * g * g
+        value[i] -= scale * first[i] / (np.sqrt(second[i]) + WEIGHT_EPSILON)
+        gradient[i] = 0.0
+
+
+@fast_kernel
+def step_slots(
+    value: Float32Array, gradient: Gradient, first: Float32Array, second: Float32Array, rate: float, step: int
+) -> None:
+    """One step on the touched slots of features (S, 16); entries without a gradient keep value and moments."""
+    scale = _corrected(rate, step)
+    for n in range(gradient.state[1]):
+        slot = gradient.touched[n]
+        for i in range(value.shape[1]):
+            g = gradient.features[slot, i]
+            hit = g != 0.0
+            m = BETA_1 * first[slot, i] + (_ONE - BETA_1) * g
+            v = BETA_2 * second[slot, i] + (_ONE - BETA_2) * g * g
+            first[slot, i] = m if hit else first[slot, i]
+            second[slot, i] = v if hit else second[slot, i]
+            value[slot, i] -= scale * m / (np.sqrt(v) + EPSILON) if hit else np.float32(0.0)
+            gradient.features[slot, i] = 0.0
+    gradient.state[0] += 1
+    gradient.state[1] = 0
+
+
+@fast_kernel
+def _corrected(rate: float, step: int) -> np.float32:
+    power = np.float32(min(step, 2000))
+    return np.float32(np.float32(rate) * np.sqrt(_ONE - BETA_2**power) / (_ONE - BETA_1**power))

@@ -1,0 +1,128 @@
+"""Keyframes as compact rays: one packed record of 20 bytes per measured pixel, smoothed by a local plane.
+
+A plane is exactly linear in inverse depth, and stereo noise is even and unbiased there, so both the normal and the
+smoothed depth come from one least-squares fit of 1/z over a window that stops at depth edges.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.camera import Frame
+from uav_recon.types.frames import AnyArray, ByteArray, Float32Array, FloatArray, IntArray
+
+COLUMNS = 10  # bearing x, y; depth; normal x, y, z (camera; 0 = none); r, g, b; has colour
+BEARING_UNIT, DEPTH_UNIT_M, NORMAL_UNIT = 1e-4, 2.5e-4, 1 / 32767
+DEPTH_NEAREST_M, DEPTH_FARTHEST_M = 0.15, 8.0
+WINDOW = 4  # pixels each way
+FEWEST = 20  # pixels a plane must explain
+
+
+def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.random.Generator) -> AnyArray:
+    """Records (N, COLUMNS) int16 of at most about ``most`` pixels, in random order.
+
+    inverse_depth_sigma: standard deviation of 1/z in 1/m (disparity noise over focal length times baseline).
+    """
+    k, c = frame.depth_intrinsics, frame.rgb_intrinsics
+    stride = max(1, int(np.ceil(np.sqrt(k.width * k.height / most))))
+    rows, columns = np.meshgrid(np.arange(0, k.height, stride), np.arange(0, k.width, stride), indexing="ij")
+    rows = np.minimum(rows + random.integers(0, stride, rows.shape), k.height - 1).ravel()
+    columns = np.minimum(columns + random.integers(0, stride, columns.shape), k.width - 1).ravel()
+    order = random.permutation(rows.size)
+    records = np.zeros((rows.size, COLUMNS), dtype=np.int16)
+    to_rgb = frame.rgb_from_depth
+    count = _pack(
+        frame.depth_m,
+        np.array([k.fx, k.fy, k.cx, k.cy]),
+        frame.rgb,
+        np.array([c.fx, c.fy, c.cx, c.cy]),
+        to_rgb.rotation(),
+        to_rgb.translation_m,
+        rows[order],
+        columns[order],
+        inverse_depth_sigma,
+        records,
+    )
+    return records[:count]
+
+
+@kernel
+def _pack(
+    depth_m: Float32Array, lens: FloatArray, rgb: ByteArray, rgb_lens: FloatArray, rotation: FloatArray,
+    translation: FloatArray, rows: IntArray, columns: IntArray, sigma: float, records: AnyArray,
+) -> int:  # fmt: skip
+    fx, fy, cx, cy = lens
+    plane = np.zeros(3)
+    count = 0
+    for n in range(rows.shape[0]):
+        v0, u0 = rows[n], columns[n]
+        z = float(depth_m[v0, u0])
+        if not (z >= DEPTH_NEAREST_M and z <= DEPTH_FARTHEST_M):
+            continue
+        inverse = 1.0 / z
+        bx, by = (u0 - cx) / fx, (v0 - cy) / fy
+        record = records[count]
+        count += 1
+        if _fit_plane(depth_m, v0, u0, inverse, sigma, plane):
+            a, b, c = plane[0], plane[1], plane[2]
+            if abs(c - inverse) < 3.0 * sigma + 0.002 * inverse:
+                inverse = c
+            nx, ny = a * fx, b * fy
+            nz = c + a * (cx - u0) + b * (cy - v0)
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            record[3] = round(-nx / length / NORMAL_UNIT)
+            record[4] = round(-ny / length / NORMAL_UNIT)
+            record[5] = round(-nz / length / NORMAL_UNIT)
+        z = min(1.0 / inverse, DEPTH_FARTHEST_M)
+        record[0] = round(bx / BEARING_UNIT)
+        record[1] = round(by / BEARING_UNIT)
+        record[2] = round(z / DEPTH_UNIT_M)
+        x = rotation[0, 0] * bx * z + rotation[0, 1] * by * z + rotation[0, 2] * z + translation[0]
+        y = rotation[1, 0] * bx * z + rotation[1, 1] * by * z + rotation[1, 2] * z + translation[1]
+        w = rotation[2, 0] * bx * z + rotation[2, 1] * by * z + rotation[2, 2] * z + translation[2]
+        if w > 0.05:
+            u, v = x / w * rgb_lens[0] + rgb_lens[2], y / w * rgb_lens[1] + rgb_lens[3]
+            if 0.0 <= u < rgb.shape[1] - 1 and 0.0 <= v < rgb.shape[0] - 1:
+                i, j = int(v), int(u)
+                s, t = v - i, u - j
+                for channel in range(3):
+                    top = (1 - t) * rgb[i, j, channel] + t * rgb[i, j + 1, channel]
+                    low = (1 - t) * rgb[i + 1, j, channel] + t * rgb[i + 1, j + 1, channel]
+                    record[6 + channel] = round((1 - s) * top + s * low)
+                record[9] = 1
+    return count
+
+
+@kernel
+def _fit_plane(depth_m: Float32Array, v0: int, u0: int, inverse: float, sigma: float, plane: FloatArray) -> bool:
+    """Fit 1/z = a du + b dv + c twice, the second time on what the first explains."""
+    height, width = depth_m.shape
+    a, b, c = 0.0, 0.0, inverse
+    for turn in range(2):
+        gate = 3.0 * sigma + (0.08 if turn == 0 else 0.004) * inverse
+        n, su, sv, suu, suv, svv, sy, suy, svy = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for v in range(max(v0 - WINDOW, 0), min(v0 + WINDOW + 1, height)):
+            for u in range(max(u0 - WINDOW, 0), min(u0 + WINDOW + 1, width)):
+                z = depth_m[v, u]
+                if not z > DEPTH_NEAREST_M:
+                    continue
+                y, du, dv = 1.0 / z, float(u - u0), float(v - v0)
+                if abs(y - (a * du + b * dv + c)) > gate:
+                    continue
+                n += 1
+                su, sv, sy = su + du, sv + dv, sy + y
+                suu, suv, svv = suu + du * du, suv + du * dv, svv + dv * dv
+                suy, svy = suy + du * y, svy + dv * y
+        if n < FEWEST:
+            return False
+        mu, mv, my = su / n, sv / n, sy / n
+        cuu, cuv, cvv = suu / n - mu * mu, suv / n - mu * mv, svv / n - mv * mv
+        cuy, cvy = suy / n - mu * my, svy / n - mv * my
+        determinant = cuu * cvv - cuv * cuv
+        if determinant < 0.5:
+            return False
+        a, b = (cuy * cvv - cvy * cuv) / determinant, (cvy * cuu - cuy * cuv) / determinant
+        c = my - a * mu - b * mv
+    plane[0], plane[1], plane[2] = a, b, c
+    return c > 1.0 / (2.0 * DEPTH_FARTHEST_M)

@@ -1,0 +1,205 @@
+"""From the field to a surface, only where the camera measured one.
+
+Two gates keep imagined surface out: nodes are evaluated only near measured end points, and what comes out must agree
+with the measured normals, and for the final mesh with the depth images themselves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.mapping.neural.field import Field
+from uav_recon.mapping.neural.isosurface import node_points, surface_net, wanted_nodes
+from uav_recon.mapping.neural.uncertainty import Lattice, SurfaceUncertainty
+from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
+from uav_recon.types.maps import SurfaceElements, TriangleMesh
+
+EVIDENCE_CELL_M = 0.05
+EVIDENCE_SIGMA_M = 0.10  # a vaguer measurement does not say where the surface is
+SHEET_M = 0.006  # a vertex whose own distance is larger belongs to the border of the band, not to the surface
+CONFIRM_SIGMAS, CONFIRM_M = 2.0, 0.02  # a depth image confirms a vertex within sigmas * sigma_z + this ...
+CONFIRM_COSINE = 0.15  # ... of a surface that faces it
+
+
+class Evidence:
+    """Where surface was measured and which way it faces: summed normals and counts on a 5 cm lattice."""
+
+    def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
+        self.origin_m = np.asarray(box_min_m, dtype=np.float64)
+        extent = np.asarray(box_max_m, dtype=np.float64) - self.origin_m
+        self.count = np.zeros(tuple(int(n) for n in np.ceil(extent / EVIDENCE_CELL_M)), dtype=np.int32)
+        self._facing = Lattice(box_min_m, box_max_m, 2 * EVIDENCE_CELL_M, 3)
+
+    def add(self, points: Float32Array, normal: Float32Array, sigma_m: Float32Array) -> None:
+        """Count end points (N, 3) with normals (N, 3) (zero = not known) and depth sigma (N,)."""
+        _count(self.count, self.origin_m, EVIDENCE_CELL_M, points, sigma_m)
+        self._facing.splat(points, normal)
+
+    def near(self, least: int) -> BoolArray:
+        """Cells within one cell of at least ``least`` end points."""
+        out = np.zeros(self.count.shape, dtype=np.bool_)
+        _spread(self.count, least, out)
+        return out
+
+    def contradicts(self, points: Float32Array, normal: Float32Array) -> BoolArray:
+        """Whether normals (N, 3) at points (N, 3) face away from what was measured there."""
+        facing = self._facing.at(points)
+        against: BoolArray = np.einsum("nc,nc->n", facing, normal) < -0.3 * np.linalg.norm(facing, axis=1)
+        return against
+
+
+def surface_elements(
+    field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, revision: int, map_epoch: int
+) -> SurfaceElements:
+    """Elements on the surface nets of a ``voxel_m`` lattice; empty before the first view."""
+    vertices, normals, _ = _extract(field, evidence, voxel_m)
+    keep = ~evidence.contradicts(vertices, normals)
+    vertices, normals = vertices[keep], normals[keep]
+    return SurfaceElements(
+        vertices.astype(np.float64),
+        normals.astype(np.float64),
+        uncertainty.at(vertices).astype(np.float64),
+        revision,
+        map_epoch,
+    )
+
+
+def triangle_mesh(
+    field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, confirm: Confirmation
+) -> TriangleMesh:
+    """The whole surface as triangles, as far as depth images confirm it."""
+    vertices, normals, quads = _extract(field, evidence, voxel_m)
+    for _ in range(2):  # surface nets round corners off by a fraction of a voxel: slide back onto the level set
+        slip = np.clip(field.distance_m(vertices), -0.5 * voxel_m, 0.5 * voxel_m)
+        vertices = (vertices - slip[:, None] * normals).astype(np.float32)
+    keep = np.abs(field.distance_m(vertices)) < SHEET_M
+    keep &= ~evidence.contradicts(vertices, normals)
+    keep &= confirm.seen(vertices, normals)
+    quads = quads[keep[quads].all(axis=1)]
+    quads = quads[_in_large_parts(quads, len(vertices))]
+    used, quads = np.unique(quads, return_inverse=True)
+    quads = quads.reshape(-1, 4)
+    vertices = vertices[used]
+    return TriangleMesh(
+        vertices.astype(np.float64),
+        _triangles(vertices, quads),
+        np.clip(np.round(field.rgb(vertices) * 255.0), 0, 255).astype(np.uint8),
+        uncertainty.at(vertices).astype(np.float32),
+    )
+
+
+def _extract(field: Field, evidence: Evidence, voxel_m: float) -> tuple[Float32Array, Float32Array, IntArray]:
+    nodes = wanted_nodes(evidence.near(2), evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
+    points, mask = node_points(nodes)
+    nodes.values[mask] = field.distance_m(points)
+    return surface_net(nodes)
+
+
+def _triangles(vertices: Float32Array, quads: IntArray) -> IntArray:
+    """Split quads (Q, 4) along the shorter diagonal into (2Q, 3)."""
+    corner = vertices[quads]
+    first = np.linalg.norm(corner[:, 0] - corner[:, 2], axis=1) <= np.linalg.norm(corner[:, 1] - corner[:, 3], axis=1)
+    a = np.where(first[:, None], quads[:, [0, 1, 2]], quads[:, [0, 1, 3]])
+    b = np.where(first[:, None], quads[:, [0, 2, 3]], quads[:, [1, 2, 3]])
+    return np.concatenate([a, b]).astype(np.int64)
+
+
+def _in_large_parts(quads: IntArray, vertex_count: int, fewest: int = 40) -> BoolArray:
+    """Quads that belong to connected parts of at least ``fewest`` quads: specks are noise."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    rows, columns = quads[:, [0, 1, 2]].ravel(), quads[:, [1, 2, 3]].ravel()
+    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(vertex_count, vertex_count))
+    _, label = connected_components(graph, directed=False)
+    part = label[quads[:, 0]] if len(quads) else np.zeros(0, dtype=np.int64)
+    large: BoolArray = np.bincount(part, minlength=1)[part] >= fewest
+    return large
+
+
+class Confirmation:
+    """Depth images of all keyframes at half resolution, to ask whether one of them saw a point."""
+
+    def __init__(self) -> None:
+        self._depth_mm: list[AnyArray] = []
+        self._lens: list[FloatArray] = []
+        self._depth_from_world: list[tuple[FloatArray, FloatArray]] = []
+        self._sigma: list[float] = []
+
+    def add(
+        self, depth_m: Float32Array, lens: FloatArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float
+    ) -> None:
+        """Keep a depth image (H, W); lens = fx, fy, cx, cy; pose world_from_depth as rotation (3, 3), position (3,)."""
+        half = np.nan_to_num(depth_m[::2, ::2] * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
+        self._depth_mm.append(np.clip(half, 0, 65535).astype(np.uint16))
+        self._lens.append(lens)
+        self._depth_from_world.append((rotation.T.copy(), -rotation.T @ position))
+        self._sigma.append(inverse_depth_sigma)
+
+    def seen(self, points: Float32Array, normals: Float32Array) -> BoolArray:
+        """Whether points (N, 3) with normals (N, 3) are confirmed by images, and contradicted by fewer."""
+        score = np.zeros(len(points), dtype=np.float32)
+        for image, lens, (rotation, translation), sigma in zip(
+            self._depth_mm, self._lens, self._depth_from_world, self._sigma, strict=True
+        ):
+            _vote(image, lens, rotation, translation, sigma, points, normals, score)
+        return score > 0.0
+
+
+@kernel
+def _vote(
+    image: AnyArray, lens: FloatArray, rotation: FloatArray, translation: FloatArray, inverse_sigma: float,
+    points: Float32Array, normals: Float32Array, score: Float32Array,
+) -> None:  # fmt: skip
+    height, width = image.shape
+    for n in range(points.shape[0]):
+        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
+        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+        if z < 0.2:
+            continue
+        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
+        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
+        u = int(np.floor((x / z * lens[0] + lens[2]) * 0.5 + 0.5))
+        v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
+        if u < 0 or v < 0 or u >= width or v >= height or image[v, u] == 0:
+            continue
+        measured = image[v, u] * 0.001
+        gate = CONFIRM_SIGMAS * inverse_sigma * z * z + CONFIRM_M
+        facing = -(
+            (rotation[0, 0] * normals[n, 0] + rotation[0, 1] * normals[n, 1] + rotation[0, 2] * normals[n, 2]) * x
+            + (rotation[1, 0] * normals[n, 0] + rotation[1, 1] * normals[n, 1] + rotation[1, 2] * normals[n, 2]) * y
+            + (rotation[2, 0] * normals[n, 0] + rotation[2, 1] * normals[n, 1] + rotation[2, 2] * normals[n, 2]) * z
+        ) / np.sqrt(x * x + y * y + z * z)
+        slope = gate / max(facing, CONFIRM_COSINE) if facing > 0.0 else gate
+        if facing > 0.0 and abs(measured - z) < slope:
+            score[n] += 1.0
+        elif measured > z + 2.0 * slope + 0.03:
+            score[n] -= 0.5
+
+
+@kernel
+def _count(count: AnyArray, origin: FloatArray, cell_m: float, points: Float32Array, sigma_m: Float32Array) -> None:
+    nx, ny, nz = count.shape
+    for n in range(points.shape[0]):
+        if sigma_m[n] > EVIDENCE_SIGMA_M:
+            continue
+        i = int(np.floor((points[n, 0] - origin[0]) / cell_m))
+        j = int(np.floor((points[n, 1] - origin[1]) / cell_m))
+        k = int(np.floor((points[n, 2] - origin[2]) / cell_m))
+        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+            count[i, j, k] += 1
+
+
+@kernel
+def _spread(count: AnyArray, least: int, out: BoolArray) -> None:
+    nx, ny, nz = count.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if count[i, j, k] < least:
+                    continue
+                for a in range(max(i - 1, 0), min(i + 2, nx)):
+                    for b in range(max(j - 1, 0), min(j + 2, ny)):
+                        for c in range(max(k - 1, 0), min(k + 2, nz)):
+                            out[a, b, c] = True

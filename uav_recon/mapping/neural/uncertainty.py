@@ -1,0 +1,144 @@
+"""How badly a piece of surface is known: small objects with one method, higher = worse known.
+
+The default multiplies a colour error that is stored in space (so that it cannot extrapolate, unlike the paper's network
+output) with the standard deviation that the depth measurements so far leave (BayesRays, Goli et al. 2024, in spirit).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from uav_recon.geometry.jit import fast_kernel
+from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
+
+INFORMATION_CELL_M, COLOUR_CELL_M = 0.08, 0.10
+PRIOR_SIGMA_M = 1.0  # of a surface that was never measured
+PRIOR_COLOUR_SIGMA, PRIOR_COUNT = 0.3, 8.0  # of a colour that was never seen, and how many samples that belief is worth
+COLOUR_MEMORY = 400.0  # samples: older errors, of a field that knew less, fade
+
+
+class SurfaceUncertainty(Protocol):
+    """Says how badly points are known."""
+
+    def at(self, points: Float32Array) -> Float32Array:
+        """Positive numbers (N,) for world points (N, 3); higher = worse known; comparable within one map."""
+        ...
+
+
+class Lattice:
+    """Values (nx, ny, nz, C) float32 at the nodes of a regular lattice over a box."""
+
+    def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray, cell_m: float, channels: int) -> None:
+        extent = np.asarray(box_max_m, dtype=np.float64) - np.asarray(box_min_m, dtype=np.float64)
+        nodes = np.ceil(extent / cell_m).astype(int) + 1
+        self.origin_m = np.asarray(box_min_m, dtype=np.float32)
+        self.inverse_cell = 1.0 / cell_m
+        self.values = np.zeros((*(int(n) for n in nodes), channels), dtype=np.float32)
+
+    def splat(self, points: Float32Array, amounts: Float32Array) -> None:
+        """Add amounts (N, C) at points (N, 3) with trilinear weights; points outside are left out."""
+        _splat(self.values, self.origin_m, self.inverse_cell, points, amounts)
+
+    def at(self, points: Float32Array) -> Float32Array:
+        """Trilinear values (N, C); zero outside."""
+        out = np.zeros((points.shape[0], self.values.shape[3]), dtype=np.float32)
+        _interpolate(self.values, self.origin_m, self.inverse_cell, points, out)
+        return out
+
+
+class DepthInformation:
+    """Standard deviation left by all depth measurements of a place: 1 / sqrt(sum of cos² / sigma_z²), metres."""
+
+    def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
+        self._lattice = Lattice(box_min_m, box_max_m, INFORMATION_CELL_M, 1)
+
+    def add(self, points: Float32Array, cosine: Float32Array, sigma_m: Float32Array) -> None:
+        """Count measurements: points (N, 3), viewing cosine (N,), depth sigma (N,)."""
+        self._lattice.splat(points, np.square(np.maximum(cosine, 0.15) / sigma_m)[:, None])
+
+    def at(self, points: Float32Array) -> Float32Array:
+        """Sigma (N,), at most PRIOR_SIGMA_M."""
+        sigma: Float32Array = 1.0 / np.sqrt(self._lattice.at(points)[:, 0] + np.float32(1.0 / PRIOR_SIGMA_M**2))
+        return sigma
+
+
+class ColourError:
+    """Standard deviation of the colour error near a place, 0..1: the optimum of the Gaussian loss, in closed form."""
+
+    def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
+        self._lattice = Lattice(box_min_m, box_max_m, COLOUR_CELL_M, 2)  # sum of weighted squares, sum of weights
+
+    def add(self, points: Float32Array, error_squared: Float32Array) -> None:
+        """Learn from the colour loss of one step: points (N, 3), mean squared error (N,)."""
+        _fade(self._lattice.values, self._lattice.origin_m, self._lattice.inverse_cell, points, COLOUR_MEMORY)
+        self._lattice.splat(points, np.stack([error_squared, np.ones_like(error_squared)], axis=1))
+
+    def at(self, points: Float32Array) -> Float32Array:
+        """Sigma (N,); PRIOR_COLOUR_SIGMA where no colour was seen."""
+        found = self._lattice.at(points)
+        sigma: Float32Array = np.sqrt((found[:, 0] + PRIOR_COUNT * PRIOR_COLOUR_SIGMA**2) / (found[:, 1] + PRIOR_COUNT))
+        return sigma.astype(np.float32)
+
+
+class ProductUncertainty:
+    """The product of two measures: what ranked true error best (colour error x depth information)."""
+
+    def __init__(self, first: SurfaceUncertainty, second: SurfaceUncertainty) -> None:
+        self._first, self._second = first, second
+
+    def at(self, points: Float32Array) -> Float32Array:
+        """Positive (N,)."""
+        return self._first.at(points) * self._second.at(points)
+
+
+@fast_kernel
+def _splat(values: AnyArray, origin: Float32Array, inverse: float, points: Float32Array, amounts: Float32Array) -> None:
+    nx, ny, nz, channels = values.shape
+    for n in range(points.shape[0]):
+        x, y, z = ((points[n, 0] - origin[0]) * inverse, (points[n, 1] - origin[1]) * inverse,
+                   (points[n, 2] - origin[2]) * inverse)  # fmt: skip
+        if x < 0 or y < 0 or z < 0 or x >= nx - 1 or y >= ny - 1 or z >= nz - 1:
+            continue
+        i, j, k = int(x), int(y), int(z)
+        u, v, w = x - i, y - j, z - k
+        for a in range(2):
+            for b in range(2):
+                for c in range(2):
+                    share = (u if a else 1 - u) * (v if b else 1 - v) * (w if c else 1 - w)
+                    for channel in range(channels):
+                        values[i + a, j + b, k + c, channel] += share * amounts[n, channel]
+
+
+@fast_kernel
+def _interpolate(values: AnyArray, origin: Float32Array, inverse: float, points: Float32Array, out: Float32Array) -> None:
+    nx, ny, nz, channels = values.shape
+    for n in range(points.shape[0]):
+        x, y, z = ((points[n, 0] - origin[0]) * inverse, (points[n, 1] - origin[1]) * inverse,
+                   (points[n, 2] - origin[2]) * inverse)  # fmt: skip
+        if x < 0 or y < 0 or z < 0 or x >= nx - 1 or y >= ny - 1 or z >= nz - 1:
+            continue
+        i, j, k = int(x), int(y), int(z)
+        u, v, w = x - i, y - j, z - k
+        for a in range(2):
+            for b in range(2):
+                for c in range(2):
+                    share = (u if a else 1 - u) * (v if b else 1 - v) * (w if c else 1 - w)
+                    for channel in range(channels):
+                        out[n, channel] += share * values[i + a, j + b, k + c, channel]
+
+
+@fast_kernel
+def _fade(values: AnyArray, origin: Float32Array, inverse: float, points: Float32Array, memory: float) -> None:
+    """Scale the node nearest to each point so that its weight stays below memory."""
+    nx, ny, nz, _ = values.shape
+    for n in range(points.shape[0]):
+        i, j, k = (int((points[n, 0] - origin[0]) * inverse + 0.5), int((points[n, 1] - origin[1]) * inverse + 0.5),
+                   int((points[n, 2] - origin[2]) * inverse + 0.5))  # fmt: skip
+        if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:
+            continue
+        held = values[i, j, k, 1]
+        if held > memory:
+            values[i, j, k, 0] *= memory / held
+            values[i, j, k, 1] = memory
