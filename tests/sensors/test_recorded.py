@@ -1,23 +1,17 @@
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
 from uav_recon.clock import ManualClock
+from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.sensors.recorded import RecordedCamera, RecordedPoses, RecordingError
-from uav_recon.types.camera import Frame, body_from_camera
+from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.pose import Pose
 
 MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
-
-
-def _as_tree(pose: Pose) -> dict[str, list[float]]:
-    return {"quat_wxyz": pose.quat_wxyz.tolist(), "translation_m": pose.translation_m.tolist()}
 
 
 def _flown(k: int) -> Pose:
@@ -26,21 +20,16 @@ def _flown(k: int) -> Pose:
 
 @pytest.fixture
 def flight(tmp_path: Path) -> Path:
-    folder = tmp_path / "keyframes"
-    folder.mkdir()
-    optics = {"fx": 20.0, "fy": 21.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
-    tree: dict[str, Any] = {
-        "depth_intrinsics": optics,
-        "rgb_intrinsics": {**optics, "width": 16, "height": 8},
-        "rgb_from_depth": _as_tree(Pose.from_yaw(0.0, np.array([0.015, 0.0, 0.0]))),
-        "frames": [{"index": k, "stamp_s": 700.0 + k, "world_from_depth": _as_tree(_flown(k))} for k in range(3)],
-    }
-    (folder / "poses.json").write_text(json.dumps(tree))
+    """Three keyframes a second apart, written as a flight writes them."""
+    keyframes = KeyframeFolder(tmp_path / "keyframes")
+    depth_optics, rgb_optics = Intrinsics(20.0, 21.0, 15.5, 11.5, 32, 24), Intrinsics(10.0, 11.0, 7.5, 3.5, 16, 8)
+    rgb_from_depth = Pose.from_yaw(0.0, np.array([0.015, 0.0, 0.0]))
     for k in range(3):
-        depth = np.full((24, 32), 1000 + k, np.uint16)
-        depth[0, 0] = 0
-        assert cv2.imwrite(str(folder / f"{k:04d}_depth.png"), depth)
-        assert cv2.imwrite(str(folder / f"{k:04d}_rgb.jpg"), np.full((8, 16, 3), (10, 100, 200), np.uint8))  # BGR
+        depth = np.full((24, 32), 1.0 + 0.001 * k, np.float32)
+        depth[0, 0] = np.nan
+        rgb = np.full((8, 16, 3), (200, 100, 10), np.uint8)
+        frame = Frame(700.0 + k, 40 + k, depth, depth_optics, rgb, rgb_optics, rgb_from_depth)
+        keyframes.save(PosedFrame(frame, _flown(k)))
     return tmp_path
 
 
@@ -52,7 +41,7 @@ def test_keyframes_play_back_at_the_pace_they_were_flown(flight: Path) -> None:
         clock.advance_to(50.0 + step * 0.01)
         frame = camera.poll()
         frames += [frame] if frame else []
-    assert [(frame.sequence, frame.stamp_s) for frame in frames] == [(0, 50.0), (1, 51.0), (2, 52.0)]
+    assert [(frame.sequence, frame.stamp_s) for frame in frames] == [(40, 50.0), (41, 51.0), (42, 52.0)]
     assert np.isnan(frames[1].depth_m[0, 0])
     np.testing.assert_allclose(frames[1].depth_m[1:], 1.001, rtol=1e-6)
     np.testing.assert_allclose(frames[1].rgb[4, 8], [200, 100, 10], atol=4)  # RGB, and JPEG's rounding
@@ -87,12 +76,27 @@ def test_a_missing_picture_is_left_out_and_counted(flight: Path) -> None:
     assert camera.missing_images == 1
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"frames": []}', '{"depth_intrinsics": {"fx": "a"}}'])
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"keyframes": 3}', '{"keyframes": [{"sequence": 1}]}'])
 def test_a_folder_that_is_no_flight_is_one_line(flight: Path, text: str) -> None:
     (flight / "keyframes" / "poses.json").write_text(text)
     with pytest.raises(RecordingError, match=r"poses\.json: not a keyframe list") as error:
         RecordedCamera(flight, ManualClock())
     assert "\n" not in str(error.value)
+
+
+def test_a_flight_without_keyframes_is_one_line(flight: Path) -> None:
+    (flight / "keyframes" / "poses.json").write_text('{"keyframes": []}')
+    with pytest.raises(RecordingError, match="wants at least one keyframe"):
+        RecordedCamera(flight, ManualClock())
+
+
+def test_pictures_outside_the_folder_are_not_read(flight: Path) -> None:
+    path = flight / "keyframes" / "poses.json"
+    (flight / "keyframes" / "0000_rgb.jpg").rename(flight / "0000_rgb.jpg")
+    path.write_text(path.read_text().replace('"0000_rgb.jpg"', '"../0000_rgb.jpg"'))
+    camera = RecordedCamera(flight, ManualClock(0.0))
+    assert camera.poll() is None
+    assert camera.missing_images == 1
 
 
 def test_an_absent_folder_is_one_line(tmp_path: Path) -> None:

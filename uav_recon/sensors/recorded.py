@@ -1,6 +1,6 @@
 """The keyframes of a flight folder as a camera and a pose source, at the pace at which they were flown.
 
-Reads keyframes/poses.json (optics, and the pose of the depth imager for every keyframe), NNNN_rgb.jpg and NNNN_depth.png
+Reads keyframes/poses.json (optics and the pose of the depth imager, for every keyframe), NNNN_rgb.jpg and NNNN_depth.png
 (16 bit, millimetres, 0 = no return), as mapping/keyframes.py writes them.
 """
 
@@ -31,25 +31,35 @@ class RecordingError(StreamError):
 
 @dataclass(frozen=True)
 class _Keyframe:
-    index: int
+    sequence: int
     stamp_s: float
+    depth: Path
+    depth_intrinsics: Intrinsics
+    rgb: Path
+    rgb_intrinsics: Intrinsics
+    rgb_from_depth: Pose
     world_from_depth: Pose
+
+    @staticmethod
+    def read(folder: Path, entry: dict[str, Any]) -> _Keyframe:
+        depth, rgb = (
+            Intrinsics(**{name: entry[lens][name] for name in ("fx", "fy", "cx", "cy", "width", "height")})
+            for lens in ("depth_intrinsics", "rgb_intrinsics")
+        )
+        files = [folder / Path(entry[name]).name for name in ("depth", "rgb")]  # never outside the folder
+        poses = [_pose(entry[name]) for name in ("rgb_from_depth", "world_from_depth")]
+        return _Keyframe(int(entry["sequence"]), float(entry["stamp_s"]), files[0], depth, files[1], rgb, *poses)
 
 
 class _Recording:
     """poses.json and the moment at which it began to play: the first keyframe plays at once."""
 
     def __init__(self, folder: Path, clock: Clock) -> None:
-        self.folder = folder / "keyframes" if (folder / "keyframes").is_dir() else folder
-        path = self.folder / "poses.json"
+        images = folder / "keyframes" if (folder / "keyframes").is_dir() else folder
+        path = images / "poses.json"
         try:
             tree = json.loads(path.read_text(encoding="utf-8"))
-            self.depth_intrinsics, self.rgb_intrinsics = (
-                Intrinsics(**{k: tree[name][k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
-                for name in ("depth_intrinsics", "rgb_intrinsics")
-            )
-            self.rgb_from_depth = _pose(tree["rgb_from_depth"])
-            frames = [_Keyframe(int(f["index"]), float(f["stamp_s"]), _pose(f["world_from_depth"])) for f in tree["frames"]]
+            frames = [_Keyframe.read(images, entry) for entry in tree["keyframes"]]
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
         except (ValueError, KeyError, TypeError) as error:
@@ -82,9 +92,9 @@ class RecordedCamera:
             return None
         self._next = due
         keyframe = recording.frames[due - 1]
-        depth_mm: Any = cv2.imread(str(recording.folder / f"{keyframe.index:04d}_depth.png"), cv2.IMREAD_UNCHANGED)
-        bgr: Any = cv2.imread(str(recording.folder / f"{keyframe.index:04d}_rgb.jpg"), cv2.IMREAD_COLOR)
-        depth, rgb = recording.depth_intrinsics, recording.rgb_intrinsics
+        depth_mm: Any = cv2.imread(str(keyframe.depth), cv2.IMREAD_UNCHANGED)
+        bgr: Any = cv2.imread(str(keyframe.rgb), cv2.IMREAD_COLOR)
+        depth, rgb = keyframe.depth_intrinsics, keyframe.rgb_intrinsics
         if (
             depth_mm is None or bgr is None or depth_mm.dtype != np.uint16
             or depth_mm.shape != (depth.height, depth.width) or bgr.shape != (rgb.height, rgb.width, 3)
@@ -92,7 +102,8 @@ class RecordedCamera:
             self.missing_images += 1
             return None
         stamp_s = keyframe.stamp_s + recording.shift_s
-        return Frame(stamp_s, keyframe.index, self._table[depth_mm], depth, bgr[..., ::-1], rgb, recording.rgb_from_depth)
+        rgb_from_depth = keyframe.rgb_from_depth
+        return Frame(stamp_s, keyframe.sequence, self._table[depth_mm], depth, bgr[..., ::-1], rgb, rgb_from_depth)
 
     def imu(self) -> list[ImuSample]:
         """Keyframes carry no inertial samples."""
