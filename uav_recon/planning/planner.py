@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from uav_recon.planning import search, tour
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.flyable import FlyableSpace, way_out
 from uav_recon.planning.frontiers import FrontierCensus, count_outside, fence_box, find_frontiers, unknown_faces
+from uav_recon.planning.homing import proposal_for
 from uav_recon.planning.modes import AlwaysMerged, ModeRule, mode_rule
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.planning.routes import Routes, time_costs
@@ -22,7 +24,7 @@ from uav_recon.planning.viewpoints import FrontierViews
 from uav_recon.planning.visited import Visited
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
-from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath
+from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
 
 MAX_TOUR_TASKS = 24  # the nearest ones: the horizon executes only the first few
 
@@ -83,6 +85,18 @@ class AdaptivePlanner:
         )
         self.visited.promise(path, tuple(tasks[node - 1] for node in order[: len(path.viewpoints)]))
         return path
+
+    def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
+        """The shortest way to a place; its last waypoint is the flyable voxel nearest to it. Promises and remembers nothing."""
+        start_s = self._timer()
+        situation = self._situation(dataclasses.replace(request, views_left=1))
+        if isinstance(situation, str):
+            return self._nothing(situation, start_s, start_s)
+        proposal = proposal_for(situation, goal)
+        if proposal is None:
+            return self._nothing("no known-free way leads there", start_s, start_s)
+        routes = Routes(situation, request.position_world, [proposal])
+        return self._path(request, PlanMode.EXPLORE, routes, [proposal], [1], start_s, start_s)
 
     def _box(self, grid: GridSpec, inset_m: float) -> tuple[IntArray, IntArray]:
         return fence_box(grid, self._fence_min_m + inset_m, self._fence_max_m - inset_m)
