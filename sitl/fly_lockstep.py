@@ -19,6 +19,7 @@ from uav_recon import run
 from uav_recon.autopilot.tlog import Tlog
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
+from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.recording.mapfile import save_map
@@ -30,7 +31,7 @@ LONGEST_S = 3600.0
 
 def fly_in_lockstep(options: SimOptions, config: Config, scene: Scene, console: Console) -> str | None:
     """Fly; returns the fault in one line, None for none. Ctrl-C lands, a second one ends at once."""
-    from uav_recon.mapping.neural.worker import InlineMapper
+    from uav_recon.mapping.neural.worker import KEYFRAMES, InlineMapper
 
     interrupts: list[int] = []
 
@@ -48,7 +49,7 @@ def fly_in_lockstep(options: SimOptions, config: Config, scene: Scene, console: 
     run.warm_up(config)
     trainer = run.make_trainer(config)
     trainer.warm_up()
-    mapper = InlineMapper(trainer, options.out)
+    mapper = InlineMapper(trainer, config.mapper, KeyframeFolder(options.out / KEYFRAMES))
     log, journal = Tlog(options.out / "flight.tlog", epoch_s=0.0), FlightLog(options.out)
     pilot = run.make_pilot(config, wires, ours, log, clock)
     perception = run.make_perception(config, wires, clock)

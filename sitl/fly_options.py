@@ -99,7 +99,7 @@ class SimOptions:
     def config(self, scene: Scene, runtime: Path) -> Config:
         """The product's config for this flight. Raises ConfigError."""
         gimbal = self.mount_pitch_down_deg is None
-        noise_px = {"d435i": 0.08, "paper": 0.002, "kinect": 0.02, "none": 0.001}[self.depth_noise]
+        noise_px = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}[self.depth_noise]
         tree = {
             "safety": {
                 "fence_min_m": [float(x) for x in scene.fence_min],

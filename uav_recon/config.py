@@ -81,7 +81,7 @@ class CameraConfig(Section):
     vertical_fov_deg: Annotated[float, Field(gt=10.0, lt=170.0)] = 58.0  # of the depth image
     depth_min_m: Positive = 0.3  # nearer returns are not believed
     depth_max_m: Positive = 6.0  # farther returns are not believed
-    depth_noise_px: Annotated[float, Field(gt=0.0, le=1.0)] = 0.08  # disparity error assumed by mapper and voxels
+    depth_noise_px: Annotated[float, Field(gt=0.0, le=1.0)] = 0.04  # rms disparity error in pixels of the delivered depth image
     baseline_m: Positive = 0.05  # stereo baseline
 
 

@@ -136,8 +136,8 @@ def record(config_path: Path, flight: Path | None) -> int:
 
 def review(flight: Path) -> int:
     """Open a flight in the viewer."""
-    from uav_recon.recording.blueprint import ReviewError
-    from uav_recon.recording.blueprint import review as open_review
+    from uav_recon.recording.review import ReviewError
+    from uav_recon.recording.review import review as open_review
 
     try:
         open_review(flight)
