@@ -1,0 +1,43 @@
+"""From the setpoint flown last onto a new trajectory: no jump of place or velocity, and in the end nothing is left."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_recon.autopilot.handover import Handover
+from uav_recon.types.trajectory import Setpoint, Trajectory
+
+
+def still(place: tuple[float, float, float], yaw: float = 0.0) -> Trajectory:
+    flat = np.zeros(2)
+    return Trajectory(
+        0.0, 1.0, np.array([place, place]), np.zeros((2, 3)), np.zeros((2, 3)), flat + yaw, flat, flat, flat, 0, 1
+    )
+
+
+def test_the_gap_closes_smoothly() -> None:
+    trajectory = still((0.1, 0.0, 1.0), yaw=6.3)
+    flown = Setpoint.hold(np.array([0.0, 0.05, 1.0]), 0.1)
+    handover = Handover(flown, trajectory, 5.0)
+    times = np.arange(5.0, 8.0, 1e-3)
+    samples = [handover.apply(trajectory.setpoint_at(t), t) for t in times]
+    places = np.array([s.position_m for s in samples])
+    np.testing.assert_allclose(places[0], flown.position_m, atol=1e-12)
+    np.testing.assert_allclose(places[-1], [0.1, 0.0, 1.0], atol=1e-12)
+    assert samples[0].yaw_rad - 2 * np.pi == pytest.approx(0.1)
+    velocities = np.array([s.velocity_mps for s in samples])
+    np.testing.assert_allclose(np.gradient(places, 1e-3, axis=0)[1:-1], velocities[1:-1], atol=2e-3)
+    accelerations = np.array([s.acceleration_mps2 for s in samples])
+    inside = slice(1, 1300)
+    np.testing.assert_allclose(np.gradient(velocities, 1e-3, axis=0)[inside], accelerations[inside], atol=2e-3)
+    assert np.linalg.norm(velocities, axis=1).max() < 0.15
+    assert np.linalg.norm(accelerations, axis=1).max() < 0.7
+
+
+def test_a_beginning_elsewhere_is_left_for_the_guard_to_refuse() -> None:
+    trajectory = still((0.31, 0.0, 1.0))
+    handover = Handover(Setpoint.hold(np.array([0.0, 0.0, 1.0]), 0.0), trajectory, 0.0)
+    np.testing.assert_array_equal(handover.apply(trajectory.setpoint_at(0.0), 0.0).position_m, [0.31, 0.0, 1.0])
+    turned = Handover(Setpoint.hold(np.array([0.31, 0.0, 1.0]), 0.6), trajectory, 0.0)
+    assert turned.apply(trajectory.setpoint_at(0.0), 0.0).yaw_rad == 0.0

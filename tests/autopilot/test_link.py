@@ -1,0 +1,166 @@
+"""Who is listened to, and what the link will send."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as wire
+
+from uav_recon.autopilot.link import Link
+from uav_recon.autopilot.tlog import NoLog
+from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.trajectory import Setpoint
+
+
+class Wire:
+    """A byte link whose other end is the test."""
+
+    def __init__(self) -> None:
+        self.inbox, self.error = b"", ""
+        self.sent: list[Any] = []
+
+    def read(self) -> bytes:
+        if self.error:
+            raise OSError(5, self.error)
+        data, self.inbox = self.inbox, b""
+        return data
+
+    def write(self, data: bytes) -> None:
+        if self.error:
+            raise OSError(5, self.error)
+        self.sent.append(wire.MAVLink(None).decode(bytearray(data)))
+
+    def wait(self, timeout_s: float) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def hear(self, message: Any, system: int = 1, component: int = 1) -> None:
+        self.inbox += bytes(message.pack(wire.MAVLink(None, system, component)))
+
+
+def heartbeat(mode: int = 6 << 16, armed: bool = False, autopilot: int = 12) -> Any:
+    return wire.MAVLink_heartbeat_message(2, autopilot, 0x80 if armed else 0, mode, 4, 3)
+
+
+@pytest.fixture
+def pair() -> tuple[Link, Wire]:
+    far = Wire()
+    return Link(far, NoLog(), 0.0), far
+
+
+def converge(link: Link, far: Wire, offset_s: float = 37.5) -> None:
+    far.hear(heartbeat())
+    link.receive(0.0)
+    for i in range(12):
+        now = 0.2 * i
+        far.hear(wire.MAVLink_timesync_message(int((now + 0.001 + offset_s) * 1e9), int(now * 1e9)))
+        link.receive(now + 0.002)
+    assert link.time_known
+
+
+def test_only_the_autopilot_of_the_first_vehicle_counts(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.hear(heartbeat(autopilot=8), 255, 190)  # a ground station
+    far.hear(heartbeat(autopilot=8), 1, 154)  # a gimbal
+    link.receive(0.0)
+    assert link.telemetry.system == 0
+    far.hear(heartbeat(mode=3 << 16), 7, 1)
+    far.hear(heartbeat(mode=4 << 16, armed=True), 9, 1)
+    far.hear(heartbeat(mode=4 << 16, armed=True), 7, 2)
+    link.receive(0.1)
+    assert (link.telemetry.system, link.telemetry.custom_mode, link.telemetry.armed) == (7, 3 << 16, False)
+    assert not link.telemetry.twin_heard
+    far.hear(heartbeat(), 245, 191)
+    link.receive(0.2)
+    assert link.telemetry.twin_heard
+
+
+def test_a_gimbal_may_speak_for_itself(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.hear(heartbeat())
+    far.hear(
+        wire.MAVLink_gimbal_device_attitude_status_message(0, 0, 0, 0, [math.cos(0.1), 0, -math.sin(0.1), 0], 0, 0, 0, 0),
+        1,
+        154,
+    )
+    link.receive(0.0)
+    assert link.telemetry.camera_pitch_down_rad == pytest.approx(0.2, abs=1e-6)
+
+
+def test_nothing_but_a_cleared_setpoint_is_streamed(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    with pytest.raises(AttributeError):
+        link.stream(Setpoint.hold(np.zeros(3), 0.0), 0.0, False)  # type: ignore[arg-type]
+    assert far.sent == []
+
+
+def test_we_speak_once_a_second_and_ask_for_the_clock(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    for i in range(1000):
+        link.keep_alive(i / 100)
+    assert [m.get_type() for m in far.sent] == ["HEARTBEAT"] * 10
+    far.hear(heartbeat())
+    link.receive(10.0)
+    for i in range(1000, 2000):
+        link.keep_alive(i / 100)
+    assert sum(m.get_type() == "TIMESYNC" for m in far.sent) == 50
+
+
+def test_no_pose_before_the_clock_is_known_and_then_on_its_clock(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    pose = StampedPose(2.5, Pose.identity(), np.zeros(3))
+    link.feed_pose(pose, 2.5)
+    assert far.sent == []
+    converge(link, far)
+    link.feed_pose(pose, 2.5)
+    assert far.sent[-1].time_usec == pytest.approx(40_000_000, abs=1100)
+
+
+def test_its_questions_are_answered_on_its_own_clock(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.hear(heartbeat())
+    far.hear(wire.MAVLink_timesync_message(0, 777))
+    link.receive(0.0)
+    assert far.sent == [], "before convergence any answer would be a lie"
+    converge(link, far)
+    far.hear(wire.MAVLink_timesync_message(0, 778))
+    link.receive(5.0)
+    assert far.sent[-1].ts1 == 778
+    assert far.sent[-1].tc1 == pytest.approx(42.5e9, abs=2e6)
+
+
+def test_a_reboot_forgets_the_origin(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    converge(link, far)
+    far.hear(wire.MAVLink_gps_global_origin_message(1, 2, 3))
+    link.receive(3.0)
+    known_before = link.telemetry.origin_known
+    for i in range(6):
+        now = 4.0 + 0.2 * i
+        far.hear(wire.MAVLink_timesync_message(int((now - 3.0) * 1e9), int(now * 1e9)))
+        link.receive(now + 0.001)
+    assert link.telemetry.reboots == 1
+    assert (known_before, link.telemetry.origin_known) == (True, False)
+    assert not link.time_known
+
+
+def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.error = "Input/output error"
+    link.receive(0.0)
+    link.keep_alive(0.0)
+    assert link.telemetry.failure == "link: Input/output error"
+
+
+def test_the_pilots_imports_stay_small() -> None:
+    heavy = {"torch", "open3d", "rerun", "cv2", "numba", "scipy", "pydantic"}
+    code = f"import sys, uav_recon.autopilot.pilot, uav_recon.autopilot.transport; print({heavy!r} & set(sys.modules))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert out.stdout.strip() == "set()"

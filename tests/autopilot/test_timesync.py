@@ -1,0 +1,56 @@
+"""The clock filter: shortest round trip wins, one bad answer changes nothing, a reboot starts it again."""
+
+from __future__ import annotations
+
+import random
+
+from uav_recon.autopilot.timesync import TimeSyncFilter
+
+MS = 1_000_000
+OFFSET_NS = 37_500 * MS
+
+
+def exchange(sync: TimeSyncFilter, sent_ms: float, there_ms: float, back_ms: float, offset_ns: int = OFFSET_NS) -> None:
+    sent = int(sent_ms * MS)
+    sync.observe(sent, sent + int(there_ms * MS) + offset_ns, sent + int((there_ms + back_ms) * MS))
+
+
+def test_the_offset_is_right_to_half_the_shortest_round_trip() -> None:
+    sync, rng = TimeSyncFilter(), random.Random(1)
+    for i in range(64):
+        exchange(sync, 100.0 * i, rng.uniform(0.2, 8.0), rng.uniform(0.2, 8.0))
+    assert sync.converged
+    assert abs(sync.autopilot_ns(10.0) - (10_000 * MS + OFFSET_NS)) < 1.0 * MS
+
+
+def test_ten_exchanges_converge_and_slow_ones_do_not_count() -> None:
+    sync = TimeSyncFilter()
+    for i in range(50):
+        exchange(sync, 100.0 * i, 20.0, 20.0)
+    exchange(sync, 5000.0, -2.0, 1.0)
+    assert not sync.converged
+    for i in range(10):
+        assert not sync.converged
+        exchange(sync, 6000.0 + 100.0 * i, 1.0, 1.0)
+    assert sync.converged
+
+
+def test_a_lie_is_ignored_and_a_reboot_is_not() -> None:
+    sync = TimeSyncFilter()
+    for i in range(10):
+        exchange(sync, 100.0 * i, 1.0, 1.0)
+    for i in range(4):
+        exchange(sync, 2000.0 + i, 1.0, 1.0, offset_ns=0)
+    assert abs(sync.autopilot_ns(1.0) - (1000 * MS + OFFSET_NS)) < MS
+    exchange(sync, 2500.0, 1.0, 1.0)
+    assert sync.restarts == 0
+    for i in range(5):
+        exchange(sync, 3000.0 + i, 1.0, 1.0, offset_ns=-2_000 * MS)
+    assert sync.restarts == 1
+    assert not sync.converged
+
+
+def test_instants_before_the_autopilots_boot_are_its_zero() -> None:
+    sync = TimeSyncFilter()
+    exchange(sync, 9000.0, 0.0, 0.0, offset_ns=-8_000 * MS)
+    assert sync.autopilot_ns(3.0) == 0
