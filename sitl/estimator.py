@@ -259,6 +259,7 @@ class Estimator:
         heading = self._yaw_of(pose)
         if yaw and self._fuse_yaw and math.isfinite(heading):
             turn, self._fused_yaw_s = wrapped(heading - past[4]), stamp
+        self._baro_zero += dz
         self._shift(dx, dy, dz, 0.0, 0.0, 0.0, stamp, turn)
         if turn:  # the velocity turns with the heading: it is known in the body
             self.velocity = rotate(from_yaw(turn), self.velocity)

@@ -5,31 +5,15 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.parameters import Parameters
+from sitl.transport import ByteEnd
 
 _TEXT_BYTES = 50
 _PARAMETERS_PER_STEP = 1  # 250 a second
-
-
-class Link(Protocol):
-    """What the server needs of a transport; arrival_s is None where reading is arriving."""
-
-    @property
-    def arrival_s(self) -> float | None:
-        """When the bytes of the last read() arrived, on the world's clock."""
-        ...
-
-    def read(self) -> bytes:
-        """Waiting bytes, b'' if none. Never blocks."""
-        ...
-
-    def write(self, data: bytes) -> None:
-        """Send. Never blocks."""
-        ...
 
 
 class Stream:
@@ -47,7 +31,7 @@ class Stream:
 class MavlinkServer:
     """Reads and writes one link. A link that fails is treated as silence: the world goes on without its companion."""
 
-    def __init__(self, link: Link, parameters: Parameters, system: int = 1, component: int = 1) -> None:
+    def __init__(self, link: ByteEnd, parameters: Parameters, system: int = 1, component: int = 1) -> None:
         self._link = link
         self._parameters = parameters
         self._codec = mavlink.MAVLink(None, system, component)

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 from sitl.estimator import Estimator
-from sitl.frames import frd_from_flu, ned_from_enu
+from sitl.frames import frd_from_flu
 from sitl.gimbal import Gimbal
 from sitl.imu import Imu
-from sitl.mavlink_server import Link, MavlinkServer
+from sitl.mavlink_server import MavlinkServer
 from sitl.parameters import Parameters
 from sitl.px4_commands import Commands
 from sitl.px4_flight import Flight
@@ -17,6 +17,7 @@ from sitl.px4_messages import Messages
 from sitl.px4_modes import Commander, Mode
 from sitl.px4_state import State
 from sitl.rotation import Quat, Vec3, conjugate, rotate
+from sitl.transport import ByteEnd
 from sitl.vehicle import Quadrotor
 
 STEP_S = 0.004
@@ -46,7 +47,7 @@ class Px4:
     acted, in words. texts: every STATUSTEXT. Raises ValueError for parameters whose failsafe is not simulated.
     """
 
-    def __init__(self, vehicle: Quadrotor, link: Link, parameters: Parameters, seed: int) -> None:
+    def __init__(self, vehicle: Quadrotor, link: ByteEnd, parameters: Parameters, seed: int) -> None:
         self.vehicle = vehicle
         self.parameters = parameters
         self._imu = Imu(seed)
@@ -177,8 +178,3 @@ class Px4:
         force, turn = s.flight.step(STEP_S, s.commander.armed, s.commander.mode, s.estimator)
         in_body = frd_from_flu(rotate(conjugate(s.estimator.quat_wxyz), force))
         v.step(STEP_S, rotate(v.quat_wxyz, in_body), -turn, s.commander.armed)
-
-
-def local_ned(position_world: Vec3) -> Vec3:
-    """World position in the local NED frame of poses that are perfect; for tests and referees."""
-    return ned_from_enu(position_world)

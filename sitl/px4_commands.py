@@ -55,7 +55,7 @@ class Commands:
         s = self._s
         mask = message.type_mask
         if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
-            self._server.say(mavlink.MAV_SEVERITY_CRITICAL, "SET_POSITION_TARGET_LOCAL_NED coordinate frame not supported")
+            self._server.say(mavlink.MAV_SEVERITY_CRITICAL, "SET_POSITION_TARGET_LOCAL_NED: frame not supported")
             return
         raw = (message.x, message.y, message.z, message.vx, message.vy, message.vz, message.afx, message.afy, message.afz)
         f = [math.nan if mask >> i & 1 or not math.isfinite(value) else value for i, value in enumerate(raw)]

@@ -7,11 +7,29 @@ import socket
 import struct
 import time
 from collections import deque
+from typing import Protocol
 
 _TIMESTAMPNS = 35  # SO_TIMESTAMPNS on Linux; the socket module does not name it
 _TIMESPEC = struct.Struct("@qq")
 _DATAGRAM_MAX = 65535
 _BACKLOG_BYTES = 1 << 20
+
+
+class ByteEnd(Protocol):
+    """What the autopilot needs of a link; arrival_s is None where reading is arriving."""
+
+    @property
+    def arrival_s(self) -> float | None:
+        """When the bytes of the last read() arrived, on the world's clock."""
+        ...
+
+    def read(self) -> bytes:
+        """Waiting bytes, b'' if none. Never blocks. Raises OSError if the link is gone."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send. Never blocks. Raises OSError if the link is gone."""
+        ...
 
 
 class PipeEnd:

@@ -26,7 +26,7 @@ class Airframe:
     max_thrust_mps2: float = 2.0 * GRAVITY_MPS2  # twice the hover thrust
     max_yaw_rate_radps: float = math.radians(200.0)
     max_speed_mps: float = 8.0  # a wall against numbers running away
-    drag_per_s: float = 0.25  # linear, on the airspeed
+    drag_per_s: float = 0.15  # linear, on the airspeed
     floor_friction_mps2: float = 4.0  # skids on the floor
     gust_time_s: float = 1.5  # correlation time of the wind
 

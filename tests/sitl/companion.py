@@ -24,7 +24,9 @@ CLOCK_AHEAD_S = 1000.0  # the companion's clock against the world's
 class Companion:
     """Owns the world's clock. Each tick: physics, telemetry, pose at 50 Hz, setpoint at setpoint_hz, heartbeat."""
 
-    def __init__(self, parameters: Parameters | None = None, seed: int = 1, wind_mps: float = 0.15, yaw_rad: float = 0.3) -> None:
+    def __init__(
+        self, parameters: Parameters | None = None, seed: int = 1, wind_mps: float = 0.15, yaw_rad: float = 0.3
+    ) -> None:
         self.now_s = 500.0
         self.vehicle = Quadrotor(seed, wind_mps=wind_mps, yaw_rad=yaw_rad)
         end, mine = pipe()
@@ -43,6 +45,7 @@ class Companion:
         self.pose_frame = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_BODY_FRD)
         self.reset_counter = 0
         self.pose_age_s = 0.0
+        self.stamp_shift_s = 0.0
         self.answer_timesync = True
         self.setpoint: Callable[[float], tuple[Any, ...]] | None = None
         self.setpoint_hz = 30.0
@@ -115,7 +118,7 @@ class Companion:
         covariance = [0.0] * 21
         for i, value in ((0, 1e-4), (6, 1e-4), (11, 1e-4), (20, 1e-5)):
             covariance[i] = value
-        stamp_us = round((stamp_s + CLOCK_AHEAD_S) * 1e6)
+        stamp_us = round((stamp_s + CLOCK_AHEAD_S + self.stamp_shift_s) * 1e6)
         self.send(
             mavlink.MAVLink_odometry_message(
                 stamp_us, *self.pose_frame, p[1] + ox, p[0] + oy, -p[2] + oz, ned_frd_from_enu_flu(q), 0.0, 0.0, 0.0,
