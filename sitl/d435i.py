@@ -21,6 +21,7 @@ from uav_recon.sensors.wire import CameraSpec, StreamHeader
 
 WIDTH, HEIGHT = 424, 240
 RANGE_M = (0.3, 6.0)
+FAR_MARGIN_M = 0.6  # noise may bring a surface from beyond the range into it
 BASELINE_M = 0.050
 DISPARITY_ERROR_PX = 0.08
 MATCHED_BINNING = 2  # the matcher works on a picture this much finer
@@ -73,11 +74,13 @@ class Camera:
         pitch_down_rad tilts the mount down. Blocks for about 20 ms.
         """
         world_from_depth = world_from_body @ body_from_camera(MOUNT_M, pitch_down_rad)
-        view = self._renderer.render(world_from_depth, self.header.depth)
+        wide = self._model == "wide"
+        far_m = math.inf if wide else RANGE_M[1] + FAR_MARGIN_M
+        view = self._renderer.render(world_from_depth, self.header.depth, far_m=far_m, colour=wide)
         rng = np.random.default_rng([self._seed, self._frames])
         self._frames += 1
         depth_mm = self._noise(view.depth_m, view.incidence_cos, rng)
-        if self._model == "wide":
+        if wide:
             return depth_mm, view.rgb
         return depth_mm, self._renderer.render(world_from_depth @ self._depth_from_rgb, self.header.rgb).rgb
 

@@ -178,7 +178,7 @@ def _cut(scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: Camer
     depth_spec = d435i.DEPTH_SPEC
     intrinsics = np.array([depth_spec.fx, depth_spec.fy, depth_spec.cx, depth_spec.cy])
     for world_from_camera in _draw(positions, pitch_rad, POSES, POSE_SEED):
-        depth = renderer.depth(world_from_camera, depth_spec)
+        depth = renderer.depth(world_from_camera, depth_spec, far_m=d435i.RANGE_M[1] + 1.0)
         _mark_seen(samples, seen, depth, inverse(world_from_camera), intrinsics)
         _carve(free, origin, STEP_M, depth, world_from_camera, intrinsics)
     tx, ty, tz = d435i.stream_header(camera).rgb_from_depth[4:]

@@ -119,3 +119,10 @@ def test_threads_share_a_renderer() -> None:
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(lambda pose: renderer.depth(pose, SPEC), poses))
     np.testing.assert_array_equal(alone, together)
+
+
+def test_what_lies_beyond_the_far_distance_is_left_out() -> None:
+    vertices, faces = wall(3.0, 0.5)
+    renderer, pose = Renderer(vertices, faces, np.zeros((len(vertices), 3), np.uint8)), body_from_camera((0, 0, 0), 0.0)
+    assert (renderer.depth(pose, SPEC, far_m=2.9) == 0).all()
+    np.testing.assert_array_equal(renderer.depth(pose, SPEC, far_m=3.1), renderer.depth(pose, SPEC))
