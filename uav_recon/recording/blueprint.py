@@ -17,6 +17,7 @@ TRAJECTORY = "world/trajectory"
 DEPTH = "world/depth"
 RGB = "world/rgb"
 VOXELS = "world/voxels"
+CEILING = "world/ceiling"
 SURFACE = "world/surface"
 MESH = "world/mesh"
 LOG = "log"
@@ -40,7 +41,7 @@ def review_blueprint() -> Any:
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                rrb.Spatial3DView(origin=WORLD, name="Room"),
+                rrb.Spatial3DView(origin=WORLD, contents=["$origin/**", f"- /{CEILING}/**"], name="Room"),  # seen from above
                 rrb.Vertical(
                     rrb.Spatial2DView(origin=RGB, name="Colour"),
                     rrb.Spatial2DView(origin=DEPTH, name="Depth"),

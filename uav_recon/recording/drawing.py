@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import numpy as np
 
 from uav_recon.recording import blueprint as names
+from uav_recon.recording.render import facing_inwards
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import ByteArray, FloatArray
-from uav_recon.types.maps import OCCUPIED, SurfaceElements, TriangleMesh, VoxelMap
+from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, TriangleMesh, VoxelMap
 from uav_recon.types.pose import Pose
 from uav_recon.types.tasks import ViewPath, Viewpoint
 from uav_recon.types.trajectory import Trajectory
@@ -27,7 +29,13 @@ def scene(fence_world_m: FloatArray) -> Drawing:
     import rerun as rr
 
     lower, upper = fence_world_m
-    fence = rr.Boxes3D(centers=[(lower + upper) / 2], half_sizes=[(upper - lower) / 2], colors=[_GREY], radii=[0.005])
+    fence = rr.Boxes3D(
+        centers=[(lower + upper) / 2],
+        half_sizes=[(upper - lower) / 2],
+        colors=[_GREY],
+        radii=[0.005],
+        fill_mode="MajorWireframe",
+    )
     return [(names.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP), (names.FENCE, fence)]
 
 
@@ -81,13 +89,21 @@ def rgb_jpeg(rgb: ByteArray) -> bytes:
 
 
 def voxels(now: VoxelMap) -> Drawing:
-    """Occupied voxels as points, coloured by height; free and unknown space stays empty."""
+    """Occupied voxels as points, coloured by height; free and unknown space stays empty. The ceiling is an entity of its
+    own, so that a view may leave it out: what is occupied above nine tenths of the free voxels.
+    """
     import rerun as rr
 
-    index = _thinned(np.argwhere(now.state == OCCUPIED))
-    points = now.grid.centre(index).astype(np.float32)
-    height = index[:, 2] / max(now.grid.shape[2] - 1, 1)
-    return [(names.VOXELS, rr.Points3D(points, colors=_colours(height, "viridis"), radii=[0.45 * now.grid.resolution_m]))]
+    layers = np.cumsum((now.state == FREE).sum(axis=(0, 1)))
+    below_ceiling = int(np.searchsorted(layers, 0.9 * layers[-1])) + 1 if layers[-1] else now.grid.shape[2]
+    index = np.argwhere(now.state == OCCUPIED)
+    drawn: Drawing = []
+    for entity, part in ((names.VOXELS, index[:, 2] < below_ceiling), (names.CEILING, index[:, 2] >= below_ceiling)):
+        shown = _thinned(index[part])
+        colours = _colours(shown[:, 2] / max(now.grid.shape[2] - 1, 1), "viridis")
+        points = now.grid.centre(shown).astype(np.float32)
+        drawn.append((entity, rr.Points3D(points, colors=colours, radii=[0.25 * now.grid.resolution_m])))
+    return drawn
 
 
 def surface(now: SurfaceElements) -> Drawing:
@@ -122,16 +138,22 @@ def trajectory(now: Trajectory | None) -> Drawing:
     return [(names.TRAJECTORY, rr.LineStrips3D(strips, colors=[_GREEN], radii=[0.008]))]
 
 
-def mesh(now: TriangleMesh) -> Drawing:
-    """The finished model."""
+def mesh(now: TriangleMesh, inside_world: FloatArray | None) -> Drawing:
+    """The finished model in place of voxels and elements. inside_world (3,): a free point, if known; then only the sides
+    of the surface that one sees from the room are drawn, where the viewer can do that.
+    """
     import rerun as rr
 
+    one_sided = inside_world is not None and "face_rendering" in inspect.signature(rr.Mesh3D.__init__).parameters
+    faces = now.faces if inside_world is None else facing_inwards(now.vertices_world, now.faces, inside_world)
     drawn = rr.Mesh3D(
         vertex_positions=now.vertices_world.astype(np.float32),
-        triangle_indices=now.faces.astype(np.uint32),
+        triangle_indices=faces.astype(np.uint32),
         vertex_colors=now.rgb,
+        **({"face_rendering": "Front"} if one_sided else {}),  # not in older viewers
     )
-    return [(names.MESH, drawn)]
+    gone = [(entity, rr.Clear(recursive=True)) for entity in (names.VOXELS, names.CEILING, names.SURFACE)]
+    return [*gone, (names.MESH, drawn)]
 
 
 def _transform(target_from_source: Pose) -> Any:

@@ -18,6 +18,7 @@ from uav_recon.clock import RateKeeper
 from uav_recon.protocols import Channel, Clock
 from uav_recon.recording import blueprint as names
 from uav_recon.recording import drawing
+from uav_recon.recording.meshfile import load_mesh
 from uav_recon.recording.viewer import Viewer, open_viewer
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
@@ -145,9 +146,9 @@ class Recorder:
         self._log_vehicle()
         self._log_mission()
         self._log_maps()
-        mesh = mesh or _read_mesh(self._folder / "mesh.ply")
+        mesh = mesh or load_mesh(self._folder)
         if mesh is not None:
-            self._draw(drawing.mesh(mesh))
+            self._draw(drawing.mesh(mesh, self._trail[-1] if self._trail else None))
         for stream in self._streams():
             stream.disconnect()
 
@@ -245,19 +246,3 @@ def _distance_m(voxels: VoxelMap, position_world: FloatArray) -> float | None:
     """The map's distance to what is not known free, None outside the map."""
     index = voxels.grid.index(position_world)
     return float(voxels.distance_m[tuple(index)]) if bool(voxels.grid.contains(index)) else None
-
-
-def _read_mesh(path: Path) -> TriangleMesh | None:
-    """mesh.ply as a value; None if there is none, with a logged line if it cannot be read."""
-    if not path.exists():
-        return None
-    import trimesh
-
-    try:
-        loaded = trimesh.load(path, process=False, force="mesh")
-        vertices = np.asarray(loaded.vertices, dtype=np.float64)
-        rgb = np.asarray(loaded.visual.vertex_colors, dtype=np.uint8)[:, :3]
-        return TriangleMesh(vertices, np.asarray(loaded.faces, dtype=np.int64), rgb, np.zeros(len(vertices), np.float32))
-    except (ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
-        _LOG.warning("%s cannot be drawn: %s", path, error)
-        return None
