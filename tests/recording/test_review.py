@@ -44,9 +44,18 @@ def test_a_viewer_that_fails_is_one_line(tmp_path: Path, monkeypatch: pytest.Mon
     assert one_line(error)
 
 
+def test_a_viewer_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / RECORDING).write_bytes(b"x")
+    monkeypatch.setattr(module, "viewer_command", lambda *_: ["/nowhere/viewer"])
+    with pytest.raises(ReviewError, match="cannot be started") as error:
+        review(tmp_path)
+    assert one_line(error)
+
+
 def test_the_viewer_never_listens_beyond_this_machine() -> None:
     command = viewer_command("--port", "1")
     assert command[command.index("--bind") + 1] == "127.0.0.1"
+    assert Path(command[0]).is_file()  # the program itself, which a kill reaches
     assert Viewer(9).address == "rerun+http://127.0.0.1:9/proxy"
 
 

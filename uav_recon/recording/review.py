@@ -30,7 +30,10 @@ def review(folder: Path) -> None:
     Raises ReviewError if there is no recording, or if the viewer ends with an error.
     """
     path = recording_path(folder)
-    result = subprocess.run(viewer_command(str(path)), stderr=subprocess.PIPE, text=True, check=False)  # noqa: S603
+    try:
+        result = subprocess.run(viewer_command(str(path)), stderr=subprocess.PIPE, text=True, check=False)  # noqa: S603
+    except OSError as error:
+        raise ReviewError(f"{path}: the viewer cannot be started ({error.strerror})") from None
     if result.returncode != 0:
         lines = [line for line in result.stderr.splitlines() if line.strip()]
         reason = lines[-1].strip() if lines else f"status {result.returncode}"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import socket
 import subprocess
-import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 PORT = 9876
 _HOST = "127.0.0.1"
@@ -36,8 +37,14 @@ class Viewer:
 
 
 def viewer_command(*arguments: str) -> list[str]:
-    """The command line of the installed viewer; it never listens beyond this machine."""
-    return [sys.executable, "-m", "rerun", "--bind", _HOST, *arguments]
+    """The command line of the installed viewer; it never listens beyond this machine.
+
+    The program itself, not ``python -m rerun``: that one starts it as a child, which outlives a kill of its parent.
+    """
+    found = importlib.util.find_spec("rerun_cli")
+    folders = [] if found is None else list(found.submodule_search_locations or [])
+    programs = [path for folder in folders for path in Path(folder).glob("rerun*") if path.name in ("rerun", "rerun.exe")]
+    return [str(programs[0]) if programs else "rerun", "--bind", _HOST, *arguments]
 
 
 def open_viewer(port: int = PORT, command: list[str] | None = None) -> Viewer | None:
