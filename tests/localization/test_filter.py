@@ -240,6 +240,18 @@ def test_a_jumped_source_is_shut_out_and_only_taken_back_as_a_declared_reset() -
     assert counters[-1][0] == 1
 
 
+def test_scattered_poses_are_never_taken_back() -> None:
+    """Nonsense that does not even agree with itself stays out, however long it lasts."""
+    fusion, rest = _warm()
+    rng = np.random.default_rng(2)
+    for event in rest:
+        if event.pose:
+            scattered = event.pose.odom_from_body.translation_m + rng.choice([-3.0, 3.0], 3) * rng.uniform(1.0, 5.0, 3)
+            event.pose = replace(event.pose, odom_from_body=Pose(event.pose.odom_from_body.quat_wxyz, scattered))
+        assert _feed(fusion, event) == (event.imu is not None)
+    assert fusion.newest_pose_s < NOW_S < rest[-1].arrival_s - 3.0
+
+
 def test_a_reset_of_the_source_is_passed_on() -> None:
     fusion, _ = _warm()
     assert fusion.add_pose(replace(_pose(NOW_S - 0.05, offset_m=2.0), reset_counter=1), NOW_S)
