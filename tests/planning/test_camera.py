@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from box_world import FIXED, GIMBAL
+
+from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry, aim, eye, in_view
+from uav_recon.types.camera import body_from_camera
+from uav_recon.types.pose import Pose
+
+
+def test_the_frustum_is_that_of_an_optical_camera_on_a_body() -> None:
+    rng = np.random.default_rng(0)
+    lens = FIXED.lens(0.1, 4.5)
+    seen = 0
+    for _ in range(3000):
+        yaw, pitch = rng.uniform(-np.pi, np.pi), rng.uniform(-1.0, 1.0)
+        body, point = rng.uniform(-2, 2, 3), rng.uniform(-5, 5, 3)
+        world_from_camera = Pose.from_yaw(yaw, body) @ body_from_camera(FIXED.position_body_m, pitch)
+        optical = world_from_camera.inverse().apply(point)
+        right, down = np.tan(FIXED.hfov_rad / 2) * EDGE_MARGIN, np.tan(FIXED.vfov_rad / 2) * EDGE_MARGIN
+        expected = (
+            optical[2] > 0
+            and abs(optical[0]) <= right * optical[2]
+            and abs(optical[1]) <= down * optical[2]
+            and 0.3 <= np.linalg.norm(optical) <= 4.5
+        )
+        place = body * 10
+        camera = np.array(eye(lens, place[0], place[1], place[2], yaw))
+        np.testing.assert_allclose(camera / 10, world_from_camera.translation_m, atol=1e-9)
+        offset = point * 10 - camera
+        assert in_view(lens, yaw, pitch, offset[0], offset[1], offset[2]) == expected
+        seen += bool(expected)
+    assert seen > 100
+
+
+def test_a_gimbal_centres_its_target_and_a_fixed_mount_keeps_its_tilt() -> None:
+    target = np.array([12.0, -7.0, 5.0])
+    for camera in (FIXED, GIMBAL):
+        yaw, pitch = aim(camera.lens(0.1, 4.5), 1.0, 2.0, 13.0, target[0], target[1], target[2])
+        pose = Pose.from_yaw(yaw, np.array([0.1, 0.2, 1.3])) @ body_from_camera(camera.position_body_m, pitch)
+        optical = pose.inverse().apply(target * 0.1)
+        assert abs(optical[0]) < 1e-9
+        if camera is GIMBAL:
+            assert abs(optical[1]) < 1e-9
+        else:
+            assert pitch == FIXED.pitch_min_rad
+
+
+def test_an_empty_pitch_range_is_a_bug() -> None:
+    with pytest.raises(ValueError, match="pitch range"):
+        CameraGeometry(1.0, 1.0, np.zeros(3), 0.2, 0.1, 4.5)
