@@ -106,7 +106,7 @@ def events(motion: FigureEight, duration_s: float, seed: int, *, imu: bool = Tru
         error = drift + white
         turned = Rotation.from_rotvec(error[3:]) * attitude
         pose = Pose(turned.as_quat(scalar_first=True), position + error[:3])
-        covariance = np.diag([4e-6] * 3 + [3e-6] * 3)
+        covariance = np.diag([1.04e-4] * 3 + [3e-5] * 3)  # drift and noise together, as sources claim it
         late_s = 0.06 + rng.uniform(-0.02, 0.02)
         out.append(Event(t + late_s, pose=StampedPose(t, pose, np.zeros(3), covariance), drift=drift.copy()))
     return sorted(out, key=lambda event: event.arrival_s)

@@ -284,8 +284,8 @@ def test_it_is_cheap() -> None:
     costs: dict[str, list[float]] = {"imu": [], "pose": []}
     fusion = FusionFilter()
     for event in events(MOTION, 3.0, 0):
-        start_s = time.perf_counter()
+        start_s = time.thread_time()
         _feed(fusion, event)
-        costs["imu" if event.imu else "pose"].append(time.perf_counter() - start_s)
-    assert np.median(costs["imu"]) < 1e-4 * 3  # three: the machine may be busy
-    assert np.median(costs["pose"]) < 5e-4 * 3
+        costs["imu" if event.imu else "pose"].append(time.thread_time() - start_s)
+    assert np.median(costs["imu"]) < 1e-4
+    assert np.median(costs["pose"]) < 5e-4 * 1.5  # caches shared with other work
