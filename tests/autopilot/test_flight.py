@@ -290,6 +290,7 @@ def test_a_reset_of_odom_holds_the_new_place(hovering: Rig) -> None:
         rig.step()
     _, places = setpoints(rig, begin + 0.05)
     assert np.abs(places[:, 1] - 0.4).max() < 0.12
+    assert rig.state.trajectory_id == -1, "what was planned in the old odom is not taken up again"
     assert np.linalg.norm(np.array(rig.px4.truth().position) - start) < 0.45
     assert rig.pilot.phase is FlightPhase.FLYING
 
