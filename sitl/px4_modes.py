@@ -175,10 +175,9 @@ class Commander:
         return now_s - self.origin_at_s >= _PREARM_AFTER_ORIGIN_S
 
     def takeover(self, mode: Mode) -> None:
-        """A pilot's switch: wins at once, ends any request and any failsafe."""
+        """A pilot's switch: wins at once and ends any request."""
         self._wanted = mode
         self._enter(mode)
-        self._answered.update(("stream", "rc"))
 
     # -- 50 Hz ----------------------------------------------------------------------------------------------------
 

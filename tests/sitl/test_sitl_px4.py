@@ -14,7 +14,8 @@ from companion import LAND, LOITER, OFFBOARD, POSCTL, Companion
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.parameters import Parameters
-from sitl.px4 import STEP_S
+from sitl.px4 import STEP_S, Px4
+from sitl.vehicle import Quadrotor
 
 ARM, FORCE = mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 21196.0
 
@@ -48,6 +49,14 @@ def seconds_until(c: Companion, happened: Any, at_most: float) -> float:
     before = c.now_s
     assert c.run(at_most, happened), f"did not happen within {at_most} s; texts {c.texts}"
     return c.now_s - before
+
+
+def converged(c: Companion) -> bool:
+    return c.px4.timesync_converged
+
+
+def position_valid(c: Companion) -> bool:
+    return c.px4.estimator.horizontal_valid
 
 
 def truth_mode(c: Companion) -> str:
@@ -448,6 +457,28 @@ def test_a_pose_that_comes_back_does_not_stop_the_landing() -> None:
     assert truth_mode(c) == "LAND"
 
 
+def test_without_a_position_it_keeps_level_instead_of_chasing_a_wrong_one() -> None:
+    c = flying()
+    c.pose_on = False
+    assert c.run(4.0, lambda: truth_mode(c) == "LAND")
+    place = c.ned
+    x, y, z = c.px4.estimator.position
+    c.px4.estimator.position = (x + 20.0, y, z)
+    c.run(2.0)
+    assert math.hypot(c.ned[0] - place[0], c.ned[1] - place[1]) < 0.5
+
+
+def test_a_held_place_moves_along_with_a_reset_of_the_estimate() -> None:
+    c = flying()
+    c.px4.pilot_takes_over("POSCTL")
+    c.run(1.0)
+    place = c.ned
+    c.pose_offset = (0.6, 0.0, 0.0)
+    c.reset_counter = 1
+    c.run(3.0)
+    assert math.dist(c.ned, place) < 0.15
+
+
 def test_a_pose_jump_with_its_reset_counter_moves_the_vehicle_back_by_the_jump() -> None:
     c = flying()
     c.pose_offset = (0.6, 0.0, 0.0)
@@ -487,11 +518,11 @@ def test_timesync_converges_after_500_answers_and_then_old_poses_are_placed_in_t
     c = companion()
     c.pose_age_s = 0.15
     c.run(40.0)
-    assert not c.px4.timesync_converged
+    assert not converged(c)
     c.run(15.0)
-    assert c.px4.timesync_converged
+    assert converged(c)
     c.run(2.0)
-    assert c.px4.estimator.horizontal_valid
+    assert position_valid(c)
     assert set(c.px4.estimator.ignored) <= {"repeated"}
 
 
@@ -499,17 +530,17 @@ def test_unanswered_timesync_never_converges() -> None:
     c = companion()
     c.answer_timesync = False
     c.run(55.0)
-    assert not c.px4.timesync_converged
+    assert not converged(c)
 
 
 def test_stamps_on_another_clock_than_the_answers_lose_the_pose_once_timesync_has_converged() -> None:
     c = companion()
     c.stamp_shift_s = 5.0
     c.run(45.0)
-    assert c.px4.estimator.horizontal_valid
+    assert position_valid(c)
     c.run(15.0)
-    assert c.px4.timesync_converged
-    assert not c.px4.estimator.horizontal_valid
+    assert converged(c)
+    assert not position_valid(c)
     assert c.px4.estimator.ignored["future"] > 100
 
 
@@ -735,6 +766,33 @@ def test_physics_runs_in_fixed_steps_whatever_the_callers_rhythm() -> None:
         b.px4.step(500.0 + i * 0.001)
     assert a.px4.truth() == b.px4.truth()
     assert a.px4.truth().stamp_s == pytest.approx(501.0, abs=STEP_S)
+
+
+class LateReader:
+    """A link whose one datagram arrived 0.6 s after the autopilot's first step."""
+
+    arrival_s = 500.6
+
+    def __init__(self) -> None:
+        self._codec = mavlink.MAVLink(None, 42, 191)
+        self._waiting = [bytes(mavlink.MAVLink_timesync_message(0, 77).pack(self._codec))]
+        self.written = b""
+
+    def read(self) -> bytes:
+        return self._waiting.pop() if self._waiting else b""
+
+    def write(self, data: bytes) -> None:
+        self.written += data
+
+
+def test_a_late_call_does_not_hear_messages_before_they_arrived() -> None:
+    link = LateReader()
+    px4 = Px4(Quadrotor(1), link, Parameters.load(), 1)
+    px4.step(500.0)
+    px4.step(501.0)
+    heard = mavlink.MAVLink(None, 1, 1).parse_buffer(link.written)
+    answer = next(m for m in heard if m.get_type() == "TIMESYNC" and m.ts1 == 77)
+    assert answer.tc1 * 1e-9 == pytest.approx(37.5 + 0.6, abs=2 * STEP_S)
 
 
 def test_the_camera_tilts_with_the_body() -> None:
