@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.evaluation.nearest_triangle import TriangleIndex
 from uav_recon.types.frames import FloatArray, IntArray, frozen
 
 
@@ -52,4 +51,10 @@ class Surface:
         """Distance (N,) from points (N, 3) to the nearest triangle; infinite if there is no triangle."""
         if len(self.faces) == 0:
             return np.full(len(points_world), np.inf)
-        return TriangleIndex(self.vertices_world, self.faces).distance(points_world)
+        import open3d
+
+        tensor = open3d.core.Tensor.from_numpy
+        scene = open3d.t.geometry.RaycastingScene()
+        scene.add_triangles(tensor(self.vertices_world.astype(np.float32)), tensor(self.faces.astype(np.uint32)))
+        found: FloatArray = scene.compute_distance(tensor(points_world.astype(np.float32))).numpy().astype(np.float64)
+        return found
