@@ -31,7 +31,8 @@ LONGEST_S = 3600.0
 
 def fly_in_lockstep(options: SimOptions, config: Config, scene: Scene, console: Console) -> str | None:
     """Fly; returns the fault in one line, None for none. Ctrl-C lands, a second one ends at once."""
-    from uav_recon.mapping.neural.worker import KEYFRAMES, InlineMapper
+    from uav_recon.mapping.neural.child import KEYFRAMES
+    from uav_recon.mapping.neural.worker import InlineMapper
 
     interrupts: list[int] = []
 

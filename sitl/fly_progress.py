@@ -6,7 +6,6 @@ from types import TracebackType
 
 from rich.console import Console
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from uav_recon.run import Wires
@@ -40,7 +39,7 @@ class Screen:
             self._live.update(_line(progress))
         mark = (progress.phase, progress.views // 10)
         if mark != self._last and not self._live:
-            self._console.print(_line(progress), highlight=False)
+            print(_line(progress).plain.rstrip(), flush=True)
         self._last = mark
         return True
 
@@ -53,16 +52,14 @@ class Screen:
             self._last = ("waiting", -1)
 
 
-def _line(progress: MissionProgress) -> Table:
-    table = Table.grid(padding=(0, 2))
-    bar = "█" * round(20 * progress.views / max(progress.views_budget, 1))
-    table.add_row(
-        Text(f"{progress.phase:8}", style="bold cyan"),
-        Text(f"{progress.mode:7}"),
-        Text(f"views {progress.views:3}/{progress.views_budget} {bar:░<20}"),
-        Text(f"explored {progress.explored_m3:6.1f} m³"),
-        Text(f"path {progress.path_length_m:5.1f} m"),
-        Text(f"plans {progress.plans} in {progress.planning_s:.2f} s"),
-        Text(progress.note, style="yellow"),
+def _line(progress: MissionProgress) -> Text:
+    filled = round(20 * progress.views / max(progress.views_budget, 1))
+    return Text.assemble(
+        (f"{progress.phase:8} ", "bold cyan"),
+        f"{progress.mode:7}  views {progress.views:3}/{progress.views_budget} {'█' * filled:░<20}  ",
+        f"explored {progress.explored_m3:5.1f} m³  path {progress.path_length_m:5.1f} m  ",
+        f"plans {progress.plans} in {progress.planning_s:.2f} s  ",
+        (progress.note, "yellow"),
+        no_wrap=True,
+        overflow="ellipsis",
     )
-    return table

@@ -24,6 +24,7 @@ ALLOWED = {
     "notify": set(),
 }
 ROOTS = {"run", "processes", "bench", "cli"}
+ROOT_IMPORTS = {"cli": {"run", "processes"}, "run": set(ALLOWED)}
 HEAVY = {
     "torch": {"uav_recon/mapping/neural"},
     "pyrealsense2": {"uav_recon/sensors/realsense.py"},
@@ -60,12 +61,7 @@ def test_a_stage_imports_only_what_its_rank_allows(path: Path) -> None:
     ours = {name.split(".")[1] for name in imports(path) if name.startswith("uav_recon.") and name.count(".") >= 1}
     outside = {name for name in imports(path) if name.split(".")[0] == "sitl"}
     if stage in ROOTS:
-        allowed = (
-            {"run"}
-            | (set() if stage in ("cli", "__main__") else set(ALLOWED))
-            | ({"config", "cli"} if stage != "run" else set())
-        )
-        assert ours <= allowed, f"{path.name} imports {ours - allowed}"
+        assert ours <= ROOT_IMPORTS.get(stage, set(ALLOWED) | {"run"}), f"{path.name} imports {ours}"
         return
     assert not outside, f"{path.name} imports the simulation: {outside}"
     assert stage in ALLOWED, f"{stage} has no rank in this table"

@@ -115,7 +115,7 @@ class MapperConfig(Section):
 
 
 class PlannerConfig(Section):
-    """The paper's parameters (table I); None = derived from room size and camera."""
+    """The paper's parameters (table I)."""
 
     variant: Literal["adaptive", "explore", "merged"] = "adaptive"  # V5, V2, V4
     shell_min_m: Positive = 0.8  # d_r, nearest viewpoint to a task
@@ -129,7 +129,7 @@ class PlannerConfig(Section):
     near_count: Annotated[int, Field(ge=0)] = 3  # explore if more frontiers than this are near ...
     near_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.2  # ... and their share is larger
     horizon_m: Positive = 5.0  # L_exec
-    view_spacing_m: Positive = 0.3  # l_res
+    view_spacing_m: Positive | None = None  # l_res; unset: so that the view budget lasts for the room
     end_factor: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0  # alpha, once no frontier is left
     downsample: Annotated[int, Field(ge=1, le=50)] = 5  # N_down
 

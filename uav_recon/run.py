@@ -33,6 +33,8 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_CONFIG = 1, 2, 78
 CAMERA_WAIT_S = 240.0
+WAY_M_PER_M2, SHARE_ON_THE_WAY = 1.5, 0.6
+SMALLEST_SPACING_M, LARGEST_SPACING_M = 0.2, 1.0
 
 
 class Failure(Exception):  # noqa: N818 - it is what the user is told, not a bug
@@ -147,20 +149,29 @@ def make_perception(config: Config, wires: Wires, clock: Clock) -> Perception:
 def _camera(config: Config, clock: Clock) -> tuple[Camera, PoseSource]:
     from uav_recon.sensors.stream import StreamCamera, StreamError, StreamPoses, open_stream
 
-    path = config.runtime.folder / config.camera.stream
     near_m, far_m = config.camera.depth_min_m, config.camera.depth_max_m
+    fixed = config.camera.mount == "fixed"
+    tilted = body_from_camera(np.array(config.camera.position_body_m), math.radians(config.camera.pitch_down_deg))
     try:
-        open_stream(path, clock, CAMERA_WAIT_S)
-        poses = StreamPoses(path)
-        if config.camera.source == "stream":
-            return StreamCamera(path, near_m, far_m), poses
-    except StreamError as error:
-        raise Failure(str(error)) from None
-    from uav_recon.sensors.realsense import RealSenseCamera, RealSenseError
+        if config.camera.source == "recorded":
+            from uav_recon.sensors.recorded import RecordedCamera, RecordedPoses
 
-    try:
-        return RealSenseCamera(clock, playback=config.camera.recording), poses
-    except RealSenseError as error:
+            if config.camera.recording is None:
+                raise Failure("camera.recording: must name a flight folder where camera.source is recorded", EXIT_CONFIG)
+            folder = config.camera.recording
+            return RecordedCamera(folder, clock, near_m, far_m), RecordedPoses(folder, clock, tilted)
+        path = config.runtime.folder / config.camera.stream
+        open_stream(path, clock, CAMERA_WAIT_S)  # poses come through it, whatever the camera
+        if config.camera.source == "stream":
+            return StreamCamera(path, near_m, far_m), StreamPoses(path)
+        from uav_recon.sensors.realsense import RealSenseCamera
+
+        playback, body_from_depth = config.camera.recording, tilted if fixed else None
+        return (
+            RealSenseCamera(clock, playback=playback, depth_min_m=near_m, depth_max_m=far_m, body_from_depth=body_from_depth),
+            StreamPoses(path),
+        )
+    except StreamError as error:
         raise Failure(str(error)) from None
 
 
@@ -205,6 +216,20 @@ def make_planner(config: Config, timer: Callable[[], float]) -> AdaptivePlanner:
     )
 
 
+def view_spacing_m(config: Config) -> float:
+    """The configured spacing of views (l_res), or one that makes the budget last for the room.
+
+    A room is flown through in about WAY_M_PER_M2 metres per square metre of floor; what the look round and the tasks' own
+    views leave of the budget is spread over that way.
+    """
+    if config.planner.view_spacing_m is not None:
+        return config.planner.view_spacing_m
+    low, high = config.safety.fence_min_m, config.safety.fence_max_m
+    way_m = WAY_M_PER_M2 * (high[0] - low[0]) * (high[1] - low[1])
+    views = max(config.mission.views - config.mission.survey_views, 1) * SHARE_ON_THE_WAY
+    return min(max(way_m / views, SMALLEST_SPACING_M), LARGEST_SPACING_M)
+
+
 def make_trainer(config: Config) -> Trainer:
     """The neural field of the mapper."""
     from uav_recon.mapping.neural.trainer import Trainer
@@ -227,7 +252,7 @@ def make_conductor(
     orders = Orders(
         views=mission.views,
         survey_views=mission.survey_views,
-        view_spacing_m=config.planner.view_spacing_m,
+        view_spacing_m=view_spacing_m(config),
         takeoff_height_m=mission.takeoff_height_m,
         takeoff_radius_m=config.voxels.takeoff_radius_m,
         vehicle_height_m=config.safety.vehicle_height_m,

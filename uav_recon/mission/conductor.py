@@ -79,7 +79,7 @@ class Conductor:
         self.map: VoxelMap | None = None
         self._decision: Pending[Decision] | None = None
         self._frame_sequence, self._frame_s = 0, -np.inf
-        self._surface_revision = -1
+        self._surface_revision, self._refusals = -1, 0
         self._took_off_s = self._resting_since_s = np.inf
         self._think_again_s = self._reported_s = self._map_published_s = -np.inf
         self._start = self._abort = self._looked_round = self._homing = self._no_way_home = False
@@ -106,6 +106,7 @@ class Conductor:
         self._map_newest_frame(now_s)
         if vehicle is not None:
             self._course.follow(vehicle)
+            self._hear_guard(now_s, vehicle)
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
         self._publish(now_s)
@@ -122,6 +123,14 @@ class Conductor:
         self.map = self._stages.voxels.snapshot()
         if self._account.views_left > 0 and self._captures.take(posed.frame.stamp_s) and self._stages.mapper.add(posed):
             self._account.view(posed)
+
+    def _hear_guard(self, now_s: float, vehicle: VehicleState) -> None:
+        """A refused trajectory is not flown on: the vehicle hovers where the guard stopped it, and the plan is made anew."""
+        if vehicle.refusals > self._refusals and self._course.trajectory is not None:
+            self._account.refusal(now_s, vehicle.note)
+            here, identifier = self._course.place(vehicle), self._course.next_identifier()
+            self._fly(self._stages.motion.line(here, here.position_m, here.yaw_rad, now_s, identifier), now_s)
+        self._refusals = vehicle.refusals
 
     def _facts(self, now_s: float, vehicle: VehicleState) -> Facts:
         return Facts(

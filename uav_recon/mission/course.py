@@ -50,10 +50,14 @@ class Course:
     def rest(self, vehicle: VehicleState) -> Setpoint:
         """The setpoint held now: the end of the trajectory, or where the vehicle stands if there was none."""
         if self.trajectory is None:
-            pose = vehicle.world_from_body
-            return Setpoint.hold(pose.translation_m, pose.yaw_rad(), self._pitch_down_rad)
+            return self.place(vehicle)
         end = self.trajectory.setpoint_at(self.trajectory.start_s + self.trajectory.duration_s)
         return Setpoint.hold(end.position_m, end.yaw_rad, end.camera_pitch_down_rad)
+
+    def place(self, vehicle: VehicleState) -> Setpoint:
+        """A hold where the vehicle is now."""
+        pose = vehicle.world_from_body
+        return Setpoint.hold(pose.translation_m, pose.yaw_rad(), self._pitch_down_rad)
 
     def way_back(self) -> tuple[FloatArray, ...]:
         """Breadcrumbs from here to the pad's first hover, newest first, loops cut out."""
