@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from box_world import FIXED, GIMBAL
 
-from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry, aim, eye, in_view
+from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry, aim, in_view, sight
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.pose import Pose
 
@@ -26,10 +26,9 @@ def test_the_frustum_is_that_of_an_optical_camera_on_a_body() -> None:
             and 0.3 <= np.linalg.norm(optical) <= 4.5
         )
         place = body * 10
-        camera = np.array(eye(lens, place[0], place[1], place[2], yaw))
-        np.testing.assert_allclose(camera / 10, world_from_camera.translation_m, atol=1e-9)
-        offset = point * 10 - camera
-        assert in_view(lens, yaw, pitch, offset[0], offset[1], offset[2]) == expected
+        line = sight(lens, place, yaw, pitch)
+        np.testing.assert_allclose(np.array(line[:3]) / 10, world_from_camera.translation_m, atol=1e-9)
+        assert in_view(lens, line, point[0] * 10, point[1] * 10, point[2] * 10) == expected
         seen += bool(expected)
     assert seen > 100
 

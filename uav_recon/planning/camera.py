@@ -13,6 +13,8 @@ EDGE_MARGIN = 0.95  # of the half-frustum's tangent: what a small error of pose 
 # order of the numbers in CameraGeometry.lens()
 TAN_H, TAN_V, NEAR, RANGE, CAM_X, CAM_Y, CAM_Z, PITCH_MIN, PITCH_MAX = range(9)
 
+Sight = tuple[float, float, float, float, float, float, float]  # eye x, y, z, cos and sin of yaw, cos and sin of pitch
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraGeometry:
@@ -56,20 +58,6 @@ class CameraGeometry:
 
 
 @kernel
-def in_view(lens: FloatArray, yaw_rad: float, pitch_down_rad: float, dx: float, dy: float, dz: float) -> bool:
-    """Tell whether an offset from the camera (voxels, world axes) is in front of it, inside its frustum and its range."""
-    distance2 = dx * dx + dy * dy + dz * dz
-    if distance2 > lens[RANGE] * lens[RANGE] or distance2 < lens[NEAR] * lens[NEAR]:
-        return False
-    cy, sy, cp, sp = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_down_rad), np.sin(pitch_down_rad)
-    along = cy * dx + sy * dy
-    forward = cp * along - sp * dz
-    left = -sy * dx + cy * dy
-    up = sp * along + cp * dz
-    return bool(forward > 0.0 and abs(left) <= forward * lens[TAN_H] and abs(up) <= forward * lens[TAN_V])
-
-
-@kernel
 def aim(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float, tz: float) -> tuple[float, float]:
     """Yaw and pitch (down) with which a body at (x, y, z) looks at a target, voxels; pitch as near as the mount allows."""
     dx, dy = tx - x, ty - y
@@ -80,7 +68,24 @@ def aim(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float, tz
 
 
 @kernel
-def eye(lens: FloatArray, x: float, y: float, z: float, yaw_rad: float) -> tuple[float, float, float]:
-    """Where the camera is when a level body is at (x, y, z), voxels."""
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    return x + c * lens[CAM_X] - s * lens[CAM_Y], y + s * lens[CAM_X] + c * lens[CAM_Y], z + lens[CAM_Z]
+def sight(lens: FloatArray, place: FloatArray, yaw_rad: float, pitch_down_rad: float) -> Sight:
+    """Line of sight of a level body at ``place`` (3,), voxels: where its camera is, and cosines and sines of its angles."""
+    cy, sy = np.cos(yaw_rad), np.sin(yaw_rad)
+    x = place[0] + cy * lens[CAM_X] - sy * lens[CAM_Y]
+    y = place[1] + sy * lens[CAM_X] + cy * lens[CAM_Y]
+    return x, y, place[2] + lens[CAM_Z], cy, sy, np.cos(pitch_down_rad), np.sin(pitch_down_rad)
+
+
+@kernel
+def in_view(lens: FloatArray, sight: Sight, x: float, y: float, z: float) -> bool:
+    """Tell whether a point (voxels) is in front of the camera, inside its frustum and its range."""
+    eye_x, eye_y, eye_z, cy, sy, cp, sp = sight
+    dx, dy, dz = x - eye_x, y - eye_y, z - eye_z
+    distance2 = dx * dx + dy * dy + dz * dz
+    if distance2 > lens[RANGE] * lens[RANGE] or distance2 < lens[NEAR] * lens[NEAR]:
+        return False
+    along = cy * dx + sy * dy
+    forward = cp * along - sp * dz
+    left = -sy * dx + cy * dy
+    up = sp * along + cp * dz
+    return bool(forward > 0.0 and abs(left) <= forward * lens[TAN_H] and abs(up) <= forward * lens[TAN_V])

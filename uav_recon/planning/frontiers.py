@@ -105,13 +105,25 @@ def connected_cells(mask: BoolArray) -> list[IntArray]:
 
 def split(cells: IntArray, max_extent: float) -> list[IntArray]:
     """Halve along the first principal component (3-D) until no part is longer than ``max_extent`` voxels along its own."""
-    offsets = cells - cells.mean(axis=0)
-    if len(cells) < 2 or float(np.ptp(offsets, axis=0).max()) * np.sqrt(3.0) <= max_extent:
+    along = _along_main_axis(cells)
+    if float(along.max() - along.min()) <= max_extent:
         return [cells]
-    _, axes = np.linalg.eigh(offsets.T @ offsets)
-    along = offsets @ axes[:, 2]
-    if float(np.ptp(along)) <= max_extent:
-        return [cells]
-    # eigenvectors have no sign of their own: the half that holds the first cell comes first
+    # an axis has no sign of its own: the half that holds the first cell comes first
     first = (along > 0) == (along[0] > 0)
     return split(cells[first], max_extent) + split(cells[~first], max_extent)
+
+
+@kernel
+def _along_main_axis(cells: IntArray) -> FloatArray:
+    """Coordinate (N,) of each cell along the first principal component, from the mean."""
+    offsets = cells.astype(np.float64)
+    for axis in range(3):
+        offsets[:, axis] -= offsets[:, axis].mean()
+    covariance = np.zeros((3, 3))
+    for n in range(len(offsets)):
+        for a in range(3):
+            for b in range(3):
+                covariance[a, b] += offsets[n, a] * offsets[n, b]
+    _, axes = np.linalg.eigh(covariance)
+    along: FloatArray = offsets @ axes[:, 2].copy()
+    return along

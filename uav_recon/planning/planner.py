@@ -68,20 +68,20 @@ class AdaptivePlanner:
         if isinstance(situation, str):
             return self._nothing(situation, start_s, start_s)
         census = find_frontiers(faces, self.visited.exhausted(), request.voxels.grid.resolution_m)
-        explore, without_view = self._frontier_views.propose(situation, census.frontiers)
-        mode = self._mode.choose(np.array([proposal.distance_m for proposal in explore]))
-        widening = 1.0 if explore else self._config.end_factor
-        tasks = self._frontier_views.without_redundant(situation, explore, faces)
+        explore = self._frontier_views.propose(situation, census.frontiers)
+        mode = self._mode.choose(explore.distances_m())
+        widening = 1.0 if explore.proposals else self._config.end_factor
+        tasks = self._frontier_views.without_redundant(situation, explore.proposals, faces)
         tasks += self._reconstruct(mode, situation, request.surface, widening)
         tasks_made_s = self._timer()
         if not tasks:
-            return self._nothing(_why(census, without_view, request.voxels.state, faces), start_s, tasks_made_s)
+            return self._nothing(_why(census, explore.without_view, request.voxels.state, faces), start_s, tasks_made_s)
         tasks = nearest(tasks, MAX_TOUR_TASKS)
         routes = Routes(situation, request.position_world, tasks)
         order = self._order(request, routes, tasks)
         horizon_m = self._config.horizon_m * widening
         path = self._path(
-            request, mode, routes, tasks, within_horizon(order, routes.lengths_m(), horizon_m), start_s, tasks_made_s
+            request, mode, routes, tasks, within_horizon(order, routes.lengths_m, horizon_m), start_s, tasks_made_s
         )
         self.visited.promise(path, tuple(tasks[node - 1] for node in order[: len(path.viewpoints)]))
         return path

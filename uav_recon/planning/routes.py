@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.planning.proposal import Proposal, Situation
-from uav_recon.planning.search import chain, distances_from, length_of, line_is_open, pull
+from uav_recon.planning.search import chain, departure, distances_from, length_of, line_is_open, pull
 from uav_recon.types.frames import FloatArray, IntArray
 
 LEAVING_TURN_SHARE = 0.25  # of the time to turn from a view's heading into the direction of flight: the camera should lead
@@ -15,7 +15,9 @@ BRAKING_MPS2 = 0.8  # changing the present velocity costs time too
 class Routes:
     """Shortest pulled ways between node 0 (the vehicle) and nodes 1..N (the proposals' viewpoints).
 
-    Lengths are exact 26-connected paths on the flyable voxels, pulled straight; where the straight line is open it is the way.
+    lengths_m: (N+1, N+1), symmetric. departures: (N+1, N+1, 3), unit directions in which the way from i to j leaves i, zero
+    where it does not move. Ways are exact 26-connected paths on the flyable voxels, pulled straight; where the straight line
+    is open it is the way.
     """
 
     def __init__(self, situation: Situation, position_world: FloatArray, proposals: list[Proposal]) -> None:
@@ -26,6 +28,7 @@ class Routes:
         self._from_vehicle(situation, position_world, cells)
         for i in range(1, len(cells)):
             self._from_task(i, cells)
+        self.lengths_m, self.departures = self._measure()
 
     def way_world(self, i: int, j: int) -> FloatArray:
         """Polyline (M, 3) in world from node i to node j, both ends included; one point if they are the same."""
@@ -33,21 +36,13 @@ class Routes:
         moved = np.concatenate(([True], np.any(np.abs(np.diff(way, axis=0)) > 1e-9, axis=1)))
         return np.ascontiguousarray(self._space.world(way[moved]))
 
-    def lengths_m(self) -> FloatArray:
-        """Lengths (N+1, N+1) in metres, symmetric."""
-        lengths = np.zeros((len(self._points), len(self._points)))
+    def _measure(self) -> tuple[FloatArray, FloatArray]:
+        count = len(self._points)
+        lengths_m, departures = np.zeros((count, count)), np.zeros((count, count, 3))
         for (i, j), way in self._ways.items():
-            lengths[i, j] = lengths[j, i] = length_of(way) * self._space.grid.resolution_m
-        return lengths
-
-    def departures(self) -> FloatArray:
-        """Unit directions (N+1, N+1, 3) in which the way from i to j leaves i; zero where it does not move."""
-        out = np.zeros((len(self._points), len(self._points), 3))
-        for (i, j), way in self._ways.items():
-            if len(way) > 1:
-                out[i, j] = _direction(way[0], way[1])
-                out[j, i] = _direction(way[-1], way[-2])
-        return out
+            lengths_m[i, j] = lengths_m[j, i] = length_of(way) * self._space.grid.resolution_m
+            departures[i, j], departures[j, i] = departure(way), departure(way[::-1])
+        return lengths_m, departures
 
     def _from_vehicle(self, situation: Situation, position_world: FloatArray, cells: IntArray) -> None:
         position = self._space.padded(position_world)
@@ -86,20 +81,15 @@ def time_costs(
     Leaving a view against its heading costs a share of that turn; leaving the vehicle's place costs the change of velocity.
     """
     yaws = np.array([yaw_rad] + [proposal.task.viewpoint.yaw_rad for proposal in proposals])
-    departures = routes.departures()
+    departures = routes.departures
     turn = np.abs(_wrapped(yaws[None, :] - yaws[:, None]))
     bearing = np.arctan2(departures[:, :, 1], departures[:, :, 0])
     moves_flat = np.linalg.norm(departures[:, :, :2], axis=2) > 0.1
     leaving = np.where(moves_flat, np.abs(_wrapped(bearing - yaws[:, None])), 0.0)
-    costs = np.maximum(routes.lengths_m() / speed_mps, turn / yaw_rate_radps) + LEAVING_TURN_SHARE * leaving / yaw_rate_radps
+    costs = np.maximum(routes.lengths_m / speed_mps, turn / yaw_rate_radps) + LEAVING_TURN_SHARE * leaving / yaw_rate_radps
     speed_now = float(np.linalg.norm(velocity_world_mps))
     costs[0] += (speed_now - departures[0] @ velocity_world_mps) / BRAKING_MPS2
     return np.asarray(costs, dtype=np.float64)
-
-
-def _direction(a: FloatArray, b: FloatArray) -> FloatArray:
-    length = float(np.linalg.norm(b - a))
-    return (b - a) / length if length > 1e-9 else np.zeros(3)
 
 
 def _wrapped(angle_rad: FloatArray) -> FloatArray:

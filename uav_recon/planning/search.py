@@ -130,9 +130,26 @@ def pull(mask: ByteArray, points: FloatArray) -> FloatArray:
     return points[keep]
 
 
+@kernel
 def length_of(points: FloatArray) -> float:
     """Length of a polyline (N, 3), in its own unit."""
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    total = 0.0
+    for n in range(1, len(points)):
+        dx, dy, dz = points[n, 0] - points[n - 1, 0], points[n, 1] - points[n - 1, 1], points[n, 2] - points[n - 1, 2]
+        total += math.sqrt(dx * dx + dy * dy + dz * dz)
+    return total
+
+
+@kernel
+def departure(points: FloatArray) -> FloatArray:
+    """Unit direction (3,) in which a polyline (N, 3) leaves its first point; zero where it does not move."""
+    for n in range(1, len(points)):
+        step = points[n] - points[0]
+        length = math.sqrt((step * step).sum())
+        if length > 1e-9:
+            direction: FloatArray = step / length
+            return direction
+    return np.zeros(3)
 
 
 def warm_up() -> None:
@@ -141,4 +158,7 @@ def warm_up() -> None:
     mask[1:3, 1:3, 1:3] = 1
     _, previous = distances_from(mask, 21, np.array([42]), np.inf)
     chain(previous, 42)
-    pull(mask, np.array([[1.5, 1.5, 1.5], [1.5, 2.5, 1.5], [2.5, 2.5, 2.5]]))
+    way = pull(mask, np.array([[1.5, 1.5, 1.5], [1.5, 2.5, 1.5], [2.5, 2.5, 2.5]]))
+    for polyline in (way, way[::-1]):  # both memory layouts that routes uses
+        length_of(polyline)
+        departure(polyline)

@@ -13,7 +13,7 @@ import numpy as np
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import is_visible
-from uav_recon.planning.camera import RANGE, CameraGeometry, aim, eye, in_view
+from uav_recon.planning.camera import RANGE, CameraGeometry, aim, in_view, sight
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.planning.search import distances_from
 from uav_recon.planning.viewpoints import shell
@@ -128,12 +128,13 @@ def _gain(
 ) -> tuple[float, int, FloatArray]:
     """Sum of (n.v) sigma over visible elements, their number, and the cosine under which each is seen (0 = not)."""
     cosine = np.zeros(len(position))
-    ex, ey, ez = eye(lens, place[0], place[1], place[2], yaw)
+    line = sight(lens, place, yaw, pitch)
+    ex, ey, ez = line[0], line[1], line[2]
     total, count = 0.0, 0
     for n in range(len(position)):
-        dx, dy, dz = position[n, 0] - ex, position[n, 1] - ey, position[n, 2] - ez
-        if not in_view(lens, yaw, pitch, dx, dy, dz):
+        if not in_view(lens, line, position[n, 0], position[n, 1], position[n, 2]):
             continue
+        dx, dy, dz = position[n, 0] - ex, position[n, 1] - ey, position[n, 2] - ez
         # outward normals: an element seen from behind is the far side of something thin
         facing = -(normal[n, 0] * dx + normal[n, 1] * dy + normal[n, 2] * dz) / np.sqrt(dx * dx + dy * dy + dz * dz)
         if facing <= 0.0 or not is_visible(state, ex, ey, ez, position[n, 0], position[n, 1], position[n, 2], TAIL):

@@ -7,14 +7,14 @@ alone: that neighbour is what a look from there decides.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import is_visible
-from uav_recon.planning.camera import CameraGeometry, aim, eye, in_view
+from uav_recon.planning.camera import CameraGeometry, Sight, aim, in_view, sight
 from uav_recon.planning.frontiers import FACES, Frontier
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
@@ -25,6 +25,7 @@ PROBE_CELLS = 8  # cells tried from every candidate ...
 FULL_VIEWS = 24  # ... and candidates that are then counted in full
 COVERED_SHARE = 0.7  # of what its own view sees: a frontier that another view shows so well needs no stop of its own
 TRAVEL_DISCOUNT_PER_M = 0.03  # of two views that see the same, the nearer one
+BATCH = 40  # frontiers viewed at once, the nearest first
 _FALLBACK_RADII_M = (0.5, 0.65)  # tight rooms
 _FAR_RADII_M = (2.4, 3.0, 3.6, 4.2)  # a fixed mount sees high and low cells from afar only
 _AZIMUTHS = 16
@@ -70,42 +71,27 @@ def _quality(distance: float, steps: FloatArray) -> float:
 
 
 @kernel
-def _sees_cell(
-    state: ByteArray,
-    lens: FloatArray,
-    x: float,
-    y: float,
-    z: float,
-    yaw: float,
-    pitch: float,
-    cell: IntArray,
-    bits: int,
-    faces: IntArray,
-) -> bool:
-    ex, ey, ez = eye(lens, x, y, z, yaw)
+def _sees_cell(state: ByteArray, lens: FloatArray, line: Sight, cell: IntArray, bits: int, faces: IntArray) -> bool:
     for f in range(6):
         if bits & (1 << f):
-            ux, uy, uz = cell[0] + faces[f, 0] + 0.5, cell[1] + faces[f, 1] + 0.5, cell[2] + faces[f, 2] + 0.5
-            if in_view(lens, yaw, pitch, ux - ex, uy - ey, uz - ez) and is_visible(state, ex, ey, ez, ux, uy, uz, 0.0):
+            x, y, z = cell[0] + faces[f, 0] + 0.5, cell[1] + faces[f, 1] + 0.5, cell[2] + faces[f, 2] + 0.5
+            if in_view(lens, line, x, y, z) and is_visible(state, line[0], line[1], line[2], x, y, z, 0.0):
                 return True
     return False
 
 
 @kernel
-def _count(
-    state: ByteArray,
-    lens: FloatArray,
-    place: FloatArray,
-    yaw: float,
-    pitch: float,
-    cells: IntArray,
-    bits: ByteArray,
-    faces: IntArray,
-) -> BoolArray:
-    seen = np.zeros(len(cells), dtype=np.bool_)
+def _shows(
+    state: ByteArray, lens: FloatArray, line: Sight, cells: IntArray, bits: ByteArray, faces: IntArray, share: float
+) -> bool:
+    """Tell whether a view shows at least a share of the cells; stops as soon as it cannot."""
+    may_miss = int((1.0 - share) * len(cells))
     for n in range(len(cells)):
-        seen[n] = _sees_cell(state, lens, place[0], place[1], place[2], yaw, pitch, cells[n], int(bits[n]), faces)
-    return seen
+        if not _sees_cell(state, lens, line, cells[n], int(bits[n]), faces):
+            may_miss -= 1
+            if may_miss < 0:
+                return False
+    return True
 
 
 @kernel
@@ -135,9 +121,10 @@ def _probe(
             continue
         x, y, z = places[p, 0], places[p, 1], places[p, 2]
         yaw, pitch = aim(lens, x, y, z, centre[0], centre[1], centre[2])
+        line = sight(lens, places[p], yaw, pitch)
         count = 0
         for n in range(stride // 2, len(cells), stride):
-            if _sees_cell(state, lens, x, y, z, yaw, pitch, cells[n], int(bits[n]), faces):
+            if _sees_cell(state, lens, line, cells[n], int(bits[n]), faces):
                 count += 1
         distance = np.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2 + (z - centre[2]) ** 2)
         scores[p] = count * _quality(distance, steps)
@@ -173,7 +160,10 @@ def _best_view(
         if len(cells) * factor <= best_score:
             continue  # not even all cells would make it the best
         for turn in range(2):
-            seen = _count(state, lens, place, yaw, pitch, cells, bits, faces)
+            line = sight(lens, place, yaw, pitch)
+            seen = np.zeros(len(cells), dtype=np.bool_)
+            for n in range(len(cells)):
+                seen[n] = _sees_cell(state, lens, line, cells[n], int(bits[n]), faces)
             score = seen.sum() * factor
             if score > best_score:
                 best, best_yaw, best_pitch, best_score = p, yaw, pitch, score
@@ -192,6 +182,19 @@ def _best_view(
     return best, best_yaw, best_pitch, best_seen
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FrontierProposals:
+    """Tasks for frontiers; how many have no view, by reason; and how many farther ones were left for later."""
+
+    proposals: list[Proposal]
+    without_view: Counter[str]
+    later: int
+
+    def distances_m(self) -> FloatArray:
+        """Path length to each frontier's view, infinite for those left for later, (N,)."""
+        return np.array([proposal.distance_m for proposal in self.proposals] + [np.inf] * self.later)
+
+
 class FrontierViews:
     """Finds the best view of each frontier for one vehicle and camera."""
 
@@ -199,24 +202,30 @@ class FrontierViews:
         self._config = config
         self._camera = camera
 
-    def propose(self, situation: Situation, frontiers: tuple[Frontier, ...]) -> tuple[list[Proposal], Counter[str]]:
-        """Return a task per frontier that can be seen from somewhere, and how many cannot, by reason."""
-        resolution_m = situation.voxels.grid.resolution_m
-        lens = self._camera.lens(resolution_m, self._camera.range_m)
-        offsets = explore_shell(self._config, self._camera, resolution_m)
-        steps = quality_steps(self._config, resolution_m)
+    def propose(self, situation: Situation, frontiers: tuple[Frontier, ...]) -> FrontierProposals:
+        """Find views for the nearest frontiers, BATCH at a time, until a batch has given a task.
+
+        The tour executes only the first few metres: far frontiers can wait until they are near.
+        """
+        grid = situation.voxels.grid
+        lens = self._camera.lens(grid.resolution_m, self._camera.range_m)
+        offsets = explore_shell(self._config, self._camera, grid.resolution_m)
+        steps = quality_steps(self._config, grid.resolution_m)
         here = situation.space.centre(situation.exit_cells[-1:]) - 1.0
+        centres = np.array([frontier.centre_voxels() for frontier in frontiers]).reshape(-1, 3)
+        near_first = np.argsort(((centres - here) ** 2).sum(axis=1), kind="stable")
         proposals: list[Proposal] = []
         without: Counter[str] = Counter()
-        for frontier in frontiers:
-            centre = frontier.centre_voxels()
-            places = np.concatenate([np.floor(centre + offsets) + 0.5, here])
-            found = self._propose_one(situation, frontier, centre, places, lens, steps)
+        for done, n in enumerate(near_first):
+            if proposals and done % BATCH == 0:
+                break
+            places = np.concatenate([np.floor(centres[n] + offsets) + 0.5, here])
+            found = self._propose_one(situation, frontiers[n], centres[n], places, lens, steps)
             if isinstance(found, Proposal):
                 proposals.append(found)
             else:
                 without[REASONS[found]] += 1
-        return proposals, without
+        return FrontierProposals(proposals, without, len(frontiers) - len(proposals) - without.total())
 
     def _propose_one(
         self,
@@ -263,10 +272,10 @@ class FrontierViews:
             best = proposals[left.pop(0)]
             view = best.task.viewpoint
             place = (view.position_world - grid.origin_world_m) / grid.resolution_m
-            sight = (situation.voxels.state, lens, place, view.yaw_rad, view.pitch_down_rad)
+            line = sight(lens, place, view.yaw_rad, view.pitch_down_rad)
             promised = [best.promised]
             for n in tuple(left):
-                if np.mean(_count(*sight, cells[n], bits[n], FACES)) >= COVERED_SHARE:
+                if _shows(situation.voxels.state, lens, line, cells[n], bits[n], FACES, COVERED_SHARE):
                     promised.append(proposals[n].promised)
                     left.remove(n)
             cells_promised = np.concatenate(promised)

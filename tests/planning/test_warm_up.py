@@ -1,0 +1,47 @@
+"""A kernel compiled in mid-flight costs a second and more: warm_up() leaves nothing to compile."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+PROBE = """
+import sys
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+sys.path.insert(0, sys.argv[1])
+from box_world import GIMBAL, MEETING_ROOM, BoxWorld
+from test_planner import surface_of
+from uav_recon.config import PlannerConfig
+from uav_recon.planning import planner as planning
+from uav_recon.types.tasks import PlanRequest
+
+def compiled():
+    kernels = {
+        (name, key): value
+        for name, module in list(sys.modules.items()) if name.startswith("uav_recon.")
+        for key, value in vars(module).items() if isinstance(value, Dispatcher)
+    }
+    return {key: len(value.signatures) for key, value in kernels.items()}
+
+planning.warm_up()
+before = compiled()
+assert len(before) > 15, before
+world = BoxWorld(MEETING_ROOM, GIMBAL, np.array([3.0, 1.0, 1.2]))
+world.look_round()
+planner = planning.AdaptivePlanner(PlannerConfig(), np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, 0.8, 0.8)
+for position in ((3.0, 1.0, 1.2), (3.0, 0.15, 1.2), (9.0, 9.0, 9.0)):
+    asked = world.request()
+    planner.plan(PlanRequest(asked.voxels, surface_of(MEETING_ROOM), np.array(position), 0.0, 50))
+after = compiled()
+assert before == after, {key: (before[key], after[key]) for key in before if before[key] != after[key]}
+"""
+
+
+def test_nothing_is_compiled_after_warm_up() -> None:
+    # a fresh process: here, earlier tests have compiled whatever they needed
+    probe = subprocess.run(
+        [sys.executable, "-c", PROBE, str(Path(__file__).parent)], capture_output=True, text=True, check=False, timeout=240
+    )
+    assert probe.returncode == 0, probe.stderr
