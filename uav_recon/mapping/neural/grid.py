@@ -122,14 +122,14 @@ def locate(grid: Grid, points: Float32Array, start: int, count: int, node: AnyAr
             row = level * 8
             uv00, uv01, uv10, uv11 = (_ONE - u) * (_ONE - v), (_ONE - u) * v, u * (_ONE - v), u * v
             w0 = _ONE - w
-            node[row, p] = (grid.slot[x0 + y0 + z0] << 3) + (in_x0 + in_y0 + in_z0)
-            node[row + 1, p] = (grid.slot[x0 + y0 + z1] << 3) + (in_x0 + in_y0 + in_z1)
-            node[row + 2, p] = (grid.slot[x0 + y1 + z0] << 3) + (in_x0 + in_y1 + in_z0)
-            node[row + 3, p] = (grid.slot[x0 + y1 + z1] << 3) + (in_x0 + in_y1 + in_z1)
-            node[row + 4, p] = (grid.slot[x1 + y0 + z0] << 3) + (in_x1 + in_y0 + in_z0)
-            node[row + 5, p] = (grid.slot[x1 + y0 + z1] << 3) + (in_x1 + in_y0 + in_z1)
-            node[row + 6, p] = (grid.slot[x1 + y1 + z0] << 3) + (in_x1 + in_y1 + in_z0)
-            node[row + 7, p] = (grid.slot[x1 + y1 + z1] << 3) + (in_x1 + in_y1 + in_z1)
+            node[row, p] = (grid.slot[np.uint64(x0 + y0 + z0)] << 3) + (in_x0 + in_y0 + in_z0)
+            node[row + 1, p] = (grid.slot[np.uint64(x0 + y0 + z1)] << 3) + (in_x0 + in_y0 + in_z1)
+            node[row + 2, p] = (grid.slot[np.uint64(x0 + y1 + z0)] << 3) + (in_x0 + in_y1 + in_z0)
+            node[row + 3, p] = (grid.slot[np.uint64(x0 + y1 + z1)] << 3) + (in_x0 + in_y1 + in_z1)
+            node[row + 4, p] = (grid.slot[np.uint64(x1 + y0 + z0)] << 3) + (in_x1 + in_y0 + in_z0)
+            node[row + 5, p] = (grid.slot[np.uint64(x1 + y0 + z1)] << 3) + (in_x1 + in_y0 + in_z1)
+            node[row + 6, p] = (grid.slot[np.uint64(x1 + y1 + z0)] << 3) + (in_x1 + in_y1 + in_z0)
+            node[row + 7, p] = (grid.slot[np.uint64(x1 + y1 + z1)] << 3) + (in_x1 + in_y1 + in_z1)
             weight[row, p] = uv00 * w0
             weight[row + 1, p] = uv00 * w
             weight[row + 2, p] = uv01 * w0
@@ -147,20 +147,22 @@ def locate(grid: Grid, points: Float32Array, start: int, count: int, node: AnyAr
 @fast_kernel
 def gather(features: Float32Array, node: AnyArray, weight: Float32Array, encoded: Float32Array) -> None:
     """Interpolate: encoded (ENCODED, POINTS) from features (S, 16)."""
+    flat = features.reshape(-1)
     for level in range(LEVELS):
+        row = level * 8
         for p in range(POINTS):
             f0, f1 = np.float32(0.0), np.float32(0.0)
             for corner in range(8):
-                at = node[level * 8 + corner, p]
-                w = weight[level * 8 + corner, p]
-                f0 += w * features[at >> 3, (at & 7) * 2]
-                f1 += w * features[at >> 3, (at & 7) * 2 + 1]
+                at = np.uint64(node[row + corner, p]) << np.uint64(1)  # slot * 16 + place in block * 2
+                w = weight[row + corner, p]
+                f0 += w * flat[at]
+                f1 += w * flat[at + np.uint64(1)]
             encoded[level * 2, p] = f0
             encoded[level * 2 + 1, p] = f1
 
 
 class Gradient(NamedTuple):
-    """What a step adds up. features (S, 16) f32, stamp (S,) i64 step that last touched a slot, touched (S,) i32 list of
+    """What a step adds up. features (S, 16) f32, stamp (S,) i32 step that last touched a slot, touched (S,) i32 list of
     slots, state (2,) i64: this step's number and the length of the list.
     """
 
@@ -174,7 +176,7 @@ def make_gradient(slots: int) -> Gradient:
     """All zero."""
     return Gradient(
         np.zeros((slots, 8 * FEATURES), dtype=np.float32),
-        np.zeros(slots, dtype=np.int64),
+        np.zeros(slots, dtype=np.int32),
         np.zeros(slots, dtype=np.int32),
         np.array([1, 0], dtype=np.int64),
     )
@@ -183,22 +185,27 @@ def make_gradient(slots: int) -> Gradient:
 @fast_kernel
 def scatter(d_encoded: Float32Array, count: int, node: AnyArray, weight: Float32Array, gradient: Gradient) -> None:
     """Transpose of gather(); slot 0 learns nothing."""
-    now, listed = gradient.state[0], gradient.state[1]
-    for level in range(LEVELS):
-        for p in range(count):
+    flat = gradient.features.reshape(-1)
+    now, listed = np.int32(gradient.state[0]), gradient.state[1]
+    for p in range(count):  # points outside, levels inside: neighbours on a ray share nodes, and a sum waits for the last one
+        for level in range(LEVELS):
             d0, d1 = d_encoded[level * 2, p], d_encoded[level * 2 + 1, p]
             if d0 == 0.0 and d1 == 0.0:
                 continue
+            last = np.uint64(0)
             for corner in range(8):
-                at = node[level * 8 + corner, p]
-                slot = at >> 3
-                if slot == 0:
+                node_at = np.uint64(node[level * 8 + corner, p])
+                slot = node_at >> np.uint64(3)
+                if slot == np.uint64(0):
                     continue
+                at = node_at << np.uint64(1)
                 w = weight[level * 8 + corner, p]
-                gradient.features[slot, (at & 7) * 2] += w * d0
-                gradient.features[slot, (at & 7) * 2 + 1] += w * d1
-                if gradient.stamp[slot] != now:
-                    gradient.stamp[slot] = now
-                    gradient.touched[listed] = slot
-                    listed += 1
+                flat[at] += w * d0
+                flat[at + np.uint64(1)] += w * d1
+                if slot != last:
+                    last = slot
+                    if gradient.stamp[slot] != now:
+                        gradient.stamp[slot] = now
+                        gradient.touched[listed] = slot
+                        listed += 1
     gradient.state[1] = listed

@@ -6,7 +6,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
 from uav_recon.mapping.neural.field import Field
-from uav_recon.mapping.neural.grid import Gradient, make_gradient
+from uav_recon.mapping.neural.grid import FEATURES, Gradient, make_gradient
 from uav_recon.mapping.neural.network import PARAMETERS, Network, views
 from uav_recon.types.frames import Float32Array
 
@@ -27,7 +27,7 @@ class Optimiser:
         self.flat_gradient = np.zeros(PARAMETERS, dtype=np.float32)
         self.network_gradient: Network = views(self.flat_gradient)
         self._weight_moments = np.zeros((2, PARAMETERS), dtype=np.float32)
-        self._slot_moments = np.zeros((2, *field.grid.features.shape), dtype=np.float32)
+        self._slot_moments = _slot_moments(field.grid.features.shape[0])
         self._step = 0
 
     def follow_growth(self) -> None:
@@ -38,8 +38,8 @@ class Optimiser:
         grown = make_gradient(slots)
         grown.state[0] = self.gradient.state[0]
         grown.stamp[:held] = self.gradient.stamp
-        moments = np.zeros((2, *self._field.grid.features.shape), dtype=np.float32)
-        moments[:, :held] = self._slot_moments
+        moments = _slot_moments(slots)
+        moments[:held] = self._slot_moments
         self.gradient, self._slot_moments = grown, moments
 
     def step(self, rate_factor: float = 1.0) -> None:
@@ -48,8 +48,13 @@ class Optimiser:
         first, second = self._weight_moments
         rate = WEIGHT_RATE * rate_factor
         step_weights(self._field.parameters, self.flat_gradient, first, second, rate, self._step)
-        first, second = self._slot_moments
-        step_slots(self._field.grid.features, self.gradient, first, second, GRID_RATE * rate_factor, self._step)
+        rate = GRID_RATE * rate_factor
+        step_slots(self._field.grid.features, self.gradient, self._slot_moments, rate, self._step)
+
+
+def _slot_moments(slots: int) -> Float32Array:
+    """First, then second moments of a slot, side by side in memory: the step waits for memory, not for arithmetic."""
+    return np.zeros((slots, 2, 8 * FEATURES), dtype=np.float32)
 
 
 @fast_kernel
@@ -67,20 +72,18 @@ def step_weights(
 
 
 @fast_kernel
-def step_slots(
-    value: Float32Array, gradient: Gradient, first: Float32Array, second: Float32Array, rate: float, step: int
-) -> None:
+def step_slots(value: Float32Array, gradient: Gradient, moments: Float32Array, rate: float, step: int) -> None:
     """One step on the touched slots of features (S, 16); entries without a gradient keep value and moments."""
     scale = _corrected(rate, step)
     for n in range(gradient.state[1]):
-        slot = gradient.touched[n]
-        for i in range(value.shape[1]):
+        slot = np.uint64(gradient.touched[n])
+        for i in range(8 * FEATURES):
             g = gradient.features[slot, i]
             hit = g != 0.0
-            m = BETA_1 * first[slot, i] + (_ONE - BETA_1) * g
-            v = BETA_2 * second[slot, i] + (_ONE - BETA_2) * g * g
-            first[slot, i] = m if hit else first[slot, i]
-            second[slot, i] = v if hit else second[slot, i]
+            m = BETA_1 * moments[slot, 0, i] + (_ONE - BETA_1) * g
+            v = BETA_2 * moments[slot, 1, i] + (_ONE - BETA_2) * g * g
+            moments[slot, 0, i] = m if hit else moments[slot, 0, i]
+            moments[slot, 1, i] = v if hit else moments[slot, 1, i]
             value[slot, i] -= scale * m / (np.sqrt(v) + EPSILON) if hit else np.float32(0.0)
             gradient.features[slot, i] = 0.0
     gradient.state[0] += 1

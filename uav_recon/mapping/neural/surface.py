@@ -1,7 +1,7 @@
 """From the field to a surface, only where the camera measured one.
 
-Two gates keep imagined surface out: nodes are evaluated only near measured end points, and what comes out must agree
-with the measured normals, and for the final mesh with the depth images themselves.
+Gates keep imagined surface out: nodes are evaluated only near measured end points; what comes out must agree with the
+measured normals; and no more depth images may look through it than see it. So small holes close and sheets do not grow.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from uav_recon.types.maps import SurfaceElements, TriangleMesh
 EVIDENCE_CELL_M = 0.05
 EVIDENCE_SIGMA_M = 0.10  # a vaguer measurement does not say where the surface is
 SHEET_M = 0.006  # a vertex whose own distance is larger belongs to the border of the band, not to the surface
-CONFIRM_SIGMAS, CONFIRM_M = 2.0, 0.02  # a depth image confirms a vertex within sigmas * sigma_z + this ...
-CONFIRM_COSINE = 0.15  # ... of a surface that faces it
+SAW_SIGMAS, SAW_M = 2.0, 0.02  # a depth image confirms a vertex within sigmas * sigma_z + this ...
+SAW_COSINE = 0.15  # ... of a surface that faces it
 
 
 class Evidence:
@@ -66,16 +66,16 @@ def surface_elements(
 
 
 def triangle_mesh(
-    field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, confirm: Confirmation
+    field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, images: Testimony
 ) -> TriangleMesh:
-    """The whole surface as triangles, as far as depth images confirm it."""
+    """The whole surface as triangles, without what the depth images refute."""
     vertices, normals, quads = _extract(field, evidence, voxel_m)
     for _ in range(2):  # surface nets round corners off by a fraction of a voxel: slide back onto the level set
         slip = np.clip(field.distance_m(vertices), -0.5 * voxel_m, 0.5 * voxel_m)
         vertices = (vertices - slip[:, None] * normals).astype(np.float32)
     keep = np.abs(field.distance_m(vertices)) < SHEET_M
     keep &= ~evidence.contradicts(vertices, normals)
-    keep &= confirm.seen(vertices, normals)
+    keep &= ~images.refute(vertices, normals)
     quads = quads[keep[quads].all(axis=1)]
     quads = quads[_in_large_parts(quads, len(vertices))]
     used, quads = np.unique(quads, return_inverse=True)
@@ -118,8 +118,8 @@ def _in_large_parts(quads: IntArray, vertex_count: int, fewest: int = 40) -> Boo
     return large
 
 
-class Confirmation:
-    """Depth images of all keyframes at half resolution, to ask whether one of them saw a point."""
+class Testimony:
+    """Depth images of all keyframes at half resolution, to ask whether they looked through a point."""
 
     def __init__(self) -> None:
         self._depth_mm: list[AnyArray] = []
@@ -137,14 +137,14 @@ class Confirmation:
         self._depth_from_world.append((rotation.T.copy(), -rotation.T @ position))
         self._sigma.append(inverse_depth_sigma)
 
-    def seen(self, points: Float32Array, normals: Float32Array) -> BoolArray:
-        """Whether points (N, 3) with normals (N, 3) are confirmed by images, and contradicted by fewer."""
+    def refute(self, points: Float32Array, normals: Float32Array) -> BoolArray:
+        """Whether more images looked through a place than saw a surface there: points (N, 3), normals (N, 3)."""
         score = np.zeros(len(points), dtype=np.float32)
         for image, lens, (rotation, translation), sigma in zip(
             self._depth_mm, self._lens, self._depth_from_world, self._sigma, strict=True
         ):
             _vote(image, lens, rotation, translation, sigma, points, normals, score)
-        return score > 0.0
+        return score < 0.0
 
 
 @kernel
@@ -162,19 +162,27 @@ def _vote(
         y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
         u = int(np.floor((x / z * lens[0] + lens[2]) * 0.5 + 0.5))
         v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
-        if u < 0 or v < 0 or u >= width or v >= height or image[v, u] == 0:
+        if u < 1 or v < 1 or u >= width - 1 or v >= height - 1:
             continue
-        measured = image[v, u] * 0.001
-        gate = CONFIRM_SIGMAS * inverse_sigma * z * z + CONFIRM_M
+        gate = SAW_SIGMAS * inverse_sigma * z * z + SAW_M
         facing = -(
             (rotation[0, 0] * normals[n, 0] + rotation[0, 1] * normals[n, 1] + rotation[0, 2] * normals[n, 2]) * x
             + (rotation[1, 0] * normals[n, 0] + rotation[1, 1] * normals[n, 1] + rotation[1, 2] * normals[n, 2]) * y
             + (rotation[2, 0] * normals[n, 0] + rotation[2, 1] * normals[n, 1] + rotation[2, 2] * normals[n, 2]) * z
         ) / np.sqrt(x * x + y * y + z * z)
-        slope = gate / max(facing, CONFIRM_COSINE) if facing > 0.0 else gate
-        if facing > 0.0 and abs(measured - z) < slope:
-            score[n] += 1.0
-        elif measured > z + 2.0 * slope + 0.03:
+        slope = gate / max(facing, SAW_COSINE) if facing > 0.0 else gate
+        measured, through = 0, 0
+        for near in range(5):  # the pixel and its four neighbours: poses are a pixel off, and edges are ragged
+            depth = 0.001 * image[v + (near == 1) - (near == 2), u + (near == 3) - (near == 4)]
+            if depth == 0.0:
+                continue
+            measured += 1
+            if facing > 0.0 and abs(depth - z) < slope:
+                score[n] += 1.0
+                through = 0
+                break
+            through += depth > z + 2.0 * slope + 0.03
+        if measured > 0 and through == measured:
             score[n] -= 0.5
 
 

@@ -13,7 +13,7 @@ from uav_recon.mapping.neural.optimiser import Optimiser
 from uav_recon.mapping.neural.rays import ray_records
 from uav_recon.mapping.neural.replay import Replay
 from uav_recon.mapping.neural.samples import draw, make_batch
-from uav_recon.mapping.neural.surface import Confirmation, Evidence, surface_elements, triangle_mesh
+from uav_recon.mapping.neural.surface import Evidence, Testimony, surface_elements, triangle_mesh
 from uav_recon.mapping.neural.uncertainty import ColourError, DepthInformation, ProductUncertainty, SurfaceUncertainty
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
@@ -43,7 +43,7 @@ class Trainer:
         self._batch = make_batch()
         self._corners = np.zeros((POINTS, 3), dtype=np.float32)
         self._evidence = Evidence(low, high)
-        self._confirmation = Confirmation()
+        self._images = Testimony()
         self._information, self._colour_error = DepthInformation(low, high), ColourError(low, high)
         self.uncertainty: SurfaceUncertainty = ProductUncertainty(self._colour_error, self._information)
         self.refused, self.steps, self._map_epoch = 0, 0, 0
@@ -70,7 +70,7 @@ class Trainer:
         self._optimiser.follow_growth()
         self._information.add(view.points[0], view.cosine, view.sigma_m)
         self._evidence.add(view.points[0], view.normal, view.sigma_m)
-        self._confirmation.add(frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)
+        self._images.add(frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)
         self._map_epoch = keyframe.map_epoch
         return True
 
@@ -93,7 +93,7 @@ class Trainer:
 
     def mesh(self, voxel_m: float) -> TriangleMesh:
         """Triangles of the surface as it is now."""
-        return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._confirmation)
+        return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._images)
 
     def warm_up(self) -> None:
         """Compile every kernel, on a small trainer of its own."""

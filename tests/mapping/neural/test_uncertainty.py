@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_recon.mapping.neural.uncertainty import (
+    PRIOR_COLOUR_SIGMA,
+    PRIOR_SIGMA_M,
+    ColourError,
+    DepthInformation,
+    ProductUncertainty,
+)
+
+LOW, HIGH = np.zeros(3), np.ones(3)
+NODE = np.array([[0.48, 0.48, 0.48]], dtype=np.float32)  # a node of the 8 cm lattice
+ONE = np.ones(1, dtype=np.float32)
+
+
+def test_information_adds_up_as_inverse_variances() -> None:
+    depth = DepthInformation(LOW, HIGH)
+    assert depth.at(NODE)[0] == pytest.approx(PRIOR_SIGMA_M)
+    depth.add(NODE, ONE, 0.02 * ONE)
+    depth.add(NODE, 0.5 * ONE, 0.01 * ONE)
+    assert depth.at(NODE)[0] == pytest.approx(1.0 / np.sqrt(1 / 0.02**2 + 0.25 / 0.01**2 + 1.0), rel=1e-4)
+
+
+def test_a_point_outside_the_box_counts_nowhere_and_is_not_known() -> None:
+    depth = DepthInformation(LOW, HIGH)
+    outside = np.array([[1.5, 0.5, 0.5]], dtype=np.float32)
+    depth.add(outside, ONE, 0.01 * ONE)
+    assert depth.at(outside)[0] == pytest.approx(PRIOR_SIGMA_M)
+    assert depth.at(NODE)[0] == pytest.approx(PRIOR_SIGMA_M)
+
+
+def test_colour_error_tends_to_the_mean_square() -> None:
+    colour, at = ColourError(LOW, HIGH), np.array([[0.5, 0.5, 0.5]], dtype=np.float32)
+    assert colour.at(at)[0] == pytest.approx(PRIOR_COLOUR_SIGMA)
+    for _ in range(300):
+        colour.add(at, np.array([0.05**2], dtype=np.float32))
+    assert 0.05 < colour.at(at)[0] < 0.08
+
+
+def test_the_product_ranks_badly_known_higher() -> None:
+    depth, colour = DepthInformation(LOW, HIGH), ColourError(LOW, HIGH)
+    both = ProductUncertainty(colour, depth)
+    seen, unseen = NODE, np.array([[0.8, 0.8, 0.8]], dtype=np.float32)
+    depth.add(seen, ONE, 0.01 * ONE)
+    colour.add(seen, np.array([1e-4], dtype=np.float32))
+    assert 0 < both.at(seen)[0] < both.at(unseen)[0]

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
+from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
+from uav_recon.types.pose import Pose
+
+
+def _view(seed: int) -> PosedFrame:
+    random = np.random.default_rng(seed)
+    depth = random.uniform(0.3, 6.0, (24, 32)).astype(np.float32)
+    depth[3, 4:9] = np.nan
+    ramp = np.linspace(0, 255, 40, dtype=np.uint8)
+    rgb = np.stack(np.broadcast_arrays(ramp[None, :], ramp[:30, None], np.uint8(seed * 9)), axis=-1)
+    lens, colour = Intrinsics.from_fov(32, 24, 1.5, 1.0), Intrinsics.from_fov(40, 30, 1.2, 0.7)
+    frame = Frame(seed + 0.25, seed, depth, lens, rgb, colour, Pose.from_yaw(0.1, np.array([0.015, 0.0, 0.0])))
+    return PosedFrame(frame, Pose.from_yaw(0.3 * seed, np.array([1.0, 2.0, seed])), map_epoch=seed % 2)
+
+
+def test_a_keyframe_comes_back_as_it_went(tmp_path: Path) -> None:
+    writer = KeyframeFolder(tmp_path / "keyframes")
+    views = [_view(n) for n in range(3)]
+    assert [writer.save(view) for view in views] == [0, 1, 2]
+    reader = KeyframeFolder(tmp_path / "keyframes")
+    assert len(reader) == 3
+    for number, view in enumerate(views):
+        back = reader.load(number)
+        np.testing.assert_allclose(back.frame.depth_m, view.frame.depth_m, atol=0.0006)
+        assert np.array_equal(np.isnan(back.frame.depth_m), np.isnan(view.frame.depth_m))
+        assert np.abs(back.frame.rgb.astype(int) - view.frame.rgb).mean() < 6
+        assert back.frame.depth_intrinsics == view.frame.depth_intrinsics
+        assert back.frame.rgb_intrinsics == view.frame.rgb_intrinsics
+        assert (back.frame.stamp_s, back.frame.sequence, back.map_epoch) == (number + 0.25, number, number % 2)
+        np.testing.assert_allclose(back.world_from_depth.matrix(), view.world_from_depth.matrix(), atol=1e-12)
+        np.testing.assert_allclose(back.frame.rgb_from_depth.matrix(), view.frame.rgb_from_depth.matrix(), atol=1e-12)
+
+
+def test_a_reader_sees_what_was_written_later_and_nothing_half(tmp_path: Path) -> None:
+    writer = KeyframeFolder(tmp_path)
+    reader = KeyframeFolder(tmp_path)
+    assert len(reader) == 0
+    writer.save(_view(0))
+    reader.refresh()
+    assert len(reader) == 1
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_second_writer_continues_the_numbers(tmp_path: Path) -> None:
+    KeyframeFolder(tmp_path).save(_view(0))
+    assert KeyframeFolder(tmp_path).save(_view(1)) == 1
+
+
+def test_damage_is_named(tmp_path: Path) -> None:
+    folder = KeyframeFolder(tmp_path)
+    folder.save(_view(0))
+    with pytest.raises(KeyframeError, match="keyframe 5"):
+        folder.load(5)
+    (tmp_path / "0000_depth.png").write_bytes(b"not an image")
+    with pytest.raises(KeyframeError, match="keyframe 0"):
+        folder.load(0)
+    (tmp_path / "poses.json").write_text("[")
+    with pytest.raises(KeyframeError, match=r"poses\.json"):
+        KeyframeFolder(tmp_path)
