@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.types.camera import Frame
+from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import AnyArray, ByteArray, Float32Array, FloatArray, IntArray
 
 COLUMNS = 10  # bearing x, y; depth; normal x, y, z (camera; 0 = none); r, g, b; has colour
@@ -25,7 +25,7 @@ def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.
     inverse_depth_sigma: standard deviation of 1/z in 1/m (disparity noise over focal length times baseline).
     """
     k, c = frame.depth_intrinsics, frame.rgb_intrinsics
-    stride = max(1, int(np.ceil(np.sqrt(k.width * k.height / most))))
+    stride = pixel_stride(k, most)
     rows, columns = np.meshgrid(np.arange(0, k.height, stride), np.arange(0, k.width, stride), indexing="ij")
     rows = np.minimum(rows + random.integers(0, stride, rows.shape), k.height - 1).ravel()
     columns = np.minimum(columns + random.integers(0, stride, columns.shape), k.width - 1).ravel()
@@ -45,6 +45,11 @@ def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.
         records,
     )
     return records[:count]
+
+
+def pixel_stride(lens: Intrinsics, most: int) -> int:
+    """Pixels between rays, so that about ``most`` rays cover the picture."""
+    return max(1, int(np.ceil(np.sqrt(lens.width * lens.height / most))))
 
 
 @kernel

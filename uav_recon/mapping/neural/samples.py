@@ -19,7 +19,7 @@ NEAR_BEFORE_M, NEAR_BEHIND_M = np.float32(0.10), np.float32(0.05)
 NEAREST_FREE_M = np.float32(0.15)
 JITTER_M = np.float32(0.015)
 LEAST_COSINE = np.float32(0.15)
-TRUSTED_SIGMA_M = np.float32(0.004)  # a measurement this good has full weight
+POSE_SIGMA_M = np.float32(0.01)  # what poses add to every measurement: weights are inverse variances down to it
 
 DISTANCE_FACTOR, FREE_FACTOR, COLOUR_FACTOR = np.float32(10.0), np.float32(2.0), np.float32(1.0)
 EIKONAL_FACTOR, NORMAL_FACTOR = np.float32(0.1), np.float32(0.1)
@@ -112,7 +112,7 @@ def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high
         nz = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
         has_normal = a * a + b * b + c * c > np.float32(0.5)
         cosine = max(abs(dx * nx + dy * ny + dz * nz), LEAST_COSINE) if has_normal else np.float32(0.7)
-        trust = min(_ONE, TRUSTED_SIGMA_M / sigma)
+        trust = POSE_SIGMA_M * POSE_SIGMA_M / (POSE_SIGMA_M * POSE_SIGMA_M + sigma * sigma)
         for n in range(per_ray):
             at = r * per_ray + n
             if n < NEAR:

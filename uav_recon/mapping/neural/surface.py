@@ -16,7 +16,8 @@ from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 
 EVIDENCE_CELL_M = 0.05
-EVIDENCE_SIGMA_M = 0.10  # a vaguer measurement does not say where the surface is
+FILL_M = 0.15  # surface is filled at most so far from a measured point
+EVIDENCE_SIGMA_M = 0.15  # a vaguer measurement does not say where the surface is
 SHEET_M = 0.006  # a vertex whose own distance is larger belongs to the border of the band, not to the surface
 SAW_SIGMAS, SAW_M = 2.0, 0.02  # a depth image confirms a vertex within sigmas * sigma_z + this ...
 SAW_COSINE = 0.15  # ... of a surface that faces it
@@ -31,9 +32,18 @@ class Evidence:
         self.count = np.zeros(tuple(int(n) for n in np.ceil(extent / EVIDENCE_CELL_M)), dtype=np.int32)
         self._facing = Lattice(box_min_m, box_max_m, 2 * EVIDENCE_CELL_M, 3)
 
-    def add(self, points: Float32Array, normal: Float32Array, sigma_m: Float32Array) -> None:
-        """Count end points (N, 3) with normals (N, 3) (zero = not known) and depth sigma (N,)."""
-        _count(self.count, self.origin_m, EVIDENCE_CELL_M, points, sigma_m)
+    def add(
+        self,
+        position_m: FloatArray,
+        points: Float32Array,
+        normal: Float32Array,
+        sigma_m: Float32Array,
+        footprint_m: Float32Array,
+    ) -> None:
+        """Count end points (N, 3) seen from position_m (3,), with normals (N, 3) (zero = not known), depth sigma (N,) and
+        distance to the next ray across the line of sight (N,): far and slanted surface is filled between the rays.
+        """
+        _count(self.count, self.origin_m, EVIDENCE_CELL_M, position_m, points, normal, sigma_m, footprint_m)
         self._facing.splat(points, normal)
 
     def near(self, least: int) -> BoolArray:
@@ -187,16 +197,41 @@ def _vote(
 
 
 @kernel
-def _count(count: AnyArray, origin: FloatArray, cell_m: float, points: Float32Array, sigma_m: Float32Array) -> None:
+def _count(
+    count: AnyArray, origin: FloatArray, cell_m: float, position: FloatArray,
+    points: Float32Array, normal: Float32Array, sigma_m: Float32Array, footprint_m: Float32Array,
+) -> None:  # fmt: skip
     nx, ny, nz = count.shape
+    along, across = np.zeros(3), np.zeros(3)
     for n in range(points.shape[0]):
         if sigma_m[n] > EVIDENCE_SIGMA_M:
             continue
-        i = int(np.floor((points[n, 0] - origin[0]) / cell_m))
-        j = int(np.floor((points[n, 1] - origin[1]) / cell_m))
-        k = int(np.floor((points[n, 2] - origin[2]) / cell_m))
-        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-            count[i, j, k] += 1
+        facing, reach = 0.0, 0.0
+        for axis in range(3):
+            facing += (points[n, axis] - position[axis]) * normal[n, axis]
+            reach += (points[n, axis] - position[axis]) ** 2
+        cosine = abs(facing) / np.sqrt(reach)
+        steps_along, steps_across = 0, 0
+        if cosine > 0.05:
+            length = 0.0
+            for axis in range(3):  # the line of sight laid onto the surface, and the direction across it
+                along[axis] = points[n, axis] - position[axis] - facing * normal[n, axis]
+                length += along[axis] ** 2
+            length = np.sqrt(length) + 1e-9
+            for axis in range(3):
+                along[axis] *= cell_m / length
+            for axis in range(3):
+                first, second = (axis + 1) % 3, (axis + 2) % 3
+                across[axis] = normal[n, first] * along[second] - normal[n, second] * along[first]
+            half = 0.5 * footprint_m[n]
+            steps_along, steps_across = int(min(half / cosine, FILL_M) / cell_m + 0.5), int(half / cell_m + 0.5)
+        for s in range(-steps_along, steps_along + 1):
+            for t in range(-steps_across, steps_across + 1):
+                i = int(np.floor((points[n, 0] + s * along[0] + t * across[0] - origin[0]) / cell_m))
+                j = int(np.floor((points[n, 1] + s * along[1] + t * across[1] - origin[1]) / cell_m))
+                k = int(np.floor((points[n, 2] + s * along[2] + t * across[2] - origin[2]) / cell_m))
+                if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+                    count[i, j, k] += 1
 
 
 @kernel

@@ -10,7 +10,7 @@ from uav_recon.mapping.neural.grid import POINTS
 from uav_recon.mapping.neural.intake import acceptable, padded
 from uav_recon.mapping.neural.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
 from uav_recon.mapping.neural.optimiser import Optimiser
-from uav_recon.mapping.neural.rays import ray_records
+from uav_recon.mapping.neural.rays import pixel_stride, ray_records
 from uav_recon.mapping.neural.replay import Replay
 from uav_recon.mapping.neural.samples import draw, make_batch
 from uav_recon.mapping.neural.surface import Evidence, Testimony, surface_elements, triangle_mesh
@@ -61,7 +61,8 @@ class Trainer:
             return False
         lens = frame.depth_intrinsics
         sigma = self._noise_px / (lens.fx * self._baseline_m)
-        records = ray_records(frame, sigma, self._replay.rays_per_view(), self._random)
+        most = self._replay.rays_per_view()
+        records = ray_records(frame, sigma, most, self._random)
         rotation, position = keyframe.world_from_depth.rotation(), keyframe.world_from_depth.translation_m
         view = self._replay.rays(records, rotation, position, sigma)
         self._replay.add(records, rotation, position, sigma)
@@ -69,7 +70,8 @@ class Trainer:
             self.field.cover(points)
         self._optimiser.follow_growth()
         self._information.add(view.points[0], view.cosine, view.sigma_m)
-        self._evidence.add(view.points[0], view.normal, view.sigma_m)
+        footprint_m = np.sqrt(view.sigma_m / sigma) * (pixel_stride(lens, most) / lens.fx)
+        self._evidence.add(position, view.points[0], view.normal, view.sigma_m, footprint_m.astype(np.float32))
         self._images.add(frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)
         self._map_epoch = keyframe.map_epoch
         return True
