@@ -31,7 +31,7 @@ from uav_recon.recording.report import (
     Spread,
 )
 from uav_recon.recording.report_page import Picture, write_report
-from uav_recon.types.maps import FREE, TriangleMesh, VoxelMap
+from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, TriangleMesh, VoxelMap
 
 F64 = NDArray[np.float64]
 CONTACT_M = 1e-3
@@ -88,7 +88,7 @@ def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, c
         path_length_m=0.0 if truth is None else _path_length_m(truth),
         flight_time_s=0.0 if truth is None else _flight_time_s(truth),
         wall_time_s=wall_s,
-        explored_fraction=None if voxels is None else _explored_fraction(voxels, cut),
+        explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut),
         quality=quality,
         planning=_planning(timeline),
         stream=_stream(truth),
@@ -139,14 +139,17 @@ def _held_out_pictures(
     )
 
 
-def _explored_fraction(voxels: VoxelMap, cut: TruthCut) -> float | None:
-    """Share of the truth's free cells whose centre lies in a voxel known to be free."""
+def _explored_fraction(voxels: VoxelMap, scene: Scene, cut: TruthCut) -> float | None:
+    """Share of the truth's free cells that the map knows: as free, or as occupied where true surface is within the voxel."""
     cells = np.argwhere(cut.free_seen)
     centres = cut.free_origin_m + (cells + 0.5) * cut.free_cell_m
     index = voxels.grid.index(centres)
     inside = voxels.grid.contains(index)
-    known = np.zeros(len(cells), dtype=bool)
-    known[inside] = voxels.state[tuple(index[inside].T)] == FREE
+    state = np.full(len(cells), UNKNOWN, dtype=np.uint8)
+    state[inside] = voxels.state[tuple(index[inside].T)]
+    truth = Surface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64))
+    within_m = voxels.grid.resolution_m * np.sqrt(3.0)
+    known = (state == FREE) | ((state == OCCUPIED) & (truth.distance_m(centres) <= within_m))
     return metrics.explored_fraction(known, np.ones(len(cells), dtype=bool))
 
 

@@ -129,7 +129,7 @@ class PlannerConfig(Section):
     near_count: Annotated[int, Field(ge=0)] = 3  # explore if more frontiers than this are near ...
     near_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.2  # ... and their share is larger
     horizon_m: Positive = 5.0  # L_exec
-    view_spacing_m: Positive | None = None  # l_res; unset: so that the view budget lasts for the room
+    view_spacing_m: Positive | None = None  # l_res; unset: views on the way are taken where surface is new
     end_factor: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0  # alpha, once no frontier is left
     downsample: Annotated[int, Field(ge=1, le=50)] = 5  # N_down
 

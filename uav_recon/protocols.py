@@ -115,6 +115,18 @@ class ByteLink(Protocol):
         ...
 
 
+class ViewBudget(Protocol):
+    """Decides which frames, beside the tasks' own views, become keyframes. Nothing blocks."""
+
+    def worth(self, posed: PosedFrame, views_left: int) -> bool:
+        """Whether a frame should be one of the views that are left."""
+        ...
+
+    def keep(self, posed: PosedFrame) -> None:
+        """Note that a frame became a keyframe."""
+        ...
+
+
 class Mapper(Protocol):
     """Learns the surface from keyframes, in its own process or inline. No call blocks except finish()."""
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.pilot import Pilot
     from uav_recon.autopilot.tlog import FrameLog
     from uav_recon.localization.perception import Perception
+    from uav_recon.mapping.coverage import Coverage
     from uav_recon.mapping.neural.trainer import Trainer
     from uav_recon.mapping.voxels import Voxels
     from uav_recon.mission.conductor import Conductor
@@ -33,8 +34,6 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_CONFIG = 1, 2, 78
 CAMERA_WAIT_S = 240.0
-WAY_M_PER_M2, SHARE_ON_THE_WAY = 1.5, 0.6
-SMALLEST_SPACING_M, LARGEST_SPACING_M = 0.2, 1.0
 
 
 class Failure(Exception):  # noqa: N818 - it is what the user is told, not a bug
@@ -216,18 +215,13 @@ def make_planner(config: Config, timer: Callable[[], float]) -> AdaptivePlanner:
     )
 
 
-def view_spacing_m(config: Config) -> float:
-    """The configured spacing of views (l_res), or one that makes the budget last for the room.
+def make_coverage(config: Config, voxels: Voxels) -> Coverage:
+    """The spending of the view budget."""
+    from uav_recon.mapping.coverage import Coverage
 
-    A room is flown through in about WAY_M_PER_M2 metres per square metre of floor; what the look round and the tasks' own
-    views leave of the budget is spread over that way.
-    """
-    if config.planner.view_spacing_m is not None:
-        return config.planner.view_spacing_m
-    low, high = config.safety.fence_min_m, config.safety.fence_max_m
-    way_m = WAY_M_PER_M2 * (high[0] - low[0]) * (high[1] - low[1])
-    views = max(config.mission.views - config.mission.survey_views, 1) * SHARE_ON_THE_WAY
-    return min(max(way_m / views, SMALLEST_SPACING_M), LARGEST_SPACING_M)
+    safety, camera = config.safety, config.camera
+    low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
+    return Coverage(voxels.grid, low, high, camera.depth_noise_px, camera.baseline_m)
 
 
 def make_trainer(config: Config) -> Trainer:
@@ -252,7 +246,7 @@ def make_conductor(
     orders = Orders(
         views=mission.views,
         survey_views=mission.survey_views,
-        view_spacing_m=view_spacing_m(config),
+        view_spacing_m=config.planner.view_spacing_m or math.inf,
         takeoff_height_m=mission.takeoff_height_m,
         takeoff_radius_m=config.voxels.takeoff_radius_m,
         vehicle_height_m=config.safety.vehicle_height_m,
@@ -261,7 +255,8 @@ def make_conductor(
         plan_cost_s=mission.plan_cost_s,
     )
     channels = MissionWires(wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan)
-    return Conductor(Stages(voxels, mapper, planner, motion), channels, orders, executor, journal, clock)
+    stages = Stages(voxels, make_coverage(config, voxels), mapper, planner, motion)
+    return Conductor(stages, channels, orders, executor, journal, clock)
 
 
 def warm_up(config: Config) -> None:

@@ -13,7 +13,7 @@ from uav_recon.mission.course import Course
 from uav_recon.mission.decider import Decider, Decision
 from uav_recon.mission.events import Facts, observe
 from uav_recon.mission.machine import Phase, advance
-from uav_recon.protocols import Channel, Clock, Executor, Journal, Mapper, Motion, Pending, Planner, Voxels
+from uav_recon.protocols import Channel, Clock, Executor, Journal, Mapper, Motion, Pending, Planner, ViewBudget, Voxels
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
@@ -32,6 +32,7 @@ class Stages:
     """The stages, through their protocols."""
 
     voxels: Voxels
+    budget: ViewBudget
     mapper: Mapper
     planner: Planner
     motion: Motion
@@ -121,8 +122,14 @@ class Conductor:
         self._frame_sequence, self._frame_s = sequence, now_s
         self._stages.voxels.integrate(posed)
         self.map = self._stages.voxels.snapshot()
-        if self._account.views_left > 0 and self._captures.take(posed.frame.stamp_s) and self._stages.mapper.add(posed):
+        promised = self._captures.take(posed.frame.stamp_s)
+        if self._account.views_left > 0 and (promised or self._worth_a_view(posed)) and self._stages.mapper.add(posed):
+            self._stages.budget.keep(posed)
             self._account.view(posed)
+
+    def _worth_a_view(self, posed: PosedFrame) -> bool:
+        """Whether a frame on the way shows enough that is new; the look round and the tasks' views are promised anyway."""
+        return self.phase is Phase.SURVEY and self._stages.budget.worth(posed, self._account.views_left)
 
     def _hear_guard(self, now_s: float, vehicle: VehicleState) -> None:
         """A refused trajectory is not flown on: the vehicle hovers where the guard stopped it, and the plan is made anew."""

@@ -1,0 +1,104 @@
+"""Which frames are worth a place in the view budget: those that show surface which no keyframe has shown well yet.
+
+Every surface voxel wants SIGHTINGS good looks. A look counts for less the vaguer its depth; a frame's gain is the sum over its
+voxels of what it adds to those still wanting. It is worth a view if its gain is the share that each remaining view must
+bring for the whole room to be covered, so the budget lasts for the room and is spent where surface is new.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.camera import Frame, PosedFrame
+from uav_recon.types.frames import AnyArray, FloatArray
+from uav_recon.types.maps import GridSpec
+from uav_recon.types.pose import Pose
+
+SIGHTINGS = 3.0
+GOOD_SIGMA_M = 0.02  # depth this certain counts as one look
+PIXEL_STEP = 4
+FURNITURE = 1.5  # surface of a furnished room against that of its box
+SMALLEST_GAIN = 100.0
+THRIFT = 1.5  # a view on the way must bring more than its share: tasks will want views too
+BASELINE_M, BASELINE_RAD = 0.25, 0.25  # nearer than both to the last keyframe a frame shows the same once more
+
+
+class Coverage:
+    """Looks per surface voxel, as keyframes gave them."""
+
+    def __init__(
+        self, grid: GridSpec, fence_min_m: FloatArray, fence_max_m: FloatArray, noise_px: float, baseline_m: float
+    ) -> None:
+        self._grid, self._noise_px, self._baseline_m = grid, noise_px, baseline_m
+        self._looks = np.zeros(grid.shape, dtype=np.float32)
+        self._stamp = np.zeros(grid.shape, dtype=np.int64)
+        self._reads = 0
+        a, b, c = np.asarray(fence_max_m, dtype=np.float64) - np.asarray(fence_min_m, dtype=np.float64)
+        self._wanted = SIGHTINGS * FURNITURE * 2.0 * (a * b + b * c + c * a) / grid.resolution_m**2
+        self._last: Pose | None = None
+
+    def worth(self, posed: PosedFrame, views_left: int) -> bool:
+        """Whether this frame should be one of the views that are left. About 1 ms."""
+        if views_left <= 0 or not self._moved(posed.world_from_depth):
+            return False
+        missing = max(self._wanted - float(self._looks.sum()), 0.0)
+        return bool(self._read(posed, keep=False) >= max(THRIFT * missing / views_left, SMALLEST_GAIN))
+
+    def keep(self, posed: PosedFrame) -> None:
+        """Note that this frame became a keyframe."""
+        self._last = posed.world_from_depth
+        self._read(posed, keep=True)
+
+    def warm_up(self, posed: PosedFrame) -> None:
+        """Compile on a frame; nothing is kept."""
+        self._read(posed, keep=False)
+
+    def _moved(self, pose: Pose) -> bool:
+        if self._last is None:
+            return True
+        step = self._last.inverse() @ pose
+        turn_rad = 2.0 * float(np.arccos(min(abs(float(step.quat_wxyz[0])), 1.0)))
+        return float(np.linalg.norm(step.translation_m)) >= BASELINE_M or turn_rad >= BASELINE_RAD
+
+    def _read(self, posed: PosedFrame, *, keep: bool) -> float:
+        self._reads += 1
+        frame, pose = posed.frame, posed.world_from_depth
+        sigma = self._noise_px / (frame.depth_intrinsics.fx * self._baseline_m)
+        origin = (pose.translation_m - self._grid.origin_world_m) / self._grid.resolution_m
+        rotation = pose.rotation() / self._grid.resolution_m
+        return _gain(frame.depth_m, _lens(frame), rotation, origin, sigma, self._looks, self._stamp, self._reads, keep)
+
+
+def _lens(frame: Frame) -> FloatArray:
+    lens = frame.depth_intrinsics
+    return np.array([lens.fx, lens.fy, lens.cx, lens.cy])
+
+
+@kernel
+def _gain(
+    depth_m: AnyArray, lens: AnyArray, rotation: AnyArray, origin: AnyArray, sigma: float,
+    looks: AnyArray, stamp: AnyArray, read: int, keep: bool,
+) -> float:  # fmt: skip
+    """Sum over the voxels met by the depth image of what one look adds; each voxel counts once a frame."""
+    gain = 0.0
+    for v in range(0, depth_m.shape[0], PIXEL_STEP):
+        for u in range(0, depth_m.shape[1], PIXEL_STEP):
+            z = float(depth_m[v, u])
+            if not z > 0.0:
+                continue
+            x, y = (u - lens[2]) / lens[0] * z, (v - lens[3]) / lens[1] * z
+            i = int(np.floor(rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + origin[0]))
+            j = int(np.floor(rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + origin[1]))
+            k = int(np.floor(rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + origin[2]))
+            if not (0 <= i < looks.shape[0] and 0 <= j < looks.shape[1] and 0 <= k < looks.shape[2]):
+                continue
+            if stamp[i, j, k] == read:
+                continue
+            stamp[i, j, k] = read
+            look = min(GOOD_SIGMA_M / (sigma * z * z), 1.0, SIGHTINGS - looks[i, j, k])
+            if look > 0.0:
+                gain += look
+                if keep:
+                    looks[i, j, k] += look
+    return gain
