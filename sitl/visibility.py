@@ -1,7 +1,8 @@
 """The frozen truth of a scene: what the camera can see from poses that the vehicle can reach, never what a flight saw.
 
 Cut once per scene, mount and camera, frozen by seed, and cached. Reachable is a flood fill from the start on a 0.1 m grid
-of centres 0.35 m clear of everything; 600 poses are drawn there, and 100 others are held out for pictures.
+of centres 0.35 m clear of everything; 600 poses are drawn there, and 100 others are held out for pictures. To see is to get a depth return: in range, and not at a grazing
+angle.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from scipy import ndimage
 from sitl import d435i
 from sitl.clearance import PointBins
 from sitl.jit import kernel
-from sitl.raster import Renderer
+from sitl.raster import Renderer, Rendering
 from sitl.scene import BODY_ABOVE_FLOOR_M, TAKEOFF_HEIGHT_M, Scene
 from sitl.surface import area_weighted_points, dense_points
 from sitl.transform import body_from_camera, inverse, rigid, world_from_body
 from uav_recon.sensors.wire import CameraSpec
 
-VERSION = 1
+VERSION = 2
 POSES, HELD_OUT, SAMPLES = 600, 100, 300_000
 POSE_SEED, HELD_OUT_SEED, SAMPLE_SEED = 20240317, 20240318, 20240319
 STEP_M = 0.10  # of the reachable grid and of the free cells
@@ -178,13 +179,19 @@ def _cut(scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: Camer
     depth_spec = d435i.DEPTH_SPEC
     intrinsics = np.array([depth_spec.fx, depth_spec.fy, depth_spec.cx, depth_spec.cy])
     for world_from_camera in _draw(positions, pitch_rad, POSES, POSE_SEED):
-        depth = renderer.depth(world_from_camera, depth_spec, far_m=d435i.RANGE_M[1] + 1.0)
+        depth = _returned(renderer.render(world_from_camera, depth_spec, far_m=d435i.RANGE_M[1] + 1.0, colour=False))
         _mark_seen(samples, seen, depth, inverse(world_from_camera), intrinsics)
         _carve(free, origin, STEP_M, depth, world_from_camera, intrinsics)
     tx, ty, tz = d435i.stream_header(camera).rgb_from_depth[4:]
     depth_from_rgb = inverse(rigid(np.eye(3), (tx, ty, tz)))
     views = np.array([pose @ depth_from_rgb for pose in _draw(positions, pitch_rad, HELD_OUT, HELD_OUT_SEED)])
     return TruthCut(samples[seen], free, origin, STEP_M, views, spec, positions)
+
+
+def _returned(view: Rendering) -> F32:
+    """Depth (H, W) where the camera would get a return: a surface under a grazing angle gives it none."""
+    depth: F32 = np.where(view.incidence_cos >= d435i.GRAZING_COS, view.depth_m, np.float32(0.0))
+    return depth
 
 
 @kernel
