@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.mapping.neural.rays import COLUMNS
+from uav_recon.mapping.neural.rays import BEARING_UNIT, COLUMNS, DEPTH_UNIT_M
 from uav_recon.mapping.neural.samples import Views, ray_points
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 
@@ -66,6 +66,14 @@ class Replay:
         v.rotation[n], v.position[n], v.inverse_depth_sigma[n] = rotation, position, inverse_depth_sigma
         v.first[n + 1] = start + len(records)
         self.count += 1
+
+    def camera_points(self, view: int, most: int) -> tuple[FloatArray, FloatArray]:
+        """Up to ``most`` measured points of a view in its camera (N, 3) and their depth sigma (N,)."""
+        v = self.views
+        records = v.records[v.first[view] : min(v.first[view + 1], v.first[view] + most)].astype(np.float64)
+        z = records[:, 2] * DEPTH_UNIT_M
+        points = np.stack([records[:, 0] * BEARING_UNIT * z, records[:, 1] * BEARING_UNIT * z, z], axis=1)
+        return points, z * z * float(v.inverse_depth_sigma[view])
 
     def _grow(self, views: int, rays: int) -> None:
         old = self.views

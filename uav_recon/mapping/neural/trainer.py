@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.config import MapperConfig
+from uav_recon.mapping.neural.alignment import Alignment
 from uav_recon.mapping.neural.field import Field
 from uav_recon.mapping.neural.grid import POINTS
 from uav_recon.mapping.neural.intake import acceptable, padded
@@ -20,6 +21,7 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
 
+ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish at which views are aligned
 FINAL_RATE = 0.1  # the polish ends at this share of the learning rate
 
 
@@ -44,6 +46,8 @@ class Trainer:
         self._corners = np.zeros((POINTS, 3), dtype=np.float32)
         self._evidence = Evidence(low, high)
         self._images = Testimony()
+        self._alignment = Alignment()
+        self.align_views = True
         self._information, self._colour_error = DepthInformation(low, high), ColourError(low, high)
         self.uncertainty: SurfaceUncertainty = ProductUncertainty(self._colour_error, self._information)
         self.refused, self.steps, self._map_epoch = 0, 0, 0
@@ -66,6 +70,7 @@ class Trainer:
         rotation, position = keyframe.world_from_depth.rotation(), keyframe.world_from_depth.translation_m
         view = self._replay.rays(records, rotation, position, sigma)
         self._replay.add(records, rotation, position, sigma)
+        self._alignment.add(rotation, position)
         for points in view.points:
             self.field.cover(points)
         self._optimiser.follow_growth()
@@ -84,8 +89,14 @@ class Trainer:
         return loss
 
     def polish(self, steps: int) -> None:
-        """Train with a learning rate that falls to FINAL_RATE: what remains of the noise averages out."""
-        for n in range(steps):
+        """Align the views with each other and train on, with a learning rate that falls to FINAL_RATE.
+
+        What remains of the noise averages out; the alignment takes away most of what poses did to it.
+        """
+        aligned_at = {int(steps * share) for share in ALIGN_AT}
+        for n in range(steps if self.views else 0):
+            if self.align_views and n in aligned_at:
+                self._alignment.refine(self.field, self._replay)
             self.train(1, FINAL_RATE ** ((n + 1) / steps))
 
     def surface(self) -> SurfaceElements:
@@ -96,6 +107,14 @@ class Trainer:
     def mesh(self, voxel_m: float) -> TriangleMesh:
         """Triangles of the surface as it is now."""
         return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._images)
+
+    def positions(self) -> FloatArray:
+        """Where the views' depth imagers are now held to have been, world (V, 3)."""
+        return self._replay.views.position[: self.views].astype(np.float64)
+
+    def corrections(self) -> FloatArray:
+        """What alignment did to the given poses (V, 6): translation and rotation vector about the camera, world."""
+        return self._alignment.correction.copy()
 
     def warm_up(self) -> None:
         """Compile every kernel, on a small trainer of its own."""
