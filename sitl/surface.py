@@ -30,15 +30,20 @@ def dense_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
 
 def area_weighted_points(vertices: F32, faces: I32, count: int, seed: int) -> F32:
     """count points (N, 3) float32, uniform over the mesh's area."""
+    return area_weighted_samples(vertices, faces, count, seed)[0]
+
+
+def area_weighted_samples(vertices: F32, faces: I32, count: int, seed: int) -> tuple[F32, F32]:
+    """The same, with the unit normals (N, 3) float32 of their triangles."""
     rng = np.random.default_rng(seed)
     a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    normals = np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
     cumulative = np.cumsum(area)
     chosen = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right").clip(max=len(faces) - 1)
     root, other = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
-    return np.asarray(
-        (a[chosen] * (1 - root) + b[chosen] * (root * (1 - other)) + c[chosen] * (root * other)).astype(np.float32)
-    )
+    points = a[chosen] * (1 - root) + b[chosen] * (root * (1 - other)) + c[chosen] * (root * other)
+    return points.astype(np.float32), (normals[chosen] / area[chosen, None]).astype(np.float32)
 
 
 def height_below(vertices: F32, faces: I32, point_m: NDArray[np.float64]) -> float | None:

@@ -1,8 +1,8 @@
 """The frozen truth of a scene: what the camera can see from poses that the vehicle can reach, never what a flight saw.
 
 Cut once per scene, mount and camera, frozen by seed, and cached. Reachable is a flood fill from the start on a 0.1 m grid
-of centres 0.35 m clear of everything; 600 poses are drawn there, and 100 others are held out for pictures. To see is to get a depth return: in range, and not at a grazing
-angle.
+of centres 0.35 m clear of everything; 600 poses are drawn there, and 100 others are held out for pictures. To see is to
+get a depth return: in range, not at a grazing angle, and with nothing in between.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from sitl.clearance import PointBins
 from sitl.jit import kernel
 from sitl.raster import Renderer, Rendering
 from sitl.scene import BODY_ABOVE_FLOOR_M, TAKEOFF_HEIGHT_M, Scene
-from sitl.surface import area_weighted_points, dense_points
+from sitl.sight import Sight
+from sitl.surface import area_weighted_samples, dense_points
 from sitl.transform import body_from_camera, inverse, rigid, world_from_body
 from uav_recon.sensors.wire import CameraSpec
 
-VERSION = 2
+VERSION = 3
 POSES, HELD_OUT, SAMPLES = 600, 100, 300_000
 POSE_SEED, HELD_OUT_SEED, SAMPLE_SEED = 20240317, 20240318, 20240319
 STEP_M = 0.10  # of the reachable grid and of the free cells
@@ -79,7 +80,6 @@ def warm_up() -> None:
     """Compile every kernel of this file."""
     pose, intrinsics = np.eye(4), np.array([4.0, 4.0, 3.5, 3.5])
     depth = np.full((8, 8), 2.0, np.float32)
-    _mark_seen(np.zeros((1, 3), np.float32), np.zeros(1, np.bool_), depth, pose, intrinsics)
     _carve(np.zeros((2, 2, 2), np.bool_), np.zeros(3), STEP_M, depth, pose, intrinsics)
 
 
@@ -171,8 +171,8 @@ def _draw(positions: F32, pitch_rad: float | None, count: int, seed: int) -> lis
 def _cut(scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: CameraSpec) -> TruthCut:
     positions = reachable_positions(scene)
     renderer = Renderer(scene.vertices, scene.faces, scene.rgb)
-    samples = area_weighted_points(scene.vertices, scene.faces, SAMPLES, SAMPLE_SEED)
-    seen = np.zeros(len(samples), np.bool_)
+    samples, normals = area_weighted_samples(scene.vertices, scene.faces, SAMPLES, SAMPLE_SEED)
+    sight, seen = Sight(scene, samples, normals), np.zeros(len(samples), np.bool_)
     origin, high = _bounds(scene)
     cells = np.ceil((high - origin) / STEP_M - 1e-6).astype(int)
     free = np.zeros(tuple(np.maximum(cells, 1)), np.bool_)
@@ -180,7 +180,7 @@ def _cut(scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: Camer
     intrinsics = np.array([depth_spec.fx, depth_spec.fy, depth_spec.cx, depth_spec.cy])
     for world_from_camera in _draw(positions, pitch_rad, POSES, POSE_SEED):
         depth = _returned(renderer.render(world_from_camera, depth_spec, far_m=d435i.RANGE_M[1] + 1.0, colour=False))
-        _mark_seen(samples, seen, depth, inverse(world_from_camera), intrinsics)
+        seen[sight.returns(np.flatnonzero(~seen), inverse(world_from_camera))] = True
         _carve(free, origin, STEP_M, depth, world_from_camera, intrinsics)
     tx, ty, tz = d435i.stream_header(camera).rgb_from_depth[4:]
     depth_from_rgb = inverse(rigid(np.eye(3), (tx, ty, tz)))
@@ -192,26 +192,6 @@ def _returned(view: Rendering) -> F32:
     """Depth (H, W) where the camera would get a return: a surface under a grazing angle gives it none."""
     depth: F32 = np.where(view.incidence_cos >= d435i.GRAZING_COS, view.depth_m, np.float32(0.0))
     return depth
-
-
-@kernel
-def _mark_seen(points: F32, seen: NDArray[np.bool_], depth: F32, camera_from_world: F64, intrinsics: F64) -> None:
-    """Set seen where a point projects into depth (H, W) within 2 cm + 1 % of it, inside the camera's range."""
-    m = camera_from_world
-    height, width = depth.shape
-    for i in range(points.shape[0]):
-        if seen[i]:
-            continue
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-        if pz < 0.3 or pz > 6.0:
-            continue
-        px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-        py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-        u = int(np.floor(intrinsics[0] * px / pz + intrinsics[2] + 0.5))
-        v = int(np.floor(intrinsics[1] * py / pz + intrinsics[3] + 0.5))
-        if 0 <= u < width and 0 <= v < height and depth[v, u] > 0 and abs(depth[v, u] - pz) <= 0.02 + 0.01 * pz:
-            seen[i] = True
 
 
 @kernel
