@@ -107,8 +107,8 @@ class MapperConfig(Section):
     """Neural surface."""
 
     steps_per_view: Annotated[int, Field(ge=1, le=200)] = 20  # training steps after each new view
-    idle_steps_hz: Annotated[float, Field(ge=0.0, le=1000.0)] = 20.0  # at most so many steps a second between views
-    polish_steps: Annotated[int, Field(ge=0, le=20000)] = 400  # after landing
+    idle_steps_hz: Annotated[float, Field(ge=0.0, le=1000.0)] = 40.0  # at most so many steps a second between views
+    polish_steps: Annotated[int, Field(ge=0, le=20000)] = 1500  # after landing
     mesh_voxel_m: Annotated[float, Field(ge=0.005, le=0.1)] = 0.02  # final mesh
     surface_voxel_m: Annotated[float, Field(ge=0.01, le=0.2)] = 0.05  # elements handed to the planner
     seed: int = 0  # random sampling
