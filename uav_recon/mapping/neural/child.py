@@ -126,11 +126,12 @@ class _Session:
         low, high = np.array(order["box_min_m"]), np.array(order["box_max_m"])
         self._trainer = Trainer(self._config, low, high, order["depth_noise_px"], order["baseline_m"])
         self._revision = self._channel.sequence()
-        self._learned = 0
+        self._learned, self._unseen = 0, False  # keyframes learned; whether they show in no published surface yet
 
     def run(self) -> None:
         self._trainer.warm_up()
         self._learn_to(len(self._keyframes))
+        self._show()
         self._say("ready")
         idle_s = 1.0 / self._config.idle_steps_hz if self._config.idle_steps_hz > 0 else None
         idle_steps = 0
@@ -147,6 +148,12 @@ class _Session:
                 self._finish(Path(message["finish"]))
             else:
                 self._learn_to(int(message["keyframe"]) + 1)
+                self._show()
+
+    def _show(self) -> None:
+        """Publish what was learned, once nothing newer waits."""
+        if self._unseen and self._messages.empty():
+            self._publish()
 
     def _learn_to(self, count: int) -> None:
         """Learn keyframes up to a number; a message for one that was learned from disk already does nothing."""
@@ -159,11 +166,10 @@ class _Session:
                     self._trainer.train(self._config.steps_per_view)
             except KeyframeError as error:
                 print(error, file=sys.stderr, flush=True)  # one view less
-        self._learned = count
-        if self._messages.empty():
-            self._publish()
+        self._learned, self._unseen = count, True
 
     def _publish(self) -> None:
+        self._unseen = False
         self._revision += 1
         surface = self._trainer.surface()
         for every in (1, 2, 4, 8, 16):

@@ -153,7 +153,7 @@ def gather(features: Float32Array, node: AnyArray, weight: Float32Array, encoded
         for p in range(POINTS):
             f0, f1 = np.float32(0.0), np.float32(0.0)
             for corner in range(8):
-                at = np.uint64(node[row + corner, p]) << np.uint64(1)  # slot * 16 + place in block * 2
+                at = np.uint64(node[row + corner, p]) << np.uint64(1)  # slot * 16 + node in block * 2
                 w = weight[row + corner, p]
                 f0 += w * flat[at]
                 f1 += w * flat[at + np.uint64(1)]
@@ -162,23 +162,23 @@ def gather(features: Float32Array, node: AnyArray, weight: Float32Array, encoded
 
 
 class Gradient(NamedTuple):
-    """What a step adds up. features (S, 16) f32, stamp (S,) i32 step that last touched a slot, touched (S,) i32 list of
-    slots, state (2,) i64: this step's number and the length of the list.
+    """What a step adds up, packed: features (S, 16) f32, whose n-th row belongs to slot touched[n] (S,) i32; row (S,) i32 of
+    a slot, -1 = not touched; rows (1,) i64 in use.
     """
 
     features: Float32Array
-    stamp: AnyArray
     touched: AnyArray
-    state: AnyArray
+    row: AnyArray
+    rows: AnyArray
 
 
 def make_gradient(slots: int) -> Gradient:
-    """All zero."""
+    """Nothing touched."""
     return Gradient(
         np.zeros((slots, 8 * FEATURES), dtype=np.float32),
         np.zeros(slots, dtype=np.int32),
-        np.zeros(slots, dtype=np.int32),
-        np.array([1, 0], dtype=np.int64),
+        np.full(slots, -1, dtype=np.int32),
+        np.zeros(1, dtype=np.int64),
     )
 
 
@@ -186,26 +186,25 @@ def make_gradient(slots: int) -> Gradient:
 def scatter(d_encoded: Float32Array, count: int, node: AnyArray, weight: Float32Array, gradient: Gradient) -> None:
     """Transpose of gather(); slot 0 learns nothing."""
     flat = gradient.features.reshape(-1)
-    now, listed = np.int32(gradient.state[0]), gradient.state[1]
+    used = gradient.rows[0]
     for p in range(count):  # points outside, levels inside: neighbours on a ray share nodes, and a sum waits for the last one
         for level in range(LEVELS):
             d0, d1 = d_encoded[level * 2, p], d_encoded[level * 2 + 1, p]
             if d0 == 0.0 and d1 == 0.0:
                 continue
-            last = np.uint64(0)
             for corner in range(8):
                 node_at = np.uint64(node[level * 8 + corner, p])
                 slot = node_at >> np.uint64(3)
                 if slot == np.uint64(0):
                     continue
-                at = node_at << np.uint64(1)
+                row = gradient.row[slot]
+                if row < 0:
+                    row = used
+                    gradient.row[slot] = row
+                    gradient.touched[row] = slot
+                    used += 1
                 w = weight[level * 8 + corner, p]
+                at = (np.uint64(row) << np.uint64(4)) + ((node_at & np.uint64(7)) << np.uint64(1))
                 flat[at] += w * d0
                 flat[at + np.uint64(1)] += w * d1
-                if slot != last:
-                    last = slot
-                    if gradient.stamp[slot] != now:
-                        gradient.stamp[slot] = now
-                        gradient.touched[listed] = slot
-                        listed += 1
-    gradient.state[1] = listed
+    gradient.rows[0] = used

@@ -31,16 +31,13 @@ class Optimiser:
         self._step = 0
 
     def follow_growth(self) -> None:
-        """Grow with the field's grid. Call after Field.cover()."""
-        slots, held = self._field.grid.features.shape[0], self.gradient.stamp.shape[0]
+        """Grow with the field's grid. Call after Field.cover(), between steps."""
+        slots, held = self._field.grid.features.shape[0], self.gradient.row.shape[0]
         if slots == held:
             return
-        grown = make_gradient(slots)
-        grown.state[0] = self.gradient.state[0]
-        grown.stamp[:held] = self.gradient.stamp
         moments = _slot_moments(slots)
         moments[:held] = self._slot_moments
-        self.gradient, self._slot_moments = grown, moments
+        self.gradient, self._slot_moments = make_gradient(slots), moments
 
     def step(self, rate_factor: float = 1.0) -> None:
         """Apply and clear the gradients."""
@@ -75,19 +72,19 @@ def step_weights(
 def step_slots(value: Float32Array, gradient: Gradient, moments: Float32Array, rate: float, step: int) -> None:
     """One step on the touched slots of features (S, 16); entries without a gradient keep value and moments."""
     scale = _corrected(rate, step)
-    for n in range(gradient.state[1]):
+    for n in range(gradient.rows[0]):
         slot = np.uint64(gradient.touched[n])
         for i in range(8 * FEATURES):
-            g = gradient.features[slot, i]
+            g = gradient.features[n, i]
             hit = g != 0.0
             m = BETA_1 * moments[slot, 0, i] + (_ONE - BETA_1) * g
             v = BETA_2 * moments[slot, 1, i] + (_ONE - BETA_2) * g * g
             moments[slot, 0, i] = m if hit else moments[slot, 0, i]
             moments[slot, 1, i] = v if hit else moments[slot, 1, i]
             value[slot, i] -= scale * m / (np.sqrt(v) + EPSILON) if hit else np.float32(0.0)
-            gradient.features[slot, i] = 0.0
-    gradient.state[0] += 1
-    gradient.state[1] = 0
+            gradient.features[n, i] = 0.0
+        gradient.row[slot] = -1
+    gradient.rows[0] = 0
 
 
 @fast_kernel
