@@ -119,7 +119,7 @@ class PlannerConfig(Section):
 
     variant: Literal["adaptive", "explore", "merged"] = "adaptive"  # V5, V2, V4
     shell_min_m: Positive = 0.8  # d_r, nearest viewpoint to a task
-    shell_max_m: Positive = 1.8  # d_f, farthest
+    shell_max_m: Positive = 2.5  # d_f, farthest
     clearance_m: Annotated[float, Field(ge=0.3, le=1.0)] = 0.35  # d_s, body centre to anything not known free
     local_radius_m: Positive = 2.0  # R_loc
     cluster_radius_m: Positive = 1.1  # R_clu

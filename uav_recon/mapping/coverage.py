@@ -20,7 +20,7 @@ GOOD_SIGMA_M = 0.02  # depth this certain counts as one look
 PIXEL_STEP = 4
 FURNITURE = 1.5  # surface of a furnished room against that of its box
 SMALLEST_GAIN = 100.0
-THRIFT = 1.5  # a view on the way must bring more than its share: tasks will want views too
+THRIFT = 4.0  # a view on the way must bring more than its share: tasks will want views too
 BASELINE_M, BASELINE_RAD = 0.25, 0.25  # nearer than both to the last keyframe a frame shows the same once more
 
 
