@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -23,7 +24,7 @@ from uav_recon import run
 __all__ = ["SimOptions", "simulate"]
 
 READY_TIMEOUT_S = 240.0
-GRACE_S = 20.0
+GRACE_S = {"mission": 90.0, "pilot": 20.0, "perception": 5.0, "world": 20.0}  # to land, to save; in this order
 
 
 def simulate(options: SimOptions) -> int:
@@ -73,9 +74,12 @@ class _Child:
     log: Path
 
     def last_words(self) -> str:
-        """The last line the child left on stderr."""
+        """Why it ended: the signal, or the last line it left on stderr."""
+        code = self.process.returncode
+        if code is not None and code < 0:
+            return f"killed by {signal.Signals(-code).name}"
         lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
-        return lines[-1].strip() if lines else "it left no message"
+        return lines[-1].strip() if lines else f"exit code {code} and no message"
 
 
 class _RealTime:
@@ -127,9 +131,7 @@ class _RealTime:
                 if mission.process.poll() is not None:
                     return None if mission.process.returncode == 0 else f"mission died: {mission.last_words()}"
                 for child in self._children:
-                    if child.process.poll() is not None and child.name != "pilot":
-                        return f"{child.name} died: {child.last_words()}"
-                    if child.process.poll() not in (None, 0):
+                    if child.process.poll() is not None:
                         return f"{child.name} died: {child.last_words()}"
                 if not screen.show() and time.monotonic() > deadline_s:
                     return f"not ready after {READY_TIMEOUT_S:.0f} s; see {self._options.out / 'logs'}"
@@ -142,6 +144,7 @@ class _RealTime:
         self._interrupts += 1
         if self._interrupts > 1:
             self._kill_all()
+            shutil.rmtree(self._runtime, ignore_errors=True)
             os._exit(130)
         for child in self._children:
             if child.name == "mission" and child.process.poll() is None:
@@ -149,15 +152,15 @@ class _RealTime:
         self._console.print("[yellow]landing; press Ctrl-C again to end everything at once[/]")
 
     def _land_remaining(self) -> None:
-        """Whatever ended the mission, the vehicle comes down and the world writes the truth."""
-        for name in ("pilot", "perception", "world"):
+        """Whatever ended the watch, the vehicle comes down, the mission saves its model and the world its truth."""
+        for name, grace_s in GRACE_S.items():
             child = self._child(name)
             if child.process.poll() is None:
                 child.process.terminate()
             try:
-                child.process.wait(GRACE_S)
+                child.process.wait(grace_s)
             except subprocess.TimeoutExpired:
-                self._console.print(f"[red]{name} did not end within {GRACE_S:.0f} s[/]")
+                self._console.print(f"[red]{name} did not end within {grace_s:.0f} s[/]")
 
     def _end_all(self) -> None:
         self._kill_all()

@@ -42,5 +42,5 @@ class Sight:
         found, away, distance_m = found[squarely], away[squarely], distance_m[squarely]
         reach = away * (1.0 - AT_THE_POINT_M / distance_m)[:, None]
         rays = np.concatenate([np.broadcast_to(eye, reach.shape), reach], axis=1).astype(np.float32)
-        hidden = self._rays.test_occlusions(self._tensor(np.ascontiguousarray(rays)), 0.0, 1.0).numpy()
-        return found[~hidden]
+        hidden: NDArray[np.bool_] = self._rays.test_occlusions(self._tensor(np.ascontiguousarray(rays)), 0.0, 1.0).numpy()
+        return np.asarray(found[~hidden], dtype=np.int64)

@@ -1,0 +1,94 @@
+"""A whole mission in lockstep: it ends well, leaves a complete folder, and a seed gives the same flight byte for byte."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sitl.fly import SimOptions, simulate
+from uav_recon import config
+from uav_recon.recording.report import Report
+from uav_recon.recording.review import check_recording
+
+VIEWS = 14
+
+
+@dataclass
+class Flight:
+    folder: Path
+    report: Report
+    truth: dict[str, Any]
+
+
+def fly(folder: Path, seed: int) -> Flight:
+    assert simulate(SimOptions.parse(views=VIEWS, seed=seed, lockstep=True, out=folder)) == 0
+    with np.load(folder / "truth.npz") as truth:
+        return Flight(folder, Report.load(folder / "report.json"), {name: truth[name] for name in truth.files})
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
+    return [fly(tmp_path_factory.mktemp("flight") / "f", seed) for seed in (3, 3, 4)]
+
+
+def test_the_mission_is_completed_without_contact(flights: list[Flight]) -> None:
+    for flight in flights:
+        report = flight.report
+        assert report.outcome == "completed"
+        assert report.stop_reason.startswith(f"view budget of {VIEWS} spent")
+        assert report.views == VIEWS
+        assert report.safety.contacts == 0
+        assert report.safety.failsafes == 0
+        assert report.safety.fence_overshoot_m == 0.0
+        assert report.safety.min_clearance_m is not None
+        assert report.safety.min_clearance_m >= 0.10
+
+
+def test_the_model_is_metric_where_it_was_seen(flights: list[Flight]) -> None:
+    for flight in flights:
+        assert flight.report.quality is not None
+        assert flight.report.quality.accuracy_cm is not None
+        assert 0.1 < flight.report.quality.accuracy_cm < 2.5
+        assert flight.report.explored_fraction is not None
+        assert 0.3 < flight.report.explored_fraction < 1.0
+
+
+def test_the_drone_ends_on_its_pad_with_motors_off(flights: list[Flight]) -> None:
+    for flight in flights:
+        assert not flight.truth["armed"][-1]
+        assert flight.truth["armed"].any()
+        assert np.linalg.norm(flight.truth["position_m"][-1][:2]) < 0.3
+        assert abs(flight.truth["position_m"][-1][2]) < 0.02
+
+
+def test_a_seed_gives_the_same_flight_byte_for_byte(flights: list[Flight]) -> None:
+    first, again, other = flights
+    for name in ("stamp_s", "position_m", "quat_wxyz", "setpoint_arrivals_s"):
+        assert first.truth[name].tobytes() == again.truth[name].tobytes(), name
+    assert (first.folder / "flight.tlog").read_bytes() == (again.folder / "flight.tlog").read_bytes()
+    assert (first.folder / "mesh.ply").read_bytes() == (again.folder / "mesh.ply").read_bytes()
+    assert first.truth["position_m"].tobytes() != other.truth["position_m"].tobytes()
+
+
+def test_the_flight_folder_is_complete(flights: list[Flight]) -> None:
+    folder = flights[0].folder
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") >= 6
+    assert len(json.loads((folder / "keyframes" / "poses.json").read_text())["keyframes"]) == VIEWS
+    assert config.load(folder / "config.toml").mission.views == VIEWS
+    assert check_recording(folder)
+    assert (folder / "flight.tlog").stat().st_size > 100_000
+
+
+def test_setpoints_are_regular_and_inside_the_fence(flights: list[Flight]) -> None:
+    for flight in flights:
+        stream = flight.report.stream
+        assert stream.rate_hz is not None
+        assert stream.gap_max_ms is not None
+        assert stream.rate_hz > 29.0
+        assert stream.gap_max_ms <= 60.0
