@@ -30,6 +30,7 @@ GRACE_S = {"mission": 90.0, "pilot": 20.0, "perception": 5.0, "world": 20.0}  # 
 def simulate(options: SimOptions) -> int:
     """Fly as asked; returns the exit code. Raises run.Failure with one line for anything a user can mend."""
     console = Console(stderr=False)
+    _need_open3d()
     scene = _scene(options)
     options.make_folder()
     started_s = time.monotonic()
@@ -57,6 +58,14 @@ def _scene(options: SimOptions) -> Scene:
         return load_scene(options.scene, options.start, options.fence)
     except SceneError as error:
         raise run.Failure(str(error), run.EXIT_USAGE) from None
+
+
+def _need_open3d() -> None:
+    """Truth is measured with Open3D: say so before the flight, not after it."""
+    try:
+        import open3d  # noqa: F401
+    except (ImportError, OSError) as error:
+        raise run.Failure(f"Open3D cannot be loaded: {error} (see README.md for the packages it needs)") from None
 
 
 def _claim_port(port: int) -> None:

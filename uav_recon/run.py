@@ -264,7 +264,9 @@ def warm_up(config: Config) -> None:
     from uav_recon.motion.planner import MotionPlanner
     from uav_recon.planning import planner
 
-    make_voxels(config).warm_up()
+    voxels = make_voxels(config)
+    voxels.warm_up()
+    make_coverage(config, voxels).warm_up()
     planner.warm_up()
     MotionPlanner(config.motion, config.planner.clearance_m).warm_up()
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.types.camera import Frame, PosedFrame
+from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
@@ -42,7 +42,7 @@ class Coverage:
         """Whether this frame should be one of the views that are left. About 1 ms."""
         if views_left <= 0 or not self._moved(posed.world_from_depth):
             return False
-        missing = max(self._wanted - float(self._looks.sum()), 0.0)
+        missing = max(self._wanted - self.looks_given(), 0.0)
         return bool(self._read(posed, keep=False) >= max(THRIFT * missing / views_left, SMALLEST_GAIN))
 
     def keep(self, posed: PosedFrame) -> None:
@@ -50,9 +50,15 @@ class Coverage:
         self._last = posed.world_from_depth
         self._read(posed, keep=True)
 
-    def warm_up(self, posed: PosedFrame) -> None:
-        """Compile on a frame; nothing is kept."""
-        self._read(posed, keep=False)
+    def looks_given(self) -> float:
+        """Sum over all voxels of the looks they got."""
+        return float(self._looks.sum())
+
+    def warm_up(self) -> None:
+        """Compile the kernel on an empty frame; nothing is kept."""
+        lens = Intrinsics(1.0, 1.0, 0.0, 0.0, 1, 1)
+        empty = Frame(0.0, 0, np.full((1, 1), np.nan, np.float32), lens, np.zeros((1, 1, 3), np.uint8), lens, Pose.identity())
+        self._read(PosedFrame(empty, Pose.identity()), keep=False)
 
     def _moved(self, pose: Pose) -> bool:
         if self._last is None:

@@ -1,0 +1,67 @@
+"""The view budget goes to frames that show surface which no keyframe has shown well."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_recon.mapping.coverage import SIGHTINGS, Coverage
+from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
+from uav_recon.types.maps import GridSpec
+from uav_recon.types.pose import Pose
+
+LENS = Intrinsics.from_fov(106, 60, np.radians(87.0), np.radians(58.0))
+MANY = 600  # views left: the share that one must bring is small
+LOW, HIGH = np.array([0.0, -2.0, 0.0]), np.array([4.0, 2.0, 2.5])
+
+
+def wall_seen(y: float, yaw_rad: float, depth_m: float = 2.0) -> PosedFrame:
+    """A frame that sees a wall square on at depth_m."""
+    depth = np.full((LENS.height, LENS.width), depth_m, np.float32)
+    frame = Frame(0.0, 1, depth, LENS, np.zeros((60, 106, 3), np.uint8), LENS, Pose.identity())
+    body = Pose.from_yaw(yaw_rad, np.array([2.0, y, 1.2]))
+    return PosedFrame(frame, body @ body_from_camera(np.zeros(3), 0.0))
+
+
+@pytest.fixture()
+def coverage() -> Coverage:
+    grid = GridSpec.covering(LOW - 0.3, HIGH + 0.3, 0.1)
+    return Coverage(grid, LOW, HIGH, noise_px=0.01, baseline_m=0.05)
+
+
+def test_new_surface_is_worth_a_view_and_the_same_picture_is_not(coverage: Coverage) -> None:
+    posed = wall_seen(0.0, 0.0)
+    assert coverage.worth(posed, views_left=MANY)
+    coverage.keep(posed)
+    assert not coverage.worth(posed, views_left=MANY)
+    assert not coverage.worth(wall_seen(0.05, 0.0), views_left=MANY)  # moved less than the baseline
+
+
+def test_surface_wants_several_looks_and_then_no_more(coverage: Coverage) -> None:
+    for i in range(int(SIGHTINGS) + 4):
+        posed = wall_seen(0.3 * (i % 2), 0.0)
+        coverage.keep(posed)
+    assert not coverage.worth(wall_seen(0.3, 0.0), views_left=10_000)  # nothing is missing where this one looks
+    assert coverage.worth(wall_seen(0.0, np.pi), views_left=MANY)
+
+
+def test_vague_depth_counts_for_less() -> None:
+    grid = GridSpec.covering(LOW - 6.0, HIGH + 6.0, 0.1)
+    gains = []
+    for noise_px in (0.01, 0.2):
+        coverage = Coverage(grid, LOW, HIGH, noise_px=noise_px, baseline_m=0.05)
+        coverage.keep(wall_seen(0.0, 0.0, depth_m=4.0))
+        gains.append(coverage.looks_given())
+    assert gains[1] < 0.5 * gains[0]
+
+
+def test_no_budget_and_no_depth_are_worth_nothing(coverage: Coverage) -> None:
+    assert not coverage.worth(wall_seen(0.0, 0.0), views_left=0)
+    assert not coverage.worth(wall_seen(0.0, 0.0, depth_m=float("nan")), views_left=60)
+
+
+def test_a_smaller_budget_is_harder_to_please(coverage: Coverage) -> None:
+    """The share each remaining view must bring grows as the budget shrinks."""
+    posed = wall_seen(0.0, 0.0, depth_m=1.0)  # sees little
+    assert coverage.worth(posed, views_left=2000)
+    assert not coverage.worth(posed, views_left=5)

@@ -1,0 +1,50 @@
+"""The way home ends at the flyable place nearest to the pad, or says that there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.config import PlannerConfig
+from uav_recon.mapping.distance import distance_to_not_free
+from uav_recon.planning.camera import CameraGeometry
+from uav_recon.planning.planner import AdaptivePlanner
+from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
+from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
+
+GRID = GridSpec(np.zeros(3), 0.1, (50, 30, 25))
+CAMERA = CameraGeometry(1.5, 1.0, np.array([0.1, 0.0, 0.0]), 0.26, 0.26, 4.5)
+
+
+def planner() -> AdaptivePlanner:
+    return AdaptivePlanner(PlannerConfig(), np.zeros(3), np.array([5.0, 3.0, 2.5]), CAMERA, 0.8, 0.8)
+
+
+def request(wall: bool) -> PlanRequest:
+    state = np.full(GRID.shape, FREE, np.uint8)
+    if wall:
+        state[24:26] = OCCUPIED
+    voxels = VoxelMap(GRID, state, distance_to_not_free(state, GRID.resolution_m, 1.1), 1)
+    return PlanRequest(voxels, None, np.array([4.0, 1.5, 1.0]), 0.3, views_left=0)
+
+
+def test_the_way_home_ends_at_home_even_with_no_view_left() -> None:
+    home = Viewpoint(np.array([1.02, 1.49, 1.1]), 0.7, 0.26)
+    path = planner().route(request(wall=False), home)
+    assert isinstance(path, ViewPath)
+    assert len(path.viewpoints) == 1
+    assert np.linalg.norm(path.viewpoints[0].position_world - home.position_world) < 0.1
+    assert path.viewpoints[0].yaw_rad == home.yaw_rad
+    np.testing.assert_allclose(path.waypoints_world[0][0], [4.0, 1.5, 1.0])
+    np.testing.assert_allclose(path.waypoints_world[0][-1], path.viewpoints[0].position_world)
+
+
+def test_a_closed_way_home_is_said() -> None:
+    answer = planner().route(request(wall=True), Viewpoint(np.array([1.0, 1.5, 1.1]), 0.0, 0.26))
+    assert isinstance(answer, NothingLeft)
+    assert "no known-free way" in answer.reason
+
+
+def test_going_home_promises_nothing_to_the_memory() -> None:
+    the_planner = planner()
+    the_planner.route(request(wall=False), Viewpoint(np.array([1.0, 1.5, 1.1]), 0.0, 0.26))
+    assert the_planner.visited.surface_looks.sum() == 0.0
