@@ -72,6 +72,8 @@ def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, c
         cut = load_truth_cut(scene, options.mount, options.world(folder).camera, cache_folder())
     timeline, voxels, mesh = read_timeline(folder), load_map(folder), load_mesh(folder)
     truth = TruthOfFlight.load(folder / "truth.npz")
+    if mesh is not None and len(mesh.faces) == 0:  # nothing was learned before the flight ended
+        mesh = None
     with console.status("measuring the model against truth ..."):
         quality = None if mesh is None else _quality(mesh, scene, cut)
     outcome = timeline.outcomes[-1] if timeline.outcomes else None
