@@ -249,7 +249,7 @@ class Conductor:
         decision, self._decision = self._decision.result(), None
         if isinstance(decision.motion, Trajectory):
             self._homing = True
-            self._fly(decision.motion, now_s)
+            self._fly(dataclasses.replace(decision.motion, views_s=np.zeros(0)), now_s)  # home is no view
             return
         self._account.refusal(now_s, decision.motion)
         if self.phase is Phase.RETURN:

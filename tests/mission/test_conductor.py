@@ -1,0 +1,265 @@
+"""The conductor gives the stages their order: a flight on paper, with stand-ins for every stage."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uav_recon.channels import MemoryChannel
+from uav_recon.clock import InlineExecutor, ManualClock
+from uav_recon.config import MotionConfig
+from uav_recon.mission.conductor import Conductor, MissionWires, Orders, Stages
+from uav_recon.mission.machine import Phase
+from uav_recon.motion import MotionPlanner
+from uav_recon.recording.flightlog import FlightLog, read_timeline
+from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import FREE, GridSpec, SurfaceElements, VoxelMap
+from uav_recon.types.pose import Pose
+from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
+from uav_recon.types.trajectory import Goal, Intent
+from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
+
+GRID = GridSpec(np.array([-3.0, -3.0, -1.0]), 0.1, (60, 60, 40))
+LENS = Intrinsics(10.0, 10.0, 1.5, 1.5, 4, 4)
+
+
+class OpenSpace:
+    """Voxels that are free everywhere, or nowhere once `closed`."""
+
+    closed = False
+    revision = 0
+
+    def integrate(self, posed: PosedFrame) -> int:
+        self.revision += 1
+        return 1
+
+    def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:
+        self.declared = (radius_m, z_min_m, z_max_m)
+
+    def snapshot(self) -> VoxelMap:
+        state = np.full(GRID.shape, 0 if self.closed else FREE, np.uint8)
+        return VoxelMap(GRID, state, np.where(state == FREE, 1.0, 0.0).astype(np.float32), self.revision)
+
+    def explored_m3(self) -> float:
+        return 0.001 * self.revision
+
+
+class ThreeViews:
+    """A planner that knows three views and then nothing more."""
+
+    def __init__(self) -> None:
+        self.left = [np.array([1.0, 0.0, 1.1]), np.array([1.0, 1.0, 1.1]), np.array([0.0, 1.0, 1.1])]
+        self.no_way_home = False
+
+    def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
+        if not self.left:
+            return NothingLeft("2 frontiers left: 2 too narrow", 0.01, 0.02)
+        return self._to(request, Viewpoint(self.left.pop(0), 0.5, 0.26))
+
+    def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
+        return NothingLeft("no known-free way leads there", 0.0, 0.0) if self.no_way_home else self._to(request, goal)
+
+    @staticmethod
+    def _to(request: PlanRequest, view: Viewpoint) -> ViewPath:
+        way = np.array([request.position_world, view.position_world])
+        task = Task(TaskKind.EXPLORE, view.position_world, view, 9.0)
+        return ViewPath((view,), (way,), PlanMode.EXPLORE, request.voxels.revision, 0, (task,), 0.01, 0.02)
+
+
+class Sketchbook:
+    def __init__(self) -> None:
+        self.stamps: list[float] = []
+
+    def add(self, keyframe: PosedFrame) -> bool:
+        self.stamps.append(keyframe.frame.stamp_s)
+        return True
+
+    def surface(self) -> SurfaceElements | None:
+        return None
+
+    def alive(self) -> bool:
+        return True
+
+    def finish(self, folder: Path) -> None:
+        raise AssertionError("the process finishes the mapper, not the conductor")
+
+
+class NoExtraViews:
+    def worth(self, posed: PosedFrame, views_left: int) -> bool:
+        return False
+
+    def keep(self, posed: PosedFrame) -> None:
+        pass
+
+
+class Desk:
+    """A conductor on a table: the vehicle is wherever its trajectory says, frames come at 10 Hz."""
+
+    def __init__(self, folder: Path, views: int = 50) -> None:
+        self.clock = ManualClock(100.0)
+        self.wires = MissionWires(
+            MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
+            MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
+        )  # fmt: skip
+        self.voxels, self.planner, self.mapper = OpenSpace(), ThreeViews(), Sketchbook()
+        motion = MotionPlanner(MotionConfig(), 0.35)
+        orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.26, 300.0, 0.1)
+        stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, motion)
+        self.folder, self.journal = folder, FlightLog(folder)
+        self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
+        self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
+        self.seen: list[Phase] = []
+
+    def run(self, seconds: float, until: Phase | None = None) -> None:
+        for _ in range(int(seconds * 30)):
+            self.clock.advance_to(self.clock.now_s() + 1 / 30)
+            self._vehicle()
+            if self.frames and int(self.clock.now_s() * 30) % 3 == 0:
+                self._frame()
+            self.conductor.step()
+            if not self.seen or self.seen[-1] is not self.conductor.phase:
+                self.seen.append(self.conductor.phase)
+            if self.conductor.phase is until:
+                return
+        assert until is None, f"never came to {until}, was in {self.seen}"
+
+    @property
+    def intent(self) -> Intent:
+        intent = self.wires.intent.latest()
+        assert intent is not None
+        return intent
+
+    def speed_mps(self) -> float:
+        trajectory = self.intent.trajectory
+        return 0.0 if trajectory is None else float(np.linalg.norm(trajectory.setpoint_at(self.clock.now_s()).velocity_mps))
+
+    def _vehicle(self) -> None:
+        intent = self.wires.intent.latest()
+        position, yaw = np.zeros(3), 0.0
+        if intent is not None:
+            if intent.goal is Goal.FLY and self.phase is FlightPhase.READY:
+                self.phase = FlightPhase.FLYING
+            elif intent.goal is Goal.LAND:
+                self.phase = FlightPhase.LANDED
+            if intent.trajectory is not None:
+                setpoint = intent.trajectory.setpoint_at(self.clock.now_s())
+                position, yaw = setpoint.position_m, setpoint.yaw_rad
+        armed = self.phase is FlightPhase.FLYING
+        self.wires.vehicle.publish(
+            VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase, 0.9,
+                         self.human, float("nan"), 1, self.refusals, "")
+        )  # fmt: skip
+
+    def _frame(self) -> None:
+        depth = np.full((4, 4), 2.0, np.float32)
+        frame = Frame(self.clock.now_s() - 0.1, 1, depth, LENS, np.zeros((4, 4, 3), np.uint8), LENS, Pose.identity())
+        self.wires.frames.publish(PosedFrame(frame, Pose.identity()))
+
+
+@pytest.fixture()
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    desk = Desk(tmp_path)
+    yield desk
+    desk.journal.close()
+
+
+def test_nothing_moves_before_the_operator_says_so(desk: Desk) -> None:
+    desk.run(5.0)
+    assert desk.conductor.phase is Phase.READY
+    assert desk.intent.goal is Goal.STANDBY
+
+
+def test_a_flight_from_pad_to_pad(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(120.0, until=Phase.DONE)
+    assert desk.seen == [Phase.READY, Phase.TAKEOFF, Phase.SURVEY, Phase.RETURN, Phase.LANDING, Phase.DONE]
+    assert desk.conductor.close() == "completed"
+    assert len(desk.mapper.stamps) == 4 + 3  # the look round, and each task's own view
+    timeline = read_timeline(desk.folder)
+    assert timeline.outcomes[-1].stop_reason == "2 frontiers left: 2 too narrow"
+    assert [plan.mode for plan in timeline.plans] == ["explore"] * 3 + [""]
+    assert all(0.0 < plan.hover_wait_s < 0.5 for plan in timeline.plans)
+    assert len(timeline.views) == 7
+
+
+def test_the_view_budget_ends_the_survey(tmp_path: Path) -> None:
+    desk = Desk(tmp_path, views=5)
+    desk.conductor.request_start()
+    desk.run(120.0, until=Phase.DONE)
+    assert len(desk.mapper.stamps) == 5
+    assert desk.conductor.close() == "completed"
+    desk.journal.close()
+    assert read_timeline(tmp_path).outcomes[-1].stop_reason.startswith("view budget of 5 spent")
+
+
+def test_frames_lost_holds_and_goes_on_when_they_are_back(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.frames = False
+    desk.run(5.0, until=Phase.HOLD)
+    desk.run(2.0)
+    here = desk.intent.trajectory
+    assert here is not None
+    assert np.linalg.norm(here.setpoint_at(desk.clock.now_s()).velocity_mps) < 1e-9
+    desk.frames = True
+    desk.run(120.0, until=Phase.DONE)
+    assert desk.conductor.close() == "completed"
+
+
+def test_an_abort_lands_at_once(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.conductor.request_abort("the operator asked to land")
+    desk.run(0.2, until=Phase.LANDING)
+    desk.run(1.0, until=Phase.DONE)
+    assert desk.conductor.close() == "aborted: the operator asked to land"
+
+
+def test_a_human_with_the_sticks_ends_the_mission(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.human = True
+    desk.run(0.2, until=Phase.YIELDED)
+    assert desk.intent.goal is Goal.STANDBY
+
+
+def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
+    desk.planner.no_way_home = True
+    desk.conductor.request_start()
+    desk.run(120.0, until=Phase.DONE)
+    assert Phase.RETREAT in desk.seen
+    assert desk.conductor.close() == "completed"
+
+
+def test_an_obstacle_on_the_way_brakes(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.speed_mps() < 0.3:
+        desk.run(0.1)
+    before = desk.intent.trajectory
+    desk.voxels.closed = True
+    desk.run(3.0)
+    after = desk.intent.trajectory
+    assert before is not None
+    assert after is not None
+    assert after.identifier != before.identifier
+    assert np.linalg.norm(after.setpoint_at(desk.clock.now_s()).velocity_mps) < 1e-9
+    assert any("obstacle" in refusal.reason for refusal in read_timeline(desk.folder).refusals)
+
+
+def test_a_refused_trajectory_is_not_flown_on(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    before = desk.intent.trajectory
+    desk.refusals = 1
+    desk.run(0.1)
+    after = desk.intent.trajectory
+    assert before is not None
+    assert after is not None
+    assert after.identifier != before.identifier
+    assert dataclasses.asdict(after)["views_s"].size == 0
