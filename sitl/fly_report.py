@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,21 +17,10 @@ from sitl.scene import Scene
 from sitl.visibility import TruthCut, load_truth_cut
 from uav_recon.evaluation import metrics
 from uav_recon.evaluation.surface import Surface
-from uav_recon.recording.flightlog import PlanRecord, Timeline, read_timeline
+from uav_recon.recording.debrief import FlightCard, account, publish
 from uav_recon.recording.mapfile import load_map
-from uav_recon.recording.mesh_pictures import mesh_pictures
 from uav_recon.recording.meshfile import load_mesh
-from uav_recon.recording.pictures import coverage_over_time, path_over_plan, planning_over_time
-from uav_recon.recording.report import (
-    ModeTimes,
-    Report,
-    ReportPlanning,
-    ReportQuality,
-    ReportSafety,
-    ReportStream,
-    Spread,
-)
-from uav_recon.recording.report_page import Picture, write_report
+from uav_recon.recording.report import Report, ReportQuality, ReportSafety, ReportStream
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, TriangleMesh, VoxelMap
 
 F64 = NDArray[np.float64]
@@ -66,58 +56,31 @@ def cache_folder() -> Path:
 
 
 def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:
-    """Measure the flight in options.out against truth and write the report beside it."""
+    """Hold the flight in options.out against truth and write the report beside it."""
     folder = options.out
     with console.status("cutting truth to what the camera could see ..."):
         cut = load_truth_cut(scene, options.mount, options.world(folder).camera, cache_folder())
-    timeline, voxels, mesh = read_timeline(folder), load_map(folder), load_mesh(folder)
-    truth = TruthOfFlight.load(folder / "truth.npz")
-    if mesh is not None and len(mesh.faces) == 0:  # nothing was learned before the flight ended
-        mesh = None
+    voxels, mesh, truth = load_map(folder), load_mesh(folder), TruthOfFlight.load(folder / "truth.npz")
+    card = FlightCard(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
+    report = account(folder, card, wall_s)
     with console.status("measuring the model against truth ..."):
-        quality = None if mesh is None else _quality(mesh, scene, cut)
-    outcome = timeline.outcomes[-1] if timeline.outcomes else None
-    report = Report(
-        scene=scene.name,
-        variant=options.variant,
-        seed=options.seed,
-        autopilot=options.autopilot,
-        mount=options.mount,
-        depth_noise=options.depth_noise,
-        outcome=f"aborted: {fault}" if fault else outcome.outcome if outcome else "aborted: the mission left no word",
-        stop_reason=outcome.stop_reason if outcome else "",
-        views=len(timeline.views),
-        path_length_m=0.0 if truth is None else _path_length_m(truth),
-        flight_time_s=0.0 if truth is None else _flight_time_s(truth),
-        wall_time_s=wall_s,
-        explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut),
-        quality=quality,
-        planning=_planning(timeline),
-        stream=_stream(truth),
-        safety=_safety(truth, timeline, scene),
-    )
+        report = dataclasses.replace(
+            report,
+            outcome=f"aborted: {fault}" if fault else report.outcome,
+            explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut),
+            quality=None if mesh is None or len(mesh.faces) == 0 else _quality(mesh, scene, cut),
+        )
+    if truth is not None:
+        report = dataclasses.replace(
+            report,
+            path_length_m=_path_length_m(truth),
+            flight_time_s=_flight_time_s(truth),
+            stream=_stream(truth),
+            safety=_safety(truth, report.safety.refusals, scene),
+        )
     with console.status("drawing pictures ..."):
-        write_report(folder, report, _pictures(folder, timeline, voxels, mesh))
+        publish(report, folder)
     return report
-
-
-def _pictures(folder: Path, timeline: Timeline, voxels: VoxelMap | None, mesh: TriangleMesh | None) -> list[Picture]:
-    drawn = folder / "pictures"
-    drawn.mkdir(exist_ok=True)
-    captions = []
-    if mesh is not None and timeline.views:
-        inside = np.median([view.translation_m for view in timeline.views], axis=0)
-        said = ("The model in colour.", "The model by uncertainty: bright is badly known.", "The model from above.")
-        captions += [Picture(path, text) for path, text in zip(mesh_pictures(drawn, mesh, inside), said, strict=False)]
-    path_over_plan(drawn / "path.png", timeline, voxels)
-    coverage_over_time(drawn / "coverage.png", timeline)
-    planning_over_time(drawn / "planning.png", timeline)
-    return [
-        *captions,
-        Picture(drawn / "path.png", "The flown path over the floor plan that the drone found."),
-        Picture(drawn / "coverage.png", "Explored volume and views over time."),
-        Picture(drawn / "planning.png", "Computing time of each plan."),
-    ]
 
 
 def _quality(mesh: TriangleMesh, scene: Scene, cut: TruthCut) -> ReportQuality:
@@ -165,32 +128,12 @@ def _flight_time_s(truth: TruthOfFlight) -> float:
     return float(stamps[-1] - stamps[0]) if len(stamps) else 0.0
 
 
-def _planning(timeline: Timeline) -> ReportPlanning:
-    def times(mode: str) -> ModeTimes:
-        plans = [plan for plan in timeline.plans if plan.mode == mode]
-        return ModeTimes(_spread([p.task_s for p in plans]), _spread([p.step_s for p in plans]))
-
-    plans: tuple[PlanRecord, ...] = timeline.plans
-    total_s, waited_s = sum(plan.step_s for plan in plans), sum(plan.hover_wait_s for plan in plans)
-    return ReportPlanning(explore=times("explore"), merged=times("merged"), total_s=total_s, hover_wait_s=waited_s)
-
-
-def _spread(values: list[float]) -> Spread:
-    found = metrics.median_p95(values)
-    return Spread(found["median"], found["p95"])
-
-
-def _stream(truth: TruthOfFlight | None) -> ReportStream:
-    if truth is None:
-        return ReportStream(None, None, None)
+def _stream(truth: TruthOfFlight) -> ReportStream:
     found = metrics.stream_statistics(truth.setpoint_arrivals_s)
     return ReportStream(found.rate_hz, found.gap_p99_ms, found.gap_max_ms)
 
 
-def _safety(truth: TruthOfFlight | None, timeline: Timeline, scene: Scene) -> ReportSafety:
-    refusals = len(timeline.refusals)
-    if truth is None:
-        return ReportSafety(None, None, None, refusals, 0)
+def _safety(truth: TruthOfFlight, refusals: int, scene: Scene) -> ReportSafety:
     hull_m = truth.hull_m[np.isfinite(truth.hull_m)]
     touching = hull_m < CONTACT_M
     contacts = int(np.count_nonzero(touching[1:] & ~touching[:-1]) + (len(touching) > 0 and bool(touching[0])))

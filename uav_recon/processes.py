@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
 import signal
@@ -46,6 +47,16 @@ def flight_folder(config: Config, flight: Path | None) -> Path:
     return folder
 
 
+def claim(name: str, config: Config) -> None:
+    """Be the only process of this name on this machine, until it ends. Raises Failure with exit code 75 if it is not."""
+    lock = os.open(config.runtime.folder / f"{name}.lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(lock)
+        raise run.Failure(f"a {name} runs already in {config.runtime.folder}", run.EXIT_SECOND_COPY) from None
+
+
 def pilot(config_path: Path, flight: Path | None) -> int:
     """Fly next to the autopilot until SIGTERM; in the air SIGTERM means: land, then end."""
     from uav_recon.autopilot.tlog import Tlog
@@ -53,6 +64,7 @@ def pilot(config_path: Path, flight: Path | None) -> int:
 
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires = run.file_wires(config.runtime.folder)
+    claim("pilot", config)
     try:
         link = open_link(config.link.url)
     except LinkError as error:
@@ -75,6 +87,7 @@ def perception(config_path: Path) -> int:
     """Turn camera and poses into odometry and posed frames until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires = run.file_wires(config.runtime.folder)
+    claim("perception", config)
     the_perception = run.make_perception(config, wires, clock)
     notify.ready()
     _loop(the_perception.step, PERCEPTION_RATE_HZ, clock, lambda: stop.asked)
@@ -84,11 +97,13 @@ def perception(config_path: Path) -> int:
 def mission(config_path: Path, flight: Path | None) -> int:
     """Fly one mission and write its folder; SIGTERM lands. Exit code 0 if the mission was completed or landed on request."""
     from uav_recon.mapping.neural.worker import ProcessMapper
+    from uav_recon.recording.debrief import FlightCard, account, publish
     from uav_recon.recording.flightlog import FlightLog
     from uav_recon.recording.mapfile import save_map
 
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
-    wires = run.file_wires(config.runtime.folder)
+    wires, begun_s = run.file_wires(config.runtime.folder), clock.now_s()
+    claim("mission", config)
     folder = flight_folder(config, flight)
     configuration.save(config, folder / "config.toml")
     safety, camera = config.safety, config.camera
@@ -119,6 +134,9 @@ def mission(config_path: Path, flight: Path | None) -> int:
         mapper.finish(folder)
         journal.close()
         _stop_recorder(recorder)
+    mount = "gimbal" if camera.mount == "gimbal" else f"fixed:{camera.pitch_down_deg:g}"
+    card = FlightCard(folder.name, config.planner.variant, config.link.autopilot, mount)
+    publish(account(folder, card, clock.now_s() - begun_s), folder)
     logging.getLogger(__name__).info("%s", outcome)
     return 0
 

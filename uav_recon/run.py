@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.planning.planner import AdaptivePlanner
     from uav_recon.recording.recorder import Recorder
 
-EXIT_FAILURE, EXIT_USAGE, EXIT_CONFIG = 1, 2, 78
+EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
 
 

@@ -1,0 +1,55 @@
+"""A flight without a simulator gets its report too, and says what was not measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from uav_recon.recording.debrief import FlightCard, account, publish
+from uav_recon.recording.flightlog import FlightLog
+from uav_recon.recording.report import Report
+from uav_recon.types.pose import Pose
+from uav_recon.types.vehicle import MissionProgress
+
+CARD = FlightCard("kitchen", "adaptive", "px4", "fixed:15")
+
+
+def progress(stamp_s: float, phase: str, path_m: float) -> MissionProgress:
+    return MissionProgress(
+        stamp_s, phase, "explore", 1, 60, 9.0, path_m, 2, 2, 1, 0.1, "", False, np.array([stamp_s, 0.0, 1.0])
+    )
+
+
+def flight(folder: Path) -> None:
+    log = FlightLog(folder)
+    for stamp_s, phase, path_m in ((1.0, "ready", 0.0), (10.0, "survey", 1.0), (30.0, "landing", 8.5), (40.0, "done", 8.5)):
+        log.progress(progress(stamp_s, phase, path_m))
+    log.plan(12.0, "explore", 0.02, 0.05, 3, 3, 3, 0.2)
+    log.plan(20.0, "merged", 0.04, 0.07, 1, 5, 4, 0.3)
+    log.view(13.0, 1, Pose.identity())
+    log.refusal(14.0, "the map shows an obstacle on the way")
+    log.outcome(40.0, "completed", "no frontiers left")
+    log.close()
+
+
+def test_a_real_flight_is_accounted_for(tmp_path: Path) -> None:
+    flight(tmp_path)
+    publish(account(tmp_path, CARD, wall_s=55.0), tmp_path)
+    report = Report.load(tmp_path / "report.json")
+    assert (report.scene, report.outcome, report.stop_reason) == ("kitchen", "completed", "no frontiers left")
+    assert (report.views, report.path_length_m, report.flight_time_s) == (1, 8.5, 20.0)
+    assert report.planning.explore.step_s.median == 0.05
+    assert report.planning.merged.task_s.p95 == 0.04
+    assert abs(report.planning.total_s - 0.12) < 1e-9
+    assert abs(report.planning.hover_wait_s - 0.5) < 1e-9
+    assert report.quality is None
+    assert report.safety.contacts is None
+    assert report.safety.refusals == 1
+    assert "not measured" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_mission_that_left_no_word_is_aborted(tmp_path: Path) -> None:
+    report = account(tmp_path, CARD, wall_s=1.0)
+    assert report.outcome == "aborted: the mission left no word"
+    assert report.flight_time_s == 0.0

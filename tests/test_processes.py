@@ -1,0 +1,78 @@
+"""The processes as a person or systemd meets them: one of each, a port of its own, an end on SIGTERM."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from uav_recon import config as configuration
+
+FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
+
+
+@pytest.fixture()
+def config(tmp_path: Path) -> Path:
+    """The flown config with folders and port of this test."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    tree = configuration.load(FLOWN).model_dump(mode="json", exclude_none=True)
+    tree["link"]["url"] = f"udp:127.0.0.1:{port}"
+    tree["runtime"]["folder"] = str(tmp_path / "run")
+    tree["recording"]["folder"] = str(tmp_path / "flights")
+    path = tmp_path / "config.toml"
+    configuration.save(configuration.parse(tree, "test"), path)
+    return path
+
+
+def start(name: str, config: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "uav_recon.cli", name, "--config", str(config)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.fixture()
+def pilot(config: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    process = start("pilot", config)
+    while not list((tmp_path / "flights").glob("*/flight.tlog")):  # its log is the last thing made before the loop
+        assert process.poll() is None, process.communicate()[1]
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_a_second_copy_ends_with_75_and_the_first_goes_on(pilot: subprocess.Popen[str], config: Path) -> None:
+    second = start("pilot", config)
+    _, said = second.communicate(timeout=30)
+    assert second.returncode == 75
+    assert said.splitlines() == [f"uav-recon: a pilot runs already in {config.parent / 'run'}"]
+    assert pilot.poll() is None
+
+
+def test_sigterm_on_the_ground_ends_the_pilot_at_once(pilot: subprocess.Popen[str]) -> None:
+    pilot.send_signal(signal.SIGTERM)
+    _, said = pilot.communicate(timeout=2)
+    assert pilot.returncode == 0, said
+    assert said == ""
+
+
+def test_the_pilot_loads_no_heavy_package(pilot: subprocess.Popen[str]) -> None:
+    mapped = Path(f"/proc/{pilot.pid}/maps").read_text()
+    for package in ("torch", "open3d", "rerun", "cv2", "llvmlite"):
+        assert f"/{package}/" not in mapped, package
+
+
+def test_a_port_in_use_is_one_line(config: Path) -> None:
+    port = int(configuration.load(config).link.url.rpartition(":")[2])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", port))
+        process = start("pilot", config)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert len(said.splitlines()) == 1
+    assert str(port) in said

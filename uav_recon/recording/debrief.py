@@ -1,0 +1,94 @@
+"""After the flight: its own account as a report with pictures. Truth, where there is one, is added by whoever has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from uav_recon.recording.flightlog import Timeline, read_timeline
+from uav_recon.recording.mapfile import load_map
+from uav_recon.recording.mesh_pictures import mesh_pictures
+from uav_recon.recording.meshfile import load_mesh
+from uav_recon.recording.pictures import coverage_over_time, path_over_plan, planning_over_time
+from uav_recon.recording.report import ModeTimes, Report, ReportPlanning, ReportSafety, ReportStream, Spread
+from uav_recon.recording.report_page import Picture, write_report
+
+ON_THE_GROUND = ("idle", "ready", "done")
+
+
+@dataclass(frozen=True, slots=True)
+class FlightCard:
+    """What was flown: the report's head. depth_noise and seed are None where they mean nothing."""
+
+    scene: str
+    variant: str
+    autopilot: str
+    mount: str
+    seed: int | None = None
+    depth_noise: str | None = None
+
+
+def account(folder: Path, card: FlightCard, wall_s: float) -> Report:
+    """The report that the flight's own files allow: quality, clearance, contacts and stream are unknown."""
+    timeline = read_timeline(folder)
+    outcome = timeline.outcomes[-1] if timeline.outcomes else None
+    stamps_s = [sample.stamp_s for sample in timeline.progress if sample.phase not in ON_THE_GROUND]
+    return Report(
+        scene=card.scene,
+        variant=card.variant,
+        seed=card.seed,
+        autopilot=card.autopilot,
+        mount=card.mount,
+        depth_noise=card.depth_noise,
+        outcome=outcome.outcome if outcome else "aborted: the mission left no word",
+        stop_reason=outcome.stop_reason if outcome else "",
+        views=len(timeline.views),
+        path_length_m=timeline.progress[-1].path_length_m if timeline.progress else 0.0,
+        flight_time_s=max(stamps_s) - min(stamps_s) if stamps_s else 0.0,
+        wall_time_s=wall_s,
+        explored_fraction=None,
+        quality=None,
+        planning=_planning(timeline),
+        stream=ReportStream(None, None, None),
+        safety=ReportSafety(None, None, None, refusals=len(timeline.refusals), failsafes=0),
+    )
+
+
+def publish(report: Report, folder: Path) -> None:
+    """Draw the pictures and write report.json and report.html."""
+    write_report(folder, report, _pictures(folder))
+
+
+def _planning(timeline: Timeline) -> ReportPlanning:
+    def times(mode: str) -> ModeTimes:
+        plans = [plan for plan in timeline.plans if plan.mode == mode]
+        return ModeTimes(_spread([plan.task_s for plan in plans]), _spread([plan.step_s for plan in plans]))
+
+    total_s, waited_s = sum(plan.step_s for plan in timeline.plans), sum(plan.hover_wait_s for plan in timeline.plans)
+    return ReportPlanning(explore=times("explore"), merged=times("merged"), total_s=total_s, hover_wait_s=waited_s)
+
+
+def _spread(values: list[float]) -> Spread:
+    return Spread(float(np.median(values)), float(np.percentile(values, 95.0))) if values else Spread(None, None)
+
+
+def _pictures(folder: Path) -> list[Picture]:
+    timeline, voxels, mesh = read_timeline(folder), load_map(folder), load_mesh(folder)
+    drawn = folder / "pictures"
+    drawn.mkdir(exist_ok=True)
+    pictures = []
+    if mesh is not None and timeline.views:
+        inside = np.median([view.translation_m for view in timeline.views], axis=0)
+        said = ("The model in colour.", "The model by uncertainty: bright is badly known.", "The model from above.")
+        pictures += [Picture(path, text) for path, text in zip(mesh_pictures(drawn, mesh, inside), said, strict=False)]
+    path_over_plan(drawn / "path.png", timeline, voxels)
+    coverage_over_time(drawn / "coverage.png", timeline)
+    planning_over_time(drawn / "planning.png", timeline)
+    return [
+        *pictures,
+        Picture(drawn / "path.png", "The flown path over the floor plan that the drone found."),
+        Picture(drawn / "coverage.png", "Explored volume and views over time."),
+        Picture(drawn / "planning.png", "Computing time of each plan."),
+    ]
