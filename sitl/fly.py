@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import signal
@@ -24,6 +25,7 @@ from uav_recon import run
 __all__ = ["SimOptions", "simulate"]
 
 READY_TIMEOUT_S = 240.0
+NICENESS = {"world": -5, "pilot": -10, "perception": -5, "mission": 0}
 GRACE_S = {"mission": 90.0, "pilot": 20.0, "perception": 5.0, "world": 20.0}  # to land, to save; in this order
 
 
@@ -129,6 +131,8 @@ class _RealTime:
             process = subprocess.Popen(  # noqa: S603 - our own programs
                 command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, start_new_session=True
             )
+        with contextlib.suppress(PermissionError):  # as the services have it, and as a flight controller is: if we may
+            os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS[name])
         self._children.append(_Child(name, process, log))
 
     def _watch(self) -> str | None:
