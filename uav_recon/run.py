@@ -237,7 +237,8 @@ def make_conductor(
     config: Config, wires: Wires, mapper: Mapper, executor: Executor, journal: Journal, clock: Clock, timer: Callable[[], float]
 ) -> Conductor:
     """The mission with every stage warm."""
-    from uav_recon.mission.conductor import Conductor, MissionWires, Orders, Stages
+    from uav_recon.mission.conductor import Conductor
+    from uav_recon.mission.orders import MissionWires, Orders, Stages
     from uav_recon.motion.planner import MotionPlanner
 
     mission = config.mission

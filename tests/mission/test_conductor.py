@@ -12,8 +12,9 @@ import pytest
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock
 from uav_recon.config import MotionConfig
-from uav_recon.mission.conductor import Conductor, MissionWires, Orders, Stages
+from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.machine import Phase
+from uav_recon.mission.orders import MissionWires, Orders, Stages
 from uav_recon.motion import MotionPlanner
 from uav_recon.recording.flightlog import FlightLog, read_timeline
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,57 +12,19 @@ from uav_recon.mission.course import Course
 from uav_recon.mission.decider import Decider, Decision
 from uav_recon.mission.events import Facts, observe
 from uav_recon.mission.machine import Phase, advance
-from uav_recon.protocols import Channel, Clock, Executor, Journal, Mapper, Motion, Pending, Planner, ViewBudget, Voxels
+from uav_recon.mission.orders import MissionWires, Orders, Stages
+from uav_recon.protocols import Clock, Executor, Journal, Pending
 from uav_recon.types.camera import PosedFrame
-from uav_recon.types.maps import SurfaceElements, VoxelMap
-from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
+from uav_recon.types.maps import VoxelMap
+from uav_recon.types.tasks import NothingLeft, PlanRequest, Viewpoint
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
-from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
+from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 FRAME_TIMEOUT_S = 1.0
 VIEW_LATE_S = 0.6  # a view that no frame met for so long is given up
 RETHINK_S = 0.5  # pause after a plan that could not be flown
 MAX_FAILED_PLANS = 5
 PROGRESS_PERIOD_S, MAP_PERIOD_S = 0.2, 1.0
-
-
-@dataclass(frozen=True)
-class Stages:
-    """The stages, through their protocols."""
-
-    voxels: Voxels
-    budget: ViewBudget
-    mapper: Mapper
-    planner: Planner
-    motion: Motion
-
-
-@dataclass(frozen=True)
-class MissionWires:
-    """The channels of the mission process."""
-
-    frames: Channel[PosedFrame]
-    vehicle: Channel[VehicleState]
-    intent: Channel[Intent]
-    progress: Channel[MissionProgress]
-    voxels: Channel[VoxelMap]
-    surface: Channel[SurfaceElements]
-    plan: Channel[ViewPath]
-
-
-@dataclass(frozen=True)
-class Orders:
-    """What this mission is to do, in SI units."""
-
-    views: int
-    survey_views: int
-    view_spacing_m: float
-    takeoff_height_m: float
-    takeoff_radius_m: float
-    vehicle_height_m: float
-    camera_pitch_down_rad: float
-    max_flight_s: float
-    plan_cost_s: float
 
 
 class Conductor:

@@ -1,0 +1,51 @@
+"""What a mission is made of: its stages, its channels, and what it is to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from uav_recon.protocols import Channel, Mapper, Motion, Planner, ViewBudget, Voxels
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.maps import SurfaceElements, VoxelMap
+from uav_recon.types.tasks import ViewPath
+from uav_recon.types.trajectory import Intent
+from uav_recon.types.vehicle import MissionProgress, VehicleState
+
+
+@dataclass(frozen=True)
+class Stages:
+    """The stages, through their protocols."""
+
+    voxels: Voxels
+    budget: ViewBudget
+    mapper: Mapper
+    planner: Planner
+    motion: Motion
+
+
+@dataclass(frozen=True)
+class MissionWires:
+    """The channels of the mission process."""
+
+    frames: Channel[PosedFrame]
+    vehicle: Channel[VehicleState]
+    intent: Channel[Intent]
+    progress: Channel[MissionProgress]
+    voxels: Channel[VoxelMap]
+    surface: Channel[SurfaceElements]
+    plan: Channel[ViewPath]
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What this mission is to do, in SI units."""
+
+    views: int
+    survey_views: int
+    view_spacing_m: float
+    takeoff_height_m: float
+    takeoff_radius_m: float
+    vehicle_height_m: float
+    camera_pitch_down_rad: float
+    max_flight_s: float
+    plan_cost_s: float
