@@ -19,7 +19,8 @@ from uav_recon.sensors.wire import StreamWriter
 IMU_RATE_HZ = 200.0
 CAMERA_PERIOD_S = 0.1
 TRUTH_RATE_HZ = 50.0
-PAD_HEIGHT_M = 0.4  # below it, take-off and landing, nearness to the pad is no fault
+PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # taking off and landing so low over the ground, nearness to it is no fault
+BODY_ABOVE_FLOOR_M = 0.10
 
 
 @dataclass
@@ -91,9 +92,11 @@ class World:
         self._truth_count = int((now_s - self._start_s) * TRUTH_RATE_HZ) + 1
         truth = self.autopilot.truth()
         position = np.asarray(truth.position)
-        hull_m = self._clearance.hull_m(position) if truth.armed and position[2] > PAD_HEIGHT_M else np.nan
-        landing = float("LAND" in truth.mode)
-        self.truth_log.rows.append((now_s, *position, *truth.quat_wxyz, hull_m, float(truth.armed), landing))
+        landing = "LAND" in truth.mode
+        over_pad = landing or float(np.hypot(position[0], position[1])) < PAD_RADIUS_M
+        low = position[2] + BODY_ABOVE_FLOOR_M < PAD_HEIGHT_M
+        hull_m = np.nan if not truth.armed or (low and over_pad) else self._clearance.hull_m(position)
+        self.truth_log.rows.append((now_s, *position, *truth.quat_wxyz, hull_m, float(truth.armed), float(landing)))
 
     def _world_from_body(self) -> NDArray[np.float64]:
         truth = self.autopilot.truth()
