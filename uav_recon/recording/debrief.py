@@ -81,7 +81,7 @@ def _pictures(folder: Path) -> list[Picture]:
     pictures = []
     if mesh is not None and timeline.views:
         inside = np.median([view.translation_m for view in timeline.views], axis=0)
-        said = ("The model in colour.", "The model by uncertainty: bright is badly known.", "The model from above.")
+        said = ("The model in colour.", "The model by uncertainty: blue is well known, red badly.", "The model from above.")
         pictures += [Picture(path, text) for path, text in zip(mesh_pictures(drawn, mesh, inside), said, strict=False)]
     path_over_plan(drawn / "path.png", timeline, voxels)
     coverage_over_time(drawn / "coverage.png", timeline)

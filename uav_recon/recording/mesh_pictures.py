@@ -43,13 +43,18 @@ def mesh_pictures(folder: Path, mesh: TriangleMesh, inside_world: FloatArray) ->
 
 
 def _uncertainty_colours(mesh: TriangleMesh) -> tuple[ByteArray, float, float]:
-    """Vertex colours (V, 3) by uncertainty, and the values at both ends of the colour map (2nd and 98th percentile)."""
+    """Vertex colours (V, 3) by uncertainty, and the values at both ends of the colour map (2nd and 98th percentile).
+
+    The scale is logarithmic: a place looked at once is uncertain many times over one looked at often.
+    """
     import matplotlib
 
     finite = mesh.uncertainty[np.isfinite(mesh.uncertainty)]
     low, high = (float(v) for v in np.percentile(finite, [2.0, 98.0])) if len(finite) else (0.0, 1.0)
-    high = high if high > low else low + 1e-6
-    scaled = np.clip((np.nan_to_num(mesh.uncertainty, nan=high, posinf=high) - low) / (high - low), 0.0, 1.0)
+    low = max(low, 1e-9)
+    high = max(high, low * 1.001)
+    shown = np.clip(np.nan_to_num(mesh.uncertainty, nan=high, posinf=high), low, high)
+    scaled = np.log(shown / low) / np.log(high / low)
     colours = matplotlib.colormaps["turbo"](scaled)[:, :3]
     return np.asarray(colours * 255.0, dtype=np.uint8), low, high
 
@@ -107,11 +112,12 @@ def _on_floor(points: FloatArray, lower: FloatArray) -> FloatArray:
 
 def _draw_colour_bar(figure: Any, low: float, high: float) -> None:
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
+    from matplotlib.colors import LogNorm
 
     axes = figure.add_axes((0.76, 0.93, 0.2, 0.02))
-    bar = figure.colorbar(ScalarMappable(Normalize(low, high), "turbo"), cax=axes, orientation="horizontal")
+    bar = figure.colorbar(ScalarMappable(LogNorm(low, high), "turbo"), cax=axes, orientation="horizontal")
     bar.outline.set_visible(False)
-    bar.set_ticks([low, high], labels=[f"{low:.2g}", f"{high:.2g}"])
+    bar.set_ticks([low, high], labels=[f"{low:.1g}", f"{high:.1g}"], minor=False)
+    bar.minorticks_off()
     axes.tick_params(colors=SOFT, length=0, labelsize=11)
     axes.set_title("surface uncertainty", color=INK, fontsize=12)
