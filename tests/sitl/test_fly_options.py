@@ -1,0 +1,69 @@
+"""The words of `uav-recon sim` become options, and a config that the product accepts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sitl.fly_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, UsageError
+from sitl.fly_world import WorldOptions
+from sitl.scene import Scene
+
+SCENE = Scene(
+    "box", np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8), 0.3,
+    np.array([-1.0, -1.5, -0.1]), np.array([7.0, 1.5, 2.4]), np.zeros(3),
+)  # fmt: skip
+
+
+def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
+    options = SimOptions.parse()
+    assert (options.scene, options.views, options.mount_pitch_down_deg) == (None, BUILT_IN_VIEWS, 15.0)
+    assert (options.depth_noise, options.camera, options.variant, options.autopilot) == ("d435i", "d435i", "adaptive", "px4")
+    assert options.out.is_absolute()
+    assert SimOptions.parse(scene="room.ply").views == SCENE_VIEWS
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ({"mount": "fixed:61"}, "-60..60"),
+        ({"mount": "swivel"}, "gimbal"),
+        ({"camera": "d415"}, "d435i, wide"),
+        ({"autopilot": "ardupilot"}, "px4"),
+        ({"variant": "evpp"}, "adaptive"),
+        ({"start": "1,2,3"}, "4 numbers"),
+        ({"start": "1,2,3,inf"}, "4 numbers"),
+        ({"fence": "0,0,0,1,1,0"}, "upper corner"),
+    ],
+)
+def test_a_word_out_of_range_names_what_is_allowed(words: dict[str, str], named: str) -> None:
+    with pytest.raises(UsageError, match=named) as failure:
+        SimOptions.parse(**words)  # type: ignore[arg-type]
+    assert failure.value.code == 2
+    assert "\n" not in str(failure.value)
+
+
+def test_the_fence_of_the_product_is_the_scenes_box(tmp_path: Path) -> None:
+    config = SimOptions.parse(views=33, seed=5, variant="merged", port=15000).config(SCENE, tmp_path)
+    assert config.safety.fence_min_m == (-1.0, -1.5, -0.1)
+    assert config.safety.fence_max_m == (7.0, 1.5, 2.4)
+    assert (config.mission.views, config.mapper.seed, config.planner.variant) == (33, 5, "merged")
+    assert config.link.url == "udp:127.0.0.1:15000"
+    assert config.camera.pitch_down_deg == 15.0
+    assert config.runtime.folder == tmp_path
+
+
+def test_a_gimbal_reaches_world_and_product_alike(tmp_path: Path) -> None:
+    options = SimOptions.parse(mount="gimbal")
+    assert options.world(tmp_path).mount_pitch_down_deg is None
+    assert options.config(SCENE, tmp_path).camera.mount == "gimbal"
+
+
+def test_the_options_of_the_world_survive_their_file(tmp_path: Path) -> None:
+    world = SimOptions.parse(scene="x.ply", start="1,2,0,90", fence="0,0,0,4,4,3", depth_noise="kinect").world(tmp_path)
+    world.save(tmp_path / "world.json")
+    back = WorldOptions.load(tmp_path / "world.json")
+    assert (back.scene, tuple(back.start or ()), tuple(back.fence or ())) == ("x.ply", (1, 2, 0, 90), (0, 0, 0, 4, 4, 3))
+    assert (back.depth_noise, back.stream) == ("kinect", str(tmp_path / "camera.stream"))
