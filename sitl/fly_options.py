@@ -124,7 +124,7 @@ class SimOptions:
             },
             "mapper": {"seed": self.seed},
             "planner": {"variant": self.variant},
-            "mission": {"views": self.views},
+            "mission": {"views": self.views, "autostart": True},
             "recording": {"folder": str(self.out), "live": self.live},
             "runtime": {"folder": str(runtime)},
         }

@@ -153,7 +153,7 @@ class MissionConfig(Section):
     survey_views: Annotated[int, Field(ge=0, le=36)] = 8  # keyframes of the first look round
     max_flight_s: Positive = 900.0  # then it returns
     plan_cost_s: Annotated[float, Field(ge=0.0, le=5.0)] = 0.1  # declared planning cost on a simulated clock
-    autostart: bool = True  # start as soon as the pilot is READY; otherwise wait for `uav-recon start`
+    autostart: bool = False  # true: arm and fly as soon as the pilot is READY; nobody is asked
 
 
 class RecordingConfig(Section):
