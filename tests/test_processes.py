@@ -56,7 +56,7 @@ def test_a_second_copy_ends_with_75_and_the_first_goes_on(pilot: subprocess.Pope
 
 def test_sigterm_on_the_ground_ends_the_pilot_at_once(pilot: subprocess.Popen[str]) -> None:
     pilot.send_signal(signal.SIGTERM)
-    _, said = pilot.communicate(timeout=2)
+    _, said = pilot.communicate(timeout=20)
     assert pilot.returncode == 0, said
     assert said == ""
 
