@@ -212,6 +212,7 @@ def make_planner(config: Config, timer: Callable[[], float]) -> AdaptivePlanner:
         motion.speed_mps,
         math.radians(motion.yaw_rate_degps),
         timer,
+        fence_inset_m=max(config.planner.clearance_m, safety.fence_inset_m),  # never plan what the guard would refuse
     )
 
 

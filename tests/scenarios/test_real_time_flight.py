@@ -95,7 +95,9 @@ def test_a_short_flight_in_real_time_keeps_its_stream(tmp_path: Path) -> None:
     assert report.stream.gap_p99_ms is not None
     assert report.stream.rate_hz >= 28.0
     assert report.stream.gap_p99_ms <= 60.0
-    assert report.safety.failsafes == 0  # so no gap came near 0.5 s; RESULTS.md holds the longest ones of quiet machines
+    assert report.stream.gap_max_ms is not None
+    assert report.stream.gap_max_ms <= 250.0
+    assert report.safety.failsafes == 0
     for name in ("report.html", "mesh.ply", "flight.rrd", "flight.tlog", "config.toml", "keyframes/poses.json"):
         assert (tmp_path / "f" / name).stat().st_size > 0, name
 
