@@ -28,7 +28,9 @@ FRAME = Frame(
     12.5, 7, RNG.random((6, 8)).astype(np.float32), OPTICS, RNG.integers(0, 255, (4, 5, 3), dtype=np.uint8), OPTICS, POSE
 )
 GRID = GridSpec(np.array([-1.0, 0.0, 0.5]), 0.1, (3, 4, 5))
-VOXELS = VoxelMap(GRID, RNG.integers(0, 3, (3, 4, 5)).astype(np.uint8), RNG.random((3, 4, 5)).astype(np.float32), 9, 1)
+VOXELS = VoxelMap.whole(
+    GRID, RNG.integers(0, 3, (3, 4, 5)).astype(np.uint8), RNG.integers(0, 99, (3, 4, 5)).astype(np.uint8), 9, 1
+)
 SURFACE = SurfaceElements(RNG.random((5, 3)), RNG.random((5, 3)), RNG.random(5), 4)
 VIEW = Viewpoint(np.array([1.0, 2.0, 3.0]), 0.3, 0.26)
 TASK = Task(TaskKind.RECONSTRUCT, np.array([0.0, 1.0, 0.0]), VIEW, 17.5)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uav_recon.config import MotionConfig
-from uav_recon.mapping.distance import distance_to_not_free
+from uav_recon.mapping.distance import distance2_to_not_free
 from uav_recon.motion import MotionPlanner
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
@@ -27,7 +27,7 @@ def room(*boxes: tuple[FloatArray, FloatArray, int], epoch: int = 0) -> VoxelMap
     for low, high, value in boxes:
         i, j = grid.index(np.asarray(low) + 1e-6), grid.index(np.asarray(high) - 1e-6) + 1
         state[i[0] : j[0], i[1] : j[1], i[2] : j[2]] = value
-    return VoxelMap(grid, state, distance_to_not_free(state, 0.1, 1.1), 0, epoch)
+    return VoxelMap.whole(grid, state, distance2_to_not_free(state, 11), 0, epoch)
 
 
 HALL = room()

@@ -6,45 +6,40 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from uav_recon.mapping.distance import distance_to_not_free, warm_up
+from uav_recon.mapping.distance import distance2_to_not_free, warm_up
 from uav_recon.types.frames import ByteArray, FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
 
-def by_scipy(state: ByteArray, resolution_m: float, cap_m: float) -> FloatArray:
+def by_scipy(state: ByteArray, reach: int) -> FloatArray:
     padded = np.pad(state == FREE, 1, constant_values=False)
-    distance: FloatArray = ndimage.distance_transform_edt(padded, sampling=resolution_m)[1:-1, 1:-1, 1:-1]
-    return np.minimum(distance, cap_m)
+    distance: FloatArray = ndimage.distance_transform_edt(padded)[1:-1, 1:-1, 1:-1]
+    return np.round(np.minimum(distance, reach) ** 2)
 
 
 @settings(max_examples=60, deadline=None)
 @given(
     shape=st.tuples(*[st.integers(1, 26)] * 3),
     blocked=st.sampled_from([0.0, 0.0005, 0.005, 0.05, 0.5, 1.0]),
-    resolution_m=st.sampled_from([0.05, 0.1, 0.3]),
-    cap_m=st.sampled_from([0.35, 1.1, 2.0]),
+    reach=st.sampled_from([1, 4, 11, 15]),
     seed=st.integers(0, 2**31),
 )
-def test_is_the_exact_transform_of_scipy(
-    shape: tuple[int, int, int], blocked: float, resolution_m: float, cap_m: float, seed: int
-) -> None:
+def test_is_the_exact_transform_of_scipy(shape: tuple[int, int, int], blocked: float, reach: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     other = rng.choice(np.array([UNKNOWN, OCCUPIED], dtype=np.uint8), shape)
     state = np.where(rng.random(shape) < blocked, other, np.uint8(FREE)).astype(np.uint8)
-    np.testing.assert_allclose(
-        distance_to_not_free(state, resolution_m, cap_m), by_scipy(state, resolution_m, cap_m), atol=1e-5
-    )
+    np.testing.assert_array_equal(distance2_to_not_free(state, reach), by_scipy(state, reach))
 
 
 def test_empty_grid_is_limited_by_its_own_border() -> None:
-    distance_m = distance_to_not_free(np.full((50, 50, 30), FREE, dtype=np.uint8), 0.1, 1.1)
-    assert distance_m[0, 25, 15] == np.float32(0.1)
-    assert distance_m[25, 25, 15] == np.float32(1.1)
+    distance2 = distance2_to_not_free(np.full((50, 50, 30), FREE, dtype=np.uint8), 11)
+    assert distance2[0, 25, 15] == 1
+    assert distance2[25, 25, 15] == 121
 
 
 @pytest.mark.parametrize("state", [UNKNOWN, OCCUPIED])
 def test_whatever_is_not_free_has_no_distance(state: int) -> None:
-    assert not distance_to_not_free(np.full((4, 5, 6), state, dtype=np.uint8), 0.1, 1.1).any()
+    assert not distance2_to_not_free(np.full((4, 5, 6), state, dtype=np.uint8), 11).any()
 
 
 def test_is_quick_enough_to_be_recomputed_in_full() -> None:
@@ -54,6 +49,6 @@ def test_is_quick_enough_to_be_recomputed_in_full() -> None:
     took_s = []
     for _ in range(5):
         began_s = time.perf_counter()
-        distance_to_not_free(state, 0.1, 1.1)
+        distance2_to_not_free(state, 11)
         took_s.append(time.perf_counter() - began_s)
     assert min(took_s) < 0.02  # 1-2 ms on an idle core; this only catches a lost optimisation

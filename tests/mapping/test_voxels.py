@@ -110,7 +110,7 @@ def test_outside_the_fence_nothing_is_free_but_may_be_occupied() -> None:
     picture = room.snapshot()
     assert not (picture.state[35:] == FREE).any() and (picture.state[34, 30, 14]) == FREE
     assert picture.state[40, 30, 14] == OCCUPIED
-    assert picture.distance_m[34, 30, 14] == np.float32(0.1)
+    assert picture.distance2[34, 30, 14] == 1
 
 
 def test_grazing_rays_and_noise_do_not_carve_the_walls() -> None:

@@ -44,7 +44,7 @@ class OpenSpace:
 
     def snapshot(self) -> VoxelMap:
         state = np.full(GRID.shape, 0 if self.closed else FREE, np.uint8)
-        return VoxelMap(GRID, state, np.where(state == FREE, 1.0, 0.0).astype(np.float32), self.revision)
+        return VoxelMap.whole(GRID, state, np.where(state == FREE, 100, 0).astype(np.uint8), self.revision)
 
     def explored_m3(self) -> float:
         return 0.001 * self.revision

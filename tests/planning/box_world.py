@@ -48,9 +48,9 @@ def grid_of(solid: Solid) -> GridSpec:
 def voxel_map(state: NDArray[np.uint8], revision: int = 0, epoch: int = 0) -> VoxelMap:
     """A map with its distance field."""
     nx, ny, nz = state.shape
-    distance = ndimage.distance_transform_edt(np.pad(state == FREE, 1))[1:-1, 1:-1, 1:-1] * RESOLUTION_M
+    distance = ndimage.distance_transform_edt(np.pad(state == FREE, 1))[1:-1, 1:-1, 1:-1]
     grid = GridSpec(np.full(3, -RESOLUTION_M), RESOLUTION_M, (nx, ny, nz))
-    return VoxelMap(grid, state, np.minimum(distance, 1.1).astype(np.float32), revision, epoch)
+    return VoxelMap.whole(grid, state, np.round(np.minimum(distance, 11.0) ** 2).astype(np.uint8), revision, epoch)
 
 
 @numba.njit(cache=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.config import PlannerConfig
-from uav_recon.mapping.distance import distance_to_not_free
+from uav_recon.mapping.distance import distance2_to_not_free
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.planner import AdaptivePlanner
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
@@ -23,7 +23,7 @@ def request(wall: bool) -> PlanRequest:
     state = np.full(GRID.shape, FREE, np.uint8)
     if wall:
         state[24:26] = OCCUPIED
-    voxels = VoxelMap(GRID, state, distance_to_not_free(state, GRID.resolution_m, 1.1), 1)
+    voxels = VoxelMap.whole(GRID, state, distance2_to_not_free(state, 11), 1)
     return PlanRequest(voxels, None, np.array([4.0, 1.5, 1.0]), 0.3, views_left=0)
 
 

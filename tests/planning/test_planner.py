@@ -56,13 +56,13 @@ def assert_flyable(path: ViewPath, request: PlanRequest, start_is_flyable: bool 
         np.testing.assert_allclose(way[-1], view.position_world, atol=1e-9)
         assert (np.linalg.norm(np.diff(way, axis=0), axis=1) > 0).all()
         for p in way if start_is_flyable or n else way[-1:]:
-            assert request.voxels.distance_m[tuple(grid.index(p))] >= 0.4 - 1e-3
+            assert request.voxels.distance_m(grid.index(p)) >= 0.4 - 1e-3
         if start_is_flyable or n:
             for a, b in itertools.pairwise(way):
                 samples = a + np.linspace(0.01, 0.99, 200)[:, None] * (b - a)
                 index = grid.index(samples)
                 # between two flyable samples a line may clip a corner, by less than a quarter of a voxel
-                assert (request.voxels.distance_m[index[:, 0], index[:, 1], index[:, 2]] >= 0.3 - 1e-3).all()
+                assert (request.voxels.distance_m(index) >= 0.3 - 1e-3).all()
         at = way[-1]
 
 
@@ -102,7 +102,7 @@ def test_every_map_gives_a_flyable_path_or_a_reason(block: int) -> None:
             continue
         index = voxels.grid.index(position)
         inside = bool(voxels.grid.contains(index))
-        flyable = inside and voxels.distance_m[tuple(index)] >= 0.4 - 1e-3
+        flyable = inside and voxels.distance_m(index) >= 0.4 - 1e-3
         assert_flyable(answer, request, start_is_flyable=bool(flyable) and _in_fence(voxels, position))
         assert len(answer.viewpoints) <= request.views_left
     assert min(outcomes.values()) >= 5

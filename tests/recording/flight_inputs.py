@@ -54,7 +54,7 @@ def voxel_map() -> VoxelMap:
     state = np.zeros(grid.shape, dtype=np.uint8)
     state[((centres > lower - 0.1) & (centres < upper + 0.1)).all(axis=-1)] = OCCUPIED
     state[((centres > lower) & (centres < upper)).all(axis=-1)] = FREE
-    return VoxelMap(grid, state, np.full(grid.shape, 0.7, dtype=np.float32), revision=3)
+    return VoxelMap.whole(grid, state, np.full(grid.shape, 49, dtype=np.uint8), revision=3)
 
 
 def surface() -> SurfaceElements:

@@ -16,12 +16,14 @@ from uav_recon.types.maps import GridSpec, TriangleMesh, VoxelMap
 def test_a_map_reads_back(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     grid = GridSpec(np.array([-1.0, 2.0, 0.5]), 0.1, (4, 5, 6))
-    voxels = VoxelMap(grid, rng.integers(0, 3, grid.shape).astype(np.uint8), rng.random(grid.shape, np.float32), 7, 2)
+    voxels = VoxelMap.whole(
+        grid, rng.integers(0, 3, grid.shape).astype(np.uint8), rng.integers(0, 99, grid.shape).astype(np.uint8), 7, 2
+    )
     save_map(tmp_path, voxels)
     back = load_map(tmp_path)
     assert back is not None
     np.testing.assert_array_equal(back.state, voxels.state)
-    np.testing.assert_array_equal(back.distance_m, voxels.distance_m)
+    np.testing.assert_array_equal(back.distance2, voxels.distance2)
     np.testing.assert_array_equal(back.grid.origin_world_m, grid.origin_world_m)
     assert (back.grid.shape, back.grid.resolution_m, back.revision, back.map_epoch) == (grid.shape, 0.1, 7, 2)
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.mapping.distance import distance_to_not_free
+from uav_recon.mapping.distance import distance2_to_not_free
 from uav_recon.mapping.distance import warm_up as warm_up_distance
 from uav_recon.mapping.evidence import CELL, FREE_AT, LEVELS, LOWEST, OCCUPIED_AT, count_hits, free, occupy, pool, states
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, FloatArray
-from uav_recon.types.maps import GridSpec, VoxelMap
+from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, GridSpec, VoxelMap
 from uav_recon.types.pose import Pose
 
 
@@ -45,7 +45,8 @@ class Voxels:
     ) -> None:
         """Start unknown. A voxel whose centre is outside the fence box (world, metres) may be occupied, never free."""
         self.grid = grid
-        self._sensor, self._max_range_m, self._cap_m = sensor, max_range_m, distance_cap_m
+        self._sensor, self._max_range_m = sensor, max_range_m
+        self._reach = min(int(np.ceil(distance_cap_m / grid.resolution_m)), LARGEST_DISTANCE_VOXELS)
         bounds = (np.array([fence_min_m, fence_max_m]) - grid.origin_world_m) / grid.resolution_m
         self._fence = np.clip(np.ceil(bounds - 0.5 - 1e-9), 0, np.array(grid.shape)).astype(np.int64)
         size = int(np.prod(grid.shape))
@@ -129,10 +130,10 @@ class Voxels:
         if self._picture is None:
             state = np.empty(self.grid.shape, dtype=np.uint8)
             states(self._odds, self._fence, state)
-            distance_m = distance_to_not_free(state, self.grid.resolution_m, self._cap_m)
+            distance2 = distance2_to_not_free(state, self._reach)
             state.setflags(write=False)
-            distance_m.setflags(write=False)
-            self._picture = VoxelMap(self.grid, state, distance_m, self._revision, self._map_epoch)
+            distance2.setflags(write=False)
+            self._picture = VoxelMap.whole(self.grid, state, distance2, self._revision, self._map_epoch)
         return self._picture
 
     def explored_m3(self) -> float:

@@ -109,7 +109,7 @@ class MotionPlanner:
     def warm_up(self) -> None:
         """Compile the kernels."""
         grid = GridSpec(np.zeros(3), 1.0, (3, 3, 3))
-        voxels = VoxelMap(grid, np.full(grid.shape, FREE, dtype=np.uint8), np.full(grid.shape, 9.0, dtype=np.float32), 0)
+        voxels = VoxelMap.whole(grid, np.full(grid.shape, FREE, dtype=np.uint8), np.full(grid.shape, 81, dtype=np.uint8), 0)
         goal = Viewpoint(np.array([2.0, 1.0, 1.0]), 0.5, 0.0)
         path = ViewPath((goal,), (goal.position_world[None],), PlanMode.EXPLORE, 0, 0, (), 0.0, 0.0)
         flown = self.through(path, voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
@@ -236,4 +236,4 @@ def _lookup(positions_m: FloatArray, voxels: VoxelMap) -> tuple[FloatArray, Bool
     inside = voxels.grid.contains(index)
     i, j, k = np.where(inside[:, None], index, 0).T
     free = inside & (voxels.state[i, j, k] == FREE)
-    return np.where(free, voxels.distance_m[i, j, k], 0.0).astype(np.float64), np.asarray(free, dtype=np.bool_)
+    return np.where(free, voxels.distance_m(index), 0.0), np.asarray(free, dtype=np.bool_)

@@ -31,11 +31,11 @@ class FlyableSpace:
 
         Half a voxel is added: the field measures to a voxel's centre, and an obstacle may reach to its near face.
         """
-        needed_m = clearance_m + 0.5 * voxels.grid.resolution_m - 1e-4
+        needed2 = (clearance_m / voxels.grid.resolution_m + 0.5 - 1e-3) ** 2
         inside = np.zeros(voxels.state.shape, dtype=np.bool_)
         inside[low[0] : high[0], low[1] : high[1], low[2] : high[2]] = True
         free = voxels.state == FREE
-        return FlyableSpace(voxels.grid, _padded(free & inside & (voxels.distance_m >= needed_m)), _padded(free))
+        return FlyableSpace(voxels.grid, _padded(free & inside & (voxels.distance2 >= needed2)), _padded(free))
 
     def padded(self, points_world: FloatArray) -> FloatArray:
         """World (3,) or (N, 3) to padded voxel units."""

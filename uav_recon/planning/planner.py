@@ -187,7 +187,7 @@ def warm_up() -> None:
     state = np.full(grid.shape, FREE, dtype=np.uint8)
     state[[0, -1]], state[:, [0, -1]], state[:, :, [0, -1]] = OCCUPIED, OCCUPIED, OCCUPIED
     state[28:, :20] = 0
-    distance = np.where(state == FREE, 0.5, 0.0).astype(np.float32)
+    distance2 = np.where(state == FREE, 25, 0).astype(np.uint8)
     rng = np.random.default_rng(0)
     points = np.stack([rng.uniform(0.2, 2.5, 4000), rng.uniform(0.2, 2.8, 4000), np.full(4000, 0.1)], axis=1)
     up = np.tile([0.0, 0.0, 1.0], (4000, 1))
@@ -195,4 +195,4 @@ def warm_up() -> None:
     camera = CameraGeometry(1.5, 1.0, np.array([0.1, 0.0, 0.0]), -1.0, 1.0, 4.5)
     planner = AdaptivePlanner(PlannerConfig(), np.zeros(3), np.array([4.0, 3.0, 2.0]), camera, 0.8, 0.8, mode=AlwaysMerged())
     for position in ((1.0, 1.0, 1.0), (3.9, 0.05, 1.0)):
-        planner.plan(PlanRequest(VoxelMap(grid, state, distance, 1), surface, np.array(position), 0.0, 10))
+        planner.plan(PlanRequest(VoxelMap.whole(grid, state, distance2, 1), surface, np.array(position), 0.0, 10))

@@ -20,7 +20,7 @@ def save_map(folder: Path, voxels: VoxelMap) -> None:
         origin_world_m=grid.origin_world_m,
         resolution_m=grid.resolution_m,
         state=voxels.state,
-        distance_m=voxels.distance_m,
+        distance2=voxels.distance2,
         revision=voxels.revision,
         map_epoch=voxels.map_epoch,
     )
@@ -35,4 +35,4 @@ def load_map(folder: Path) -> VoxelMap | None:
     with np.load(path) as data:
         state = data["state"]
         grid = GridSpec(data["origin_world_m"], float(data["resolution_m"]), (state.shape[0], state.shape[1], state.shape[2]))
-        return VoxelMap(grid, state, data["distance_m"], int(data["revision"]), int(data["map_epoch"]))
+        return VoxelMap.whole(grid, state, data["distance2"], int(data["revision"]), int(data["map_epoch"]))

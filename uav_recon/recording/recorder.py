@@ -245,4 +245,4 @@ class Recorder:
 def _distance_m(voxels: VoxelMap, position_world: FloatArray) -> float | None:
     """The map's distance to what is not known free, None outside the map."""
     index = voxels.grid.index(position_world)
-    return float(voxels.distance_m[tuple(index)]) if bool(voxels.grid.contains(index)) else None
+    return float(voxels.distance_m(index)) if bool(voxels.grid.contains(index)) else None

@@ -9,6 +9,8 @@ import numpy as np
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, frozen
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+TILE = 8  # columns along x and y of a tile, the grain in which changes of a map are told
+LARGEST_DISTANCE_VOXELS = 15  # its square fits a byte
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,19 +52,42 @@ class VoxelMap:
     """A frozen picture of the voxels.
 
     state: (nx, ny, nz) uint8 of UNKNOWN | FREE | OCCUPIED.
-    distance_m: (nx, ny, nz) float32, from a voxel's centre to the centre of the nearest voxel that is NOT known free
-    (occupied, unknown, or outside the fence), capped; 0 inside such a voxel. Unknown is not free.
+    distance2: (nx, ny, nz) uint8, SQUARED distance in voxels from a voxel's centre to the centre of the nearest voxel that
+    is NOT known free (occupied, unknown, or outside the grid or the fence), exact below the cap; 0 in such a voxel.
+    Unknown is not free.
+    tile_revision: (ceil(nx / TILE), ceil(ny / TILE)) int64, the revision at which anything in a tile of TILE x TILE columns
+    last changed, so that whoever saw an older revision of this map can look at the changed tiles alone.
     """
 
     grid: GridSpec
     state: ByteArray
-    distance_m: Float32Array
+    distance2: ByteArray
+    tile_revision: IntArray
     revision: int
     map_epoch: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "state", frozen(np.asarray(self.state, dtype=np.uint8)))
-        object.__setattr__(self, "distance_m", frozen(np.asarray(self.distance_m, dtype=np.float32)))
+        object.__setattr__(self, "distance2", frozen(np.asarray(self.distance2, dtype=np.uint8)))
+        object.__setattr__(self, "tile_revision", frozen(np.asarray(self.tile_revision, dtype=np.int64)))
+
+    @staticmethod
+    def whole(grid: GridSpec, state: ByteArray, distance2: ByteArray, revision: int, map_epoch: int = 0) -> VoxelMap:
+        """A map all of which is as old as its revision."""
+        tiles = (-(-grid.shape[0] // TILE), -(-grid.shape[1] // TILE))
+        return VoxelMap(grid, state, distance2, np.full(tiles, revision, dtype=np.int64), revision, map_epoch)
+
+    def changed_tiles(self, since_revision: int) -> IntArray:
+        """Tiles (N, 2) that changed after a revision of the same map epoch; all of them for a negative revision."""
+        changed: IntArray = np.argwhere(self.tile_revision > since_revision)
+        return changed
+
+    def distance_m(self, index: IntArray) -> FloatArray:
+        """Distance in metres at voxel indices (..., 3); 0 outside the grid."""
+        inside = self.grid.contains(index)
+        i, j, k = np.moveaxis(np.where(inside[..., None], index, 0), -1, 0)
+        found: FloatArray = np.where(inside, np.sqrt(self.distance2[i, j, k].astype(np.float64)), 0.0) * self.grid.resolution_m
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
