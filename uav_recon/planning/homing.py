@@ -13,7 +13,7 @@ NEAR_ENOUGH_M = 0.4  # a pad whose own column may not be flown is reached beside
 def proposal_for(situation: Situation, goal: Viewpoint) -> Proposal | None:
     """The reachable cell nearest to ``goal`` as a proposal; None if all are farther away than NEAR_ENOUGH_M."""
     space = situation.space
-    reachable = np.flatnonzero(np.isfinite(situation.reach) & (space.mask.ravel() > 0))
+    reachable = np.flatnonzero(situation.reachable)
     if not len(reachable):
         return None
     away_m = np.linalg.norm(space.world(space.centre(reachable)) - goal.position_world, axis=1)
@@ -24,4 +24,4 @@ def proposal_for(situation: Situation, goal: Viewpoint) -> Proposal | None:
     place = space.world(space.centre(np.array([cell])))[0]
     task = Task(TaskKind.EXPLORE, place, Viewpoint(place, goal.yaw_rad, goal.pitch_down_rad), 0.0)
     nothing = np.zeros(0, dtype=np.int64)
-    return Proposal(task, cell, float(situation.reach[cell]) * space.grid.resolution_m, nothing, nothing.astype(np.float64))
+    return Proposal(task, cell, nothing, nothing.astype(np.float64))

@@ -20,7 +20,7 @@ from uav_recon.planning.modes import AlwaysMerged, ModeRule, mode_rule
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.planning.routes import Routes, time_costs
 from uav_recon.planning.surfaces import SurfaceViews
-from uav_recon.planning.viewpoints import FrontierViews
+from uav_recon.planning.viewpoints import FrontierProposals, FrontierViews
 from uav_recon.planning.visited import Visited
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
@@ -69,14 +69,14 @@ class AdaptivePlanner:
             return self._nothing(situation, start_s, start_s)
         census = find_frontiers(faces, self.visited.exhausted(), request.voxels.grid.resolution_m)
         explore = self._frontier_views.propose(situation, census.frontiers)
-        mode = self._mode.choose(explore.distances_m())
+        mode = self._mode.choose(_distances_m(situation, explore))
         widening = 1.0 if explore.proposals else self._config.end_factor
         tasks = self._frontier_views.without_redundant(situation, explore.proposals, faces)
         tasks += self._reconstruct(mode, situation, request.surface, widening)
         tasks_made_s = self._timer()
         if not tasks:
             return self._nothing(_why(census, explore.without_view, request.voxels.state, faces), start_s, tasks_made_s)
-        tasks = nearest(tasks, MAX_TOUR_TASKS)
+        tasks = nearest(situation, tasks, MAX_TOUR_TASKS)
         routes = Routes(situation, request.position_world, tasks)
         order = self._order(request, routes, tasks)
         horizon_m = self._config.horizon_m * widening
@@ -111,7 +111,8 @@ class AdaptivePlanner:
         if exit_cells is None:
             return "the vehicle stands in space that is not known free, with no known-free way to where it may fly"
         reach, previous = search.distances_from(space.mask, int(exit_cells[-1]), np.zeros(0, dtype=np.int64), np.inf)
-        return Situation(voxels, space, exit_cells, reach, previous)
+        reachable = np.where(np.isfinite(reach), space.mask.ravel(), np.uint8(0)).reshape(space.mask.shape)
+        return Situation(voxels, space, exit_cells, request.position_world, reachable, reach, previous)
 
     def _reconstruct(
         self, mode: PlanMode, situation: Situation, surface: SurfaceElements | None, widening: float
@@ -150,11 +151,18 @@ class AdaptivePlanner:
         return NothingLeft(reason, task_s=tasks_made_s - start_s, step_s=self._timer() - start_s)
 
 
-def nearest(proposals: list[Proposal], count: int) -> list[Proposal]:
+def _distances_m(situation: Situation, explore: FrontierProposals) -> FloatArray:
+    """Path length to each frontier's view, infinite for those left for later, (N,)."""
+    cells = np.array([proposal.cell for proposal in explore.proposals], dtype=np.int64)
+    near_m = situation.reach[cells] * situation.voxels.grid.resolution_m
+    return np.concatenate((near_m, np.full(explore.later, np.inf)))
+
+
+def nearest(situation: Situation, proposals: list[Proposal], count: int) -> list[Proposal]:
     """The ``count`` proposals with the shortest way, in their old order."""
     if len(proposals) <= count:
         return proposals
-    by_distance = np.argsort([proposal.distance_m for proposal in proposals], kind="stable")
+    by_distance = np.argsort([situation.reach[proposal.cell] for proposal in proposals], kind="stable")
     return [proposals[n] for n in np.sort(by_distance[:count])]
 
 

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 from uav_recon.planning.flyable import FlyableSpace
 from uav_recon.planning.search import CellArray
-from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import Task
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """task; cell: flat padded index of its viewpoint; distance_m: path length from the vehicle, on the grid.
+    """task; cell: flat padded index of its viewpoint.
 
     promised: (M,) flat indices into VoxelMap.state of the frontier cells, or of the voxels of surface, that it should settle.
     squareness: (M,) cosine under which each is seen; 1 for frontier cells.
@@ -21,20 +21,22 @@ class Proposal:
 
     task: Task
     cell: int
-    distance_m: float
     promised: IntArray
     squareness: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Situation:
-    """What one plan looks at: the map, where one may fly, how far each cell is, and the way out to the first of them.
+    """What one plan looks at: the map, where the vehicle is and may fly, and the way out to the first such cell.
 
+    reachable: padded uint8 as ``space.mask``, 1 = flyable and connected to ``exit_cells[-1]``.
     reach: (n,) path lengths in voxels from ``exit_cells[-1]`` on the flat padded mask, inf = not reached; previous: (n,).
     """
 
     voxels: VoxelMap
     space: FlyableSpace
     exit_cells: IntArray
+    position_world: FloatArray
+    reachable: ByteArray
     reach: FloatArray
     previous: CellArray

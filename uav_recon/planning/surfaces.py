@@ -148,8 +148,7 @@ def _gain(
 @kernel
 def _sort_places(
     state: ByteArray,
-    reach: FloatArray,
-    mask: ByteArray,
+    reachable: ByteArray,
     lens: FloatArray,
     places: FloatArray,
     centre: FloatArray,
@@ -160,9 +159,9 @@ def _sort_places(
     scores = np.zeros(len(places))
     for p in range(len(places)):
         i, j, k = int(places[p, 0]) + 1, int(places[p, 1]) + 1, int(places[p, 2]) + 1
-        if places[p].min() < 0 or i >= mask.shape[0] or j >= mask.shape[1] or k >= mask.shape[2] or mask[i, j, k] == 0:
+        if places[p].min() < 0 or i >= reachable.shape[0] or j >= reachable.shape[1] or k >= reachable.shape[2]:
             continue
-        if not np.isfinite(reach[(i * mask.shape[1] + j) * mask.shape[2] + k]):
+        if reachable[i, j, k] == 0:
             continue
         yaw, pitch = aim(lens, places[p, 0], places[p, 1], places[p, 2], centre[0], centre[1], centre[2])
         scores[p] = _gain(state, lens, places[p], yaw, pitch, position, normal, weight)[0]
@@ -205,13 +204,13 @@ class SurfaceViews:
         centre: FloatArray,
         offsets: FloatArray,
     ) -> Proposal | None:
-        state, mask, reach, grid = situation.voxels.state, situation.space.mask, situation.reach, situation.voxels.grid
+        state, reachable, grid = situation.voxels.state, situation.reachable, situation.voxels.grid
         lens = self._camera.lens(grid.resolution_m, min(self._camera.surface_range_m, self._camera.range_m))
         places = np.unique(np.floor(centre + offsets), axis=0) + 0.5
         around = cells.taken(
             ((cells.position - centre) ** 2).sum(axis=1) <= (1.5 * self._config.cluster_radius_m / grid.resolution_m) ** 2
         )
-        scores = _sort_places(state, reach, mask, lens, places, centre, around.position, around.normal, around.weight)
+        scores = _sort_places(state, reachable, lens, places, centre, around.position, around.normal, around.weight)
         within = np.flatnonzero(((elements.position - centre) ** 2).sum(axis=1) <= (2 * lens[RANGE]) ** 2)
         in_range = elements.taken(within)
         best: tuple[float, int, float, float, FloatArray] | None = None
@@ -234,4 +233,4 @@ class SurfaceViews:
         promised, group = np.unique(in_range.voxel[seen], return_inverse=True)
         squareness = np.zeros(len(promised))
         np.maximum.at(squareness, group, cosine[seen])
-        return Proposal(task, cell, float(reach[cell]) * grid.resolution_m, promised, squareness)
+        return Proposal(task, cell, promised, squareness)

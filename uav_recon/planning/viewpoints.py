@@ -190,10 +190,6 @@ class FrontierProposals:
     without_view: Counter[str]
     later: int
 
-    def distances_m(self) -> FloatArray:
-        """Path length to each frontier's view, infinite for those left for later, (N,)."""
-        return np.array([proposal.distance_m for proposal in self.proposals] + [np.inf] * self.later)
-
 
 class FrontierViews:
     """Finds the best view of each frontier for one vehicle and camera."""
@@ -255,7 +251,7 @@ class FrontierViews:
             TaskKind.EXPLORE, grid.origin_world_m + centre * grid.resolution_m, viewpoint, float(np.count_nonzero(seen))
         )
         promised = np.ravel_multi_index(tuple(cells[seen].T), grid.shape).astype(np.int64)
-        return Proposal(task, cell, float(reach[cell]) * grid.resolution_m, promised, np.ones(len(promised)))
+        return Proposal(task, cell, promised, np.ones(len(promised)))
 
     def without_redundant(self, situation: Situation, proposals: list[Proposal], faces: ByteArray) -> list[Proposal]:
         """Leave out tasks whose cells a better view shows as well; that view then promises those too.
