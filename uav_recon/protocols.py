@@ -148,7 +148,7 @@ class Mapper(Protocol):
 
 
 class Planner(Protocol):
-    """Pure: the same request gives the same answer, whatever the machine's load."""
+    """The same requests, accepted paths and order give the same answers, whatever the machine's load."""
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         """Choose the next views and the way to them."""
@@ -156,6 +156,14 @@ class Planner(Protocol):
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
         """The shortest clear way to one view (home), as a path with that single view."""
+        ...
+
+    def accept(self, path: ViewPath) -> None:
+        """This path is flown, or was tried in vain; a later plan looks at what came of it."""
+        ...
+
+    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
+        """Whether the next view of the last plan still promises anything in a newer map. Microseconds."""
         ...
 
 
@@ -186,6 +194,12 @@ class Motion(Protocol):
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | str:
         """From rest at ``start`` through every view of the path to rest at the last."""
+        ...
+
+    def onward(
+        self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
+    ) -> Trajectory | str:
+        """Follow ``flying`` until ``leave_s``, then go on, in motion, through every view of the path to rest at the last."""
         ...
 
     def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:

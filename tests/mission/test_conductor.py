@@ -55,15 +55,23 @@ class ThreeViews:
 
     def __init__(self) -> None:
         self.left = [np.array([1.0, 0.0, 1.1]), np.array([1.0, 1.0, 1.1]), np.array([0.0, 1.0, 1.1])]
-        self.no_way_home = False
+        self.no_way_home = self.settled = False
+        self.accepted: list[ViewPath] = []
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         if not self.left:
             return NothingLeft("2 frontiers left: 2 too narrow", 0.01, 0.02)
-        return self._to(request, Viewpoint(self.left.pop(0), 0.5, 0.26))
+        return self._to(request, Viewpoint(self.left[0], 0.5, 0.26))
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
         return NothingLeft("no known-free way leads there", 0.0, 0.0) if self.no_way_home else self._to(request, goal)
+
+    def accept(self, path: ViewPath) -> None:
+        self.accepted.append(path)
+        self.left.pop(0)
+
+    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
+        return not self.settled
 
     @staticmethod
     def _to(request: PlanRequest, view: Viewpoint) -> ViewPath:
@@ -244,7 +252,7 @@ def test_an_obstacle_on_the_way_brakes(desk: Desk) -> None:
         desk.run(0.1)
     before = desk.intent.trajectory
     desk.voxels.closed = True
-    desk.run(3.0)
+    desk.run(2.0)
     after = desk.intent.trajectory
     assert before is not None
     assert after is not None

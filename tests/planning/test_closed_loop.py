@@ -45,5 +45,6 @@ def explore(
         if isinstance(answer, NothingLeft):
             return world, answer.reason, visits
         visits.update(tuple(np.floor(task.centroid_world / 0.2).astype(int)) for task in answer.tasks)
+        planner.accept(answer)
         world.fly(answer)
     raise AssertionError(f"still exploring after 60 plans and {world.length_m:.1f} m")

@@ -201,6 +201,7 @@ def test_surface_tasks_run_out() -> None:
         answer = planner.plan(PlanRequest(asked.voxels, surface, asked.position_world, asked.yaw_rad, 500))
         if isinstance(answer, NothingLeft):
             break
+        planner.accept(answer)
         world.views += len(answer.viewpoints)
         world.position, world.yaw_rad = answer.viewpoints[-1].position_world, answer.viewpoints[-1].yaw_rad
         world.revision += 1
@@ -219,6 +220,7 @@ def test_what_a_camera_cannot_settle_is_given_up_after_two_looks() -> None:
         answer = planner.plan(PlanRequest(voxel_map(known, revision), None, position, yaw, 20))
         if isinstance(answer, NothingLeft):
             break
+        planner.accept(answer)
         views += len(answer.viewpoints)
         position, yaw = answer.viewpoints[-1].position_world, answer.viewpoints[-1].yaw_rad
     assert isinstance(answer, NothingLeft)
@@ -231,7 +233,11 @@ def test_whoever_refuses_to_fly_does_not_get_the_same_view_for_ever() -> None:
     known[-12:-1, 30:, 1:-1] = 0
     planner = planner_for(known)
     position = np.array([1.0, 1.0, 1.2])
-    answers = [planner.plan(PlanRequest(voxel_map(known, r), None, position, 0.0, 20)) for r in range(80)]
+    answers: list[ViewPath | NothingLeft] = []
+    for revision in range(80):
+        answers.append(planner.plan(PlanRequest(voxel_map(known, revision), None, position, 0.0, 20)))
+        if isinstance(answers[-1], ViewPath):
+            planner.accept(answers[-1])
     assert isinstance(answers[0], ViewPath)
     assert isinstance(answers[-1], NothingLeft)
 

@@ -12,9 +12,10 @@ class Captures:
         self._instants_s: list[float] = []
         self._late_s = late_s
 
-    def expect(self, trajectory: Trajectory) -> None:
-        """Replace what is pending by the views of a trajectory."""
-        self._instants_s = [trajectory.start_s + float(t) for t in trajectory.views_s]
+    def expect(self, trajectory: Trajectory, after_s: float) -> None:
+        """The views of a trajectory replace those that were to come after the instant at which it leaves the one before."""
+        self.cancel_after(after_s)
+        self._instants_s += [trajectory.start_s + float(t) for t in trajectory.views_s]
 
     def cancel_after(self, instant_s: float) -> None:
         """Forget the views that a stopped trajectory will not reach."""

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from uav_recon.mission.account import Account
 from uav_recon.mission.captures import Captures
 from uav_recon.mission.course import Course
-from uav_recon.mission.decider import Decider, Decision
+from uav_recon.mission.decider import Decider
 from uav_recon.mission.events import Facts, observe
+from uav_recon.mission.helm import Helm
+from uav_recon.mission.homeward import Homeward
 from uav_recon.mission.machine import Phase, advance
 from uav_recon.mission.orders import MissionWires, Orders, Stages
-from uav_recon.protocols import Clock, Executor, Journal, Pending
+from uav_recon.mission.survey import Survey
+from uav_recon.protocols import Clock, Executor, Journal
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import VoxelMap
-from uav_recon.types.tasks import NothingLeft, PlanRequest, Viewpoint
-from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
+from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 FRAME_TIMEOUT_S = 1.0
 VIEW_LATE_S = 0.6  # a view that no frame met for so long is given up
-RETHINK_S = 0.5  # pause after a plan that could not be flown
-MAX_FAILED_PLANS = 5
 PROGRESS_PERIOD_S, MAP_PERIOD_S = 0.2, 1.0
 
 
@@ -34,17 +32,19 @@ class Conductor:
         self, stages: Stages, wires: MissionWires, orders: Orders, executor: Executor, journal: Journal, clock: Clock
     ) -> None:
         self._stages, self._wires, self._orders, self._clock = stages, wires, orders, clock
-        self._decider = Decider(stages.planner, stages.motion, executor, orders.plan_cost_s, orders.view_spacing_m)
-        self._course, self._captures = Course(orders.camera_pitch_down_rad), Captures(VIEW_LATE_S)
         self._account = Account(journal, orders.views)
+        self._captures, self._course = Captures(VIEW_LATE_S), Course(orders.camera_pitch_down_rad)
+        self._helm = Helm(stages.motion, self._course, self._captures, self._account)
+        decider = Decider(stages.planner, stages.motion, executor, orders.plan_cost_s, orders.view_spacing_m)
+        self._survey = Survey(stages, wires, orders, self._helm, decider, self._account)
+        self._homeward = Homeward(self._helm, decider, self._account, orders.takeoff_height_m)
         self.phase = Phase.IDLE
         self.map: VoxelMap | None = None
-        self._decision: Pending[Decision] | None = None
         self._frame_sequence, self._frame_s = 0, -np.inf
         self._surface_revision, self._refusals = -1, 0
-        self._took_off_s = self._resting_since_s = np.inf
-        self._think_again_s = self._reported_s = self._map_published_s = -np.inf
-        self._start = self._abort = self._looked_round = self._homing = self._no_way_home = False
+        self._took_off_s = np.inf
+        self._reported_s = self._map_published_s = -np.inf
+        self._start = self._abort = False
         half_m = orders.vehicle_height_m / 2
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, orders.takeoff_height_m + half_m)
 
@@ -96,8 +96,7 @@ class Conductor:
         """A refused trajectory is not flown on: the vehicle hovers where the guard stopped it, and the plan is made anew."""
         if vehicle.refusals > self._refusals and self._course.trajectory is not None:
             self._account.refusal(now_s, vehicle.note)
-            here, identifier = self._course.place(vehicle), self._course.next_identifier()
-            self._fly(self._stages.motion.line(here, here.position_m, here.yaw_rad, now_s, identifier), now_s)
+            self._helm.hold(now_s, vehicle)
         self._refusals = vehicle.refusals
 
     def _facts(self, now_s: float, vehicle: VehicleState) -> Facts:
@@ -105,7 +104,7 @@ class Conductor:
             vehicle=vehicle,
             start=self._start and self.map is not None,
             abort=self._abort,
-            at_rest=self._at_rest(now_s),
+            at_rest=self._helm.at_rest(now_s),
             took_off=self._course.trajectory is not None,
             frame_age_s=now_s - self._frame_s,
             frame_timeout_s=FRAME_TIMEOUT_S,
@@ -113,12 +112,9 @@ class Conductor:
             views_left=self._account.views_left,
             flight_s=now_s - self._took_off_s,
             max_flight_s=self._orders.max_flight_s,
-            homing=self._homing,
-            no_way_home=self._no_way_home,
+            homing=self._homeward.under_way,
+            no_way_home=self._homeward.no_way,
         )
-
-    def _at_rest(self, now_s: float) -> bool:
-        return self._course.at_rest(now_s) and not self._captures.waiting(now_s)
 
     def _change_phase(self, phase: Phase, now_s: float) -> None:
         if phase is self.phase:
@@ -127,8 +123,10 @@ class Conductor:
         if phase is Phase.RETURN:
             self._account.stop_reason = self._account.stop_reason or self._why_return(now_s)
         if phase in (Phase.HOLD, Phase.RETURN, Phase.RETREAT):
-            self._brake(now_s)
-        self.phase, self._decision, self._resting_since_s, self._think_again_s = phase, None, np.inf, -np.inf
+            self._helm.brake(now_s)
+        self.phase = phase
+        self._survey.interrupt()
+        self._homeward.interrupt()
 
     def _why_return(self, now_s: float) -> str:
         left = f"{self._account.frontiers} frontiers left in the last plan"
@@ -143,10 +141,14 @@ class Conductor:
     def _act(self, now_s: float, vehicle: VehicleState) -> None:
         if self.phase is Phase.TAKEOFF:
             self._take_off(now_s, vehicle)
+        elif self.map is None:
+            return
         elif self.phase is Phase.SURVEY:
-            self._survey(now_s, vehicle)
+            self._survey.step(now_s, vehicle, self.map)
         elif self.phase in (Phase.RETURN, Phase.RETREAT):
-            self._go_home(now_s, vehicle)
+            self._homeward.step(now_s, vehicle, self.map, along_breadcrumbs=self.phase is Phase.RETREAT)
+            if self._homeward.lost:
+                self.request_abort(self._homeward.lost)
 
     def _take_off(self, now_s: float, vehicle: VehicleState) -> None:
         if self._course.trajectory is not None or vehicle.phase is not FlightPhase.FLYING:
@@ -154,89 +156,8 @@ class Conductor:
         start = self._course.rest(vehicle)
         goal = np.array([*start.position_m[:2], self._orders.takeoff_height_m])
         self._took_off_s = now_s
-        self._fly(self._stages.motion.line(start, goal, start.yaw_rad, now_s, self._course.next_identifier()), now_s)
-
-    def _survey(self, now_s: float, vehicle: VehicleState) -> None:
-        if not self._course.at_rest(now_s):
-            self._brake_if_blocked(now_s)
-        elif not self._captures.waiting(now_s):
-            self._resting_since_s = min(self._resting_since_s, now_s)
-            if self._looked_round:
-                self._choose_views(now_s, vehicle)
-            else:
-                self._look_round(now_s, vehicle)
-
-    def _look_round(self, now_s: float, vehicle: VehicleState) -> None:
-        self._looked_round = True
-        start, identifier = self._course.rest(vehicle), self._course.next_identifier()
-        self._fly(self._stages.motion.turn(start, now_s, 2 * np.pi, self._orders.survey_views, identifier), now_s)
-
-    def _choose_views(self, now_s: float, vehicle: VehicleState) -> None:
-        if self._decision is None and self.map is not None and now_s >= self._think_again_s:
-            rest = self._course.rest(vehicle)
-            self._decision = self._decider.next_views(self._request(rest, self.map), rest, self._course.next_identifier())
-        if self._decision is None or not self._decision.done():
-            return
-        decision, self._decision = self._decision.result(), None
-        self._account.plan(now_s, decision.path, now_s - self._resting_since_s)
-        if isinstance(decision.path, NothingLeft):
-            return
-        self._wires.plan.publish(decision.path)
-        if isinstance(decision.motion, str):
-            self._give_up_plan(decision.motion, now_s)
-            return
-        self._account.failed_in_a_row = 0
-        self._fly(decision.motion, now_s)
-
-    def _give_up_plan(self, reason: str, now_s: float) -> None:
-        self._account.failed_in_a_row += 1
-        self._account.refusal(now_s, f"plan not flyable: {reason}")
-        self._think_again_s = now_s + RETHINK_S
-        if self._account.failed_in_a_row >= MAX_FAILED_PLANS:
-            self._account.stop_reason = f"{MAX_FAILED_PLANS} plans in a row could not be flown: {reason}"
-
-    def _go_home(self, now_s: float, vehicle: VehicleState) -> None:
-        if self._homing or not self._course.at_rest(now_s) or self.map is None:
-            return
-        rest = self._course.rest(vehicle)
-        home = Viewpoint(np.array([0.0, 0.0, self._orders.takeoff_height_m]), rest.yaw_rad, rest.camera_pitch_down_rad)
-        request, identifier = self._request(rest, self.map), self._course.next_identifier()
-        if self._decision is None and self.phase is Phase.RETURN:
-            self._decision = self._decider.way_home(request, rest, home, identifier)
-        elif self._decision is None:
-            self._decision = self._decider.way_back(request, rest, self._course.way_back(), home, identifier)
-        if not self._decision.done():
-            return
-        decision, self._decision = self._decision.result(), None
-        if isinstance(decision.motion, Trajectory):
-            self._homing = True
-            self._fly(dataclasses.replace(decision.motion, views_s=np.zeros(0)), now_s)  # home is no view
-            return
-        self._account.refusal(now_s, decision.motion)
-        if self.phase is Phase.RETURN:
-            self._no_way_home = True
-        else:
-            self.request_abort(f"no way back: {decision.motion}")
-
-    def _request(self, rest: Setpoint, voxels: VoxelMap) -> PlanRequest:
-        return PlanRequest(voxels, self._stages.mapper.surface(), rest.position_m, rest.yaw_rad, self._account.views_left)
-
-    def _fly(self, trajectory: Trajectory, now_s: float) -> None:
-        self._course.trajectory = dataclasses.replace(trajectory, start_s=now_s)  # made a moment ago, flown from now
-        self._captures.expect(self._course.trajectory)
-        self._resting_since_s = np.inf
-
-    def _brake_if_blocked(self, now_s: float) -> None:
-        trajectory = self._course.trajectory
-        if trajectory and self.map and not self._stages.motion.still_clear(trajectory, now_s, self.map):
-            self._account.refusal(now_s, "the map shows an obstacle on the way")
-            self._brake(now_s)
-
-    def _brake(self, now_s: float) -> None:
-        trajectory = self._course.trajectory
-        if trajectory is not None and not self._course.at_rest(now_s):
-            self._course.trajectory = self._stages.motion.stop(trajectory, now_s, self._course.next_identifier())
-            self._captures.cancel_after(now_s)
+        up = self._stages.motion.line(start, goal, start.yaw_rad, now_s, self._course.next_identifier())
+        self._helm.fly(up, now_s)
 
     # -- tell ---------------------------------------------------------------------------------------------------------
 
@@ -261,7 +182,7 @@ class Conductor:
 
     def close(self) -> str:
         """Write the last line of the journal; returns the outcome."""
-        home = self.phase is Phase.DONE and self._homing and not self._abort
+        home = self.phase is Phase.DONE and self._homeward.under_way and not self._abort
         why = self._account.aborted or self._account.note or self.phase.value
         outcome = "completed" if home else f"aborted: {why}"
         self._account.close(self._clock.now_s(), outcome)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from uav_recon.types.frames import FloatArray
@@ -11,6 +13,15 @@ from uav_recon.types.vehicle import VehicleState
 BREADCRUMB_M = 0.2
 ARRIVED_M = 0.15
 LATE_S = 5.0  # an autopilot that is still away by then will not come nearer by waiting
+
+
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """Where the next motion begins: at rest (flying is None), or on a trajectory that is left in motion at ``leave_s``."""
+
+    setpoint: Setpoint
+    flying: Trajectory | None = None
+    leave_s: float = -np.inf
 
 
 class Course:
@@ -46,6 +57,18 @@ class Course:
         over_s = now_s - self.trajectory.start_s - self.trajectory.duration_s
         away_m = float(np.linalg.norm(self.trajectory.position_m[-1] - self.position_world))
         return over_s >= LATE_S or (over_s >= 0.0 and away_m <= ARRIVED_M)
+
+    def remaining_s(self, now_s: float) -> float:
+        """Seconds until the trajectory comes to rest; 0 without one."""
+        if self.trajectory is None:
+            return 0.0
+        return max(self.trajectory.start_s + self.trajectory.duration_s - now_s, 0.0)
+
+    def departure(self, leave_s: float, vehicle: VehicleState) -> Departure:
+        """From the trajectory at that instant, or from rest if it will have ended by then."""
+        if self.trajectory is None or self.remaining_s(leave_s) <= 0.0:
+            return Departure(self.rest(vehicle))
+        return Departure(self.trajectory.setpoint_at(leave_s), self.trajectory, leave_s)
 
     def rest(self, vehicle: VehicleState) -> Setpoint:
         """The setpoint held now: the end of the trajectory, or where the vehicle stands if there was none."""

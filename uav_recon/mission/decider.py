@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_recon.mission.course import Departure
 from uav_recon.protocols import Executor, Motion, Pending, Planner
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
@@ -22,15 +23,15 @@ class Decision:
 
 
 class Decider:
-    """Runs planner and motion on the executor. Every method starts work from rest and returns at once."""
+    """Runs planner and motion on the executor. Every method starts work and returns at once."""
 
     def __init__(self, planner: Planner, motion: Motion, executor: Executor, plan_cost_s: float, view_spacing_m: float) -> None:
         self._planner, self._motion, self._executor = planner, motion, executor
         self._plan_cost_s, self._view_spacing_m = plan_cost_s, view_spacing_m
 
-    def next_views(self, request: PlanRequest, rest: Setpoint, identifier: int) -> Pending[Decision]:
-        """Where to look next."""
-        return self._submit(lambda: self._flown(self._planner.plan(request), request, rest, self._view_spacing_m, identifier))
+    def next_views(self, request: PlanRequest, departure: Departure, identifier: int) -> Pending[Decision]:
+        """Where to look next, from rest or out of the present motion."""
+        return self._submit(lambda: self._onward(self._planner.plan(request), request, departure, identifier))
 
     def way_home(self, request: PlanRequest, rest: Setpoint, home: Viewpoint, identifier: int) -> Pending[Decision]:
         """The shortest clear way to the pad."""
@@ -47,6 +48,14 @@ class Decider:
 
     def _submit(self, work: Callable[[], Decision]) -> Pending[Decision]:
         return self._executor.submit(work, self._plan_cost_s)
+
+    def _onward(self, path: ViewPath | NothingLeft, request: PlanRequest, departure: Departure, identifier: int) -> Decision:
+        if departure.flying is None:
+            return self._flown(path, request, departure.setpoint, self._view_spacing_m, identifier)
+        if isinstance(path, NothingLeft):
+            return Decision(path, path.reason)
+        flying, leave_s = departure.flying, departure.leave_s
+        return Decision(path, self._motion.onward(path, request.voxels, flying, leave_s, self._view_spacing_m, identifier))
 
     def _flown(
         self, path: ViewPath | NothingLeft, request: PlanRequest, rest: Setpoint, spacing_m: float, identifier: int

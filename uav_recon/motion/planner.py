@@ -72,6 +72,12 @@ class MotionPlanner:
         where = ", ".join(f"{value:.2f}" for value in trajectory.position_m[np.argmax(blocked)])
         return f"the way is not clear by {self._clearance_m - TOLERANCE_M:.2f} m at ({where})"
 
+    def onward(
+        self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
+    ) -> Trajectory | str:
+        """Leave a trajectory in motion, or the reason why not."""
+        return "a trajectory is left at rest only"
+
     def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
         """Look round on the spot; ``views`` captures, equally spread over the angle, the last at its end."""
         turn = Turn(total_yaw_rad, self._rate, self._spin)

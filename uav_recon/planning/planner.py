@@ -11,7 +11,7 @@ import numpy as np
 
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry import traversal
-from uav_recon.planning import search, tour
+from uav_recon.planning import search, tour, visited
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.flyable import FlyableSpace, way_out
 from uav_recon.planning.frontiers import FrontierCensus, count_outside, fence_box, find_frontiers, unknown_faces
@@ -58,6 +58,7 @@ class AdaptivePlanner:
         self._frontier_views = FrontierViews(config, camera)
         self._surface_views = SurfaceViews(config, camera)
         self.visited = Visited()
+        self._offered: tuple[ViewPath, tuple[Proposal, ...]] | None = None
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         """Choose the next views and the way to them. Never blocks; tens of milliseconds for a room; never raises for a map."""
@@ -83,8 +84,17 @@ class AdaptivePlanner:
         path = self._path(
             request, mode, routes, tasks, within_horizon(order, routes.lengths_m, horizon_m), start_s, tasks_made_s
         )
-        self.visited.promise(path, tuple(tasks[node - 1] for node in order[: len(path.viewpoints)]))
+        self._offered = path, tuple(tasks[node - 1] for node in order[: len(path.viewpoints)])
         return path
+
+    def accept(self, path: ViewPath) -> None:
+        """Remember what the views of a path made by plan() are to settle."""
+        if self._offered is not None and self._offered[0] is path:
+            self.visited.promise(*self._offered)
+
+    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
+        """Whether the next view of the accepted path still promises anything in a newer map."""
+        return self.visited.still_worth(voxels, position_world, yaw_rad)
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
         """The shortest way to a place; its last waypoint is the flyable voxel nearest to it. Promises and remembers nothing."""
@@ -191,6 +201,7 @@ def warm_up() -> None:
     traversal.warm_up()
     search.warm_up()
     tour.warm_up()
+    visited.warm_up()
     grid = GridSpec(np.zeros(3), 0.1, (40, 30, 20))
     state = np.full(grid.shape, FREE, dtype=np.uint8)
     state[[0, -1]], state[:, [0, -1]], state[:, :, [0, -1]] = OCCUPIED, OCCUPIED, OCCUPIED

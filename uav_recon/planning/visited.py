@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from uav_recon.geometry.jit import kernel
 from uav_recon.planning.proposal import Proposal
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
+from uav_recon.types.maps import FREE, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import PlanRequest, TaskKind, ViewPath
 
 MAX_LOOKS = 2  # in vain, then a frontier voxel is exhausted
 ARRIVED_M = 0.35  # a view counts as flown from here ...
 ARRIVED_RAD = 0.4  # ... with this heading
+WORTH_SHARE = 0.3  # of the promised frontier voxels: when fewer are left on the way there, the view is not flown to
 STALLED_PLANS = 3  # plans in a row at the same place: whoever flies refuses the first view, so it counts as flown
 
 
 class Visited:
-    """Memory of one flight, changed by the planner alone: settle() before a plan, promise() after it.
+    """Memory of one flight, changed by the planner alone: settle() before a plan, promise() once it is flown.
 
     Grids have the map's shape and are forgotten when the map's frame changes (another epoch, origin or shape).
     """
@@ -60,6 +63,16 @@ class Visited:
         """Keep what the new path's views (same order) are to settle."""
         self._path, self._proposals = path, proposals
 
+    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
+        """Whether the next view of the promised path would still settle anything: enough of its frontier is still one."""
+        if self._path is None or voxels.map_epoch != self._path.map_epoch:
+            return True
+        passed = _views_passed(self._path, position_world, yaw_rad)
+        if passed >= len(self._proposals) or self._proposals[passed].task.kind is not TaskKind.EXPLORE:
+            return True
+        promised = self._proposals[passed].promised
+        return _still_frontier(voxels.state, promised) >= WORTH_SHARE * len(promised)
+
     def _keep_frame(self, request: PlanRequest) -> None:
         grid = request.voxels.grid
         frame = (request.voxels.map_epoch, grid.shape, grid.resolution_m, *grid.origin_world_m.tolist())
@@ -83,6 +96,32 @@ class Visited:
         if self._stalls >= STALLED_PLANS:
             self._stalls, flown = 0, 1
         return self._proposals[:flown]
+
+
+@kernel
+def _still_frontier(state: ByteArray, voxels: IntArray) -> int:
+    """How many of the voxels (N,), flat indices, are free beside an unknown one."""
+    nx, ny, nz = state.shape
+    count = 0
+    for index in voxels:
+        i, j, k = index // (ny * nz), index // nz % ny, index % nz
+        if state[i, j, k] != FREE:
+            continue
+        beside = i > 0 and state[i - 1, j, k] == UNKNOWN
+        beside = beside or (i + 1 < nx and state[i + 1, j, k] == UNKNOWN)
+        beside = beside or (j > 0 and state[i, j - 1, k] == UNKNOWN)
+        beside = beside or (j + 1 < ny and state[i, j + 1, k] == UNKNOWN)
+        beside = beside or (k > 0 and state[i, j, k - 1] == UNKNOWN)
+        beside = beside or (k + 1 < nz and state[i, j, k + 1] == UNKNOWN)
+        count += beside
+    return count
+
+
+def warm_up() -> None:
+    """Compile the kernel."""
+    state = np.zeros((2, 2, 2), dtype=np.uint8)
+    state.setflags(write=False)
+    _still_frontier(state, np.zeros(1, dtype=np.int64))
 
 
 def _views_passed(path: ViewPath, position_world: FloatArray, yaw_rad: float) -> int:

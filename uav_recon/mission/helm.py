@@ -1,0 +1,60 @@
+"""What is flown: every change of trajectory goes through here."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from uav_recon.mission.account import Account
+from uav_recon.mission.captures import Captures
+from uav_recon.mission.course import Course
+from uav_recon.protocols import Motion
+from uav_recon.types.maps import VoxelMap
+from uav_recon.types.trajectory import Trajectory
+from uav_recon.types.vehicle import VehicleState
+
+
+class Helm:
+    """Changes the course and, with it, the views that are to be captured."""
+
+    def __init__(self, motion: Motion, course: Course, captures: Captures, account: Account) -> None:
+        self._motion, self._captures, self._account = motion, captures, account
+        self.course = course
+        self._braking: Trajectory | None = None
+        self._checked_revision = -1
+
+    def at_rest(self, now_s: float) -> bool:
+        """Whether the trajectory is flown and its views are taken."""
+        return self.course.at_rest(now_s) and not self._captures.waiting(now_s)
+
+    def fly(self, trajectory: Trajectory, now_s: float) -> None:
+        """From rest: made a moment ago, flown from now."""
+        self.follow(dataclasses.replace(trajectory, start_s=now_s), now_s)
+
+    def follow(self, trajectory: Trajectory, leave_s: float) -> None:
+        """In motion: it goes the present way until ``leave_s``."""
+        self.course.trajectory, self._checked_revision = trajectory, -1
+        self._captures.expect(trajectory, leave_s)
+
+    def hold(self, now_s: float, vehicle: VehicleState) -> None:
+        """Stay where the vehicle is: the guard has stopped it there."""
+        here, identifier = self.course.place(vehicle), self.course.next_identifier()
+        self.fly(self._motion.line(here, here.position_m, here.yaw_rad, now_s, identifier), now_s)
+
+    def brake(self, now_s: float) -> None:
+        """Come to rest along the present way; views beyond it are given up."""
+        trajectory = self.course.trajectory
+        if trajectory is None or self.course.at_rest(now_s):
+            return
+        self._braking = self._motion.stop(trajectory, now_s, self.course.next_identifier())
+        self.course.trajectory = self._braking
+        self._captures.cancel_after(now_s)
+
+    def brake_if_blocked(self, now_s: float, voxels: VoxelMap) -> None:
+        """Check what is left of the way against a newer map, once for each map."""
+        trajectory = self.course.trajectory
+        if trajectory is None or trajectory is self._braking or voxels.revision == self._checked_revision:
+            return
+        self._checked_revision = voxels.revision
+        if not self._motion.still_clear(trajectory, now_s, voxels):
+            self._account.refusal(now_s, "the map shows an obstacle on the way")
+            self.brake(now_s)

@@ -1,0 +1,118 @@
+"""Choosing views while flying: a plan is ready before the one before it ends, so that the vehicle does not stop for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.mission.account import Account
+from uav_recon.mission.course import Departure
+from uav_recon.mission.decider import Decider, Decision
+from uav_recon.mission.helm import Helm
+from uav_recon.mission.orders import MissionWires, Orders, Stages
+from uav_recon.protocols import Pending
+from uav_recon.types.maps import VoxelMap
+from uav_recon.types.tasks import NothingLeft, PlanRequest
+from uav_recon.types.trajectory import Setpoint
+from uav_recon.types.vehicle import VehicleState
+
+RETHINK_S = 0.5  # pause after a plan that could not be flown
+MAX_FAILED_PLANS = 5
+AHEAD_S = 1.6  # a plan leaves its predecessor so long before that one's end: no braking in between
+LEAD_S = 0.25  # from a plan's start to the instant at which it leaves the present motion, beside its declared cost
+
+
+class Survey:
+    """One look round, then views, as long as the planner knows any."""
+
+    def __init__(
+        self, stages: Stages, wires: MissionWires, orders: Orders, helm: Helm, decider: Decider, account: Account
+    ) -> None:
+        self._stages, self._wires, self._orders = stages, wires, orders
+        self._helm, self._decider, self._account = helm, decider, account
+        self._lead_s = LEAD_S + orders.plan_cost_s
+        self._decision: Pending[Decision] | None = None
+        self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
+        self._looked_round = False
+        self._asked_revision = -1
+        self.interrupt()
+
+    def interrupt(self) -> None:
+        """Forget what is being thought about: the phase has changed."""
+        self._decision, self._resting_since_s, self._think_again_s = None, np.inf, -np.inf
+
+    def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
+        """Watch the way, think in time, fly what was decided."""
+        resting = self._helm.at_rest(now_s)
+        if resting:
+            self._resting_since_s = min(self._resting_since_s, now_s)
+        else:
+            self._helm.brake_if_blocked(now_s, voxels)
+        if self._decision is not None:
+            self._fly_decision(now_s)
+        elif resting and not self._looked_round:
+            self._look_round(now_s, vehicle)
+        elif now_s >= self._think_again_s and (resting or self._should_turn_to_something_else(now_s, voxels)):
+            self._think(now_s, vehicle, voxels)
+
+    def _look_round(self, now_s: float, vehicle: VehicleState) -> None:
+        self._looked_round = True
+        course = self._helm.course
+        start, identifier = course.rest(vehicle), course.next_identifier()
+        turn = self._stages.motion.turn(start, now_s, 2 * np.pi, self._orders.survey_views, identifier)
+        self._think_again_s = now_s + turn.duration_s  # with the whole turn seen
+        self._resting_since_s = np.inf
+        self._helm.fly(turn, now_s)
+
+    def _should_turn_to_something_else(self, now_s: float, voxels: VoxelMap) -> bool:
+        """In motion: the way soon ends, or what its next view was to show has been seen in passing."""
+        course = self._helm.course
+        if not self._looked_round or course.trajectory is None:
+            return False
+        if course.remaining_s(now_s) <= self._lead_s:
+            return False  # too late for that: it is asked at rest
+        if course.remaining_s(now_s) <= AHEAD_S + self._lead_s:
+            return True
+        if voxels.revision == self._asked_revision:
+            return False
+        self._asked_revision = voxels.revision
+        here = course.trajectory.setpoint_at(now_s)
+        return not self._stages.planner.still_worth(voxels, here.position_m, here.yaw_rad)
+
+    def _think(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
+        departure = self._helm.course.departure(now_s + self._lead_s, vehicle)
+        start, surface = departure.setpoint, self._stages.mapper.surface()
+        request = PlanRequest(voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps)
+        self._departure = departure
+        self._decision = self._decider.next_views(request, departure, self._helm.course.next_identifier())
+
+    def _fly_decision(self, now_s: float) -> None:
+        if self._decision is None or not self._decision.done():
+            return
+        decision, self._decision = self._decision.result(), None
+        flying, leave_s = self._departure.flying, self._departure.leave_s
+        if flying is not None:
+            if flying is not self._helm.course.trajectory or now_s > leave_s:
+                return  # braked meanwhile, or too late to leave there: think again
+            if isinstance(decision.motion, str):
+                self._think_again_s = now_s + self._helm.course.remaining_s(now_s)  # asked again at rest
+                return
+        self._account.plan(now_s, decision.path, 0.0 if flying is not None else now_s - self._resting_since_s)
+        if isinstance(decision.path, NothingLeft):
+            return
+        self._wires.plan.publish(decision.path)
+        self._stages.planner.accept(decision.path)
+        if isinstance(decision.motion, str):
+            self._give_up_plan(decision.motion, now_s)
+            return
+        self._account.failed_in_a_row, self._resting_since_s = 0, np.inf
+        if flying is None:
+            self._helm.fly(decision.motion, now_s)
+        else:
+            self._helm.follow(decision.motion, leave_s)
+
+    def _give_up_plan(self, reason: str, now_s: float) -> None:
+        self._account.failed_in_a_row += 1
+        self._account.refusal(now_s, f"plan not flyable: {reason}")
+        self._think_again_s = now_s + RETHINK_S
+        if self._account.failed_in_a_row >= MAX_FAILED_PLANS:
+            self._account.stop_reason = f"{MAX_FAILED_PLANS} plans in a row could not be flown: {reason}"
