@@ -40,9 +40,10 @@ def simulate(options: SimOptions) -> int:
         config = options.config(scene, Path(runtime))
         product_config.save(config, options.out / "config.toml")
         if options.lockstep:
-            from sitl.fly_lockstep import fly_in_lockstep
+            from sitl.fly_lockstep import fly_in_lockstep, interrupts
 
-            fault = fly_in_lockstep(options, config, scene, console)
+            with interrupts() as land:
+                fault = fly_in_lockstep(options, config, scene, console, land)
         else:
             _claim_port(options.port)
             fault = _RealTime(options, config, Path(runtime), console).fly()
@@ -57,7 +58,7 @@ def simulate(options: SimOptions) -> int:
 
 def _scene(options: SimOptions) -> Scene:
     try:
-        return load_scene(options.scene, options.start, options.fence)
+        return load_scene(options.scene, options.start, options.fence, options.radius_m)
     except SceneError as error:
         raise run.Failure(str(error), run.EXIT_USAGE) from None
 

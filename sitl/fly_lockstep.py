@@ -5,6 +5,8 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
@@ -19,8 +21,8 @@ from uav_recon import run
 from uav_recon.autopilot.tlog import Tlog
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
-from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
+from uav_recon.protocols import Mapper
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.recording.mapfile import save_map
 
@@ -29,33 +31,21 @@ START_S = 1000.0
 LONGEST_S = 3600.0
 
 
-def fly_in_lockstep(options: SimOptions, config: Config, scene: Scene, console: Console) -> str | None:
-    """Fly; returns the fault in one line, None for none. Ctrl-C lands, a second one ends at once."""
-    from uav_recon.mapping.neural.child import KEYFRAMES
-    from uav_recon.mapping.neural.worker import InlineMapper
-
-    interrupts: list[int] = []
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        interrupts.append(number)
-        if len(interrupts) > 1:
-            sys.exit(130)
-
-    before = signal.signal(signal.SIGINT, interrupt)
-    runtime = config.runtime.folder
+def fly_in_lockstep(
+    options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool]
+) -> str | None:
+    """Fly; returns the fault in one line, None for none. land() is asked whether the operator wants to land now."""
     clock = ManualClock(START_S)
     ours, theirs = pipe()
-    world = make_world(options.world(Path(runtime)), scene, theirs, clock.now_s)
+    world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s)
     wires = run.memory_wires()
     run.warm_up(config)
-    trainer = run.make_trainer(config)
-    trainer.warm_up()
-    mapper = InlineMapper(trainer, config.mapper, KeyframeFolder(options.out / KEYFRAMES))
+    mapper = _mapper(options, config)
     log, journal = Tlog(options.out / "flight.tlog", epoch_s=0.0), FlightLog(options.out)
     pilot = run.make_pilot(config, wires, ours, log, clock)
     perception = run.make_perception(config, wires, clock)
     conductor = run.make_conductor(config, wires, mapper, InlineExecutor(clock), journal, clock, time.perf_counter)
-    recorder = run.make_recorder(config, wires, options.out, clock)
+    recorder = run.make_recorder(config, wires, options.out, clock) if config.recording.rerun else None
     conductor.request_start()
     mission_rate, record_rate = RateKeeper(MISSION_RATE_HZ, START_S), RateKeeper(RECORDER_RATE_HZ, START_S)
     steps = 0
@@ -69,12 +59,13 @@ def fly_in_lockstep(options: SimOptions, config: Config, scene: Scene, console: 
                 world.develop(world.expose(now_s))
             perception.step()
             if mission_rate.due(now_s):
-                if interrupts:
+                if land():
                     conductor.request_abort("the operator asked to land")
                 conductor.step()
             pilot.step()
             if record_rate.due(now_s):
-                recorder.step()
+                if recorder is not None:
+                    recorder.step()
                 screen.show()
         conductor.close()
     if conductor.map is not None:
@@ -82,7 +73,45 @@ def fly_in_lockstep(options: SimOptions, config: Config, scene: Scene, console: 
     mapper.finish(options.out)
     journal.close()
     log.close()
-    recorder.close()
+    if recorder is not None:
+        recorder.close()
     world.truth_log.save(options.out / "truth.npz", world)
-    signal.signal(signal.SIGINT, before)
     return None if conductor.finished else f"the flight did not end within {LONGEST_S:.0f} s of simulated time"
+
+
+@contextmanager
+def interrupts() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C was pressed; a second one ends the process at once."""
+    pressed: list[int] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        pressed.append(number)
+        if len(pressed) > 1:
+            sys.exit(130)
+
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _mapper(options: SimOptions, config: Config) -> Mapper:
+    """The mapper of the options, warm."""
+    return {"neural": _neural, "stand-in": _stand_in}[options.mapper](config, options.out)
+
+
+def _neural(config: Config, folder: Path) -> Mapper:
+    from uav_recon.mapping.keyframes import KeyframeFolder
+    from uav_recon.mapping.neural.child import KEYFRAMES
+    from uav_recon.mapping.neural.worker import InlineMapper
+
+    trainer = run.make_trainer(config)
+    trainer.warm_up()
+    return InlineMapper(trainer, config.mapper, KeyframeFolder(folder / KEYFRAMES))
+
+
+def _stand_in(config: Config, folder: Path) -> Mapper:
+    from sitl.fly_standin import StandInMapper
+
+    return StandInMapper(config)

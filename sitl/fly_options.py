@@ -10,15 +10,20 @@ from typing import cast
 
 from sitl.d435i import Model, Noise
 from sitl.fly_world import WorldOptions
-from sitl.scene import Scene
+from sitl.scene import HULL_HEIGHT_M, Scene
 from uav_recon import run
 from uav_recon.config import Config, ConfigError, parse
 
 NOISES = ("d435i", "paper", "kinect", "none")
-CAMERAS = ("d435i", "wide")
+CAMERAS = ("d435i", "wide", "fast")
+MAPPERS = ("neural", "stand-in")
 VARIANTS = ("adaptive", "explore", "merged")
 AUTOPILOTS = ("px4",)
 BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
+RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
+HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.15, 0.30  # between the hull and what is not known free, in a plan
+FENCE_MARGIN_M = 0.10  # between the hull and the fence: what is left of the other when the vehicle strays
+NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
 
 
 class UsageError(run.Failure):
@@ -43,6 +48,8 @@ class SimOptions:
     mount_pitch_down_deg: float | None
     depth_noise: str
     camera: str
+    mapper: str
+    radius_m: float
     lockstep: bool
     live: bool
     port: int
@@ -51,21 +58,26 @@ class SimOptions:
     def parse(
         *, scene: str | None = None, start: str | None = None, fence: str | None = None, views: int | None = None,
         seed: int = 0, out: Path | None = None, autopilot: str = "px4", variant: str = "adaptive",
-        mount: str = "fixed:15", depth_noise: str = "d435i", camera: str = "d435i", lockstep: bool = False,
-        live: bool = False, port: int = 14540,
+        mount: str = "fixed:15", depth_noise: str = "d435i", camera: str | None = None, mapper: str = "neural",
+        radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
     ) -> SimOptions:  # fmt: skip
         """Check the words of the command line. Raises UsageError with one line."""
+        chosen = camera or ("d435i" if mapper == "neural" else "fast")
         for name, value, allowed in (
             ("autopilot", autopilot, AUTOPILOTS), ("variant", variant, VARIANTS), ("depth-noise", depth_noise, NOISES),
-            ("camera", camera, CAMERAS),
+            ("camera", chosen, CAMERAS), ("mapper", mapper, MAPPERS),
         ):  # fmt: skip
             if value not in allowed:
                 raise UsageError(f"--{name} {value}: want one of {', '.join(allowed)}")
+        if mapper == "stand-in" and not lockstep:
+            raise UsageError("--mapper stand-in: flies in --lockstep only")
+        if not RADII_M[0] <= radius <= RADII_M[1]:
+            raise UsageError(f"--radius {radius}: want {RADII_M[0]}..{RADII_M[1]} metres")
         s = _numbers("start", start, 4)
         f = _numbers("fence", fence, 6)
         if f is not None and any(f[i] >= f[i + 3] for i in range(3)):
             raise UsageError(f"--fence {fence}: each upper corner number must exceed its lower one")
-        stem = "room" if scene is None else Path(scene).stem
+        stem = "room" if scene is None else Path(scene).stem.replace(":", "-")
         folder = out or Path("flights") / f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
         return SimOptions(
             scene=scene,
@@ -73,7 +85,8 @@ class SimOptions:
             fence=None if f is None else (f[0], f[1], f[2], f[3], f[4], f[5]),
             views=views if views is not None else BUILT_IN_VIEWS if scene is None else SCENE_VIEWS,
             seed=seed, out=folder.absolute(), autopilot=autopilot, variant=variant, mount=mount,
-            mount_pitch_down_deg=_mount(mount), depth_noise=depth_noise, camera=camera, lockstep=lockstep, live=live, port=port,
+            mount_pitch_down_deg=_mount(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
+            radius_m=radius, lockstep=lockstep, live=live, port=port,
         )  # fmt: skip
 
     def make_folder(self) -> None:
@@ -90,7 +103,7 @@ class SimOptions:
         """The options of the outside world."""
         return WorldOptions(
             scene=self.scene, start=self.start, fence=self.fence, seed=self.seed,
-            mount_pitch_down_deg=self.mount_pitch_down_deg,
+            mount_pitch_down_deg=self.mount_pitch_down_deg, radius_m=self.radius_m,
             depth_noise=cast("Noise", self.depth_noise), camera=cast("Model", self.camera), port=self.port,
             stream=str(runtime / "camera.stream"),
             truth=str(self.out / "truth.npz"),
@@ -99,17 +112,17 @@ class SimOptions:
     def config(self, scene: Scene, runtime: Path) -> Config:
         """The product's config for this flight. Raises ConfigError."""
         gimbal = self.mount_pitch_down_deg is None
-        noise_px = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}[self.depth_noise]
+        noise_px = NOISE_PX[self.depth_noise] / (2.0 if self.camera == "fast" else 1.0)
         tree = {
             "safety": {
                 "fence_min_m": [float(x) for x in scene.fence_min],
                 "fence_max_m": [float(x) for x in scene.fence_max],
-                "fence_inset_m": 0.3,
+                "fence_inset_m": self.radius_m + FENCE_MARGIN_M,
                 "max_speed_mps": 1.2,
                 "max_acceleration_mps2": 2.0,
                 "max_yaw_rate_degps": 60.0,
-                "vehicle_radius_m": 0.20,
-                "vehicle_height_m": 0.20,
+                "vehicle_radius_m": self.radius_m,
+                "vehicle_height_m": HULL_HEIGHT_M,
                 "intent_timeout_s": 0.5,
                 "pose_timeout_s": 0.25,
                 "pose_land_s": 1.0,
@@ -123,9 +136,12 @@ class SimOptions:
                 "depth_noise_px": noise_px,
             },
             "mapper": {"seed": self.seed},
-            "planner": {"variant": self.variant},
+            "planner": {
+                "variant": self.variant,
+                "clearance_m": max(SMALLEST_CLEARANCE_M, self.radius_m + HULL_MARGIN_M),
+            },
             "mission": {"views": self.views, "autostart": True},
-            "recording": {"folder": str(self.out), "live": self.live},
+            "recording": {"folder": str(self.out), "live": self.live, "rerun": self.mapper == "neural" or self.live},
             "runtime": {"folder": str(runtime)},
         }
         try:

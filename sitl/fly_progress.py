@@ -39,7 +39,7 @@ class Screen:
             self._live.update(_line(progress))
         mark = (progress.phase, progress.views // 10)
         if mark != self._last and not self._live:
-            print(_line(progress).plain.rstrip(), flush=True)
+            self._console.print(_line(progress).plain.rstrip(), markup=False, highlight=False, soft_wrap=True)
         self._last = mark
         return True
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from sitl.d435i import Model
 from sitl.fly_options import SimOptions
 from sitl.raster import Renderer
 from sitl.scene import Scene
@@ -59,7 +60,8 @@ def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, c
     """Hold the flight in options.out against truth and write the report beside it."""
     folder = options.out
     with console.status("cutting truth to what the camera could see ..."):
-        cut = load_truth_cut(scene, options.mount, options.world(folder).camera, cache_folder())
+        camera: Model = "wide" if options.camera == "wide" else "d435i"  # `fast` sees what the d435i sees
+        cut = load_truth_cut(scene, options.mount, camera, cache_folder())
     voxels, mesh, truth = load_map(folder), load_mesh(folder), TruthOfFlight.load(folder / "truth.npz")
     card = FlightCard(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
     report = account(folder, card, wall_s)

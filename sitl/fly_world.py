@@ -40,6 +40,7 @@ class WorldOptions:
     mount_pitch_down_deg: float | None  # None = gimbal
     depth_noise: d435i.Noise
     camera: d435i.Model
+    radius_m: float  # of the hull
     port: int
     stream: str
     truth: str
@@ -55,12 +56,12 @@ class WorldOptions:
 
     def scene_of(self) -> Scene:
         """Load the scene. Raises SceneError."""
-        return load_scene(self.scene, self.start, self.fence)
+        return load_scene(self.scene, self.start, self.fence, self.radius_m)
 
 
 def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float]) -> World:
     """Put the world together, compile its kernels, and only then read the clock: its time begins there."""
-    renderer, clearance = Renderer(scene.vertices, scene.faces, scene.rgb), Clearance(scene)
+    renderer, clearance = Renderer(scene.vertices, scene.faces, scene.rgb), Clearance(scene, options.radius_m)
     d435i.warm_up()
     clearance.hull_m(np.zeros(3))
     camera = d435i.Camera(renderer, options.camera, options.depth_noise, seed=options.seed)

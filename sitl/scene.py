@@ -54,12 +54,14 @@ class Scene:
     scene_from_world_m: F64
 
 
-def load_scene(path: str | Path | None, start: Numbers | None = None, fence: Numbers | None = None) -> Scene:
+def load_scene(
+    path: str | Path | None, start: Numbers | None = None, fence: Numbers | None = None, radius_m: float = HULL_RADIUS_M
+) -> Scene:
     """Load, place and check a scene. Blocks for one or two seconds.
 
     path: None for the built-in room, a folder with scene.json, or a mesh file (z up, metres). start: X, Y, Z (m) and YAW
     (degrees) in the file's own frame; fence: X, Y, Z lowest and X, Y, Z highest in the same frame, needed only where the
-    mesh is open. Raises SceneError with one line naming the cause.
+    mesh is open. radius_m: of the hull that is to take off. Raises SceneError with one line naming the cause.
     """
     known_start: Numbers | None
     if path is None:
@@ -69,10 +71,10 @@ def load_scene(path: str | Path | None, start: Numbers | None = None, fence: Num
     chosen = start if start is not None else known_start
     if chosen is None:
         raise SceneError(f"{name}: no start given (--start X,Y,Z,YAW in the scene's own frame)")
-    return place(name, mesh, chosen, fence)
+    return place(name, mesh, chosen, fence, radius_m)
 
 
-def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None) -> Scene:
+def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m: float = HULL_RADIUS_M) -> Scene:
     """Check a mesh and move it so that the start becomes the origin. Raises SceneError; arguments as load_scene."""
     _check_mesh(name, mesh)
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
@@ -84,7 +86,7 @@ def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None) -> Scene
         raise SceneError(f"{name}: no floor below the start {_text(point[:3])}")
     scene_from_world_m = np.array([point[0], point[1], floor_z + BODY_ABOVE_FLOOR_M])
     vertices = np.ascontiguousarray(mesh.vertices - scene_from_world_m, np.float32)
-    _check_column(name, vertices, mesh.faces)
+    _check_column(name, vertices, mesh.faces, radius_m)
     fence_min, fence_max = low, high
     if fence is not None:
         bounds = _numbers(name, "fence of 6 numbers", fence, 6)
@@ -153,21 +155,21 @@ def _check_mesh(name: str, mesh: Mesh) -> None:
         raise SceneError(f"{name}: {extent.max():.0f} m across; more than {MAX_EXTENT_M:.0f} m (is the file in metres?)")
 
 
-def _check_column(name: str, vertices: F32, faces: I32) -> None:
+def _check_column(name: str, vertices: F32, faces: I32, radius_m: float) -> None:
     """The way from the floor up to the take-off height must be free for the hull, with a margin above the pad."""
-    reach = HULL_RADIUS_M + START_MARGIN_M
+    reach = radius_m + START_MARGIN_M
     corners = vertices[faces]
     touched = (corners[..., :2].min(axis=1) <= reach).all(axis=1) & (corners[..., :2].max(axis=1) >= -reach).all(axis=1)
     points = dense_points(vertices, faces[touched], 0.01)
     distance, height = np.linalg.norm(points[:, :2], axis=1), points[:, 2] + BODY_ABOVE_FLOOR_M
     top = TAKEOFF_HEIGHT_M + BODY_ABOVE_FLOOR_M + START_MARGIN_M
-    pad = (height > 0.05) & (height <= PAD_TOP_M) & (distance < HULL_RADIUS_M)
+    pad = (height > 0.05) & (height <= PAD_TOP_M) & (distance < radius_m)
     above = (height > PAD_TOP_M) & (height < top) & (distance < reach)
     if (pad | above).any():
         nearest = int(np.argmin(np.where(pad | above, distance, np.inf)))
         raise SceneError(
             f"{name}: the start is blocked: an obstacle {distance[nearest]:.2f} m from its axis at height "
-            f"{height[nearest]:.2f} m (want {reach:.2f} m up to {top:.2f} m, {HULL_RADIUS_M:.2f} m below {PAD_TOP_M:.2f} m)"
+            f"{height[nearest]:.2f} m (want {reach:.2f} m up to {top:.2f} m, {radius_m:.2f} m below {PAD_TOP_M:.2f} m)"
         )
 
 

@@ -17,7 +17,6 @@ from sitl.transform import rigid, rotation_from_quat
 from uav_recon.sensors.wire import StreamWriter
 
 IMU_RATE_HZ = 200.0
-CAMERA_PERIOD_S = 0.1
 TRUTH_RATE_HZ = 50.0
 PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # taking off and landing so low over the ground, nearness to it is no fault
 BODY_ABOVE_FLOOR_M = 0.10
@@ -104,9 +103,9 @@ class World:
 
     def frame_due(self, now_s: float) -> bool:
         """Whether the shutter opens now; true once per camera period."""
-        if self._start_s + self._frame_count * CAMERA_PERIOD_S > now_s:
+        if self._start_s + self._frame_count * self.camera.period_s > now_s:
             return False
-        self._frame_count = int((now_s - self._start_s) / CAMERA_PERIOD_S + 1e-9) + 1
+        self._frame_count = int((now_s - self._start_s) / self.camera.period_s + 1e-9) + 1
         return True
 
     def expose(self, now_s: float) -> Exposure:

@@ -54,8 +54,18 @@ def sim(
     ] = "fixed:15",
     depth_noise: Annotated[str, typer.Option(help="d435i, paper, kinect or none.")] = "d435i",
     camera: Annotated[
-        str, typer.Option(help="d435i (colour narrower than depth) or wide (one registered RGB-D camera).")
-    ] = "d435i",
+        str | None,
+        typer.Option(
+            help="d435i (colour narrower than depth), wide (one registered RGB-D camera) or fast (a d435i at a quarter of its "
+            "pixels, 6 Hz, no colour). Default: d435i, or fast where the mapper is a stand-in."
+        ),
+    ] = None,
+    mapper: Annotated[
+        str, typer.Option(help="neural, or stand-in: surface straight from depth, no model, no recording; needs --lockstep.")
+    ] = "neural",
+    radius: Annotated[
+        float, typer.Option(help="Radius of the vehicle in metres; distances to obstacles and fence follow.")
+    ] = 0.20,
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="One process on a simulated clock: repeatable and fast.")
     ] = False,
@@ -73,7 +83,8 @@ def sim(
         lambda: simulate(
             SimOptions.parse(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
-                mount=mount, depth_noise=depth_noise, camera=camera, lockstep=lockstep, live=live, port=port,
+                mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, radius=radius,
+                lockstep=lockstep, live=live, port=port,
             )
         )
     )  # fmt: skip
