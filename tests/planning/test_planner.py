@@ -247,7 +247,7 @@ def test_a_new_epoch_forgets_what_was_looked_at() -> None:
     planner = planner_for(world.state)
     first = planner.plan(world.request())
     assert isinstance(first, ViewPath)
-    planner.visited.looks_in_vain[:] = 9
+    planner.visited.exhausted[:] = 1
     answer = planner.plan(world.request())
     assert isinstance(answer, NothingLeft)
     position, yaw = world.position, world.yaw_rad

@@ -64,11 +64,11 @@ class AdaptivePlanner:
         """Choose the next views and the way to them. Never blocks; tens of milliseconds for a room; never raises for a map."""
         start_s = self._timer()
         faces = unknown_faces(request.voxels.state, *self._box(request.voxels.grid, 0.0))
-        self.visited.settle(request, faces > 0)
+        self.visited.settle(request)
         situation = self._situation(request)
         if isinstance(situation, str):
             return self._nothing(situation, start_s, start_s)
-        census = find_frontiers(faces, self.visited.exhausted(), request.voxels.grid.resolution_m)
+        census = find_frontiers(faces, self.visited.exhausted > 0, request.voxels.grid.resolution_m)
         explore = self._frontier_views.propose(situation, census.frontiers)
         mode = self._mode.choose(_distances_m(situation, explore))
         widening = 1.0 if explore.proposals else self._config.end_factor

@@ -11,7 +11,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.proposal import Proposal
-from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
+from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import PlanRequest, TaskKind, ViewPath
 
@@ -26,10 +26,14 @@ class Visited:
     """Memory of one flight, changed by the planner alone: settle() before a plan, promise() once it is flown.
 
     Grids have the map's shape and are forgotten when the map's frame changes (another epoch, origin or shape).
+
+    looks_in_vain, exhausted: (nx, ny, nz) uint8, how often a frontier voxel was promised in vain, and 1 where that is enough.
+    surface_looks: (nx, ny, nz) float32, sum of the cosines under which tasks have looked at the surface in a voxel.
     """
 
     looks_in_vain: ByteArray
-    surface_looks: FloatArray
+    exhausted: ByteArray
+    surface_looks: Float32Array
     _path: ViewPath | None
     _proposals: tuple[Proposal, ...]
     _position: FloatArray
@@ -38,26 +42,29 @@ class Visited:
     def __init__(self) -> None:
         self._forget((0, 0, 0), ())
 
-    def settle(self, request: PlanRequest, is_frontier: BoolArray) -> None:
-        """Judge the views flown since the last plan against the map as it is now."""
+    def settle(self, request: PlanRequest) -> IntArray:
+        """Judge the views flown since the last plan against the map as it is now; flat indices (N,) newly exhausted."""
         self._keep_frame(request)
+        voxels = request.voxels
         for proposal in self._newly_flown(request):
             if proposal.task.kind is TaskKind.EXPLORE:
-                self._waiting.append((request.voxels.revision, proposal.promised))
+                self._waiting.append((voxels.revision, proposal.promised))
             else:
-                self.surface_looks.ravel()[proposal.promised] += proposal.squareness
+                self.surface_looks.reshape(-1)[proposal.promised] += proposal.squareness.astype(np.float32)
         # a view is judged by a map newer than the arrival: the picture taken there may still be on its way
-        due = [voxels for revision, voxels in self._waiting if revision < request.voxels.revision]
-        self._waiting = [(revision, voxels) for revision, voxels in self._waiting if revision >= request.voxels.revision]
-        for voxels in due:
-            still = voxels[is_frontier.ravel()[voxels]]
-            in_vain = self.looks_in_vain.ravel()
-            in_vain[still] = np.minimum(in_vain[still], 254) + 1
+        due = [promised for revision, promised in self._waiting if revision < voxels.revision]
+        self._waiting = [(revision, promised) for revision, promised in self._waiting if revision >= voxels.revision]
         self._position = np.array(request.position_world)
+        newly: IntArray = np.concatenate([np.zeros(0, dtype=np.int64), *(self._in_vain(voxels, one) for one in due)])
+        return newly
 
-    def exhausted(self) -> BoolArray:
-        """Voxels (nx, ny, nz) that were looked at in vain often enough."""
-        return self.looks_in_vain >= MAX_LOOKS
+    def _in_vain(self, voxels: VoxelMap, promised: IntArray) -> IntArray:
+        still = promised[_still_frontier(voxels.state, promised)]
+        looks, exhausted = self.looks_in_vain.reshape(-1), self.exhausted.reshape(-1)
+        looks[still] = np.minimum(looks[still], 254) + 1
+        newly: IntArray = still[(looks[still] >= MAX_LOOKS) & (exhausted[still] == 0)]
+        exhausted[newly] = 1
+        return newly
 
     def promise(self, path: ViewPath, proposals: tuple[Proposal, ...]) -> None:
         """Keep what the new path's views (same order) are to settle."""
@@ -71,7 +78,7 @@ class Visited:
         if passed >= len(self._proposals) or self._proposals[passed].task.kind is not TaskKind.EXPLORE:
             return True
         promised = self._proposals[passed].promised
-        return _still_frontier(voxels.state, promised) >= WORTH_SHARE * len(promised)
+        return int(np.count_nonzero(_still_frontier(voxels.state, promised))) >= WORTH_SHARE * len(promised)
 
     def _keep_frame(self, request: PlanRequest) -> None:
         grid = request.voxels.grid
@@ -81,8 +88,8 @@ class Visited:
 
     def _forget(self, shape: tuple[int, int, int], frame: tuple[object, ...]) -> None:
         self._frame = frame
-        self.looks_in_vain = np.zeros(shape, dtype=np.uint8)
-        self.surface_looks = np.zeros(shape)
+        self.looks_in_vain, self.exhausted = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
+        self.surface_looks = np.zeros(shape, dtype=np.float32)
         self._path, self._proposals = None, ()
         self._position, self._stalls = np.zeros(3), 0
         self._waiting = []
@@ -99,12 +106,12 @@ class Visited:
 
 
 @kernel
-def _still_frontier(state: ByteArray, voxels: IntArray) -> int:
-    """How many of the voxels (N,), flat indices, are free beside an unknown one."""
+def _still_frontier(state: ByteArray, voxels: IntArray) -> BoolArray:
+    """Which of the voxels (N,), flat indices, are free beside an unknown one."""
     nx, ny, nz = state.shape
-    count = 0
-    for index in voxels:
-        i, j, k = index // (ny * nz), index // nz % ny, index % nz
+    out = np.zeros(len(voxels), dtype=np.bool_)
+    for n in range(len(voxels)):
+        i, j, k = voxels[n] // (ny * nz), voxels[n] // nz % ny, voxels[n] % nz
         if state[i, j, k] != FREE:
             continue
         beside = i > 0 and state[i - 1, j, k] == UNKNOWN
@@ -112,9 +119,8 @@ def _still_frontier(state: ByteArray, voxels: IntArray) -> int:
         beside = beside or (j > 0 and state[i, j - 1, k] == UNKNOWN)
         beside = beside or (j + 1 < ny and state[i, j + 1, k] == UNKNOWN)
         beside = beside or (k > 0 and state[i, j, k - 1] == UNKNOWN)
-        beside = beside or (k + 1 < nz and state[i, j, k + 1] == UNKNOWN)
-        count += beside
-    return count
+        out[n] = beside or (k + 1 < nz and state[i, j, k + 1] == UNKNOWN)
+    return out
 
 
 def warm_up() -> None:
