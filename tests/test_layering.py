@@ -24,7 +24,7 @@ ALLOWED = {
     "notify": set(),
 }
 ROOTS = {"run", "processes", "bench", "cli"}
-ROOT_IMPORTS = {"cli": {"run", "processes"}, "run": set(ALLOWED)}
+ROOT_IMPORTS = {"cli": {"run", "processes", "bench"}, "run": set(ALLOWED), "bench": {*ALLOWED, "run", "bench"}}
 HEAVY = {
     "torch": {"uav_recon/mapping/neural"},
     "pyrealsense2": {"uav_recon/sensors/realsense.py"},

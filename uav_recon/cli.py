@@ -19,6 +19,9 @@ app = typer.Typer(
     "Try `uav-recon sim` first: it flies a whole mission in a built-in room on this machine.",
 )
 
+bench = typer.Typer(no_args_is_help=True, help="Measure this software on this machine.")
+app.add_typer(bench, name="bench")
+
 ConfigOption = Annotated[Path, typer.Option("--config", help="TOML config; see systemd/config.toml for every key.")]
 FlightOption = Annotated[
     Path | None, typer.Option("--flight", help="Flight folder; default: a dated one below recording.folder.")
@@ -118,6 +121,23 @@ def record(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: Fl
 def review(flight: Annotated[Path, typer.Argument(help="A flight folder.")]) -> None:
     """Open a flight in the rerun viewer: map, path, model, camera and figures on one timeline."""
     _exit(lambda: processes.review(flight))
+
+
+@bench.command("planner")
+def bench_planner(
+    stream: Annotated[
+        Path | None,
+        typer.Option(help="Folder of a recorded stream: meta.json, poses.npy, depth_WxH.npz. Default: a built-in building."),
+    ] = None,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Which of the stream's image sizes.")] = "640x480",
+    stride: Annotated[int, typer.Option(help="Every so many pixels of a row and of a column, 1 to 8.")] = 2,
+    scale: Annotated[bool, typer.Option("--scale", help="Growth: the same building once, ten and a hundred times.")] = False,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+) -> None:
+    """What a frame costs from fusion to tour, and how good the answers are; all on one thread."""
+    from uav_recon.bench import planner as bench_of_planner
+
+    _exit(lambda: bench_of_planner.bench_planner(stream, size, stride, scale, json))
 
 
 def _exit(work: Callable[[], Any]) -> None:

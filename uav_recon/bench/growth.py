@@ -1,0 +1,90 @@
+"""What a frame costs when the building is ten and a hundred times as large.
+
+The building of the recording stands there many times, wall to wall. Every copy but one is filled beforehand by the whole
+recording, frame by frame as a flight would have done it, so that it is in the map with its walls, its rooms and the frontiers
+that are left; then the recording is replayed in the last one, the middle of the map, and each frame is fused and planned.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uav_recon.bench.laps import LapTable, Spread, Stopwatch
+from uav_recon.bench.machine import resident_mb
+from uav_recon.bench.recording import RESOLUTION_M, Recording
+from uav_recon.bench.stages import STAGES, Replay
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import GridSpec
+from uav_recon.types.pose import Pose
+
+COPIES = (1, 10, 100)
+WALL_M = 0.2  # of map beyond the room on each side: its walls
+FILLING_STEP = 2  # every second frame of the recording fills the other copies: each place is still seen often enough
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """One size of map. memory_mb: what map and planner hold after the last frame."""
+
+    copies: int
+    area_m2: float
+    voxels: tuple[int, int, int]
+    stages: dict[str, Spread]
+    memory_mb: float
+
+
+def layout(copies: int) -> tuple[int, int]:
+    """Columns and rows of copies, as square as they divide."""
+    rows = next(n for n in range(math.isqrt(copies), 0, -1) if copies % n == 0)
+    return copies // rows, rows
+
+
+def measure(recording: Recording, copies: int, tick: Callable[[int], None]) -> Size:
+    """Replay the recording in a map of so many copies; ``tick`` is told of every frame (see ticks)."""
+    columns, rows = layout(copies)
+    wall_m = np.array([WALL_M, WALL_M, 0.0])
+    pitch_m = recording.high_m - recording.low_m + 2 * wall_m
+    upper_m = recording.low_m - wall_m + pitch_m * [columns, rows, 1]
+    grid = GridSpec.covering(recording.low_m - wall_m, upper_m, RESOLUTION_M)
+    gc.collect()
+    before_mb = resident_mb()
+    replay = Replay(recording, grid, recording.low_m - wall_m, upper_m)
+    live = (columns // 2, rows // 2)
+    for place in np.ndindex(columns, rows):
+        if place != live:
+            for posed in recording.frames[::FILLING_STEP]:
+                replay.voxels.integrate(_moved(posed, pitch_m * [*place, 0]))
+                tick(1)
+    frames = [_moved(posed, pitch_m * [*live, 0]) for posed in recording.frames]
+    replay.start(frames[0])
+    replay.settle(frames[0])
+    laps = LapTable()
+    for posed in frames:
+        watch = Stopwatch()
+        replay.decide(posed, watch)
+        laps.add(watch)
+        tick(1)
+    gc.collect()
+    return Size(
+        copies=copies,
+        area_m2=float(pitch_m[0] * pitch_m[1] * copies),
+        voxels=grid.shape,
+        stages={stage: laps.spread(*parts) for stage, parts in STAGES.items()},
+        memory_mb=resident_mb() - before_mb,
+    )
+
+
+def ticks(recording: Recording, copies: int) -> int:
+    """How many frames measure() goes through."""
+    return len(recording.frames) + (copies - 1) * len(recording.frames[::FILLING_STEP])
+
+
+def _moved(posed: PosedFrame, by_m: FloatArray) -> PosedFrame:
+    pose = posed.world_from_depth
+    return replace(posed, world_from_depth=Pose(pose.quat_wxyz, pose.translation_m + by_m))

@@ -1,0 +1,72 @@
+"""Times of the stages of each frame, and what is told of them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from uav_recon.types.frames import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Median, 95th percentile and largest of many times."""
+
+    median_ms: float
+    p95_ms: float
+    max_ms: float
+
+    @staticmethod
+    def of(took_ms: FloatArray | list[float]) -> Spread:
+        """Nothing measured is nan."""
+        if not len(took_ms):
+            return Spread(np.nan, np.nan, np.nan)
+        return Spread(float(np.median(took_ms)), float(np.percentile(took_ms, 95)), float(np.max(took_ms)))
+
+    def divided_by(self, factor: float) -> Spread:
+        """Return what the reference machine would have taken."""
+        return Spread(*(value / factor for value in asdict(self).values()))
+
+
+class Stopwatch:
+    """Laps of one frame: lap() gives the time since the last lap, or since the start, to a stage; stages add up."""
+
+    def __init__(self) -> None:
+        self.ms: dict[str, float] = {}
+        self._last_s = time.perf_counter()
+
+    def restart(self) -> None:
+        """What came before counts for nothing."""
+        self._last_s = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """Give the time since the last lap to ``stage``."""
+        now_s = time.perf_counter()
+        self.ms[stage] = self.ms.get(stage, 0.0) + (now_s - self._last_s) * 1e3
+        self._last_s = now_s
+
+
+class LapTable:
+    """The laps of many frames."""
+
+    def __init__(self) -> None:
+        self._frames: list[dict[str, float]] = []
+
+    def add(self, watch: Stopwatch) -> None:
+        """Keep the laps of a frame."""
+        self._frames.append(dict(watch.ms))
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def per_frame_ms(self, stages: tuple[str, ...]) -> FloatArray:
+        """Sum of some stages (N,) for each frame that had any of them."""
+        rows = [[laps.get(stage, 0.0) for stage in stages] for laps in self._frames if any(s in laps for s in stages)]
+        summed: FloatArray = np.array(rows, dtype=np.float64).reshape(-1, len(stages)).sum(axis=1)
+        return summed
+
+    def spread(self, *stages: str) -> Spread:
+        """Of the sum of these stages."""
+        return Spread.of(self.per_frame_ms(stages))

@@ -1,0 +1,167 @@
+"""`uav-recon bench planner`: what a frame costs from fusion to tour, and how good the answers are."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+
+from uav_recon.bench import building, growth, machine, pathlengths, tables, tours, view_oracle
+from uav_recon.bench.agreement import agreement
+from uav_recon.bench.calibration import Calibration, calibrate
+from uav_recon.bench.laps import LapTable, Stopwatch
+from uav_recon.bench.recording import RESOLUTION_M, Recording, load
+from uav_recon.bench.stages import STAGES, Decision, Replay, oracle_lens, warm_up
+from uav_recon.planning import tour
+from uav_recon.run import EXIT_FAILURE, Failure
+from uav_recon.types.maps import UNKNOWN
+
+JUDGED_EVERY = 5  # frames: brute force takes a while
+SHELL_M = (0.5, 4.3)  # how far from a frontier the brute force looks for views
+
+Result = dict[str, Any]
+
+
+def bench_planner(stream: Path | None, size: str, stride: int, scale: bool, json_path: Path | None) -> int:
+    """Measure, print tables, write JSON. Raises Failure in one line for bad input."""
+    if json_path is not None and not json_path.parent.is_dir():
+        raise Failure(f"--json {json_path}: no such folder {json_path.parent}")
+    recording = building.fly_through() if stream is None else load(stream, size, stride)
+    began_s = time.perf_counter()
+    warm_up(recording)
+    compile_s = time.perf_counter() - began_s
+    calibration = calibrate()
+    result: Result = {
+        "stream": recording.name,
+        "image": f"{recording.lens.width}x{recording.lens.height}",
+        "frames": len(recording.frames),
+        "machine": machine.processor(),
+        "commit": machine.commit(),
+        "compile_s": compile_s,
+        "calibration": calibration.factor,
+    }
+    progress = Progress(console=Console(stderr=True), transient=True)
+    with progress:
+        result |= _growth(recording, progress) if scale else _replay(recording, calibration, progress)
+    tables.show(Console(), result)
+    if json_path is not None:
+        _write(result, json_path)
+    return 0
+
+
+def _write(result: Result, path: Path) -> None:
+    try:
+        path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise Failure(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
+
+
+def _replay(recording: Recording, calibration: Calibration, progress: Progress) -> Result:
+    laps, ratios, replay = _decide_all(recording, progress)
+    result: Result = {
+        "stages": {name: asdict(laps.spread(*parts)) for name, parts in STAGES.items()},
+        "stages_calibrated": {
+            name: asdict(laps.spread(*parts).divided_by(calibration.factor)) for name, parts in STAGES.items()
+        },
+        "best_view_ratio": _ratio_summary(ratios),
+    }
+    return result | _map_quality(recording, replay, progress) | _tour_quality(recording, progress)
+
+
+def _decide_all(recording: Recording, progress: Progress) -> tuple[LapTable, list[float], Replay]:
+    replay = Replay(recording, recording.grid, recording.low_m, recording.high_m)
+    replay.start(recording.frames[0])
+    laps, ratios = LapTable(), list[float]()
+    for n, posed in enumerate(_tracked(progress, recording.frames, "frames")):
+        watch = Stopwatch()
+        decision = replay.decide(posed, watch)
+        laps.add(watch)
+        if n % JUDGED_EVERY == 0:
+            ratios += _view_ratios(replay, decision, n)
+    return laps, ratios, replay
+
+
+def _view_ratios(replay: Replay, decision: Decision, seed: int) -> list[float]:
+    """What each chosen view sees of its frontier, over what the best of 1,000 random views sees of it."""
+    if decision.reachable is None:
+        return []
+    lens = oracle_lens(replay.camera, RESOLUTION_M)
+    shell = (SHELL_M[0] / RESOLUTION_M, SHELL_M[1] / RESOLUTION_M)
+    ratios = []
+    for chosen in decision.chosen:
+        best = view_oracle.best_seen(decision.voxels.state, lens, decision.reachable, chosen.frontier, shell, seed)
+        seen = view_oracle.cells_seen(decision.voxels.state, lens, chosen.view, chosen.frontier)
+        ratios.append(seen / best if best else 1.0)
+    return ratios
+
+
+def _ratio_summary(ratios: list[float]) -> Result:
+    if not ratios:
+        return {"median": None, "p05": None, "min": None, "views": 0}
+    low, middle = np.percentile(ratios, [5, 50])
+    return {"median": float(middle), "p05": float(low), "min": float(min(ratios)), "views": len(ratios)}
+
+
+def _map_quality(recording: Recording, replay: Replay, progress: Progress) -> Result:
+    """Agreement of what the frames alone say (no take-off cylinder) with the reference; lengths of ways in it."""
+    alone = Replay(recording, recording.grid, recording.low_m, recording.high_m)
+    for posed in _tracked(progress, recording.frames, "map"):
+        alone.voxels.integrate(posed)
+    state = alone.voxels.snapshot().state
+    reference = state if recording.reference is None else recording.reference
+    agreed = agreement(state, reference)
+    task = progress.add_task("paths", total=None)
+    lengths = pathlengths.compare(reference, recording.grid, (recording.low_m, recording.high_m), replay.config.clearance_m)
+    progress.remove_task(task)
+    known = recording.reference is not None
+    return {
+        "agreement": agreed.share if known else None,
+        "occupied_freed": agreed.occupied_freed if known else None,
+        "known_share": float(np.mean(state != UNKNOWN)),
+        "path_length_m": lengths.mean_m,
+        "path_lengths": asdict(lengths),
+    }
+
+
+def _tour_quality(recording: Recording, progress: Progress) -> Result:
+    folder = None if recording.folder is None else recording.folder / "atsp"
+    cases = () if folder is None else tours.load_cases(folder)
+    tour.warm_up()
+    scores = [tours.score(case) for case in _tracked(progress, cases, "tours")]
+    return {"tour": {str(s.tasks): {"median_ms": s.median_ms, "gap": s.gap, "worst_gap": s.worst_gap} for s in scores}}
+
+
+def _growth(recording: Recording, progress: Progress) -> Result:
+    task = progress.add_task("growth", total=sum(growth.ticks(recording, copies) for copies in growth.COPIES))
+    sizes = [growth.measure(recording, copies, lambda n: progress.advance(task, n)) for copies in growth.COPIES]
+    base = sizes[0].stages
+    return {
+        "scale": [
+            {
+                "copies": size.copies,
+                "area_m2": size.area_m2,
+                "voxels": list(size.voxels),
+                "memory_mb": size.memory_mb,
+                "stages": {name: asdict(spread) for name, spread in size.stages.items()},
+                "ratio": {
+                    name: {
+                        "median": spread.median_ms / base[name].median_ms,
+                        "p95": spread.p95_ms / base[name].p95_ms,
+                    }
+                    for name, spread in size.stages.items()
+                },
+            }
+            for size in sizes
+        ]
+    }
+
+
+def _tracked(progress: Progress, items: Iterable[Any], name: str) -> Iterable[Any]:
+    return progress.track(list(items), description=name)

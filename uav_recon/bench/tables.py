@@ -1,0 +1,93 @@
+"""The tables that `uav-recon bench planner` prints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+Result = dict[str, Any]
+
+
+def show(console: Console, result: Result) -> None:
+    """Print what was measured, and what it was measured with."""
+    console.print(
+        f"{result['stream']}: {result['frames']} frames of {result['image']}, commit {result['commit']}, "
+        f"{result['machine']}; one thread. Compiled in {result['compile_s']:.1f} s beforehand, not counted. "
+        f"This machine is {result['calibration']:.2f} times as slow as the reference machine.",
+        highlight=False,
+    )
+    if "scale" in result:
+        console.print(_scale(result["scale"]))
+        return
+    console.print(_stages(result))
+    if result["tour"]:
+        console.print(_tours(result))
+    for line in _quality(result):
+        console.print(line, highlight=False)
+
+
+def _stages(result: Result) -> Table:
+    table = Table(title="milliseconds a frame", title_justify="left")
+    table.add_column("stage")
+    for column in ("median", "p95", "max", "median, calibrated", "p95, calibrated"):
+        table.add_column(column, justify="right")
+    for name, here in result["stages"].items():
+        there = result["stages_calibrated"][name]
+        values = (here["median_ms"], here["p95_ms"], here["max_ms"], there["median_ms"], there["p95_ms"])
+        table.add_row(name, *(f"{value:.2f}" for value in values))
+    return table
+
+
+def _tours(result: Result) -> Table:
+    table = Table(title="tours", title_justify="left")
+    for column in ("tasks", "median ms", "calibrated", "mean gap", "worst gap"):
+        table.add_column(column, justify="right")
+    for tasks, score in result["tour"].items():
+        calibrated_ms = score["median_ms"] / result["calibration"]
+        table.add_row(
+            tasks, f"{score['median_ms']:.3f}", f"{calibrated_ms:.3f}", f"{score['gap']:.2%}", f"{score['worst_gap']:.2%}"
+        )
+    return table
+
+
+def _quality(result: Result) -> list[str]:
+    lengths, ratio = result["path_lengths"], result["best_view_ratio"]
+    lines = []
+    if result["agreement"] is not None:
+        lines.append(
+            f"map: {result['agreement']:.2%} of the voxels agree with the reference to within one; "
+            f"{result['occupied_freed']} that it calls occupied are free"
+        )
+    if ratio["views"]:
+        lines.append(
+            f"views: {ratio['median']:.3f} of what the best of 1,000 random ones sees (median of {ratio['views']}; "
+            f"5th percentile {ratio['p05']:.3f}, lowest {ratio['min']:.3f})"
+        )
+    lines.append(
+        f"ways: {lengths['mean_m']:.3f} m on {lengths['pairs']} pairs, {lengths['mean_excess']:+.2%} beside exact search "
+        f"(p95 {lengths['p95_excess']:+.2%}, worst {lengths['max_excess']:+.2%})"
+    )
+    return lines
+
+
+def _scale(sizes: list[Result]) -> Table:
+    table = Table(title="growth: milliseconds a frame, and times the smallest", title_justify="left")
+    for column in ("area m²", "voxels", "stage", "median", "p95", "median x", "p95 x", "memory MB"):
+        table.add_column(column, justify="left" if column == "stage" else "right")
+    for size in sizes:
+        for n, (name, spread) in enumerate(size["stages"].items()):
+            ratio = size["ratio"][name]
+            table.add_row(
+                f"{size['area_m2']:.0f}" if n == 0 else "",
+                "x".join(map(str, size["voxels"])) if n == 0 else "",
+                name,
+                f"{spread['median_ms']:.2f}",
+                f"{spread['p95_ms']:.2f}",
+                f"{ratio['median']:.2f}",
+                f"{ratio['p95']:.2f}",
+                f"{size['memory_mb']:.0f}" if n == 0 else "",
+                end_section=n == len(size["stages"]) - 1,
+            )
+    return table
