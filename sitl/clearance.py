@@ -57,10 +57,19 @@ class Clearance:
         """Samples the mesh: about a second for 700k faces."""
         self.bins = PointBins(dense_points(scene.vertices, scene.faces, SPACING_M))
         self._radius_m, self._half_height_m = radius_m, 0.5 * height_m
+        self._last_position_m, self._last_hull_m = np.zeros(3), np.inf
 
     def hull_m(self, position_m: ArrayLike) -> float:
-        """Clearance in metres at a body position (3,) in the world: 0 in contact, at most CAP_M."""
-        return float(self.batch(np.asarray(position_m, np.float64)[None])[0])
+        """Clearance in metres at a body position (3,) in the world: 0 in contact, at most CAP_M.
+
+        Clearance changes by no more than the body moves: near the place asked about before the search need not go far.
+        """
+        position = np.asarray(position_m, np.float64)
+        moved_m = float(np.linalg.norm(position - self._last_position_m))
+        cap_m = min(CAP_M, self._last_hull_m + moved_m + 1e-9)
+        hull_m = float(self.bins.distances(position[None], self._radius_m, self._half_height_m, cap_m)[0])
+        self._last_position_m, self._last_hull_m = position, hull_m
+        return hull_m
 
     def batch(self, positions_m: F64) -> F64:
         """Clearance (M,) at positions (M, 3)."""

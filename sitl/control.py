@@ -74,7 +74,7 @@ class Controller:
         setpoint: ControlSetpoint,
         speed_up_mps: float = math.inf,
     ) -> tuple[Vec3, float]:
-        """One 250 Hz step. speed_up_mps: a tighter climb limit than the parameter's (the take-off ramp)."""
+        """One step. speed_up_mps: a tighter climb limit than the parameter's (the take-off ramp)."""
         wanted = self._wanted_velocity(position, setpoint, min(speed_up_mps, self._speed_up))
         a = setpoint.acceleration
         x, sx = self._axis(0, self._xy_gains, wanted[0], velocity[0], acceleration[0], a[0])

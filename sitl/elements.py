@@ -66,7 +66,10 @@ class SurfaceMemory:
 def warm_up() -> None:
     """Compile every kernel of this file."""
     memory = SurfaceMemory(np.zeros(3), np.ones(3), 0.1)
-    memory.look(np.full((8, 8), 0.5, np.float32), np.array([8.0, 8.0, 3.5, 3.5]), np.eye(3), np.full(3, 0.4), 0.005)
+    depth, eye = np.full((8, 8), 0.5, np.float32), np.full(3, 0.4)
+    for array in (depth, eye):  # as they come in a frozen frame
+        array.setflags(write=False)
+    memory.look(depth, np.array([8.0, 8.0, 3.5, 3.5]), np.eye(3), eye, 0.005)
 
 
 @kernel

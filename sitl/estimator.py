@@ -25,6 +25,7 @@ _START_S = 0.5  # poses must come steadily for so long before they are used
 _NORM_TOLERANCE = 1e-3  # wire floats carry 1e-7 each
 _POSITION_BANDWIDTH = 3.0  # rad/s
 _YAW_BANDWIDTH = 3.0
+_ACCELERATION_LAG_S = 0.020  # low pass for the controller's damping term
 
 ATTITUDE, VELOCITY_HORIZ, VELOCITY_VERT, POS_HORIZ_REL, POS_HORIZ_ABS = 1, 2, 4, 8, 16
 POS_VERT_ABS, POS_VERT_AGL, CONST_POS_MODE, PRED_POS_HORIZ_REL, PRED_POS_HORIZ_ABS = 32, 64, 128, 256, 512
@@ -128,7 +129,7 @@ class Estimator:
         """Heading in the local frame, rad."""
         return yaw_of(self.quat_wxyz)
 
-    # -- 250 Hz ---------------------------------------------------------------------------------------------------
+    # -- each step ------------------------------------------------------------------------------------------------
 
     def predict(self, now_s: float, dt_s: float, gyro: Vec3, specific_force: Vec3, on_ground: bool) -> None:
         """Integrate one IMU sample (FRD). on_ground: the land detector's word; allows any number of resets."""
@@ -142,7 +143,7 @@ class Estimator:
         self.quat_wxyz = normalised(multiply(self.quat_wxyz, turn))
         f = rotate(self.quat_wxyz, specific_force)
         ax, ay, az = f[0], f[1], f[2] + GRAVITY_MPS2 + self._accel_down_bias
-        s = 0.2  # low pass of 20 ms for the controller's damping term
+        s = min(dt_s / _ACCELERATION_LAG_S, 1.0)
         a = self.acceleration
         self.acceleration = (a[0] + s * (ax - a[0]), a[1] + s * (ay - a[1]), a[2] + s * (az - a[2]))
         self.fusing = now_s - self._last_pose_s <= _FUSION_STOPS_S and self.started

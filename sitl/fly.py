@@ -58,7 +58,7 @@ def simulate(options: SimOptions) -> int:
 
 def _scene(options: SimOptions) -> Scene:
     try:
-        return load_scene(options.scene, options.start, options.fence, options.radius_m)
+        return load_scene(options.scene, options.start, options.fence, options.radius_m, fine=options.mapper == "neural")
     except SceneError as error:
         raise run.Failure(str(error), run.EXIT_USAGE) from None
 

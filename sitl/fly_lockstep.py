@@ -14,7 +14,9 @@ from rich.console import Console
 
 from sitl.fly_options import SimOptions
 from sitl.fly_progress import Screen
+from sitl.fly_wires import direct_wires
 from sitl.fly_world import make_world
+from sitl.pace import QUICK, REAL
 from sitl.scene import Scene
 from sitl.transport import pipe
 from uav_recon import run
@@ -26,7 +28,6 @@ from uav_recon.protocols import Mapper
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.recording.mapfile import save_map
 
-STEP_S = 0.01
 START_S = 1000.0
 LONGEST_S = 3600.0
 
@@ -35,10 +36,10 @@ def fly_in_lockstep(
     options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool]
 ) -> str | None:
     """Fly; returns the fault in one line, None for none. land() is asked whether the operator wants to land now."""
-    clock = ManualClock(START_S)
+    clock, quick = ManualClock(START_S), options.mapper == "stand-in"
+    pace, wires = (QUICK, direct_wires()) if quick else (REAL, run.memory_wires())
     ours, theirs = pipe()
-    world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s)
-    wires = run.memory_wires()
+    world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s, pace)
     run.warm_up(config)
     mapper = _mapper(options, config)
     log, journal = Tlog(options.out / "flight.tlog", epoch_s=0.0), FlightLog(options.out)
@@ -50,9 +51,9 @@ def fly_in_lockstep(
     mission_rate, record_rate = RateKeeper(MISSION_RATE_HZ, START_S), RateKeeper(RECORDER_RATE_HZ, START_S)
     steps = 0
     with Screen(console, wires) as screen:
-        while not conductor.finished and steps * STEP_S < LONGEST_S:
+        while not conductor.finished and steps * pace.turn_s < LONGEST_S:
             steps += 1
-            now_s = START_S + steps * STEP_S
+            now_s = START_S + steps * pace.turn_s
             clock.advance_to(now_s)
             world.step(now_s)
             if world.frame_due(now_s):

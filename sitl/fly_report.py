@@ -13,15 +13,20 @@ from rich.console import Console
 
 from sitl.d435i import Model
 from sitl.fly_options import SimOptions
+from sitl.oracle import SEEN_WELL_S
 from sitl.raster import Renderer
 from sitl.scene import Scene
 from sitl.visibility import TruthCut, load_truth_cut
+from uav_recon import run
 from uav_recon.evaluation import metrics
+from uav_recon.evaluation.recall import ElementRecall, time_to
 from uav_recon.evaluation.surface import Surface
 from uav_recon.recording.debrief import FlightCard, account, publish
+from uav_recon.recording.flightlog import read_timeline
 from uav_recon.recording.mapfile import load_map
 from uav_recon.recording.meshfile import load_mesh
-from uav_recon.recording.report import Report, ReportQuality, ReportSafety, ReportStream
+from uav_recon.recording.report import TIMED_RECALLS, Report, ReportQuality, ReportSafety, ReportStream
+from uav_recon.recording.timelapse import load_states
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, TriangleMesh, VoxelMap
 
 F64 = NDArray[np.float64]
@@ -66,11 +71,15 @@ def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, c
     card = FlightCard(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
     report = account(folder, card, wall_s)
     with console.status("measuring the model against truth ..."):
+        curve = recall_over_time(folder, cut)
         report = dataclasses.replace(
             report,
             outcome=f"aborted: {fault}" if fault else report.outcome,
             explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut),
             quality=None if mesh is None or len(mesh.faces) == 0 else _quality(mesh, scene, cut),
+            recall_over_time=curve,
+            time_to_recall_s={recall: time_to(curve or (), float(recall)) for recall in TIMED_RECALLS},
+            oracle_s=SEEN_WELL_S.get(scene.name),
         )
     if truth is not None:
         report = dataclasses.replace(
@@ -93,6 +102,24 @@ def _quality(mesh: TriangleMesh, scene: Scene, cut: TruthCut) -> ReportQuality:
     psnr = metrics.psnr_db(*_held_out_pictures(mesh, scene, cut))
     measured = metrics.measure(Surface(mesh.vertices_world, mesh.faces), truth, psnr)
     return ReportQuality(**{name: getattr(measured, name) for name in ReportQuality.__dataclass_fields__})
+
+
+def recall_over_time(folder: Path, cut: TruthCut) -> tuple[tuple[float, int, float], ...] | None:
+    """(seconds since the order to take off, views then taken, recall) of every state of the surface that a flight kept."""
+    timeline, states = read_timeline(folder), load_states(folder)
+    start_s = timeline.took_off_s()
+    if start_s is None or not states or not len(cut.points):
+        return None
+    truth = ElementRecall(cut.points.astype(np.float64), run.load_config(folder / "config.toml").mapper.surface_voxel_m)
+    taken_s = np.array([view.stamp_s for view in timeline.views])
+    return tuple(
+        (
+            state.stamp_s - start_s,
+            int(np.count_nonzero(taken_s <= state.stamp_s)),
+            truth.of(state.position_world, state.normal_world),
+        )
+        for state in states
+    )
 
 
 def _held_out_pictures(
@@ -163,6 +190,12 @@ def summary(report: Report, folder: Path) -> str:
         f"explored {figure(report.explored_fraction, '')}",
         f"clearance {figure(safety.min_clearance_m, ' m')}, contacts {safety.contacts}, refusals {safety.refusals}",
     ]
+    if report.recall_over_time is not None:
+        waited = None if report.waiting_share is None else 100.0 * report.waiting_share
+        lines.append(
+            f"{_time_to_recall(report, '0.90')}, last view after {figure(report.last_view_s, ' s', 0)}, "
+            f"waiting for a plan {figure(waited, ' %', 1)} of it"
+        )
     if quality is not None:
         lines.append(
             f"accuracy {figure(quality.accuracy_cm, ' cm')}, completion {figure(quality.completion_cm, ' cm')}, "
@@ -171,3 +204,10 @@ def summary(report: Report, folder: Path) -> str:
     lines.append(f"results: {folder / 'report.html'}")
     lines.append(f"look at the flight: uav-recon review {folder}")
     return "\n".join(lines)
+
+
+def _time_to_recall(report: Report, recall: str) -> str:
+    reached_s, times = report.time_to_recall_s[recall], report.times_oracle(recall)
+    if reached_s is None:
+        return f"recall {recall} not reached in flight"
+    return f"recall {recall} after {reached_s:.0f} s" + ("" if times is None else f" ({times:.1f} times the oracle)")

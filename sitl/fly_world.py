@@ -16,6 +16,7 @@ import numpy as np
 
 from sitl import d435i
 from sitl.clearance import Clearance
+from sitl.pace import REAL, Pace
 from sitl.parameters import Parameters
 from sitl.poses import NoisyPoses
 from sitl.px4 import Px4
@@ -59,17 +60,17 @@ class WorldOptions:
         return load_scene(self.scene, self.start, self.fence, self.radius_m)
 
 
-def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float]) -> World:
+def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float], pace: Pace = REAL) -> World:
     """Put the world together, compile its kernels, and only then read the clock: its time begins there."""
     renderer, clearance = Renderer(scene.vertices, scene.faces, scene.rgb), Clearance(scene, options.radius_m)
     d435i.warm_up()
     clearance.hull_m(np.zeros(3))
     camera = d435i.Camera(renderer, options.camera, options.depth_noise, seed=options.seed)
     vehicle = Quadrotor(seed=options.seed, yaw_rad=scene.start_yaw_rad)
-    autopilot = Px4(vehicle, link, Parameters.load(), seed=options.seed)
+    autopilot = Px4(vehicle, link, Parameters.load(), options.seed, pace.physics_s)
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
-    return World(autopilot, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad)
+    return World(autopilot, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad, pace.imu_hz)
 
 
 def fly(options: WorldOptions) -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import random
 from dataclasses import dataclass
 
 from sitl.rotation import Vec3
 
+_SAMPLE_S = 0.004
+
 
 @dataclass(frozen=True, slots=True)
 class ImuNoise:
-    """Standard deviations of a calibrated consumer IMU, per sample at 250 Hz, and of its constant biases."""
+    """Standard deviations of a calibrated consumer IMU, per sample of 4 ms, and of its constant biases."""
 
     gyro_radps: float = 0.002
     gyro_bias_radps: float = 2e-4
@@ -23,8 +26,11 @@ class ImuNoise:
 class Imu:
     """Reads rates and specific force (any body frame) with the errors of one device, drawn once from the seed."""
 
-    def __init__(self, seed: int, noise: ImuNoise | None = None) -> None:
+    def __init__(self, seed: int, step_s: float = _SAMPLE_S, noise: ImuNoise | None = None) -> None:
+        """step_s: over which a sample averages; the longer, the quieter."""
         self._noise = noise or ImuNoise()
+        quieter = math.sqrt(_SAMPLE_S / step_s)
+        self._gyro_sigma, self._accel_sigma = self._noise.gyro_radps * quieter, self._noise.accel_mps2 * quieter
         self._random = random.Random(seed)
         gauss = self._random.gauss
         n = self._noise
@@ -36,7 +42,7 @@ class Imu:
         """Measured rates (rad/s) and specific force (m/s^2) for the true ones."""
         gauss = self._random.gauss
         g, a = self._gyro_bias, self._accel_bias
-        sg, sa = self._noise.gyro_radps, self._noise.accel_mps2
+        sg, sa = self._gyro_sigma, self._accel_sigma
         return (
             (gyro[0] + g[0] + gauss(0.0, sg), gyro[1] + g[1] + gauss(0.0, sg), gyro[2] + g[2] + gauss(0.0, sg)),
             (

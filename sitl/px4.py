@@ -10,6 +10,7 @@ from sitl.frames import frd_from_flu
 from sitl.gimbal import Gimbal
 from sitl.imu import Imu
 from sitl.mavlink_server import MavlinkServer
+from sitl.pace import REAL
 from sitl.parameters import Parameters
 from sitl.px4_commands import Commands
 from sitl.px4_flight import Flight
@@ -20,9 +21,8 @@ from sitl.rotation import Quat, Vec3, conjugate, rotate
 from sitl.transport import ByteEnd
 from sitl.vehicle import Quadrotor
 
-STEP_S = 0.004
 BOOTED_BEFORE_S = 37.5  # the autopilot's clock is not the world's: stamps must go through TIMESYNC
-_SLOW_STEPS = 5  # commander and barometer at 50 Hz
+_SLOW_S = 0.02  # commander and barometer at 50 Hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +47,14 @@ class Px4:
     acted, in words. texts: every STATUSTEXT. Raises ValueError for parameters whose failsafe is not simulated.
     """
 
-    def __init__(self, vehicle: Quadrotor, link: ByteEnd, parameters: Parameters, seed: int) -> None:
+    def __init__(
+        self, vehicle: Quadrotor, link: ByteEnd, parameters: Parameters, seed: int, step_s: float = REAL.physics_s
+    ) -> None:
+        """step_s: of physics, estimator and control; at most about 10 ms."""
+        self._step_s, self._slow_steps = step_s, max(round(_SLOW_S / step_s), 1)
         self.vehicle = vehicle
         self.parameters = parameters
-        self._imu = Imu(seed)
+        self._imu = Imu(seed, step_s)
         self._server = MavlinkServer(link, parameters)
         flight = Flight(parameters)
         estimator = Estimator(parameters, flight.estimate_jumped)
@@ -124,17 +128,17 @@ class Px4:
     # -- time -----------------------------------------------------------------------------------------------------
 
     def step(self, now_s: float) -> None:
-        """Advance to now_s on the world's clock, in steps of 4 ms; the first call only sets the clock."""
+        """Advance to now_s on the world's clock, in equal steps; the first call only sets the clock."""
         s = self._state
         if not self._started:
             self._started = True
             self._start_s = s.now_s = now_s
             s.boot_s = now_s - BOOTED_BEFORE_S
-        target = math.floor((now_s - self._start_s) / STEP_S + 1e-6)
+        target = math.floor((now_s - self._start_s) / self._step_s + 1e-6)
         self._server.drain(s.now_s)
         while self._steps < target:
             self._steps += 1
-            s.now_s = self._start_s + self._steps * STEP_S
+            s.now_s = self._start_s + self._steps * self._step_s
             self._substep()
 
     def _substep(self) -> None:
@@ -144,10 +148,10 @@ class Px4:
         if self.parameters.revision != self._revision:
             self._reconfigure()
         self._sense()
-        if self._steps % _SLOW_STEPS == 0:
+        if self._steps % self._slow_steps == 0:
             self._think()
         self._act()
-        s.gimbal.step(STEP_S)
+        s.gimbal.step(self._step_s)
         self._server.stream_out(s.now_s)
         self._server.flush()
 
@@ -159,11 +163,11 @@ class Px4:
     def _sense(self) -> None:
         v, s = self.vehicle, self._state
         gyro, force = self._imu.read(frd_from_flu(v.gyro), frd_from_flu(v.specific_force))
-        s.estimator.predict(s.now_s - s.boot_s, STEP_S, gyro, force, s.flight.landed)
+        s.estimator.predict(s.now_s - s.boot_s, self._step_s, gyro, force, s.flight.landed)
 
     def _think(self) -> None:
         s = self._state
-        dt = STEP_S * _SLOW_STEPS
+        dt = self._step_s * self._slow_steps
         s.estimator.correct_baro(self._imu.altitude(self.vehicle.position[2]), dt)
         s.battery.step(dt, s.commander.armed and not s.flight.landed)
         if s.origin is not None and not s.commander.armed and s.estimator.started:
@@ -175,6 +179,6 @@ class Px4:
     def _act(self) -> None:
         """Carry the wanted force from the estimated attitude into the true one: estimation errors really fly."""
         v, s = self.vehicle, self._state
-        force, turn = s.flight.step(STEP_S, s.commander.armed, s.commander.mode, s.estimator)
+        force, turn = s.flight.step(self._step_s, s.commander.armed, s.commander.mode, s.estimator)
         in_body = frd_from_flu(rotate(conjugate(s.estimator.quat_wxyz), force))
-        v.step(STEP_S, rotate(v.quat_wxyz, in_body), -turn, s.commander.armed)
+        v.step(self._step_s, rotate(v.quat_wxyz, in_body), -turn, s.commander.armed)

@@ -55,17 +55,22 @@ class Scene:
 
 
 def load_scene(
-    path: str | Path | None, start: Numbers | None = None, fence: Numbers | None = None, radius_m: float = HULL_RADIUS_M
+    path: str | Path | None,
+    start: Numbers | None = None,
+    fence: Numbers | None = None,
+    radius_m: float = HULL_RADIUS_M,
+    fine: bool = True,
 ) -> Scene:
     """Load, place and check a scene. Blocks for one or two seconds.
 
     path: None for the built-in room, a folder with scene.json, or a mesh file (z up, metres). start: X, Y, Z (m) and YAW
     (degrees) in the file's own frame; fence: X, Y, Z lowest and X, Y, Z highest in the same frame, needed only where the
-    mesh is open. radius_m: of the hull that is to take off. Raises SceneError with one line naming the cause.
+    mesh is open. radius_m: of the hull that is to take off. fine: with the paint
+    of the rooms made here. Raises SceneError with one line naming the cause.
     """
     known_start: Numbers | None
     if path is None:
-        name, mesh, known_start = "built-in", built_in_room(), ROOM_START
+        name, mesh, known_start = "built-in", built_in_room(fine), ROOM_START
     else:
         name, mesh, known_start = _read(Path(path))
     chosen = start if start is not None else known_start

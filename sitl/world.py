@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from sitl.clearance import Clearance
 from sitl.d435i import Camera
+from sitl.pace import REAL
 from sitl.poses import NoisyPoses
 from sitl.px4 import Px4
 from sitl.transform import rigid, rotation_from_quat
 from uav_recon.sensors.wire import StreamWriter
 
-IMU_RATE_HZ = 200.0
 TRUTH_RATE_HZ = 50.0
 PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # taking off and landing so low over the ground, nearness to it is no fault
 BODY_ABOVE_FLOOR_M = 0.10
@@ -58,8 +58,10 @@ class World:
         stream: StreamWriter,
         start_s: float,
         mount_pitch_down_rad: float | None,
+        imu_hz: float = REAL.imu_hz,
     ) -> None:
         """A mount_pitch_down_rad of None is a gimbal: its angle is the autopilot's."""
+        self._imu_hz = imu_hz
         self.autopilot, self.camera, self._poses, self._clearance = autopilot, camera, poses, clearance
         self._stream, self._start_s, self._mount_pitch_down_rad = stream, start_s, mount_pitch_down_rad
         self._imu_count = self._truth_count = self._frame_count = 0
@@ -73,9 +75,8 @@ class World:
         self._keep_truth(now_s)
 
     def _publish_imu(self, now_s: float) -> None:
-        while self._start_s + self._imu_count / IMU_RATE_HZ <= now_s:
-            truth = self.autopilot.truth()
-            stamp_s = self._start_s + self._imu_count / IMU_RATE_HZ
+        truth = self.autopilot.truth()
+        while (stamp_s := self._start_s + self._imu_count / self._imu_hz) <= now_s + 1e-9:
             self._stream.write_imu(stamp_s, np.asarray(truth.gyro), np.asarray(truth.specific_force))
             self._imu_count += 1
 
@@ -103,7 +104,7 @@ class World:
 
     def frame_due(self, now_s: float) -> bool:
         """Whether the shutter opens now; true once per camera period."""
-        if self._start_s + self._frame_count * self.camera.period_s > now_s:
+        if self._start_s + self._frame_count * self.camera.period_s > now_s + 1e-9:
             return False
         self._frame_count = int((now_s - self._start_s) / self.camera.period_s + 1e-9) + 1
         return True

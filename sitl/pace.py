@@ -1,0 +1,18 @@
+"""How finely time is cut: for flights that must be as real as possible, and for many flights that must be quick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Pace:
+    """physics_s: one step of vehicle and autopilot; turn_s: one turn of all loops in lockstep; imu_hz: of the camera's IMU."""
+
+    physics_s: float
+    turn_s: float
+    imu_hz: float
+
+
+REAL = Pace(physics_s=0.004, turn_s=0.01, imu_hz=200.0)
+QUICK = Pace(physics_s=1.0 / 120.0, turn_s=1.0 / 60.0, imu_hz=120.0)  # every rate of the product divides its turns
