@@ -11,7 +11,8 @@ from px4_rig import companion, flying
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.parameters import Parameters
-from sitl.px4 import STEP_S, Px4
+from sitl.pace import REAL
+from sitl.px4 import Px4
 from sitl.vehicle import Quadrotor
 
 
@@ -103,7 +104,7 @@ def test_physics_runs_in_fixed_steps_whatever_the_callers_rhythm() -> None:
     for i in range(1, 1001):
         b.px4.step(500.0 + i * 0.001)
     assert a.px4.truth() == b.px4.truth()
-    assert a.px4.truth().stamp_s == pytest.approx(501.0, abs=STEP_S)
+    assert a.px4.truth().stamp_s == pytest.approx(501.0, abs=REAL.physics_s)
 
 
 class LateReader:
@@ -130,7 +131,7 @@ def test_a_late_call_does_not_hear_messages_before_they_arrived() -> None:
     px4.step(501.0)
     heard = mavlink.MAVLink(None, 1, 1).parse_buffer(link.written)
     answer = next(m for m in heard if m.get_type() == "TIMESYNC" and m.ts1 == 77)
-    assert answer.tc1 * 1e-9 == pytest.approx(37.5 + 0.6, abs=2 * STEP_S)
+    assert answer.tc1 * 1e-9 == pytest.approx(37.5 + 0.6, abs=2 * REAL.physics_s)
 
 
 def test_the_camera_tilts_with_the_body() -> None:
