@@ -33,9 +33,13 @@ def flyable(voxels: VoxelMap, clearance_m: float, low: IntArray, high: IntArray)
 
 
 def connected_pairs(mask: BoolArray, count: int, seed: int) -> IntArray:
-    """Seeded pairs (count, 2, 3) of different cells of the largest 26-connected part of the mask."""
-    labels, _ = ndimage.label(mask, structure=_AROUND)
-    cells = np.argwhere(labels == 1 + int(np.argmax(np.bincount(labels[mask])[1:])))
+    """Seeded pairs (count, 2, 3) of different cells of the largest 26-connected part of the mask; (0, 2, 3) if it has one cell."""
+    labels, parts = ndimage.label(mask, structure=_AROUND)
+    cells = (
+        np.argwhere(labels == 1 + int(np.argmax(np.bincount(labels[mask])[1:]))) if parts else np.zeros((0, 3), dtype=np.int64)
+    )
+    if len(cells) < 2:
+        return np.zeros((0, 2, 3), dtype=np.int64)
     rng = np.random.default_rng(seed)
     return np.stack([cells[rng.choice(len(cells), 2, replace=False)] for _ in range(count)])
 

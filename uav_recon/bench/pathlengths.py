@@ -13,7 +13,7 @@ from uav_recon.planning.frontiers import fence_box
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.planning.routes import Routes
 from uav_recon.planning.search import distances_from
-from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, GridSpec, VoxelMap
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
@@ -35,14 +35,20 @@ class PathLengths:
 
 def compare(
     state: ByteArray, grid: GridSpec, fence_m: tuple[FloatArray, FloatArray], clearance_m: float, pairs: int = PAIRS
-) -> PathLengths:
-    """Ways on a finished map (nx, ny, nz). fence_m: lower and upper corner (3,); the body keeps ``clearance_m`` from it too."""
+) -> PathLengths | None:
+    """Ways on a finished map (nx, ny, nz); None where there is no room to fly in.
+
+    fence_m: lower and upper corner (3,); the body keeps ``clearance_m`` from it too.
+    """
     reach = min(int(np.ceil(clearance_m / grid.resolution_m)) + 2, LARGEST_DISTANCE_VOXELS)
     voxels = VoxelMap.whole(grid, state, distance2_to_not_free(state, reach), 1)
     low, high = fence_box(grid, fence_m[0] + clearance_m, fence_m[1] - clearance_m)
     mask = path_oracle.flyable(voxels, clearance_m, low, high)
+    chosen = path_oracle.connected_pairs(mask, pairs, SEED)
+    if not len(chosen):
+        return None
     ours, exact = [], []
-    for start, goal in path_oracle.connected_pairs(mask, pairs, SEED):
+    for start, goal in chosen:
         exact.append(path_oracle.length_of(path_oracle.shortest_way(mask, start, goal)) * grid.resolution_m)
         ours.append(_planned_m(voxels, clearance_m, (low, high), grid.centre(start), grid.centre(goal)))
     excess = np.array(ours) / np.array(exact) - 1.0
@@ -54,6 +60,12 @@ def compare(
         p95_excess=float(np.percentile(excess, 95)),
         max_excess=float(excess.max()),
     )
+
+
+def flyable_of(voxels: VoxelMap, clearance_m: float, box: tuple[IntArray, IntArray]) -> BoolArray:
+    """Where the planner itself says that the body may be, (nx, ny, nz)."""
+    mask: BoolArray = FlyableSpace.of(voxels, clearance_m, *box).mask[1:-1, 1:-1, 1:-1] > 0
+    return mask
 
 
 def _planned_m(

@@ -58,9 +58,18 @@ def bench_planner(stream: Path | None, size: str, stride: int, scale: bool, json
 
 def _write(result: Result, path: Path) -> None:
     try:
-        path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(_without_nan(result), indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise Failure(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
+
+
+def _without_nan(value: Any) -> Any:
+    """What was not measured is null: JSON has no nan."""
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _replay(recording: Recording, calibration: Calibration, progress: Progress) -> Result:
@@ -125,8 +134,8 @@ def _map_quality(recording: Recording, replay: Replay, progress: Progress) -> Re
         "agreement": agreed.share if known else None,
         "occupied_freed": agreed.occupied_freed if known else None,
         "known_share": float(np.mean(state != UNKNOWN)),
-        "path_length_m": lengths.mean_m,
-        "path_lengths": asdict(lengths),
+        "path_length_m": None if lengths is None else lengths.mean_m,
+        "path_lengths": None if lengths is None else asdict(lengths),
     }
 
 

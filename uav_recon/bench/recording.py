@@ -112,8 +112,9 @@ def _meta(path: Path) -> dict[str, Any]:
 
 def _array(path: Path, key: str | None = None) -> AnyArray:
     try:
-        loaded = np.load(path, allow_pickle=False)
-        return np.asarray(loaded if key is None else loaded[key])
+        with path.open("rb") as file:
+            loaded = np.load(file, allow_pickle=False)
+            return np.asarray(loaded if key is None else loaded[key])
     except OSError as error:
         raise Failure(f"{path}: cannot be read ({error.strerror or error})", EXIT_USAGE) from None
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:

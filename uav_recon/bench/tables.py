@@ -65,10 +65,11 @@ def _quality(result: Result) -> list[str]:
             f"views: {ratio['median']:.3f} of what the best of 1,000 random ones sees (median of {ratio['views']}; "
             f"5th percentile {ratio['p05']:.3f}, lowest {ratio['min']:.3f})"
         )
-    lines.append(
-        f"ways: {lengths['mean_m']:.3f} m on {lengths['pairs']} pairs, {lengths['mean_excess']:+.2%} beside exact search "
-        f"(p95 {lengths['p95_excess']:+.2%}, worst {lengths['max_excess']:+.2%})"
-    )
+    if lengths is not None:
+        lines.append(
+            f"ways: {lengths['mean_m']:.3f} m on {lengths['pairs']} pairs, {lengths['mean_excess']:+.2%} beside exact search "
+            f"(p95 {lengths['p95_excess']:+.2%}, worst {lengths['max_excess']:+.2%})"
+        )
     return lines
 
 
