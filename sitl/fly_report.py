@@ -114,9 +114,9 @@ def recall_over_time(folder: Path, cut: TruthCut) -> tuple[tuple[float, int, flo
     taken_s = np.array([view.stamp_s for view in timeline.views])
     return tuple(
         (
-            state.stamp_s - start_s,
+            round(state.stamp_s - start_s, 3),
             int(np.count_nonzero(taken_s <= state.stamp_s)),
-            truth.of(state.position_world, state.normal_world),
+            round(truth.of(state.position_world, state.normal_world), 5),
         )
         for state in states
     )

@@ -111,7 +111,7 @@ def mesh() -> TriangleMesh:
 
 def write_timeline(folder: Path, duration_s: float = 30.0) -> None:
     log = FlightLog(folder)
-    for phase, t_s in (("TAKEOFF", 0.0), ("EXPLORE", 5.0), ("LANDING", 25.0)):
+    for phase, t_s in (("take-off", 0.0), ("survey", 5.0), ("landing", 25.0)):
         log.phase(START_S + t_s, phase, "")
     for t_s in np.arange(0.0, duration_s, 0.5):
         log.progress(progress(float(t_s)))

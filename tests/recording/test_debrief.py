@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from uav_recon.recording.debrief import FlightCard, account, publish
 from uav_recon.recording.flightlog import FlightLog
@@ -23,6 +24,7 @@ def progress(stamp_s: float, phase: str, path_m: float) -> MissionProgress:
 
 def flight(folder: Path) -> None:
     log = FlightLog(folder)
+    log.phase(9.0, "take-off", "")
     for stamp_s, phase, path_m in ((1.0, "ready", 0.0), (10.0, "survey", 1.0), (30.0, "landing", 8.5), (40.0, "done", 8.5)):
         log.progress(progress(stamp_s, phase, path_m))
     log.plan(12.0, "explore", 0.02, 0.05, 3, 3, 3, 0.2)
@@ -43,13 +45,35 @@ def test_a_real_flight_is_accounted_for(tmp_path: Path) -> None:
     assert report.planning.merged.task_s.p95 == 0.04
     assert abs(report.planning.total_s - 0.12) < 1e-9
     assert abs(report.planning.hover_wait_s - 0.5) < 1e-9
+    assert (report.last_view_s, report.recall_over_time) == (4.0, None)
+    assert report.time_to_recall_s == {"0.90": None, "0.95": None}
     assert report.quality is None
     assert report.safety.contacts is None
     assert report.safety.refusals == 1
     assert "not measured" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
+def test_waiting_counts_from_take_off_to_the_last_view(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path)
+    log.phase(10.0, "take-off", "")
+    for stamp_s, waited_s in ((10.5, 2.0), (20.0, 1.0), (30.4, 0.5), (40.0, 3.0)):  # half a second of the first and 0.1 of the
+        log.plan(stamp_s, "explore", 0.0, 0.0, 1, 1, 1, waited_s)  # third lie within, nothing of the last
+    log.view(30.0, 1, Pose.identity())
+    log.close()
+    report = account(tmp_path, CARD, 1.0)
+    assert report.last_view_s == 20.0
+    assert report.waiting_share == pytest.approx((0.5 + 1.0 + 0.1) / 20.0)
+
+
+def test_without_take_off_or_view_nothing_is_shared(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path)
+    log.phase(10.0, "take-off", "")
+    log.close()
+    assert account(tmp_path, CARD, 1.0).waiting_share is None
+
+
 def test_a_mission_that_left_no_word_is_aborted(tmp_path: Path) -> None:
     report = account(tmp_path, CARD, wall_s=1.0)
     assert report.outcome == "aborted: the mission left no word"
     assert report.flight_time_s == 0.0
+    assert (report.last_view_s, report.waiting_share) == (None, None)

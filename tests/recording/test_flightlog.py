@@ -16,7 +16,7 @@ from uav_recon.recording.flightlog import TIMELINE, FlightLog, read_timeline
 def test_everything_written_is_read_back(tmp_path: Path) -> None:
     write_timeline(tmp_path)
     timeline = read_timeline(tmp_path)
-    assert [record.phase for record in timeline.phases] == ["TAKEOFF", "EXPLORE", "LANDING"]
+    assert [record.phase for record in timeline.phases] == ["take-off", "survey", "landing"]
     assert [plan.mode for plan in timeline.plans] == ["explore"] * 5 + ["merged"] * 5 + [""]
     assert timeline.plans[3].step_s == pytest.approx(0.08)
     assert [view.index for view in timeline.views] == list(range(10))

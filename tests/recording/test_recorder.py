@@ -17,6 +17,7 @@ from uav_recon.recording import blueprint as names
 from uav_recon.recording.drawing import depth_png
 from uav_recon.recording.recorder import Inbox, Recorder, RecorderChannels
 from uav_recon.recording.review import check_recording
+from uav_recon.recording.timelapse import load_states
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.pose import StampedPose
@@ -173,3 +174,10 @@ def test_depth_survives_as_whole_millimetres() -> None:
     image = cv2.imdecode(np.frombuffer(depth_png(taken), np.uint8), cv2.IMREAD_UNCHANGED)
     assert image is not None and image.dtype == np.uint16
     assert (image[:, :5] == 0).all() and (image[:, 5:] == 2000).all()
+
+
+def test_the_surface_is_kept_as_it_grows(tmp_path: Path) -> None:
+    recorder, wires = fly(tmp_path, duration_s=6.0)
+    wires.surface.publish(surface())  # a moment before the end
+    recorder.close()
+    assert [round(state.stamp_s - START_S, 3) for state in load_states(tmp_path)] == [0.0, 2.0, 5.9]

@@ -26,7 +26,9 @@ def tree() -> dict[str, Any]:
     return {
         "scene": "built-in room", "variant": "adaptive", "seed": 1, "autopilot": "px4", "mount": "fixed:15",
         "depth_noise": "d435i", "outcome": "completed", "stop_reason": "14 frontiers left: 9 too narrow, 5 outside the fence",
-        "views": 60, "path_length_m": 38.25, "flight_time_s": 161.5, "wall_time_s": 120.0, "explored_fraction": 0.973,
+        "views": 60, "path_length_m": 38.25, "flight_time_s": 161.5, "wall_time_s": 120.0,
+        "last_view_s": 140.5, "waiting_share": 0.021, "recall_over_time": [[8.1, 1, 0.21], [96.4, 41, 0.931]],
+        "time_to_recall_s": {"0.90": 96.4, "0.95": None}, "oracle_s": 33.0, "explored_fraction": 0.973,
         "quality": {
             "accuracy_cm": 1.21, "completion_cm": 1.43, "recall_5cm": 0.962, "recall_2cm": 0.871, "f_score_2cm": 0.88,
             "psnr_db": 22.4, "accuracy_point_cm": 1.9, "completion_point_cm": 2.0, "point_floor_cm": 1.34,
@@ -76,6 +78,28 @@ def test_an_unknown_or_mistyped_key_is_named() -> None:
         Report.from_tree(tree() | {"planning": None})
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("recall_over_time", 3, r"recall_over_time: must be a list, got 3"),
+        ("recall_over_time", [[1.0, 2, 0.5], [1.0, 2]], r"recall_over_time\[1\]: must be a list of 3"),
+        ("recall_over_time", [[1.0, 2.5, 0.5]], r"recall_over_time\[0\]\[1\]: must be int, got 2.5"),
+        ("time_to_recall_s", [1.0], r"time_to_recall_s: must be a table"),
+        ("time_to_recall_s", {"0.90": "soon"}, r"time_to_recall_s\.0\.90: must be float, got 'soon'"),
+    ],
+)
+def test_a_curve_or_a_table_of_the_wrong_shape_is_named(key: str, value: Any, said: str) -> None:
+    with pytest.raises(ReportError, match=said):
+        Report.from_tree(tree() | {key: value})
+
+
+def test_times_of_the_oracle_are_known_where_both_times_are() -> None:
+    report = Report.from_tree(tree())
+    assert report.times_oracle("0.90") == pytest.approx(96.4 / 33.0)
+    assert report.times_oracle("0.95") is None
+    assert dataclasses.replace(report, oracle_s=None).times_oracle("0.90") is None
+
+
 def test_a_file_that_is_no_report_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ReportError, match="cannot be read"):
         Report.load(tmp_path / "report.json")
@@ -105,13 +129,26 @@ def test_the_page_stands_alone(tmp_path: Path) -> None:
     assert "data:image/png;base64," in text and "not there" not in text
     assert "The &lt;model&gt;" in text and "a note &amp; more" in text
     assert "http" not in text  # nothing from a network
-    for figure in ("Completed without contact", "14 frontiers left", "97.3 %", "1.21 cm", "0.18 m", "22.4 dB", "2:42", "70 ms"):
+    for figure in (
+        "Completed without contact",
+        "14 frontiers left",
+        "97.3 %",
+        "1.21 cm",
+        "0.18 m",
+        "22.4 dB",
+        "2:42",
+        "70 ms",
+        "140.5 s",
+        "2.1 %",
+        "96.4 s, 2.9 times the oracle",
+    ):
         assert figure in text, figure
 
 
 def test_a_flight_without_truth_says_so(tmp_path: Path) -> None:
     safety = tree()["safety"] | {"min_clearance_m": None, "fence_overshoot_m": None, "contacts": None}
-    real = tree() | {"quality": None, "explored_fraction": None, "seed": None, "depth_noise": None, "safety": safety}
+    real = tree() | {"recall_over_time": None, "time_to_recall_s": {"0.90": None, "0.95": None}, "oracle_s": None}
+    real |= {"quality": None, "explored_fraction": None, "seed": None, "depth_noise": None, "safety": safety}
     _, page = write_report(tmp_path, Report.from_tree(real))
     text = page.read_text()
     assert "no truth to be held against" in text

@@ -12,7 +12,8 @@ from uav_recon.recording.mapfile import load_map
 from uav_recon.recording.mesh_pictures import mesh_pictures
 from uav_recon.recording.meshfile import load_mesh
 from uav_recon.recording.pictures import coverage_over_time, path_over_plan, planning_over_time
-from uav_recon.recording.report import ModeTimes, Report, ReportPlanning, ReportSafety, ReportStream, Spread
+from uav_recon.recording.recall_picture import recall_over_time
+from uav_recon.recording.report import TIMED_RECALLS, ModeTimes, Report, ReportPlanning, ReportSafety, ReportStream, Spread
 from uav_recon.recording.report_page import Picture, write_report
 
 ON_THE_GROUND = ("idle", "ready", "done")
@@ -31,7 +32,7 @@ class FlightCard:
 
 
 def account(folder: Path, card: FlightCard, wall_s: float) -> Report:
-    """The report that the flight's own files allow: quality, clearance, contacts and stream are unknown."""
+    """The report that the flight's own files allow: quality, recall, clearance, contacts and stream are unknown."""
     timeline = read_timeline(folder)
     outcome = timeline.outcomes[-1] if timeline.outcomes else None
     stamps_s = [sample.stamp_s for sample in timeline.progress if sample.phase not in ON_THE_GROUND]
@@ -48,6 +49,11 @@ def account(folder: Path, card: FlightCard, wall_s: float) -> Report:
         path_length_m=timeline.progress[-1].path_length_m if timeline.progress else 0.0,
         flight_time_s=max(stamps_s) - min(stamps_s) if stamps_s else 0.0,
         wall_time_s=wall_s,
+        last_view_s=timeline.last_view_s(),
+        waiting_share=_waiting_share(timeline),
+        recall_over_time=None,
+        time_to_recall_s=dict.fromkeys(TIMED_RECALLS),
+        oracle_s=None,
         explored_fraction=None,
         quality=None,
         planning=_planning(timeline),
@@ -58,7 +64,7 @@ def account(folder: Path, card: FlightCard, wall_s: float) -> Report:
 
 def publish(report: Report, folder: Path) -> None:
     """Draw the pictures and write report.json and report.html."""
-    write_report(folder, report, _pictures(folder))
+    write_report(folder, report, _pictures(folder, report))
 
 
 def _planning(timeline: Timeline) -> ReportPlanning:
@@ -74,7 +80,13 @@ def _spread(values: list[float]) -> Spread:
     return Spread(float(np.median(values)), float(np.percentile(values, 95.0))) if values else Spread(None, None)
 
 
-def _pictures(folder: Path) -> list[Picture]:
+def _waiting_share(timeline: Timeline) -> float | None:
+    """Share of the time from take-off to the last view."""
+    begin_s, lasted_s = timeline.took_off_s(), timeline.last_view_s()
+    return timeline.waited_s(begin_s, begin_s + lasted_s) / lasted_s if begin_s is not None and lasted_s else None
+
+
+def _pictures(folder: Path, report: Report) -> list[Picture]:
     timeline, voxels, mesh = read_timeline(folder), load_map(folder), load_mesh(folder)
     drawn = folder / "pictures"
     drawn.mkdir(exist_ok=True)
@@ -86,6 +98,9 @@ def _pictures(folder: Path) -> list[Picture]:
     path_over_plan(drawn / "path.png", timeline, voxels)
     coverage_over_time(drawn / "coverage.png", timeline)
     planning_over_time(drawn / "planning.png", timeline)
+    if report.recall_over_time:
+        recall_over_time(drawn / "recall.png", timeline, report)
+        pictures.append(Picture(drawn / "recall.png", "How much of the surface the model held, while it flew."))
     return [
         *pictures,
         Picture(drawn / "path.png", "The flown path over the floor plan that the drone found."),

@@ -20,6 +20,7 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.vehicle import MissionProgress
 
 TIMELINE = "timeline.jsonl"
+TAKE_OFF = "take-off"
 _LOG = logging.getLogger(__name__)
 
 
@@ -108,6 +109,19 @@ class Timeline:
         """Stamp of the first event, 0 for an empty timeline."""
         records: tuple[Sequence[Any], ...] = (self.progress, self.plans, self.views, self.phases, self.refusals)
         return min((float(record[0].stamp_s) for record in records if record), default=0.0)
+
+    def took_off_s(self) -> float | None:
+        """Stamp of the order to take off; None if there was none."""
+        return next((record.stamp_s for record in self.phases if record.phase == TAKE_OFF), None)
+
+    def last_view_s(self) -> float | None:
+        """From the order to take off to the last view, seconds; None if either is missing."""
+        start_s = self.took_off_s()
+        return None if start_s is None or not self.views else self.views[-1].stamp_s - start_s
+
+    def waited_s(self, begin_s: float, end_s: float) -> float:
+        """How much of the time between two stamps the vehicle stood waiting for a plan."""
+        return sum(max(0.0, min(plan.stamp_s, end_s) - max(plan.stamp_s - plan.hover_wait_s, begin_s)) for plan in self.plans)
 
     def path_world(self) -> tuple[FloatArray, FloatArray]:
         """Stamps (N,) and positions (N, 3) of the progress samples."""

@@ -1,4 +1,4 @@
-"""Writes flight.rrd: reads last-value channels and logs what is new. It never touches flight code.
+"""Writes flight.rrd and the timelapse of the surface: reads last-value channels, logs what is new, never touches flight code.
 
 In real time it lives in its own process, in lockstep its step() is called inline. What comes faster than it is read is
 skipped and counted. Nothing is kept but the end of the trail, so its memory is bounded whatever the flight's length.
@@ -19,6 +19,7 @@ from uav_recon.protocols import Channel, Clock
 from uav_recon.recording import blueprint as names
 from uav_recon.recording import drawing
 from uav_recon.recording.meshfile import load_mesh
+from uav_recon.recording.timelapse import Timelapse
 from uav_recon.recording.viewer import Viewer, open_viewer
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
@@ -105,6 +106,7 @@ class Recorder:
 
         path = folder / names.RECORDING
         path.open("wb").close()  # a folder that cannot be written is found out here, by its name
+        self._timelapse = Timelapse(folder, channels.surface, clock)
         self._file = rr.RecordingStream(names.APPLICATION)
         self._file.save(path)
         self._viewer = find_viewer() if live else None
@@ -117,6 +119,7 @@ class Recorder:
 
     def step(self) -> None:
         """Log what is new since the last step; call it at any rate, ten times a second or so."""
+        self._timelapse.step()
         now_s = self._clock.now_s()
         self._set_time(now_s)
         self._log_odom()
@@ -141,6 +144,7 @@ class Recorder:
 
     def close(self, mesh: TriangleMesh | None = None) -> None:
         """Log the last state of everything and the finished model (``mesh``, else ``folder``/mesh.ply), and end the file."""
+        self._timelapse.close()
         self._set_time(self._clock.now_s())
         self._log_odom()
         self._log_vehicle()

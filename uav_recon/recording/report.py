@@ -11,6 +11,7 @@ import json
 import math
 import types
 import typing
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -18,6 +19,7 @@ from typing import Any, TypeVar, cast
 T = TypeVar("T")
 
 REPORT = "report.json"
+TIMED_RECALLS = ("0.90", "0.95")  # the keys of time_to_recall_s
 
 
 class ReportError(Exception):
@@ -87,7 +89,13 @@ class ReportSafety:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """One flight. outcome: "completed" or "aborted: reason"; stop_reason in words with counts."""
+    """One flight. outcome: "completed" or "aborted: reason"; stop_reason in words with counts.
+
+    last_view_s: from the order to take off to the last view; waiting_share: the share of it spent hovering for a plan.
+    recall_over_time: (seconds since the order to take off, views then taken, recall within 5 cm of the surface as the mapper
+    then knew it); time_to_recall_s: by recall, the first of those instants that reaches it. oracle_s: what a tour by somebody
+    who knows the scene needs to see 95 % of it well.
+    """
 
     scene: str
     variant: str
@@ -101,6 +109,11 @@ class Report:
     path_length_m: float
     flight_time_s: float
     wall_time_s: float
+    last_view_s: float | None
+    waiting_share: float | None
+    recall_over_time: tuple[tuple[float, int, float], ...] | None
+    time_to_recall_s: Mapping[str, float | None]
+    oracle_s: float | None
     explored_fraction: float | None
     quality: ReportQuality | None
     planning: ReportPlanning
@@ -111,6 +124,11 @@ class Report:
     def completed(self) -> bool:
         """Whether the mission came to its own end."""
         return self.outcome == "completed"
+
+    def times_oracle(self, recall: str) -> float | None:
+        """Time to one of TIMED_RECALLS over the oracle's; None where either is unknown."""
+        time_s = self.time_to_recall_s.get(recall)
+        return None if time_s is None or self.oracle_s is None else time_s / self.oracle_s
 
     def to_json(self) -> str:
         """Strict JSON, in the order above; numbers that are not finite become null."""
@@ -144,6 +162,8 @@ def save_report(report: Report, folder: Path) -> Path:
 def _strict(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(item) for item in value]
     if hasattr(value, "item"):  # a numpy number
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -171,6 +191,12 @@ def _value(value: Any, hint: Any, where: str) -> Any:
         if value is None:
             return None
         (hint,) = [inner for inner in typing.get_args(hint) if inner is not type(None)]
+    if typing.get_origin(hint) is Mapping:
+        if not isinstance(value, dict):
+            raise ReportError(f"report: {where}: must be a table, got {value!r}")
+        return {key: _value(item, typing.get_args(hint)[1], f"{where}.{key}") for key, item in value.items()}
+    if typing.get_origin(hint) is tuple:
+        return _row(value, typing.get_args(hint), where)
     if dataclasses.is_dataclass(hint):
         return _typed(value, cast("type[Any]", hint), where)
     if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
@@ -178,3 +204,13 @@ def _value(value: Any, hint: Any, where: str) -> Any:
     if not isinstance(value, hint) or isinstance(value, bool):
         raise ReportError(f"report: {where}: must be {hint.__name__}, got {value!r}")
     return value
+
+
+def _row(value: Any, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:
+    """A list of any length of one type (..., Ellipsis), or of as many things as there are types."""
+    if not isinstance(value, list):
+        raise ReportError(f"report: {where}: must be a list, got {value!r}")
+    kinds = hints[:1] * len(value) if hints[-1] is Ellipsis else hints
+    if len(value) != len(kinds):
+        raise ReportError(f"report: {where}: must be a list of {len(kinds)}, got {value!r}")
+    return tuple(_value(item, kind, f"{where}[{n}]") for n, (item, kind) in enumerate(zip(value, kinds, strict=True)))

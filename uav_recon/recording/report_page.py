@@ -20,7 +20,9 @@ MEASURED = (
     " depends on what this flight saw. The explored share is over the space seen from the same poses. PSNR is over 100"
     " held-out views from such poses, pixels without model black. Point-to-point figures are those of the literature;"
     " their floor is truth drawn twice against itself. Clearance and contacts are measured from the hull by the"
-    " simulator's truth."
+    " simulator's truth. Recall over time holds the surface elements that the mapper published in flight against the same"
+    " truth: each counts as a disc of half their spacing in radius. Its clock starts at the order to take off; the oracle knows"
+    " the scene and needs its seconds, without take-off, to see 95 % of it within 3 m and 70° of incidence."
 )
 NOT_MEASURED = "This flight has no truth to be held against, so its quality, clearance and contacts were not measured."
 
@@ -186,6 +188,9 @@ def _flight(report: Report) -> str:
         [
             ("Path", f"{report.path_length_m:.2f} m"),
             ("Flight time, armed to disarmed", f"{report.flight_time_s:.1f} s"),
+            ("From the order to take off to the last view", _number(report.last_view_s, 1, " s")),
+            ("Share of it spent waiting for a plan", _percent(report.waiting_share)),
+            *((f"To a recall of {recall}", _time_to(report, recall)) for recall in report.time_to_recall_s),
             ("Wall time", f"{report.wall_time_s:.1f} s"),
         ],
         f'<p class="files">{links}</p>',
@@ -200,6 +205,11 @@ def _table(title: str, rows: Sequence[tuple[str, str]], after: str = "") -> str:
 def _notes(notes: Sequence[str]) -> str:
     text = "".join(f"<p>{html.escape(note)}</p>" for note in notes)
     return f'<section class="notes"><h2>How this was measured</h2>{text}</section>'
+
+
+def _time_to(report: Report, recall: str) -> str:
+    times = report.times_oracle(recall)
+    return _number(report.time_to_recall_s[recall], 1, " s") + ("" if times is None else f", {times:.1f} times the oracle")
 
 
 def _number(value: float | None, digits: int, unit: str) -> str:

@@ -1,0 +1,79 @@
+"""The picture that tells how fast a flight was: recall and views over flight time, behind them what was planned when."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_recon.recording.flightlog import Timeline
+from uav_recon.recording.pictures import BLUE, INK, ORANGE, SOFT, new_figure, save, style
+from uav_recon.recording.report import Report
+
+_MODES = (("explore", "#dbeafe", "explore"), ("merged", "#ffedd5", "explore + reconstruct"), ("", "#e4e7eb", "nothing left"))
+
+
+def recall_over_time(picture: Path, timeline: Timeline, report: Report) -> None:
+    """Recall within 5 cm since the order to take off, the instants at which it reached a mark, and views; modes as shades."""
+    start_s = timeline.took_off_s() or timeline.start_s()
+    curve = report.recall_over_time or ()
+    time_s = np.array([point[0] for point in curve])
+    recall = 100.0 * np.array([point[2] for point in curve])
+    end_s = max(float(time_s.max(initial=1.0)), report.last_view_s or 0.0)
+    figure = new_figure(8.0, 4.0)
+    axes = figure.add_subplot()
+    style(axes, "since the order to take off, s", "recall within 5 cm, %", "Recall over flight time")
+    axes.set_xlim(0.0, 1.02 * end_s)
+    axes.set_ylim(0.0, 100.0)
+    axes.yaxis.label.set_color(BLUE)
+    _shade_modes(axes, timeline, start_s, end_s)
+    _draw_views(axes, timeline, start_s, end_s)
+    axes.plot(time_s, recall, color=BLUE, lw=2.2, marker="o", ms=3.5, mec="white", mew=0.6, label="recall in flight")
+    if report.quality is not None and report.quality.recall_5cm is not None:
+        final = 100.0 * report.quality.recall_5cm
+        axes.axhline(final, color=BLUE, lw=1.2, ls=(0, (2, 2)), label=f"finished model: {final:.1f} %")
+    for mark, reached_s in report.time_to_recall_s.items():
+        if reached_s is not None:
+            _draw_mark(axes, 100.0 * float(mark), reached_s, end_s)
+    figure.legend(loc="outside lower center", ncols=6, frameon=False, fontsize=8.5, columnspacing=1.4, handletextpad=0.5)
+    save(figure, picture)
+
+
+def _shade_modes(axes: Any, timeline: Timeline, start_s: float, end_s: float) -> None:
+    """From each plan to the next; the last one's shade ends with the last view."""
+    last_s = timeline.last_view_s()
+    stop_s = end_s if last_s is None else last_s
+    begins = [plan.stamp_s - start_s for plan in timeline.plans if plan.stamp_s - start_s < stop_s]
+    named: set[str] = set()
+    for plan, begin_s, next_s in zip(timeline.plans, begins, [*begins, stop_s][1:], strict=False):
+        _, shade, name = next(row for row in _MODES if row[0] == plan.mode)
+        label = None if name in named else name
+        axes.axvspan(begin_s, min(next_s, stop_s), color=shade, lw=0, zorder=-2, label=label)
+        named.add(name)
+    if last_s is not None:
+        axes.axvline(last_s, color=SOFT, lw=1.0, ls=":")
+        axes.text(last_s, 3.0, "last view ", color=SOFT, fontsize=8, ha="right")
+
+
+def _draw_views(axes: Any, timeline: Timeline, start_s: float, end_s: float) -> None:
+    second = axes.twinx()
+    second.spines[["top", "left", "right", "bottom"]].set_visible(False)
+    second.yaxis.get_major_locator().set_params(integer=True)
+    stamps_s = [0.0, *(view.stamp_s - start_s for view in timeline.views), end_s]
+    count = [*range(len(timeline.views) + 1), len(timeline.views)]
+    second.step(stamps_s, count, where="post", color=ORANGE, lw=1.8, label="views")
+    second.set_ylim(0.0, 1.05 * max(len(timeline.views), 1))
+    second.set_ylabel("views", color=ORANGE)
+    second.tick_params(colors=SOFT, length=0)
+
+
+def _draw_mark(axes: Any, recall: float, reached_s: float, end_s: float) -> None:
+    """A dropped line from the curve to the time axis, with the seconds on it."""
+    axes.plot([reached_s, reached_s], [0.0, recall], color=INK, lw=1.0, ls="--")
+    axes.plot([reached_s], [recall], "o", color=INK, ms=6.0, mec="white", mew=1.0, zorder=5)
+    side = "right" if reached_s > 0.85 * end_s else "left"
+    axes.annotate(
+        f"{recall:.0f} % at {reached_s:.0f} s", (reached_s, recall), (6 if side == "left" else -6, -14),
+        textcoords="offset points", ha=side, fontsize=9, color=INK, fontweight="bold", zorder=6,
+    )  # fmt: skip

@@ -1,0 +1,121 @@
+"""How the learned surface grew: states of it in ``folder``/surfaces, one file each, whole or not there.
+
+A subscriber like the recorder: it reads a last-value channel and flight code does not know it. About ten bytes an
+element before compression, four after: a room's surface of 50,000 elements takes 0.2 MB and 15 ms.
+"""
+
+from __future__ import annotations
+
+import logging
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from uav_recon.protocols import Channel, Clock
+from uav_recon.types.frames import AnyArray, FloatArray
+from uav_recon.types.maps import SurfaceElements
+
+SURFACES = "surfaces"
+PERIOD_S = 3.0  # at most one state in so long
+_STEP_M = 0.001  # of stored positions, in a room of up to 65 m; coarser in a larger one
+_LARGEST = 65535
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceState:
+    """The surface as it was known at stamp_s: position_world (N, 3) and unit normal_world (N, 3), of a mapper's revision."""
+
+    stamp_s: float
+    revision: int
+    position_world: FloatArray
+    normal_world: FloatArray
+
+
+class Timelapse:
+    """Keeps states of the surface in ``folder``/surfaces; goes on after those that are there already.
+
+    Raises OSError if the folder cannot be made; a full disk later is logged once and costs states, nothing else.
+    """
+
+    def __init__(self, folder: Path, surface: Channel[SurfaceElements], clock: Clock) -> None:
+        self._folder, self._surface, self._clock = folder / SURFACES, surface, clock
+        self._folder.mkdir(exist_ok=True)
+        self._number = 1 + max((int(path.stem) for path in _files(self._folder)), default=-1)
+        self._seen = self._kept = surface.sequence()  # what an earlier flight left in the channel is not ours
+        self._seen_s, self._due_s = clock.now_s(), -np.inf
+        self._lost = 0
+
+    def step(self) -> None:
+        """Note the instant of a new surface, and keep it if the last one is old enough. Blocks for 15 ms every PERIOD_S."""
+        now_s, sequence = self._clock.now_s(), self._surface.sequence()
+        if sequence != self._seen:
+            self._seen, self._seen_s = sequence, now_s
+        if now_s >= self._due_s:
+            self._keep(now_s)
+
+    def close(self) -> None:
+        """Keep the last state too, however young the one before."""
+        self.step()
+        self._keep(self._clock.now_s())
+
+    def _keep(self, now_s: float) -> None:
+        elements = self._surface.latest() if self._seen != self._kept else None
+        if elements is None:
+            return
+        self._kept, self._due_s = self._seen, now_s + PERIOD_S
+        state = SurfaceState(self._seen_s, elements.revision, elements.position_world, elements.normal_world)
+        try:
+            _save(self._folder / f"{self._number:05d}.npz", state)
+        except OSError as error:
+            if self._lost == 0:
+                _LOG.warning("%s: %s; states of the surface are being lost", self._folder, error.strerror)
+            self._lost += 1
+            return
+        self._number += 1
+
+
+def load_states(folder: Path) -> list[SurfaceState]:
+    """What a flight kept, oldest first; none if it kept nothing. A file that cannot be read is logged and left out."""
+    states = []
+    for path in _files(folder / SURFACES):
+        try:
+            states.append(_load(path))
+        except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+            _LOG.warning("%s cannot be read: %s", path, error)
+    return sorted(states, key=lambda state: state.stamp_s)
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("*.npz") if path.stem.isdigit())
+
+
+def _save(path: Path, state: SurfaceState) -> None:
+    """Positions as whole steps from the lowest corner, each the difference to the one before: neighbours follow each other."""
+    low_m = state.position_world.min(axis=0) if len(state.position_world) else np.zeros(3)
+    offset_m = state.position_world - low_m
+    step_m = max(_STEP_M, float(offset_m.max(initial=0.0)) / _LARGEST)
+    steps = np.round(offset_m / step_m).astype(np.uint16)
+    temporary = path.with_name(f".new-{path.name}")
+    np.savez_compressed(
+        temporary,
+        stamp_s=state.stamp_s,
+        revision=state.revision,
+        low_m=low_m,
+        step_m=step_m,
+        change_steps=np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.uint16)).T,  # wraps round, and back when summed
+        normal=np.round(127.0 * state.normal_world).astype(np.int8).T,
+    )
+    temporary.replace(path)
+
+
+def _load(path: Path) -> SurfaceState:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+        steps: AnyArray = np.cumsum(data["change_steps"], axis=1, dtype=np.uint16).T
+        normal = data["normal"].T.astype(np.float64)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1.0)
+        position = data["low_m"] + steps * float(data["step_m"])
+        return SurfaceState(float(data["stamp_s"]), int(data["revision"]), position, normal)
