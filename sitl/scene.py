@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sitl.mesh import Mesh, MeshError, read_mesh
 from sitl.raster import Renderer
 from sitl.room import ROOM_START, built_in_room
+from sitl.rooms import generated_room
 from sitl.surface import dense_points, height_below
 from uav_recon.sensors.wire import CameraSpec
 
@@ -24,6 +25,7 @@ TAKEOFF_HEIGHT_M = 1.10
 PAD_TOP_M = 0.40  # below this the hull's own radius is enough
 OPEN_SHARE = 0.005
 MAX_EXTENT_M = 100.0
+GENERATED = "random:"  # and a seed
 
 Numbers = tuple[float, ...]
 F32 = NDArray[np.float32]
@@ -63,14 +65,16 @@ def load_scene(
 ) -> Scene:
     """Load, place and check a scene. Blocks for one or two seconds.
 
-    path: None for the built-in room, a folder with scene.json, or a mesh file (z up, metres). start: X, Y, Z (m) and YAW
-    (degrees) in the file's own frame; fence: X, Y, Z lowest and X, Y, Z highest in the same frame, needed only where the
-    mesh is open. radius_m: of the hull that is to take off. fine: with the paint
-    of the rooms made here. Raises SceneError with one line naming the cause.
+    path: None for the built-in room, random:SEED for a generated one, a folder with scene.json, or a mesh file (z up,
+    metres). start: X, Y, Z (m) and YAW (degrees) in the file's own frame; fence: X, Y, Z lowest and X, Y, Z highest in the
+    same frame, needed only where the mesh is open. radius_m: of the hull that is to take off. fine: with the paint of the
+    rooms made here. Raises SceneError with one line naming the cause.
     """
     known_start: Numbers | None
     if path is None:
         name, mesh, known_start = "built-in", built_in_room(fine), ROOM_START
+    elif str(path).startswith(GENERATED):
+        name, mesh, known_start = _generated(str(path), fine)
     else:
         name, mesh, known_start = _read(Path(path))
     chosen = start if start is not None else known_start
@@ -123,6 +127,14 @@ def _numbers(name: str, what: str, values: Numbers, count: int) -> F64:
 
 def _text(values: NDArray[Any]) -> str:
     return "(" + ", ".join(f"{float(v):.2f}" for v in values) + ")"
+
+
+def _generated(path: str, fine: bool) -> tuple[str, Mesh, Numbers]:
+    words = path.removeprefix(GENERATED)
+    if not words.isdecimal():
+        raise SceneError(f"{path}: want {GENERATED}SEED with a whole number")
+    mesh, start = generated_room(int(words), fine)
+    return f"random-{int(words)}", mesh, start
 
 
 def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:

@@ -1,4 +1,4 @@
-"""Paints of the built-in room: functions from points (N, 3) in metres to colours (N, 3) in 0..1, the same on every machine."""
+"""Paints of the rooms made here: functions from points (N, 3) in metres to colours (N, 3) in 0..1, always the same."""
 
 from __future__ import annotations
 
@@ -250,15 +250,59 @@ def east_wall(points: F64) -> F64:
     """Wall x = 8: a window with slats half down."""
     across, height = points[:, 1], points[:, 2]
     colour = _wallpaper(points, across, (0.78, 0.70, 0.60))
-    window = (across > 0.95) & (across < 2.10) & (height > 0.95) & (height < 2.15)
-    sky = _mix(np.clip((height - 0.95) / 1.2, 0, 1), (0.80, 0.86, 0.90), (0.35, 0.58, 0.88))
-    hills = height < 1.22 + 0.10 * np.sin(5.0 * across) + 0.06 * np.sin(13.0 * across)
-    sky[hills] = _mix(grain(points, 0.10, 72), (0.16, 0.30, 0.14), (0.42, 0.58, 0.28))[hills]
-    slats = (height > 1.6) & (np.mod(height, 0.08) < 0.045)
-    sky[slats] = (0.93, 0.91, 0.84)
-    colour[window] = sky[window]
-    bars = window & ((np.abs(across - 1.525) < 0.03) | (np.abs(height - 1.55) < 0.025))
-    rim = (across > 0.90) & (across < 2.15) & (height > 0.90) & (height < 2.20) & ~window
-    colour[bars | rim] = (0.94, 0.93, 0.90)
+    _window(colour, points, across, height, (0.95, 0.95, 2.10, 2.15))
     _picture(colour, across, height, (0.2, 1.2, 0.7, 1.9), 73)
     return colour
+
+
+def _window(colour: F64, points: F64, across: F64, height: F64, box: tuple[float, float, float, float]) -> None:
+    """Paint a closed window, its slats half down, into colour (N, 3), in place; box as for a picture."""
+    left, bottom, right, top = box
+    window = (across > left) & (across < right) & (height > bottom) & (height < top)
+    sky = _mix(np.clip((height - bottom) / (top - bottom), 0, 1), (0.80, 0.86, 0.90), (0.35, 0.58, 0.88))
+    hills = height < bottom + 0.27 + 0.10 * np.sin(5.0 * across) + 0.06 * np.sin(13.0 * across)
+    sky[hills] = _mix(grain(points, 0.10, 72), (0.16, 0.30, 0.14), (0.42, 0.58, 0.28))[hills]
+    slats = (height > bottom + 0.65) & (np.mod(height, 0.08) < 0.045)
+    sky[slats] = (0.93, 0.91, 0.84)
+    colour[window] = sky[window]
+    middle = 0.5 * (left + right)
+    bars = window & ((np.abs(across - middle) < 0.03) | (np.abs(height - bottom - 0.6) < 0.025))
+    rim = (across > left - 0.05) & (across < right + 0.05) & (height > bottom - 0.05) & (height < top + 0.05) & ~window
+    colour[bars | rim] = (0.94, 0.93, 0.90)
+
+
+def wall(base: Colour, axis: int, windows: list[tuple[float, ...]], pictures: list[tuple[float, ...]]) -> Paint:
+    """Wallpaper with closed windows and pictures on a wall that runs along an axis; boxes are along and height, lowest first.
+
+    A picture is its box and the number of its style.
+    """
+
+    def paint(points: F64) -> F64:
+        along, height = points[:, axis], points[:, 2]
+        colour = _wallpaper(points, along, base)
+        for left, bottom, right, top in windows:
+            _window(colour, points, along, height, (left, bottom, right, top))
+        for left, bottom, right, top, style in pictures:
+            _picture(colour, along, height, (left, bottom, right, top), int(style))
+        return colour
+
+    return paint
+
+
+def carpet(base: Colour) -> Paint:
+    """Flecked pile."""
+    return lambda points: _shades(base, points, 0.30, 0.04, 81) * (0.85 + 0.3 * noise(points, 0.35, 82))[:, None]
+
+
+def tiles(base: Colour, size_m: float) -> Paint:
+    """Square tiles with joints, each in its own tone."""
+
+    def paint(points: F64) -> F64:
+        cell = np.floor(points / size_m)
+        tone = _hash(np.stack([cell[:, 0], cell[:, 1], 0.0 * cell[:, 0]], axis=1).astype(np.int64), 83)
+        colour = _shades(base, points, 0.15, 0.10, 84) * (0.85 + 0.3 * tone)[:, None]
+        joint = (np.mod(points[:, 0], size_m) < 0.015) | (np.mod(points[:, 1], size_m) < 0.015)
+        colour[joint] *= 0.6
+        return colour
+
+    return paint
