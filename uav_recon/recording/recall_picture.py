@@ -27,15 +27,16 @@ def recall_over_time(picture: Path, timeline: Timeline, report: Report) -> None:
     axes.set_xlim(0.0, 1.02 * end_s)
     axes.set_ylim(0.0, 100.0)
     axes.yaxis.label.set_color(BLUE)
-    _shade_modes(axes, timeline, start_s, end_s)
-    _draw_views(axes, timeline, start_s, end_s)
+    behind = _draw_views(axes, timeline, start_s, end_s)
+    _shade_modes(behind, timeline, start_s, end_s)
     axes.plot(time_s, recall, color=BLUE, lw=2.2, marker="o", ms=3.5, mec="white", mew=0.6, label="recall in flight")
     if report.quality is not None and report.quality.recall_5cm is not None:
         final = 100.0 * report.quality.recall_5cm
         axes.axhline(final, color=BLUE, lw=1.2, ls=(0, (2, 2)), label=f"finished model: {final:.1f} %")
-    for mark, reached_s in report.time_to_recall_s.items():
-        if reached_s is not None:
-            _draw_mark(axes, 100.0 * float(mark), reached_s, end_s)
+    reached = {mark: instant_s for mark, instant_s in report.time_to_recall_s.items() if instant_s is not None}
+    for instant_s in sorted(set(reached.values())):
+        marks = " and ".join(f"{100.0 * float(mark):.0f} %" for mark in reached if reached[mark] == instant_s)
+        _draw_mark(axes, f"{marks} reached at {instant_s:.0f} s", instant_s, float(np.interp(instant_s, time_s, recall)))
     figure.legend(loc="outside lower center", ncols=6, frameon=False, fontsize=8.5, columnspacing=1.4, handletextpad=0.5)
     save(figure, picture)
 
@@ -53,11 +54,16 @@ def _shade_modes(axes: Any, timeline: Timeline, start_s: float, end_s: float) ->
         named.add(name)
     if last_s is not None:
         axes.axvline(last_s, color=SOFT, lw=1.0, ls=":")
-        axes.text(last_s, 3.0, "last view ", color=SOFT, fontsize=8, ha="right")
+        axes.text(
+            last_s, 0.62, "last view", transform=axes.get_xaxis_transform(), color=SOFT, fontsize=8, rotation=90, ha="right",
+        )  # fmt: skip
 
 
-def _draw_views(axes: Any, timeline: Timeline, start_s: float, end_s: float) -> None:
+def _draw_views(axes: Any, timeline: Timeline, start_s: float, end_s: float) -> Any:
+    """Views as steps on an axis of their own, behind the other one; gives that axis."""
     second = axes.twinx()
+    axes.set_zorder(second.get_zorder() + 1)
+    axes.patch.set_visible(False)
     second.spines[["top", "left", "right", "bottom"]].set_visible(False)
     second.yaxis.get_major_locator().set_params(integer=True)
     stamps_s = [0.0, *(view.stamp_s - start_s for view in timeline.views), end_s]
@@ -66,14 +72,14 @@ def _draw_views(axes: Any, timeline: Timeline, start_s: float, end_s: float) -> 
     second.set_ylim(0.0, 1.05 * max(len(timeline.views), 1))
     second.set_ylabel("views", color=ORANGE)
     second.tick_params(colors=SOFT, length=0)
+    return second
 
 
-def _draw_mark(axes: Any, recall: float, reached_s: float, end_s: float) -> None:
-    """A dropped line from the curve to the time axis, with the seconds on it."""
+def _draw_mark(axes: Any, text: str, reached_s: float, recall: float) -> None:
+    """A line dropped from the curve to the time axis, with words along it."""
     axes.plot([reached_s, reached_s], [0.0, recall], color=INK, lw=1.0, ls="--")
     axes.plot([reached_s], [recall], "o", color=INK, ms=6.0, mec="white", mew=1.0, zorder=5)
-    side = "right" if reached_s > 0.85 * end_s else "left"
+    place = (reached_s, 0.0)
     axes.annotate(
-        f"{recall:.0f} % at {reached_s:.0f} s", (reached_s, recall), (6 if side == "left" else -6, -14),
-        textcoords="offset points", ha=side, fontsize=9, color=INK, fontweight="bold", zorder=6,
+        text, place, (-3, 6), textcoords="offset points", rotation=90, ha="right", va="bottom", fontsize=9, color=INK,
     )  # fmt: skip
