@@ -27,8 +27,8 @@ def recall_over_time(picture: Path, timeline: Timeline, report: Report) -> None:
     axes.set_xlim(0.0, 1.02 * end_s)
     axes.set_ylim(0.0, 100.0)
     axes.yaxis.label.set_color(BLUE)
-    behind = _draw_views(axes, timeline, start_s, end_s)
-    _shade_modes(behind, timeline, start_s, end_s)
+    _shade_modes(axes, timeline, start_s, end_s)
+    _draw_views(axes, timeline, start_s, end_s)
     axes.plot(time_s, recall, color=BLUE, lw=2.2, marker="o", ms=3.5, mec="white", mew=0.6, label="recall in flight")
     if report.quality is not None and report.quality.recall_5cm is not None:
         final = 100.0 * report.quality.recall_5cm
@@ -53,26 +53,21 @@ def _shade_modes(axes: Any, timeline: Timeline, start_s: float, end_s: float) ->
         axes.axvspan(begin_s, min(next_s, stop_s), color=shade, lw=0, zorder=-2, label=label)
         named.add(name)
     if last_s is not None:
-        axes.axvline(last_s, color=SOFT, lw=1.0, ls=":")
-        axes.text(
-            last_s, 0.62, "last view", transform=axes.get_xaxis_transform(), color=SOFT, fontsize=8, rotation=90, ha="right",
-        )  # fmt: skip
+        axes.axvline(last_s, color=SOFT, lw=1.2, ls=":", label="last view")
 
 
-def _draw_views(axes: Any, timeline: Timeline, start_s: float, end_s: float) -> Any:
-    """Views as steps on an axis of their own, behind the other one; gives that axis."""
+def _draw_views(axes: Any, timeline: Timeline, start_s: float, end_s: float) -> None:
+    """Views as steps, in the same axes so that words stand before them; their own scale is at the right."""
+    most = 1.05 * max(len(timeline.views), 1)
     second = axes.twinx()
-    axes.set_zorder(second.get_zorder() + 1)
-    axes.patch.set_visible(False)
     second.spines[["top", "left", "right", "bottom"]].set_visible(False)
     second.yaxis.get_major_locator().set_params(integer=True)
-    stamps_s = [0.0, *(view.stamp_s - start_s for view in timeline.views), end_s]
-    count = [*range(len(timeline.views) + 1), len(timeline.views)]
-    second.step(stamps_s, count, where="post", color=ORANGE, lw=1.8, label="views")
-    second.set_ylim(0.0, 1.05 * max(len(timeline.views), 1))
+    second.set_ylim(0.0, most)
     second.set_ylabel("views", color=ORANGE)
     second.tick_params(colors=SOFT, length=0)
-    return second
+    stamps_s = [0.0, *(view.stamp_s - start_s for view in timeline.views), end_s]
+    count = np.array([*range(len(timeline.views) + 1), len(timeline.views)])
+    axes.step(stamps_s, 100.0 * count / most, where="post", color=ORANGE, lw=1.8, label="views")
 
 
 def _draw_mark(axes: Any, text: str, reached_s: float, recall: float) -> None:
