@@ -6,174 +6,37 @@ way through free space, so that a radius does not reach through walls.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
-from uav_recon.geometry.traversal import is_visible
-from uav_recon.planning.camera import RANGE, CameraGeometry, aim, in_view, sight
+from uav_recon.planning.camera import RANGE, CameraGeometry
+from uav_recon.planning.elements import Elements, weigh
+from uav_recon.planning.gains import best_view, patches_near, promising
 from uav_recon.planning.proposal import Proposal, Situation
-from uav_recon.planning.search import distances_from
+from uav_recon.planning.vicinity import seen_from_near, wave
 from uav_recon.planning.viewpoints import shell
-from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
-from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.types.maps import GridSpec, SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 LOOK_DISCOUNT = 0.35  # of an element's uncertainty, for each task that has looked squarely at it: so that tasks run out
-WORTH_SHARE = 1.0  # of min_visible: a view that gains less than so many most uncertain elements is not worth its flight
-PROBE_CELL = 3.0  # voxels: elements are merged to this for the first sorting of candidates ...
-FULL_VIEWS = 6  # ... and so many of them are then counted in full
-TAIL = 1.5  # voxels before an element that may be occupied or unknown: the element's own wall
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UncertainSurface:
-    """Thinned elements in voxel units: position (N, 3), outward normal (N, 3), weight (N,) in 0..1, voxel (N,) flat or -1."""
-
-    position: FloatArray
-    normal: FloatArray
-    weight: FloatArray
-    voxel: IntArray
-
-    def taken(self, which: IntArray | BoolArray) -> UncertainSurface:
-        """Return some of the elements."""
-        return UncertainSurface(self.position[which], self.normal[which], self.weight[which], self.voxel[which])
-
-
-def thinned(surface: SurfaceElements, situation: Situation, looks: FloatArray, every: int) -> UncertainSurface:
-    """Every N_down-th element; uncertainty divided by its 90th percentile, clipped to 1, less for what was looked at.
-
-    The scale of the uncertainty is the mapper's own and drifts as it learns: only its ranking within this map is used.
-    """
-    grid = situation.voxels.grid
-    position = (surface.position_world[::every] - grid.origin_world_m) / grid.resolution_m
-    sigma = surface.uncertainty[::every]
-    usable = np.isfinite(position).all(axis=1) & np.isfinite(surface.normal_world[::every]).all(axis=1) & np.isfinite(sigma)
-    position, normal, sigma = position[usable], surface.normal_world[::every][usable], np.maximum(sigma[usable], 0.0)
-    if not len(sigma):
-        return UncertainSurface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64))
-    scale = float(np.percentile(sigma, 90)) or float(sigma.max()) or 1.0
-    index = np.floor(position).astype(np.int64)
-    inside = grid.contains(index)
-    voxel = np.where(inside, np.ravel_multi_index(tuple(np.where(inside[:, None], index, 0).T), grid.shape), -1)
-    looked = np.where(voxel >= 0, looks.ravel()[voxel], 0.0)
-    weight = np.minimum(sigma / scale, 1.0) * LOOK_DISCOUNT**looked
-    return UncertainSurface(np.ascontiguousarray(position), np.ascontiguousarray(normal, dtype=np.float64), weight, voxel)
-
-
-def local(surface: UncertainSurface, situation: Situation, radius_m: float) -> UncertainSurface:
-    """Elements with a free voxel beside them that the vehicle is at most R_loc away from, through free space."""
-    space = situation.space
-    limit = radius_m / situation.voxels.grid.resolution_m
-    distance, _ = distances_from(space.free, int(situation.exit_cells[-1]), np.zeros(0, dtype=np.int64), limit)
-    return surface.taken(_beside(np.isfinite(distance).reshape(space.free.shape), surface.position))
-
-
-@kernel
-def _beside(near: BoolArray, position: FloatArray) -> BoolArray:
-    out = np.zeros(len(position), dtype=np.bool_)
-    for n in range(len(position)):
-        # padded index of the neighbourhood's lower corner is the voxel's own unpadded index
-        i, j, k = int(np.floor(position[n, 0])), int(np.floor(position[n, 1])), int(np.floor(position[n, 2]))
-        for a in range(max(i, 0), min(i + 3, near.shape[0])):
-            for b in range(max(j, 0), min(j + 3, near.shape[1])):
-                for c in range(max(k, 0), min(k + 3, near.shape[2])):
-                    out[n] = out[n] or near[a, b, c]
-    return out
-
-
-def clusters(surface: UncertainSurface, radius: float, aim_radius: float, count: int) -> list[FloatArray]:
-    """Aim points (3,): take the most uncertain element, all within ``radius`` voxels of it with it, and so on, ``count`` times.
-
-    The aim is the member nearest to the weighted mean of those within ``aim_radius``.
-    """
-    centres: list[FloatArray] = []
-    left = surface.weight > 1e-6
-    while len(centres) < count and left.any():
-        seed = surface.position[int(np.argmax(np.where(left, surface.weight, -1.0)))]
-        distance2 = ((surface.position - seed) ** 2).sum(axis=1)
-        members = np.flatnonzero(left & (distance2 <= aim_radius**2))
-        mean = np.average(surface.position[members], axis=0, weights=surface.weight[members])
-        nearest = members[int(np.argmin(((surface.position[members] - mean) ** 2).sum(axis=1)))]
-        centres.append(surface.position[nearest])
-        left &= distance2 > radius**2
-    return centres
-
-
-def merged_to_cells(surface: UncertainSurface) -> UncertainSurface:
-    """Elements summed up by cube of PROBE_CELL and main direction of the normal, to sort candidates cheaply."""
-    if not len(surface.weight):
-        return surface
-    axis = np.argmax(np.abs(surface.normal), axis=1)
-    side = np.take_along_axis(surface.normal, axis[:, None], axis=1)[:, 0] > 0
-    cube = np.floor(surface.position / PROBE_CELL).astype(np.int64) + 4096
-    key = ((cube[:, 0] * 8192 + cube[:, 1]) * 8192 + cube[:, 2]) * 6 + axis * 2 + side
-    _, first, group = np.unique(key, return_index=True, return_inverse=True)
-    weight = np.bincount(group.ravel(), weights=surface.weight).astype(np.float64)
-    return UncertainSurface(surface.position[first], surface.normal[first], weight, surface.voxel[first])
-
-
-@kernel
-def _gain(
-    state: ByteArray,
-    lens: FloatArray,
-    place: FloatArray,
-    yaw: float,
-    pitch: float,
-    position: FloatArray,
-    normal: FloatArray,
-    weight: FloatArray,
-) -> tuple[float, int, FloatArray]:
-    """Sum of (n.v) sigma over visible elements, their number, and the cosine under which each is seen (0 = not)."""
-    cosine = np.zeros(len(position))
-    line = sight(lens, place, yaw, pitch)
-    ex, ey, ez = line[0], line[1], line[2]
-    total, count = 0.0, 0
-    for n in range(len(position)):
-        if not in_view(lens, line, position[n, 0], position[n, 1], position[n, 2]):
-            continue
-        dx, dy, dz = position[n, 0] - ex, position[n, 1] - ey, position[n, 2] - ez
-        # outward normals: an element seen from behind is the far side of something thin
-        facing = -(normal[n, 0] * dx + normal[n, 1] * dy + normal[n, 2] * dz) / np.sqrt(dx * dx + dy * dy + dz * dz)
-        if facing <= 0.0 or not is_visible(state, ex, ey, ez, position[n, 0], position[n, 1], position[n, 2], TAIL):
-            continue
-        cosine[n] = facing
-        total += facing * weight[n]
-        count += 1
-    return total, count, cosine
-
-
-@kernel
-def _sort_places(
-    state: ByteArray,
-    reachable: ByteArray,
-    lens: FloatArray,
-    places: FloatArray,
-    centre: FloatArray,
-    position: FloatArray,
-    normal: FloatArray,
-    weight: FloatArray,
-) -> FloatArray:
-    scores = np.zeros(len(places))
-    for p in range(len(places)):
-        i, j, k = int(places[p, 0]) + 1, int(places[p, 1]) + 1, int(places[p, 2]) + 1
-        if places[p].min() < 0 or i >= reachable.shape[0] or j >= reachable.shape[1] or k >= reachable.shape[2]:
-            continue
-        if reachable[i, j, k] == 0:
-            continue
-        yaw, pitch = aim(lens, places[p, 0], places[p, 1], places[p, 2], centre[0], centre[1], centre[2])
-        scores[p] = _gain(state, lens, places[p], yaw, pitch, position, normal, weight)[0]
-    return scores
+WORTH_SHARE = 1.0  # of min_visible: a view that gains less than so many most uncertain elements is noise
+HOPEFUL_VIEWS = 12  # of all candidates for a task: those counted by element ...
+FULL_VIEWS = 3  # ... and of these: those counted in full
+_TIGHT_RADII_M = (0.5, 0.65)  # tight rooms
+_NEGLIGIBLE = 1e-6  # an element of less weight is no seed of a cluster
 
 
 class SurfaceViews:
-    """Finds views of uncertain surface for one vehicle and camera."""
+    """Finds views of uncertain surface for one vehicle and camera; keeps the last surface sorted, and nothing else."""
 
     def __init__(self, config: PlannerConfig, camera: CameraGeometry) -> None:
         self._config = config
         self._camera = camera
+        radii_m = (*_TIGHT_RADII_M, *np.linspace(config.shell_min_m, config.shell_max_m, 3))
+        self._offsets_m = shell(camera, tuple(float(r) for r in radii_m), 1.0)
+        self._sorted: tuple[SurfaceElements, tuple[object, ...], Elements] | None = None
 
     def propose(
         self, situation: Situation, surface: SurfaceElements | None, looks: FloatArray, factor: float
@@ -185,52 +48,141 @@ class SurfaceViews:
         """
         if surface is None or not len(surface.position_world):
             return []
-        config, grid = self._config, situation.voxels.grid
-        elements = thinned(surface, situation, looks, config.downsample)
-        near = local(elements, situation, config.local_radius_m * factor)
-        radius = config.cluster_radius_m / grid.resolution_m
-        centres = clusters(near, radius * factor, radius, round(config.max_reconstruct_tasks * factor))
-        cells = merged_to_cells(near)
-        radii_m = (0.5, 0.65, *np.linspace(config.shell_min_m, config.shell_max_m, 3))
-        offsets = shell(self._camera, tuple(float(r) for r in radii_m), grid.resolution_m)
-        proposals = [self._propose_one(situation, elements, cells, centre, offsets) for centre in centres]
-        return [proposal for proposal in proposals if proposal is not None]
+        config, resolution_m = self._config, situation.voxels.grid.resolution_m
+        elements = self._elements(surface, situation.voxels.grid)
+        start = np.stack(np.unravel_index(situation.exit_cells[-1], situation.space.mask.shape)) - 1
+        limit = config.local_radius_m * factor / resolution_m
+        radius = config.cluster_radius_m / resolution_m
+        lens = self._camera.lens(resolution_m, min(self._camera.surface_range_m, self._camera.range_m))
+        # a view stands at most d_f from its cluster, and sees as far as the camera does
+        around = cells_within(elements, start + 0.5, limit + config.shell_max_m / resolution_m + lens[RANGE])
+        weight = weigh(around, elements.sigma, elements.voxel, looks.ravel(), LOOK_DISCOUNT)
+        near = local(elements, around, situation, start, limit)
+        left = weighty(near, weight)
+        proposals: list[Proposal] = []
+        for _ in range(round(config.max_reconstruct_tasks * factor)):
+            if not len(left):
+                break
+            seed, aim = cluster(elements.position, weight, left, radius)
+            found = self._propose_one(situation, elements, around, weight, elements.position[aim], lens)
+            if found is not None:
+                proposals.append(found)
+            # where a cluster cannot be seen, what lies beyond R_clu may well be
+            left = beyond(elements.position, left, seed, radius if found is None else radius * factor)
+        return proposals
+
+    def _elements(self, surface: SurfaceElements, grid: GridSpec) -> Elements:
+        frame = (grid.shape, grid.resolution_m, *grid.origin_world_m.tolist())
+        if self._sorted is None or self._sorted[0] is not surface or self._sorted[1] != frame:
+            self._sorted = surface, frame, Elements.of(surface, grid, self._config.downsample)
+        return self._sorted[2]
 
     def _propose_one(
         self,
         situation: Situation,
-        elements: UncertainSurface,
-        cells: UncertainSurface,
+        elements: Elements,
+        cells: IntArray,
+        weight: FloatArray,
         centre: FloatArray,
-        offsets: FloatArray,
+        lens: FloatArray,
     ) -> Proposal | None:
-        state, reachable, grid = situation.voxels.state, situation.reachable, situation.voxels.grid
-        lens = self._camera.lens(grid.resolution_m, min(self._camera.surface_range_m, self._camera.range_m))
-        places = np.unique(np.floor(centre + offsets), axis=0) + 0.5
-        around = cells.taken(
-            ((cells.position - centre) ** 2).sum(axis=1) <= (1.5 * self._config.cluster_radius_m / grid.resolution_m) ** 2
-        )
-        scores = _sort_places(state, reachable, lens, places, centre, around.position, around.normal, around.weight)
-        within = np.flatnonzero(((elements.position - centre) ** 2).sum(axis=1) <= (2 * lens[RANGE]) ** 2)
-        in_range = elements.taken(within)
-        best: tuple[float, int, float, float, FloatArray] | None = None
-        for p in np.argsort(-scores, kind="stable")[:FULL_VIEWS]:
-            if scores[p] <= 0.0:
-                break
-            yaw, pitch = aim(lens, *places[p], *centre)
-            gain, count, cosine = _gain(state, lens, places[p], yaw, pitch, in_range.position, in_range.normal, in_range.weight)
-            if count >= self._config.min_visible and (best is None or gain > best[0]):
-                best = (gain, int(p), yaw, pitch, cosine)
-        if best is None or best[0] < WORTH_SHARE * self._config.min_visible:
+        """The best view of one cluster; what it will show is worth less afterwards (``weight`` is changed)."""
+        state, min_visible = situation.voxels.state, self._config.min_visible
+        surface = (elements.position, elements.normal, weight, cells)
+        places = np.floor(centre + self._offsets_m / situation.voxels.grid.resolution_m) + 0.5
+        patches = patches_near(centre, lens[RANGE], *surface)
+        hopeful = places[promising(state, situation.reachable, lens, places, centre, patches, HOPEFUL_VIEWS)]
+        cosine = np.zeros(len(weight))
+        best, yaw, pitch, gain = best_view(state, lens, hopeful, centre, *surface, min_visible, FULL_VIEWS, cosine)
+        if best < 0 or gain < WORTH_SHARE * min_visible:
             return None
-        gain, p, yaw, pitch, cosine = best
-        cell = situation.space.flat(np.floor(places[p]).astype(np.int64) + 1)
-        viewpoint = Viewpoint(grid.origin_world_m + places[p] * grid.resolution_m, yaw, pitch)
+        seen = np.flatnonzero(cosine)
+        weight[seen] *= LOOK_DISCOUNT ** cosine[seen]
+        grid = situation.voxels.grid
+        viewpoint = Viewpoint(grid.origin_world_m + hopeful[best] * grid.resolution_m, yaw, pitch)
         task = Task(TaskKind.RECONSTRUCT, grid.origin_world_m + centre * grid.resolution_m, viewpoint, gain)
-        # what this view will show is worth less to the views after it
-        elements.weight[within] *= LOOK_DISCOUNT**cosine
-        seen = np.flatnonzero((cosine > 0.0) & (in_range.voxel >= 0))
-        promised, group = np.unique(in_range.voxel[seen], return_inverse=True)
-        squareness = np.zeros(len(promised))
-        np.maximum.at(squareness, group, cosine[seen])
-        return Proposal(task, cell, promised, squareness)
+        cell = situation.space.flat(np.floor(hopeful[best]).astype(np.int64) + 1)
+        return Proposal(task, cell, *_squarest(elements.voxel[seen], cosine[seen]))
+
+
+def local(elements: Elements, cells: IntArray, situation: Situation, start: IntArray, limit: float) -> IntArray:
+    """Of some cells (C, 3), those that the vehicle is at most ``limit`` voxels away from, through free space."""
+    state = situation.voxels.state
+    reach, low = wave(state, start, limit)
+    middle = cells[:, 2]
+    near: IntArray = cells[seen_from_near(state, reach, low, limit, elements.position[middle], elements.normal[middle])]
+    return near
+
+
+def cells_within(elements: Elements, centre: FloatArray, radius: float) -> IntArray:
+    """The cells (C, 3) whose middle lies within a radius of a point, voxels."""
+    away = elements.position[elements.cells[:, 2]] - centre
+    inside: IntArray = elements.cells[(away**2).sum(axis=1) <= radius**2]
+    return inside
+
+
+def _squarest(voxel: IntArray, cosine: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Each voxel (>= 0) once, and the largest cosine of its elements."""
+    order = np.lexsort((-cosine, voxel))
+    order = order[voxel[order] >= 0]
+    once = order[np.flatnonzero(np.diff(voxel[order], prepend=-1))]
+    return voxel[once], cosine[once]
+
+
+@kernel
+def weighty(cells: IntArray, weight: FloatArray) -> IntArray:
+    """Those elements (M,) of some cells (C, 3) whose weight can make a cluster."""
+    out = np.empty(len(weight), dtype=np.int64)
+    count = 0
+    for c in range(len(cells)):
+        for n in range(cells[c, 0], cells[c, 1]):
+            if weight[n] > _NEGLIGIBLE:
+                out[count] = n
+                count += 1
+    return out[:count].copy()
+
+
+@kernel
+def cluster(position: FloatArray, weight: FloatArray, left: IntArray, radius: float) -> tuple[int, int]:
+    """The most uncertain of the elements ``left`` (M,), and the one to aim at for it.
+
+    That is the element nearest to the weighted mean of those within ``radius`` voxels of the first.
+    """
+    seed = left[0]
+    for n in left:
+        if weight[n] > weight[seed]:
+            seed = n
+    x, y, z, total = 0.0, 0.0, 0.0, 0.0
+    for n in left:
+        if _away2(position, n, position[seed, 0], position[seed, 1], position[seed, 2]) <= radius * radius:
+            x += weight[n] * position[n, 0]
+            y += weight[n] * position[n, 1]
+            z += weight[n] * position[n, 2]
+            total += weight[n]
+    x, y, z = x / total, y / total, z / total
+    aim, aim2 = seed, np.inf
+    for n in left:
+        from_mean2 = _away2(position, n, x, y, z)
+        if from_mean2 < aim2 and (
+            _away2(position, n, position[seed, 0], position[seed, 1], position[seed, 2]) <= radius * radius
+        ):
+            aim, aim2 = n, from_mean2
+    return seed, aim
+
+
+@kernel
+def beyond(position: FloatArray, left: IntArray, seed: int, radius: float) -> IntArray:
+    """Those of ``left`` that are farther than ``radius`` voxels from an element."""
+    out = np.empty(len(left), dtype=np.int64)
+    count = 0
+    for n in left:
+        if _away2(position, n, position[seed, 0], position[seed, 1], position[seed, 2]) > radius * radius:
+            out[count] = n
+            count += 1
+    return out[:count].copy()
+
+
+@kernel
+def _away2(position: FloatArray, n: int, x: float, y: float, z: float) -> float:
+    away2: float = (position[n, 0] - x) ** 2 + (position[n, 1] - y) ** 2 + (position[n, 2] - z) ** 2
+    return away2

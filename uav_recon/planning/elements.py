@@ -1,0 +1,112 @@
+"""The mapper's surface as tasks use it: thinned, its uncertainty ranked, and gathered in cells for what need not be exact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.types.maps import GridSpec, SurfaceElements
+
+CELL = 3.0  # voxels: elements in one cube of this, facing the same main direction, are a cell
+RANKED_AT = 90  # percentile of the uncertainty that counts as 1
+_FAR = 1 << 17  # voxels from the map's corner: what is farther is no task of this map, and its cube's number would not fit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Elements:
+    """Thinned elements in voxel units, those of a cell in a row.
+
+    position (N, 3), outward unit normal (N, 3), sigma (N,) in 0..1, voxel (N,) flat index or -1 outside the grid.
+    cells: (C, 3) int64, one row for each cell: its first element, one past its last, and the one nearest to their mean.
+    """
+
+    position: FloatArray
+    normal: FloatArray
+    sigma: FloatArray
+    voxel: IntArray
+    cells: IntArray
+
+    @staticmethod
+    def of(surface: SurfaceElements, grid: GridSpec, every: int) -> Elements:
+        """Every N_down-th element; uncertainty divided by its 90th percentile, clipped to 1.
+
+        The scale of the uncertainty is the mapper's own and drifts as it learns: only its ranking within this map is used.
+        """
+        position = np.asarray((surface.position_world[::every] - grid.origin_world_m) / grid.resolution_m, dtype=np.float64)
+        normal = np.asarray(surface.normal_world[::every], dtype=np.float64)
+        sigma = np.asarray(surface.uncertainty[::every], dtype=np.float64)
+        extent = np.abs(position[:, 0]) + np.abs(position[:, 1]) + np.abs(position[:, 2])
+        # a comparison with what is not a number is false
+        usable = (extent < _FAR) & np.isfinite(normal[:, 0] + normal[:, 1] + normal[:, 2] + sigma)
+        if not usable.all():
+            position, normal, sigma = position[usable], normal[usable], sigma[usable]
+        sigma = np.maximum(sigma, 0.0)
+        if len(sigma):
+            scale = float(np.percentile(sigma, RANKED_AT)) or float(sigma.max()) or 1.0
+            sigma = np.minimum(sigma / scale, 1.0)
+        voxel = _voxel_of(np.ascontiguousarray(position), np.array(grid.shape, dtype=np.int64))
+        order, cells = _gathered(position, normal)
+        return Elements(
+            np.ascontiguousarray(position[order]),
+            np.ascontiguousarray(normal[order]),
+            np.ascontiguousarray(sigma[order]),
+            np.ascontiguousarray(voxel[order]),
+            cells,
+        )
+
+
+def _gathered(position: FloatArray, normal: FloatArray) -> tuple[IntArray, IntArray]:
+    """Order (N,) of the elements by cell, and the cells (C, 3) in that order."""
+    if not len(position):
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int64)
+    axis = np.argmax(np.abs(normal), axis=1)
+    side = np.take_along_axis(normal, axis[:, None], axis=1)[:, 0] > 0
+    cube = np.floor(position / CELL).astype(np.int64) + _FAR
+    key = ((cube[:, 0] * 2 * _FAR + cube[:, 1]) * 2 * _FAR + cube[:, 2]) * 6 + axis * 2 + side
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    borders = np.append(np.flatnonzero(np.diff(key, prepend=key[0] - 1)), len(key))
+    return order, _cells(np.ascontiguousarray(position[order]), borders)
+
+
+@kernel
+def _cells(position: FloatArray, borders: IntArray) -> IntArray:
+    out = np.empty((len(borders) - 1, 3), dtype=np.int64)
+    for c in range(len(out)):
+        first, last = borders[c], borders[c + 1]
+        x, y, z = position[first:last, 0].mean(), position[first:last, 1].mean(), position[first:last, 2].mean()
+        nearest = np.inf
+        out[c, 0], out[c, 1], out[c, 2] = first, last, first
+        for n in range(first, last):
+            away2 = (position[n, 0] - x) ** 2 + (position[n, 1] - y) ** 2 + (position[n, 2] - z) ** 2
+            if away2 < nearest:
+                nearest = away2
+                out[c, 2] = n
+    return out
+
+
+@kernel
+def _voxel_of(position: FloatArray, shape: IntArray) -> IntArray:
+    out = np.full(len(position), -1, dtype=np.int64)
+    for n in range(len(position)):
+        x, y, z = position[n, 0], position[n, 1], position[n, 2]
+        if min(x, y, z) >= 0.0 and x < shape[0] and y < shape[1] and z < shape[2]:
+            out[n] = (int(x) * shape[1] + int(y)) * shape[2] + int(z)
+    return out
+
+
+@kernel
+def weigh(cells: IntArray, sigma: FloatArray, voxel: IntArray, looks: FloatArray, discount: float) -> FloatArray:
+    """Weights (N,) of the elements of some cells: sigma, times ``discount`` for each square look at their voxel; else 0.
+
+    looks: (voxels,) flat, the sum of the cosines under which a voxel's surface was looked at.
+    """
+    out = np.zeros(len(sigma))
+    for c in range(len(cells)):
+        for n in range(cells[c, 0], cells[c, 1]):
+            looked = looks[voxel[n]] if voxel[n] >= 0 else 0.0
+            out[n] = sigma[n] * discount**looked if looked > 0.0 else sigma[n]
+    return out
