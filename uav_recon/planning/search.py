@@ -15,8 +15,10 @@ from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 CellArray = NDArray[np.int32]  # flat cell indices: half the memory to fill for each search
 
-_STEPS = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)])
-_STEP_LENGTHS = np.sqrt((_STEPS**2).sum(axis=1).astype(np.float64))
+STEPS = np.array(
+    [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)], dtype=np.int64
+)
+STEP_LENGTHS = np.sqrt((STEPS**2).sum(axis=1).astype(np.float64))
 
 
 def distances_from(mask: ByteArray, source: int, targets: IntArray, limit: float) -> tuple[FloatArray, CellArray]:
@@ -26,7 +28,7 @@ def distances_from(mask: ByteArray, source: int, targets: IntArray, limit: float
     given, whatever the mask says of it.
     """
     strides = np.array([mask.shape[1] * mask.shape[2], mask.shape[2], 1], dtype=np.int64)
-    return _spread(mask.ravel(), _STEPS @ strides, _STEP_LENGTHS, source, targets, limit)
+    return _spread(mask.ravel(), STEPS @ strides, STEP_LENGTHS, source, targets, limit)
 
 
 @kernel

@@ -1,0 +1,112 @@
+"""The way out for a vehicle that stands where it may not fly."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.planning.search import STEP_LENGTHS, STEPS
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+
+ESCAPE_LIMIT_M = 2.0  # a way out longer than this is no way out
+
+
+class Escape:
+    """Finds the nearest flyable cell through known-free ones, in a window as large as the limit; its memory is kept."""
+
+    def __init__(self, resolution_m: float) -> None:
+        self._limit = ESCAPE_LIMIT_M / resolution_m
+        edge = 2 * (int(self._limit) + 1) + 1
+        self._distance = np.empty(edge**3)
+        self._previous = np.empty(edge**3, dtype=np.int64)
+        self._stamp = np.zeros(edge**3, dtype=np.int64)
+        self._buckets = np.empty((3, edge**3), dtype=np.int64)
+        self._now = 0
+
+    def way(self, mask: ByteArray, free: ByteArray, cell: IntArray) -> IntArray | None:
+        """Flat cells (N,) of padded arrays from ``cell`` (3,) to the nearest flyable one, both included; None without a way."""
+        self._now += 1
+        way = _way_out(
+            mask,
+            free,
+            cell,
+            STEPS,
+            STEP_LENGTHS,
+            self._limit,
+            self._distance,
+            self._previous,
+            self._stamp,
+            self._now,
+            self._buckets,
+        )
+        return way if len(way) else None
+
+
+@kernel
+def _way_out(
+    mask: ByteArray,
+    free: ByteArray,
+    cell: IntArray,
+    steps: IntArray,
+    lengths: FloatArray,
+    limit: float,
+    distance: FloatArray,
+    previous: IntArray,
+    stamp: IntArray,
+    now: int,
+    buckets: IntArray,
+) -> IntArray:
+    # Dijkstra with buckets one voxel wide (Dinitz): no edge is shorter than a bucket, so the order inside one is free
+    reach = int(limit) + 1
+    edge = 2 * reach + 1
+    start = (reach * edge + reach) * edge + reach
+    stamp[start], distance[start], previous[start] = now, 0.0, -1
+    buckets[0, 0] = start
+    sizes = np.array([1, 0, 0])
+    best, best_distance = -1, np.inf
+    level = 0
+    while sizes.sum() > 0 and level <= min(limit, best_distance):
+        slot = level % 3
+        for m in range(sizes[slot]):
+            at = buckets[slot, m]
+            here = distance[at]
+            if here < level:
+                continue  # settled in an earlier bucket
+            a, b, c = at // (edge * edge), at // edge % edge, at % edge
+            i, j, k = cell[0] + a - reach, cell[1] + b - reach, cell[2] + c - reach
+            if mask[i, j, k]:
+                if here < best_distance or (here == best_distance and at < best):
+                    best, best_distance = at, here
+                continue
+            for e in range(26):
+                if not free[i + steps[e, 0], j + steps[e, 1], k + steps[e, 2]]:
+                    continue
+                reached = here + lengths[e]
+                if reached > limit:
+                    continue
+                beside = at + (steps[e, 0] * edge + steps[e, 1]) * edge + steps[e, 2]
+                if stamp[beside] != now or reached < distance[beside]:
+                    stamp[beside], distance[beside], previous[beside] = now, reached, at
+                    into = int(reached) % 3
+                    buckets[into, sizes[into]] = beside
+                    sizes[into] += 1
+        sizes[slot] = 0
+        level += 1
+    count, at = 0, best
+    while at >= 0:
+        count += 1
+        at = previous[at]
+    way = np.empty(count, dtype=np.int64)
+    at = best
+    for n in range(count - 1, -1, -1):
+        a, b, c = at // (edge * edge), at // edge % edge, at % edge
+        i, j, k = cell[0] + a - reach, cell[1] + b - reach, cell[2] + c - reach
+        way[n] = (i * mask.shape[1] + j) * mask.shape[2] + k
+        at = previous[at]
+    return way
+
+
+def warm_up() -> None:
+    """Compile."""
+    empty = np.zeros((4, 4, 4), dtype=np.uint8)
+    Escape(0.1).way(empty, empty, np.array([1, 1, 1]))
