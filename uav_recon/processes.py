@@ -109,7 +109,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
     mapper = ProcessMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, folder)
-    recorder = _start_recorder(config, config_path, folder)
+    recorder = _start_recorder(config_path, folder)
     journal, executor = FlightLog(folder), ThreadExecutor("planner")
     try:
         run.warm_up(config)
@@ -142,7 +142,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
 
 def record(config_path: Path, flight: Path | None) -> int:
-    """Subscribe to every channel and write flight.rrd until SIGTERM."""
+    """Subscribe to the channels and write down what they say until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires = run.file_wires(config.runtime.folder)
     parent = os.getppid()
@@ -173,16 +173,12 @@ def _loop(step: Callable[[], None], rate_hz: float, clock: MonotonicClock, done:
         clock.sleep_until(rate.next_s())
 
 
-def _start_recorder(config: Config, config_path: Path, folder: Path) -> subprocess.Popen[bytes] | None:
-    if not config.recording.rerun:
-        return None
+def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "uav_recon.cli", "record", "--config", str(config_path), "--flight", str(folder)]
     return subprocess.Popen(["nice", "-n", "10", *command], stdin=subprocess.DEVNULL)  # noqa: S603, S607 - our own program
 
 
-def _stop_recorder(recorder: subprocess.Popen[bytes] | None) -> None:
-    if recorder is None:
-        return
+def _stop_recorder(recorder: subprocess.Popen[bytes]) -> None:
     recorder.terminate()
     try:
         recorder.wait(20.0)

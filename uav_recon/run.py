@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mission.conductor import Conductor
     from uav_recon.planning.planner import AdaptivePlanner
     from uav_recon.recording.recorder import Recorder
+    from uav_recon.recording.timelapse import Timelapse
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
@@ -273,8 +274,12 @@ def warm_up(config: Config) -> None:
     MotionPlanner(config.motion, config.planner.clearance_m).warm_up()
 
 
-def make_recorder(config: Config, wires: Wires, flight: Path, clock: Clock) -> Recorder:
-    """The subscriber that writes flight.rrd."""
+def make_recorder(config: Config, wires: Wires, flight: Path, clock: Clock) -> Recorder | Timelapse:
+    """The subscriber that writes flight.rrd and how the surface grew; the latter alone where recording.rerun is off."""
+    from uav_recon.recording.timelapse import Timelapse
+
+    if not config.recording.rerun:
+        return Timelapse(flight, wires.surface, clock)
     from uav_recon.recording.recorder import Recorder, RecorderChannels
 
     channels = RecorderChannels(
