@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from uav_recon.mapping.distance import distance2_to_not_free, warm_up
+from uav_recon.mapping.distance import CHUNK, DistanceField, distance2_to_not_free, warm_up
 from uav_recon.types.frames import ByteArray, FloatArray
-from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
+from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN
 
 
 def by_scipy(state: ByteArray, reach: int) -> FloatArray:
@@ -29,6 +29,43 @@ def test_is_the_exact_transform_of_scipy(shape: tuple[int, int, int], blocked: f
     other = rng.choice(np.array([UNKNOWN, OCCUPIED], dtype=np.uint8), shape)
     state = np.where(rng.random(shape) < blocked, other, np.uint8(FREE)).astype(np.uint8)
     np.testing.assert_array_equal(distance2_to_not_free(state, reach), by_scipy(state, reach))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    shape=st.tuples(st.integers(1, 60), st.integers(1, 60), st.integers(1, 33)),
+    blocked=st.sampled_from([0.0, 0.001, 0.05, 1.0]),
+    reach=st.sampled_from([1, 2, 11, 15]),
+    seed=st.integers(0, 2**31),
+)
+def test_follows_changes_exactly_and_dates_the_tiles(
+    shape: tuple[int, int, int], blocked: float, reach: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    state = np.where(rng.random(shape) < blocked, np.uint8(UNKNOWN), np.uint8(FREE)).astype(np.uint8)
+    field, memory = DistanceField(shape, reach), np.zeros(state.size + CHUNK, dtype=np.uint8)
+    distance2 = memory[: state.size].reshape(shape)
+    dated = np.zeros((-(-shape[0] // TILE), -(-shape[1] // TILE)), dtype=np.int64)
+    field.touch_all()
+    field.update(state.reshape(-1), memory, dated, 1)
+    for revision in range(2, 7):  # boxes freed, occupied, forgotten, and freed again
+        before, picture = state.copy(), distance2.copy()
+        for _ in range(rng.integers(0, 4)):
+            low = rng.integers(0, shape)
+            high = low + rng.integers(1, 6, 3)
+            state[low[0] : high[0], low[1] : high[1], low[2] : high[2]] = rng.choice([UNKNOWN, FREE, FREE, OCCUPIED])
+        for x, y, _ in np.argwhere((before == FREE) != (state == FREE)):
+            field.first[x], field.last[x] = min(field.first[x], y), max(field.last[x], y + 1)
+        field.update(state.reshape(-1), memory, dated, revision)
+        np.testing.assert_array_equal(distance2, by_scipy(state, reach))
+        changed = np.zeros(dated.shape, dtype=bool)
+        changed[tuple(np.argwhere((picture != distance2).any(axis=2)).T // TILE)] = True
+        np.testing.assert_array_equal(dated == revision, changed)
+
+
+def test_refuses_a_reach_whose_square_is_no_byte() -> None:
+    with pytest.raises(ValueError, match="reach 16"):
+        DistanceField((2, 2, 2), 16)
 
 
 def test_empty_grid_is_limited_by_its_own_border() -> None:

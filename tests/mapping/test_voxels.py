@@ -8,8 +8,8 @@ from scipy import ndimage
 
 from uav_recon.mapping.voxels import DepthSensor, Voxels
 from uav_recon.types.camera import BODY_FROM_OPTICAL, Frame, Intrinsics, PosedFrame
-from uav_recon.types.frames import Float32Array, FloatArray
-from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec
+from uav_recon.types.frames import ByteArray, Float32Array, FloatArray
+from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec
 from uav_recon.types.pose import Pose
 
 STREAM = Path(__file__).parents[3] / "shared" / "streams" / "two_room"
@@ -41,6 +41,11 @@ def depth_of_box(pose: Pose, low: FloatArray, high: FloatArray) -> Float32Array:
 
 
 ROOM = (np.array([-1.52, -1.52, 0.02]), np.array([3.02, 1.52, 2.52]))
+
+
+def by_scipy(state: ByteArray, reach: int) -> FloatArray:
+    distance: FloatArray = ndimage.distance_transform_edt(np.pad(state == FREE, 1))[1:-1, 1:-1, 1:-1]
+    return np.round(np.minimum(distance, reach) ** 2)
 
 
 def noisy(depth_m: Float32Array, rng: np.random.Generator) -> Float32Array:
@@ -183,6 +188,87 @@ def test_snapshots_are_frozen_and_counted() -> None:
     np.testing.assert_allclose(room.explored_m3(), np.count_nonzero(second.state) * 1e-3)
 
 
+def test_every_snapshot_is_as_if_from_scratch_and_dates_what_changed() -> None:
+    rng = np.random.default_rng(5)
+    room, last, held = voxels(fence_min=(-1.2, -1.4, 0.1)), None, []
+    for step in range(40):
+        if step % 7 == 3:
+            room.declare_free(rng.uniform(-2.5, 3.5, 3), 0.4, 0.3, float(rng.uniform(0.3, 2.0)))
+        elif step % 7 == 5:
+            room.mark_visited(rng.uniform([-1, -1, 0.5], [2.5, 1, 2.0]), 0.2, 0.2)
+        else:
+            pose = looking(float(rng.uniform(-1, 2)), float(rng.uniform(-1, 1)), 1.2, float(rng.uniform(-3, 3)))
+            depth_m = depth_of_box(pose, *ROOM)
+            depth_m[rng.random(depth_m.shape) < 0.02] = np.nan
+            room.integrate(posed(depth_m if step % 5 else 0.6 * depth_m, pose))  # at times everything has come nearer
+        picture = room.snapshot()
+        np.testing.assert_array_equal(picture.distance2, by_scipy(picture.state, 11))
+        known = np.count_nonzero((picture.state != UNKNOWN)[8:, 16:, 1:])
+        np.testing.assert_allclose(room.explored_m3(), known * 1e-3)
+        if last is not None and last.revision < picture.revision:
+            differ = ((picture.state != last.state) | (picture.distance2 != last.distance2)).any(axis=2)
+            tiles = np.zeros(picture.tile_revision.shape, dtype=bool)
+            tiles[tuple(np.argwhere(differ).T // TILE)] = True
+            np.testing.assert_array_equal(picture.changed_tiles(last.revision), np.argwhere(tiles))
+            assert (picture.tile_revision[tiles] == picture.revision).all()
+        last = picture
+        if rng.random() < 0.3:
+            held.append((picture, picture.state.copy(), picture.distance2.copy(), picture.tile_revision.copy()))
+        if len(held) > 3:
+            held.pop(int(rng.integers(3)))
+        for kept, state, distance2, dated in held:  # nobody paints over what is held
+            np.testing.assert_array_equal(kept.state, state)
+            np.testing.assert_array_equal(kept.distance2, distance2)
+            np.testing.assert_array_equal(kept.tile_revision, dated)
+
+
+def test_a_stride_looks_at_every_other_pixel() -> None:
+    pose, rng = looking(0.05, 0.05, 1.45), np.random.default_rng(1)
+    depth_m = noisy(depth_of_box(pose, *ROOM), rng)
+    half = Intrinsics(LENS.fx / 2, LENS.fy / 2, LENS.cx / 2, LENS.cy / 2, 106, 60)
+    strided = Voxels(GRID, D435I, 5.0, (-2, -3, 0), (6, 3, 3), 1.1, pixel_stride=2)
+    small = voxels()
+    for _ in range(4):
+        strided.integrate(posed(depth_m, pose))
+        small.integrate(posed(depth_m[::2, ::2], pose, half))
+    np.testing.assert_array_equal(strided.snapshot().state, small.snapshot().state)
+    assert (small.snapshot().state == FREE).any()
+
+
+@pytest.mark.parametrize("pixels", [(120, 212), (61, 107)])
+def test_frees_what_the_rules_say_and_nothing_else(pixels: tuple[int, int]) -> None:
+    """One look of an image with holes and steps, against the rules written out one voxel at a time."""
+    height, width = pixels
+    lens = Intrinsics.from_fov(width, height, np.radians(87), np.radians(58))
+    rng = np.random.default_rng(height)
+    depth_m = np.kron(rng.uniform(0.6, 6.0, (9, 16)), np.ones((14, 14)))[:height, :width].astype(np.float32)
+    depth_m[rng.random(pixels) < 0.1] = np.nan
+    depth_m[: height // 3, : width // 3] = np.nan
+    pose = looking(0.03, 0.02, 1.43, 0.4) @ Pose.from_rotation_vector(np.array([-0.3, 0.1, 0.2]), np.zeros(3))
+    room = voxels()
+    for _ in range(2):
+        room.integrate(posed(depth_m, pose, lens))
+    free = room.snapshot().state == FREE
+    allowed = np.zeros(GRID.shape, dtype=bool)
+    depth_from_world, centres = pose.inverse(), GRID.centre(np.moveaxis(np.indices(GRID.shape), 0, -1))
+    extent_m = 0.05 * np.abs(pose.rotation()[:, 2]).sum()
+    for index in np.argwhere(np.linalg.norm(centres - pose.translation_m, axis=-1) <= 5.0):
+        x, y, z = depth_from_world.apply(centres[tuple(index)])
+        if z < 0.1:
+            continue
+        u, v, r = x / z * lens.fx + lens.cx, y / z * lens.fy + lens.cy, 0.05 * lens.fy / z
+        if not (-0.5 < u < width - 0.5 and -0.5 < v < height - 0.5):
+            continue
+        seen = depth_m[max(round(v - r), 0) : round(v + r) + 1, max(round(u - r), 0) : round(u + r) + 1]
+        seen = seen[np.isfinite(seen)]
+        if seen.size:
+            noise_m = seen.min() - seen.min() / (1 + 2.5 * 0.04 / (lens.fx * 0.05) * seen.min())
+            allowed[tuple(index)] = seen.min() - z > max(extent_m, noise_m) - 1e-4
+    assert np.count_nonzero(free) > 2000
+    assert not (free & ~allowed).any()
+    assert np.count_nonzero(free) > 0.5 * np.count_nonzero(allowed)
+
+
 def test_a_new_epoch_starts_unknown_and_refuses_old_frames() -> None:
     room = voxels()
     room.declare_free(np.zeros(3), 0.6, 0.0, 1.2)
@@ -198,7 +284,7 @@ def test_agrees_with_the_reference_stream() -> None:
     with np.load(STREAM / "depth_640x480.npz") as archive:
         depth_mm = archive["depth_mm"][:, ::2, ::2]
     grid = GridSpec(np.array([-5.0, -3.0, 0.0]), 0.1, (100, 60, 30))
-    room = Voxels(grid, DepthSensor(0.1, 0.03, 0.05), 4.5, (-5, -3, 0), (5, 3, 3), 1.1)
+    room = Voxels(grid, DepthSensor(0.1, 0.001, 0.05), 4.5, (-5, -3, 0), (5, 3, 3), 1.1)  # 1 mm at 3 m
     room.warm_up()
     took_s = []
     for depth, matrix in zip(depth_mm, np.load(STREAM / "poses.npy"), strict=True):
@@ -206,11 +292,13 @@ def test_agrees_with_the_reference_stream() -> None:
         began_s = time.perf_counter()
         room.integrate(posed(depth_m, Pose.from_matrix(matrix), lens))
         took_s.append(time.perf_counter() - began_s)
+        if len(took_s) % 10 == 0:
+            np.testing.assert_array_equal(room.snapshot().distance2, by_scipy(room.snapshot().state, 11))
     state = room.snapshot().state
     reference = np.fromfile(STREAM / "occupancy_reference.i8", dtype=np.int8).reshape(grid.shape)
     near = [ndimage.binary_dilation(reference == value, ONE_VOXEL) for value in (UNKNOWN, FREE, OCCUPIED)]
     agreed = np.choose(state, near)
-    assert agreed.mean() >= 0.98
+    assert agreed.mean() >= 0.992
     assert np.count_nonzero((state == FREE) & (reference == OCCUPIED)) == 0
     # against the scene itself, which the reference misses in places (thin legs carved away)
     i, j, k = np.indices(grid.shape)
@@ -224,7 +312,7 @@ def test_agrees_with_the_reference_stream() -> None:
         beside |= np.all((centre > low - 0.15) & (centre < high + 0.15), axis=-1)
     assert np.count_nonzero(inside & (state == FREE)) == 0
     assert np.count_nonzero((state == OCCUPIED) & ~beside) == 0
-    assert np.median(took_s) < 0.02  # 1-2 ms on an idle core
+    assert np.median(took_s) < 0.01  # 0.4 ms on an idle core
 
 
 def _lens() -> list[float]:

@@ -1,72 +1,52 @@
-"""Exact Euclidean distance from every voxel to the nearest one that is not known free, capped."""
+"""Exact Euclidean distance from every voxel to the nearest one that is not known free, capped, kept up with the map.
+
+Separable (Saito and Toriwaki 1994: D(p) = min over q of D(q) + (p - q)²): along z and y in one plane of constant x, then
+along x. What the planes say is kept, so a change costs its own planes, and of the others only those within reach, over the
+interval of rows that really differ. All loops run flat over (y, z) in bytes: a shift along y is an offset.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.types.frames import AnyArray, ByteArray
-from uav_recon.types.maps import FREE, LARGEST_DISTANCE_VOXELS
+from uav_recon.types.frames import AnyArray, ByteArray, IntArray
+from uav_recon.types.maps import FREE, LARGEST_DISTANCE_VOXELS, TILE
+
+CHUNK = 64  # bytes; flat loops run over whole chunks, so that they need no tail
 
 
-@kernel
-def _squared_distance(state: AnyArray, reach: int, out: AnyArray, plane: AnyArray) -> None:
-    """Squared distance in voxels, (nx, ny, nz) uint16, exact below ``reach`` and ``reach**2`` from there on.
+class DistanceField:
+    """Brings a map's distance2 up to date with its state, at the cost of what changed."""
 
-    Separable: two scans along z, then windowed minima along y and x (Saito and Toriwaki 1994: D(p) = min over q of
-    D(q) + (p - q)²); the window is the cap, so there is no need for parabola envelopes. The inner loops run along
-    contiguous memory. Outside the grid counts as not free.
-    """
-    nx, ny, nz = state.shape
-    cap = np.uint16(reach * reach)
-    for x in range(nx):
-        for y in range(ny):
-            run = 0
-            for z in range(nz):
-                run = 0 if state[x, y, z] != FREE else min(run + 1, reach)
-                out[x, y, z] = np.uint16(run)
-            run = 0
-            for z in range(nz - 1, -1, -1):
-                run = 0 if out[x, y, z] == 0 else min(run + 1, reach)
-                nearest = min(run, int(out[x, y, z]))
-                out[x, y, z] = np.uint16(nearest * nearest)
-    for x in range(nx):
-        for y in range(ny):
-            border = min(y + 1, ny - y)
-            row = plane[y]
-            best = np.uint16(min(border * border, reach * reach))
-            own = out[x, y]
-            for z in range(nz):
-                row[z] = min(own[z], best)
-            for other in range(max(0, y - reach + 1), min(ny, y + reach)):
-                step = np.uint16((other - y) * (other - y))
-                source = out[x, other]
-                for z in range(nz):
-                    row[z] = min(row[z], np.uint16(source[z] + step))
-        for y in range(ny):
-            for z in range(nz):
-                out[x, y, z] = min(plane[y, z], cap)
+    def __init__(self, shape: tuple[int, int, int], reach: int) -> None:
+        """A grid (nx, ny, nz) none of which is free. reach: voxels, 1 to LARGEST_DISTANCE_VOXELS, else ValueError."""
+        if not 0 < reach <= LARGEST_DISTANCE_VOXELS:
+            raise ValueError(f"reach {reach}: want 1 to {LARGEST_DISTANCE_VOXELS} voxels")
+        self._shape, self._reach = shape, reach
+        nx, ny, nz = shape
+        self._planes = np.zeros(nx * ny * nz + CHUNK, dtype=np.uint8)  # squared distance within each plane of constant x
+        self._scratch = np.zeros((3, (ny + 2 * LARGEST_DISTANCE_VOXELS) * nz + 3 * CHUNK), dtype=np.uint8)
+        self._outside = np.zeros(ny * nz + CHUNK, dtype=np.uint8)  # a plane of voxels that are not free
+        z = np.arange(nz)
+        border = np.minimum(np.minimum(z + 1, nz - z), reach).astype(np.uint8)
+        self._border = np.resize(border, ny * nz + CHUNK)
+        self.first = np.full(nx, ny, dtype=np.int64)
+        self.last = np.zeros(nx, dtype=np.int64)
 
+    def touch_all(self) -> None:
+        """Everything may have changed."""
+        self.first[:], self.last[:] = 0, self._shape[1]
 
-@kernel
-def _sweep_x(squared: AnyArray, reach: int, row: AnyArray, distance2: AnyArray) -> None:
-    """Last pass along x."""
-    nx, ny, nz = squared.shape
-    for x in range(nx):
-        border = min(x + 1, nx - x)
-        best = np.uint16(min(border * border, reach * reach))
-        for y in range(ny):
-            own = squared[x, y]
-            for z in range(nz):
-                row[z] = min(own[z], best)
-            for other in range(max(0, x - reach + 1), min(nx, x + reach)):
-                step = np.uint16((other - x) * (other - x))
-                source = squared[other, y]
-                for z in range(nz):
-                    row[z] = min(row[z], np.uint16(source[z] + step))
-            target = distance2[x, y]
-            for z in range(nz):
-                target[z] = np.uint8(row[z])
+    def update(self, state: ByteArray, distance2: ByteArray, tile_revision: IntArray, revision: int) -> None:
+        """Make distance2 the field of a state whose free space changed, for each x, in the rows [first[x], last[x]) alone.
+
+        state, distance2: flat, distance2 CHUNK longer than the grid. The tiles in which distance2 changed get the revision.
+        """
+        _update(
+            state, self._shape, self._reach, self.first, self.last, self._border, self._outside, self._planes, self._scratch,
+            distance2, tile_revision, revision,
+        )  # fmt: skip
 
 
 def distance2_to_not_free(state: ByteArray, reach: int) -> ByteArray:
@@ -75,15 +55,151 @@ def distance2_to_not_free(state: ByteArray, reach: int) -> ByteArray:
     state: (nx, ny, nz) uint8. Returns (nx, ny, nz) uint8, exact below reach² and reach² from there on; 0 in voxels that are
     not free. Voxels outside the grid are not free. reach: at most LARGEST_DISTANCE_VOXELS, else ValueError.
     """
-    if not 0 < reach <= LARGEST_DISTANCE_VOXELS:
-        raise ValueError(f"reach {reach}: want 1 to {LARGEST_DISTANCE_VOXELS} voxels")
-    squared = np.empty(state.shape, dtype=np.uint16)
-    distance2 = np.empty(state.shape, dtype=np.uint8)
-    _squared_distance(state, reach, squared, np.empty(state.shape[1:], dtype=np.uint16))
-    _sweep_x(squared, reach, np.empty(state.shape[2], dtype=np.uint16), distance2)
-    return distance2
+    nx, ny, nz = state.shape
+    field, distance2 = DistanceField((nx, ny, nz), reach), np.zeros(state.size + CHUNK, dtype=np.uint8)
+    field.touch_all()
+    tiles = np.zeros((-(-nx // TILE), -(-ny // TILE)), dtype=np.int64)
+    field.update(np.ascontiguousarray(state).reshape(-1), distance2, tiles, 1)
+    return distance2[: state.size].reshape(state.shape)
 
 
 def warm_up() -> None:
     """Compile the kernels."""
     distance2_to_not_free(np.full((3, 3, 3), FREE, dtype=np.uint8), 3)
+
+
+@kernel
+def _along_z(states: AnyArray, border: AnyArray, reach: int, now: AnyArray, then: AnyArray) -> None:
+    """Squared distance along z, for the flat states of whole columns, into now[CHUNK:]; ``then`` is scratch.
+
+    border: distance to the column's own ends, which are not free. A shift that leaves its column meets a neighbour's voxels;
+    that is harmless, for the end it crosses is nearer. So is whatever stands beyond the columns.
+    """
+    size = -(-states.size // CHUNK) * CHUNK
+    here, there = now[CHUNK:], then[CHUNK:]
+    for n in range(states.size):
+        here[n] = border[n] if states[n] == FREE else np.uint8(0)
+    shift = 1
+    while shift < reach:
+        _shift(now[CHUNK - shift :], here, now[CHUNK + shift :], size, np.uint8(shift), there)
+        for n in range(size):
+            here[n] = there[n]
+        shift *= 2
+    for n in range(size):
+        here[n] = np.uint8(here[n] * here[n])
+
+
+@kernel
+def _shift(before: AnyArray, here: AnyArray, after: AnyArray, size: int, step: np.uint8, out: AnyArray) -> None:
+    """out = min(here, before + step, after + step), bytes that do not overflow."""
+    limit = np.uint8(255 - step)
+    for n in range(size):
+        a, b, c = before[n], after[n], here[n]
+        a = a if a < b else b
+        a = np.uint8((a if a < limit else limit) + step)
+        out[n] = a if a < c else c
+
+
+@kernel
+def _improve(before: AnyArray, after: AnyArray, size: int, step: np.uint8, best: AnyArray) -> None:
+    """best = min(best, before + step, after + step), bytes that do not overflow."""
+    limit = np.uint8(255 - step)
+    for n in range(size):
+        a, b, c = before[n], after[n], best[n]
+        a = a if a < b else b
+        a = np.uint8((a if a < limit else limit) + step)
+        best[n] = a if a < c else c
+
+
+@kernel
+def _copy(source: AnyArray, first: int, last: int, target: AnyArray) -> None:
+    """target[first:last] = source[first:last]."""
+    for n in range(first, last):
+        target[n] = source[n]
+
+
+@kernel
+def _differ(one: AnyArray, other: AnyArray) -> bool:
+    """Whether two chunks differ."""
+    found = np.uint8(0)
+    for n in range(CHUNK):
+        found |= np.uint8(one[n] ^ other[n])
+    return bool(found != 0)
+
+
+@kernel
+def _update(
+    state: AnyArray, shape: tuple[int, int, int], reach: int, first: AnyArray, last: AnyArray, border: AnyArray,
+    outside: AnyArray, planes: AnyArray, scratch: AnyArray, distance2: AnyArray, tile_revision: AnyArray, revision: int,
+) -> None:  # fmt: skip
+    """See DistanceField.update. Leaves [first, last) empty."""
+    nx, _, _ = shape
+    begin, end = nx, 0
+    for x in range(nx):
+        if first[x] < last[x]:
+            begin, end = min(begin, x), x + 1
+            _renew_plane(state, shape, x, reach, first, last, border, planes, scratch)
+    for x in range(max(begin - reach + 1, 0), min(end + reach - 1, nx)):
+        low, high = shape[1], 0
+        for near in range(max(x - reach + 1, begin), min(x + reach, end)):
+            low, high = min(low, first[near]), max(high, last[near])
+        if low < high:
+            _renew_across(shape, x, reach, low, high, outside, planes, scratch[0], distance2, tile_revision, revision)
+    for x in range(begin, end):
+        first[x], last[x] = shape[1], 0
+
+
+@kernel
+def _renew_plane(
+    state: AnyArray, shape: tuple[int, int, int], x: int, reach: int, first: AnyArray, last: AnyArray, border: AnyArray,
+    planes: AnyArray, scratch: AnyArray,
+) -> None:  # fmt: skip
+    """Distance within the plane x; narrows or widens [first[x], last[x]) to the rows in which it changed."""
+    _, ny, nz = shape
+    low, high = max(first[x] - reach + 1, 0), min(last[x] + reach - 1, ny)
+    from_row, to_row = low - reach + 1, high + reach - 1
+    inner, outer = max(from_row, 0), min(to_row, ny)
+    best, lines, spare = scratch
+    base = (inner - from_row) * nz
+    plane = x * ny * nz
+    _along_z(state[plane + inner * nz : plane + outer * nz], border, reach, lines[base:], spare)
+    lines[CHUNK : CHUNK + base] = 0
+    lines[CHUNK + (outer - from_row) * nz : CHUNK + (to_row - from_row) * nz] = 0
+    size = (high - low) * nz
+    old = planes[plane + low * nz :]
+    whole = -(-size // CHUNK) * CHUNK
+    _copy(lines[CHUNK + (reach - 1) * nz :], 0, whole, best)
+    for away in range(1, reach):
+        before, after = lines[CHUNK + (reach - 1 - away) * nz :], lines[CHUNK + (reach - 1 + away) * nz :]
+        _improve(before, after, whole, np.uint8(away * away), best)
+    _copy(old, size, whole, best)
+    first[x], last[x] = ny, 0
+    for base in range(0, whole, CHUNK):
+        if _differ(best[base:], old[base:]):
+            first[x], last[x] = min(first[x], low + base // nz), min(low + (base + CHUNK - 1) // nz + 1, high)
+            for n in range(base, base + CHUNK):
+                old[n] = best[n]
+
+
+@kernel
+def _renew_across(
+    shape: tuple[int, int, int], x: int, reach: int, low: int, high: int, outside: AnyArray, planes: AnyArray, best: AnyArray,
+    distance2: AnyArray, tile_revision: AnyArray, revision: int,
+) -> None:  # fmt: skip
+    """distance2 of the rows [low, high) at x, from what the planes around say."""
+    nx, ny, nz = shape
+    size = (high - low) * nz
+    old = distance2[(x * ny + low) * nz :]
+    whole = -(-size // CHUNK) * CHUNK
+    _copy(planes[(x * ny + low) * nz :], 0, whole, best)
+    for away in range(1, reach):
+        before = planes[((x - away) * ny + low) * nz :] if x >= away else outside
+        after = planes[((x + away) * ny + low) * nz :] if x + away < nx else outside
+        _improve(before, after, whole, np.uint8(away * away), best)
+    _copy(old, size, whole, best)
+    for base in range(0, whole, CHUNK):
+        if _differ(best[base:], old[base:]):
+            for n in range(base, base + CHUNK):
+                if best[n] != old[n]:
+                    old[n] = best[n]
+                    tile_revision[x // TILE, (low + n // nz) // TILE] = revision

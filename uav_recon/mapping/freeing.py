@@ -1,0 +1,233 @@
+"""The voxels in front of everything that a frame sees under their footprint."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.mapping.evidence import CLEAR, LOWEST, NOISE_SIGMAS, add
+from uav_recon.mapping.pooling import CELL, LARGEST_WINDOW
+from uav_recon.types.frames import AnyArray
+
+VALID_SHARE = 0.75  # of the footprint must have a return before a voxel is freed
+Axes = tuple[np.float32, np.float32, np.float32]
+SIDES = 5  # left, right, top, bottom, and the nearest depth
+
+
+@kernel
+def view_box(
+    camera: AnyArray, rotation: AnyArray, origin: AnyArray, far: float, pixels: tuple[int, int], shape: tuple[int, int, int],
+    box: AnyArray,
+) -> None:  # fmt: skip
+    """The voxel box (2, 3) around the view, clipped to the grid. origin and far in voxels; pixels (H, W)."""
+    fx, fy, cx, cy = camera
+    for axis in range(3):
+        low = high = 0.0
+        for u in (-0.5, pixels[1] - 0.5):
+            for v in (-0.5, pixels[0] - 0.5):
+                corner = rotation[axis, 0] * (u - cx) / fx + rotation[axis, 1] * (v - cy) / fy + rotation[axis, 2]
+                low, high = min(low, corner), max(high, corner)
+        low, high = max(low, -1.0) * far + origin[axis], min(high, 1.0) * far + origin[axis]
+        box[0, axis] = min(max(int(np.floor(low)), 0), shape[axis])
+        box[1, axis] = max(min(int(np.floor(high)) + 1, shape[axis]), box[0, axis])
+
+
+@kernel
+def _sides(camera: AnyArray, rotation: AnyArray, pixels: tuple[int, int], nearest: float) -> AnyArray:
+    """The planes (SIDES, 4) float32 of the view: inside where a·x + b·y + c·z + d >= 0, voxels from the camera."""
+    fx, fy, cx, cy = camera
+    sides = np.zeros((SIDES, 4), dtype=np.float32)
+    for axis in range(3):
+        x, y, z = rotation[axis, 0], rotation[axis, 1], rotation[axis, 2]
+        sides[0, axis] = fx * x + (cx + 0.5) * z
+        sides[1, axis] = (pixels[1] - 0.5 - cx) * z - fx * x
+        sides[2, axis] = fy * y + (cy + 0.5) * z
+        sides[3, axis] = (pixels[0] - 0.5 - cy) * z - fy * y
+        sides[4, axis] = z
+    for side in range(SIDES):  # keeps the divisions by c finite; a plane along z then says all or nothing
+        if abs(sides[side, 2]) < 1e-6:
+            sides[side, 2] = 1e-6
+    sides[4, 3] = -nearest
+    return sides
+
+
+@kernel
+def _spans(
+    sides: AnyArray, start: Axes, far2: np.float32, height: int,
+    first: AnyArray, last: AnyArray,
+) -> None:  # fmt: skip
+    """For each column of a row the voxels [first, last) of the box whose centres are in view.
+
+    start: the centre of the row's first voxel, in voxels from the camera; far2: range squared.
+    """
+    zero, top = np.float32(0.0), np.float32(height - 1)
+    dx, dy, dz = start
+    for j in range(first.size):
+        y = dy + np.float32(np.int32(j))
+        left = far2 - dx * dx - y * y
+        half = np.sqrt(left if left > zero else zero)
+        low, high = -half, half
+        for side in range(SIDES):
+            c = sides[side, 2]
+            t = np.divide(-(sides[side, 0] * dx + sides[side, 1] * y + sides[side, 3]), c)
+            low = t if (c > zero) & (t > low) else low
+            high = t if (c < zero) & (t < high) else high
+        low, high = low - dz, high - dz
+        low = low if low > zero else zero
+        high = high if high < top else top
+        begin, end = np.int32(np.ceil(low)), np.int32(np.floor(high)) + np.int32(1)
+        first[j] = begin
+        last[j] = end if (left > zero) & (high >= low) else begin
+
+
+@kernel
+def _project(camera: AnyArray, step: Axes, start: Axes, depth: AnyArray, right: AnyArray, down: AnyArray) -> None:
+    """Where a run of voxels up a column lies in the pooled image: depth in voxels, right and down in cells.
+
+    start and step: centre of the first voxel and way to the next, in voxels along the camera's axes.
+    """
+    fu, fv = np.float32(camera[0] / CELL), np.float32(camera[1] / CELL)
+    cu, cv = np.float32((camera[2] + 0.5) / CELL), np.float32((camera[3] + 0.5) / CELL)
+    for n in range(depth.size):
+        along = np.float32(np.int32(n))
+        z = start[2] + step[2] * along
+        inverse = np.divide(np.float32(1.0), z)
+        depth[n] = z
+        right[n] = (start[0] + step[0] * along) * (fu * inverse) + cu
+        down[n] = (start[1] + step[1] * along) * (fv * inverse) + cv
+
+
+@kernel
+def _sift(
+    run: AnyArray, held: AnyArray, index: int, depth: AnyArray, right: AnyArray, down: AnyArray, finest: AnyArray,
+    edge_m: np.float32, extent_m: np.float32, kept: AnyArray, kept_at: AnyArray, number: int,
+) -> int:  # fmt: skip
+    """Append the voxels of a run that may be freed: more to gain, no hit, and seen through at their centre. Branch-free."""
+    rows, columns = finest.shape
+    kept_depth, kept_right, kept_down = kept_at
+    last_row, last_column = np.int32(rows - 1), np.int32(columns - 1)
+    for n in range(depth.size):
+        z, u, v = depth[n], right[n], down[n]
+        i, j = np.int32(v), np.int32(u)
+        i, j = max(min(i, last_row), np.int32(0)), max(min(j, last_column), np.int32(0))
+        kept[number], kept_depth[number], kept_right[number], kept_down[number] = index + n, z, u, v
+        behind_m = finest[i, j] - z * edge_m
+        number += int((run[n] != LOWEST) & (held[n] == 0) & (behind_m > extent_m))
+    return number
+
+
+@kernel
+def _windows(
+    camera: AnyArray, cells: tuple[int, int], depth: AnyArray, right: AnyArray, down: AnyArray, window: AnyArray
+) -> None:
+    """The window of the pooled depth that covers each voxel's footprint, for four look-ups.
+
+    window (3, N) int32: the index of the first look-up in (LEVELS, *cells), and what leads right and down to the others.
+    """
+    fu, fv = np.float32(0.5 * camera[0] / CELL), np.float32(0.5 * camera[1] / CELL)
+    zero, none, one = np.float32(0.0), np.int32(0), np.int32(1)
+    rows, columns = np.int32(cells[0]), np.int32(cells[1])
+    first, across, below = window[0], window[1], window[2]
+    for n in range(depth.size):
+        inverse = np.divide(np.float32(1.0), depth[n])
+        u, v, ru, rv = right[n], down[n], fu * inverse, fv * inverse
+        widest = np.int32(ru + ru if ru > rv else rv + rv) + one
+        level = np.int32(widest >= 2) + np.int32(widest >= 4) + np.int32(widest >= 8)
+        level += np.int32(widest >= 16) + np.int32(widest >= 32) + np.int32(widest >= 64)
+        size = one << level
+        u0, v0 = np.int32(u - ru if u > ru else zero), np.int32(v - rv if v > rv else zero)
+        u1, v1 = np.int32(u + ru) + one, np.int32(v + rv) + one
+        u0, v0 = u0 if u0 < columns else columns - one, v0 if v0 < rows else rows - one
+        u1, v1 = u1 if u1 < columns else columns, v1 if v1 < rows else rows
+        over, under = u1 - size - u0, v1 - size - v0
+        first[n] = (level * rows + v0) * columns + u0
+        across[n] = over if over > none else none
+        below[n] = (under if under > none else none) * columns
+
+
+@kernel
+def _share_seen(valid: AnyArray, window: int, right: int, down: int) -> float:
+    """How much of a window (see _windows) has returns."""
+    rows, columns = valid.shape[0] - 1, valid.shape[1] - 1
+    row = window // columns
+    u0, v0, size = window - row * columns, row % rows, 1 << (row // rows)
+    u1, v1 = min(u0 + right + size, columns), min(v0 + down // columns + size, rows)
+    seen = valid[v1, u1] - valid[v0, u1] - valid[v1, u0] + valid[v0, u0]
+    return float(seen / ((u1 - u0) * (v1 - v0) * CELL * CELL))
+
+
+@kernel
+def free(
+    lowest_m: AnyArray, valid: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray, pixels: tuple[int, int],
+    far_m: float, noise_per_m: float, doubtful: int, resolution_m: float, box: AnyArray, shape: tuple[int, int, int],
+    hits: AnyArray, odds: AnyArray, listed: AnyArray,
+) -> int:  # fmt: skip
+    """Free the voxels of a box in front of everything seen under their footprint, except those with hits.
+
+    A voxel's footprint is the square of its edge, facing the camera. Every return in it must lie behind the voxel's centre by
+    more than half its extent and by more than the noise: in disparity, so a depth d may truly be
+    1 / (1 / d + sigmas * noise_per_m), noise_per_m = noise / (f * b). A look is worth CLEAR steps where twice that is left,
+    else ``doubtful`` ones. Lists the flat indices of voxels whose state may change; returns how many.
+    """
+    levels, rows, columns = lowest_m.shape
+    pooled = lowest_m.reshape(levels * rows * columns)
+    low_x, low_y, low_z = box[0]
+    nx, ny, nz = box[1, 0] - low_x, box[1, 1] - low_y, box[1, 2] - low_z
+    nearest = max(1.0, max(camera[0], camera[1]) / (CELL * LARGEST_WINDOW))
+    sides = _sides(camera, rotation, pixels, nearest)
+    far2 = np.float32((far_m / resolution_m) ** 2)
+    first, last = np.empty(ny, dtype=np.int32), np.empty(ny, dtype=np.int32)
+    run_at, kept_at = np.empty((3, nz), dtype=np.float32), np.empty((3, ny * nz + 1), dtype=np.float32)
+    kept, window = np.empty(ny * nz + 1, dtype=np.int64), np.empty((3, ny * nz), dtype=np.int32)
+    extent_m = np.float32(0.5 * resolution_m * (abs(rotation[0, 2]) + abs(rotation[1, 2]) + abs(rotation[2, 2])))
+    edge_m, noise, two = np.float32(resolution_m), np.float32(NOISE_SIGMAS * noise_per_m), np.float32(2.0)
+    step = (np.float32(rotation[2, 0]), np.float32(rotation[2, 1]), np.float32(rotation[2, 2]))
+    holes = valid[rows, columns] < pixels[0] * pixels[1]
+    dy, dz = low_y + 0.5 - origin[1], low_z + 0.5 - origin[2]
+    number = 0
+    for i in range(nx):
+        dx = low_x + i + 0.5 - origin[0]
+        _spans(sides, (np.float32(dx), np.float32(dy), np.float32(dz)), far2, nz, first, last)
+        some = 0
+        for j in range(ny):
+            begin, count = first[j], last[j] - first[j]
+            if count <= 0:
+                continue
+            index = ((low_x + i) * shape[1] + low_y + j) * shape[2] + low_z + begin
+            run = odds[index : index + count]
+            settled = True
+            for n in range(count):
+                settled &= run[n] == LOWEST
+            if settled:
+                continue
+            y, z = dy + j, dz + begin
+            start = (
+                np.float32(rotation[0, 0] * dx + rotation[1, 0] * y + rotation[2, 0] * z),
+                np.float32(rotation[0, 1] * dx + rotation[1, 1] * y + rotation[2, 1] * z),
+                np.float32(rotation[0, 2] * dx + rotation[1, 2] * y + rotation[2, 2] * z),
+            )
+            depth, right, down = run_at[0, :count], run_at[1, :count], run_at[2, :count]
+            _project(camera, step, start, depth, right, down)
+            some = _sift(
+                run, hits[(i * ny + j) * nz + begin :], index, depth, right, down, lowest_m[0], edge_m, extent_m,
+                kept, kept_at, some,
+            )  # fmt: skip
+        _windows(camera, (rows, columns), kept_at[0, :some], kept_at[1, :some], kept_at[2, :some], window)
+        for n in range(some):
+            a, right_by, down_by = window[0, n], window[1, n], window[2, n]
+            upper = min(pooled[np.uint32(a)], pooled[np.uint32(a + right_by)])
+            lower = min(pooled[np.uint32(a + down_by)], pooled[np.uint32(a + right_by + down_by)])
+            behind = min(upper, lower)
+            gap = behind - kept_at[0, n] * edge_m
+            if not (gap > extent_m and behind < np.float32(np.inf)):
+                continue
+            reach, doubt = gap * (np.float32(1.0) + noise * behind), noise * behind * behind
+            if not reach > doubt:
+                continue
+            if holes and _share_seen(valid, a, right_by, down_by) < VALID_SHARE:
+                continue
+            sure = (gap > two * extent_m) & (reach > two * doubt)
+            if add(odds, kept[n], -CLEAR if sure else -doubtful):
+                listed[number] = kept[n]
+                number += 1
+    return number

@@ -1,0 +1,66 @@
+"""One depth frame into the log-odds: pool it, count its hits, free what lies in front, mark what was hit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.mapping.evidence import doubtful_look
+from uav_recon.mapping.freeing import free, view_box
+from uav_recon.mapping.pooling import CELL, LEVELS, pool
+from uav_recon.mapping.returns import count_hits, occupy
+from uav_recon.types.frames import AnyArray, IntArray
+from uav_recon.types.maps import GridSpec
+
+
+class FrameScratch:
+    """Memory that every frame needs again, as large as the view, not as the map."""
+
+    def __init__(self, grid: GridSpec, far_m: float) -> None:
+        across = 2 * int(np.ceil(far_m / grid.resolution_m)) + 3  # voxels of a box around the range sphere
+        box = int(np.prod(np.minimum(grid.shape, across)))
+        self.hits = np.zeros(box + 1, dtype=np.int32)
+        self.listed = np.zeros(box, dtype=np.int64)
+        self.found = np.zeros(box, dtype=np.uint8)
+        self._pixels = (0, 0)
+
+    def fit(self, pixels: tuple[int, ...]) -> FrameScratch:
+        """Make room for images of (H, W) pixels."""
+        if pixels != self._pixels:
+            height, width = pixels
+            self._pixels = (height, width)
+            rows, columns = -(-height // CELL), -(-width // CELL)
+            self.lowest_m = np.zeros((LEVELS, rows, columns), dtype=np.float32)
+            self.valid = np.zeros((rows + 1, columns + 1), dtype=np.int32)
+            self.touched = np.zeros(height * width + 1, dtype=np.int32)
+        return self
+
+    def list(self, flat: IntArray) -> None:
+        """Put voxels into the list, whatever there was."""
+        if flat.size > self.listed.size:
+            self.listed, self.found = np.zeros(flat.size, dtype=np.int64), np.zeros(flat.size, dtype=np.uint8)
+        self.listed[: flat.size] = flat
+
+
+@kernel
+def fuse(
+    depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray, near_m: float, far_m: float, noise_per_m: float,
+    resolution_m: float, shape: tuple[int, int, int], lowest_m: AnyArray, valid: AnyArray, hits: AnyArray, touched: AnyArray,
+    odds: AnyArray, listed: AnyArray,
+) -> int:  # fmt: skip
+    """Add a frame to the odds; returns how many voxels it lists whose state may have changed.
+
+    depth_m (H, W) float32; camera fx, fy, cx, cy; rotation (3, 3) and origin (3,), in voxels, of the camera in the grid; one
+    sigma of the depth is noise_per_m * depth². The other arrays: see FrameScratch.
+    """
+    box = np.empty((2, 3), dtype=np.int64)
+    pixels = depth_m.shape
+    view_box(camera, rotation, origin, far_m / resolution_m, pixels, shape, box)
+    pool(depth_m, near_m, lowest_m, valid)
+    doubtful = doubtful_look(noise_per_m, far_m, resolution_m)
+    number = count_hits(depth_m, camera, rotation, origin, near_m, far_m, resolution_m, box, hits, touched)
+    listing = free(
+        lowest_m, valid, camera, rotation, origin, pixels, far_m, noise_per_m, doubtful, resolution_m, box, shape, hits,
+        odds, listed,
+    )  # fmt: skip
+    return occupy(touched, number, camera, rotation, origin, noise_per_m, resolution_m, box, shape, hits, odds, listed, listing)

@@ -1,0 +1,93 @@
+"""Pictures of the map in recycled memory: a buffer is written again once nobody holds what was shown of it."""
+
+from __future__ import annotations
+
+import weakref
+from typing import Any
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.mapping.distance import CHUNK
+from uav_recon.types.frames import AnyArray, ByteArray, IntArray
+from uav_recon.types.maps import TILE, GridSpec, VoxelMap
+
+
+class Canvas:
+    """State and squared distance of a whole map (flat uint8), as they were at a revision. Fresh memory: all unknown."""
+
+    def __init__(self, size: int, revision: int) -> None:
+        self.memory = np.zeros(2 * size + CHUNK, dtype=np.uint8)  # pages nobody wrote cost nothing
+        self.state: ByteArray = self.memory[:size]
+        self.distance2: ByteArray = self.memory[size:]
+        self.revision = revision
+        self.shown = False
+
+
+class Pictures:
+    """The canvas that is being painted, and those that were shown. One owner paints; pictures may be dropped in any thread."""
+
+    def __init__(self, grid: GridSpec, revision: int) -> None:
+        """All unknown at a revision."""
+        self._grid, self._blank_revision = grid, revision
+        self._size = int(np.prod(grid.shape))
+        self.canvas = Canvas(self._size, revision)
+        self._canvases = [self.canvas]
+
+    def paintable(self, tile_revision: IntArray) -> Canvas:
+        """The canvas to paint on: the one at hand, or if somebody holds a picture of it, another made equal to it.
+
+        tile_revision: as of the canvas at hand. Of the other only the tiles that changed since it was painted last are copied.
+        """
+        if self.canvas.shown:
+            shown, self.canvas = self.canvas, self._free()
+            _catch_up(shown.memory, self._grid.shape, tile_revision, self.canvas.revision, self.canvas.memory)
+            self.canvas.revision = shown.revision
+        return self.canvas
+
+    def show(self, tile_revision: IntArray, revision: int, map_epoch: int) -> VoxelMap:
+        """A picture of the canvas at hand, which is not painted on for as long as anybody holds any of its arrays."""
+        canvas = self.canvas
+        canvas.revision, canvas.shown = revision, True
+        view = np.asarray(_Lease(canvas, (2, *self._grid.shape)))
+        dated = tile_revision.copy()
+        dated.setflags(write=False)
+        return VoxelMap(self._grid, view[0], view[1], dated, revision, map_epoch)
+
+    def _free(self) -> Canvas:
+        """The newest canvas that nobody holds, or a blank one; older ones than that are given up, but for one."""
+        free = sorted((canvas for canvas in self._canvases if not canvas.shown), key=lambda canvas: canvas.revision)
+        chosen = free[-1] if free else Canvas(self._size, self._blank_revision)
+        self._canvases = [canvas for canvas in self._canvases if canvas.shown] + free[-2:-1] + [chosen]
+        return chosen
+
+
+class _Lease:
+    """The owner of a picture's arrays: numpy keeps it alive as their base, views of views included."""
+
+    def __init__(self, canvas: Canvas, shape: tuple[int, ...]) -> None:
+        address = canvas.memory.__array_interface__["data"][0]
+        self.__array_interface__: dict[str, Any] = {"version": 3, "typestr": "|u1", "shape": shape, "data": (address, True)}
+        weakref.finalize(self, _take_back, canvas).atexit = False
+
+
+def _take_back(canvas: Canvas) -> None:
+    canvas.shown = False
+
+
+@kernel
+def _catch_up(source: AnyArray, shape: tuple[int, int, int], tile_revision: AnyArray, revision: int, target: AnyArray) -> None:
+    """Copy both layers of the tiles that changed after a revision."""
+    nx, ny, nz = shape
+    for a in range(tile_revision.shape[0]):
+        dated = tile_revision[a]
+        for b in range(tile_revision.shape[1]):
+            if dated[b] <= revision:
+                continue
+            low, size = TILE * b * nz, (min(TILE * b + TILE, ny) - TILE * b) * nz
+            for x in range(TILE * a, min(TILE * a + TILE, nx)):
+                for layer in range(2):
+                    base = (layer * nx + x) * ny * nz + low
+                    ours, theirs = target[base : base + size], source[base : base + size]
+                    for n in range(size):
+                        ours[n] = theirs[n]

@@ -1,0 +1,75 @@
+"""The nearest return under any square window of a depth image, in four look-ups."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import AnyArray
+
+CELL = 2  # pixels per cell of the pooled depth
+LEVELS = 7  # sliding minima over 1, 2, 4 ... 64 cells
+LARGEST_WINDOW = (1 << LEVELS) - 1  # cells across; four windows of the last level cover it
+
+
+@kernel
+def pool(depth_m: AnyArray, near_m: float, lowest_m: AnyArray, valid: AnyArray) -> None:
+    """Sliding minima and counts of the pixels that have a return (finite, at least near_m).
+
+    lowest_m: (LEVELS, h, w) float32 over cells; each window grows to the right and down and is cut at the border; infinite
+    where there is no return. valid: (h + 1, w + 1) int32, the integral image of the counts.
+    """
+    width = depth_m.shape[1]
+    nearest_m = np.full(2 * lowest_m.shape[2], np.inf, dtype=np.float32)
+    returns = np.zeros(2 * lowest_m.shape[2], dtype=np.int32)
+    for i in range(lowest_m.shape[1]):
+        _fold(depth_m, np.float32(near_m), i, nearest_m[:width], returns[:width])
+        target, count, above = lowest_m[0, i], valid[i + 1], valid[i]
+        for j in range(target.size):
+            a, b = nearest_m[2 * j], nearest_m[2 * j + 1]
+            target[j] = a if a < b else b
+        running = np.int32(0)
+        for j in range(target.size):
+            running += returns[2 * j] + returns[2 * j + 1]
+            count[j + 1] = above[j + 1] + running
+    for level in range(1, lowest_m.shape[0]):
+        _widen(lowest_m[level - 1], 1 << (level - 1), lowest_m[level])
+
+
+@kernel
+def _fold(depth_m: AnyArray, near_m: np.float32, cell_row: int, nearest_m: AnyArray, returns: AnyArray) -> None:
+    """Two rows of pixels into one: the nearer return, and how many there are."""
+    infinite = np.float32(np.inf)
+    upper = depth_m[CELL * cell_row]
+    if CELL * cell_row + 1 == depth_m.shape[0]:
+        for u in range(nearest_m.size):
+            a = upper[u]
+            has_a = (a >= near_m) & (a < infinite)
+            nearest_m[u] = a if has_a else infinite
+            returns[u] = np.int32(has_a)
+        return
+    lower = depth_m[CELL * cell_row + 1]
+    for u in range(nearest_m.size):
+        a, b = upper[u], lower[u]
+        has_a, has_b = (a >= near_m) & (a < infinite), (b >= near_m) & (b < infinite)
+        a, b = a if has_a else infinite, b if has_b else infinite
+        nearest_m[u] = a if a < b else b
+        returns[u] = np.int32(has_a) + np.int32(has_b)
+
+
+@kernel
+def _widen(narrow: AnyArray, half: int, wide: AnyArray) -> None:
+    """Minima over windows twice as wide as those of ``narrow``, which are ``half`` cells wide."""
+    rows, columns = narrow.shape
+    whole = max(columns - half, 0)
+    for i in range(rows):
+        first, second, target = narrow[i], narrow[min(i + half, rows - 1)], wide[i]
+        third, fourth = first[columns - whole :], second[columns - whole :]  # local slices keep the loop vectorised
+        for j in range(whole):
+            a, b, c, d = first[j], second[j], third[j], fourth[j]
+            a = a if a < b else b
+            c = c if c < d else d
+            target[j] = a if a < c else c
+        for j in range(whole, columns):
+            a, b = first[j], second[j]
+            target[j] = a if a < b else b

@@ -1,0 +1,100 @@
+"""The returns of a frame: which voxels they end in, and how sure that makes them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.mapping.evidence import add
+from uav_recon.types.frames import AnyArray
+
+SOLID_SHARE = 0.15  # of the pixels that a facing voxel would catch make a hit solid; fewer are a speckle or a wire
+
+
+@kernel
+def count_hits(
+    depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray, near_m: float, far_m: float,
+    resolution_m: float, box: AnyArray, hits: AnyArray, touched: AnyArray,
+) -> int:  # fmt: skip
+    """Count the returns that end in each voxel of a box; ``touched`` lists them, the number of them is returned.
+
+    depth_m (H, W); camera fx, fy, cx, cy; rotation and origin (voxels) of the camera in the grid; box (2, 3) voxels of
+    the grid. hits: int32, all zero, one for each voxel of the box in C order and one more, for pixels without a return or with
+    one that ends elsewhere. touched: int32, indices in the box; H * W + 1 long. Branch-free: nobody can predict a pixel.
+    """
+    fx, fy, cx, cy = camera
+    width = depth_m.shape[1]
+    near, far = np.float32(near_m), np.float32(far_m)
+    far2, zero = far * far, np.float32(0.0)
+    scale = 1.0 / resolution_m
+    across_x, across_y = np.float32(rotation[0, 0] * scale / fx), np.float32(rotation[1, 0] * scale / fx)
+    across_z = np.float32(rotation[2, 0] * scale / fx)
+    ox, oy, oz = np.float32(origin[0] - box[0, 0]), np.float32(origin[1] - box[0, 1]), np.float32(origin[2] - box[0, 2])
+    ny, nz = np.int32(box[1, 1] - box[0, 1]), np.int32(box[1, 2] - box[0, 2])
+    nowhere = np.int32(box[1, 0] - box[0, 0]) * ny * nz
+    end_x, end_y, end_z = np.float32(box[1, 0] - box[0, 0]), np.float32(ny), np.float32(nz)
+    middle, per_pixel = np.float32(cx), np.float32(1.0 / fx)
+    ends = np.empty(width, dtype=np.int32)
+    hits[nowhere] = 1
+    number = 0
+    for v in range(depth_m.shape[0]):
+        y = (v - cy) / fy
+        ax = np.float32((rotation[0, 1] * y + rotation[0, 2]) * scale)
+        ay = np.float32((rotation[1, 1] * y + rotation[1, 2]) * scale)
+        az = np.float32((rotation[2, 1] * y + rotation[2, 2]) * scale)
+        yy = np.float32(y * y + 1.0)
+        row = depth_m[v]
+        for u in range(width):
+            depth = row[u]
+            right = np.float32(np.int32(u)) - middle
+            x = right * per_pixel
+            gx, gy, gz = (
+                ox + depth * (across_x * right + ax),
+                oy + depth * (across_y * right + ay),
+                oz + depth * (across_z * right + az),
+            )
+            seen = (depth >= near) & (depth <= far) & (depth * depth * (x * x + yy) <= far2)
+            seen &= (gx >= zero) & (gy >= zero) & (gz >= zero) & (gx < end_x) & (gy < end_y) & (gz < end_z)
+            gx, gy, gz = gx if seen else zero, gy if seen else zero, gz if seen else zero
+            index = (np.int32(gx) * ny + np.int32(gy)) * nz + np.int32(gz)
+            ends[u] = index if seen else nowhere
+        for u in range(width):
+            end = np.uint32(ends[u])
+            count = hits[end]
+            touched[number] = end
+            number += int(count == 0)
+            hits[end] = count + 1
+    hits[nowhere] = 0
+    return number
+
+
+@kernel
+def occupy(
+    touched: AnyArray, number: int, camera: AnyArray, rotation: AnyArray, origin: AnyArray, noise_per_m: float,
+    resolution_m: float, box: AnyArray, shape: tuple[int, int, int], hits: AnyArray, odds: AnyArray, listed: AnyArray,
+    listing: int,
+) -> int:  # fmt: skip
+    """Mark the voxels with returns, the surer the more, and clear the counts.
+
+    Appends the flat indices of voxels whose state may change to listed[listing:]; returns the new number in the list.
+    """
+    ny, nz = box[1, 1] - box[0, 1], box[1, 2] - box[0, 2]
+    for n in range(number):
+        end = touched[n]
+        i = end // (ny * nz)
+        j = (end - i * ny * nz) // nz
+        k = end - (i * ny + j) * nz
+        i, j, k = i + box[0, 0], j + box[0, 1], k + box[0, 2]
+        x, y, z = i + 0.5 - origin[0], j + 0.5 - origin[1], k + 0.5 - origin[2]
+        depth = (rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z) * resolution_m
+        facing = camera[0] * resolution_m
+        sigma_m = noise_per_m * depth * depth
+        weight = 1
+        if hits[end] * depth * depth >= SOLID_SHARE * facing * facing:
+            weight = 4 if sigma_m <= 0.25 * resolution_m else 2 if sigma_m <= 0.5 * resolution_m else 1
+        hits[end] = 0
+        index = (i * shape[1] + j) * shape[2] + k
+        if add(odds, index, weight):
+            listed[listing] = index
+            listing += 1
+    return listing
