@@ -43,14 +43,18 @@ def simulate(options: SimOptions) -> int:
             from sitl.fly_lockstep import fly_in_lockstep, interrupts
 
             with interrupts() as land:
-                fault = fly_in_lockstep(options, config, scene, console, land)
+                flown = fly_in_lockstep(options, config, scene, console, land)
+            fault, times_real = flown.fault, flown.simulated_s / flown.wall_s
         else:
             _claim_port(options.port)
+            times_real = None
             fault = _RealTime(options, config, Path(runtime), console).fly()
     from sitl.fly_report import judge, summary
 
     report = judge(options, scene, time.monotonic() - started_s, fault, console)
     console.print(summary(report, options.out))
+    if times_real is not None:
+        console.print(f"flown in lockstep at {times_real:.1f} times real time")
     if fault:
         raise run.Failure(fault)
     return 0 if report.completed else 1

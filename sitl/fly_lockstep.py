@@ -7,8 +7,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -27,15 +29,32 @@ from uav_recon.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
 from uav_recon.protocols import Mapper
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.recording.mapfile import save_map
+from uav_recon.recording.timelapse import Timelapse
+
+if TYPE_CHECKING:
+    from uav_recon.recording.recorder import Recorder
 
 START_S = 1000.0
 LONGEST_S = 3600.0
 
 
+@dataclass(frozen=True)
+class Flown:
+    """A flight in lockstep: its fault in one line or None, how long it was on its own clock, and what it took on ours.
+
+    wall_s and processor_s are of the flight alone, from the first turn to the last.
+    """
+
+    fault: str | None
+    simulated_s: float
+    wall_s: float
+    processor_s: float
+
+
 def fly_in_lockstep(
-    options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool]
-) -> str | None:
-    """Fly; returns the fault in one line, None for none. land() is asked whether the operator wants to land now."""
+    options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool], timelapse: bool = True
+) -> Flown:
+    """Fly. land() is asked whether the operator wants to land now; timelapse: keep states of the surface, for recall."""
     clock, quick = ManualClock(START_S), options.mapper == "stand-in"
     pace, wires = (QUICK, direct_wires()) if quick else (REAL, run.memory_wires())
     ours, theirs = pipe()
@@ -46,10 +65,15 @@ def fly_in_lockstep(
     pilot = run.make_pilot(config, wires, ours, log, clock)
     perception = run.make_perception(config, wires, clock)
     conductor = run.make_conductor(config, wires, mapper, InlineExecutor(clock), journal, clock, time.perf_counter)
-    recorder = run.make_recorder(config, wires, options.out, clock) if config.recording.rerun else None
+    watchers: list[Recorder | Timelapse] = []  # the recorder keeps states of the surface too
+    if config.recording.rerun:
+        watchers.append(run.make_recorder(config, wires, options.out, clock))
+    elif timelapse:
+        watchers.append(Timelapse(options.out, wires.surface, clock))
     conductor.request_start()
     mission_rate, record_rate = RateKeeper(MISSION_RATE_HZ, START_S), RateKeeper(RECORDER_RATE_HZ, START_S)
     steps = 0
+    started_s, processor_s = time.perf_counter(), time.process_time()
     with Screen(console, wires) as screen:
         while not conductor.finished and steps * pace.turn_s < LONGEST_S:
             steps += 1
@@ -65,19 +89,21 @@ def fly_in_lockstep(
                 conductor.step()
             pilot.step()
             if record_rate.due(now_s):
-                if recorder is not None:
-                    recorder.step()
+                for watcher in watchers:
+                    watcher.step()
                 screen.show()
         conductor.close()
+    wall_s, processor_s = time.perf_counter() - started_s, time.process_time() - processor_s
     if conductor.map is not None:
         save_map(options.out, conductor.map)
     mapper.finish(options.out)
     journal.close()
     log.close()
-    if recorder is not None:
-        recorder.close()
+    for watcher in watchers:
+        watcher.close()
     world.truth_log.save(options.out / "truth.npz", world)
-    return None if conductor.finished else f"the flight did not end within {LONGEST_S:.0f} s of simulated time"
+    fault = None if conductor.finished else f"the flight did not end within {LONGEST_S:.0f} s of simulated time"
+    return Flown(fault, steps * pace.turn_s, wall_s, processor_s)
 
 
 @contextmanager

@@ -63,35 +63,52 @@ def cache_folder() -> Path:
 
 def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:
     """Hold the flight in options.out against truth and write the report beside it."""
-    folder = options.out
     with console.status("cutting truth to what the camera could see ..."):
-        camera: Model = "wide" if options.camera == "wide" else "d435i"  # `fast` sees what the d435i sees
-        cut = load_truth_cut(scene, options.mount, camera, cache_folder())
-    voxels, mesh, truth = load_map(folder), load_mesh(folder), TruthOfFlight.load(folder / "truth.npz")
-    card = FlightCard(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
-    report = account(folder, card, wall_s)
+        cut = truth_cut(options, scene)
     with console.status("measuring the model against truth ..."):
-        curve = recall_over_time(folder, cut)
+        report = against_truth(flown(options, scene, wall_s, fault), options, scene, cut)
+        mesh = load_mesh(options.out)
         report = dataclasses.replace(
-            report,
-            outcome=f"aborted: {fault}" if fault else report.outcome,
-            explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut),
-            quality=None if mesh is None or len(mesh.faces) == 0 else _quality(mesh, scene, cut),
-            recall_over_time=curve,
-            time_to_recall_s={recall: time_to(curve or (), float(recall)) for recall in TIMED_RECALLS},
-            oracle_s=SEEN_WELL_S.get(scene.name),
-        )
-    if truth is not None:
-        report = dataclasses.replace(
-            report,
-            path_length_m=_path_length_m(truth),
-            flight_time_s=_flight_time_s(truth),
-            stream=_stream(truth),
-            safety=_safety(truth, report.safety.refusals, scene),
+            report, quality=None if mesh is None or len(mesh.faces) == 0 else _quality(mesh, scene, cut)
         )
     with console.status("drawing pictures ..."):
-        publish(report, folder)
+        publish(report, options.out)
     return report
+
+
+def truth_cut(options: SimOptions, scene: Scene) -> TruthCut:
+    """What the camera of the options can see of the scene, from the cache or made anew."""
+    camera: Model = "wide" if options.camera == "wide" else "d435i"  # `fast` sees what the d435i sees
+    return load_truth_cut(scene, options.mount, camera, cache_folder())
+
+
+def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -> Report:
+    """The product's account of the flight in options.out, with what the simulator saw of it. Quick."""
+    card = FlightCard(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
+    report, truth = account(options.out, card, wall_s), TruthOfFlight.load(options.out / "truth.npz")
+    if fault:
+        report = dataclasses.replace(report, outcome=f"aborted: {fault}")
+    if truth is None:
+        return report
+    return dataclasses.replace(
+        report,
+        path_length_m=_path_length_m(truth),
+        flight_time_s=_flight_time_s(truth),
+        stream=_stream(truth),
+        safety=_safety(truth, report.safety.refusals, scene),
+    )
+
+
+def against_truth(report: Report, options: SimOptions, scene: Scene, cut: TruthCut) -> Report:
+    """Add how much of the truth was explored, and when its surface was recalled."""
+    voxels, curve = load_map(options.out), recall_over_time(options.out, cut)
+    return dataclasses.replace(
+        report,
+        explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut),
+        recall_over_time=curve,
+        time_to_recall_s={recall: time_to(curve or (), float(recall)) for recall in TIMED_RECALLS},
+        oracle_s=SEEN_WELL_S.get(scene.name),
+    )
 
 
 def _quality(mesh: TriangleMesh, scene: Scene, cut: TruthCut) -> ReportQuality:

@@ -94,6 +94,44 @@ def sim(
 
 
 @app.command()
+def sweep(
+    flights: Annotated[int, typer.Option(min=1, max=100000, help="How many.")] = 500,
+    seed0: Annotated[int, typer.Option(min=0, help="First seed.")] = 0,
+    scenes: Annotated[
+        str, typer.Option(help="Scenes with commas between: random (a new flat with each seed), built-in, folders, meshes.")
+    ] = "random",
+    radii: Annotated[str, typer.Option(help="Radii of the vehicle in metres, with commas between.")] = "0.20",
+    variants: Annotated[str, typer.Option(help="Planner variants as `sim` has them, with commas between.")] = "adaptive",
+    mount: Annotated[str, typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount.")] = "fixed:15",
+    camera: Annotated[str, typer.Option(help="d435i, wide or fast.")] = "fast",
+    views: Annotated[int | None, typer.Option(min=4, max=5000, help="View budget. Default: as `sim`.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; one core each.")] = 2,
+    json: Annotated[
+        Path | None, typer.Option(help="Account to write, and to go on with: what it holds is not flown again.")
+    ] = None,
+    truth: Annotated[
+        bool, typer.Option("--truth", help="Measure explored fraction and recall too: up to a minute for each new scene.")
+    ] = False,
+) -> None:
+    """Fly many missions in quick lockstep with a stand-in for the mapper; a line each, a table, and what went wrong.
+
+    Flights go through scenes, radii and variants, then the same again with the next seed. Exit code 1 if any flight
+    touched something or broke; such a flight is repeated by the command that is printed.
+    """
+    from sitl.fly_sweep import SweepOptions
+    from sitl.fly_sweep import sweep as fly_all
+
+    _exit(
+        lambda: fly_all(
+            SweepOptions.parse(
+                flights=flights, seed0=seed0, scenes=scenes, radii=radii, variants=variants, mount=mount, camera=camera,
+                views=views, jobs=jobs, json=json, truth=truth,
+            )
+        )
+    )  # fmt: skip
+
+
+@app.command()
 def pilot(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
     """The process next to the autopilot: the only MAVLink link, the guard, the setpoint stream."""
     _exit(lambda: processes.pilot(config, flight))

@@ -1,0 +1,184 @@
+"""`uav-recon sweep`: many flights in quick lockstep, a line each, with an account that a second call goes on with."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import multiprocessing
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree, one_thread
+from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError
+from uav_recon import run
+
+RANDOM, BUILT_IN = "random", "built-in"  # words for scenes: a new flat with each seed; the room of `sim`
+BAD_SHOWN, LOG_COLUMNS = 20, 160
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """Flights go through scenes, radii and variants in that order, then the same again with the next seed."""
+
+    flights: int
+    seed0: int
+    scenes: tuple[str, ...]
+    radii_m: tuple[float, ...]
+    variants: tuple[str, ...]
+    mount: str
+    camera: str
+    views: int | None
+    jobs: int
+    json: Path | None
+    truth: bool
+
+    @staticmethod
+    def parse(
+        *, flights: int = 500, seed0: int = 0, scenes: str = RANDOM, radii: str = "0.20", variants: str = "adaptive",
+        mount: str = "fixed:15", camera: str = "fast", views: int | None = None, jobs: int = 2, json: Path | None = None,
+        truth: bool = False,
+    ) -> SweepOptions:  # fmt: skip
+        """Check the words of the command line. Raises UsageError with one line."""
+        try:
+            sizes = tuple(float(word) for word in radii.split(","))
+        except ValueError:
+            raise UsageError(f"--radii {radii}: want metres with commas between them") from None
+        if not all(RADII_M[0] <= size <= RADII_M[1] for size in sizes):
+            raise UsageError(f"--radii {radii}: want {RADII_M[0]}..{RADII_M[1]} metres")
+        names = tuple(variants.split(","))
+        if not set(names) <= set(VARIANTS):
+            raise UsageError(f"--variants {variants}: want some of {', '.join(VARIANTS)}")
+        if camera not in CAMERAS:
+            raise UsageError(f"--camera {camera}: want one of {', '.join(CAMERAS)}")
+        return SweepOptions(flights, seed0, tuple(scenes.split(",")), sizes, names, mount, camera, views, jobs, json, truth)
+
+    def cases(self) -> Iterator[Case]:
+        """All flights, in order."""
+        round_of = list(itertools.product(self.variants, self.radii_m, self.scenes))
+        for number in range(self.flights):
+            seed, (variant, radius_m, word) = self.seed0 + number // len(round_of), round_of[number % len(round_of)]
+            scene = {RANDOM: f"random:{seed}", BUILT_IN: None}.get(word, word)
+            yield Case(scene, seed, radius_m, variant, self.mount, self.camera, self.views)
+
+
+def sweep(options: SweepOptions) -> int:
+    """Fly what the account lacks; returns 1 if any flight touched something or broke, else 0. Raises run.Failure."""
+    console = Console(width=None if Console().is_terminal else LOG_COLUMNS)
+    records = _load(options.json)
+    known = {record.case for record in records}
+    todo = [case for case in options.cases() if case not in known]
+    columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task("", total=len(todo))
+        one_thread()
+        for record in _fly_all(todo, options.truth, options.jobs):
+            records.append(record)
+            _save(options.json, records)
+            progress.console.print(_line(record), markup=False, highlight=False, soft_wrap=True)
+            progress.advance(task)
+    wanted = set(options.cases())
+    return _conclude([record for record in records if record.case in wanted], console)
+
+
+def _fly_all(todo: list[Case], truth: bool, jobs: int) -> Iterator[Record]:
+    """Records as they come. Where a process died, each flight that was under way is flown again alone: whose fault was it?"""
+    waiting, spawn = list(reversed(todo)), multiprocessing.get_context("spawn")
+    while waiting:
+        suspects: list[Case] = []
+        with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+            flying: dict[Future[Record], Case] = {}
+            while flying or (waiting and not suspects):
+                while waiting and not suspects and len(flying) < jobs:
+                    case = waiting.pop()
+                    flying[pool.submit(fly_case, case, truth)] = case
+                for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                    case = flying.pop(future)
+                    try:
+                        yield future.result()
+                    except BrokenProcessPool:
+                        suspects.append(case)
+        if jobs == 1:
+            yield from (Record(case, error="the process died") for case in suspects)
+        else:
+            for case in suspects:
+                yield from _fly_all([case], truth, 1)
+
+
+def _load(path: Path | None) -> list[Record]:
+    if path is None or not path.exists():
+        return []
+    try:
+        return [from_tree(tree) for tree in json.loads(path.read_text(encoding="utf-8"))["flights"]]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise run.Failure(f"--json {path}: not the account of a sweep ({error})", run.EXIT_USAGE) from None
+
+
+def _save(path: Path | None, records: list[Record]) -> None:
+    if path is None:
+        return
+    temporary = path.with_name(path.name + ".new")
+    try:
+        temporary.write_text(json.dumps({"flights": [as_tree(r) for r in records]}, indent=1), encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise run.Failure(f"--json {path}: cannot be written ({error.strerror})") from None
+
+
+def _number(value: float | None, digits: int, width: int) -> str:
+    return f"{'-' if value is None else format(value, f'.{digits}f'):>{width}}"
+
+
+def _line(record: Record) -> str:
+    case = record.case
+    head = f"{case.scene or BUILT_IN:14} seed {case.seed:4} r {case.radius_m:.2f} {case.variant:9}"
+    if record.error:
+        return f"{head} ERROR {record.error}"
+    return (
+        f"{head} flight {_number(record.flight_s, 0, 4)} s  path {_number(record.path_m, 1, 6)} m  views {record.views:3}  "
+        f"explored {_number(record.explored, 3, 5)}  clearance {_number(record.min_clearance_m, 3, 6)} m  "
+        f"contacts {record.contacts}  x{_number(record.times_real, 1, 5)}  {record.outcome}: {record.stop_reason}"
+    )
+
+
+def _conclude(records: list[Record], console: Console) -> int:
+    table = Table(title=f"{len(records)} flights", title_justify="left")
+    for name in ("scenes", "radius", "variant", "flights", "completed", "contacts", "errors"):
+        table.add_column(name, no_wrap=True)
+    for name in ("clearance", "flight s", "path m", "views", "explored", "recall .90 s", "x real time"):
+        table.add_column(name, justify="right", no_wrap=True)
+    groups: dict[tuple[str, float, str], list[Record]] = {}
+    for record in records:
+        scene = record.case.scene or BUILT_IN
+        kind = RANDOM if scene.startswith(f"{RANDOM}:") else Path(scene).name
+        groups.setdefault((kind, record.case.radius_m, record.case.variant), []).append(record)
+    for (kind, radius_m, variant), some in sorted(groups.items()):
+        clearances = [r.min_clearance_m for r in some if r.min_clearance_m is not None]
+        table.add_row(
+            kind, f"{radius_m:.2f}", variant, str(len(some)),
+            str(sum(r.outcome == "completed" for r in some)), str(sum(r.contacts or 0 for r in some)),
+            str(sum(bool(r.error) for r in some)), f"{min(clearances):.3f}" if clearances else "-",
+            *(_middle([getattr(r, name) for r in some]) for name in
+              ("flight_s", "path_m", "views", "explored", "recall_90_s", "times_real")),
+        )  # fmt: skip
+    console.print(table)
+    console.print("clearance: the least of all; the other figures are medians")
+    bad = [record for record in records if record.bad]
+    for record in bad[:BAD_SHOWN]:
+        what = record.error or f"{record.contacts} contacts, clearance {_number(record.min_clearance_m, 3, 0)} m"
+        console.print(f"{what}: {record.case.command()}", markup=False, highlight=False, soft_wrap=True)
+    if len(bad) > BAD_SHOWN:
+        console.print(f"... and {len(bad) - BAD_SHOWN} more")
+    return 1 if bad else 0
+
+
+def _middle(values: list[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return f"{np.median(known):.2f}" if known else "-"
