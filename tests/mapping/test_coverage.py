@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mapping.coverage import SIGHTINGS, Coverage
+from uav_recon.mapping.coverage import SIGHTINGS, UNIT, Coverage
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
@@ -43,6 +43,19 @@ def test_surface_wants_several_looks_and_then_no_more(coverage: Coverage) -> Non
         coverage.keep(posed)
     assert not coverage.worth(wall_seen(0.3, 0.0), views_left=10_000)  # nothing is missing where this one looks
     assert coverage.worth(wall_seen(0.0, np.pi), views_left=MANY)
+
+
+def test_the_sum_of_looks_is_kept_and_a_mere_glance_leaves_nothing(coverage: Coverage) -> None:
+    rng = np.random.default_rng(4)
+    for step in range(40):
+        posed = wall_seen(float(rng.uniform(-1, 1)), float(rng.uniform(-0.3, 0.3)), float(rng.uniform(0.5, 1.9)))
+        before = coverage._looks.copy()
+        coverage.worth(posed, views_left=MANY)
+        np.testing.assert_array_equal(coverage._looks, before)
+        if step % 2:
+            coverage.keep(posed)
+    np.testing.assert_allclose(coverage.looks_given(), coverage._looks.sum(dtype=np.int64) / UNIT)
+    assert coverage.looks_given() > 500 and coverage._looks.max() == SIGHTINGS * UNIT
 
 
 def test_vague_depth_counts_for_less() -> None:

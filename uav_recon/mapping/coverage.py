@@ -20,6 +20,8 @@ GOOD_SIGMA_M = 0.02  # depth this certain counts as one look
 PIXEL_STEP = 4
 FURNITURE = 1.5  # surface of a furnished room against that of its box
 SMALLEST_GAIN = 100.0
+UNIT = 10_000  # counts of a look; its sum of SIGHTINGS stays under MET
+MET = 1 << 15  # bit of a voxel that this frame has met already
 THRIFT = 4.0  # a view on the way must bring more than its share: tasks will want views too
 BASELINE_M, BASELINE_RAD = 0.25, 0.25  # nearer than both to the last keyframe a frame shows the same once more
 
@@ -31,9 +33,9 @@ class Coverage:
         self, grid: GridSpec, fence_min_m: FloatArray, fence_max_m: FloatArray, noise_px: float, baseline_m: float
     ) -> None:
         self._grid, self._noise_px, self._baseline_m = grid, noise_px, baseline_m
-        self._looks = np.zeros(grid.shape, dtype=np.float32)
-        self._stamp = np.zeros(grid.shape, dtype=np.int64)
-        self._reads = 0
+        self._looks = np.zeros(grid.shape, dtype=np.uint16)
+        self._met = np.zeros(0, dtype=np.int64)
+        self._given = 0.0
         a, b, c = np.asarray(fence_max_m, dtype=np.float64) - np.asarray(fence_min_m, dtype=np.float64)
         self._wanted = SIGHTINGS * FURNITURE * 2.0 * (a * b + b * c + c * a) / grid.resolution_m**2
         self._last: Pose | None = None
@@ -52,7 +54,7 @@ class Coverage:
 
     def looks_given(self) -> float:
         """Sum over all voxels of the looks they got."""
-        return float(self._looks.sum())
+        return self._given
 
     def warm_up(self) -> None:
         """Compile the kernel on an empty frame; nothing is kept."""
@@ -68,12 +70,16 @@ class Coverage:
         return float(np.linalg.norm(step.translation_m)) >= BASELINE_M or turn_rad >= BASELINE_RAD
 
     def _read(self, posed: PosedFrame, *, keep: bool) -> float:
-        self._reads += 1
         frame, pose = posed.frame, posed.world_from_depth
         sigma = self._noise_px / (frame.depth_intrinsics.fx * self._baseline_m)
         origin = (pose.translation_m - self._grid.origin_world_m) / self._grid.resolution_m
         rotation = pose.rotation() / self._grid.resolution_m
-        return _gain(frame.depth_m, _lens(frame), rotation, origin, sigma, self._looks, self._stamp, self._reads, keep)
+        if self._met.size < frame.depth_m.size:
+            self._met = np.zeros(frame.depth_m.size, dtype=np.int64)
+        shape, looks = self._grid.shape, self._looks.reshape(-1)
+        gain: float = _gain(frame.depth_m, _lens(frame), rotation, origin, sigma, shape, looks, self._met, keep)
+        self._given += gain if keep else 0.0
+        return gain
 
 
 def _lens(frame: Frame) -> FloatArray:
@@ -84,10 +90,13 @@ def _lens(frame: Frame) -> FloatArray:
 @kernel
 def _gain(
     depth_m: AnyArray, lens: AnyArray, rotation: AnyArray, origin: AnyArray, sigma: float,
-    looks: AnyArray, stamp: AnyArray, read: int, keep: bool,
+    shape: tuple[int, int, int], looks: AnyArray, met: AnyArray, keep: bool,
 ) -> float:  # fmt: skip
-    """Sum over the voxels met by the depth image of what one look adds; each voxel counts once a frame."""
-    gain = 0.0
+    """Sum over the voxels met by the depth image of what one look adds; each voxel counts once a frame.
+
+    looks: flat uint16, in counts. met: scratch for the voxels met.
+    """
+    gain = number = 0
     for v in range(0, depth_m.shape[0], PIXEL_STEP):
         for u in range(0, depth_m.shape[1], PIXEL_STEP):
             z = float(depth_m[v, u])
@@ -97,14 +106,17 @@ def _gain(
             i = int(np.floor(rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + origin[0]))
             j = int(np.floor(rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + origin[1]))
             k = int(np.floor(rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + origin[2]))
-            if not (0 <= i < looks.shape[0] and 0 <= j < looks.shape[1] and 0 <= k < looks.shape[2]):
+            if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
                 continue
-            if stamp[i, j, k] == read:
+            index = (i * shape[1] + j) * shape[2] + k
+            given = int(looks[index])
+            if given >= MET:
                 continue
-            stamp[i, j, k] = read
-            look = min(GOOD_SIGMA_M / (sigma * z * z), 1.0, SIGHTINGS - looks[i, j, k])
-            if look > 0.0:
-                gain += look
-                if keep:
-                    looks[i, j, k] += look
-    return gain
+            look = min(int(UNIT * min(GOOD_SIGMA_M / (sigma * z * z), 1.0)), int(UNIT * SIGHTINGS) - given)
+            gain += look
+            looks[index] = MET + given + (look if keep else 0)
+            met[number] = index
+            number += 1
+    for n in range(number):
+        looks[met[n]] -= MET
+    return gain / UNIT
