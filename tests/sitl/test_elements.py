@@ -1,4 +1,4 @@
-"""The stand-in for a learned surface: elements on the wall that was seen, facing the camera, better known with each near look."""
+"""The stand-in for a learned surface: elements on the wall that was seen, facing the camera, better known with each look."""
 
 from __future__ import annotations
 

@@ -10,8 +10,8 @@ from companion import LAND, Companion
 from px4_rig import companion, flying
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.parameters import Parameters
 from sitl.pace import REAL
+from sitl.parameters import Parameters
 from sitl.px4 import Px4
 from sitl.vehicle import Quadrotor
 
