@@ -54,7 +54,7 @@ def test_what_is_not_a_number_or_far_from_the_map_is_left_out() -> None:
 def test_looks_take_weight_away() -> None:
     grid = seen_room().grid
     elements = Elements.of(elements_of(MEETING_ROOM), grid, 5)
-    looks = np.zeros(grid.shape)
+    looks = np.zeros(grid.shape, dtype=np.float32)
     looks.ravel()[elements.voxel[elements.cells[3, 0]]] = 2.0
     weight = weigh(elements.cells[2:5], elements.sigma, elements.voxel, looks.ravel(), 0.5)
     looked = looks.ravel()[elements.voxel] > 0

@@ -53,7 +53,7 @@ def test_gains_are_what_exact_rays_see_and_the_chosen_view_is_nearly_the_best_of
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
     situation = situation_in(voxels, HERE)
     elements = Elements.of(surface, voxels.grid, CONFIG.downsample)
-    proposals = SurfaceViews(CONFIG, camera).propose(situation, surface, np.zeros(voxels.grid.shape), 1.0)
+    proposals = SurfaceViews(CONFIG, camera).propose(situation, surface, np.zeros(voxels.grid.shape, dtype=np.float32), 1.0)
     assert len(proposals) >= 3
     weight = elements.sigma.copy()
     radii_m = (0.5, 0.65, *np.linspace(CONFIG.shell_min_m, CONFIG.shell_max_m, 3))
@@ -89,7 +89,7 @@ def test_surface_behind_a_wall_is_no_task_and_comes_within_reach_by_the_door() -
     behind = (surface.position_world[:, 0] > 4.05) & (surface.position_world[:, 1] < 0.6)
     only = SurfaceElements(surface.position_world[behind], surface.normal_world[behind], surface.uncertainty[behind], 1)
     views = SurfaceViews(CONFIG, GIMBAL)
-    looks = np.zeros(voxels.grid.shape)
+    looks = np.zeros(voxels.grid.shape, dtype=np.float32)
     assert views.propose(situation_in(voxels, here), only, looks, 1.0) == []
     assert views.propose(situation_in(voxels, here), only, looks, 3.0)
     assert views.propose(situation_in(voxels, np.array([5.0, 0.8, 1.2])), only, looks, 1.0)
@@ -98,7 +98,7 @@ def test_surface_behind_a_wall_is_no_task_and_comes_within_reach_by_the_door() -
 def test_tasks_run_out_as_they_are_looked_at() -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
     situation, views = situation_in(voxels, HERE), SurfaceViews(CONFIG, GIMBAL)
-    looks = np.zeros(voxels.grid.shape)
+    looks = np.zeros(voxels.grid.shape, dtype=np.float32)
     gains = []
     for _ in range(12):
         proposals = views.propose(situation, surface, looks, 3.0)
@@ -111,7 +111,7 @@ def test_tasks_run_out_as_they_are_looked_at() -> None:
 
 def test_no_surface_makes_no_task_and_the_same_surface_the_same_tasks() -> None:
     voxels = seen_room()
-    situation, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape)
+    situation, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
     nothing = SurfaceElements(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 1)
     views = SurfaceViews(CONFIG, FIXED)
     assert views.propose(situation, None, looks, 1.0) == []

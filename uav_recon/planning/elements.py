@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import GridSpec, SurfaceElements
 
 CELL = 3.0  # voxels: elements in one cube of this, facing the same main direction, are a cell
@@ -99,7 +99,7 @@ def _voxel_of(position: FloatArray, shape: IntArray) -> IntArray:
 
 
 @kernel
-def weigh(cells: IntArray, sigma: FloatArray, voxel: IntArray, looks: FloatArray, discount: float) -> FloatArray:
+def weigh(cells: IntArray, sigma: FloatArray, voxel: IntArray, looks: Float32Array, discount: float) -> FloatArray:
     """Weights (N,) of the elements of some cells: sigma, times ``discount`` for each square look at their voxel; else 0.
 
     looks: (voxels,) flat, the sum of the cosines under which a voxel's surface was looked at.

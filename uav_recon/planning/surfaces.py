@@ -16,7 +16,7 @@ from uav_recon.planning.gains import best_view, patches_near, promising
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.planning.vicinity import seen_from_near, wave
 from uav_recon.planning.viewpoints import shell
-from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import GridSpec, SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
@@ -39,7 +39,7 @@ class SurfaceViews:
         self._sorted: tuple[SurfaceElements, tuple[object, ...], Elements] | None = None
 
     def propose(
-        self, situation: Situation, surface: SurfaceElements | None, looks: FloatArray, factor: float
+        self, situation: Situation, surface: SurfaceElements | None, looks: Float32Array, factor: float
     ) -> list[Proposal]:
         """Return at most N_rec tasks; ``factor`` multiplies R_loc, R_clu and N_rec (alpha once no frontier is left).
 
