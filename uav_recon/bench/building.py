@@ -65,7 +65,7 @@ def fly_through() -> Recording:
         tilt = Pose.from_rotation_vector(np.array([0.0, pitch_rad[n], 0.0]), np.zeros(3))
         pose = Pose.from_yaw(float(yaw_rad[n]), place_m[n]) @ tilt @ Pose.from_matrix(BODY_FROM_OPTICAL)
         frames.append(recorded(_picture(pose), pose, LENS, n))
-    return Recording("built-in building", tuple(frames), LENS, LOW_M, HIGH_M, MAX_RANGE_M, None, None)
+    return Recording("built-in building", tuple(frames), LENS, LOW_M, HIGH_M, MAX_RANGE_M)
 
 
 def _picture(pose: Pose) -> Float32Array:

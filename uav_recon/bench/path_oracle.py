@@ -33,7 +33,7 @@ def flyable(voxels: VoxelMap, clearance_m: float, low: IntArray, high: IntArray)
 
 
 def connected_pairs(mask: BoolArray, count: int, seed: int) -> IntArray:
-    """Seeded pairs (count, 2, 3) of different cells of the largest 26-connected part of the mask; (0, 2, 3) if it has one cell."""
+    """Seeded pairs (count, 2, 3) of different cells of the largest 26-connected part; (0, 2, 3) if it has one cell."""
     labels, parts = ndimage.label(mask, structure=_AROUND)
     cells = (
         np.argwhere(labels == 1 + int(np.argmax(np.bincount(labels[mask])[1:]))) if parts else np.zeros((0, 3), dtype=np.int64)

@@ -41,6 +41,7 @@ def bench_planner(stream: Path | None, size: str, stride: int, scale: bool, json
     result: Result = {
         "stream": recording.name,
         "image": f"{recording.lens.width}x{recording.lens.height}",
+        "stride": recording.stride,
         "frames": len(recording.frames),
         "machine": machine.processor(),
         "commit": machine.commit(),

@@ -32,7 +32,10 @@ _NO_COLOUR = np.zeros((1, 1, 3), dtype=np.uint8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """Frames with their poses in a room whose box (3,), (3,) in metres is known; the reference map where there is one."""
+    """Frames with their poses in a room whose box (3,), (3,) in metres is known; the reference map where there is one.
+
+    stride: every so many-th row and column of a picture is to be looked at.
+    """
 
     name: str
     frames: tuple[PosedFrame, ...]
@@ -40,8 +43,9 @@ class Recording:
     low_m: FloatArray
     high_m: FloatArray
     max_range_m: float
-    reference: ByteArray | None
-    folder: Path | None
+    stride: int = 1
+    reference: ByteArray | None = None
+    folder: Path | None = None
 
     @property
     def grid(self) -> GridSpec:
@@ -55,14 +59,8 @@ def recorded(depth_m: AnyArray, world_from_camera: Pose, lens: Intrinsics, seque
     return PosedFrame(Frame(stamp_s, sequence, depth_m, lens, _NO_COLOUR, lens, Pose.identity()), world_from_camera)
 
 
-def strided(lens: Intrinsics, stride: int) -> Intrinsics:
-    """Return the lens of an image of which every stride-th pixel is kept, the top-left one first."""
-    width, height = -(-lens.width // stride), -(-lens.height // stride)
-    return Intrinsics(lens.fx / stride, lens.fy / stride, lens.cx / stride, lens.cy / stride, width, height)
-
-
 def load(folder: Path, size: str, stride: int) -> Recording:
-    """Read a stream at one of its sizes ('640x480'), every stride-th pixel. Raises Failure in one line for what is wrong."""
+    """Read a stream at one of its sizes ('640x480'). Raises Failure in one line for what is wrong."""
     if not folder.is_dir():
         raise Failure(
             f"--stream {folder}: no such folder; want a folder with meta.json, poses.npy and depth_WxH.npz", EXIT_USAGE
@@ -80,18 +78,18 @@ def load(folder: Path, size: str, stride: int) -> Recording:
         max_range_m = float(meta["max_range_m"])
     except (KeyError, TypeError, ValueError) as error:
         raise Failure(f"{folder / 'meta.json'}: {error}; want room, max_range_m and {size} with fx, fy, cx, cy") from None
-    lens = strided(Intrinsics(**focal, width=width, height=height), stride)
+    lens = Intrinsics(**focal, width=width, height=height)
     poses = _array(folder / "poses.npy")
     depth_mm = _array(folder / f"depth_{size}.npz", "depth_mm")
     _expect(folder / "poses.npy", poses, (len(depth_mm), 4, 4))
     _expect(folder / f"depth_{size}.npz", depth_mm, (len(poses), height, width))
     far_m = FAR_RANGES * max_range_m
     frames = tuple(
-        recorded(_metres(depth[::stride, ::stride], far_m), Pose.from_matrix(matrix), lens, n)
+        recorded(_metres(depth, far_m), Pose.from_matrix(matrix), lens, n)
         for n, (depth, matrix) in enumerate(zip(depth_mm, poses, strict=True))
     )
-    recording = Recording(folder.name, frames, lens, low_m, high_m, max_range_m, None, folder)
-    return Recording(folder.name, frames, lens, low_m, high_m, max_range_m, _reference(folder, recording.grid), folder)
+    reference = _reference(folder, GridSpec.covering(low_m, high_m, RESOLUTION_M))
+    return Recording(folder.name, frames, lens, low_m, high_m, max_range_m, stride, reference, folder)
 
 
 def _metres(depth_mm: AnyArray, far_m: float) -> AnyArray:

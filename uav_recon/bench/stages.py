@@ -94,7 +94,13 @@ class Replay:
         self.camera = camera_of(recording.lens, recording.max_range_m)
         cap_m = VoxelConfig().distance_cap_m
         self.voxels = Voxels(
-            grid, SENSOR, recording.max_range_m, tuple(fence_low_m.tolist()), tuple(fence_high_m.tolist()), cap_m
+            grid,
+            SENSOR,
+            recording.max_range_m,
+            tuple(fence_low_m.tolist()),
+            tuple(fence_high_m.tolist()),
+            cap_m,
+            pixel_stride=recording.stride,
         )
         self.fence = fence_box(grid, fence_low_m, fence_high_m)
         inset_m = self.config.clearance_m
