@@ -13,9 +13,9 @@ Result = dict[str, Any]
 def show(console: Console, result: Result) -> None:
     """Print what was measured, and what it was measured with."""
     console.print(
-        f"{result['stream']}: {result['frames']} frames of {result['image']} at stride {result['stride']}, "
-        f"commit {result['commit']}, {result['machine']}; one thread. Compiled in {result['compile_s']:.1f} s beforehand, not counted. "
-        f"This machine is {result['calibration']:.2f} times as slow as the reference machine.",
+        f"{result['stream']}: {result['frames']} frames of {result['image']} at stride {result['stride']}, one thread; "
+        f"commit {result['commit']}, {result['machine']}, {result['calibration']:.2f} times as slow as the reference machine. "
+        f"Compiled in {result['compile_s']:.1f} s beforehand, not counted.",
         highlight=False,
     )
     if "scale" in result:
