@@ -19,6 +19,7 @@ else:
     import tomli as tomllib
 
 Vec3 = tuple[float, float, float]
+VariantName = Literal["adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp"]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
@@ -115,9 +116,10 @@ class MapperConfig(Section):
 
 
 class PlannerConfig(Section):
-    """The paper's parameters (table I)."""
+    """The paper's parameters (table I). What the preset gives is used for each key that is not written down."""
 
-    variant: Literal["adaptive", "explore", "merged"] = "adaptive"  # V5, V2, V4
+    variant: VariantName = "adaptive"  # V5, V4, V3, V2, V1 of the paper, and its baselines
+    preset: Literal["auto", "bhxhp", "rosser", "convoy"] = "auto"  # auto: from the fence box and the camera
     shell_min_m: Positive = 0.8  # d_r, nearest viewpoint to a task
     shell_max_m: Positive = 2.5  # d_f, farthest
     clearance_m: Annotated[float, Field(ge=0.3, le=1.0)] = 0.35  # d_s, body centre to anything not known free
@@ -132,17 +134,28 @@ class PlannerConfig(Section):
     view_spacing_m: Positive | None = None  # l_res; unset: views on the way are taken where surface is new
     end_factor: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0  # alpha, once no frontier is left
     downsample: Annotated[int, Field(ge=1, le=50)] = 5  # N_down
+    worth_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.15  # of the best gain per second so far: flown for no less
 
 
 class MotionConfig(Section):
-    """Limits of planned motion; inside the guard's."""
+    """Limits of planned motion; inside the guard's.
 
-    speed_mps: Positive = 0.8  # in the open
+    Sharp images: during an exposure a point at blur_distance_m, passed across, moves over the image by
+    focal_px * exposure_s * (turning + speed / blur_distance_m) pixels; at a view that stays below blur_px.
+    """
+
+    speed_mps: Positive = 1.0  # in the open
     tight_speed_mps: Positive = 0.5  # where clearance is the planning distance
-    acceleration_mps2: Positive = 0.8  # along and across
+    climb_mps: Positive = 0.6  # upwards, inside the autopilot's MPC_Z_VEL_MAX_UP
+    descent_mps: Positive = 0.4  # downwards, inside the autopilot's MPC_Z_VEL_MAX_DN
+    acceleration_mps2: Positive = 1.2  # along and across
     yaw_rate_degps: Positive = 45.0  # rotation
     yaw_acceleration_degps2: Positive = 90.0  # rotation
-    smoothing_s: Positive = 0.6  # total width of the smoothing that bounds the jerk
+    smoothing_s: Positive = 0.4  # total width of the smoothing that bounds the jerk
+    blur_px: Positive = 2.0  # most that the image may move during the exposure of a view
+    exposure_s: Positive = 0.008  # of the camera in indoor light
+    focal_px: Positive = 460.0  # of the images that are kept
+    blur_distance_m: Positive = 1.5  # at which surfaces are looked at
 
 
 class MissionConfig(Section):

@@ -11,6 +11,7 @@ from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.trajectory import Trajectory
 
 STEP_S = 0.02
+KEPT_S = 0.5  # of a motion that is left, before the instant of leaving
 BRAKE_RISE_S = 0.15  # in which a brake comes on
 HARDEST_SLEW = 50.0  # 1/s², of tau'': even a crawl takes some ten samples to stop
 
@@ -88,9 +89,17 @@ def replayed(trajectory: Trajectory, first_s: float, pace: Pace, start_s: float,
     )
 
 
-def stretched(trajectory: Trajectory, factor: float) -> Trajectory:
-    """The same motion, slower all over by a factor >= 1."""
-    now_s = np.arange(int(np.ceil(trajectory.duration_s * factor / STEP_S)) + 1) * np.float64(STEP_S)
-    rate = np.full(len(now_s), 1.0 / factor)
-    slow = replayed(trajectory, 0.0, (now_s / factor, rate, 0.0 * rate), trajectory.start_s, trajectory.identifier)
-    return dataclasses.replace(slow, views_s=trajectory.views_s * factor)
+def joined(flying: Trajectory, at: int, braked: Trajectory, flown: Trajectory) -> Trajectory:
+    """``flying`` until its sample ``at``, a stop made there, and a motion from that rest on; begins KEPT_S before ``at``."""
+    first = max(at - round(KEPT_S / STEP_S), 0)
+
+    def rows(name: str) -> FloatArray:
+        old: FloatArray = getattr(flying, name)[first:at]
+        return np.concatenate([old, getattr(braked, name)[:-1], getattr(flown, name)])
+
+    before_s = (at - first + len(braked.yaw_rad) - 1) * STEP_S
+    return Trajectory(
+        flying.start_s + first * STEP_S, STEP_S, rows("position_m"), rows("velocity_mps"), rows("acceleration_mps2"),
+        rows("yaw_rad"), rows("yaw_rate_radps"), rows("camera_pitch_down_rad"), flown.views_s + before_s, flown.map_epoch,
+        flown.identifier,
+    )  # fmt: skip

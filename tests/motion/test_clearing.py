@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+import numpy as np
+from hall import room_around, voxel_map
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uav_recon.motion.clearing import ROOT, Space, blocked, rooms
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import FREE, OCCUPIED
+
+
+def rooms_at(space: Space, points: FloatArray) -> FloatArray:
+    out = np.empty(len(points))
+    rooms(space.distance2, space.origin_m, space.resolution_m, ROOT, points, out)
+    return out
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_room_is_the_distance_but_for_the_voxels(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    state = np.where(rng.random((30, 25, 20)) < 0.004, OCCUPIED, FREE)
+    voxels = voxel_map(state)
+    points = rng.uniform([-5.2, -5.2, -0.2], [-1.8, -2.3, 2.2], (400, 3))
+    found, true = rooms_at(Space.of(voxels), points), room_around(points, voxels)
+    index = voxels.grid.index(points)
+    inside = voxels.grid.contains(index)
+    i, j, k = np.where(inside[:, None], index, 0).T
+    free = inside & (voxels.state[i, j, k] == FREE)
+    assert np.all(found[~free] == 0.0) and np.all(found[free] > 0.0)
+    near = free & (true < 0.9)  # the field saturates at 1.1 m
+    assert np.all(np.abs(found[near] - true[near]) <= 0.088)  # half a voxel's diagonal
+
+
+def test_nothing_is_blocked_in_the_open_and_everything_is_in_a_wall() -> None:
+    state = np.full((40, 40, 20), FREE)
+    state[20:22] = OCCUPIED
+    space = Space.of(voxel_map(state))
+    way = np.column_stack([np.linspace(-4.4, -1.6, 200), np.full(200, -3.0), np.ones(200)])
+    bad = blocked(space, way, 0, 0.3)
+    assert way[bad, 0].min() > -3.35 and way[bad, 0].max() <= -2.5
+    assert bad[np.abs(way[:, 0] + 2.9) < 0.1].any()
+    assert not blocked(space, way[:60], 0, 0.3).any()
+    assert not blocked(space, way, 170, 0.3).any()

@@ -1,0 +1,116 @@
+"""How much room there is around a point of the map."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
+from uav_recon.types.maps import VoxelMap
+
+ROOT = np.sqrt(np.arange(256, dtype=np.float64))
+ROOT.setflags(write=False)
+LOOK_M = 0.02  # a sample is looked up when the body has moved so far since the last one that was
+LEAVING_M = 0.3  # so much of the way is not checked: the body must be able to leave a tight spot ...
+ESCAPE_M = 2.0  # ... and may fly so far through free space without the clearance, until it has it once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Space:
+    """What kernels need of a map: squared distances (nx, ny, nz) in voxels, origin (3,) and resolution in metres."""
+
+    distance2: ByteArray
+    origin_m: FloatArray
+    resolution_m: float
+
+    @staticmethod
+    def of(voxels: VoxelMap) -> Space:
+        """The space of a map."""
+        return Space(voxels.distance2, voxels.grid.origin_world_m, float(voxels.grid.resolution_m))
+
+
+@kernel
+def room_at(
+    distance2: AnyArray, origin_m: AnyArray, resolution_m: float, root: AnyArray, x: float, y: float, z: float
+) -> float:
+    """Metres from a point to the nearest centre of a voxel that is not known free; 0 in such a voxel and outside the grid.
+
+    The trilinear one between the eight centres around it; at least the point's own voxel's less half a voxel, so that every
+    way through cells that the planner calls flyable stays one.
+    """
+    nx, ny, nz = distance2.shape
+    u, v, w = (x - origin_m[0]) / resolution_m, (y - origin_m[1]) / resolution_m, (z - origin_m[2]) / resolution_m
+    i, j, k = math.floor(u), math.floor(v), math.floor(w)
+    if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:
+        return 0.0
+    own = root[distance2[i, j, k]]
+    if own == 0.0:
+        return 0.0
+    i, j, k = math.floor(u - 0.5), math.floor(v - 0.5), math.floor(w - 0.5)
+    if i < 0 or j < 0 or k < 0 or i + 1 >= nx or j + 1 >= ny or k + 1 >= nz:
+        return float((own - 0.5) * resolution_m)
+    f, g, h = u - 0.5 - i, v - 0.5 - j, w - 0.5 - k
+    near = (1 - h) * root[distance2[i, j, k]] + h * root[distance2[i, j, k + 1]]
+    left = (1 - h) * root[distance2[i, j + 1, k]] + h * root[distance2[i, j + 1, k + 1]]
+    ahead = (1 - h) * root[distance2[i + 1, j, k]] + h * root[distance2[i + 1, j, k + 1]]
+    far = (1 - h) * root[distance2[i + 1, j + 1, k]] + h * root[distance2[i + 1, j + 1, k + 1]]
+    between = (1 - f) * ((1 - g) * near + g * left) + f * ((1 - g) * ahead + g * far)
+    return float(max(own - 0.5, between) * resolution_m)
+
+
+@kernel
+def rooms(
+    distance2: AnyArray, origin_m: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, out: AnyArray
+) -> None:
+    """room_at for many points (N, 3 or more)."""
+    for n in range(len(points)):
+        out[n] = room_at(distance2, origin_m, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
+
+
+@kernel
+def _blocked(
+    distance2: AnyArray, origin_m: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, first: int, least_m: float,
+    out: AnyArray,
+) -> int:  # fmt: skip
+    """Mark blocked samples in ``out`` (N,) and return the first one, or -1.
+
+    Which samples are looked up depends on the whole trajectory and not on ``first``: a motion that was clear as a whole is
+    clear from each of its samples on, as long as the map stays as it is.
+    """
+    reached = False
+    travelled_m, since_m, found = 0.0, LOOK_M, -1
+    for n in range(len(points)):
+        if n > 0:
+            dx, dy, dz = points[n, 0] - points[n - 1, 0], points[n, 1] - points[n - 1, 1], points[n, 2] - points[n - 1, 2]
+            step_m = math.sqrt(dx * dx + dy * dy + dz * dz)
+            since_m += step_m
+            if n > first:
+                travelled_m += step_m
+        looks = since_m >= LOOK_M or n == len(points) - 1
+        if looks:
+            since_m = 0.0
+        if n < first or not looks:
+            continue
+        room_m = room_at(distance2, origin_m, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
+        enough = room_m >= least_m
+        reached = reached or enough or travelled_m > ESCAPE_M
+        if travelled_m > LEAVING_M and (room_m == 0.0 or (reached and not enough)):
+            out[n] = True
+            if found < 0:
+                found = n
+    return found
+
+
+def blocked(space: Space, points_m: FloatArray, first: int, least_m: float) -> BoolArray:
+    """Which samples (N,) from ``first`` on are not known free, or have less room than ``least_m`` after having had it."""
+    out = np.zeros(len(points_m), dtype=np.bool_)
+    _blocked(space.distance2, space.origin_m, space.resolution_m, ROOT, points_m, first, least_m, out)
+    return out
+
+
+def is_clear(space: Space, points_m: FloatArray, first: int, least_m: float) -> bool:
+    """Whether no sample from ``first`` on is blocked."""
+    return not blocked(space, points_m, first, least_m).any()

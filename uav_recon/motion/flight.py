@@ -1,0 +1,170 @@
+"""A band flown: its fastest pass under the limits, sampled, smoothed and joined to what was flown before."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.config import MotionConfig
+from uav_recon.motion.band import SPAN_M, SPAN_S, Band
+from uav_recon.motion.bounds import caps
+from uav_recon.motion.clearing import ROOT, Space, rooms
+from uav_recon.motion.entry import Entry
+from uav_recon.motion.pace import FASTEST, PER_SPAN, Curve, fastest, instants, sampled, smoothed
+from uav_recon.motion.replay import STEP_S
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.trajectory import Trajectory
+
+OPEN_M = 0.3  # full speed where there is so much room beyond the clearance
+SPREAD_M = 0.2  # a tight place is slow from so far before it to so far behind it: what smoothing mixes
+SHARE = 0.97  # of the limits of acceleration: the rest covers the distance between nodes ...
+FULL = 0.995  # ... and of those of speed
+TRIES = 4
+SLOWEST = 2.0  # spans a second: slower spans at the start of a moving band would be short ones
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """rows (N + 1, 5) of x, y, z, yaw, pitch each STEP_S, row 0 one step before the start; views_s from the start on.
+
+    Infeasible: it is entered too fast for what follows.
+    """
+
+    rows: FloatArray
+    views_s: FloatArray
+    feasible: bool = True
+
+    def rates(self) -> tuple[FloatArray, FloatArray]:
+        """First and second derivatives (N, 5) from the start on; the last one rests."""
+        rate, change = np.zeros_like(self.rows[1:]), np.zeros_like(self.rows[1:])
+        rate[:-1] = (self.rows[2:] - self.rows[:-2]) / (2 * STEP_S)
+        change[:-1] = (self.rows[2:] - 2 * self.rows[1:-1] + self.rows[:-2]) / STEP_S**2
+        return rate, change
+
+    def trajectory(self, start_s: float, map_epoch: int, identifier: int) -> Trajectory:
+        """As it is handed to the pilot."""
+        rate, change = self.rates()
+        rows = self.rows[1:]
+        return Trajectory(
+            start_s, STEP_S, rows[:, :3], rate[:, :3], change[:, :3], rows[:, 3], rate[:, 3], rows[:, 4], self.views_s,
+            map_epoch, identifier,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Pacer:
+    """The limits (SI, radians), and the passing of bands under them."""
+
+    speed: float
+    tight_speed: float
+    climb: float
+    descent: float
+    acceleration: float
+    rate: float
+    spin: float
+    blur_radps: float
+    blur_distance_m: float
+    clearance_m: float
+    box: int
+
+    @staticmethod
+    def of(config: MotionConfig, clearance_m: float) -> Pacer:
+        """The limits of a config."""
+        return Pacer(
+            speed=FULL * config.speed_mps,
+            tight_speed=FULL * config.tight_speed_mps,
+            climb=FULL * config.climb_mps,
+            descent=FULL * config.descent_mps,
+            acceleration=config.acceleration_mps2,
+            rate=math.radians(FULL * config.yaw_rate_degps),
+            spin=math.radians(config.yaw_acceleration_degps2),
+            blur_radps=FULL * config.blur_px / (config.focal_px * config.exposure_s),
+            blur_distance_m=config.blur_distance_m,
+            clearance_m=clearance_m,
+            box=max(int(config.smoothing_s / 2 / STEP_S) // 2 * 2 + 1, 1),
+        )
+
+    @property
+    def span_rad(self) -> float:
+        """Most that one span of a band may turn."""
+        return self.rate * SPAN_S
+
+    def most(self) -> FloatArray:
+        """Greatest acceleration of each coordinate (5,)."""
+        return np.array([self.acceleration] * 3 + [self.spin] * 2)
+
+    def entry_pace(self, entry: Entry) -> float:
+        """Spans per second at the start of a band entered in motion: its first span is as long as others, or shorter."""
+        speed = float(np.linalg.norm(entry.velocity[:3]))
+        turning = float(np.abs(entry.velocity[3:]).max())
+        return max(speed / SPAN_M, turning / self.span_rad, SLOWEST)
+
+    def begun(self, entry: Entry, overrun: float) -> tuple[FloatArray, FloatArray]:
+        """Where a moving entry is (5,) one span on, and where a share of the way that braking takes would bring it from there.
+
+        All five coordinates brake in the time that the slowest of them needs.
+        """
+        speed, turning = float(np.linalg.norm(entry.velocity[:3])), float(np.abs(entry.velocity[3:]).max())
+        braking_s = max(speed / self.acceleration, turning / self.spin) * 1.1 / SHARE
+        rolled = entry.place + entry.velocity / self.entry_pace(entry)
+        return rolled, rolled + entry.velocity * (0.5 * overrun * braking_s)
+
+    def flown(self, band: Band, entry: Entry, space: Space | None, spacing_m: float) -> Flight:
+        """The fastest flight along a band; slower all over where smoothing and sampling left too much acceleration."""
+        curve = Curve.of(band.control)
+        first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
+        cap, x, times = np.empty(len(curve.along_m)), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
+        self._cap(curve, band, entry, space, cap)
+        share = SHARE
+        for _ in range(TRIES):
+            if not fastest(curve.slope, curve.bend, cap, share * self.acceleration, share * self.spin, first, x):
+                return Flight(entry.rows, np.zeros(0), feasible=False)
+            instants(x, times)
+            flight = self._smoothed(band, entry, curve, x, times, spacing_m)
+            _, change = flight.rates()
+            new = change[entry.left :]
+            excess = max(
+                float(np.sqrt(np.max(np.sum(new[:, :3] ** 2, axis=1)))) / self.acceleration,
+                float(np.abs(new[:, 3:]).max()) / self.spin,
+            )
+            if excess <= 1.02:
+                break
+            share *= 0.98 / excess
+        return flight
+
+    def _cap(self, curve: Curve, band: Band, entry: Entry, space: Space | None, cap: FloatArray) -> None:
+        room_m = np.full(len(cap), np.inf)
+        if space is not None:
+            rooms(space.distance2, space.origin_m, space.resolution_m, ROOT, curve.place, room_m)
+        caps(
+            curve.slope, curve.along_m, room_m, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
+            self.tight_speed, self.climb, self.descent, self.rate, self.blur_radps, self.blur_distance_m, SPREAD_M,
+            entry.velocity, 0.7 * self.acceleration, FASTEST, cap,
+        )  # fmt: skip
+
+    def _smoothed(self, band: Band, entry: Entry, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float) -> Flight:
+        """What the way differs from the entry's own going on is smoothed and added to that."""
+        count, begin, half = int(np.ceil(times[-1] / STEP_S)) + 1, len(entry.rows) - 1, self.box - 1
+        raw = np.empty((count, 5))
+        sampled(band.control, x, times, STEP_S, raw)
+        going_on = entry.continued(count - 1 + half)
+        differs = np.zeros((half + len(going_on) + half, 5))
+        differs[half + begin : half + begin + count] = raw
+        differs[half + begin + count :] = raw[-1]
+        differs[half + begin : half + len(going_on)] -= going_on[begin:]
+        differs[half + len(going_on) :] -= going_on[-1] + entry.drift * np.arange(1, half + 1)[:, None]
+        change = np.empty_like(going_on)
+        smoothed(differs, self.box, change)
+        lead_s = (begin - 1) * STEP_S
+        reached_s = times[band.view_node * PER_SPAN]
+        if spacing_m == np.inf:
+            return Flight(going_on + change, reached_s + lead_s)
+        ends_m = curve.along_m[band.view_node * PER_SPAN]
+        on_the_way_m, begin_m = [], 0.0
+        for end_m in ends_m:
+            on_the_way_m += list(np.arange(begin_m + spacing_m, end_m - spacing_m / 2, spacing_m))
+            begin_m = float(end_m)
+        on_the_way_s = np.interp(on_the_way_m, curve.along_m, times)
+        return Flight(going_on + change, np.sort(np.concatenate((on_the_way_s, reached_s))) + lead_s)
