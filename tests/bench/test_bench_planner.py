@@ -26,7 +26,7 @@ def test_prints_tables_and_writes_json(tmp_path: Path) -> None:
     assert code == 0, out
     result = json.loads(written.read_text())
     assert list(result["stages"]) == ["fusion", "distance", "search", "viewpoints", "tour", "decision", "total"]
-    for stages in (result["stages"], result["stages_calibrated"]):
+    for stages in (result["stages"], result["stages_calibrated"], result["stages_cpu"]):
         assert all(set(stage) == SPREAD for stage in stages.values())
     fusion = result["stages"]["fusion"]["median_ms"]
     assert result["stages_calibrated"]["fusion"]["median_ms"] == pytest.approx(fusion / result["calibration"])

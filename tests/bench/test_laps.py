@@ -1,3 +1,5 @@
+import threading
+
 import numpy as np
 
 from uav_recon.bench.laps import LapTable, Spread, Stopwatch
@@ -19,15 +21,21 @@ def test_laps_of_a_stage_add_up_and_restart_forgets() -> None:
     first_b = watch.ms["b"]
     watch.lap("b")
     assert watch.ms["b"] >= first_b
-    assert set(watch.ms) == {"a", "b"}
+    assert set(watch.ms) == set(watch.cpu_ms) == {"a", "b"}
+
+
+def test_waiting_is_no_processor_time() -> None:
+    watch = Stopwatch()
+    threading.Event().wait(0.02)
+    watch.lap("waiting")
+    assert watch.ms["waiting"] >= 19.0
+    assert watch.cpu_ms["waiting"] < 10.0
 
 
 def test_a_frame_without_a_stage_does_not_count_for_it() -> None:
     table = LapTable()
     for laps in ({"a": 1.0, "b": 2.0}, {"a": 3.0}):
-        watch = Stopwatch()
-        watch.ms = laps
-        table.add(watch)
+        table.add(laps)
     np.testing.assert_allclose(table.per_frame_ms(("a", "b")), [3.0, 3.0])
     np.testing.assert_allclose(table.per_frame_ms(("b",)), [2.0])
     assert len(table) == 2

@@ -30,7 +30,10 @@ FILLING_STEP = 2  # every second frame of the recording fills the other copies: 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """One size of map. memory_mb: what map and planner hold after the last frame."""
+    """One size of map. stages: processor time, which a busy machine does not lengthen.
+
+    memory_mb: what map and planner hold after the last frame.
+    """
 
     copies: int
     area_m2: float
@@ -68,7 +71,7 @@ def measure(recording: Recording, copies: int, tick: Callable[[int], None]) -> S
     for posed in frames:
         watch = Stopwatch()
         replay.decide(posed, watch)
-        laps.add(watch)
+        laps.add(watch.cpu_ms)
         tick(1)
     gc.collect()
     return Size(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -23,6 +24,8 @@ from uav_recon.planning import tour
 from uav_recon.run import EXIT_FAILURE, Failure
 from uav_recon.types.maps import UNKNOWN
 
+PRINTED_WIDTH = 110  # where no terminal says
+GOOD_VIEW = 0.95  # of what the best random view sees
 JUDGED_EVERY = 5  # frames: brute force takes a while
 SHELL_M = (0.5, 4.3)  # how far from a frontier the brute force looks for views
 
@@ -51,7 +54,7 @@ def bench_planner(stream: Path | None, size: str, stride: int, scale: bool, json
     progress = Progress(console=Console(stderr=True), transient=True)
     with progress:
         result |= _growth(recording, progress) if scale else _replay(recording, calibration, progress)
-    tables.show(Console(), result)
+    tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
     if json_path is not None:
         _write(result, json_path)
     return 0
@@ -74,28 +77,30 @@ def _without_nan(value: Any) -> Any:
 
 
 def _replay(recording: Recording, calibration: Calibration, progress: Progress) -> Result:
-    laps, ratios, replay = _decide_all(recording, progress)
+    laps, cpu_laps, ratios, replay = _decide_all(recording, progress)
     result: Result = {
         "stages": {name: asdict(laps.spread(*parts)) for name, parts in STAGES.items()},
         "stages_calibrated": {
             name: asdict(laps.spread(*parts).divided_by(calibration.factor)) for name, parts in STAGES.items()
         },
+        "stages_cpu": {name: asdict(cpu_laps.spread(*parts)) for name, parts in STAGES.items()},
         "best_view_ratio": _ratio_summary(ratios),
     }
     return result | _map_quality(recording, replay, progress) | _tour_quality(recording, progress)
 
 
-def _decide_all(recording: Recording, progress: Progress) -> tuple[LapTable, list[float], Replay]:
+def _decide_all(recording: Recording, progress: Progress) -> tuple[LapTable, LapTable, list[float], Replay]:
     replay = Replay(recording, recording.grid, recording.low_m, recording.high_m)
     replay.start(recording.frames[0])
-    laps, ratios = LapTable(), list[float]()
+    laps, cpu_laps, ratios = LapTable(), LapTable(), list[float]()
     for n, posed in enumerate(_tracked(progress, recording.frames, "frames")):
         watch = Stopwatch()
         decision = replay.decide(posed, watch)
-        laps.add(watch)
+        laps.add(watch.ms)
+        cpu_laps.add(watch.cpu_ms)
         if n % JUDGED_EVERY == 0:
             ratios += _view_ratios(replay, decision, n)
-    return laps, ratios, replay
+    return laps, cpu_laps, ratios, replay
 
 
 def _view_ratios(replay: Replay, decision: Decision, seed: int) -> list[float]:
@@ -114,9 +119,10 @@ def _view_ratios(replay: Replay, decision: Decision, seed: int) -> list[float]:
 
 def _ratio_summary(ratios: list[float]) -> Result:
     if not ratios:
-        return {"median": None, "p05": None, "min": None, "views": 0}
+        return {"median": None, "p05": None, "min": None, "share_of_95": None, "views": 0}
     low, middle = np.percentile(ratios, [5, 50])
-    return {"median": float(middle), "p05": float(low), "min": float(min(ratios)), "views": len(ratios)}
+    good = float(np.mean(np.array(ratios) >= GOOD_VIEW))
+    return {"median": float(middle), "p05": float(low), "min": float(min(ratios)), "share_of_95": good, "views": len(ratios)}
 
 
 def _map_quality(recording: Recording, replay: Replay, progress: Progress) -> Result:

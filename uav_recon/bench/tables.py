@@ -31,11 +31,12 @@ def show(console: Console, result: Result) -> None:
 def _stages(result: Result) -> Table:
     table = Table(title="milliseconds a frame", title_justify="left")
     table.add_column("stage")
-    for column in ("median", "p95", "max", "median, calibrated", "p95, calibrated"):
+    for column in ("median", "p95", "max", "cpu median", "cpu p95", "calibrated median", "calibrated p95"):
         table.add_column(column, justify="right")
     for name, here in result["stages"].items():
-        there = result["stages_calibrated"][name]
-        values = (here["median_ms"], here["p95_ms"], here["max_ms"], there["median_ms"], there["p95_ms"])
+        cpu, there = result["stages_cpu"][name], result["stages_calibrated"][name]
+        walls = (here["median_ms"], here["p95_ms"], here["max_ms"])
+        values = (*walls, cpu["median_ms"], cpu["p95_ms"], there["median_ms"], there["p95_ms"])
         table.add_row(name, *(f"{value:.2f}" for value in values))
     return table
 
@@ -63,7 +64,7 @@ def _quality(result: Result) -> list[str]:
     if ratio["views"]:
         lines.append(
             f"views: {ratio['median']:.3f} of what the best of 1,000 random ones sees (median of {ratio['views']}; "
-            f"5th percentile {ratio['p05']:.3f}, lowest {ratio['min']:.3f})"
+            f"5th percentile {ratio['p05']:.3f}, lowest {ratio['min']:.3f}; {ratio['share_of_95']:.0%} of them see 95 % of it)"
         )
     if lengths is not None:
         lines.append(
@@ -74,7 +75,7 @@ def _quality(result: Result) -> list[str]:
 
 
 def _scale(sizes: list[Result]) -> Table:
-    table = Table(title="growth: milliseconds a frame, and times the smallest", title_justify="left")
+    table = Table(title="growth: processor milliseconds a frame, and times the smallest", title_justify="left")
     for column in ("area m²", "voxels", "stage", "median", "p95", "median x", "p95 x", "memory MB"):
         table.add_column(column, justify="left" if column == "stage" else "right")
     for size in sizes:
