@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,33 +52,36 @@ class OpenSpace:
 
 
 class ThreeViews:
-    """A planner that knows three views and then nothing more."""
+    """A planner that knows three views, the next two at a time, and forgets each once the vehicle was there."""
 
     def __init__(self) -> None:
-        self.left = [np.array([1.0, 0.0, 1.1]), np.array([1.0, 1.0, 1.1]), np.array([0.0, 1.0, 1.1])]
+        self.left = [np.array([1.5, 0.0, 1.1]), np.array([1.5, 1.5, 1.1]), np.array([0.0, 1.5, 1.1])]
         self.no_way_home = self.settled = False
         self.accepted: list[ViewPath] = []
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         if not self.left:
             return NothingLeft("2 frontiers left: 2 too narrow", 0.01, 0.02)
-        return self._to(request, Viewpoint(self.left[0], 0.5, 0.26))
+        return self._to(request, *(Viewpoint(place, 0.5, 0.26) for place in self.left[:2]))
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
         return NothingLeft("no known-free way leads there", 0.0, 0.0) if self.no_way_home else self._to(request, goal)
 
+    def was_at(self, position_world: FloatArray) -> None:
+        self.left = [place for place in self.left if np.linalg.norm(place - position_world) > 0.15]
+
     def accept(self, path: ViewPath) -> None:
         self.accepted.append(path)
-        self.left.pop(0)
 
     def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         return not self.settled
 
     @staticmethod
-    def _to(request: PlanRequest, view: Viewpoint) -> ViewPath:
-        way = np.array([request.position_world, view.position_world])
-        task = Task(TaskKind.EXPLORE, view.position_world, view, 9.0)
-        return ViewPath((view,), (way,), PlanMode.EXPLORE, request.voxels.revision, 0, (task,), 0.01, 0.02)
+    def _to(request: PlanRequest, *views: Viewpoint) -> ViewPath:
+        places = [request.position_world, *(view.position_world for view in views)]
+        ways = tuple(np.array(leg) for leg in itertools.pairwise(places))
+        tasks = tuple(Task(TaskKind.EXPLORE, view.position_world, view, 9.0) for view in views)
+        return ViewPath(views, ways, PlanMode.EXPLORE, request.voxels.revision, 0, tasks, 0.01, 0.02)
 
 
 class Sketchbook:
@@ -158,6 +162,7 @@ class Desk:
             if intent.trajectory is not None:
                 setpoint = intent.trajectory.setpoint_at(self.clock.now_s())
                 position, yaw = setpoint.position_m, setpoint.yaw_rad
+        self.planner.was_at(position)
         armed = self.phase is FlightPhase.FLYING
         self.wires.vehicle.publish(
             VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase, 0.9,
@@ -191,8 +196,9 @@ def test_a_flight_from_pad_to_pad(desk: Desk) -> None:
     assert len(desk.mapper.stamps) == 4 + 3  # the look round, and each task's own view
     timeline = read_timeline(desk.folder)
     assert timeline.outcomes[-1].stop_reason == "2 frontiers left: 2 too narrow"
-    assert [plan.mode for plan in timeline.plans] == ["explore"] * 3 + [""]
-    assert all(0.0 < plan.hover_wait_s < 0.5 for plan in timeline.plans)
+    assert {plan.mode for plan in timeline.plans[:-1]} == {"explore"} and timeline.plans[-1].mode == ""
+    waits = [plan.hover_wait_s for plan in timeline.plans]
+    assert 0.0 < waits[0] < 0.5 and 0.0 < waits[-1] < 0.5 and not any(waits[1:-1])  # only the first and the last at rest
     assert len(timeline.views) == 7
 
 
@@ -272,3 +278,44 @@ def test_a_refused_trajectory_is_not_flown_on(desk: Desk) -> None:
     assert after is not None
     assert after.identifier != before.identifier
     assert dataclasses.asdict(after)["views_s"].size == 0
+
+
+def test_it_does_not_stop_between_plans(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while not desk.planner.accepted:
+        desk.run(0.1)
+    desk.run(1.5)
+    speeds = []
+    while len(desk.planner.left) > 1 and desk.conductor.phase is Phase.SURVEY:
+        desk.run(1 / 30)
+        speeds.append(desk.speed_mps())
+    assert min(speeds) > 0.2
+    assert len(desk.planner.accepted) >= 2
+
+
+def test_what_was_seen_in_passing_is_not_flown_to(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while not desk.planner.accepted:
+        desk.run(0.1)
+    desk.run(0.5)
+    asked = len(desk.planner.accepted)
+    desk.planner.settled = True
+    desk.planner.left.pop(0)
+    desk.run(1.0)
+    assert len(desk.planner.accepted) > asked
+    np.testing.assert_allclose(desk.planner.accepted[-1].viewpoints[0].position_world, [1.5, 1.5, 1.1])
+
+
+def test_a_plan_that_comes_too_late_is_not_flown(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while not desk.planner.accepted:
+        desk.run(0.1)
+    asked = len(desk.planner.accepted)
+    monkeypatch.setattr(desk.conductor._survey, "_lead_s", 0.05)  # the declared cost of a plan is 0.1 s
+    desk.run(20.0, until=Phase.RETURN)
+    timeline = read_timeline(desk.folder)
+    assert len(desk.planner.accepted) > asked
+    assert all(plan.hover_wait_s > 0.0 for plan in timeline.plans)  # each was asked again at rest
