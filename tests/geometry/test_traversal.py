@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
 
-from uav_recon.geometry.traversal import is_visible, visible_targets
+from uav_recon.geometry.traversal import first_obstacle, is_visible, visible_targets
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
@@ -53,3 +55,48 @@ def test_many_targets_are_answered_as_one_by_one() -> None:
     assert [is_visible(state, eye[0], eye[1], eye[2], t[0], t[1], t[2], 0.0) for t in targets] == visible_targets(
         state, eye, targets, 0.0
     ).tolist()
+
+
+def rays(rng: np.random.Generator, state: NDArray[np.uint8], count: int) -> tuple[FloatArray, FloatArray]:
+    shape = np.array(state.shape)
+    return rng.uniform(0, shape, (count, 3)), rng.uniform(0, shape, (count, 3))
+
+
+def test_leaps_over_free_space_answer_as_a_walk_through_every_voxel() -> None:
+    rng = np.random.default_rng(5)
+    answers = {True: 0, False: 0}
+    for density in (0.0, 0.002, 0.01, 0.1):
+        state = np.where(rng.random((40, 30, 25)) < density, OCCUPIED, FREE).astype(np.uint8)
+        state[rng.random(state.shape) < density / 2] = UNKNOWN
+        distance = ndimage.distance_transform_edt(np.pad(state == FREE, 1))[1:-1, 1:-1, 1:-1]
+        distance2 = np.round(np.minimum(distance, 11.0) ** 2).astype(np.uint8).ravel()
+        for a, b in zip(*rays(rng, state, 800), strict=True):
+            voxel = first_obstacle(distance2, 30, 25, a[0], a[1], a[2], b[0], b[1], b[2])
+            # is_visible asks its start's voxel, not its end's: so backwards
+            assert (voxel < 0) == is_visible(state, b[0], b[1], b[2], a[0], a[1], a[2], 0.0)
+            answers[voxel < 0] += 1
+            if voxel >= 0:
+                hit = np.array(np.unravel_index(voxel, state.shape))
+                assert state[tuple(hit)] != FREE
+                assert crossed_length(hit.astype(float), a, b) > 0
+                before = a + (b - a) * (np.linalg.norm(hit + 0.5 - a) - 2.0) / np.linalg.norm(b - a)
+                if np.dot(before - a, b - a) > 0:
+                    assert is_visible(state, before[0], before[1], before[2], a[0], a[1], a[2], 0.0)
+    assert min(answers.values()) > 500
+
+
+def test_lines_along_the_axes_and_through_edges_end() -> None:
+    state = np.full((9, 9, 9), FREE, dtype=np.uint8)
+    state[4, 4, 4] = OCCUPIED
+    distance2 = (
+        np.round(ndimage.distance_transform_edt(np.pad(state == FREE, 1))[1:-1, 1:-1, 1:-1] ** 2).astype(np.uint8).ravel()
+    )
+    middle = int(np.ravel_multi_index((4, 4, 4), state.shape))
+    for axis in range(3):
+        a, b = np.full(3, 4.5), np.full(3, 4.5)
+        a[axis], b[axis] = 0.5, 8.5
+        assert first_obstacle(distance2, 9, 9, a[0], a[1], a[2], b[0], b[1], b[2]) == middle
+        assert first_obstacle(distance2, 9, 9, b[0], b[1], b[2], a[0], a[1], a[2]) == middle
+    assert first_obstacle(distance2, 9, 9, 0.5, 0.5, 0.5, 8.5, 8.5, 8.5) == middle
+    assert first_obstacle(distance2, 9, 9, 4.5, 4.5, 4.5, 8.5, 8.5, 8.5) == -1  # the start's own voxel is not asked
+    assert first_obstacle(distance2, 9, 9, 2.2, 2.2, 2.2, 2.8, 2.8, 2.8) == -1

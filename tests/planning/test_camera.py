@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from box_world import FIXED, GIMBAL
 
-from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry, aim, in_view, sight
+from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry, aim, in_view, look_at, sight
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.pose import Pose
 
@@ -44,6 +44,15 @@ def test_a_gimbal_centres_its_target_and_a_fixed_mount_keeps_its_tilt() -> None:
             assert abs(optical[1]) < 1e-9
         else:
             assert pitch == FIXED.pitch_min_rad
+
+
+def test_looking_at_a_target_is_aiming_and_then_looking() -> None:
+    rng = np.random.default_rng(1)
+    for camera in (FIXED, GIMBAL):
+        lens = camera.lens(0.1, 4.5)
+        for place, target in zip(rng.uniform(0, 30, (200, 3)), rng.uniform(0, 30, (200, 3)), strict=True):
+            yaw, pitch = aim(lens, *place, *target)
+            np.testing.assert_allclose(look_at(lens, *place, *target), sight(lens, place, yaw, pitch), atol=1e-9)
 
 
 def test_an_empty_pitch_range_is_a_bug() -> None:

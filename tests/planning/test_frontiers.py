@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 from box_world import grid_of
 
-from uav_recon.planning.frontiers import FACES, MAX_EXTENT_M, count_outside, fence_box, find_frontiers, split, unknown_faces
+from uav_recon.planning.clusters import MAX_EXTENT_M
+from uav_recon.planning.frontiers import FACES, count_outside, fence_box, find_frontiers, split, unknown_faces
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec
 
 WHOLE = np.zeros(3, dtype=np.int64)

@@ -70,8 +70,72 @@ def visible_targets(state: ByteArray, eye: FloatArray, targets: FloatArray, tail
     return out
 
 
+# how far a line surely stays in free space from anywhere in a voxel, by its squared distance to the nearest centre of a voxel
+# that is not: less the half diagonals of both
+_FREE_WAY = np.maximum(np.sqrt(np.arange(256)) - 1.7321, 0.0)
+_LEAP_FROM = 12  # squared distance: below it a leap is no longer than a step
+
+
+@kernel
+def first_obstacle(
+    distance2: ByteArray, ny: int, nz: int, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float
+) -> int:
+    """Flat index of the first voxel on a segment that is not known free, or -1: its start's voxel is not asked, its end's is.
+
+    distance2: (nx * ny * nz,) uint8 as VoxelMap.distance2, raveled. Both ends in voxel units and INSIDE the array: nothing is
+    checked. Answers as traversal voxel by voxel does, but leaps over the free ball around where it is: "sphere tracing" on
+    exact distances less the voxels' own size, so that nothing is leapt over.
+    """
+    i, j, k = int(x0), int(y0), int(z0)
+    end = (int(x1) * ny + int(y1)) * nz + int(z1)
+    flat = (i * ny + j) * nz + k
+    if flat == end:
+        return -1
+    dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
+    # a zero component never reaches a border within the segment
+    dx = dx if abs(dx) > 1e-9 else 1e-9
+    dy = dy if abs(dy) > 1e-9 else 1e-9
+    dz = dz if abs(dz) > 1e-9 else 1e-9
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    per_step = 1.0 / length
+    per_x, per_y, per_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
+    delta_x, delta_y, delta_z = abs(per_x), abs(per_y), abs(per_z)
+    step_x, step_y, step_z = (ny * nz if dx > 0 else -ny * nz), (nz if dy > 0 else -nz), (1 if dz > 0 else -1)
+    bi, bj, bk = (1 if dx > 0 else 0), (1 if dy > 0 else 0), (1 if dz > 0 else 0)
+    tx, ty, tz = (i + bi - x0) * per_x, (j + bj - y0) * per_y, (k + bk - z0) * per_z
+    while True:
+        # which border comes first is as good as random: no branches
+        along_x = (tx <= ty) & (tx <= tz)
+        along_y = (not along_x) & (ty <= tz)
+        t = tx if along_x else (ty if along_y else tz)
+        flat += step_x if along_x else (step_y if along_y else step_z)
+        if t >= 1.0:
+            return -1
+        d2 = distance2[np.uint64(flat)]
+        if d2 == 0:
+            return flat
+        if flat == end:
+            return -1
+        if d2 < _LEAP_FROM:
+            tx += delta_x if along_x else 0.0
+            ty += delta_y if along_y else 0.0
+            tz += 0.0 if along_x | along_y else delta_z
+            continue
+        while d2 >= _LEAP_FROM:
+            t += _FREE_WAY[d2] * per_step
+            if t >= 1.0:
+                return -1
+            i, j, k = int(x0 + t * dx), int(y0 + t * dy), int(z0 + t * dz)
+            flat = (i * ny + j) * nz + k
+            if flat == end:
+                return -1
+            d2 = distance2[np.uint64(flat)]
+        tx, ty, tz = (i + bi - x0) * per_x, (j + bj - y0) * per_y, (k + bk - z0) * per_z
+
+
 def warm_up() -> None:
     """Compile for the read-only arrays of a VoxelMap."""
     state = np.full((2, 2, 2), FREE, dtype=np.uint8)
     state.setflags(write=False)
     visible_targets(state, np.full(3, 0.5), np.full((1, 3), 1.5), 0.0)
+    first_obstacle(state.reshape(-1), 2, 2, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5)

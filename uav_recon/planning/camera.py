@@ -11,7 +11,7 @@ from uav_recon.types.frames import FloatArray, frozen
 
 EDGE_MARGIN = 0.95  # of the half-frustum's tangent: what a small error of pose would push out of the picture is not promised
 # order of the numbers in CameraGeometry.lens()
-TAN_H, TAN_V, NEAR, RANGE, CAM_X, CAM_Y, CAM_Z, PITCH_MIN, PITCH_MAX = range(9)
+TAN_H, TAN_V, NEAR, RANGE, CAM_X, CAM_Y, CAM_Z, PITCH_MIN, PITCH_MAX, COS_MIN, SIN_MIN, COS_MAX, SIN_MAX = range(13)
 
 Sight = tuple[float, float, float, float, float, float, float]  # eye x, y, z, cos and sin of yaw, cos and sin of pitch
 
@@ -40,7 +40,7 @@ class CameraGeometry:
             raise ValueError(f"camera pitch range is empty: {self.pitch_min_rad} to {self.pitch_max_rad} rad")
 
     def lens(self, resolution_m: float, range_m: float) -> FloatArray:
-        """Pack the numbers for a kernel, lengths in voxels: (9,) in the order TAN_H ... PITCH_MAX."""
+        """Pack the numbers for a kernel, lengths in voxels: (13,) in the order TAN_H ... SIN_MAX."""
         position = self.position_body_m / resolution_m
         return np.array(
             [
@@ -53,6 +53,10 @@ class CameraGeometry:
                 position[2],
                 self.pitch_min_rad,
                 self.pitch_max_rad,
+                np.cos(self.pitch_min_rad),
+                np.sin(self.pitch_min_rad),
+                np.cos(self.pitch_max_rad),
+                np.sin(self.pitch_max_rad),
             ]
         )
 
@@ -74,6 +78,23 @@ def sight(lens: FloatArray, place: FloatArray, yaw_rad: float, pitch_down_rad: f
     x = place[0] + cy * lens[CAM_X] - sy * lens[CAM_Y]
     y = place[1] + sy * lens[CAM_X] + cy * lens[CAM_Y]
     return x, y, place[2] + lens[CAM_Z], cy, sy, np.cos(pitch_down_rad), np.sin(pitch_down_rad)
+
+
+@kernel
+def look_at(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float, tz: float) -> Sight:
+    """sight() of a body at (x, y, z) with the angles of aim(), without trigonometry."""
+    dx, dy = tx - x, ty - y
+    across = np.sqrt(dx * dx + dy * dy)
+    cy, sy = (dx / across, dy / across) if across > 1e-9 else (1.0, 0.0)
+    flat, down = max(across - lens[CAM_X], 1e-6), z + lens[CAM_Z] - tz
+    length = np.sqrt(flat * flat + down * down)
+    cp, sp = flat / length, down / length
+    if sp < lens[SIN_MIN]:
+        cp, sp = lens[COS_MIN], lens[SIN_MIN]
+    elif sp > lens[SIN_MAX]:
+        cp, sp = lens[COS_MAX], lens[SIN_MAX]
+    eye_x, eye_y = x + cy * lens[CAM_X] - sy * lens[CAM_Y], y + sy * lens[CAM_X] + cy * lens[CAM_Y]
+    return eye_x, eye_y, z + lens[CAM_Z], cy, sy, cp, sp
 
 
 @kernel

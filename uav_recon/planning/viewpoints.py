@@ -17,8 +17,11 @@ from uav_recon.geometry.traversal import is_visible
 from uav_recon.planning.camera import CameraGeometry, Sight, aim, in_view, sight
 from uav_recon.planning.frontiers import FACES, Frontier
 from uav_recon.planning.proposal import Proposal, Situation
+from uav_recon.planning.shell import shell
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
+
+__all__ = ["FrontierProposals", "FrontierViews", "explore_shell", "quality_steps", "shell"]
 
 MIN_SEEN = 4  # cells: less is not worth a stop
 PROBE_CELLS = 8  # cells tried from every candidate ...
@@ -28,25 +31,9 @@ TRAVEL_DISCOUNT_PER_M = 0.03  # of two views that see the same, the nearer one
 BATCH = 40  # frontiers viewed at once, the nearest first
 _FALLBACK_RADII_M = (0.5, 0.65)  # tight rooms
 _FAR_RADII_M = (2.4, 3.0, 3.6, 4.2)  # a fixed mount sees high and low cells from afar only
-_AZIMUTHS = 16
-_ELEVATIONS = 5
 # why a frontier has no view
 FOUND, TOO_NARROW, OUT_OF_SIGHT, UNREACHABLE = range(4)
 REASONS = {TOO_NARROW: "too narrow", OUT_OF_SIGHT: "out of the camera's sight", UNREACHABLE: "not reachable"}
-
-
-def shell(camera: CameraGeometry, radii_m: tuple[float, ...], resolution_m: float) -> FloatArray:
-    """Offsets (K, 3) in voxels from a target to viewpoints: full circles, at all heights the mount can look from."""
-    half = camera.vfov_rad / 2 * 0.8
-    steepest = np.radians(80.0)
-    low, high = max(camera.pitch_min_rad - half, -steepest), min(camera.pitch_max_rad + half, steepest)
-    rows = [
-        (radius * np.cos(elevation) * np.cos(azimuth), radius * np.cos(elevation) * np.sin(azimuth), radius * np.sin(elevation))
-        for radius in radii_m
-        for elevation in np.linspace(low, high, _ELEVATIONS)
-        for azimuth in np.arange(_AZIMUTHS) * (2 * np.pi / _AZIMUTHS)
-    ]
-    return np.array(rows) / resolution_m
 
 
 def explore_shell(config: PlannerConfig, camera: CameraGeometry, resolution_m: float) -> FloatArray:

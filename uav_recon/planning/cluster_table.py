@@ -1,0 +1,215 @@
+"""The table of frontier clusters: a row each, found by block, given back when the block is cut anew."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.planning.clusters import BLOCK, MIN_CELLS, cut, is_speck
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+
+_FIRST_ROWS = 256
+POOL, SPARE = 0, 1  # places in ClusterTable.fill
+
+
+class ClusterTable:
+    """Rows of one grid.
+
+    head: (blocks) a block's first row + 1, or 0; after: (M,) the same for the next row of the block. count: (M,) cells, 0 = the
+    row is unused. speck: (M,) 1 = too few connected cells to be worth a view. key: (M,) a hash of the cells and their unknown
+    faces. start: (M,) where its flat indices begin in ``pool``. centre: (M, 3) mean of the cells' centres, voxels.
+    """
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        self.head = np.zeros((-(-shape[0] // BLOCK), -(-shape[1] // BLOCK)), dtype=np.int64)
+        self.after = np.zeros(0, dtype=np.int64)
+        self.count = np.zeros(0, dtype=np.int64)
+        self.speck = np.zeros(0, dtype=np.uint8)
+        self.key = np.zeros(0, dtype=np.int64)
+        self.start = np.zeros(0, dtype=np.int64)
+        self.centre = np.zeros((0, 3))
+        self.spare = np.zeros(0, dtype=np.int64)  # unused rows, a stack
+        self.fill = np.zeros(2, dtype=np.int64)  # how much of pool is used, how many rows are spare
+        self.pool = np.zeros(0, dtype=np.int64)
+        self._more_rows()
+        self._more_pool(0)
+
+    def cut_again(self, faces: ByteArray, ignored: ByteArray, blocks: IntArray, max_extent: float) -> None:
+        """Replace the clusters of ``blocks`` (N, 2)."""
+        done = 0
+        while True:
+            done, cells = _cut_blocks(
+                faces, ignored, blocks, done, max_extent, self.head, self.after, self.count, self.speck, self.key,
+                self.start, self.centre, self.spare, self.fill, self.pool,
+            )  # fmt: skip
+            if done == len(blocks):
+                break
+            if self.fill[SPARE] < cells:
+                self._more_rows()
+            if len(self.pool) - self.fill[POOL] < cells:
+                self._more_pool(cells)
+        _mark_specks(faces, ignored, blocks, self.head, self.after, self.count, self.speck, self.start, self.pool)
+
+    def nearest(self, place: FloatArray, most: int) -> IntArray:
+        """Rows of the ``most`` clusters nearest to a place (3,), voxels; ties by key, so that the order is the map's own."""
+        return _nearest(self.head, self.after, self.count, self.speck, self.key, self.centre, place, most)
+
+    @property
+    def size(self) -> int:
+        """How many clusters there are, specks not counted."""
+        return int(np.count_nonzero((self.count > 0) & (self.speck == 0)))
+
+    def _more_rows(self) -> None:
+        old = len(self.count)
+        new = max(2 * old, _FIRST_ROWS)
+        for name in ("after", "count", "speck", "key", "start", "centre"):
+            column = getattr(self, name)
+            grown = np.zeros((new, *column.shape[1:]), dtype=column.dtype)
+            grown[:old] = column
+            setattr(self, name, grown)
+        spare = np.zeros(new, dtype=np.int64)
+        left = int(self.fill[SPARE])
+        spare[:left] = self.spare[:left]
+        spare[left : left + new - old] = np.arange(new - 1, old - 1, -1)
+        self.spare, self.fill[SPARE] = spare, left + new - old
+
+    def _more_pool(self, wanted: int) -> None:
+        """Pack the pool, with room for as much again and for what is wanted."""
+        live = int(self.count.sum())
+        pool = np.zeros(2 * live + wanted + 4096, dtype=np.int64)
+        self.fill[POOL] = _pack(self.count, self.start, self.pool, pool)
+        self.pool = pool
+
+
+@kernel
+def _cut_blocks(
+    faces: ByteArray,
+    ignored: ByteArray,
+    blocks: IntArray,
+    done: int,
+    max_extent: float,
+    head: IntArray,
+    after: IntArray,
+    count: IntArray,
+    speck: ByteArray,
+    key: IntArray,
+    start: IntArray,
+    centre: FloatArray,
+    spare: IntArray,
+    fill: IntArray,
+    pool: IntArray,
+) -> tuple[int, int]:
+    """Cut blocks[done:]; returns where it stopped, and for how many cells (so at most as many rows) it then lacks room."""
+    _, ny, nz = faces.shape
+    cells = np.empty(BLOCK * BLOCK * nz, dtype=np.int64)
+    starts = np.empty(BLOCK * BLOCK * nz + 1, dtype=np.int64)
+    for n in range(done, len(blocks)):
+        bi, bj = blocks[n, 0], blocks[n, 1]
+        clusters = cut(faces, ignored, bi, bj, max_extent, cells, starts)
+        total = starts[clusters]
+        if len(pool) - fill[POOL] < total or fill[SPARE] < clusters:
+            return n, total
+        row = head[bi, bj] - 1
+        while row >= 0:
+            count[row] = 0
+            spare[fill[SPARE]] = row
+            fill[SPARE] += 1
+            row = after[row] - 1
+        head[bi, bj] = 0
+        for cluster in range(clusters):
+            fill[SPARE] -= 1
+            row = spare[fill[SPARE]]
+            after[row] = head[bi, bj]
+            head[bi, bj] = row + 1
+            a, b = starts[cluster], starts[cluster + 1]
+            start[row], count[row], speck[row] = fill[POOL], b - a, 0
+            digest, sx, sy, sz = b - a, 0, 0, 0
+            for m in range(a, b):
+                flat = cells[m]
+                pool[fill[POOL]] = flat
+                fill[POOL] += 1
+                i, j, k = flat // (ny * nz), flat // nz % ny, flat % nz
+                sx += i
+                sy += j
+                sz += k
+                digest = (digest ^ (flat * 64 + faces[i, j, k])) * 1099511628211  # FNV-1a, a cell at a time
+                digest ^= digest >> 29
+            key[row] = digest
+            centre[row, 0], centre[row, 1], centre[row, 2] = sx / (b - a) + 0.5, sy / (b - a) + 0.5, sz / (b - a) + 0.5
+    return len(blocks), 0
+
+
+@kernel
+def _mark_specks(
+    faces: ByteArray,
+    ignored: ByteArray,
+    blocks: IntArray,
+    head: IntArray,
+    after: IntArray,
+    count: IntArray,
+    speck: ByteArray,
+    start: IntArray,
+    pool: IntArray,
+) -> None:
+    """Ask again of the small clusters in and around ``blocks`` what they hang together with."""
+    asked = np.zeros(head.shape, dtype=np.bool_)
+    for n in range(len(blocks)):
+        for bi in range(max(blocks[n, 0] - 1, 0), min(blocks[n, 0] + 2, head.shape[0])):
+            for bj in range(max(blocks[n, 1] - 1, 0), min(blocks[n, 1] + 2, head.shape[1])):
+                if asked[bi, bj]:
+                    continue
+                asked[bi, bj] = True
+                row = head[bi, bj] - 1
+                while row >= 0:
+                    if count[row] < MIN_CELLS:
+                        speck[row] = 1 if is_speck(faces, ignored, pool[start[row]]) else 0
+                    row = after[row] - 1
+
+
+@kernel
+def _nearest(
+    head: IntArray,
+    after: IntArray,
+    count: IntArray,
+    speck: ByteArray,
+    key: IntArray,
+    centre: FloatArray,
+    place: FloatArray,
+    most: int,
+) -> IntArray:
+    rows = np.empty(most, dtype=np.int64)
+    far2 = np.empty(most)
+    found = 0
+    for bi in range(head.shape[0]):
+        off_x = max(bi * BLOCK - place[0], place[0] - (bi + 1) * BLOCK, 0.0)
+        for bj in range(head.shape[1]):
+            if head[bi, bj] == 0:
+                continue
+            off_y = max(bj * BLOCK - place[1], place[1] - (bj + 1) * BLOCK, 0.0)
+            if found == most and off_x * off_x + off_y * off_y > far2[most - 1]:
+                continue
+            row = head[bi, bj] - 1
+            while row >= 0:
+                dx, dy, dz = centre[row, 0] - place[0], centre[row, 1] - place[1], centre[row, 2] - place[2]
+                d2 = dx * dx + dy * dy + dz * dz
+                at = found
+                while at > 0 and (d2 < far2[at - 1] or (d2 == far2[at - 1] and key[row] < key[rows[at - 1]])):
+                    at -= 1
+                if speck[row] == 0 and at < most:
+                    found = min(found + 1, most)
+                    for m in range(found - 1, at, -1):
+                        rows[m], far2[m] = rows[m - 1], far2[m - 1]
+                    rows[at], far2[at] = row, d2
+                row = after[row] - 1
+    return rows[:found].copy()
+
+
+@kernel
+def _pack(count: IntArray, start: IntArray, pool: IntArray, packed: IntArray) -> int:
+    used = 0
+    for row in range(len(count)):
+        for n in range(count[row]):
+            packed[used + n] = pool[start[row] + n]
+        start[row] = used
+        used += count[row]
+    return used

@@ -1,0 +1,366 @@
+"""Cutting frontier cells into clusters, a block of columns at a time, so that a change is felt in its own block alone.
+
+A block's clusters depend on the block's own cells: its 26-connected pieces, each halved along its first principal component
+(3-D) until one view holds it. Only whether a very small cluster is a speck looks farther, MIN_CELLS voxels at most.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+from uav_recon.types.maps import FREE, TILE, UNKNOWN
+
+Int32Array = NDArray[np.int32]
+
+BLOCK = 2 * TILE  # columns along x and y
+MIN_CELLS = 8  # fewer connected cells are a speck on a surface or a sampling gap
+MAX_EXTENT_M = 1.2  # along the first principal component: then one view from the shell holds a cluster
+_STACK = 64  # halves waiting at once; a block's piece never needs so many
+_I, _J, _K = 25, 20, (1 << 20) - 1  # places of a cell's packed indices in its block
+
+
+@kernel
+def scan(
+    state: ByteArray,
+    known: ByteArray,
+    faces: ByteArray,
+    low: IntArray,
+    high: IntArray,
+    tiles: IntArray,
+    revision: int,
+    closed: IntArray,
+    dirty: ByteArray,
+) -> None:
+    """Bring ``known`` (the last state, flat, with room for a slice of constant i before and after) and ``faces`` up to date.
+
+    Looks at ``tiles`` (N, 2) and one column around them. closed: (tiles) the revision at which a voxel there last ceased to be
+    free. dirty: (blocks) set where a face changed.
+    """
+    nx, ny, nz = state.shape
+    slab = ny * nz
+    moved = np.zeros(len(tiles), dtype=np.bool_)
+    flat, flat_faces = state.reshape(-1), faces.reshape(-1)
+    for n in range(len(tiles)):
+        lost = np.uint8(0)
+        j0, j1 = tiles[n, 1] * TILE, min(tiles[n, 1] * TILE + TILE, ny)
+        for i in range(tiles[n, 0] * TILE, min(tiles[n, 0] * TILE + TILE, nx)):
+            # the columns of a tile with the same i lie side by side
+            a, b = (i * ny + j0) * nz, (i * ny + j1) * nz
+            now, before = flat[a:b], known[slab + a : slab + b]
+            if _differ(now, before):
+                moved[n] = True
+                for m in range(len(now)):
+                    gone = np.uint8(1) if (before[m] == FREE) & (now[m] != FREE) else np.uint8(0)
+                    lost = np.uint8(lost | gone)
+                    before[m] = now[m]
+        if lost:
+            closed[tiles[n, 0], tiles[n, 1]] = revision
+    # which faces may count, by height, for as many columns as are looked at together
+    allowed = np.zeros((TILE + 2, nz), dtype=np.uint8)
+    allowed[:, low[2] : high[2]] = 63
+    if high[2] > low[2]:
+        allowed[:, low[2]] &= np.uint8(63 - 16)
+        allowed[:, high[2] - 1] &= np.uint8(63 - 32)
+    row = np.zeros((TILE + 2) * nz, dtype=np.uint8)
+    for n in range(len(tiles)):
+        if not moved[n]:
+            continue
+        i0, j0 = tiles[n, 0] * TILE, tiles[n, 1] * TILE
+        ja, jb = max(j0 - 1, low[1]), min(j0 + TILE + 1, high[1])
+        for i in range(max(i0 - 1, low[0]), min(i0 + TILE + 1, high[0])):
+            a, length = (i * ny + ja) * nz, (jb - ja) * nz
+            if length <= 0:
+                continue
+            p = slab + a
+            here = known[p : p + length]
+            new = row[:length]
+            _faces(
+                here,
+                known[p - slab : p - slab + length] if i > low[0] else here,  # a free voxel is not unknown: no face
+                known[p + slab : p + slab + length] if i + 1 < high[0] else here,
+                known[p - nz : p - nz + length],
+                known[p + nz : p + nz + length],
+                known[p - 1 : p - 1 + length],
+                known[p + 1 : p + 1 + length],
+                allowed.reshape(-1)[:length],
+                new,
+            )
+            if ja == low[1]:
+                for k in range(nz):
+                    new[k] &= np.uint8(63 - 4)
+            if jb == high[1]:
+                for k in range(length - nz, length):
+                    new[k] &= np.uint8(63 - 8)
+            old = flat_faces[a : a + length]
+            if _differ(new, old):
+                for m in range(jb - ja):
+                    if _differ(new[m * nz : m * nz + nz], old[m * nz : m * nz + nz]):
+                        dirty[i // BLOCK, (ja + m) // BLOCK] = 1
+                old[:] = new
+
+
+@kernel
+def _differ(a: ByteArray, b: ByteArray) -> bool:
+    bits = np.uint8(0)
+    for n in range(len(a)):
+        bits = np.uint8(bits | np.uint8(a[n] ^ b[n]))
+    return bool(bits != 0)
+
+
+@kernel
+def _faces(
+    here: ByteArray,
+    west: ByteArray,
+    east: ByteArray,
+    south: ByteArray,
+    north: ByteArray,
+    below: ByteArray,
+    above: ByteArray,
+    allowed: ByteArray,
+    out: ByteArray,
+) -> None:
+    """Bits of the unknown neighbours of each free voxel, in the order of FACES."""
+    for n in range(len(out)):  # branch-free, and each result cast back to a byte: this runs 32 voxels at a time
+        bits = np.uint8(1) if west[n] == UNKNOWN else np.uint8(0)
+        bits = np.uint8(bits | (np.uint8(2) if east[n] == UNKNOWN else np.uint8(0)))
+        bits = np.uint8(bits | (np.uint8(4) if south[n] == UNKNOWN else np.uint8(0)))
+        bits = np.uint8(bits | (np.uint8(8) if north[n] == UNKNOWN else np.uint8(0)))
+        bits = np.uint8(bits | (np.uint8(16) if below[n] == UNKNOWN else np.uint8(0)))
+        bits = np.uint8(bits | (np.uint8(32) if above[n] == UNKNOWN else np.uint8(0)))
+        bits = np.uint8(bits & allowed[n])
+        out[n] = bits if here[n] == FREE else np.uint8(0)
+
+
+@kernel
+def cut(
+    faces: ByteArray, ignored: ByteArray, block_i: int, block_j: int, max_extent: float, cells: IntArray, starts: IntArray
+) -> int:
+    """Cut one block into clusters; returns how many.
+
+    cells: filled with flat indices, cluster after cluster, ascending in each; room for every voxel of the block. starts:
+    filled with where each begins, and the end after the last; room for one more than the voxels. ``ignored`` voxels are no
+    frontier.
+    """
+    nx, ny, nz = faces.shape
+    i0, j0 = block_i * BLOCK, block_j * BLOCK
+    i1, j1 = min(i0 + BLOCK, nx), min(j0 + BLOCK, ny)
+    run_of = np.zeros((BLOCK + 2, BLOCK + 2, nz + 2), dtype=np.int32)  # with a border, so that nobody asks for bounds
+    parent = np.zeros(BLOCK * BLOCK * (nz // 2 + 1) + 1, dtype=np.int32)
+    found = np.empty((i1 - i0) * (j1 - j0) * nz, dtype=np.int32)  # packed: 5 bits i, 5 bits j, the rest k
+    found_run = np.empty(len(found), dtype=np.int32)
+    runs, total = 0, 0
+    for i in range(i0, i1):
+        for j in range(j0, j1):
+            column, skip = faces[i, j], ignored[i, j]
+            a, b = i - i0 + 1, j - j0 + 1
+            k = 0
+            while k < nz:
+                if column[k] == 0 or skip[k] != 0:
+                    k += 1
+                    continue
+                first = k
+                runs += 1
+                parent[runs] = runs
+                while k < nz and column[k] != 0 and skip[k] == 0:
+                    run_of[a, b, k + 1] = runs
+                    found[total] = ((i - i0) << _I) | ((j - j0) << _J) | k
+                    found_run[total] = runs
+                    total += 1
+                    k += 1
+                for c in range(first, k + 2):  # one beyond either end: corners touch too
+                    _join(parent, runs, run_of[a - 1, b - 1, c])
+                    _join(parent, runs, run_of[a - 1, b, c])
+                    _join(parent, runs, run_of[a - 1, b + 1, c])
+                    _join(parent, runs, run_of[a, b - 1, c])
+    # pieces in the order of their first cells; cells stay in scan order within each
+    piece_of = np.zeros(runs + 1, dtype=np.int32)
+    pieces = 0
+    for run in range(1, runs + 1):
+        root = _root(parent, run)  # the lowest number of its piece
+        if root == run:
+            piece_of[run] = pieces
+            pieces += 1
+        else:
+            piece_of[run] = piece_of[root]
+    ends = np.zeros(pieces + 1, dtype=np.int64)
+    for n in range(total):
+        ends[piece_of[found_run[n]] + 1] += 1
+    for piece in range(pieces):
+        ends[piece + 1] += ends[piece]
+    at = ends.copy()
+    packed = np.empty(total, dtype=np.int32)
+    for n in range(total):
+        piece = piece_of[found_run[n]]
+        packed[at[piece]] = found[n]
+        at[piece] += 1
+    clusters = 0
+    along = np.empty(total)
+    for piece in range(pieces):
+        clusters = _split(packed, ends[piece], ends[piece + 1], max_extent, found, along, starts, clusters)
+    starts[clusters] = total
+    for n in range(total):
+        cells[n] = ((i0 + (packed[n] >> _I)) * ny + j0 + ((packed[n] >> _J) & 31)) * nz + (packed[n] & _K)
+    return clusters
+
+
+@kernel
+def _root(parent: Int32Array, run: int) -> int:
+    while parent[run] != run:
+        parent[run] = parent[parent[run]]
+        run = parent[run]
+    return run
+
+
+@kernel
+def _join(parent: Int32Array, run: int, other: int) -> None:
+    if other == 0 or parent[other] == parent[run]:
+        return
+    a, b = _root(parent, run), _root(parent, other)
+    if a < b:
+        parent[b] = a
+    else:
+        parent[a] = b
+
+
+@kernel
+def _split(
+    packed: Int32Array,
+    first: int,
+    end: int,
+    max_extent: float,
+    scratch: Int32Array,
+    along: FloatArray,
+    starts: IntArray,
+    clusters: int,
+) -> int:
+    """Halve packed[first:end] in place until each part fits; writes the parts' starts, returns the clusters so far."""
+    todo = np.empty((_STACK, 2), dtype=np.int64)
+    todo[0, 0], todo[0, 1] = first, end
+    depth = 1
+    while depth:
+        depth -= 1
+        a, b = todo[depth, 0], todo[depth, 1]
+        if depth + 2 > _STACK or _extent(packed, a, b, along) <= max_extent:
+            starts[clusters] = a
+            clusters += 1
+            continue
+        # an axis has no sign of its own: the half that holds the first cell comes first
+        positive = along[0] > 0.0
+        kept, moved = a, 0
+        for n in range(a, b):
+            if (along[n - a] > 0.0) == positive:
+                packed[kept] = packed[n]
+                kept += 1
+            else:
+                scratch[moved] = packed[n]
+                moved += 1
+        for n in range(moved):
+            packed[kept + n] = scratch[n]
+        todo[depth, 0], todo[depth, 1] = kept, b
+        todo[depth + 1, 0], todo[depth + 1, 1] = a, kept
+        depth += 2
+    return clusters
+
+
+@kernel
+def _extent(packed: Int32Array, a: int, b: int, along: FloatArray) -> float:
+    """Length along the first principal component of packed[a:b], whose coordinates along it go to ``along``."""
+    count = b - a
+    sx, sy, sz, xx, yy, zz, xy, xz, yz = 0, 0, 0, 0, 0, 0, 0, 0, 0
+    for n in range(a, b):
+        x, y, z = packed[n] >> _I, (packed[n] >> _J) & 31, packed[n] & _K
+        sx += x
+        sy += y
+        sz += z
+        xx += x * x
+        yy += y * y
+        zz += z * z
+        xy += x * y
+        xz += x * z
+        yz += y * z
+    # integers until here: the moments are exact
+    ux, uy, uz = main_axis(
+        float(count * xx - sx * sx),
+        float(count * yy - sy * sy),
+        float(count * zz - sz * sz),
+        float(count * xy - sx * sy),
+        float(count * xz - sx * sz),
+        float(count * yz - sy * sz),
+    )
+    mean = (ux * sx + uy * sy + uz * sz) / count
+    least, most = np.inf, -np.inf
+    for n in range(a, b):
+        value = ux * (packed[n] >> _I) + uy * ((packed[n] >> _J) & 31) + uz * (packed[n] & _K) - mean
+        along[n - a] = value
+        least, most = min(least, value), max(most, value)
+    return most - least
+
+
+@kernel
+def main_axis(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> tuple[float, float, float]:
+    """Unit eigenvector of the largest eigenvalue of a symmetric 3x3 matrix; of equal ones, any.
+
+    The eigenvalue in closed form: Smith, "Eigenvalues of a symmetric 3x3 matrix" (1961).
+    """
+    mean = (xx + yy + zz) / 3.0
+    a, b, c = xx - mean, yy - mean, zz - mean
+    p = np.sqrt((a * a + b * b + c * c + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0)
+    if p <= 1e-12 * abs(mean):
+        return 1.0, 0.0, 0.0
+    half_det = (a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)) / (2.0 * p * p * p)
+    largest = 2.0 * p * np.cos(np.arccos(min(max(half_det, -1.0), 1.0)) / 3.0)
+    a, b, c = a - largest, b - largest, c - largest
+    # rows (a xy xz), (xy b yz), (xz yz c) are all square to the eigenvector: the longest of their cross products
+    best, ux, uy, uz = 0.0, 0.0, 0.0, 0.0
+    for pair in range(3):
+        if pair == 0:
+            x, y, z = xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy
+        elif pair == 1:
+            x, y, z = xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz
+        else:
+            x, y, z = b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz
+        length2 = x * x + y * y + z * z
+        if length2 > best:
+            best, ux, uy, uz = length2, x, y, z
+    if best <= 1e-20 * p * p * p * p:
+        # the two largest are equal: anything square to the longest row
+        if abs(a) >= abs(b) and abs(a) >= abs(c):
+            ux, uy, uz = (-xy, a, 0.0)
+        elif abs(b) >= abs(c):
+            ux, uy, uz = (b, -xy, 0.0)
+        else:
+            ux, uy, uz = (c, 0.0, -xz)
+        best = ux * ux + uy * uy + uz * uz
+    length = np.sqrt(best)
+    return ux / length, uy / length, uz / length
+
+
+@kernel
+def is_speck(faces: ByteArray, ignored: ByteArray, start: int) -> bool:
+    """Tell whether fewer than MIN_CELLS cells are connected with the cell at a flat index (itself one)."""
+    nx, ny, nz = faces.shape
+    seen = np.empty(MIN_CELLS, dtype=np.int64)
+    seen[0] = start
+    count, done = 1, 0
+    while done < count:
+        column = seen[done] // nz
+        i, j, k = column // ny, column % ny, seen[done] % nz
+        done += 1
+        for a in range(max(i - 1, 0), min(i + 2, nx)):
+            for b in range(max(j - 1, 0), min(j + 2, ny)):
+                for c in range(max(k - 1, 0), min(k + 2, nz)):
+                    if faces[a, b, c] == 0 or ignored[a, b, c] != 0:
+                        continue
+                    flat = (a * ny + b) * nz + c
+                    fresh = True
+                    for n in range(count):
+                        fresh = fresh and seen[n] != flat
+                    if fresh:
+                        if count + 1 >= MIN_CELLS:
+                            return False
+                        seen[count] = flat
+                        count += 1
+    return True
