@@ -6,18 +6,18 @@ import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import cast, get_args
 
 from sitl.d435i import Model, Noise
 from sitl.fly_world import WorldOptions
 from sitl.scene import HULL_HEIGHT_M, Scene
 from uav_recon import run
-from uav_recon.config import Config, ConfigError, parse
+from uav_recon.config import Config, ConfigError, VariantName, parse
 
 NOISES = ("d435i", "paper", "kinect", "none")
 CAMERAS = ("d435i", "wide", "fast")
 MAPPERS = ("neural", "stand-in")
-VARIANTS = ("adaptive", "explore", "merged")
+VARIANTS = get_args(VariantName)
 AUTOPILOTS = ("px4",)
 BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
 RADIUS_M, RADII_M = 0.20, (0.05, 0.60)

@@ -51,7 +51,13 @@ def sim(
     seed: Annotated[int, typer.Option(min=0, help="Seed of wind, noise and learning; one seed, one lockstep flight.")] = 0,
     out: Annotated[Path | None, typer.Option(help="Flight folder. Default: flights/SCENE-DATE.")] = None,
     autopilot: Annotated[str, typer.Option(help="Firmware personality: px4.")] = "px4",
-    variant: Annotated[str, typer.Option(help="adaptive (explore, then merge), explore, or merged.")] = "adaptive",
+    variant: Annotated[
+        str,
+        typer.Option(
+            help="The paper's adaptive (V5), merged (V4), reconstruct (V3), explore (V2), explore-yaw (V1); "
+            "the baselines explore-then-refine, evpp, vpp."
+        ),
+    ] = "adaptive",
     mount: Annotated[
         str, typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount; DEG is the tilt, down is plus.")
     ] = "fixed:15",

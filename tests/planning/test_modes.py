@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.config import PlannerConfig
-from uav_recon.planning.modes import Adaptive, AlwaysMerged, ExploreOnly, mode_rule
+from uav_recon.planning.modes import Adaptive, AlwaysMerged, ExploreOnly, ExploreThenRefine
 from uav_recon.types.tasks import PlanMode
 
 
@@ -17,10 +16,12 @@ def test_explores_only_with_more_than_enough_near_frontiers_and_more_than_their_
     assert rule.choose(np.zeros(0)) is PlanMode.MERGED
 
 
-def test_a_variant_is_another_small_object() -> None:
-    config = PlannerConfig(near_count=7)
-    assert mode_rule("adaptive", config) == Adaptive(config.near_distance_m, 7, config.near_share)
-    assert mode_rule("explore", config).choose(np.zeros(0)) is PlanMode.EXPLORE
-    assert isinstance(mode_rule("explore", config), ExploreOnly)
-    assert isinstance(mode_rule("merged", config), AlwaysMerged)
-    assert mode_rule("merged", config).choose(np.zeros(50)) is PlanMode.MERGED
+def test_refines_only_when_no_frontier_is_left() -> None:
+    assert ExploreThenRefine().choose(np.array([np.inf])) is PlanMode.EXPLORE
+    assert ExploreThenRefine().choose(np.zeros(0)) is PlanMode.MERGED
+
+
+def test_the_simple_rules_ask_nothing() -> None:
+    for distances in (np.zeros(0), np.ones(50)):
+        assert ExploreOnly().choose(distances) is PlanMode.EXPLORE
+        assert AlwaysMerged().choose(distances) is PlanMode.MERGED

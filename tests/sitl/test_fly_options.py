@@ -32,7 +32,7 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
         ({"mount": "swivel"}, "gimbal"),
         ({"camera": "d415"}, "d435i, wide"),
         ({"autopilot": "ardupilot"}, "px4"),
-        ({"variant": "evpp"}, "adaptive"),
+        ({"variant": "best"}, "adaptive, merged, reconstruct, explore, explore-yaw, explore-then-refine, evpp, vpp"),
         ({"start": "1,2,3"}, "4 numbers"),
         ({"start": "1,2,3,inf"}, "4 numbers"),
         ({"fence": "0,0,0,1,1,0"}, "upper corner"),

@@ -58,6 +58,37 @@ class Elements:
         )
 
 
+class KeptElements:
+    """The elements of the last surface asked for: it is sorted once."""
+
+    def __init__(self, every: int) -> None:
+        """every: N_down."""
+        self._every = every
+        self._kept: tuple[SurfaceElements, tuple[object, ...], Elements] | None = None
+
+    def of(self, surface: SurfaceElements, grid: GridSpec) -> Elements:
+        """Thinned and in cells, in voxels of a grid."""
+        frame = (grid.shape, grid.resolution_m, *grid.origin_world_m.tolist())
+        if self._kept is None or self._kept[0] is not surface or self._kept[1] != frame:
+            self._kept = surface, frame, Elements.of(surface, grid, self._every)
+        return self._kept[2]
+
+
+def within(elements: Elements, centre: FloatArray, radius: float) -> IntArray:
+    """The cells (C, 3) whose middle lies within a radius of a point, voxels."""
+    away = elements.position[elements.cells[:, 2]] - centre
+    inside: IntArray = elements.cells[(away**2).sum(axis=1) <= radius**2]
+    return inside
+
+
+def squarest(voxel: IntArray, cosine: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Each voxel (>= 0) once, and the largest cosine of its elements."""
+    order = np.lexsort((-cosine, voxel))
+    order = order[voxel[order] >= 0]
+    once = order[np.flatnonzero(np.diff(voxel[order], prepend=-1))]
+    return voxel[once], cosine[once]
+
+
 def _gathered(position: FloatArray, normal: FloatArray) -> tuple[IntArray, IntArray]:
     """Order (N,) of the elements by cell, and the cells (C, 3) in that order."""
     if not len(position):

@@ -1,13 +1,13 @@
-"""When to explore alone and when to merge exploring with looking at uncertain surface (paper, section III-C; V2, V4, V5)."""
+"""When to explore alone and when to merge exploring with looking at uncertain surface (paper, section III-C)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from uav_recon.config import PlannerConfig
+from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import PlanMode
 
@@ -37,7 +37,7 @@ class Adaptive:
 
 @dataclass(frozen=True, slots=True)
 class ExploreOnly:
-    """V2: frontiers, and nothing after them."""
+    """V1 and V2: frontiers, and nothing after them."""
 
     def choose(self, frontier_distance_m: FloatArray) -> PlanMode:
         """Explore."""
@@ -46,17 +46,28 @@ class ExploreOnly:
 
 @dataclass(frozen=True, slots=True)
 class AlwaysMerged:
-    """V4: both kinds of task from the start."""
+    """V3, V4 and the baselines: whatever there is to see, from the start."""
 
     def choose(self, frontier_distance_m: FloatArray) -> PlanMode:
         """Merge."""
         return PlanMode.MERGED
 
 
-def mode_rule(variant: Literal["adaptive", "explore", "merged"], config: PlannerConfig) -> ModeRule:
+@dataclass(frozen=True, slots=True)
+class ExploreThenRefine:
+    """The baseline that the paper leaves out: no look at surface until no frontier can be viewed any more."""
+
+    def choose(self, frontier_distance_m: FloatArray) -> PlanMode:
+        """Explore while there is a frontier."""
+        return PlanMode.EXPLORE if len(frontier_distance_m) else PlanMode.MERGED
+
+
+def mode_rule(variant: VariantName, config: PlannerConfig) -> ModeRule:
     """Pick the rule of a variant."""
-    if variant == "explore":
+    if variant in ("explore", "explore-yaw"):
         return ExploreOnly()
-    if variant == "merged":
-        return AlwaysMerged()
-    return Adaptive(config.near_distance_m, config.near_count, config.near_share)
+    if variant == "explore-then-refine":
+        return ExploreThenRefine()
+    if variant == "adaptive":
+        return Adaptive(config.near_distance_m, config.near_count, config.near_share)
+    return AlwaysMerged()

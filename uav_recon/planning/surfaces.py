@@ -11,13 +11,13 @@ import numpy as np
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera import RANGE, CameraGeometry
-from uav_recon.planning.elements import Elements, weigh
+from uav_recon.planning.elements import Elements, KeptElements, squarest, weigh, within
 from uav_recon.planning.gains import best_view, patches_near, promising
 from uav_recon.planning.proposal import Proposal, Situation
+from uav_recon.planning.shell import shell
 from uav_recon.planning.vicinity import seen_from_near, wave
-from uav_recon.planning.viewpoints import shell
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
-from uav_recon.types.maps import GridSpec, SurfaceElements
+from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 LOOK_DISCOUNT = 0.35  # of an element's uncertainty, for each task that has looked squarely at it: so that tasks run out
@@ -36,7 +36,7 @@ class SurfaceViews:
         self._camera = camera
         radii_m = (*_TIGHT_RADII_M, *np.linspace(config.shell_min_m, config.shell_max_m, 3))
         self._offsets_m = shell(camera, tuple(float(r) for r in radii_m), 1.0)
-        self._sorted: tuple[SurfaceElements, tuple[object, ...], Elements] | None = None
+        self._elements = KeptElements(config.downsample)
 
     def propose(
         self, situation: Situation, surface: SurfaceElements | None, looks: Float32Array, factor: float
@@ -49,13 +49,13 @@ class SurfaceViews:
         if surface is None or not len(surface.position_world):
             return []
         config, resolution_m = self._config, situation.voxels.grid.resolution_m
-        elements = self._elements(surface, situation.voxels.grid)
+        elements = self._elements.of(surface, situation.voxels.grid)
         start = np.stack(np.unravel_index(situation.exit_cells[-1], situation.space.mask.shape)) - 1
         limit = config.local_radius_m * factor / resolution_m
         radius = config.cluster_radius_m / resolution_m
         lens = self._camera.lens(resolution_m, min(self._camera.surface_range_m, self._camera.range_m))
         # a view stands at most d_f from its cluster, and sees as far as the camera does
-        around = cells_within(elements, start + 0.5, limit + config.shell_max_m / resolution_m + lens[RANGE])
+        around = within(elements, start + 0.5, limit + config.shell_max_m / resolution_m + lens[RANGE])
         weight = weigh(around, elements.sigma, elements.voxel, looks.ravel(), LOOK_DISCOUNT)
         near = local(elements, around, situation, start, limit)
         left = weighty(near, weight)
@@ -70,12 +70,6 @@ class SurfaceViews:
             # where a cluster cannot be seen, what lies beyond R_clu may well be
             left = beyond(elements.position, left, seed, radius if found is None else radius * factor)
         return proposals
-
-    def _elements(self, surface: SurfaceElements, grid: GridSpec) -> Elements:
-        frame = (grid.shape, grid.resolution_m, *grid.origin_world_m.tolist())
-        if self._sorted is None or self._sorted[0] is not surface or self._sorted[1] != frame:
-            self._sorted = surface, frame, Elements.of(surface, grid, self._config.downsample)
-        return self._sorted[2]
 
     def _propose_one(
         self,
@@ -102,7 +96,7 @@ class SurfaceViews:
         viewpoint = Viewpoint(grid.origin_world_m + hopeful[best] * grid.resolution_m, yaw, pitch)
         task = Task(TaskKind.RECONSTRUCT, grid.origin_world_m + centre * grid.resolution_m, viewpoint, gain)
         cell = situation.space.flat(np.floor(hopeful[best]).astype(np.int64) + 1)
-        return Proposal(task, cell, *_squarest(elements.voxel[seen], cosine[seen]))
+        return Proposal(task, cell, *squarest(elements.voxel[seen], cosine[seen]))
 
 
 def local(elements: Elements, cells: IntArray, situation: Situation, start: IntArray, limit: float) -> IntArray:
@@ -112,21 +106,6 @@ def local(elements: Elements, cells: IntArray, situation: Situation, start: IntA
     middle = cells[:, 2]
     near: IntArray = cells[seen_from_near(state, reach, low, limit, elements.position[middle], elements.normal[middle])]
     return near
-
-
-def cells_within(elements: Elements, centre: FloatArray, radius: float) -> IntArray:
-    """The cells (C, 3) whose middle lies within a radius of a point, voxels."""
-    away = elements.position[elements.cells[:, 2]] - centre
-    inside: IntArray = elements.cells[(away**2).sum(axis=1) <= radius**2]
-    return inside
-
-
-def _squarest(voxel: IntArray, cosine: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Each voxel (>= 0) once, and the largest cosine of its elements."""
-    order = np.lexsort((-cosine, voxel))
-    order = order[voxel[order] >= 0]
-    once = order[np.flatnonzero(np.diff(voxel[order], prepend=-1))]
-    return voxel[once], cosine[once]
 
 
 @kernel

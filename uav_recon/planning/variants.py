@@ -1,0 +1,62 @@
+"""The paper's variants and baselines, each put together of small objects; for `uav-recon sim --variant NAME` and benchmarks."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from uav_recon.config import PlannerConfig, VariantName
+from uav_recon.planning.camera import CameraGeometry
+from uav_recon.planning.choices import ByTheWay, Choice, Greedy, Tour
+from uav_recon.planning.modes import Adaptive, AlwaysMerged, ExploreOnly, ExploreThenRefine, ModeRule
+from uav_recon.planning.worth import Worth
+from uav_recon.types.tasks import TaskKind
+
+BOTH = frozenset(TaskKind)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Variant:
+    """What a planner is made of. A choice remembers one flight: make a variant for each planner.
+
+    kinds: of tasks that are ever made. mode: says when surface tasks are made beside frontier tasks. choice: which are flown.
+    camera: how the mount may be used. views: where tasks come from, clusters with a best view each, or the gain field.
+    """
+
+    name: VariantName
+    kinds: frozenset[TaskKind]
+    mode: ModeRule
+    choice: Choice
+    camera: Callable[[CameraGeometry], CameraGeometry]
+    views: Literal["clusters", "field"] = "clusters"
+
+
+def variant(name: VariantName, config: PlannerConfig) -> Variant:
+    """Make a variant by its name; ``config.variant`` is not read."""
+    worth = Worth(config.worth_share)
+    explore, surface = frozenset({TaskKind.EXPLORE}), frozenset({TaskKind.RECONSTRUCT})
+    adaptive = Adaptive(config.near_distance_m, config.near_count, config.near_share)
+    made: dict[VariantName, Variant] = {
+        "adaptive": Variant("adaptive", BOTH, adaptive, Tour(worth), as_mounted),  # V5
+        "merged": Variant("merged", BOTH, AlwaysMerged(), Tour(worth), as_mounted),  # V4
+        "reconstruct": Variant("reconstruct", surface, AlwaysMerged(), Tour(worth), as_mounted),  # V3
+        "explore": Variant("explore", explore, ExploreOnly(), Tour(worth), as_mounted),  # V2
+        "explore-yaw": Variant("explore-yaw", explore, ExploreOnly(), Tour(worth), yaw_only),  # V1
+        "explore-then-refine": Variant("explore-then-refine", BOTH, ExploreThenRefine(), Tour(worth), as_mounted),
+        "evpp": Variant("evpp", BOTH, AlwaysMerged(), Greedy(worth), as_mounted, views="field"),
+        "vpp": Variant("vpp", BOTH, AlwaysMerged(), ByTheWay(worth), as_mounted),
+    }
+    return made[name]
+
+
+def as_mounted(camera: CameraGeometry) -> CameraGeometry:
+    """The whole range of the mount."""
+    return camera
+
+
+def yaw_only(camera: CameraGeometry) -> CameraGeometry:
+    """Level, or as near to level as the mount can: a fixed mount keeps its angle."""
+    pitch_rad = min(max(0.0, camera.pitch_min_rad), camera.pitch_max_rad)
+    return dataclasses.replace(camera, pitch_min_rad=pitch_rad, pitch_max_rad=pitch_rad)
