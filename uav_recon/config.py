@@ -145,7 +145,7 @@ class MotionConfig(Section):
     """
 
     speed_mps: Positive = 1.0  # in the open
-    tight_speed_mps: Positive = 0.5  # where clearance is the planning distance
+    tight_speed_mps: Positive = 0.7  # where clearance is the planning distance
     climb_mps: Positive = 0.6  # upwards, inside the autopilot's MPC_Z_VEL_MAX_UP
     descent_mps: Positive = 0.4  # downwards, inside the autopilot's MPC_Z_VEL_MAX_DN
     acceleration_mps2: Positive = 1.2  # along and across

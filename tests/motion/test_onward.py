@@ -54,7 +54,7 @@ def assert_joins(answer: Trajectory, flying: Trajectory, leave_s: float) -> None
     assert np.abs(turning).max() <= 1.01 * RATE
     assert np.abs(np.diff(turning)).max() / answer.step_s <= 1.05 * SPIN
     assert -1.05 * CONFIG.descent_mps <= velocity[:, 2].min() and velocity[:, 2].max() <= 1.05 * CONFIG.climb_mps
-    assert jerks(answer)[:-2].max() <= max(JERK, 2.5 * CONFIG.acceleration_mps2 / BRAKE_RISE_S)
+    assert jerks(answer)[:-2].max() <= max(JERK, 3 * CONFIG.acceleration_mps2 / BRAKE_RISE_S)
 
 
 @settings(max_examples=150, deadline=None)

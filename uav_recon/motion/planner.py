@@ -25,7 +25,9 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 TOLERANCE_M = 0.05  # half a voxel: what a lookup in the distance field is uncertain by
 NEAR_VIEW = (0.10, float(np.radians(2.0)))  # of the band off a view; smoothing and the frame's lateness add to it
 BRAKE_SHARE = 0.9  # of the limits: the rest covers the step of the integration
-OVERRUNS = (0.0, 0.4, 1.0)  # of the braking distance, straight on before a new way is taken up
+OVERRUNS = (0.0, 0.4, 1.0)  # of the braking distance, straight on before a new way is taken up; the last ends in a stop
+BACK = -0.5  # cosine of present and new direction from which on only the stop is tried
+ON_THE_SPOT_M = 0.05
 BACK_STEPS = 5  # samples of a braked way from one waypoint back to the next
 
 
@@ -73,7 +75,7 @@ class MotionPlanner:
             course = Course.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints)
             still = self._clear(course, None, entry, space, views_at_spacing_m)
             return still if isinstance(still, str) else still.trajectory(start_s, path.map_epoch, identifier)
-        for overrun in OVERRUNS:
+        for overrun in OVERRUNS if _leads_on(path, entry) else OVERRUNS[-1:]:
             rolled, begin = self._pacer.begun(entry, overrun)
             course = Course.through(begin, _ahead(path, entry, begin), path.viewpoints)
             if overrun > 0.0:
@@ -179,6 +181,17 @@ def _fault(path: ViewPath, voxels: VoxelMap) -> str:
     if path.map_epoch != voxels.map_epoch:
         return f"the path is of map epoch {path.map_epoch}, the map of {voxels.map_epoch}"
     return "" if path.viewpoints else "the path has no view"
+
+
+def _leads_on(path: ViewPath, entry: Entry) -> bool:
+    """Whether the path begins in about the direction of the present motion, or with a turn on the spot."""
+    first = np.vstack([path.waypoints_world[0], path.viewpoints[0].position_world]) - entry.place[:3]
+    away_m = np.linalg.norm(first, axis=1)
+    if not (away_m > ON_THE_SPOT_M).any():
+        return True
+    way = first[int(np.argmax((away_m > ON_THE_SPOT_M) & (np.arange(len(first)) > 0)))]
+    velocity = entry.velocity[:3]
+    return bool(way @ velocity >= BACK * np.linalg.norm(way) * np.linalg.norm(velocity))
 
 
 def _ahead(path: ViewPath, entry: Entry, begin: FloatArray) -> list[FloatArray]:
