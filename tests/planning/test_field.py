@@ -1,5 +1,9 @@
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from box_world import FIXED, GIMBAL, MEETING_ROOM, BoxWorld
@@ -98,3 +102,34 @@ def test_frontier_cells_are_gathered_once_each_and_face_out_of_the_unknown() -> 
     cell = Frontier(np.array([[9, 9, 9]]), np.array([2], dtype=np.uint8))  # the voxel at +x is unknown
     _, one, _ = frontier_patches([cell], (20, 20, 20))
     np.testing.assert_allclose(one, [[9.5, 9.5, 9.5, *-FACES[1], UNKNOWN_WEIGHT]])
+
+
+PROBE = """
+import sys
+from numba.core.registry import CPUDispatcher as Dispatcher
+sys.path.insert(0, sys.argv[1])
+import numpy as np
+from test_field import CONFIG, FIXED, GIMBAL, elements_of, half_seen, looks_of, FieldViews, MEETING_ROOM
+from uav_recon.planning import field, elements
+
+def compiled():
+    return {(m, k): len(v.signatures) for m in ("field", "gains", "elements", "camera")
+            for k, v in vars(sys.modules["uav_recon.planning." + m]).items() if isinstance(v, Dispatcher)}
+
+situation, frontiers = half_seen(FIXED)
+surface = elements_of(MEETING_ROOM)
+elements.Elements.of(surface, situation.voxels.grid, 5)  # as SurfaceViews' warm-up does
+field.warm_up()
+before = compiled()
+FieldViews(CONFIG, GIMBAL).propose(situation, frontiers, surface, looks_of(situation))
+after = compiled()
+assert before == after, {k: (before[k], after[k]) for k in before if before[k] != after[k]}
+"""
+
+
+def test_nothing_is_compiled_after_warm_up() -> None:
+    # a fresh process: here, earlier tests have compiled whatever they needed
+    probe = subprocess.run(
+        [sys.executable, "-c", PROBE, str(Path(__file__).parent)], capture_output=True, text=True, check=False, timeout=240
+    )
+    assert probe.returncode == 0, probe.stderr

@@ -21,7 +21,7 @@ from uav_recon.planning.gains import TAIL, patches_near, seen
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.planning.surfaces import LOOK_DISCOUNT
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
-from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.maps import FREE, SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 UNKNOWN_WEIGHT = 2.0  # of a frontier cell, where the most uncertain element of surface has 1
@@ -223,3 +223,18 @@ def rows_in_view(state: ByteArray, lens: FloatArray, line: Sight, rows: FloatArr
         out[m] = in_view(lens, line, x, y, z) and _cosine(rows[m], line[0], line[1], line[2]) > 0.0
         out[m] = out[m] and is_visible(state, line[0], line[1], line[2], x, y, z, TAIL)
     return out
+
+
+def warm_up() -> None:
+    """Compile what FieldViews asks for itself; the rest is SurfaceViews' too."""
+    state = np.full((4, 4, 4), FREE, dtype=np.uint8)
+    state.setflags(write=False)
+    lens = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5).lens(1.0, 4.5)
+    places, rows = np.full((1, 3), 0.5), np.array([[2.5, 2.5, 2.5, -1.0, 0.0, 0.0, 1.0]])
+    field_gains(state, lens, places, rows, 1, 3.0, np.zeros(1))
+    line = sight(lens, places[0], 0.0, 0.0)
+    rows_in_view(state, lens, line, rows)
+    cells, one = np.array([[0, 1, 0]]), np.ones(1)
+    seen(state, lens, line, rows[:, :3].copy(), rows[:, 3:6].copy(), one, cells, True, np.zeros(1))
+    weigh(cells, one, np.zeros(1, dtype=np.int64), np.zeros(64, dtype=np.float32), LOOK_DISCOUNT)
+    patches_near(places[0], 9.0, rows[:, :3].copy(), rows[:, 3:6].copy(), one, cells)
