@@ -6,7 +6,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.evidence import CLEAR, LOWEST, NOISE_SIGMAS, add
-from uav_recon.mapping.pooling import CELL, LARGEST_WINDOW
+from uav_recon.mapping.pooling import CELL, LARGEST_WINDOW, STRIP
 from uav_recon.types.frames import AnyArray
 
 VALID_SHARE = 0.75  # of the footprint must have a return before a voxel is freed
@@ -78,6 +78,23 @@ def _spans(
         begin, end = np.int32(np.ceil(low)), np.int32(np.floor(high)) + np.int32(1)
         first[j] = begin
         last[j] = end if (left > zero) & (high >= low) else begin
+
+
+@kernel
+def _hidden(
+    camera: AnyArray, step: Axes, start: Axes, count: int, farthest_m: AnyArray, edge_m: np.float32, extent_m: np.float32
+) -> bool:
+    """Whether no return in the strips of the image that a run of voxels may touch lies behind any of them."""
+    along = np.float32(count - 1)
+    z, end_z = start[2], start[2] + step[2] * along
+    fu, nearest = np.float32(camera[0] / CELL), min(z, end_z)
+    u, end_u = np.divide(start[0], z), np.divide(start[0] + step[0] * along, end_z)
+    middle, half = np.float32((camera[2] + 0.5) / CELL), np.divide(np.float32(0.5), nearest)
+    low, high = (min(u, end_u) - half) * fu + middle, (max(u, end_u) + half) * fu + middle
+    farthest = np.float32(0.0)
+    for strip in range(max(int(low), 0) // STRIP, min(int(max(high, np.float32(0.0))) // STRIP + 1, farthest_m.size)):
+        farthest = max(farthest, farthest_m[strip])
+    return bool(nearest * edge_m + extent_m >= farthest)
 
 
 @kernel
@@ -158,9 +175,9 @@ def _share_seen(valid: AnyArray, window: int, right: int, down: int) -> float:
 
 @kernel
 def free(
-    lowest_m: AnyArray, valid: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray, pixels: tuple[int, int],
-    far_m: float, noise_per_m: float, doubtful: int, resolution_m: float, box: AnyArray, shape: tuple[int, int, int],
-    hits: AnyArray, odds: AnyArray, listed: AnyArray,
+    lowest_m: AnyArray, farthest_m: AnyArray, valid: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray,
+    pixels: tuple[int, int], far_m: float, noise_per_m: float, doubtful: int, resolution_m: float, box: AnyArray,
+    shape: tuple[int, int, int], hits: AnyArray, odds: AnyArray, listed: AnyArray,
 ) -> int:  # fmt: skip
     """Free the voxels of a box in front of everything seen under their footprint, except those with hits.
 
@@ -206,6 +223,8 @@ def free(
                 np.float32(rotation[0, 1] * dx + rotation[1, 1] * y + rotation[2, 1] * z),
                 np.float32(rotation[0, 2] * dx + rotation[1, 2] * y + rotation[2, 2] * z),
             )
+            if _hidden(camera, step, start, count, farthest_m, edge_m, extent_m):
+                continue
             depth, right, down = run_at[0, :count], run_at[1, :count], run_at[2, :count]
             _project(camera, step, start, depth, right, down)
             some = _sift(

@@ -7,7 +7,7 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.evidence import doubtful_look
 from uav_recon.mapping.freeing import free, view_box
-from uav_recon.mapping.pooling import CELL, LEVELS, pool
+from uav_recon.mapping.pooling import CELL, LEVELS, STRIP, pool
 from uav_recon.mapping.returns import count_hits, occupy
 from uav_recon.types.frames import AnyArray, IntArray
 from uav_recon.types.maps import GridSpec
@@ -31,6 +31,7 @@ class FrameScratch:
             self._pixels = (height, width)
             rows, columns = -(-height // CELL), -(-width // CELL)
             self.lowest_m = np.zeros((LEVELS, rows, columns), dtype=np.float32)
+            self.farthest_m = np.zeros(-(-columns // STRIP), dtype=np.float32)
             self.valid = np.zeros((rows + 1, columns + 1), dtype=np.int32)
             self.touched = np.zeros(height * width + 1, dtype=np.int32)
         return self
@@ -45,8 +46,8 @@ class FrameScratch:
 @kernel
 def fuse(
     depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray, near_m: float, far_m: float, noise_per_m: float,
-    resolution_m: float, shape: tuple[int, int, int], lowest_m: AnyArray, valid: AnyArray, hits: AnyArray, touched: AnyArray,
-    odds: AnyArray, listed: AnyArray,
+    resolution_m: float, shape: tuple[int, int, int], lowest_m: AnyArray, farthest_m: AnyArray, valid: AnyArray,
+    hits: AnyArray, touched: AnyArray, odds: AnyArray, listed: AnyArray,
 ) -> int:  # fmt: skip
     """Add a frame to the odds; returns how many voxels it lists whose state may have changed.
 
@@ -56,11 +57,11 @@ def fuse(
     box = np.empty((2, 3), dtype=np.int64)
     pixels = depth_m.shape
     view_box(camera, rotation, origin, far_m / resolution_m, pixels, shape, box)
-    pool(depth_m, near_m, lowest_m, valid)
+    pool(depth_m, near_m, lowest_m, farthest_m, valid)
     doubtful = doubtful_look(noise_per_m, far_m, resolution_m)
     number = count_hits(depth_m, camera, rotation, origin, near_m, far_m, resolution_m, box, hits, touched)
     listing = free(
-        lowest_m, valid, camera, rotation, origin, pixels, far_m, noise_per_m, doubtful, resolution_m, box, shape, hits,
-        odds, listed,
+        lowest_m, farthest_m, valid, camera, rotation, origin, pixels, far_m, noise_per_m, doubtful, resolution_m, box, shape,
+        hits, odds, listed,
     )  # fmt: skip
     return occupy(touched, number, camera, rotation, origin, noise_per_m, resolution_m, box, shape, hits, odds, listed, listing)

@@ -95,7 +95,7 @@ class Voxels:
         number = fuse(
             depth_m, camera, pose.rotation(), (pose.translation_m - self.grid.origin_world_m) / resolution_m,
             float(self._sensor.depth_min_m), self._max_range_m, noise_per_m, resolution_m, self.grid.shape,
-            scratch.lowest_m, scratch.valid, scratch.hits, scratch.touched, self._odds, scratch.listed,
+            scratch.lowest_m, scratch.farthest_m, scratch.valid, scratch.hits, scratch.touched, self._odds, scratch.listed,
         )  # fmt: skip
         return self._settle(number)
 
