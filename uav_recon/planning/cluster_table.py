@@ -38,13 +38,13 @@ class ClusterTable:
         """Replace the clusters of ``blocks`` (N, 2)."""
         done = 0
         while True:
-            done, cells = _cut_blocks(
+            done, cells, clusters = _cut_blocks(
                 faces, ignored, blocks, done, max_extent, self.head, self.after, self.count, self.speck, self.key,
                 self.start, self.centre, self.spare, self.fill, self.pool,
             )  # fmt: skip
             if done == len(blocks):
                 break
-            if self.fill[SPARE] < cells:
+            if self.fill[SPARE] < clusters:
                 self._more_rows()
             if len(self.pool) - self.fill[POOL] < cells:
                 self._more_pool(cells)
@@ -98,8 +98,8 @@ def _cut_blocks(
     spare: IntArray,
     fill: IntArray,
     pool: IntArray,
-) -> tuple[int, int]:
-    """Cut blocks[done:]; returns where it stopped, and for how many cells (so at most as many rows) it then lacks room."""
+) -> tuple[int, int, int]:
+    """Cut blocks[done:]; returns where it stopped, and how many cells and rows the next one needs if it lacked room."""
     _, ny, nz = faces.shape
     cells = np.empty(BLOCK * BLOCK * nz, dtype=np.int64)
     starts = np.empty(BLOCK * BLOCK * nz + 1, dtype=np.int64)
@@ -108,7 +108,7 @@ def _cut_blocks(
         clusters = cut(faces, ignored, bi, bj, max_extent, cells, starts)
         total = starts[clusters]
         if len(pool) - fill[POOL] < total or fill[SPARE] < clusters:
-            return n, total
+            return n, total, clusters
         row = head[bi, bj] - 1
         while row >= 0:
             count[row] = 0
@@ -136,7 +136,7 @@ def _cut_blocks(
                 digest ^= digest >> 29
             key[row] = digest
             centre[row, 0], centre[row, 1], centre[row, 2] = sx / (b - a) + 0.5, sy / (b - a) + 0.5, sz / (b - a) + 0.5
-    return len(blocks), 0
+    return len(blocks), 0, 0
 
 
 @kernel

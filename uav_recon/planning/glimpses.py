@@ -7,6 +7,7 @@ alone: that neighbour is what a look from there decides. Rays start there: most 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import first_obstacle
@@ -14,12 +15,13 @@ from uav_recon.planning.camera import CAM_X, CAM_Y, CAM_Z, PITCH_MAX, PITCH_MIN,
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
+Int32Array = NDArray[np.int32]
+
 FIRST_PROBES = 4  # cells tried from every place ...
 PROBES = 12  # ... so many from the most promising MORE_PLACES of them ...
 MORE_PLACES = 24
 FULL_PLACES = 8  # ... and all from the best of those, until a view shows this share of the cells ...
 ENOUGH = 0.97  # ... and only a view that shows so much more than another beats it
-MOST_BLOCKERS = 4096
 
 
 @kernel
@@ -52,9 +54,9 @@ def _sees(
     points: FloatArray,
     a: int,
     b: int,
-    stamp: IntArray,
+    stamp: Int32Array,
     mark: int,
-    blockers: IntArray,
+    blockers: Int32Array,
     count: int,
 ) -> tuple[bool, int]:
     """Tell whether a view shows one of points[a:b]; appends the voxels that hide them, once each, to ``blockers``."""
@@ -83,9 +85,9 @@ def _count(
     first: IntArray,
     wanted: float,
     seen: BoolArray,
-    stamp: IntArray,
+    stamp: Int32Array,
     mark: int,
-    blockers: IntArray,
+    blockers: Int32Array,
     count: int,
 ) -> tuple[int, int]:
     """Fill ``seen`` with the cells that a view (x, y, z, yaw, pitch) shows; how many, and how many blockers there are now.
@@ -147,9 +149,9 @@ def _probe(
     points: FloatArray,
     first: IntArray,
     probed: IntArray,
-    stamp: IntArray,
+    stamp: Int32Array,
     mark: int,
-    blockers: IntArray,
+    blockers: Int32Array,
     count: int,
 ) -> tuple[int, int]:
     """How many of some cells a line of sight shows, and how many blockers there are now."""
@@ -172,10 +174,10 @@ def best_view(
     centre: FloatArray,
     points: FloatArray,
     first: IntArray,
-    stamp: IntArray,
+    stamp: Int32Array,
     mark: int,
-    asked: IntArray,
-    blockers: IntArray,
+    asked: Int32Array,
+    blockers: Int32Array,
 ) -> tuple[FloatArray, BoolArray, int, int, IntArray]:
     """Find the view that shows most cells; of those that show nearly as many, the one whose place comes first in the shell.
 
@@ -184,7 +186,7 @@ def best_view(
     Returns the view (x, y, z, yaw, pitch down), voxels and radians, and which cells it shows: none = no view. Then what the
     answer hangs on: how many of ``asked`` (padded flat index of a place, or its complement if it was not reachable) and of
     ``blockers`` (voxels that hid something; more than there is room for: too many to tell) were filled, and the first and
-    last tile (2, 2) of the box that all lines lie in.
+    last tile, (4,) i and j of each, of the box that all lines lie in.
     """
     nx, ny, nz = shape
     cells = len(first) - 1
@@ -272,9 +274,9 @@ def best_view(
                 distance2, shape, lens, best, points, first[n], first[n + 1], stamp, mark, blockers, count
             )
     beside = abs(lens[CAM_X]) + abs(lens[CAM_Y]) + 1.0  # from a place to its lines' ends
-    box = np.empty((2, 2), dtype=np.int64)
-    box[0, 0], box[0, 1] = int(max(low_x - beside, 0.0)) // TILE, int(max(low_y - beside, 0.0)) // TILE
-    box[1, 0], box[1, 1] = int(min(high_x + beside, nx - 1.0)) // TILE, int(min(high_y + beside, ny - 1.0)) // TILE
+    box = np.empty(4, dtype=np.int64)
+    box[0], box[1] = int(max(low_x - beside, 0.0)) // TILE, int(max(low_y - beside, 0.0)) // TILE
+    box[2], box[3] = int(min(high_x + beside, nx - 1.0)) // TILE, int(min(high_y + beside, ny - 1.0)) // TILE
     return best, best_seen, asks, count, box
 
 
@@ -287,9 +289,9 @@ def _confirmed(
     points: FloatArray,
     a: int,
     b: int,
-    stamp: IntArray,
+    stamp: Int32Array,
     mark: int,
-    blockers: IntArray,
+    blockers: Int32Array,
     count: int,
 ) -> tuple[bool, int]:
     """Ask as _sees(), in both directions: a line through an edge or a corner of voxels may pass in one of them alone."""
@@ -309,80 +311,3 @@ def _confirmed(
                 blockers[count] = voxel
             count += 1
     return False, count
-
-
-@kernel
-def still_holds(
-    distance2: ByteArray,
-    reachable: ByteArray,
-    closed: IntArray,
-    since_revision: int,
-    moved: IntArray,
-    since_move: int,
-    asked: IntArray,
-    blockers: IntArray,
-    box: IntArray,
-) -> bool:
-    """Tell whether an answer of best_view() is what it would answer now.
-
-    Lines that were hidden are hidden while the first voxel that hid them is not free; lines that were clear are clear while no
-    voxel of their box has ceased to be free since. closed, moved: (tiles) the revision of the map at which a voxel there last
-    did so, and that of the space at which ``reachable`` last changed there.
-    """
-    ask_again = False
-    for i in range(box[0, 0], box[1, 0] + 1):
-        for j in range(box[0, 1], box[1, 1] + 1):
-            if closed[i, j] > since_revision:
-                return False
-            ask_again = ask_again or moved[i, j] > since_move
-    for n in range(len(blockers)):
-        if distance2[np.uint64(blockers[n])] != 0:
-            return False
-    if ask_again:
-        for n in range(len(asked)):
-            at = asked[n]
-            if (reachable[np.uint64(at if at >= 0 else ~at)] != 0) != (at >= 0):
-                return False
-    return True
-
-
-@kernel
-def redundant(
-    distance2: ByteArray,
-    shape: tuple[int, int, int],
-    lens: FloatArray,
-    views: FloatArray,
-    points: FloatArray,
-    first: IntArray,
-    begin: IntArray,
-    share: float,
-) -> IntArray:
-    """Which view shows a share of another's cells: (N,) number of the view, at best earlier in the list, or its own.
-
-    views (N, 5); points and first as in targets(), for the cells of all views one after the other; begin (N + 1,): where the
-    cells of each begin.
-    """
-    covered_by = np.arange(len(views))
-    for n in range(len(views)):
-        if covered_by[n] != n:
-            continue
-        line = sight(lens, views[n, :3], views[n, 3], views[n, 4])
-        for other in range(n + 1, len(views)):
-            if covered_by[other] != other:
-                continue
-            cells = begin[other + 1] - begin[other]
-            may_miss = int((1.0 - share) * cells)
-            for cell in range(begin[other], begin[other + 1]):
-                shown = False
-                for m in range(first[cell], first[cell + 1]):
-                    x, y, z = points[m, 0], points[m, 1], points[m, 2]
-                    if in_view(lens, line, x, y, z):
-                        shown = first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2]) < 0
-                        if shown:
-                            break
-                may_miss -= not shown
-                if may_miss < 0:
-                    break
-            if may_miss >= 0:
-                covered_by[other] = n
-    return covered_by
