@@ -41,7 +41,7 @@ def test_a_part_of_a_block_is_what_its_voxels_hang_on() -> None:
 
 def changed_blocks(regions: Regions, differs: BoolArray) -> IntArray:
     at = np.argwhere(differs[1:-1, 1:-1, 1:-1]) // EDGE + 1
-    return np.unique((at[:, 0] * regions.shape[1] + at[:, 1]) * regions.shape[2] + at[:, 2])
+    return np.unique((at[:, 0] * regions.blocks.shape[1] + at[:, 1]) * regions.blocks.shape[2] + at[:, 2])
 
 
 def connected(mask: ByteArray, cell: IntArray) -> ByteArray:
@@ -62,7 +62,8 @@ def test_random_changes_cut_and_join_as_a_labelling_from_scratch_does(seed: int)
         if mask.any() and (cell is None or not mask[tuple(cell)] or rng.random() < 0.2):
             cell = rng.choice(np.argwhere(mask))
         if cell is not None and mask[tuple(cell)]:
-            regions.hang_on(regions.part_at(*(int(n) for n in cell)), revision)
+            i, j, k = (int(n) for n in cell)
+            regions.hang_on(i, j, k, revision)
             np.testing.assert_array_equal(regions.reachable, connected(mask, cell))
         flips = rng.random(shape) < rng.choice([0.001, 0.01, 0.1])
         if rng.random() < 0.2:  # a wall, or what it hid
@@ -81,7 +82,7 @@ def test_a_block_that_only_grows_costs_nobody_a_parent() -> None:
     mask[1:13, 2, 2] = 1
     regions = Regions((12, 4, 4))
     regions.update(mask, changed_blocks(regions, mask > 0), 1)
-    regions.hang_on(regions.part_at(1, 2, 2), 1)
+    regions.hang_on(1, 2, 2, 1)
     parents = regions.parent.copy()
     grown = mask.copy()
     grown[5:9, 2:4, 2] = 1

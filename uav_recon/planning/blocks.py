@@ -7,13 +7,16 @@ numbers with c > 0 are rare, so their memory is hardly ever touched.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.types.frames import ByteArray, IntArray
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 WordArray = NDArray[np.uint64]
+LinkArray = NDArray[np.uint32]
 
 EDGE = 4  # voxels along a block's edge
 MOST_PARTS = 8
@@ -23,12 +26,14 @@ _K0 = np.uint64(0x1111111111111111)  # voxels with k = 0, with k = 3, ...
 _K3 = np.uint64(0x8888888888888888)
 _J0 = np.uint64(0x000F000F000F000F)
 _J3 = np.uint64(0xF000F000F000F000)
-_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
-_NOT_K0, _NOT_K3, _NOT_J0, _NOT_J3 = _ALL ^ _K0, _ALL ^ _K3, _ALL ^ _J0, _ALL ^ _J3
+ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+_NOT_K0, _NOT_K3, _NOT_J0, _NOT_J3 = ALL ^ _K0, ALL ^ _K3, ALL ^ _J0, ALL ^ _J3
 
 SIDES = np.array(
     [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)], dtype=np.int64
 )
+_FROM_MIDDLE_2 = [(bit // 16 - 1.5) ** 2 + (bit // 4 % 4 - 1.5) ** 2 + (bit % 4 - 1.5) ** 2 for bit in range(64)]
+FROM_MIDDLE = np.argsort(_FROM_MIDDLE_2, kind="stable")  # a block's voxels, those nearest to its middle first
 _SLICES = {
     1: (0xFFFF000000000000, 0xF000F000F000F000, 0x8888888888888888),
     -1: (0xFFFF, 0x000F000F000F000F, 0x1111111111111111),
@@ -39,7 +44,7 @@ def _side_words() -> tuple[WordArray, WordArray, WordArray]:
     """For each side: which voxels of a block lie on it, and by how much right, then left, to move them onto the neighbour's."""
     keep, right, left = [], [], []
     for side in SIDES:
-        word, moves = int(_ALL), 0
+        word, moves = int(ALL), 0
         for axis, shift in enumerate((48, 12, 3)):
             if side[axis]:
                 word &= _SLICES[int(side[axis])][axis]
@@ -81,15 +86,66 @@ def part_around(seed: np.uint64, word: np.uint64) -> np.uint64:
         grown = wide
 
 
+class Blocks(NamedTuple):
+    """The blocks of a grid, for kernels; rewritten in place.
+
+    shape: (3,) blocks along each axis, the border included. steps: (26,) what to add to a block's number to get to its
+    neighbour on SIDES. counts: (blocks,) uint8 parts of each block. words: (8 * blocks,) uint64, voxels of each part. links:
+    (8 * blocks,) uint32, bit n = touches a part of the block on SIDES[n]. centre: (8 * blocks, 3), padded voxel units,
+    the middle of the voxel that a part stands for, the one nearest to its block's middle.
+    """
+
+    shape: IntArray
+    steps: IntArray
+    counts: ByteArray
+    words: WordArray
+    links: LinkArray
+    centre: FloatArray
+
+
+def blocks_of(grid_shape: tuple[int, int, int]) -> Blocks:
+    """Empty blocks for a grid of voxels. The system commits their memory only where something is."""
+    shape = np.array([-(-n // EDGE) + 2 for n in grid_shape], dtype=np.int64)
+    number = int(np.prod(shape))
+    return Blocks(
+        shape=shape,
+        steps=SIDES @ np.array([shape[1] * shape[2], shape[2], 1], dtype=np.int64),
+        counts=np.zeros(number, dtype=np.uint8),
+        words=np.zeros(MOST_PARTS * number, dtype=np.uint64),
+        links=np.zeros(MOST_PARTS * number, dtype=np.uint32),
+        centre=np.zeros((MOST_PARTS * number, 3), dtype=np.float64),
+    )
+
+
 @kernel
-def word_of(mask: ByteArray, block: int, shape: IntArray) -> np.uint64:
+def corner_of(blocks: Blocks, block: int) -> tuple[int, int, int]:
+    """Return the PADDED indices of a block's first voxel."""
+    plane = blocks.shape[1] * blocks.shape[2]
+    rest = block % plane
+    i, j, k = block // plane, rest // blocks.shape[2], rest % blocks.shape[2]
+    return EDGE * i - EDGE + 1, EDGE * j - EDGE + 1, EDGE * k - EDGE + 1
+
+
+@kernel
+def part_at(blocks: Blocks, i: int, j: int, k: int) -> int:
+    """Return the number of the part that holds a PADDED voxel; -1 for none."""
+    i, j, k = i + EDGE - 1, j + EDGE - 1, k + EDGE - 1
+    block = (i // EDGE * blocks.shape[1] + j // EDGE) * blocks.shape[2] + k // EDGE
+    bit = np.uint64(i % EDGE * 16 + j % EDGE * 4 + k % EDGE)
+    for c in range(blocks.counts[block]):
+        if (blocks.words[c * len(blocks.counts) + block] >> bit) & ONE:
+            return int(c * len(blocks.counts) + block)
+    return -1
+
+
+@kernel
+def word_of(blocks: Blocks, block: int, mask: ByteArray) -> np.uint64:
     """Read a block's voxels from a padded mask."""
-    bz, by = block % shape[2], block // shape[2] % shape[1]
-    bx = block // (shape[1] * shape[2])
+    i0, j0, k0 = corner_of(blocks, block)
     word, bit = np.uint64(0), np.uint64(0)
-    for i in range(bx * EDGE - 3, bx * EDGE + 1):  # voxel indices of a padded mask: block 1 begins at voxel 1
-        for j in range(by * EDGE - 3, by * EDGE + 1):
-            for k in range(bz * EDGE - 3, bz * EDGE + 1):
+    for i in range(i0, i0 + EDGE):
+        for j in range(j0, j0 + EDGE):
+            for k in range(k0, k0 + EDGE):
                 if i < mask.shape[0] and j < mask.shape[1] and k < mask.shape[2]:
                     word |= np.uint64(mask[i, j, k]) << bit
                 bit += ONE
@@ -97,24 +153,48 @@ def word_of(mask: ByteArray, block: int, shape: IntArray) -> np.uint64:
 
 
 @kernel
-def split(words: WordArray, counts: ByteArray, block: int, word: np.uint64) -> None:
-    """Write a block's parts, in the order of their lowest voxels."""
-    blocks = len(counts)
+def split(blocks: Blocks, block: int, word: np.uint64) -> None:
+    """Write a block's parts, in the order of their lowest voxels. Links and centres are to be renewed after that."""
     count = 0
     while word != 0:
         part = part_around(word & (~word + ONE), word)
-        words[count * blocks + block] = part
+        blocks.words[count * len(blocks.counts) + block] = part
         word ^= part
         count += 1
-    for c in range(count, counts[block]):
-        words[c * blocks + block] = 0
-    counts[block] = count
+    for c in range(count, blocks.counts[block]):
+        blocks.words[c * len(blocks.counts) + block] = 0
+    blocks.counts[block] = count
 
 
 @kernel
-def part_with(words: WordArray, counts: ByteArray, block: int, bit: int) -> int:
-    """Return the number of the part that holds a block's voxel; -1 for none."""
-    for c in range(counts[block]):
-        if (words[c * len(counts) + block] >> np.uint64(bit)) & ONE:
-            return c * len(counts) + block
-    return -1
+def link(blocks: Blocks, block: int) -> None:
+    """Note which sides of a block's parts touch others, on both ends, and let each part stand for a voxel."""
+    number = len(blocks.counts)
+    i0, j0, k0 = corner_of(blocks, block)
+    for c in range(blocks.counts[block]):
+        part = c * number + block
+        blocks.links[part] = 0
+        for bit in FROM_MIDDLE:
+            if (blocks.words[part] >> np.uint64(bit)) & ONE:
+                blocks.centre[part, 0] = i0 + bit // 16 + 0.5
+                blocks.centre[part, 1] = j0 + bit // 4 % 4 + 0.5
+                blocks.centre[part, 2] = k0 + bit % 4 + 0.5
+                break
+    for side in range(26):
+        beside = block + blocks.steps[side]
+        here, there = np.uint32(1 << side), np.uint32(1 << (25 - side))  # SIDES[25 - n] is opposite to SIDES[n]
+        for d in range(blocks.counts[beside]):
+            other = d * number + beside
+            met = False
+            for c in range(blocks.counts[block]):
+                if touches(blocks.words[c * number + block], blocks.words[other], side):
+                    blocks.links[c * number + block] |= here
+                    met = True
+            blocks.links[other] = blocks.links[other] | there if met else blocks.links[other] & ~there
+
+
+@kernel
+def meets(blocks: Blocks, part: int, side: int, other: int) -> bool:
+    """Tell whether a part touches a certain part on a side on which it touches something."""
+    beside = part % len(blocks.counts) + blocks.steps[side]
+    return blocks.counts[beside] == 1 or touches(blocks.words[part], blocks.words[other], side)

@@ -97,18 +97,39 @@ def chain(previous: CellArray, cell: int) -> IntArray:
 @kernel
 def line_is_open(mask: ByteArray, a: FloatArray, b: FloatArray) -> bool:
     """Tell whether every sample of a straight segment, at most half a voxel apart, lies in the mask."""
-    length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    for axis in range(3):
+        if min(a[axis], b[axis]) < 0.0 or max(a[axis], b[axis]) >= mask.shape[axis]:
+            return False
+    return segment_is_open(mask, a[0], a[1], a[2], b[0], b[1], b[2])
+
+
+@kernel
+def distance(x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> float:
+    """Return how far apart two points are."""
+    return math.sqrt((x0 - x1) ** 2 + (y0 - y1) ** 2 + (z0 - z1) ** 2)
+
+
+@kernel
+def segment_is_open(leap: ByteArray, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> bool:
+    """line_is_open for ends that are known to lie in the array.
+
+    leap: a mask, or in place of its ones how many samples to go on by, all but the last of them known to be open.
+    """
+    if x0 > x1 or (x0 == x1 and (y0 > y1 or (y0 == y1 and z0 > z1))):
+        x0, y0, z0, x1, y1, z1 = x1, y1, z1, x0, y0, z0  # the same both ways, to the last bit
+    dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
     # mid-interval samples of an even number of intervals: never exactly on the corner that a diagonal step passes
-    count = 2 * math.ceil(length) + 2
-    for n in range(count):
-        t = (n + 0.5) / count
-        i = math.floor(a[0] + t * (b[0] - a[0]))
-        j = math.floor(a[1] + t * (b[1] - a[1]))
-        k = math.floor(a[2] + t * (b[2] - a[2]))
-        if i < 0 or j < 0 or k < 0 or i >= mask.shape[0] or j >= mask.shape[1] or k >= mask.shape[2]:
+    count = 2 * math.ceil(math.sqrt(dx * dx + dy * dy + dz * dz)) + 2
+    dx, dy, dz = dx / count, dy / count, dz / count
+    x, y, z = x0 + 0.5 * dx, y0 + 0.5 * dy, z0 + 0.5 * dz
+    flat, across, along = leap.ravel(), np.int64(leap.shape[1] * leap.shape[2]), np.int64(leap.shape[2])
+    n = 0
+    while n < count:
+        # unsigned: an index that needs no test for being negative
+        ahead = flat[np.uint64(int(x + n * dx) * across + int(y + n * dy) * along + int(z + n * dz))]
+        if ahead == 0:
             return False
-        if mask[i, j, k] == 0:
-            return False
+        n += ahead
     return True
 
 

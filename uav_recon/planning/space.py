@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
@@ -12,6 +14,7 @@ from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
 
 NEVER = 256  # a squared distance that no byte holds
+MOST_LEAPS = 12
 
 
 class FlyableSpace:
@@ -21,6 +24,9 @@ class FlyableSpace:
     The border of zeros spares a search the question of bounds. free: the same for known-free voxels. reachable: the same for
     flyable voxels that are 26-connected to where the vehicle last stood. Arrays are rewritten in place.
     Positions in kernels are in PADDED voxel units: (p - origin) / resolution + 1.
+
+    leap: the same for lines through the mask, see ``segment_is_open``: 0 where the mask is 0, else 1 + how many samples on are
+    open whatever the line's direction, by the distance field. (Lines begin and end in the mask: they never leave the box.)
 
     revision: grows with each change of mask or reachable. mask_revision, reachable_revision: (tiles along x, along y), the
     revision at which anything in a tile of TILE x TILE columns last changed; block_revision: the same for the mask in the
@@ -36,6 +42,8 @@ class FlyableSpace:
         self.grid = grid
         needed2 = (clearance_m / grid.resolution_m + 0.5 - 1e-3) ** 2
         self._needed2 = int(min(np.ceil(needed2), NEVER))
+        needed = math.sqrt(self._needed2) + math.sqrt(3.0)  # twice from a point to its voxel's centre
+        self._leaps2 = np.array([min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MOST_LEAPS)], dtype=np.int64)
         self._box = np.array([np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)], dtype=np.int64)
         self._escape = Escape(grid.resolution_m)
         self._start()
@@ -43,13 +51,13 @@ class FlyableSpace:
     def _start(self) -> None:
         nx, ny, nz = self.grid.shape
         self.mask = np.zeros((nx + 2, ny + 2, nz + 2), dtype=np.uint8)
-        self.free = np.zeros_like(self.mask)
+        self.free, self.leap = np.zeros_like(self.mask), np.zeros_like(self.mask)
         self.regions = Regions(self.grid.shape)
         self.reachable: ByteArray = self.regions.reachable
         self.reachable_revision: IntArray = self.regions.tile_revision
         self.mask_revision = np.zeros_like(self.reachable_revision)
-        self.block_revision = np.zeros(len(self.regions.counts), dtype=np.int64)
-        self._changed = np.empty(len(self.regions.counts), dtype=np.int64)
+        self.block_revision = np.zeros(len(self.regions.blocks.counts), dtype=np.int64)
+        self._changed = np.empty(len(self.regions.blocks.counts), dtype=np.int64)
         self.revision = 0
         self._seen: tuple[int, int] = (0, -1)  # map epoch and revision
 
@@ -69,8 +77,9 @@ class FlyableSpace:
         since = self._seen[1] if voxels.map_epoch == self._seen[0] else -1
         self._seen = (voxels.map_epoch, voxels.revision)
         count = _renew(
-            voxels.state, voxels.distance2, voxels.tile_revision, since, self._box, self._needed2, self.regions.shape,
-            self.mask, self.free, self.mask_revision, self.block_revision, self._changed, self.revision + 1,
+            voxels.state, voxels.distance2, voxels.tile_revision, since, self._box, self._needed2, self._leaps2,
+            self.regions.blocks.shape,
+            self.mask, self.free, self.leap, self.mask_revision, self.block_revision, self._changed, self.revision + 1,
         )  # fmt: skip
         if count:
             self.revision += 1
@@ -92,7 +101,7 @@ class FlyableSpace:
         i, j, k = (int(n) for n in np.unravel_index(int(cells[-1]), self.mask.shape))
         if not self.reachable[i, j, k]:
             self.revision += 1
-            self.regions.hang_on(self.regions.part_at(i, j, k), self.revision)
+            self.regions.hang_on(i, j, k, self.revision)
         return cells
 
     def changed_reachable(self, since_revision: int) -> IntArray:
@@ -129,9 +138,11 @@ def _renew(
     since: int,
     box: IntArray,
     needed2: int,
+    leaps2: IntArray,
     blocks_shape: IntArray,
     mask: ByteArray,
     free: ByteArray,
+    leap: ByteArray,
     mask_revision: IntArray,
     block_revision: IntArray,
     changed: IntArray,
@@ -147,7 +158,8 @@ def _renew(
             continue
         for i in range(across * TILE, min(across * TILE + TILE, nx)):
             for j in range(along * TILE, min(along * TILE + TILE, ny)):
-                states, distances, frees, masks = state[i, j], distance2[i, j], free[i + 1, j + 1], mask[i + 1, j + 1]
+                states, distances = state[i, j], distance2[i, j]
+                frees, masks, leaps = free[i + 1, j + 1], mask[i + 1, j + 1], leap[i + 1, j + 1]
                 low, high = box[0, 2], box[1, 2]
                 if i < box[0, 0] or i >= box[1, 0] or j < box[0, 1] or j >= box[1, 1]:
                     high = low
@@ -158,6 +170,11 @@ def _renew(
                 for k in range(nz):
                     column[k] &= np.uint8(distances[k] >= needed2) & np.uint8(k >= low) & np.uint8(k < high)
                     differs |= column[k] ^ masks[k + 1]
+                for k in range(nz):
+                    leaps[k + 1] = column[k]
+                for least2 in leaps2:
+                    for k in range(nz):
+                        leaps[k + 1] += column[k] & np.uint8(distances[k] >= least2)
                 if differs == 0:
                     continue
                 base = ((i // EDGE + 1) * blocks_shape[1] + j // EDGE + 1) * blocks_shape[2] + 1
