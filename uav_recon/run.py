@@ -29,7 +29,8 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.neural.trainer import Trainer
     from uav_recon.mapping.voxels import Voxels
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.planning.planner import AdaptivePlanner
+    from uav_recon.planning.camera import CameraGeometry
+    from uav_recon.planning.planner import ViewPlanner
     from uav_recon.recording.recorder import Recorder
     from uav_recon.recording.timelapse import Timelapse
 
@@ -189,14 +190,29 @@ def make_voxels(config: Config) -> Voxels:
     return Voxels(grid, sensor, voxels.max_range_m, safety.fence_min_m, safety.fence_max_m, voxels.distance_cap_m)
 
 
-def make_planner(config: Config, timer: Callable[[], float]) -> AdaptivePlanner:
+def make_planner(config: Config, timer: Callable[[], float]) -> ViewPlanner:
     """The planner of the config's variant."""
-    from uav_recon.planning.camera import CameraGeometry
-    from uav_recon.planning.planner import AdaptivePlanner
+    from uav_recon.planning.planner import ViewPlanner
 
-    camera, safety, motion = config.camera, config.safety, config.motion
+    safety, motion = config.safety, config.motion
+    return ViewPlanner(
+        config.planner,
+        np.array(safety.fence_min_m),
+        np.array(safety.fence_max_m),
+        _camera_geometry(config),
+        motion.speed_mps,
+        math.radians(motion.yaw_rate_degps),
+        timer,
+        fence_inset_m=max(config.planner.clearance_m, safety.fence_inset_m),  # never plan what the guard would refuse
+    )
+
+
+def _camera_geometry(config: Config) -> CameraGeometry:
+    from uav_recon.planning.camera import CameraGeometry
+
+    camera = config.camera
     low, high = (camera.pitch_down_deg,) * 2 if camera.mount == "fixed" else (-camera.gimbal_limit_deg, camera.gimbal_limit_deg)
-    geometry = CameraGeometry(
+    return CameraGeometry(
         hfov_rad=math.radians(camera.horizontal_fov_deg),
         vfov_rad=math.radians(camera.vertical_fov_deg),
         position_body_m=np.array(camera.position_body_m),
@@ -204,16 +220,6 @@ def make_planner(config: Config, timer: Callable[[], float]) -> AdaptivePlanner:
         pitch_max_rad=math.radians(high),
         range_m=config.voxels.max_range_m * 0.9,
         near_m=camera.depth_min_m,
-    )
-    return AdaptivePlanner(
-        config.planner,
-        np.array(safety.fence_min_m),
-        np.array(safety.fence_max_m),
-        geometry,
-        motion.speed_mps,
-        math.radians(motion.yaw_rate_degps),
-        timer,
-        fence_inset_m=max(config.planner.clearance_m, safety.fence_inset_m),  # never plan what the guard would refuse
     )
 
 
@@ -270,7 +276,7 @@ def warm_up(config: Config) -> None:
     voxels = make_voxels(config)
     voxels.warm_up()
     make_coverage(config, voxels).warm_up()
-    planner.warm_up()
+    planner.warm_up(config.planner, _camera_geometry(config))
     MotionPlanner(config.motion, config.planner.clearance_m).warm_up()
 
 

@@ -48,7 +48,7 @@ def test_where_much_is_unknown_views_show_frontiers(camera: CameraGeometry) -> N
         assert len(proposal.promised) >= 4
         assert {int(c) for c in proposal.promised} <= cells
         assert proposal.task.gain >= UNKNOWN_WEIGHT * len(proposal.promised)
-        assert situation.reachable.ravel()[proposal.cell] == 1
+        assert situation.space.reachable.ravel()[proposal.cell] == 1
         view = proposal.task.viewpoint
         assert camera.pitch_min_rad <= view.pitch_down_rad <= camera.pitch_max_rad
         bearing = view.yaw_rad

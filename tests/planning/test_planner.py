@@ -7,18 +7,17 @@ import pytest
 from box_world import FIXED, GIMBAL, MEETING_ROOM, BoxWorld, room, voxel_map
 from scipy import ndimage
 
-from uav_recon.config import PlannerConfig
+from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera import CameraGeometry
-from uav_recon.planning.modes import AlwaysMerged, ExploreOnly, ModeRule
-from uav_recon.planning.planner import AdaptivePlanner
+from uav_recon.planning.planner import ViewPlanner
 from uav_recon.types.frames import ByteArray
 from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, ViewPath
 
 
-def planner_for(state: ByteArray, camera: CameraGeometry = FIXED, mode: ModeRule | None = None) -> AdaptivePlanner:
+def planner_for(state: ByteArray, camera: CameraGeometry = FIXED, variant: VariantName = "adaptive") -> ViewPlanner:
     size_m = (np.array(state.shape) - 2) * 0.1
-    return AdaptivePlanner(PlannerConfig(), np.zeros(3), size_m, camera, 0.8, 0.8, timer=lambda: 0.0, mode=mode)
+    return ViewPlanner(PlannerConfig(variant=variant), np.zeros(3), size_m, camera, 0.8, 0.8, timer=lambda: 0.0)
 
 
 def looked_round(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], camera: CameraGeometry = FIXED) -> BoxWorld:
@@ -92,7 +91,7 @@ def test_every_map_gives_a_flyable_path_or_a_reason(block: int) -> None:
     outcomes = {ViewPath: 0, NothingLeft: 0}
     for seed in range(block * 50, block * 50 + 50):
         voxels, position = random_case(seed)
-        planner = planner_for(voxels.state, GIMBAL if seed % 2 else FIXED, AlwaysMerged())
+        planner = planner_for(voxels.state, GIMBAL if seed % 2 else FIXED, "merged")
         surface = surface_of(np.asarray(voxels.state == OCCUPIED), 1) if seed % 3 == 0 else None
         request = PlanRequest(voxels, surface, position, seed * 0.7, 1 + seed % 7)
         answer = planner.plan(request)
@@ -165,7 +164,7 @@ def test_reasons_are_counted_in_words() -> None:
     assert boxed.reason == "no view is left in the budget"
     closed = np.zeros_like(known)
     closed[5, 5, 5] = FREE
-    stuck = planner.plan(PlanRequest(voxel_map(closed), None, np.array([0.45, 0.45, 0.45]), 0.0, 5))
+    stuck = planner.plan(PlanRequest(voxel_map(closed, 1), None, np.array([0.45, 0.45, 0.45]), 0.0, 5))
     assert isinstance(stuck, NothingLeft)
     assert "no known-free way" in stuck.reason
 
@@ -187,7 +186,7 @@ def test_surface_tasks_look_at_uncertain_surface_that_is_in_sight() -> None:
     assert path.mode is PlanMode.MERGED
     assert all(task.kind is TaskKind.RECONSTRUCT for task in path.tasks)
     assert_flyable(path, request)
-    explore_only = planner_for(known, mode=ExploreOnly()).plan(request)
+    explore_only = planner_for(known, variant="explore").plan(request)
     assert isinstance(explore_only, NothingLeft)
 
 
@@ -243,15 +242,56 @@ def test_whoever_refuses_to_fly_does_not_get_the_same_view_for_ever() -> None:
 
 
 def test_a_new_epoch_forgets_what_was_looked_at() -> None:
+    known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    known[30:36, 8:14, -2:] = 0
+    planner = planner_for(known)
+    position, yaw = np.array([1.0, 1.0, 1.2]), 0.0
+    for revision in range(20):
+        answer = planner.plan(PlanRequest(voxel_map(known, revision), None, position, yaw, 20))
+        if isinstance(answer, NothingLeft):
+            break
+        planner.accept(answer)
+        position, yaw = answer.viewpoints[-1].position_world, answer.viewpoints[-1].yaw_rad
+    assert isinstance(answer, NothingLeft)
+    assert isinstance(planner.plan(PlanRequest(voxel_map(known, 21), None, position, yaw, 9)), NothingLeft)
+    assert isinstance(planner.plan(PlanRequest(voxel_map(known, 9, epoch=1), None, position, yaw, 9)), ViewPath)
+
+
+def test_in_motion_the_view_that_is_flown_to_stays_the_next_one() -> None:
+    """Else a drone between two tasks turns round at every plan, and comes to neither."""
     world = looked_round(MEETING_ROOM)
     planner = planner_for(world.state)
-    first = planner.plan(world.request())
-    assert isinstance(first, ViewPath)
-    planner.visited.exhausted[:] = 1
-    answer = planner.plan(world.request())
-    assert isinstance(answer, NothingLeft)
-    position, yaw = world.position, world.yaw_rad
-    assert isinstance(planner.plan(PlanRequest(voxel_map(world.state, 9, epoch=1), None, position, yaw, 9)), ViewPath)
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath)
+    planner.accept(path)
+    goal, way = path.viewpoints[0], path.waypoints_world[0]
+    back = path.viewpoints[0].position_world - way[0]
+    asked = world.request()
+    on_the_way = way[0] + 0.02 * (way[1] - way[0])
+    for velocity in (0.5 * back, -0.5 * back):
+        request = PlanRequest(asked.voxels, None, on_the_way, world.yaw_rad + 2.0, 50, velocity)
+        onward = planner.plan(request)
+        assert isinstance(onward, ViewPath)
+        np.testing.assert_array_equal(onward.viewpoints[0].position_world, goal.position_world)
+        assert onward.viewpoints[0].yaw_rad == goal.yaw_rad
+    resting = planner.plan(PlanRequest(asked.voxels, None, on_the_way, world.yaw_rad + 2.0, 50))
+    assert isinstance(resting, ViewPath)
+
+
+def test_a_view_that_has_nothing_left_to_show_is_not_kept() -> None:
+    world = looked_round(MEETING_ROOM)
+    planner = planner_for(world.state)
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath)
+    planner.accept(path)
+    at, yaw = path.waypoints_world[0][0], world.yaw_rad + 2.0
+    assert planner.still_worth(voxel_map(world.state.copy(), 50), at, yaw)
+    seen = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    seen[world.state == 0] = np.where(np.arange(seen.size).reshape(seen.shape) % 997 == 0, 0, seen)[world.state == 0]
+    assert not planner.still_worth(voxel_map(seen, 51), at, yaw)
+    onward = planner.plan(PlanRequest(voxel_map(seen, 51), None, at, yaw, 50, np.array([0.3, 0.0, 0.0])))
+    if isinstance(onward, ViewPath):
+        assert any(onward.viewpoints[0].position_world != path.viewpoints[0].position_world)
 
 
 def test_flyable_components_of_the_test_rooms_are_one() -> None:

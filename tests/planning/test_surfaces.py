@@ -68,11 +68,15 @@ def test_gains_are_what_exact_rays_see_and_the_chosen_view_is_nearly_the_best_of
         promised = np.unique(elements.voxel[(cosine > 0) & (elements.voxel >= 0)])
         np.testing.assert_array_equal(proposal.promised, promised)
         np.testing.assert_allclose(proposal.squareness[5], cosine[elements.voxel == promised[5]].max())
-        assert situation.reachable.ravel()[proposal.cell] == 1
+        assert situation.space.reachable.ravel()[proposal.cell] == 1
         best = 0.0
         for place in np.unique(np.floor((task.centroid_world + 0.1) / 0.1 + offsets), axis=0) + 0.5:
             cell = place.astype(int) + 1
-            if (place < 0).any() or (cell >= situation.reachable.shape).any() or not situation.reachable[tuple(cell)]:
+            if (
+                (place < 0).any()
+                or (cell >= situation.space.reachable.shape).any()
+                or not situation.space.reachable[tuple(cell)]
+            ):
                 continue
             view = aimed(camera, (place - 1.0) * 0.1, task.centroid_world)
             best = max(best, float(cosines(voxels, elements, camera, view) @ weight))

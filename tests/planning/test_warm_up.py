@@ -25,12 +25,12 @@ def compiled():
     }
     return {key: len(value.signatures) for key, value in kernels.items()}
 
-planning.warm_up()
+planning.warm_up(PlannerConfig(), GIMBAL)
 before = compiled()
 assert len(before) > 15, before
 world = BoxWorld(MEETING_ROOM, GIMBAL, np.array([3.0, 1.0, 1.2]))
 world.look_round()
-planner = planning.AdaptivePlanner(PlannerConfig(), np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, 0.8, 0.8)
+planner = planning.ViewPlanner(PlannerConfig(), np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, 0.8, 0.8)
 for position in ((3.0, 1.0, 1.2), (3.0, 0.15, 1.2), (9.0, 9.0, 9.0)):
     asked = world.request()
     planner.plan(PlanRequest(asked.voxels, surface_of(MEETING_ROOM), np.array(position), 0.0, 50))

@@ -7,10 +7,9 @@ import itertools
 import numpy as np
 from box_world import MEETING_ROOM, Solid, voxel_map
 
-from uav_recon.planning.flyable import FlyableSpace, way_out
 from uav_recon.planning.frontiers import fence_box
 from uav_recon.planning.proposal import Situation
-from uav_recon.planning.search import distances_from
+from uav_recon.planning.space import FlyableSpace
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
 
@@ -43,9 +42,8 @@ def seen_room(solid: Solid = MEETING_ROOM) -> VoxelMap:
 def situation_in(voxels: VoxelMap, position: FloatArray, clearance_m: float = 0.35) -> Situation:
     size_m = (np.array(voxels.grid.shape) - 2) * voxels.grid.resolution_m
     low, high = fence_box(voxels.grid, np.full(3, clearance_m), size_m - clearance_m)
-    space = FlyableSpace.of(voxels, clearance_m, low, high)
-    exit_cells = way_out(space, position)
+    space = FlyableSpace(voxels.grid, clearance_m, low, high)
+    space.update(voxels)
+    exit_cells = space.stand(position)
     assert exit_cells is not None
-    reach, previous = distances_from(space.mask, int(exit_cells[-1]), np.zeros(0, dtype=np.int64), np.inf)
-    reachable = np.where(np.isfinite(reach), space.mask.ravel(), np.uint8(0)).reshape(space.mask.shape)
-    return Situation(voxels, space, exit_cells, position, reachable, reach, previous)
+    return Situation(voxels, space, exit_cells, position)

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera import CameraGeometry
-from uav_recon.planning.planner import AdaptivePlanner
+from uav_recon.planning.planner import ViewPlanner
 from uav_recon.types.maps import FREE, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 
@@ -48,7 +48,7 @@ def fly_through(seed: int) -> Counter[str]:
     rng = world.rng
     camera = GIMBAL if rng.random() < 0.5 else FIXED
     config = PlannerConfig(variant=VARIANTS[int(rng.integers(len(VARIANTS)))])
-    planner = AdaptivePlanner(config, world.fence_m[0], world.fence_m[1], camera, 0.8, 0.8, timer=lambda: 0.0)
+    planner = ViewPlanner(config, world.fence_m[0], world.fence_m[1], camera, 0.8, 0.8, timer=lambda: 0.0)
     position, yaw_rad = world.anywhere(), float(rng.uniform(-4, 4))
     home = Viewpoint(position, 0.0, float(np.clip(0.0, camera.pitch_min_rad, camera.pitch_max_rad)))
     if rng.random() < 0.9:  # else the start is unknown

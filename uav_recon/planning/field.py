@@ -132,7 +132,7 @@ class FieldViews:
 
 def sampled_places(situation: Situation, here: FloatArray, radius: float) -> FloatArray:
     """Centres (P, 3) of every SPACING-th reachable voxel along each axis within a radius of ``here``, which comes first."""
-    reachable = situation.reachable[1:-1, 1:-1, 1:-1]
+    reachable = situation.space.reachable[1:-1, 1:-1, 1:-1]
     low = np.maximum(np.floor(here - radius).astype(np.int64), 0)
     low += -low % SPACING  # the same voxels wherever the vehicle is
     high = np.minimum(np.ceil(here + radius).astype(np.int64) + 1, reachable.shape)

@@ -13,7 +13,7 @@ NEAR_ENOUGH_M = 0.4  # a pad whose own column may not be flown is reached beside
 def proposal_for(situation: Situation, goal: Viewpoint) -> Proposal | None:
     """The reachable cell nearest to ``goal`` as a proposal; None if all are farther away than NEAR_ENOUGH_M."""
     space = situation.space
-    reachable = np.flatnonzero(situation.reachable)
+    reachable = np.flatnonzero(situation.space.reachable)
     if not len(reachable):
         return None
     away_m = np.linalg.norm(space.world(space.centre(reachable)) - goal.position_world, axis=1)

@@ -4,36 +4,42 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from uav_recon.config import PlannerConfig
+from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.geometry import traversal
-from uav_recon.planning import search, tour, visited
+from uav_recon.planning import census, costs, field, search, space, tour, views, visited
 from uav_recon.planning.camera import CameraGeometry
-from uav_recon.planning.flyable import FlyableSpace, way_out
-from uav_recon.planning.frontiers import FrontierCensus, count_outside, fence_box, find_frontiers, unknown_faces
+from uav_recon.planning.census import left_out
+from uav_recon.planning.costs import time_costs
+from uav_recon.planning.field import FieldViews
+from uav_recon.planning.frontiers import Frontiers, fence_box
 from uav_recon.planning.homing import proposal_for
-from uav_recon.planning.modes import AlwaysMerged, ModeRule, mode_rule
+from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Proposal, Situation
-from uav_recon.planning.routes import Routes, time_costs
+from uav_recon.planning.sources import Clusters, Field, Source, cells_of
+from uav_recon.planning.space import FlyableSpace
 from uav_recon.planning.surfaces import SurfaceViews
-from uav_recon.planning.viewpoints import FrontierProposals, FrontierViews
+from uav_recon.planning.variants import Variant, variant
+from uav_recon.planning.views import FrontierViews
 from uav_recon.planning.visited import Visited
-from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+from uav_recon.planning.ways import Ways
+from uav_recon.planning.worth import NOT_WORTH
+from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
 
-MAX_TOUR_TASKS = 24  # the nearest ones: the horizon executes only the first few
+SAME_SHARE = 0.5  # of what a task is to settle: if the committed view settles so much of it, it is no task of its own
 
 
-class AdaptivePlanner:
-    """Chooses views and the way to them. plan() depends on the request and on what earlier plans promised (``visited``), alone.
+class ViewPlanner:
+    """Chooses views and the way to them; one per flight. It keeps what it found out about the map, and looks at changes alone.
 
-    fence_min_m, fence_max_m: (3,) box in world that is to be explored; the body keeps ``fence_inset_m`` away from its sides.
-    speed_mps, yaw_rate_radps: what a flight is reckoned with. timer: seconds; read only to fill task_s and step_s.
+    The same requests and accepted paths in the same order give the same answers. fence_min_m, fence_max_m: (3,) box in world
+    that is to be explored; the body keeps ``fence_inset_m`` away from its sides. speed_mps, yaw_rate_radps: what a flight is
+    reckoned with. timer: seconds; read only to fill task_s and step_s.
     """
 
     def __init__(
@@ -45,46 +51,35 @@ class AdaptivePlanner:
         speed_mps: float,
         yaw_rate_radps: float,
         timer: Callable[[], float] = time.perf_counter,
-        mode: ModeRule | None = None,
         fence_inset_m: float | None = None,
     ) -> None:
-        self._config = config
         self._fence_min_m = np.asarray(fence_min_m, dtype=np.float64)
         self._fence_max_m = np.asarray(fence_max_m, dtype=np.float64)
+        self._config = config = derived(config, self._fence_min_m, self._fence_max_m, camera)
         self._inset_m = config.clearance_m if fence_inset_m is None else fence_inset_m
-        self._speed_mps, self._yaw_rate_radps = speed_mps, yaw_rate_radps
-        self._timer = timer
-        self._mode = mode_rule(config.variant, config) if mode is None else mode
-        self._frontier_views = FrontierViews(config, camera)
-        self._surface_views = SurfaceViews(config, camera)
-        self.visited = Visited()
+        self._speed_mps, self._yaw_rate_radps, self._timer = speed_mps, yaw_rate_radps, timer
+        self._variant = variant(config.variant, config)
+        self._source = _source(config, self._variant, self._variant.camera(camera))
+        self._frontiers, self.visited = Frontiers(), Visited()
+        self._frame: tuple[object, ...] = ()
         self._offered: tuple[ViewPath, tuple[Proposal, ...]] | None = None
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
-        """Choose the next views and the way to them. Never blocks; tens of milliseconds for a room; never raises for a map."""
+        """Choose the next views and the way to them. About a millisecond, more with surface; never raises for a map."""
         start_s = self._timer()
-        faces = unknown_faces(request.voxels.state, *self._box(request.voxels.grid, 0.0))
-        self.visited.settle(request)
-        situation = self._situation(request)
+        situation = self._look(request)
         if isinstance(situation, str):
             return self._nothing(situation, start_s, start_s)
-        census = find_frontiers(faces, self.visited.exhausted > 0, request.voxels.grid.resolution_m)
-        explore = self._frontier_views.propose(situation, census.frontiers)
-        mode = self._mode.choose(_distances_m(situation, explore))
-        widening = 1.0 if explore.proposals else self._config.end_factor
-        tasks = self._frontier_views.without_redundant(situation, explore.proposals, faces)
-        tasks += self._reconstruct(mode, situation, request.surface, widening)
+        harvest = self._source.propose(situation, self._frontiers, self._ways, request.surface, self.visited.surface_looks)
+        committed = self._committed(situation, request)
+        tasks = _without_what_they_settle(committed, harvest.proposals)
         tasks_made_s = self._timer()
-        if not tasks:
-            return self._nothing(_why(census, explore.without_view, request.voxels.state, faces), start_s, tasks_made_s)
-        tasks = nearest(situation, tasks, MAX_TOUR_TASKS)
-        routes = Routes(situation, request.position_world, tasks)
-        order = self._order(request, routes, tasks)
-        horizon_m = self._config.horizon_m * widening
-        path = self._path(
-            request, mode, routes, tasks, within_horizon(order, routes.lengths_m, horizon_m), start_s, tasks_made_s
-        )
-        self._offered = path, tuple(tasks[node - 1] for node in order[: len(path.viewpoints)])
+        order, dropped = self._order(situation, request, tasks, len(committed))
+        if not order:
+            return self._nothing(self._why(situation, dropped), start_s, tasks_made_s)
+        nodes = self._within_horizon(order, harvest.widening)
+        path = self._path(request, harvest.mode, tasks, nodes, start_s, tasks_made_s)
+        self._offered = path, tuple(tasks[node - 1] for node in nodes)
         return path
 
     def accept(self, path: ViewPath) -> None:
@@ -94,53 +89,75 @@ class AdaptivePlanner:
 
     def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         """Whether the next view of the accepted path still promises anything in a newer map."""
-        return self.visited.still_worth(voxels, position_world, yaw_rad)
+        following = self.visited.next_promised(position_world, yaw_rad)
+        return following is None or self.visited.is_worth(voxels, following)
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
         """The shortest way to a place; its last waypoint is the flyable voxel nearest to it. Promises and remembers nothing."""
         start_s = self._timer()
-        situation = self._situation(dataclasses.replace(request, views_left=1))
+        situation = self._look(dataclasses.replace(request, views_left=1))
         if isinstance(situation, str):
             return self._nothing(situation, start_s, start_s)
         proposal = proposal_for(situation, goal)
         if proposal is None:
             return self._nothing("no known-free way leads there", start_s, start_s)
-        routes = Routes(situation, request.position_world, [proposal])
-        return self._path(request, PlanMode.EXPLORE, routes, [proposal], [1], start_s, start_s)
+        self._ways.update(situation.exit_cells, request.position_world, cells_of([proposal]))
+        return self._path(request, PlanMode.EXPLORE, [proposal], [1], start_s, start_s)
 
-    def _box(self, grid: GridSpec, inset_m: float) -> tuple[IntArray, IntArray]:
-        return fence_box(grid, self._fence_min_m + inset_m, self._fence_max_m - inset_m)
-
-    def _situation(self, request: PlanRequest) -> Situation | str:
-        """Where one may fly and how far everything is; or why no plan can start from here."""
+    def _look(self, request: PlanRequest) -> Situation | str:
+        """Bring everything up to date with the map; where one may fly, or why no plan can start from here."""
+        voxels = request.voxels
+        frame = (voxels.grid.shape, voxels.grid.resolution_m, *voxels.grid.origin_world_m.tolist())
+        if frame != self._frame:
+            self._frame = frame
+            self._space = FlyableSpace(voxels.grid, self._config.clearance_m, *self._box(voxels.grid, self._inset_m))
+            self._ways = Ways(self._space)
+        self._frontiers.touch(self.visited.settle(request))
+        self._frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.visited.exhausted)
         if request.views_left <= 0:
             return "no view is left in the budget"
-        voxels = request.voxels
-        space = FlyableSpace.of(voxels, self._config.clearance_m, *self._box(voxels.grid, self._inset_m))
-        exit_cells = way_out(space, request.position_world)
+        self._space.update(voxels)
+        exit_cells = self._space.stand(request.position_world)
         if exit_cells is None:
             return "the vehicle stands in space that is not known free, with no known-free way to where it may fly"
-        reach, previous = search.distances_from(space.mask, int(exit_cells[-1]), np.zeros(0, dtype=np.int64), np.inf)
-        reachable = np.where(np.isfinite(reach), space.mask.ravel(), np.uint8(0)).reshape(space.mask.shape)
-        return Situation(voxels, space, exit_cells, request.position_world, reachable, reach, previous)
+        return Situation(voxels, self._space, exit_cells, request.position_world)
 
-    def _reconstruct(
-        self, mode: PlanMode, situation: Situation, surface: SurfaceElements | None, widening: float
-    ) -> list[Proposal]:
-        if mode is PlanMode.EXPLORE:
+    def _committed(self, situation: Situation, request: PlanRequest) -> list[Proposal]:
+        """In motion the view that is being flown to stays the next one while it is worth it: minds do not change in mid-way."""
+        following = self.visited.next_promised(request.position_world, request.yaw_rad)
+        if (
+            following is None
+            or not request.velocity_world_mps.any()
+            or not situation.space.reachable.ravel()[following.cell]
+            or not self.visited.is_worth(situation.voxels, following)
+        ):
             return []
-        return self._surface_views.propose(situation, surface, self.visited.surface_looks, widening)
+        return [following]
 
-    def _order(self, request: PlanRequest, routes: Routes, tasks: list[Proposal]) -> list[int]:
-        costs = time_costs(routes, tasks, request.yaw_rad, request.velocity_world_mps, self._speed_mps, self._yaw_rate_radps)
-        return [int(node) for node in tour.best_tour(costs)][: request.views_left]
+    def _order(
+        self, situation: Situation, request: PlanRequest, tasks: list[Proposal], committed: int
+    ) -> tuple[list[int], int]:
+        """Nodes to fly to, the ``committed`` (0 or 1) first; and how many surface tasks were not worth their flight."""
+        self._ways.update(situation.exit_cells, request.position_world, cells_of(tasks))
+        costs_s = time_costs(
+            self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._speed_mps, self._yaw_rate_radps
+        )
+        # the tour begins at the committed view
+        kept = self._variant.choice.order([one.task for one in tasks[committed:]], costs_s[committed:, committed:])
+        order = [*range(1, committed + 1), *(int(node) + committed for node in kept.order)]
+        return order[: request.views_left], kept.dropped
+
+    def _within_horizon(self, order: list[int], widening: float) -> list[int]:
+        """The tour's first nodes while the way stays within L_exec; at least one."""
+        lengths_m = self._ways.lengths_m
+        travelled_m = np.cumsum([lengths_m[i, j] for i, j in zip([0, *order[:-1]], order, strict=True)])
+        return order[: max(1, int(np.searchsorted(travelled_m, self._config.horizon_m * widening, side="right")))]
 
     def _path(
         self,
         request: PlanRequest,
         mode: PlanMode,
-        routes: Routes,
-        tasks: list[Proposal],
+        tasks: Sequence[Proposal],
         nodes: list[int],
         start_s: float,
         tasks_made_s: float,
@@ -148,7 +165,7 @@ class AdaptivePlanner:
         chosen = tuple(tasks[node - 1].task for node in nodes)
         return ViewPath(
             viewpoints=tuple(task.viewpoint for task in chosen),
-            waypoints_world=tuple(routes.way_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True)),
+            waypoints_world=tuple(self._ways.way_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True)),
             mode=mode,
             map_revision=request.voxels.revision,
             map_epoch=request.voxels.map_epoch,
@@ -157,61 +174,69 @@ class AdaptivePlanner:
             step_s=self._timer() - start_s,
         )
 
+    def _why(self, situation: Situation, not_worth: int) -> str:
+        """'14 frontiers left: 9 too narrow, 5 outside the fence', or that there is none; and surface not worth its flight."""
+        counts = {
+            **dict(sorted(self._source.reasons(situation, self._frontiers).items())),
+            **left_out(situation.voxels.state, self._frontiers.faces, self.visited.exhausted),
+        }
+        total = sum(counts.values())
+        said = f"{total} frontier{'s' if total > 1 else ''} left: " if total else "no frontiers left"
+        said += ", ".join(f"{n} {why}" for why, n in counts.items() if n)
+        return said + (f"; {not_worth} surface task{'s' if not_worth > 1 else ''} {NOT_WORTH}" if not_worth else "")
+
+    def _box(self, grid: GridSpec, inset_m: float) -> tuple[IntArray, IntArray]:
+        return fence_box(grid, self._fence_min_m + inset_m, self._fence_max_m - inset_m)
+
     def _nothing(self, reason: str, start_s: float, tasks_made_s: float) -> NothingLeft:
         return NothingLeft(reason, task_s=tasks_made_s - start_s, step_s=self._timer() - start_s)
 
 
-def _distances_m(situation: Situation, explore: FrontierProposals) -> FloatArray:
-    """Path length to each frontier's view, infinite for those left for later, (N,)."""
-    cells = np.array([proposal.cell for proposal in explore.proposals], dtype=np.int64)
-    near_m = situation.reach[cells] * situation.voxels.grid.resolution_m
-    return np.concatenate((near_m, np.full(explore.later, np.inf)))
+def _source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> Source:
+    views = FrontierViews(config, camera)
+    if made_of.views == "field":
+        return Field(FieldViews(config, camera), views)
+    return Clusters(config, made_of, views, SurfaceViews(config, camera))
 
 
-def nearest(situation: Situation, proposals: list[Proposal], count: int) -> list[Proposal]:
-    """The ``count`` proposals with the shortest way, in their old order."""
-    if len(proposals) <= count:
-        return proposals
-    by_distance = np.argsort([situation.reach[proposal.cell] for proposal in proposals], kind="stable")
-    return [proposals[n] for n in np.sort(by_distance[:count])]
+def _without_what_they_settle(committed: list[Proposal], proposals: list[Proposal]) -> list[Proposal]:
+    """The committed views, then the tasks that these do not settle as well."""
+    tasks = list(committed)
+    for proposal in proposals:
+        if all(_share_in(proposal.promised, one.promised) < SAME_SHARE for one in committed):
+            tasks.append(proposal)
+    return tasks
 
 
-def within_horizon(order: list[int], lengths_m: FloatArray, horizon_m: float) -> list[int]:
-    """The tour's first nodes while the way stays within L_exec; at least one."""
-    travelled_m = np.cumsum([lengths_m[i, j] for i, j in zip([0, *order[:-1]], order, strict=True)])
-    return order[: max(1, int(np.searchsorted(travelled_m, horizon_m, side="right")))]
+def _share_in(promised: IntArray, settled: IntArray) -> float:
+    """Share of some voxels (N,) that are among others (M,)."""
+    return float(np.isin(promised, settled).mean()) if len(promised) else 0.0
 
 
-def _why(census: FrontierCensus, without_view: Counter[str], state: ByteArray, faces: ByteArray) -> str:
-    """'14 frontiers left: 9 too narrow, 5 outside the fence', or that there is none."""
-    counts = {
-        **dict(sorted(without_view.items())),
-        "too small": census.too_small,
-        "looked at in vain": census.exhausted,
-        "outside the fence": count_outside(state, faces),
-    }
-    total = sum(counts.values())
-    if not total:
-        return "no frontiers left"
-    return f"{total} frontier{'s' if total > 1 else ''} left: " + ", ".join(f"{n} {why}" for why, n in counts.items() if n)
-
-
-def warm_up() -> None:
-    """Compile every kernel of the planner on a toy map, surface included."""
-    traversal.warm_up()
-    search.warm_up()
-    tour.warm_up()
-    visited.warm_up()
+def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
+    """Compile every kernel of the planner: on a toy map that grows, surface included, by every way of choosing."""
+    for module in (traversal, search, space, tour, costs, visited, field, census):
+        module.warm_up()
+    views.warm_up(config, camera)
     grid = GridSpec(np.zeros(3), 0.1, (40, 30, 20))
-    state = np.full(grid.shape, FREE, dtype=np.uint8)
-    state[[0, -1]], state[:, [0, -1]], state[:, :, [0, -1]] = OCCUPIED, OCCUPIED, OCCUPIED
-    state[28:, :20] = 0
-    distance2 = np.where(state == FREE, 25, 0).astype(np.uint8)
+    low_m, high_m = np.zeros(3), np.array([4.0, 3.0, 2.0])
     rng = np.random.default_rng(0)
     points = np.stack([rng.uniform(0.2, 2.5, 4000), rng.uniform(0.2, 2.8, 4000), np.full(4000, 0.1)], axis=1)
-    up = np.tile([0.0, 0.0, 1.0], (4000, 1))
-    surface = SurfaceElements(points, up, rng.uniform(0.5, 1.0, 4000), 1)
-    camera = CameraGeometry(1.5, 1.0, np.array([0.1, 0.0, 0.0]), -1.0, 1.0, 4.5)
-    planner = AdaptivePlanner(PlannerConfig(), np.zeros(3), np.array([4.0, 3.0, 2.0]), camera, 0.8, 0.8, mode=AlwaysMerged())
-    for position in ((1.0, 1.0, 1.0), (3.9, 0.05, 1.0)):
-        planner.plan(PlanRequest(VoxelMap.whole(grid, state, distance2, 1), surface, np.array(position), 0.0, 10))
+    surface = SurfaceElements(points, np.tile([0.0, 0.0, 1.0], (4000, 1)), rng.uniform(0.5, 1.0, 4000), 1)
+    variants: tuple[VariantName, ...] = ("merged", config.variant)
+    for name in variants:
+        planner = ViewPlanner(config.model_copy(update={"variant": name}), low_m, high_m, camera, 0.8, 0.8)
+        for revision, (position, unknown_from) in enumerate(
+            (((1.0, 1.0, 1.0), 24), ((3.9, 0.05, 1.0), 28), ((1.0, 1.0, 1.0), 40))
+        ):
+            state = np.full(grid.shape, FREE, dtype=np.uint8)
+            state[[0, -1]], state[:, [0, -1]], state[:, :, [0, -1]] = OCCUPIED, OCCUPIED, OCCUPIED
+            state[20, :22], state[unknown_from:, :20] = OCCUPIED, 0
+            voxels = VoxelMap.whole(grid, state, np.where(state == FREE, 25, 0).astype(np.uint8), revision)
+            path = planner.plan(PlanRequest(voxels, surface, np.array(position), 0.0, 10, np.full(3, 0.1 * revision)))
+            if isinstance(path, ViewPath):
+                planner.accept(path)
+                planner.still_worth(voxels, np.array(position), 0.0)
+        planner.route(
+            PlanRequest(voxels, None, np.array([1.0, 1.0, 1.0]), 0.0, 1), Viewpoint(np.array([3.0, 2.0, 1.0]), 0.0, 0.0)
+        )

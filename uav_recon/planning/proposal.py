@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from uav_recon.planning.flyable import FlyableSpace
-from uav_recon.planning.search import CellArray
-from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+from uav_recon.planning.space import FlyableSpace
+from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import Task
 
@@ -27,16 +26,9 @@ class Proposal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Situation:
-    """What one plan looks at: the map, where the vehicle is and may fly, and the way out to the first such cell.
-
-    reachable: padded uint8 as ``space.mask``, 1 = flyable and connected to ``exit_cells[-1]``.
-    reach: (n,) path lengths in voxels from ``exit_cells[-1]`` on the flat padded mask, inf = not reached; previous: (n,).
-    """
+    """What one plan looks at: the map, where the vehicle is and may fly, and the way out to the first such cell."""
 
     voxels: VoxelMap
     space: FlyableSpace
     exit_cells: IntArray
     position_world: FloatArray
-    reachable: ByteArray
-    reach: FloatArray
-    previous: CellArray

@@ -152,10 +152,9 @@ def _renew(
     nx, ny, nz = state.shape
     count = 0
     column = np.zeros(nz, dtype=np.uint8)
-    for tile in range(tile_revision.size):
-        across, along = tile // tile_revision.shape[1], tile % tile_revision.shape[1]
-        if tile_revision[across, along] <= since:
-            continue
+    changed_tiles = np.argwhere(tile_revision > since)
+    for tile in range(len(changed_tiles)):
+        across, along = changed_tiles[tile, 0], changed_tiles[tile, 1]
         for i in range(across * TILE, min(across * TILE + TILE, nx)):
             for j in range(along * TILE, min(along * TILE + TILE, ny)):
                 states, distances = state[i, j], distance2[i, j]

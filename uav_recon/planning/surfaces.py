@@ -85,7 +85,7 @@ class SurfaceViews:
         surface = (elements.position, elements.normal, weight, cells)
         places = np.floor(centre + self._offsets_m / situation.voxels.grid.resolution_m) + 0.5
         patches = patches_near(centre, lens[RANGE], *surface)
-        hopeful = places[promising(state, situation.reachable, lens, places, centre, patches, HOPEFUL_VIEWS)]
+        hopeful = places[promising(state, situation.space.reachable, lens, places, centre, patches, HOPEFUL_VIEWS)]
         cosine = np.zeros(len(weight))
         best, yaw, pitch, gain = best_view(state, lens, hopeful, centre, *surface, min_visible, FULL_VIEWS, cosine)
         if best < 0 or gain < WORTH_SHARE * min_visible:

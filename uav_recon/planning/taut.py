@@ -82,7 +82,7 @@ def _cut(leap: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
             seen = t
     qx, qy, qz = px + seen * dx, py + seen * dy, pz + seen * dz
     # a piece of an open segment has samples of its own
-    if seen == 0.0 or not _open(leap, points, b, qx, qy, qz):
+    if seen == 0.0 or leap[int(qx), int(qy), int(qz)] == 0 or not _open(leap, points, b, qx, qy, qz):
         return 0.0
     points[x, 0], points[x, 1], points[x, 2] = qx, qy, qz
     return _apart(points, a, px, py, pz) + distance(px, py, pz, qx, qy, qz) - _apart(points, a, qx, qy, qz)
@@ -140,6 +140,8 @@ def _round_off(leap: ByteArray, points: FloatArray, count: int, x: int) -> int:
         step /= 2
     ax, ay, az, bx, by, bz = px + seen * ux, py + seen * uy, pz + seen * uz, px + seen * vx, py + seen * vy, pz + seen * vz
     if seen * (2.0 - distance(ux, uy, uz, vx, vy, vz)) < WORTH:
+        return count
+    if leap[int(ax), int(ay), int(az)] == 0 or leap[int(bx), int(by), int(bz)] == 0:
         return count
     if not _open(leap, points, x - 1, ax, ay, az) or not _open(leap, points, x + 1, bx, by, bz):
         return count

@@ -70,15 +70,20 @@ class Visited:
         """Keep what the new path's views (same order) are to settle."""
         self._path, self._proposals = path, proposals
 
-    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
-        """Whether the next view of the promised path would still settle anything: enough of its frontier is still one."""
-        if self._path is None or voxels.map_epoch != self._path.map_epoch:
-            return True
+    def next_promised(self, position_world: FloatArray, yaw_rad: float) -> Proposal | None:
+        """What the next view of the promised path is to settle; None if there is no next view."""
+        if self._path is None:
+            return None
         passed = _views_passed(self._path, position_world, yaw_rad)
-        if passed >= len(self._proposals) or self._proposals[passed].task.kind is not TaskKind.EXPLORE:
+        return self._proposals[passed] if passed < len(self._proposals) else None
+
+    @staticmethod
+    def is_worth(voxels: VoxelMap, proposal: Proposal) -> bool:
+        """Whether a view would still settle anything: enough of its frontier is still one."""
+        if proposal.task.kind is not TaskKind.EXPLORE:
             return True
-        promised = self._proposals[passed].promised
-        return int(np.count_nonzero(_still_frontier(voxels.state, promised))) >= WORTH_SHARE * len(promised)
+        still = int(np.count_nonzero(_still_frontier(voxels.state, proposal.promised)))
+        return still >= WORTH_SHARE * len(proposal.promised)
 
     def _keep_frame(self, request: PlanRequest) -> None:
         grid = request.voxels.grid

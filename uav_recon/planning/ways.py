@@ -123,11 +123,8 @@ def _forget(
 ) -> None:
     """Forget each way whose span a change of the mask since ``seen`` meets."""
     away = np.empty(len(known.cell))
-    for tile in range(mask_revision.size):
-        across, along = tile // mask_revision.shape[1], tile % mask_revision.shape[1]
-        if mask_revision[across, along] <= seen:
-            continue
-        low, high = _changed_box(blocks, block_revision, across, along, seen)
+    for tile in np.argwhere(mask_revision > seen):
+        low, high = _changed_box(blocks, block_revision, tile[0], tile[1], seen)
         for a in range(len(known.cell)):
             if known.cell[a] >= 0:
                 place = _centre(leap, known.cell[a])

@@ -1,0 +1,101 @@
+"""Where the tasks of one plan come from: clusters of frontier and surface with a best view each, or a field of gain."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from uav_recon.config import PlannerConfig
+from uav_recon.planning.field import FieldViews
+from uav_recon.planning.frontiers import Frontiers
+from uav_recon.planning.proposal import Proposal, Situation
+from uav_recon.planning.surfaces import SurfaceViews
+from uav_recon.planning.variants import Variant
+from uav_recon.planning.views import FrontierViews
+from uav_recon.planning.ways import Ways
+from uav_recon.types.frames import Float32Array, IntArray
+from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.tasks import PlanMode, TaskKind
+
+MOST_FRONTIERS, MOST_TASKS = 24, 40  # the nearest ones: the horizon executes only the first few
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Harvest:
+    """The tasks of one plan. widening: alpha once no frontier can be viewed any more, else 1."""
+
+    mode: PlanMode
+    proposals: list[Proposal]
+    widening: float = 1.0
+
+
+class Source(Protocol):
+    """Makes the tasks of one plan; remembers only what spares it work."""
+
+    def propose(
+        self, situation: Situation, frontiers: Frontiers, ways: Ways, surface: SurfaceElements | None, looks: Float32Array
+    ) -> Harvest:
+        """Look for tasks. looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel."""
+        ...
+
+    def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
+        """Why frontiers have no view, by reason; slow, for the end."""
+        ...
+
+
+class Clusters:
+    """The paper's: the best view of each cluster, surface beside frontiers as the mode says."""
+
+    def __init__(self, config: PlannerConfig, variant: Variant, views: FrontierViews, surfaces: SurfaceViews) -> None:
+        self._variant, self._end_factor = variant, config.end_factor
+        self._views, self._surfaces = views, surfaces
+
+    def propose(
+        self, situation: Situation, frontiers: Frontiers, ways: Ways, surface: SurfaceElements | None, looks: Float32Array
+    ) -> Harvest:
+        """See Source."""
+        explore, later = self._explore(situation, frontiers)
+        ways.update(situation.exit_cells, situation.position_world, cells_of(explore))
+        mode = self._variant.mode.choose(np.concatenate((ways.lengths_m[0, 1:], np.full(later, np.inf))))
+        if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds:
+            return Harvest(mode, explore)
+        widening = 1.0 if explore else self._end_factor
+        return Harvest(mode, (explore + self._surfaces.propose(situation, surface, looks, widening))[:MOST_TASKS], widening)
+
+    def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
+        """See Source."""
+        if TaskKind.EXPLORE not in self._variant.kinds:
+            return Counter()
+        return self._views.reasons(situation.voxels, situation.space, frontiers)
+
+    def _explore(self, situation: Situation, frontiers: Frontiers) -> tuple[list[Proposal], int]:
+        """The nearest frontiers' tasks, and how many frontiers were left for later."""
+        if TaskKind.EXPLORE not in self._variant.kinds:
+            return [], 0
+        found = self._views.update(situation.voxels, situation.space, frontiers, situation.position_world)
+        return found.proposals[:MOST_FRONTIERS], found.later + max(len(found.proposals) - MOST_FRONTIERS, 0)
+
+
+def cells_of(proposals: list[Proposal]) -> IntArray:
+    """Flat padded cells (N,) of their views."""
+    return np.array([proposal.cell for proposal in proposals], dtype=np.int64)
+
+
+class Field:
+    """EVPP's: views sampled near the vehicle, the best of a field of gain."""
+
+    def __init__(self, views: FieldViews, reasons: FrontierViews) -> None:
+        self._views, self._reasons = views, reasons
+
+    def propose(
+        self, situation: Situation, frontiers: Frontiers, ways: Ways, surface: SurfaceElements | None, looks: Float32Array
+    ) -> Harvest:
+        """See Source."""
+        return Harvest(PlanMode.MERGED, self._views.propose(situation, frontiers.clusters(), surface, looks))
+
+    def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
+        """See Source."""
+        return self._reasons.reasons(situation.voxels, situation.space, frontiers)
