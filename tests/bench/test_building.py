@@ -1,6 +1,7 @@
 import numpy as np
 
 from uav_recon.bench import building
+from uav_recon.bench.stages import Mapped
 from uav_recon.types.maps import FREE, OCCUPIED
 
 
@@ -30,12 +31,10 @@ def test_the_flight_stays_clear_of_everything() -> None:
 
 
 def test_its_map_is_mostly_known() -> None:
-    from uav_recon.bench.stages import Replay
-
     recording = building.fly_through()
-    replay = Replay(recording, recording.grid, recording.low_m, recording.high_m)
+    mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
     for posed in recording.frames:
-        replay.voxels.integrate(posed)
-    state = replay.voxels.snapshot().state
+        mapped.voxels.integrate(posed)
+    state = mapped.voxels.snapshot().state
     assert (state == FREE).mean() > 0.6
     assert 0.05 < (state == OCCUPIED).mean() < 0.3

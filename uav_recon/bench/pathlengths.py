@@ -8,14 +8,11 @@ import numpy as np
 
 from uav_recon.bench import path_oracle
 from uav_recon.mapping.distance import distance2_to_not_free
-from uav_recon.planning.flyable import FlyableSpace
 from uav_recon.planning.frontiers import fence_box
-from uav_recon.planning.proposal import Proposal, Situation
-from uav_recon.planning.routes import Routes
-from uav_recon.planning.search import distances_from
-from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
+from uav_recon.planning.space import FlyableSpace
+from uav_recon.planning.ways import Ways
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, GridSpec, VoxelMap
-from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 PAIRS = 100
 SEED = 20240410
@@ -47,10 +44,12 @@ def compare(
     chosen = path_oracle.connected_pairs(mask, pairs, SEED)
     if not len(chosen):
         return None
+    space = space_of(voxels, clearance_m, (low, high))
+    ways = Ways(space)
     ours, exact = [], []
     for start, goal in chosen:
         exact.append(path_oracle.length_of(path_oracle.shortest_way(mask, start, goal)) * grid.resolution_m)
-        ours.append(_planned_m(voxels, clearance_m, (low, high), grid.centre(start), grid.centre(goal)))
+        ours.append(_planned_m(space, ways, start, goal))
     excess = np.array(ours) / np.array(exact) - 1.0
     return PathLengths(
         pairs=pairs,
@@ -62,21 +61,18 @@ def compare(
     )
 
 
-def flyable_of(voxels: VoxelMap, clearance_m: float, box: tuple[IntArray, IntArray]) -> BoolArray:
-    """Where the planner itself says that the body may be, (nx, ny, nz)."""
-    mask: BoolArray = FlyableSpace.of(voxels, clearance_m, *box).mask[1:-1, 1:-1, 1:-1] > 0
-    return mask
+def space_of(voxels: VoxelMap, clearance_m: float, box: tuple[IntArray, IntArray]) -> FlyableSpace:
+    """Where the planner says that the body may be."""
+    space = FlyableSpace(voxels.grid, clearance_m, *box)
+    space.update(voxels)
+    return space
 
 
-def _planned_m(
-    voxels: VoxelMap, clearance_m: float, box: tuple[IntArray, IntArray], start_m: FloatArray, goal_m: FloatArray
-) -> float:
-    space = FlyableSpace.of(voxels, clearance_m, *box)
-    source = space.flat(voxels.grid.index(start_m) + 1)
-    cell = space.flat(voxels.grid.index(goal_m) + 1)
-    reach, previous = distances_from(space.mask, source, np.zeros(0, dtype=np.int64), np.inf)
-    situation = Situation(voxels, space, np.array([source]), start_m, space.mask, reach, previous)
-    nothing = np.zeros(0, dtype=np.int64)
-    task = Task(TaskKind.EXPLORE, goal_m, Viewpoint(goal_m, 0.0, 0.0), 1.0)
-    routes = Routes(situation, start_m, [Proposal(task, cell, nothing, nothing.astype(np.float64))])
-    return float(routes.lengths_m[0, 1])
+def _planned_m(space: FlyableSpace, ways: Ways, start: IntArray, goal: IntArray) -> float:
+    """Length between two voxels (3,) that can reach each other."""
+    start_m = space.grid.centre(start)
+    exit_cells = space.stand(start_m)
+    if exit_cells is None:
+        return float(np.inf)
+    ways.update(exit_cells, start_m, np.array([space.flat(goal + 1)], dtype=np.int64))
+    return float(ways.lengths_m[0, 1])

@@ -14,20 +14,18 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from uav_recon.bench import building, growth, machine, pathlengths, tables, tours, view_oracle
+from uav_recon.bench import building, growth, machine, pathlengths, tables, tours
 from uav_recon.bench.agreement import agreement
 from uav_recon.bench.calibration import Calibration, calibrate
-from uav_recon.bench.laps import LapTable, Stopwatch
-from uav_recon.bench.recording import RESOLUTION_M, Recording, load
-from uav_recon.bench.stages import STAGES, Decision, Replay, oracle_lens, warm_up
+from uav_recon.bench.recording import Recording, load
+from uav_recon.bench.replay import Replay
+from uav_recon.bench.stages import STAGES, Mapped, warm_up
 from uav_recon.planning import tour
 from uav_recon.run import EXIT_FAILURE, Failure
 from uav_recon.types.maps import UNKNOWN
 
 PRINTED_WIDTH = 110  # where no terminal says
 GOOD_VIEW = 0.95  # of what the best random view sees
-JUDGED_EVERY = 5  # frames: brute force takes a while
-SHELL_M = (0.5, 4.3)  # how far from a frontier the brute force looks for views
 
 Result = dict[str, Any]
 
@@ -50,6 +48,7 @@ def bench_planner(stream: Path | None, size: str, stride: int, scale: bool, json
         "commit": machine.commit(),
         "compile_s": compile_s,
         "calibration": calibration.factor,
+        "calibration_cpu": calibration.cpu_factor,
     }
     progress = Progress(console=Console(stderr=True), transient=True)
     with progress:
@@ -77,44 +76,23 @@ def _without_nan(value: Any) -> Any:
 
 
 def _replay(recording: Recording, calibration: Calibration, progress: Progress) -> Result:
-    laps, cpu_laps, ratios, replay = _decide_all(recording, progress)
+    replay = Replay(recording)
+    for posed in _tracked(progress, recording.frames, "frames"):
+        replay.frame(posed)
+    wall, cpu = replay.wall, replay.cpu
+    stages = {**STAGES, "plan": ("plan",)}
     result: Result = {
-        "stages": {name: asdict(laps.spread(*parts)) for name, parts in STAGES.items()},
+        "stages": {name: asdict(wall.spread(*parts)) for name, parts in stages.items()},
         "stages_calibrated": {
-            name: asdict(laps.spread(*parts).divided_by(calibration.factor)) for name, parts in STAGES.items()
+            name: asdict(wall.spread(*parts).divided_by(calibration.factor)) for name, parts in stages.items()
         },
-        "stages_cpu": {name: asdict(cpu_laps.spread(*parts)) for name, parts in STAGES.items()},
-        "best_view_ratio": _ratio_summary(ratios),
+        "stages_cpu": {name: asdict(cpu.spread(*parts)) for name, parts in stages.items()},
+        "stages_cpu_calibrated": {
+            name: asdict(cpu.spread(*parts).divided_by(calibration.cpu_factor)) for name, parts in stages.items()
+        },
+        "best_view_ratio": _ratio_summary(replay.ratios),
     }
-    return result | _map_quality(recording, replay, progress) | _tour_quality(recording, progress)
-
-
-def _decide_all(recording: Recording, progress: Progress) -> tuple[LapTable, LapTable, list[float], Replay]:
-    replay = Replay(recording, recording.grid, recording.low_m, recording.high_m)
-    replay.start(recording.frames[0])
-    laps, cpu_laps, ratios = LapTable(), LapTable(), list[float]()
-    for n, posed in enumerate(_tracked(progress, recording.frames, "frames")):
-        watch = Stopwatch()
-        decision = replay.decide(posed, watch)
-        laps.add(watch.ms)
-        cpu_laps.add(watch.cpu_ms)
-        if n % JUDGED_EVERY == 0:
-            ratios += _view_ratios(replay, decision, n)
-    return laps, cpu_laps, ratios, replay
-
-
-def _view_ratios(replay: Replay, decision: Decision, seed: int) -> list[float]:
-    """What each chosen view sees of its frontier, over what the best of 1,000 random views sees of it."""
-    if decision.reachable is None:
-        return []
-    lens = oracle_lens(replay.camera, RESOLUTION_M)
-    shell = (SHELL_M[0] / RESOLUTION_M, SHELL_M[1] / RESOLUTION_M)
-    ratios = []
-    for chosen in decision.chosen:
-        best = view_oracle.best_seen(decision.voxels.state, lens, decision.reachable, chosen.frontier, shell, seed)
-        seen = view_oracle.cells_seen(decision.voxels.state, lens, chosen.view, chosen.frontier)
-        ratios.append(seen / best if best else 1.0)
-    return ratios
+    return result | _map_quality(recording, replay.mapped.config.clearance_m, progress) | _tour_quality(recording, progress)
 
 
 def _ratio_summary(ratios: list[float]) -> Result:
@@ -125,16 +103,17 @@ def _ratio_summary(ratios: list[float]) -> Result:
     return {"median": float(middle), "p05": float(low), "min": float(min(ratios)), "share_of_95": good, "views": len(ratios)}
 
 
-def _map_quality(recording: Recording, replay: Replay, progress: Progress) -> Result:
+def _map_quality(recording: Recording, clearance_m: float, progress: Progress) -> Result:
     """Agreement of what the frames alone say (no take-off cylinder) with the reference; lengths of ways in it."""
-    alone = Replay(recording, recording.grid, recording.low_m, recording.high_m)
+    fence_m = (recording.low_m, recording.high_m)
+    alone = Mapped(recording, recording.grid, fence_m)
     for posed in _tracked(progress, recording.frames, "map"):
         alone.voxels.integrate(posed)
     state = alone.voxels.snapshot().state
     reference = state if recording.reference is None else recording.reference
     agreed = agreement(state, reference)
     task = progress.add_task("paths", total=None)
-    lengths = pathlengths.compare(reference, recording.grid, (recording.low_m, recording.high_m), replay.config.clearance_m)
+    lengths = pathlengths.compare(reference, recording.grid, fence_m, clearance_m)
     progress.remove_task(task)
     known = recording.reference is not None
     return {

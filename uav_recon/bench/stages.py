@@ -1,7 +1,7 @@
-"""The planner's stages, driven one by one with a clock between them: fusion to tour, once per recorded frame.
+"""The stages from a depth frame to a tour, driven one by one with a clock between them, once per recorded frame.
 
-The same objects in the same order as AdaptivePlanner.plan(), which has no clock inside. The drone follows the recorded poses;
-nothing that is planned is flown, so that every frame asks for a whole decision.
+The same objects in the same order as ViewPlanner.plan(), which has no clock inside; and plan() itself, as a whole. The drone
+follows the recorded poses; nothing that is planned is flown, so that every frame asks for a whole decision.
 """
 
 from __future__ import annotations
@@ -12,27 +12,33 @@ import numpy as np
 
 from uav_recon.bench.laps import Stopwatch
 from uav_recon.bench.recording import Recording
-from uav_recon.bench.view_oracle import Frontier as Target
-from uav_recon.bench.view_oracle import Lens
+from uav_recon.bench.view_oracle import Frontier, Lens
 from uav_recon.config import MotionConfig, PlannerConfig, VoxelConfig
 from uav_recon.mapping.voxels import DepthSensor, Voxels
-from uav_recon.planning import planner, search, tour
+from uav_recon.planning import planner
 from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry
-from uav_recon.planning.flyable import FlyableSpace, way_out
-from uav_recon.planning.frontiers import fence_box, find_frontiers, unknown_faces
-from uav_recon.planning.planner import MAX_TOUR_TASKS, nearest
-from uav_recon.planning.proposal import Proposal, Situation
-from uav_recon.planning.routes import Routes, time_costs
-from uav_recon.planning.viewpoints import FrontierViews
+from uav_recon.planning.costs import time_costs
+from uav_recon.planning.frontiers import Frontiers, fence_box
+from uav_recon.planning.planner import ViewPlanner
+from uav_recon.planning.presets import derived
+from uav_recon.planning.proposal import Proposal
+from uav_recon.planning.sources import MOST_FRONTIERS, cells_of
+from uav_recon.planning.space import FlyableSpace
+from uav_recon.planning.tour import best_tour
+from uav_recon.planning.views import FrontierViews
+from uav_recon.planning.ways import Ways
 from uav_recon.types.camera import Intrinsics, PosedFrame
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.maps import GridSpec, VoxelMap
+from uav_recon.types.tasks import PlanRequest
 
-SENSOR = DepthSensor(depth_min_m=0.1, noise_px=0.03, baseline_m=0.05)  # the recordings are free of noise
-WARM_FRAMES = 20
+# the recordings are free of noise but for their millimetres
+SENSOR = DepthSensor(depth_min_m=0.1, noise_px=0.001, baseline_m=0.05)
 GIMBAL_RAD = np.radians(60.0)
-# laps, and the stages of the tables that they add up to
-SEARCH, VIEWPOINTS, TOUR = ("space", "frontiers"), ("views",), ("ways", "order")
+VIEWS_LEFT = 1000
+WARM_FRAMES = 20
+# laps of a frame, and the stages that they add up to
+SEARCH, VIEWPOINTS, TOUR = ("frontiers", "space"), ("views",), ("ways", "order")
 STAGES: dict[str, tuple[str, ...]] = {
     "fusion": ("fusion",),
     "distance": ("distance",),
@@ -42,6 +48,12 @@ STAGES: dict[str, tuple[str, ...]] = {
     "decision": (*SEARCH, *VIEWPOINTS, *TOUR),
     "total": ("fusion", "distance", *SEARCH, *VIEWPOINTS, *TOUR),
 }
+WHOLE: dict[str, tuple[str, ...]] = {
+    "fusion": ("fusion",),
+    "distance": ("distance",),
+    "plan": ("plan",),
+    "total": ("fusion", "distance", "plan"),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,16 +61,20 @@ class ChosenView:
     """A view that the planner chose for a frontier: (x, y, z, yaw, pitch down), lengths in voxels."""
 
     view: FloatArray
-    frontier: Target
+    frontier: Frontier
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
-    """What one frame came to. reachable: (nx, ny, nz); None: the vehicle has no known-free way from where it stands."""
+    """What one frame came to. reachable: (nx, ny, nz); None: the vehicle has no known-free way from where it stands.
+
+    order: (N,) of the tour, indices into ``chosen``.
+    """
 
     voxels: VoxelMap
     reachable: BoolArray | None
     chosen: tuple[ChosenView, ...]
+    order: IntArray
 
 
 def camera_of(lens: Intrinsics, range_m: float) -> CameraGeometry:
@@ -86,82 +102,92 @@ def oracle_lens(camera: CameraGeometry, resolution_m: float) -> Lens:
     )
 
 
-class Replay:
-    """One flight's map and planner, fed with recorded frames. fence_low_m, fence_high_m: (3,) in world."""
+class Mapped:
+    """The map of one replay. fence_m: lower and upper corner (3,) in world."""
 
-    def __init__(self, recording: Recording, grid: GridSpec, fence_low_m: FloatArray, fence_high_m: FloatArray) -> None:
-        self.config, motion = PlannerConfig(), MotionConfig()
+    def __init__(self, recording: Recording, grid: GridSpec, fence_m: tuple[FloatArray, FloatArray]) -> None:
+        self.fence_m, self.fence = fence_m, fence_box(grid, *fence_m)
         self.camera = camera_of(recording.lens, recording.max_range_m)
-        cap_m = VoxelConfig().distance_cap_m
+        self.config = derived(PlannerConfig(variant="explore"), *fence_m, self.camera)
+        low, high = (tuple(corner.tolist()) for corner in fence_m)
         self.voxels = Voxels(
-            grid,
-            SENSOR,
-            recording.max_range_m,
-            tuple(fence_low_m.tolist()),
-            tuple(fence_high_m.tolist()),
-            cap_m,
-            pixel_stride=recording.stride,
+            grid, SENSOR, recording.max_range_m, low, high, VoxelConfig().distance_cap_m, pixel_stride=recording.stride
         )
-        self.fence = fence_box(grid, fence_low_m, fence_high_m)
-        inset_m = self.config.clearance_m
-        self._body_box = fence_box(grid, fence_low_m + inset_m, fence_high_m - inset_m)
-        self._speed_mps, self._yaw_rate_radps = motion.speed_mps, float(np.radians(motion.yaw_rate_degps))
-        self._views = FrontierViews(self.config, self.camera)
-        self._nothing_exhausted = np.zeros(grid.shape, dtype=np.bool_)
 
     def start(self, posed: PosedFrame) -> None:
         """The operator's word, as before any take-off: the cylinder over the pad is free."""
         place = posed.world_from_depth.translation_m
         self.voxels.declare_free(place, VoxelConfig().takeoff_radius_m, 0.0, float(place[2]) + 0.3)
 
-    def settle(self, posed: PosedFrame) -> None:
-        """Plan once from a pose, unmeasured: what lies in the map already is known to the planner from now on."""
-        self.decide(posed, Stopwatch())
-
-    def decide(self, posed: PosedFrame, watch: Stopwatch) -> Decision:
-        """Fuse a frame and plan from its pose; the laps of ``watch`` are those of STAGES."""
+    def fuse(self, posed: PosedFrame, watch: Stopwatch) -> VoxelMap:
+        """Fuse a frame; laps fusion and distance."""
         watch.restart()
         self.voxels.integrate(posed)
         watch.lap("fusion")
         voxels = self.voxels.snapshot()
         watch.lap("distance")
-        situation = self._situation(voxels, posed)
-        watch.lap("space")
-        census = find_frontiers(unknown_faces(voxels.state, *self.fence), self._nothing_exhausted, voxels.grid.resolution_m)
-        watch.lap("frontiers")
-        if situation is None:
-            return Decision(voxels, None, ())
-        found = self._views.propose(situation, census.frontiers)
-        watch.lap("views")
-        self._tour(situation, posed, nearest(situation, found.proposals, MAX_TOUR_TASKS), watch)
-        reachable = situation.reachable[1:-1, 1:-1, 1:-1] > 0
-        return Decision(voxels, reachable, tuple(self._chosen(voxels, proposal) for proposal in found.proposals))
+        return voxels
 
-    def _situation(self, voxels: VoxelMap, posed: PosedFrame) -> Situation | None:
+    def planner(self) -> ViewPlanner:
+        """A planner for this map's fence and camera."""
+        motion = MotionConfig()
+        yaw_rate_radps = float(np.radians(motion.yaw_rate_degps))
+        return ViewPlanner(self.config, *self.fence_m, self.camera, motion.speed_mps, yaw_rate_radps)
+
+
+class Stages:
+    """The planner's stages over a map."""
+
+    def __init__(self, mapped: Mapped) -> None:
+        grid, self._mapped, motion = mapped.voxels.grid, mapped, MotionConfig()
+        inset_m = mapped.config.clearance_m
+        self._space = FlyableSpace(grid, inset_m, *fence_box(grid, mapped.fence_m[0] + inset_m, mapped.fence_m[1] - inset_m))
+        self._frontiers, self._ways = Frontiers(), Ways(self._space)
+        self._views = FrontierViews(mapped.config, mapped.camera)
+        self._none_ignored = np.zeros(grid.shape, dtype=np.uint8)
+        self._speed_mps, self._yaw_rate_radps = motion.speed_mps, float(np.radians(motion.yaw_rate_degps))
+
+    def decide(self, voxels: VoxelMap, posed: PosedFrame, watch: Stopwatch) -> Decision:
+        """Plan from the pose of a frame; the laps are those of STAGES."""
         place = posed.world_from_depth.translation_m
-        space = FlyableSpace.of(voxels, self.config.clearance_m, *self._body_box)
-        exit_cells = way_out(space, place)
+        watch.restart()
+        self._frontiers.update(voxels, *self._mapped.fence, self._none_ignored)
+        watch.lap("frontiers")
+        self._space.update(voxels)
+        exit_cells = self._space.stand(place)
+        watch.lap("space")
         if exit_cells is None:
-            return None
-        reach, previous = search.distances_from(space.mask, int(exit_cells[-1]), np.zeros(0, dtype=np.int64), np.inf)
-        reachable = np.where(np.isfinite(reach), space.mask.ravel(), np.uint8(0)).reshape(space.mask.shape)
-        return Situation(voxels, space, exit_cells, place, reachable, reach, previous)
+            return Decision(voxels, None, (), np.zeros(0, dtype=np.int64))
+        found = self._views.update(voxels, self._space, self._frontiers, place)
+        watch.lap("views")
+        tasks = found.proposals[:MOST_FRONTIERS]
+        order = self._tour(exit_cells, posed, tasks, watch)
+        reachable = self._space.reachable[1:-1, 1:-1, 1:-1] > 0
+        return Decision(voxels, reachable, tuple(self._chosen(voxels, task) for task in tasks), order)
 
-    def _tour(self, situation: Situation, posed: PosedFrame, tasks: list[Proposal], watch: Stopwatch) -> IntArray:
+    def _tour(self, exit_cells: IntArray, posed: PosedFrame, tasks: list[Proposal], watch: Stopwatch) -> IntArray:
         if not tasks:
             return np.zeros(0, dtype=np.int64)
-        routes = Routes(situation, situation.position_world, tasks)
-        costs = time_costs(routes, tasks, heading_rad(posed), np.zeros(3), self._speed_mps, self._yaw_rate_radps)
+        self._ways.update(exit_cells, posed.world_from_depth.translation_m, cells_of(tasks))
+        costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._speed_mps, self._yaw_rate_radps)
         watch.lap("ways")
-        order = tour.best_tour(costs)
+        order = best_tour(costs_s)
         watch.lap("order")
-        return order
+        return order - 1
 
     def _chosen(self, voxels: VoxelMap, proposal: Proposal) -> ChosenView:
         grid, view = voxels.grid, proposal.task.viewpoint
         place = (view.position_world - grid.origin_world_m) / grid.resolution_m
-        cells = np.stack(np.unravel_index(proposal.promised, grid.shape), axis=-1)
-        return ChosenView(np.array([*place, view.yaw_rad, view.pitch_down_rad]), Target(cells, *self.fence))
+        centre = (proposal.task.centroid_world - grid.origin_world_m) / grid.resolution_m
+        clusters = self._frontiers.clusters()
+        away2 = [float(((cluster.centre_voxels() - centre) ** 2).sum()) for cluster in clusters]
+        cells = clusters[int(np.argmin(away2))].cells
+        return ChosenView(np.array([*place, view.yaw_rad, view.pitch_down_rad]), Frontier(cells, *self._mapped.fence))
+
+
+def request_of(voxels: VoxelMap, posed: PosedFrame) -> PlanRequest:
+    """What a mission that hovers at the frame's pose would ask of the planner."""
+    return PlanRequest(voxels, None, posed.world_from_depth.translation_m, heading_rad(posed), VIEWS_LEFT)
 
 
 def heading_rad(posed: PosedFrame) -> float:
@@ -171,10 +197,13 @@ def heading_rad(posed: PosedFrame) -> float:
 
 
 def warm_up(recording: Recording) -> None:
-    """Compile every kernel that a replay runs, on a flight of its own over the first frames."""
-    planner.warm_up()
-    replay = Replay(recording, recording.grid, recording.low_m, recording.high_m)
-    replay.voxels.warm_up()
-    replay.start(recording.frames[0])
+    """Compile every kernel that a replay runs; then the first frames on a flight of their own."""
+    mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
+    mapped.voxels.warm_up()
+    planner.warm_up(mapped.config, mapped.camera)
+    stages, whole = Stages(mapped), mapped.planner()
+    mapped.start(recording.frames[0])
     for posed in recording.frames[:WARM_FRAMES]:
-        replay.decide(posed, Stopwatch())
+        voxels = mapped.fuse(posed, Stopwatch())
+        stages.decide(voxels, posed, Stopwatch())
+        whole.plan(request_of(voxels, posed))
