@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from uav_recon.planning.search import segment_is_open
 from uav_recon.planning.space import FlyableSpace
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec, VoxelMap
@@ -93,6 +94,25 @@ def test_kept_up_to_date_in_pieces_it_is_what_it_would_be_from_scratch(seed: int
             for i, j in np.argwhere((now != then).any(axis=2)):
                 assert revisions[(i - 1) // TILE, (j - 1) // TILE] > before
     assert stood > 3
+
+
+def test_lines_that_leap_over_open_space_answer_as_those_that_do_not() -> None:
+    rng = np.random.default_rng(4)
+    answers = []
+    for _ in range(6):
+        world = ChangingMap((50, 40, 24))
+        world.paint(np.array([1, 1, 1]), np.array([49, 39, 23]), FREE)
+        for _ in range(6):
+            low = rng.integers(0, world.grid.shape)
+            world.paint(low, low + rng.integers(1, 8, 3), OCCUPIED)
+        space = FlyableSpace(world.grid, 0.15, np.array([4, 0, 0]), np.array([48, 33, 24]))
+        space.update(world.voxels())
+        cells = np.argwhere(space.mask)
+        for a, b in cells[rng.integers(len(cells), size=(400, 2))] + rng.random((400, 2, 3)):
+            answers.append(segment_is_open(space.mask, *a, *b))
+            assert segment_is_open(space.leap, *a, *b) == answers[-1]
+            assert segment_is_open(space.leap, *b, *a) == answers[-1]
+    assert 0.1 < np.mean(answers) < 0.9
 
 
 def rooms(door: bool) -> ChangingMap:

@@ -152,11 +152,9 @@ def _renew(
     nx, ny, nz = state.shape
     count = 0
     column = np.zeros(nz, dtype=np.uint8)
-    changed_tiles = np.argwhere(tile_revision > since)
-    for tile in range(len(changed_tiles)):
-        across, along = changed_tiles[tile, 0], changed_tiles[tile, 1]
-        for i in range(across * TILE, min(across * TILE + TILE, nx)):
-            for j in range(along * TILE, min(along * TILE + TILE, ny)):
+    for tile in np.argwhere(tile_revision > since):
+        for i in range(tile[0] * TILE, min(tile[0] * TILE + TILE, nx)):
+            for j in range(tile[1] * TILE, min(tile[1] * TILE + TILE, ny)):
                 states, distances = state[i, j], distance2[i, j]
                 frees, masks, leaps = free[i + 1, j + 1], mask[i + 1, j + 1], leap[i + 1, j + 1]
                 low, high = box[0, 2], box[1, 2]

@@ -14,14 +14,14 @@ from uav_recon.types.frames import ByteArray, FloatArray
 
 ROUNDS = 3
 WORTH = 0.05  # voxels: a gain below it is not looked for any further
-HALVINGS = 5
+HALVINGS = 4
 
 
 @kernel
 def pull_taut(leap: ByteArray, points: FloatArray, count: int) -> int:
     """Pull the open polyline points[:count] of points (M, 3) taut in place; how many points it has then, at most M.
 
-    Corners are left out, cut from both sides, slid sideways, and rounded off into two where the way bends round a thick thing.
+    Corners are left out, slid sideways, cut from both sides, and rounded off into two where the way bends round a thick thing.
     """
     count = _settle(leap, points, count)
     x = 1
@@ -38,7 +38,7 @@ def _settle(leap: ByteArray, points: FloatArray, count: int) -> int:
         count = _straighten(leap, points, count)
         gain = 0.0
         for x in range(1, count - 1):
-            gain += _cut(leap, points, x - 1, x, x + 1) + _cut(leap, points, x + 1, x, x - 1) + _slide(leap, points, x)
+            gain += _slide(leap, points, x) + _cut(leap, points, x - 1, x, x + 1) + _cut(leap, points, x + 1, x, x - 1)
         if gain < WORTH:
             break
     return count
@@ -133,7 +133,7 @@ def _round_off(leap: ByteArray, points: FloatArray, count: int, x: int) -> int:
     ux, uy, uz = (points[x - 1, 0] - px) / back, (points[x - 1, 1] - py) / back, (points[x - 1, 2] - pz) / back
     vx, vy, vz = (points[x + 1, 0] - px) / on, (points[x + 1, 1] - py) / on, (points[x + 1, 2] - pz) / on
     seen, step = 0.0, 0.9 * min(back, on)
-    for _ in range(HALVINGS + 1):
+    for _ in range(HALVINGS + 2):
         d = seen + step
         if segment_is_open(leap, px + d * ux, py + d * uy, pz + d * uz, px + d * vx, py + d * vy, pz + d * vz):
             seen = d
