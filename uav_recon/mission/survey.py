@@ -12,11 +12,12 @@ from uav_recon.mission.orders import MissionWires, Orders, Stages
 from uav_recon.protocols import Pending
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest
-from uav_recon.types.trajectory import Setpoint
+from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
-RETHINK_S = 0.5  # pause after a plan that could not be flown
+RETHINK_S = 0.5  # pause after a plan that could not be flown, and at least between two in motion
 MAX_FAILED_PLANS = 5
+SAME_PLACE_M = 0.05
 AHEAD_S = 1.6  # a plan leaves its predecessor so long before that one's end: no braking in between
 LEAD_S = 0.25  # from a plan's start to the instant at which it leaves the present motion, beside its declared cost
 
@@ -32,7 +33,7 @@ class Survey:
         self._lead_s = LEAD_S + orders.plan_cost_s
         self._decision: Pending[Decision] | None = None
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
-        self._looked_round = False
+        self._looked_round = self._settled = False
         self._asked_revision = -1
         self.interrupt()
 
@@ -70,13 +71,15 @@ class Survey:
             return False
         if course.remaining_s(now_s) <= self._lead_s:
             return False  # too late for that: it is asked at rest
+        self._settled = False
         if course.remaining_s(now_s) <= AHEAD_S + self._lead_s:
             return True
         if voxels.revision == self._asked_revision:
             return False
         self._asked_revision = voxels.revision
         here = course.trajectory.setpoint_at(now_s)
-        return not self._stages.planner.still_worth(voxels, here.position_m, here.yaw_rad)
+        self._settled = not self._stages.planner.still_worth(voxels, here.position_m, here.yaw_rad)
+        return self._settled
 
     def _think(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         departure = self._helm.course.departure(now_s + self._lead_s, vehicle)
@@ -93,9 +96,10 @@ class Survey:
         if flying is not None:
             if flying is not self._helm.course.trajectory or now_s > leave_s:
                 return  # braked meanwhile, or too late to leave there: think again
-            if isinstance(decision.motion, str):
+            if isinstance(decision.motion, str) or self._ends_as_before(decision.motion, flying):
                 self._think_again_s = now_s + self._helm.course.remaining_s(now_s)  # asked again at rest
                 return
+            self._think_again_s = now_s + RETHINK_S
         self._account.plan(now_s, decision.path, 0.0 if flying is not None else now_s - self._resting_since_s)
         if isinstance(decision.path, NothingLeft):
             return
@@ -109,6 +113,12 @@ class Survey:
             self._helm.fly(decision.motion, now_s)
         else:
             self._helm.follow(decision.motion, leave_s)
+
+    def _ends_as_before(self, motion: Trajectory, flying: Trajectory) -> bool:
+        """Whether a motion leads only to where the present one leads: then there is no reason to leave that."""
+        if len(motion.views_s) > 1 or self._settled:
+            return False
+        return float(np.linalg.norm(motion.position_m[-1] - flying.position_m[-1])) < SAME_PLACE_M
 
     def _give_up_plan(self, reason: str, now_s: float) -> None:
         self._account.failed_in_a_row += 1
