@@ -41,6 +41,10 @@ class NoisyPoses:
         self._last_arrival_s = -math.inf
         self._pending: deque[tuple[float, PoseRecord]] = deque()
 
+    def due(self, now_s: float) -> bool:
+        """Whether step() has anything to do now."""
+        return self._due_s is None or now_s >= self._due_s - 1e-9 or bool(self._pending and self._pending[0][0] <= now_s)
+
     def step(self, now_s: float, world_from_body: F64) -> list[PoseRecord]:
         """Capture a pose if one is due now, and return those that have arrived by now_s, oldest first. Does not block.
 

@@ -17,6 +17,7 @@ from sitl.jit import kernel
 from uav_recon.sensors.wire import CameraSpec
 
 CHUNK_FACES = 128
+WIDE_PX = 24  # a triangle wider than this is drawn by the part of each row that lies in it
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -135,6 +136,16 @@ def _box_outside(low: F32, high: F32, camera_from_world: F64, planes: F64) -> bo
 
 
 @kernel
+def _narrowed(at_zero: float, slope: float, first: int, last: int) -> tuple[int, int]:
+    """The part of a row, and a pixel more on either side, in which at_zero + slope u >= 0."""
+    if slope > 0.0:
+        return max(first, int(np.floor(min(max(-at_zero / slope, first - 1.0), last + 1.0))) - 1), last
+    if slope < 0.0:
+        return first, min(last, int(np.ceil(max(min(-at_zero / slope, last + 1.0), first - 1.0))) + 1)
+    return first, last
+
+
+@kernel
 def _fill(
     x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float, w2: float,
     face_id: int, inverse_z: F32, face: I32,
@@ -155,11 +166,18 @@ def _fill(
     du2, dv2 = -(y1 - y0) * scale, (x1 - x0) * scale
     dw1, dw2 = w1 - w0, w2 - w0
     dwu, dwv = du1 * dw1 + du2 * dw2, dv1 * dw1 + dv2 * dw2
+    wide = u_high - u_low > WIDE_PX
     for v in range(v_low, v_high + 1):
-        b1 = (u_low - x0) * du1 + (v - y0) * dv1
-        b2 = (u_low - x0) * du2 + (v - y0) * dv2
-        w = w0 + (u_low - x0) * dwu + (v - y0) * dwv
-        for u in range(u_low, u_high + 1):
+        first, last = u_low, u_high
+        if wide:
+            b1, b2 = (v - y0) * dv1 - x0 * du1, (v - y0) * dv2 - x0 * du2
+            first, last = _narrowed(b1, du1, first, last)
+            first, last = _narrowed(b2, du2, first, last)
+            first, last = _narrowed(1.0 - b1 - b2, -du1 - du2, first, last)
+        b1 = (first - x0) * du1 + (v - y0) * dv1
+        b2 = (first - x0) * du2 + (v - y0) * dv2
+        w = w0 + (first - x0) * dwu + (v - y0) * dwv
+        for u in range(first, last + 1):
             if b1 >= -1e-9 and b2 >= -1e-9 and b1 + b2 <= 1.0 + 1e-9 and w > inverse_z[v, u]:
                 inverse_z[v, u] = w
                 face[v, u] = face_id

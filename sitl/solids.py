@@ -25,7 +25,10 @@ Shape = Callable[[F64, F64], F64]
 
 @dataclass(frozen=True)
 class Workshop:
-    """Makes solids in metres. fine: cells of at most a face's own step, for its paint; else the shape alone."""
+    """Makes solids in metres. fine: cells of at most a face's own step, for its paint; else the shape alone.
+
+    Flat faces are the same either way; a bush is rougher where it is not fine.
+    """
 
     fine: bool = True
 
@@ -83,7 +86,8 @@ class Workshop:
             flat = r * np.sin(slope)
             return np.asarray(centre) + np.stack([flat * np.cos(angle), flat * np.sin(angle), -r * np.cos(slope)], axis=1)
 
-        return self._surface(shape, paint, 2.0 * math.pi * radius, math.pi * radius, 0.02, 0.02)
+        step = 0.02 if self.fine else 0.06
+        return self._surface(shape, paint, 2.0 * math.pi * radius, math.pi * radius, step, step)
 
     def _surface(self, shape: Shape, paint: Paint, length_u: float, length_v: float, step_u: float, step_v: float) -> Mesh:
         """Grid over shape(u, v) -> points (..., 3), u and v in 0..1, with cells of at most the steps."""
