@@ -179,9 +179,9 @@ class Stages:
         grid, view = voxels.grid, proposal.task.viewpoint
         place = (view.position_world - grid.origin_world_m) / grid.resolution_m
         centre = (proposal.task.centroid_world - grid.origin_world_m) / grid.resolution_m
-        clusters = self._frontiers.clusters()
-        away2 = [float(((cluster.centre_voxels() - centre) ** 2).sum()) for cluster in clusters]
-        cells = clusters[int(np.argmin(away2))].cells
+        rows = self._frontiers.rows()
+        away2 = ((self._frontiers.table.centre[rows] - centre) ** 2).sum(axis=1)
+        cells = self._frontiers.cluster(int(rows[np.argmin(away2)])).cells
         return ChosenView(np.array([*place, view.yaw_rad, view.pitch_down_rad]), Frontier(cells, *self._mapped.fence))
 
 
