@@ -12,7 +12,7 @@ from uncertain_room import elements_of, seen_room, situation_in
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.field import BEST_VIEWS, UNKNOWN_WEIGHT, FieldViews, frontier_patches
-from uav_recon.planning.frontiers import FACES, Frontier, fence_box, find_frontiers, unknown_faces
+from uav_recon.planning.frontiers import FACES, Frontier, Frontiers, fence_box
 from uav_recon.planning.proposal import Situation
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import TaskKind
@@ -29,8 +29,9 @@ def half_seen(camera: CameraGeometry) -> tuple[Situation, list[Frontier]]:
         world.look(float(np.clip(0.0, camera.pitch_min_rad, camera.pitch_max_rad)))
     voxels = world.request().voxels
     low, high = fence_box(voxels.grid, np.zeros(3), np.array([6.2, 5.0, 2.4]))
-    census = find_frontiers(unknown_faces(voxels.state, low, high), np.zeros(voxels.grid.shape, dtype=np.bool_), 0.1)
-    return situation_in(voxels, HERE), list(census.frontiers)
+    found = Frontiers()
+    found.update(voxels, low, high, np.zeros(voxels.grid.shape, dtype=np.uint8))
+    return situation_in(voxels, HERE), found.clusters()
 
 
 def looks_of(situation: Situation) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:

@@ -1,13 +1,20 @@
 from __future__ import annotations
 
 import numpy as np
-from box_world import grid_of
+from box_world import grid_of, voxel_map
 
-from uav_recon.planning.clusters import MAX_EXTENT_M
-from uav_recon.planning.frontiers import FACES, count_outside, fence_box, find_frontiers, split, unknown_faces
+from uav_recon.planning.census import left_out
+from uav_recon.planning.frontiers import FACES, Frontiers, fence_box
+from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec
 
 WHOLE = np.zeros(3, dtype=np.int64)
+
+
+def frontiers_of(state: ByteArray, low: IntArray, high: IntArray, exhausted: ByteArray | None = None) -> Frontiers:
+    found = Frontiers()
+    found.update(voxel_map(state), low, high, np.zeros_like(state) if exhausted is None else exhausted)
+    return found
 
 
 def test_a_frontier_is_a_free_voxel_with_an_unknown_face_neighbour_inside_the_fence() -> None:
@@ -15,7 +22,7 @@ def test_a_frontier_is_a_free_voxel_with_an_unknown_face_neighbour_inside_the_fe
     for _ in range(10):
         state = rng.choice([UNKNOWN, FREE, FREE, OCCUPIED], tuple(rng.integers(3, 9, 3))).astype(np.uint8)
         low, high = rng.integers(0, 2, 3), np.array(state.shape) - rng.integers(0, 2, 3)
-        faces = unknown_faces(state, low, high)
+        faces = frontiers_of(state, low, high).faces
         for cell in np.ndindex(*state.shape):
             inside = bool((np.array(cell) >= low).all() and (np.array(cell) < high).all())
             for bit, step in enumerate(FACES):
@@ -29,35 +36,25 @@ def test_a_frontier_is_a_free_voxel_with_an_unknown_face_neighbour_inside_the_fe
                 assert bool(faces[cell] & (1 << bit)) == expected
 
 
-def test_clusters_are_split_until_they_fit_one_view_and_no_cell_is_lost() -> None:
-    rng = np.random.default_rng(1)
-    cells = np.unique(rng.integers(0, (45, 45, 1), (600, 3)), axis=0)
-    parts = split(cells, MAX_EXTENT_M / 0.1)
-    assert sorted(map(tuple, np.concatenate(parts))) == sorted(map(tuple, cells))
-    for part in parts:
-        offsets = part - part.mean(axis=0)
-        along = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
-        assert np.ptp(along) <= MAX_EXTENT_M / 0.1 + 1e-9
-
-
 def test_the_census_counts_what_it_leaves_out() -> None:
     state = np.full((40, 20, 20), FREE, dtype=np.uint8)
     state[0, 2:6, 2:6] = UNKNOWN  # 16 cells: a frontier
     state[39, 2, 2] = UNKNOWN  # too small (one cell with three neighbours, two beside it)
     state[20, 19, 2:14] = UNKNOWN  # looked at in vain
-    faces = unknown_faces(state, WHOLE, np.array(state.shape))
-    exhausted = np.zeros(state.shape, dtype=np.bool_)
-    exhausted[18:23, 17:] = True
-    census = find_frontiers(faces, exhausted, 0.1)
-    assert (len(census.frontiers), census.too_small, census.exhausted) == (1, 1, 1)
+    exhausted = np.zeros(state.shape, dtype=np.uint8)
+    exhausted[18:23, 17:] = 1
+    found = frontiers_of(state, WHOLE, np.array(state.shape), exhausted)
+    assert len(found) == 1
+    counts = left_out(state, found.faces, exhausted)
+    assert counts == {"too small": 1, "looked at in vain": 1, "outside the fence": 0}
 
 
 def test_space_beyond_the_fence_is_counted_not_explored() -> None:
     state = np.full((20, 20, 20), FREE, dtype=np.uint8)
     state[15:] = UNKNOWN
-    faces = unknown_faces(state, WHOLE, np.array([15, 20, 20]))
-    assert not faces.any()
-    assert count_outside(state, faces) == 1
+    found = frontiers_of(state, WHOLE, np.array([15, 20, 20]))
+    assert not found.faces.any()
+    assert left_out(state, found.faces, np.zeros_like(state))["outside the fence"] == 1
 
 
 def test_the_fence_holds_the_voxels_whose_centres_it_holds() -> None:

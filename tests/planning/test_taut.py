@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from uav_recon.planning.search import length_of, line_is_open
+from uav_recon.planning.lines import length_of, segment_is_open
 from uav_recon.planning.taut import pull_taut
 from uav_recon.types.frames import ByteArray, FloatArray
 
@@ -34,7 +34,7 @@ def test_a_way_round_a_wall_touches_its_edge_at_the_right_height() -> None:
     mask[20:22, :30] = 0
     way = taut(mask, [(5.5, 8.5, 4.5), (18.5, 32.5, 8.5), (24.5, 33.5, 7.5), (37.5, 8.5, 4.5)])
     shortest = np.hypot(14.5, 21.5) + 2.0 + np.hypot(15.5, 21.5)  # along both edges of the wall's end
-    assert all(line_is_open(mask, a, b) for a, b in itertools.pairwise(way))
+    assert all(segment_is_open(mask, *a, *b) for a, b in itertools.pairwise(way))
     assert length_of(way) == pytest.approx(shortest, rel=0.02)
     assert np.ptp(way[:, 2]) < 2.0
 
@@ -59,11 +59,11 @@ def test_ways_in_noise_stay_open_and_never_grow() -> None:
         points = [tuple(rng.choice(np.argwhere(mask[2:-2, 2:-2, 2:-2])) + 2.5)]
         while len(points) < 6:
             ahead = np.clip(points[-1] + rng.normal(0, 8, 3), 2, (40, 40, 20))
-            if line_is_open(mask, np.array(points[-1]), ahead):
+            if segment_is_open(mask, *points[-1], *ahead):
                 points.append(tuple(ahead))
         before = np.array(points)
         way = taut(mask, points)
-        assert all(line_is_open(mask, a, b) for a, b in itertools.pairwise(way))
+        assert all(segment_is_open(mask, *a, *b) for a, b in itertools.pairwise(way))
         np.testing.assert_array_equal(way[[0, -1]], before[[0, -1]])
         assert length_of(way) <= length_of(before) + 1e-9
         shorter += length_of(way) < length_of(before) - 1.0
@@ -76,4 +76,4 @@ def test_a_full_room_for_points_is_no_error() -> None:
     points = np.array([(5.5, 8.5, 4.5), (12.5, 36.5, 18.5), (28.5, 38.5, 18.5), (37.5, 8.5, 4.5)])
     count = pull_taut(mask, points, 4)
     assert 3 <= count <= 4
-    assert all(line_is_open(mask, a, b) for a, b in itertools.pairwise(points[:count]))
+    assert all(segment_is_open(mask, *a, *b) for a, b in itertools.pairwise(points[:count]))

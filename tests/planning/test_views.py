@@ -144,6 +144,26 @@ def test_following_a_map_gives_what_a_fresh_look_gives(monkeypatch: pytest.Monke
     assert searched > 100
 
 
+def test_what_hid_a_frontier_and_is_gone_hides_it_no_more() -> None:
+    solid = room((6.0, 4.0, 2.4), [])
+    follower = Follower(GrowingMap(solid).grid)
+    state = np.where(solid, OCCUPIED, FREE).astype(np.uint8)
+    state[55:61, 15:27, 8:18] = UNKNOWN
+    screened = state.copy()
+    screened[48, 12:30, 6:20] = OCCUPIED
+    follower.follow(voxel_map(state, 1), START)
+    # nowhere to go but the near half of the room, whatever the map says
+    follower.space.reachable[30:] = 0
+    follower.frontiers, follower.views = Frontiers(), FrontierViews(PlannerConfig(), GIMBAL)
+    gains = []
+    for revision, shown in enumerate((screened, state), 2):
+        voxels = voxel_map(shown, revision)
+        follower.frontiers.update(voxels, follower.low, follower.high, follower.ignored)
+        found = follower.views.update(voxels, follower.space, follower.frontiers, START)
+        gains.append(sum(len(proposal.promised) for proposal in found.proposals))
+    assert gains[0] < 0.5 * gains[1]
+
+
 def test_a_view_does_not_depend_on_where_the_vehicle_is() -> None:
     world = explored(TWO_ROOMS, GIMBAL, 6)
     voxels = world.picture()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.graph import MCP_Geometric
 
-from uav_recon.planning.search import line_is_open
+from uav_recon.planning.lines import segment_is_open
 from uav_recon.planning.space import FlyableSpace
 from uav_recon.planning.ways import Ways
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
@@ -96,7 +96,7 @@ def check_polyline(space: FlyableSpace, ways: Ways, i: int, j: int) -> None:
     # to the world and back moves a point by a rounding error: a sample on the border of two voxels may be in either
     nudges = [np.array(nudge) * 1e-9 for nudge in itertools.product((-1, 1), repeat=3)]
     for a, b in itertools.pairwise(way):
-        assert any(line_is_open(space.mask, a + nudge, b + nudge) for nudge in nudges)
+        assert any(segment_is_open(space.mask, *(a + nudge), *(b + nudge)) for nudge in nudges)
     length_m = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) * RESOLUTION_M
     assert length_m == pytest.approx(ways.lengths_m[i, j], abs=1e-9)
     np.testing.assert_allclose(ways.way_world(j, i), ways.way_world(i, j)[::-1])

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.search import STEP_LENGTHS, STEPS
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
+STEPS = np.array(
+    [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)], dtype=np.int64
+)
+STEP_LENGTHS = np.sqrt((STEPS**2).sum(axis=1).astype(np.float64))
 ESCAPE_LIMIT_M = 2.0  # a way out longer than this is no way out
 
 

@@ -7,7 +7,6 @@ from typing import Protocol
 
 import numpy as np
 
-from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import PlanMode
 
@@ -60,14 +59,3 @@ class ExploreThenRefine:
     def choose(self, frontier_distance_m: FloatArray) -> PlanMode:
         """Explore while there is a frontier."""
         return PlanMode.EXPLORE if len(frontier_distance_m) else PlanMode.MERGED
-
-
-def mode_rule(variant: VariantName, config: PlannerConfig) -> ModeRule:
-    """Pick the rule of a variant."""
-    if variant in ("explore", "explore-yaw"):
-        return ExploreOnly()
-    if variant == "explore-then-refine":
-        return ExploreThenRefine()
-    if variant == "adaptive":
-        return Adaptive(config.near_distance_m, config.near_count, config.near_share)
-    return AlwaysMerged()

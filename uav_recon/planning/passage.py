@@ -12,8 +12,8 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.blocks import MOST_PARTS, ONE, Blocks, corner_of, touches
+from uav_recon.planning.lines import distance, length_of, segment_is_open
 from uav_recon.planning.regions import PartArray
-from uav_recon.planning.search import distance, length_of, segment_is_open
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 DETOUR = 6.0  # voxels: a bend between neighbouring parts that do not see each other costs at most so much

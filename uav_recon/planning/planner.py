@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.geometry import traversal
-from uav_recon.planning import census, costs, field, search, space, tour, views, visited
+from uav_recon.planning import census, costs, field, lines, space, tour, views, visited
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.census import left_out
 from uav_recon.planning.costs import time_costs
@@ -215,7 +215,7 @@ def _share_in(promised: IntArray, settled: IntArray) -> float:
 
 def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
     """Compile every kernel of the planner: on a toy map that grows, surface included, by every way of choosing."""
-    for module in (traversal, search, space, tour, costs, visited, field, census):
+    for module in (traversal, lines, space, tour, costs, visited, field, census):
         module.warm_up()
     views.warm_up(config, camera)
     grid = GridSpec(np.zeros(3), 0.1, (40, 30, 20))

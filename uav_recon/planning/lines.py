@@ -1,0 +1,73 @@
+"""Straight lines and polylines through a padded voxel mask. Lengths are in voxels, positions in padded voxel units."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import ByteArray, FloatArray
+
+
+@kernel
+def distance(x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> float:
+    """Return how far apart two points are."""
+    return math.sqrt((x0 - x1) ** 2 + (y0 - y1) ** 2 + (z0 - z1) ** 2)
+
+
+@kernel
+def segment_is_open(leap: ByteArray, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> bool:
+    """Tell whether every sample of a straight segment, at most half a voxel apart, lies in a mask that holds both ends.
+
+    leap: a mask, or in place of its ones how many samples to go on by, all but the last of them known to be open.
+    """
+    if x0 > x1 or (x0 == x1 and (y0 > y1 or (y0 == y1 and z0 > z1))):
+        x0, y0, z0, x1, y1, z1 = x1, y1, z1, x0, y0, z0  # the same both ways, to the last bit
+    dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
+    # mid-interval samples of an even number of intervals: never exactly on the corner that a diagonal step passes
+    count = 2 * math.ceil(math.sqrt(dx * dx + dy * dy + dz * dz)) + 2
+    dx, dy, dz = dx / count, dy / count, dz / count
+    x, y, z = x0 + 0.5 * dx, y0 + 0.5 * dy, z0 + 0.5 * dz
+    flat, across, along = leap.ravel(), np.int64(leap.shape[1] * leap.shape[2]), np.int64(leap.shape[2])
+    n = 0
+    while n < count:
+        # unsigned: an index that needs no test for being negative
+        ahead = flat[np.uint64(int(x + n * dx) * across + int(y + n * dy) * along + int(z + n * dz))]
+        if ahead == 0:
+            return False
+        n += ahead
+    return True
+
+
+@kernel
+def length_of(points: FloatArray) -> float:
+    """Length of a polyline (N, 3), in its own unit."""
+    total = 0.0
+    for n in range(1, len(points)):
+        dx, dy, dz = points[n, 0] - points[n - 1, 0], points[n, 1] - points[n - 1, 1], points[n, 2] - points[n - 1, 2]
+        total += math.sqrt(dx * dx + dy * dy + dz * dz)
+    return total
+
+
+@kernel
+def departure(points: FloatArray) -> FloatArray:
+    """Unit direction (3,) in which a polyline (N, 3) leaves its first point; zero where it does not move."""
+    for n in range(1, len(points)):
+        step = points[n] - points[0]
+        length = math.sqrt((step * step).sum())
+        if length > 1e-9:
+            direction: FloatArray = step / length
+            return direction
+    return np.zeros(3)
+
+
+def warm_up() -> None:
+    """Compile all kernels."""
+    leap = np.ones((4, 4, 4), dtype=np.uint8)
+    segment_is_open(leap, 1.5, 1.5, 1.5, 2.5, 2.5, 2.5)
+    distance(0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+    way = np.array([[1.5, 1.5, 1.5], [1.5, 2.5, 1.5], [2.5, 2.5, 2.5]])
+    for polyline in (way, way[::-1]):  # both memory layouts that ways use
+        length_of(polyline)
+        departure(polyline)
