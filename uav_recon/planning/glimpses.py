@@ -19,8 +19,9 @@ Int32Array = NDArray[np.int32]
 
 FIRST_PROBES = 4  # cells tried from every place ...
 PROBES = 12  # ... so many from the most promising MORE_PLACES of them ...
-MORE_PLACES = 24
-FULL_PLACES = 8  # ... and all from the best of those, until a view shows this share of the cells ...
+MORE_PLACES = 12
+FULL_PLACES = 5  # ... and all from the best of those, until a view shows this share of the cells ...
+BOOK = 4096  # places in the hash table of blockers, a power of two
 ENOUGH = 0.97  # ... and only a view that shows so much more than another beats it
 
 
@@ -46,6 +47,20 @@ def targets(faces: ByteArray, flat: IntArray) -> tuple[FloatArray, IntArray]:
 
 
 @kernel
+def _noted(voxel: int, book: Int32Array, blockers: Int32Array, count: int) -> int:
+    """Append a voxel to ``blockers`` unless it is there; ``book`` is a hash table of them. How many there are now."""
+    at = (voxel * 2654435761 >> 16) & (BOOK - 1)
+    while book[np.uint64(at)] != 0:
+        if book[np.uint64(at)] == voxel + 1:
+            return count
+        at = (at + 1) & (BOOK - 1)
+    if count < len(blockers):
+        book[np.uint64(at)] = voxel + 1
+        blockers[count] = voxel
+    return count + 1
+
+
+@kernel
 def _sees(
     distance2: ByteArray,
     shape: tuple[int, int, int],
@@ -54,8 +69,7 @@ def _sees(
     points: FloatArray,
     a: int,
     b: int,
-    stamp: Int32Array,
-    mark: int,
+    book: Int32Array,
     blockers: Int32Array,
     count: int,
 ) -> tuple[bool, int]:
@@ -67,11 +81,7 @@ def _sees(
         voxel = first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2])
         if voxel < 0:
             return True, count
-        if stamp[voxel] != mark:
-            stamp[voxel] = mark
-            if count < len(blockers):
-                blockers[count] = voxel
-            count += 1
+        count = _noted(voxel, book, blockers, count)
     return False, count
 
 
@@ -85,8 +95,7 @@ def _count(
     first: IntArray,
     wanted: float,
     seen: BoolArray,
-    stamp: Int32Array,
-    mark: int,
+    book: Int32Array,
     blockers: Int32Array,
     count: int,
 ) -> tuple[int, int]:
@@ -102,7 +111,7 @@ def _count(
     for n in range(len(seen)):
         if shown + len(seen) - n < wanted:
             break
-        seen[n], count = _sees(distance2, shape, lens, line, points, first[n], first[n + 1], stamp, mark, blockers, count)
+        seen[n], count = _sees(distance2, shape, lens, line, points, first[n], first[n + 1], book, blockers, count)
         shown += seen[n]
     return shown, count
 
@@ -149,15 +158,14 @@ def _probe(
     points: FloatArray,
     first: IntArray,
     probed: IntArray,
-    stamp: Int32Array,
-    mark: int,
+    book: Int32Array,
     blockers: Int32Array,
     count: int,
 ) -> tuple[int, int]:
     """How many of some cells a line of sight shows, and how many blockers there are now."""
     shown = 0
     for n in probed:
-        sees, count = _sees(distance2, shape, lens, line, points, first[n], first[n + 1], stamp, mark, blockers, count)
+        sees, count = _sees(distance2, shape, lens, line, points, first[n], first[n + 1], book, blockers, count)
         shown += sees
     return shown, count
 
@@ -174,15 +182,13 @@ def best_view(
     centre: FloatArray,
     points: FloatArray,
     first: IntArray,
-    stamp: Int32Array,
-    mark: int,
     asked: Int32Array,
     blockers: Int32Array,
 ) -> tuple[FloatArray, BoolArray, int, int, IntArray]:
     """Find the view that shows most cells; of those that show nearly as many, the one whose place comes first in the shell.
 
-    distance2: raveled, as in VoxelMap; reachable: raveled, padded by one voxel all round. stamp: a number per voxel, none of
-    them ``mark``; asked (K,), blockers: room.
+    distance2: raveled, as in VoxelMap; reachable: raveled, padded by one voxel all round. asked (K,), blockers (fewer than
+    BOOK): room.
     Returns the view (x, y, z, yaw, pitch down), voxels and radians, and which cells it shows: none = no view. Then what the
     answer hangs on: how many of ``asked`` (padded flat index of a place, or its complement if it was not reachable) and of
     ``blockers`` (voxels that hid something; more than there is room for: too many to tell) were filled, and the first and
@@ -196,6 +202,7 @@ def best_view(
     few, more = np.zeros(len(places), dtype=np.int64), np.zeros(len(places), dtype=np.int64)  # probes shown, by place
     asks, opened, count, tried, counted = 0, 0, 0, 0, 0
     part, left = 0, quotas[0]
+    book = np.zeros(BOOK, dtype=np.int32)
     best, best_total = np.zeros(5), 0
     best_seen, seen, view = np.zeros(cells, dtype=np.bool_), np.zeros(cells, dtype=np.bool_), np.empty(5)
     low_x, low_y, high_x, high_y = points[0, 0], points[0, 1], points[0, 0], points[0, 1]
@@ -241,14 +248,10 @@ def best_view(
             if not _inside(shape, line):
                 continue
             if step == 0:
-                few[place], count = _probe(
-                    distance2, shape, lens, line, points, first, probed[:firsts], stamp, mark, blockers, count
-                )
+                few[place], count = _probe(distance2, shape, lens, line, points, first, probed[:firsts], book, blockers, count)
             if step == 1 or (step == 0 and few[place] == firsts and tried < MORE_PLACES):
                 tried += 1
-                more[place], count = _probe(
-                    distance2, shape, lens, line, points, first, probed[firsts:], stamp, mark, blockers, count
-                )
+                more[place], count = _probe(distance2, shape, lens, line, points, first, probed[firsts:], book, blockers, count)
                 more[place] += few[place]
                 few[place] = 0
             if step == 2 or more[place] == len(probed):
@@ -257,7 +260,7 @@ def best_view(
                 view[0], view[1], view[2] = x, y, z
                 view[3], view[4] = aim(lens, x, y, z, centre[0], centre[1], centre[2])
                 total, count = _count(
-                    distance2, shape, lens, view, points, first, best_total / ENOUGH, seen, stamp, mark, blockers, count
+                    distance2, shape, lens, view, points, first, best_total / ENOUGH, seen, book, blockers, count
                 )
                 if total > best_total / ENOUGH:
                     best_total = total
@@ -265,13 +268,13 @@ def best_view(
     if 0 < best_total < cells:
         view[:] = best
         _centred(lens, view, points, first, best_seen)
-        total, count = _count(distance2, shape, lens, view, points, first, best_total + 1, seen, stamp, mark, blockers, count)
+        total, count = _count(distance2, shape, lens, view, points, first, best_total + 1, seen, book, blockers, count)
         if total > best_total:
             best[:], best_seen[:] = view, seen
     for n in range(cells):
         if best_seen[n]:
             best_seen[n], count = _confirmed(
-                distance2, shape, lens, best, points, first[n], first[n + 1], stamp, mark, blockers, count
+                distance2, shape, lens, best, points, first[n], first[n + 1], book, blockers, count
             )
     beside = abs(lens[CAM_X]) + abs(lens[CAM_Y]) + 1.0  # from a place to its lines' ends
     box = np.empty(4, dtype=np.int64)
@@ -289,8 +292,7 @@ def _confirmed(
     points: FloatArray,
     a: int,
     b: int,
-    stamp: Int32Array,
-    mark: int,
+    book: Int32Array,
     blockers: Int32Array,
     count: int,
 ) -> tuple[bool, int]:
@@ -305,9 +307,5 @@ def _confirmed(
         voxel = first_obstacle(distance2, shape[1], shape[2], line[0], line[1], line[2], x, y, z)
         if voxel < 0 or voxel == (int(x) * shape[1] + int(y)) * shape[2] + int(z):
             return True, count
-        if stamp[voxel] != mark:
-            stamp[voxel] = mark
-            if count < len(blockers):
-                blockers[count] = voxel
-            count += 1
+        count = _noted(voxel, book, blockers, count)
     return False, count

@@ -26,7 +26,7 @@ class ViewTable:
     promised: by row, flat indices of the cells shown. used: (R,) the plan that last wanted the row.
     """
 
-    def __init__(self, shape: tuple[int, int, int], shell: Shell) -> None:
+    def __init__(self, shell: Shell) -> None:
         self.shell = shell
         self.row_of: dict[int, int] = {}
         self.key = [0] * ROWS
@@ -41,7 +41,6 @@ class ViewTable:
         self.first = np.zeros((ROWS, SAMPLE_CELLS + 1), dtype=np.int64)
         self.samples = np.zeros(ROWS, dtype=np.int64)
         self.used = np.full(ROWS, -1, dtype=np.int64)
-        self._stamp, self._mark = np.zeros(shape[0] * shape[1] * shape[2], dtype=np.int32), 0
         self._next = 0
 
     def search(
@@ -65,10 +64,9 @@ class ViewTable:
         row, self._next = self._next, (self._next + 1) % ROWS
         if self.row_of.get(self.key[row]) == row:
             del self.row_of[self.key[row]]
-        self._mark += 1
         self.promised[row] = _answer(
             row, distance2.reshape(-1), faces, reachable.reshape(-1), lens, self.shell.offsets, self.shell.ends,
-            self.shell.places, centre, flat, self._stamp, self._mark, self.shown, self.view, self.asked, self.blockers,
+            self.shell.places, centre, flat, self.shown, self.view, self.asked, self.blockers,
             self.box, self.counts, self.points, self.first, self.samples,
         )  # fmt: skip
         self.counts[row, 2:] = revisions
@@ -121,8 +119,6 @@ def _answer(
     quotas: IntArray,
     centre: FloatArray,
     flat: IntArray,
-    stamp: Int32Array,
-    mark: int,
     shown: IntArray,
     view: FloatArray,
     asked: Int32Array,
@@ -136,7 +132,7 @@ def _answer(
     """Fill a row; returns the flat indices of the cells that the view shows."""
     own_points, own_first = targets(faces, flat)
     best, seen, asks, hidden, tiles = best_view(
-        distance2, faces.shape, reachable, lens, offsets, ends, quotas, centre, own_points, own_first, stamp, mark,
+        distance2, faces.shape, reachable, lens, offsets, ends, quotas, centre, own_points, own_first,
         asked[row], blockers[row],
     )  # fmt: skip
     view[row] = best

@@ -21,7 +21,7 @@ from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 MIN_SEEN = 4  # cells: less is not worth a stop, unless the cluster has no more
 COVERED_SHARE = 0.7  # of what its own view sees: a frontier that another view shows so well needs no stop of its own
 BATCH = 32  # clusters looked at, the nearest first; as many more as long as there is no view at all
-SEARCHES = 6  # for each revision of the map since the last plan, or until there is a view: the rest is left for later
+SEARCHES = 4  # for each revision of the map since the last plan, or until there is a view: the rest is left for later
 
 
 class Flyable(Protocol):
@@ -185,7 +185,7 @@ class FrontierViews:
         """Forget all: it is another map."""
         self._faces = faces
         self._revision = -BATCH  # for the first plan all of a batch
-        self.table = ViewTable(faces.shape, explore_shell(self._config, self._camera, resolution_m))
+        self.table = ViewTable(explore_shell(self._config, self._camera, resolution_m))
         self._centre = np.zeros((len(self.table.shown), 3))  # of the clusters, by row, voxels
         self._tasks = {}  # by row
 
