@@ -43,7 +43,7 @@ def test_a_way_round_a_pillar_is_as_long_as_its_tangents_and_the_arc() -> None:
     mask = hall()
     i, j = np.meshgrid(np.arange(42) + 0.5, np.arange(42) + 0.5, indexing="ij")
     mask[np.hypot(i - 21, j - 21) < 10] = 0
-    way = taut(mask, [(3.5, 21.0, 10.5), (3.5, 38.5, 10.5), (38.5, 38.5, 10.5), (38.5, 21.0, 10.5)])
+    way = taut(mask, [(3.5, 21.0, 10.5), (9.5, 34.5, 9.5), (21.5, 36.5, 11.5), (33.5, 34.5, 10.5), (38.5, 21.0, 10.5)])
     reach, radius = 17.5, 10.0
     tangent = np.sqrt(reach**2 - radius**2)
     shortest = 2 * tangent + radius * (np.pi - 2 * np.arccos(radius / reach))

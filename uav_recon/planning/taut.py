@@ -15,6 +15,7 @@ from uav_recon.types.frames import ByteArray, FloatArray
 ROUNDS = 3
 WORTH = 0.05  # voxels: a gain below it is not looked for any further
 HALVINGS = 4
+SLOPES = (0.17, 0.5, 0.866)  # how much of a sideways step goes straight inwards
 
 
 @kernel
@@ -38,7 +39,9 @@ def _settle(leap: ByteArray, points: FloatArray, count: int) -> int:
         count = _straighten(leap, points, count)
         gain = 0.0
         for x in range(1, count - 1):
-            gain += _slide(leap, points, x) + _cut(leap, points, x - 1, x, x + 1) + _cut(leap, points, x + 1, x, x - 1)
+            if x + 2 < count:
+                gain += _slide(leap, points, x, x + 1)
+            gain += _slide(leap, points, x, x) + _cut(leap, points, x - 1, x, x + 1) + _cut(leap, points, x + 1, x, x - 1)
         if gain < WORTH:
             break
     return count
@@ -78,49 +81,69 @@ def _cut(leap: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
     for _ in range(HALVINGS):
         step /= 2
         t = seen + step
-        if _open(leap, points, a, px + t * dx, py + t * dy, pz + t * dz):
+        qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
+        # a corner lies in the mask itself; and a piece of an open segment has samples of its own
+        stands = leap[int(qx), int(qy), int(qz)] > 0 and _open(leap, points, a, qx, qy, qz)
+        if stands and _open(leap, points, b, qx, qy, qz):
             seen = t
-    qx, qy, qz = px + seen * dx, py + seen * dy, pz + seen * dz
-    # a piece of an open segment has samples of its own
-    if seen == 0.0 or leap[int(qx), int(qy), int(qz)] == 0 or not _open(leap, points, b, qx, qy, qz):
+    if seen == 0.0:
         return 0.0
+    qx, qy, qz = px + seen * dx, py + seen * dy, pz + seen * dz
     points[x, 0], points[x, 1], points[x, 2] = qx, qy, qz
     return _apart(points, a, px, py, pz) + distance(px, py, pz, qx, qy, qz) - _apart(points, a, qx, qy, qz)
 
 
 @kernel
-def _slide(leap: ByteArray, points: FloatArray, x: int) -> float:
-    """Move corner ``x`` sideways and inwards while that makes the way shorter; by how much.
+def _slide(leap: ByteArray, points: FloatArray, first: int, last: int) -> float:
+    """Move corners [first, last] together, sideways and inwards, while that makes the way shorter; by how much.
 
-    What keeps a corner from moving straight inwards is a surface; along it there may still be a shorter way.
+    What keeps a corner from moving straight inwards is a surface; along it there may still be a shorter way. Two corners of one
+    edge hold each other back unless they move together.
     """
-    px, py, pz = points[x, 0], points[x, 1], points[x, 2]
-    back, on = _apart(points, x - 1, px, py, pz), _apart(points, x + 1, px, py, pz)
+    ax, ay, az = points[first, 0], points[first, 1], points[first, 2]
+    bx, by, bz = points[last, 0], points[last, 1], points[last, 2]
+    back, on = _apart(points, first - 1, ax, ay, az), _apart(points, last + 1, bx, by, bz)
     if back < 0.1 or on < 0.1:
         return 0.0
-    ux, uy, uz = (points[x - 1, 0] - px) / back, (points[x - 1, 1] - py) / back, (points[x - 1, 2] - pz) / back
-    vx, vy, vz = (points[x + 1, 0] - px) / on, (points[x + 1, 1] - py) / on, (points[x + 1, 2] - pz) / on
+    ux, uy, uz = (points[first - 1, 0] - ax) / back, (points[first - 1, 1] - ay) / back, (points[first - 1, 2] - az) / back
+    vx, vy, vz = (points[last + 1, 0] - bx) / on, (points[last + 1, 1] - by) / on, (points[last + 1, 2] - bz) / on
     wx, wy, wz = ux + vx, uy + vy, uz + vz
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     inwards, sideways = math.sqrt(wx * wx + wy * wy + wz * wz), math.sqrt(nx * nx + ny * ny + nz * nz)
     if inwards < 1e-3 or sideways < 1e-3:
         return 0.0
     before = back + on
-    for turn in range(4):  # 60 and 30 degrees from straight inwards, to either side
-        a, b = (0.5, 0.866) if turn < 2 else (0.866, 0.5)
-        a, b = a / inwards, (b if turn % 2 == 0 else -b) / sideways
+    for turn in range(2 * len(SLOPES)):
+        a = SLOPES[turn // 2] / inwards
+        b = math.sqrt(1.0 - SLOPES[turn // 2] ** 2) / sideways * (1 - 2 * (turn % 2))
         dx, dy, dz = a * wx + b * nx, a * wy + b * ny, a * wz + b * nz
         step = 2.0
         while step > 0.6:
-            qx, qy, qz = points[x, 0] + step * dx, points[x, 1] + step * dy, points[x, 2] + step * dz
-            to_back, to_on = _apart(points, x - 1, qx, qy, qz), _apart(points, x + 1, qx, qy, qz)
-            better = back + on - to_back - to_on > WORTH and leap[int(qx), int(qy), int(qz)] > 0
-            if better and _open(leap, points, x - 1, qx, qy, qz) and _open(leap, points, x + 1, qx, qy, qz):
-                points[x, 0], points[x, 1], points[x, 2] = qx, qy, qz
+            sx, sy, sz = step * dx, step * dy, step * dz
+            to_back = _apart(points, first - 1, points[first, 0] + sx, points[first, 1] + sy, points[first, 2] + sz)
+            to_on = _apart(points, last + 1, points[last, 0] + sx, points[last, 1] + sy, points[last, 2] + sz)
+            if back + on - to_back - to_on > WORTH and _may_move(leap, points, first, last, sx, sy, sz):
+                for x in range(first, last + 1):
+                    points[x, 0], points[x, 1], points[x, 2] = points[x, 0] + sx, points[x, 1] + sy, points[x, 2] + sz
                 back, on = to_back, to_on
             else:
                 step /= 2.0
     return before - back - on
+
+
+@kernel
+def _may_move(leap: ByteArray, points: FloatArray, first: int, last: int, sx: float, sy: float, sz: float) -> bool:
+    for x in range(first, last + 1):
+        if leap[int(points[x, 0] + sx), int(points[x, 1] + sy), int(points[x, 2] + sz)] == 0:
+            return False
+    for x in range(first, last + 2):
+        a, b = 1.0 if x > first else 0.0, 1.0 if x <= last else 0.0
+        if not segment_is_open(
+            leap, points[x - 1, 0] + a * sx, points[x - 1, 1] + a * sy, points[x - 1, 2] + a * sz,
+            points[x, 0] + b * sx, points[x, 1] + b * sy, points[x, 2] + b * sz,
+        ):  # fmt: skip
+            return False
+    return True
 
 
 @kernel
@@ -133,17 +156,16 @@ def _round_off(leap: ByteArray, points: FloatArray, count: int, x: int) -> int:
     ux, uy, uz = (points[x - 1, 0] - px) / back, (points[x - 1, 1] - py) / back, (points[x - 1, 2] - pz) / back
     vx, vy, vz = (points[x + 1, 0] - px) / on, (points[x + 1, 1] - py) / on, (points[x + 1, 2] - pz) / on
     seen, step = 0.0, 0.9 * min(back, on)
+    ax, ay, az, bx, by, bz = px, py, pz, px, py, pz
     for _ in range(HALVINGS + 2):
         d = seen + step
-        if segment_is_open(leap, px + d * ux, py + d * uy, pz + d * uz, px + d * vx, py + d * vy, pz + d * vz):
-            seen = d
+        ex, ey, ez, fx, fy, fz = px + d * ux, py + d * uy, pz + d * uz, px + d * vx, py + d * vy, pz + d * vz
+        stand = leap[int(ex), int(ey), int(ez)] > 0 and leap[int(fx), int(fy), int(fz)] > 0
+        meet = stand and segment_is_open(leap, ex, ey, ez, fx, fy, fz)
+        if meet and _open(leap, points, x - 1, ex, ey, ez) and _open(leap, points, x + 1, fx, fy, fz):
+            seen, ax, ay, az, bx, by, bz = d, ex, ey, ez, fx, fy, fz
         step /= 2
-    ax, ay, az, bx, by, bz = px + seen * ux, py + seen * uy, pz + seen * uz, px + seen * vx, py + seen * vy, pz + seen * vz
     if seen * (2.0 - distance(ux, uy, uz, vx, vy, vz)) < WORTH:
-        return count
-    if leap[int(ax), int(ay), int(az)] == 0 or leap[int(bx), int(by), int(bz)] == 0:
-        return count
-    if not _open(leap, points, x - 1, ax, ay, az) or not _open(leap, points, x + 1, bx, by, bz):
         return count
     for n in range(count, x + 1, -1):
         points[n, 0], points[n, 1], points[n, 2] = points[n - 1, 0], points[n - 1, 1], points[n - 1, 2]
