@@ -15,10 +15,12 @@ from scipy import ndimage
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.planner import ViewPlanner
-from uav_recon.types.maps import FREE, VoxelMap
+from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 
 MAPS, BLOCKS = 1000, 10
+BORDER = 1e-6  # voxels: a way may bend on the very border of a flyable voxel
+CLIP = 0.25  # voxels: a line between two waypoints may clip a corner by so much
 MOUNT_M = np.array([0.1, 0.0, 0.0])
 TILT_RAD = np.radians(15.0)
 FIXED = CameraGeometry(np.radians(87), np.radians(58), MOUNT_M, TILT_RAD, TILT_RAD, 4.5)
@@ -127,15 +129,19 @@ def assert_flyable(path: ViewPath, request: PlanRequest, may: NDArray[np.bool_])
             assert first > 0
             assert _at(request.voxels.state == FREE, grid.index(way[1 : first + 1])).all()
             assert (np.linalg.norm(np.diff(way[: first + 1], axis=0), axis=1) <= 3.5 * grid.resolution_m).all()
-        assert _at(may, grid.index(way[first:])).all()
+        assert _touches(may, grid, way[first:], BORDER).all()
         for a, b in itertools.pairwise(way[first:]):
             count = 2 + int(np.linalg.norm(b - a) / grid.resolution_m * 8)
             samples = a + np.linspace(0.0, 1.0, count)[:, None] * (b - a)
-            corners = np.array(list(itertools.product((-0.25, 0.25), repeat=3))) * grid.resolution_m
-            near = np.stack([_at(may, grid.index(samples + corner)) for corner in corners])
-            assert near.any(axis=0).all()
+            assert _touches(may, grid, samples, CLIP).all()
         at = way[-1]
     return kind
+
+
+def _touches(mask: NDArray[np.bool_], grid: GridSpec, points: NDArray[np.float64], within: float) -> NDArray[np.bool_]:
+    """Which points (N, 3) lie in a voxel of the mask or at most ``within`` voxels beside one."""
+    corners = np.array(list(itertools.product((-within, within), repeat=3))) * grid.resolution_m
+    return np.asarray(np.any([_at(mask, grid.index(points + corner)) for corner in corners], axis=0))
 
 
 def _at(mask: NDArray[np.bool_], index: NDArray[np.int64]) -> NDArray[np.bool_]:
