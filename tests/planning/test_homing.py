@@ -48,3 +48,14 @@ def test_going_home_promises_nothing_to_the_memory() -> None:
     the_planner = planner()
     the_planner.route(request(wall=False), Viewpoint(np.array([1.0, 1.5, 1.1]), 0.0, 0.26))
     assert the_planner.visited.surface_looks.sum() == 0.0
+
+
+def test_a_goal_that_may_not_be_flown_is_reached_beside_it_and_a_far_one_not_at_all() -> None:
+    low = Viewpoint(np.array([1.0, 1.5, 0.1]), 0.0, 0.26)  # nearer to the floor than the planner flies
+    path = planner().route(request(wall=False), low)
+    assert isinstance(path, ViewPath)
+    np.testing.assert_allclose(path.viewpoints[0].position_world[2], 0.35)
+    assert np.linalg.norm(path.viewpoints[0].position_world - low.position_world) < 0.4
+    for outside in ([1.0, 1.5, -0.2], [-3.0, 1.5, 1.0], [60.0, 1.5, 1.0]):
+        answer = planner().route(request(wall=False), Viewpoint(np.array(outside), 0.0, 0.26))
+        assert isinstance(answer, NothingLeft)

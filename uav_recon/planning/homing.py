@@ -13,15 +13,19 @@ NEAR_ENOUGH_M = 0.4  # a pad whose own column may not be flown is reached beside
 def proposal_for(situation: Situation, goal: Viewpoint) -> Proposal | None:
     """The reachable cell nearest to ``goal`` as a proposal; None if all are farther away than NEAR_ENOUGH_M."""
     space = situation.space
-    reachable = np.flatnonzero(situation.space.reachable)
-    if not len(reachable):
+    at = space.padded(goal.position_world)
+    reach = NEAR_ENOUGH_M / space.grid.resolution_m
+    low = np.clip(np.floor(at - reach), 0, space.reachable.shape).astype(np.int64)
+    high = np.clip(np.floor(at + reach) + 1, 0, space.reachable.shape).astype(np.int64)
+    around = space.reachable[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+    cells = np.argwhere(around) + low
+    if not len(cells):
         return None
-    away_m = np.linalg.norm(space.world(space.centre(reachable)) - goal.position_world, axis=1)
-    nearest = int(np.argmin(away_m))
-    if away_m[nearest] > NEAR_ENOUGH_M:
+    away = np.linalg.norm(cells + 0.5 - at, axis=1)
+    nearest = int(np.argmin(away))
+    if away[nearest] > reach:
         return None
-    cell = int(reachable[nearest])
-    place = space.world(space.centre(np.array([cell])))[0]
+    place = space.world(cells[nearest] + 0.5)
     task = Task(TaskKind.EXPLORE, place, Viewpoint(place, goal.yaw_rad, goal.pitch_down_rad), 0.0)
     nothing = np.zeros(0, dtype=np.int64)
-    return Proposal(task, cell, nothing, nothing.astype(np.float64))
+    return Proposal(task, space.flat(cells[nearest]), nothing, nothing.astype(np.float64))
