@@ -147,34 +147,40 @@ def cut(
     nx, ny, nz = faces.shape
     i0, j0 = block_i * BLOCK, block_j * BLOCK
     i1, j1 = min(i0 + BLOCK, nx), min(j0 + BLOCK, ny)
-    run_of = np.zeros((BLOCK + 2, BLOCK + 2, nz + 2), dtype=np.int32)  # with a border, so that nobody asks for bounds
+    tall, wide = nz + 2, (BLOCK + 2) * (nz + 2)
+    run_of = np.zeros((BLOCK + 2) * wide, dtype=np.int32)  # with a border, so that nobody asks for bounds
     parent = np.zeros(BLOCK * BLOCK * (nz // 2 + 1) + 1, dtype=np.int32)
     found = np.empty((i1 - i0) * (j1 - j0) * nz, dtype=np.int32)  # packed: 5 bits i, 5 bits j, the rest k
     found_run = np.empty(len(found), dtype=np.int32)
+    # columns that are scanned before; flat throughout, as a slice of an array costs more than a look at a column
+    before = (-wide - tall, -wide, -wide + tall, -tall)
+    face, skip = faces.reshape(-1), ignored.reshape(-1)
     runs, total = 0, 0
     for i in range(i0, i1):
         for j in range(j0, j1):
-            column, skip = faces[i, j], ignored[i, j]
-            a, b = i - i0 + 1, j - j0 + 1
+            at = (i * ny + j) * nz
+            own = (i - i0 + 1) * wide + (j - j0 + 1) * tall + 1
             k = 0
             while k < nz:
-                if column[k] == 0 or skip[k] != 0:
+                if face[at + k] == 0 or skip[at + k] != 0:
                     k += 1
                     continue
                 first = k
                 runs += 1
                 parent[runs] = runs
-                while k < nz and column[k] != 0 and skip[k] == 0:
-                    run_of[a, b, k + 1] = runs
+                while k < nz and face[at + k] != 0 and skip[at + k] == 0:
+                    run_of[own + k] = runs
                     found[total] = ((i - i0) << _I) | ((j - j0) << _J) | k
                     found_run[total] = runs
                     total += 1
                     k += 1
-                for c in range(first, k + 2):  # one beyond either end: corners touch too
-                    _join(parent, runs, run_of[a - 1, b - 1, c])
-                    _join(parent, runs, run_of[a - 1, b, c])
-                    _join(parent, runs, run_of[a - 1, b + 1, c])
-                    _join(parent, runs, run_of[a, b - 1, c])
+                root = runs
+                for side in range(4):
+                    joined = 0
+                    for c in range(own + before[side] + first - 1, own + before[side] + k + 1):  # corners touch too
+                        if run_of[c] != joined and run_of[c] != 0:
+                            joined = run_of[c]
+                            root = _join(parent, root, joined)
     # pieces in the order of their first cells; cells stay in scan order within each
     piece_of = np.zeros(runs + 1, dtype=np.int32)
     pieces = 0
@@ -190,12 +196,12 @@ def cut(
         ends[piece_of[found_run[n]] + 1] += 1
     for piece in range(pieces):
         ends[piece + 1] += ends[piece]
-    at = ends.copy()
+    free_at = ends.copy()
     packed = np.empty(total, dtype=np.int32)
     for n in range(total):
         piece = piece_of[found_run[n]]
-        packed[at[piece]] = found[n]
-        at[piece] += 1
+        packed[free_at[piece]] = found[n]
+        free_at[piece] += 1
     clusters = 0
     along = np.empty(total)
     for piece in range(pieces):
@@ -215,14 +221,14 @@ def _root(parent: Int32Array, run: int) -> int:
 
 
 @kernel
-def _join(parent: Int32Array, run: int, other: int) -> None:
-    if other == 0 or parent[other] == parent[run]:
-        return
-    a, b = _root(parent, run), _root(parent, other)
-    if a < b:
-        parent[b] = a
-    else:
-        parent[a] = b
+def _join(parent: Int32Array, root: int, other: int) -> int:
+    """Make one tree of a root's and another run's; its root is the lower number."""
+    other = _root(parent, other)
+    if root < other:
+        parent[other] = root
+        return root
+    parent[root] = other
+    return other
 
 
 @kernel
