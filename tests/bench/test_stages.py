@@ -22,7 +22,7 @@ def test_the_stages_that_are_timed_are_those_of_plan() -> None:
         if n == 0 or not len(decision.order):
             continue
         assert isinstance(path, ViewPath)
-        following = decision.chosen[decision.order[0]].view
+        following = stages.chosen(decision)[decision.order[0]].view
         view = path.viewpoints[0]
         place = (view.position_world - recording.grid.origin_world_m) / recording.grid.resolution_m
         np.testing.assert_allclose(following, [*place, view.yaw_rad, view.pitch_down_rad], atol=1e-9)

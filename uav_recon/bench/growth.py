@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import gc
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uav_recon.bench.laps import LapTable, Spread, Stopwatch
+from uav_recon.bench.laps import Spread, Stopwatch
 from uav_recon.bench.machine import resident_mb
 from uav_recon.bench.recording import RESOLUTION_M, Recording
+from uav_recon.bench.replay import timed_plans
 from uav_recon.bench.stages import WHOLE, Mapped, request_of
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
@@ -69,15 +70,7 @@ def measure(recording: Recording, copies: int, tick: Callable[[int], None]) -> S
     mapped.start(frames[0])
     # what lies in the map already is looked at by the planner once, unmeasured: a flight would have seen it grow
     planner.plan(request_of(mapped.fuse(frames[0], Stopwatch()), frames[0]))
-    laps = LapTable()
-    for posed in frames:
-        watch = Stopwatch()
-        request = request_of(mapped.fuse(posed, watch), posed)
-        watch.restart()
-        planner.plan(request)
-        watch.lap("plan")
-        laps.add(watch.cpu_ms)
-        tick(1)
+    laps = timed_plans(mapped, planner, _told(frames, tick)).cpu
     gc.collect()
     return Size(
         copies=copies,
@@ -86,6 +79,12 @@ def measure(recording: Recording, copies: int, tick: Callable[[int], None]) -> S
         stages={stage: laps.spread(*parts) for stage, parts in WHOLE.items()},
         memory_mb=resident_mb() - before_mb,
     )
+
+
+def _told(frames: list[PosedFrame], tick: Callable[[int], None]) -> Iterator[PosedFrame]:
+    for posed in frames:
+        yield posed
+        tick(1)
 
 
 def ticks(recording: Recording, copies: int) -> int:

@@ -5,21 +5,21 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 
 from uav_recon.bench import building, growth, machine, pathlengths, tables, tours
 from uav_recon.bench.agreement import agreement
 from uav_recon.bench.calibration import Calibration, calibrate
 from uav_recon.bench.recording import Recording, load
-from uav_recon.bench.replay import Replay
-from uav_recon.bench.stages import STAGES, Mapped, warm_up
+from uav_recon.bench.replay import judged_views, mapped_of, timed_plans, timed_stages
+from uav_recon.bench.stages import STAGES, warm_up
 from uav_recon.planning import tour
 from uav_recon.run import EXIT_FAILURE, Failure
 from uav_recon.types.maps import UNKNOWN
@@ -28,6 +28,7 @@ PRINTED_WIDTH = 110  # where no terminal says
 GOOD_VIEW = 0.95  # of what the best random view sees
 
 Result = dict[str, Any]
+T = TypeVar("T")
 
 
 def bench_planner(stream: Path | None, size: str, stride: int, scale: bool, json_path: Path | None) -> int:
@@ -50,7 +51,7 @@ def bench_planner(stream: Path | None, size: str, stride: int, scale: bool, json
         "calibration": calibration.factor,
         "calibration_cpu": calibration.cpu_factor,
     }
-    progress = Progress(console=Console(stderr=True), transient=True)
+    progress = Progress(console=Console(stderr=True), transient=True, auto_refresh=False)
     with progress:
         result |= _growth(recording, progress) if scale else _replay(recording, calibration, progress)
     tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
@@ -76,23 +77,22 @@ def _without_nan(value: Any) -> Any:
 
 
 def _replay(recording: Recording, calibration: Calibration, progress: Progress) -> Result:
-    replay = Replay(recording)
-    for posed in _tracked(progress, recording.frames, "frames"):
-        replay.frame(posed)
-    wall, cpu = replay.wall, replay.cpu
-    stages = {**STAGES, "plan": ("plan",)}
+    frames = recording.frames
+    timed = timed_stages(recording, _tracked(progress, frames, "stages"))
+    mapped = mapped_of(recording)
+    mapped.start(frames[0])
+    whole = timed_plans(mapped, mapped.planner(), _tracked(progress, frames, "plans"))
+    ratios = judged_views(recording, _tracked(progress, frames, "views"))
+    wall = {**{name: timed.wall.spread(*parts) for name, parts in STAGES.items()}, "plan": whole.wall.spread("plan")}
+    cpu = {**{name: timed.cpu.spread(*parts) for name, parts in STAGES.items()}, "plan": whole.cpu.spread("plan")}
     result: Result = {
-        "stages": {name: asdict(wall.spread(*parts)) for name, parts in stages.items()},
-        "stages_calibrated": {
-            name: asdict(wall.spread(*parts).divided_by(calibration.factor)) for name, parts in stages.items()
-        },
-        "stages_cpu": {name: asdict(cpu.spread(*parts)) for name, parts in stages.items()},
-        "stages_cpu_calibrated": {
-            name: asdict(cpu.spread(*parts).divided_by(calibration.cpu_factor)) for name, parts in stages.items()
-        },
-        "best_view_ratio": _ratio_summary(replay.ratios),
+        "stages": {name: asdict(spread) for name, spread in wall.items()},
+        "stages_calibrated": {name: asdict(spread.divided_by(calibration.factor)) for name, spread in wall.items()},
+        "stages_cpu": {name: asdict(spread) for name, spread in cpu.items()},
+        "stages_cpu_calibrated": {name: asdict(spread.divided_by(calibration.cpu_factor)) for name, spread in cpu.items()},
+        "best_view_ratio": _ratio_summary(ratios),
     }
-    return result | _map_quality(recording, replay.mapped.config.clearance_m, progress) | _tour_quality(recording, progress)
+    return result | _map_quality(recording, mapped.config.clearance_m, progress) | _tour_quality(recording, progress)
 
 
 def _ratio_summary(ratios: list[float]) -> Result:
@@ -105,15 +105,15 @@ def _ratio_summary(ratios: list[float]) -> Result:
 
 def _map_quality(recording: Recording, clearance_m: float, progress: Progress) -> Result:
     """Agreement of what the frames alone say (no take-off cylinder) with the reference; lengths of ways in it."""
-    fence_m = (recording.low_m, recording.high_m)
-    alone = Mapped(recording, recording.grid, fence_m)
+    alone = mapped_of(recording)
     for posed in _tracked(progress, recording.frames, "map"):
         alone.voxels.integrate(posed)
     state = alone.voxels.snapshot().state
     reference = state if recording.reference is None else recording.reference
     agreed = agreement(state, reference)
     task = progress.add_task("paths", total=None)
-    lengths = pathlengths.compare(reference, recording.grid, fence_m, clearance_m)
+    progress.refresh()
+    lengths = pathlengths.compare(reference, recording.grid, alone.fence_m, clearance_m)
     progress.remove_task(task)
     known = recording.reference is not None
     return {
@@ -135,7 +135,7 @@ def _tour_quality(recording: Recording, progress: Progress) -> Result:
 
 def _growth(recording: Recording, progress: Progress) -> Result:
     task = progress.add_task("growth", total=sum(growth.ticks(recording, copies) for copies in growth.COPIES))
-    sizes = [growth.measure(recording, copies, lambda n: progress.advance(task, n)) for copies in growth.COPIES]
+    sizes = [growth.measure(recording, copies, _ticking(progress, task)) for copies in growth.COPIES]
     base = sizes[0].stages
     return {
         "scale": [
@@ -158,5 +158,18 @@ def _growth(recording: Recording, progress: Progress) -> Result:
     }
 
 
-def _tracked(progress: Progress, items: Iterable[Any], name: str) -> Iterable[Any]:
-    return progress.track(list(items), description=name)
+def _tracked(progress: Progress, items: Sequence[T], name: str) -> Iterator[T]:
+    """The items, with a bar that is drawn between them: a thread of its own would be in the way of what is timed."""
+    task = progress.add_task(name, total=len(items))
+    for item in items:
+        yield item
+        progress.advance(task)
+        progress.refresh()
+
+
+def _ticking(progress: Progress, task: TaskID) -> Callable[[int], None]:
+    def tick(frames: int) -> None:
+        progress.advance(task, frames)
+        progress.refresh()
+
+    return tick

@@ -66,15 +66,14 @@ class ChosenView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
-    """What one frame came to. reachable: (nx, ny, nz); None: the vehicle has no known-free way from where it stands.
-
-    order: (N,) of the tour, indices into ``chosen``.
-    """
+    """What one frame came to: tasks, and the order (N,) in which a tour visits them, indices into ``tasks``."""
 
     voxels: VoxelMap
-    reachable: BoolArray | None
-    chosen: tuple[ChosenView, ...]
+    tasks: tuple[Proposal, ...]
     order: IntArray
+
+
+NOTHING = np.zeros(0, dtype=np.int64)
 
 
 def camera_of(lens: Intrinsics, range_m: float) -> CameraGeometry:
@@ -157,17 +156,20 @@ class Stages:
         exit_cells = self._space.stand(place)
         watch.lap("space")
         if exit_cells is None:
-            return Decision(voxels, None, (), np.zeros(0, dtype=np.int64))
+            return Decision(voxels, (), NOTHING)
         found = self._views.update(voxels, self._space, self._frontiers, place)
         watch.lap("views")
         tasks = found.proposals[:MOST_FRONTIERS]
-        order = self._tour(exit_cells, posed, tasks, watch)
-        reachable = self._space.reachable[1:-1, 1:-1, 1:-1] > 0
-        return Decision(voxels, reachable, tuple(self._chosen(voxels, task) for task in tasks), order)
+        return Decision(voxels, tuple(tasks), self._tour(exit_cells, posed, tasks, watch))
+
+    def reachable(self) -> BoolArray:
+        """Voxels (nx, ny, nz) that the vehicle could fly to when the last decision was made."""
+        mask: BoolArray = self._space.reachable[1:-1, 1:-1, 1:-1] > 0
+        return mask
 
     def _tour(self, exit_cells: IntArray, posed: PosedFrame, tasks: list[Proposal], watch: Stopwatch) -> IntArray:
         if not tasks:
-            return np.zeros(0, dtype=np.int64)
+            return NOTHING
         self._ways.update(exit_cells, posed.world_from_depth.translation_m, cells_of(tasks))
         costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._speed_mps, self._yaw_rate_radps)
         watch.lap("ways")
@@ -175,8 +177,12 @@ class Stages:
         watch.lap("order")
         return order - 1
 
-    def _chosen(self, voxels: VoxelMap, proposal: Proposal) -> ChosenView:
-        grid, view = voxels.grid, proposal.task.viewpoint
+    def chosen(self, decision: Decision) -> tuple[ChosenView, ...]:
+        """The views of a decision's tasks, each with the frontier that it was chosen for; only of the last decision."""
+        return tuple(self._chosen(decision.voxels.grid, task) for task in decision.tasks)
+
+    def _chosen(self, grid: GridSpec, proposal: Proposal) -> ChosenView:
+        view = proposal.task.viewpoint
         place = (view.position_world - grid.origin_world_m) / grid.resolution_m
         centre = (proposal.task.centroid_world - grid.origin_world_m) / grid.resolution_m
         rows = self._frontiers.rows()
