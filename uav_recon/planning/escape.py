@@ -107,9 +107,3 @@ def _way_out(
         way[n] = (i * mask.shape[1] + j) * mask.shape[2] + k
         at = previous[at]
     return way
-
-
-def warm_up() -> None:
-    """Compile."""
-    empty = np.zeros((4, 4, 4), dtype=np.uint8)
-    Escape(0.1).way(empty, empty, np.array([1, 1, 1]))

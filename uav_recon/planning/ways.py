@@ -13,7 +13,7 @@ from uav_recon.planning.passage import Memory, find_bends, memory_for
 from uav_recon.planning.space import FlyableSpace
 from uav_recon.planning.taut import pull_taut
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
-from uav_recon.types.maps import FREE, OCCUPIED, TILE, GridSpec, VoxelMap
+from uav_recon.types.maps import TILE
 
 PLACES = 32  # tasks whose ways are remembered
 MOST_POINTS = 24  # of a way that is remembered; a longer one is found again when it is asked for
@@ -245,20 +245,3 @@ def _connect(
             lengths[m, n] = lengths[n, m] = known.length[a, b]
             departures[m, n], departures[n, m] = known.leaves[a, b, 0], known.leaves[a, b, 1]
     return lengths, departures
-
-
-def warm_up() -> None:
-    """Compile: a straight way, one round a wall, and what a change of the map makes of it."""
-    grid = GridSpec(np.zeros(3), 0.1, (16, 16, 12))
-    state = np.full(grid.shape, FREE, dtype=np.uint8)
-    state[7:9, :12] = OCCUPIED
-    space = FlyableSpace(grid, 0.05, np.zeros(3, dtype=np.int64), np.array(grid.shape))
-    ways = Ways(space)
-    for revision in range(2):
-        state[2, 2, 2] = revision
-        space.update(VoxelMap.whole(grid, state, np.where(state == FREE, 1, 0).astype(np.uint8), revision))
-        for position in (np.full(3, 0.4), np.full(3, 0.25)):
-            exit_cells = space.stand(position)
-            if exit_cells is not None:
-                cells = np.array([np.ravel_multi_index((i, 3, 4), space.mask.shape) for i in (3, 5, 12)], dtype=np.int64)
-                ways.update(exit_cells, position, cells)
