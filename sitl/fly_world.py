@@ -70,7 +70,7 @@ def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callab
     autopilot = Px4(vehicle, link, Parameters.load(), options.seed, pace.physics_s)
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
-    return World(autopilot, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad, pace.imu_hz)
+    return World(autopilot, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad, pace)
 
 
 def fly(options: WorldOptions) -> None:

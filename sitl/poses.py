@@ -16,6 +16,8 @@ DRIFT_M, DRIFT_RAD, DRIFT_TIME_S = 0.01, math.radians(0.3), 20.0
 WHITE_M, WHITE_RAD = 0.002, math.radians(0.1)
 DELAY_S, DELAY_SPREAD_S, DELAY_MIN_S = 0.060, 0.020, 0.010
 F64 = NDArray[np.float64]
+_DRIFT, _WHITE = np.repeat([DRIFT_M, DRIFT_RAD], 3), np.repeat([WHITE_M, WHITE_RAD], 3)
+_VARIANCE = np.repeat([DRIFT_M**2 + WHITE_M**2, DRIFT_RAD**2 + WHITE_RAD**2], 3)
 
 
 @dataclass(frozen=True)
@@ -62,13 +64,12 @@ class NoisyPoses:
     def _capture(self, now_s: float, world_from_body: F64) -> None:
         if self._due_s is not None:
             keep = math.exp(-(now_s - self._last_s) / DRIFT_TIME_S)
-            spread = np.repeat([DRIFT_M, DRIFT_RAD], 3) * math.sqrt(1.0 - keep * keep)
+            spread = _DRIFT * math.sqrt(1.0 - keep * keep)
             self._drift = keep * self._drift + spread * self._rng.standard_normal(6)
         self._last_s = now_s
-        error = self._drift + np.repeat([WHITE_M, WHITE_RAD], 3) * self._rng.standard_normal(6)
-        variance = np.repeat([DRIFT_M**2 + WHITE_M**2, DRIFT_RAD**2 + WHITE_RAD**2], 3)
+        error = self._drift + _WHITE * self._rng.standard_normal(6)
         quaternion = quat_from_rotation(rotation_from_rotvec(error[3:]) @ world_from_body[:3, :3])
-        record = PoseRecord(now_s, world_from_body[:3, 3] + error[:3], quaternion, variance, 100, 0)
+        record = PoseRecord(now_s, world_from_body[:3, 3] + error[:3], quaternion, _VARIANCE, 100, 0)
         delay_s = max(DELAY_S + DELAY_SPREAD_S * float(self._rng.standard_normal()), DELAY_MIN_S)
         self._last_arrival_s = max(self._last_arrival_s, now_s + delay_s)
         self._pending.append((self._last_arrival_s, record))

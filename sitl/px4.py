@@ -50,7 +50,7 @@ class Px4:
     def __init__(
         self, vehicle: Quadrotor, link: ByteEnd, parameters: Parameters, seed: int, step_s: float = REAL.physics_s
     ) -> None:
-        """step_s: of physics, estimator and control; at most about 10 ms."""
+        """step_s: of physics, estimator and control; well below the lags of the vehicle."""
         self._step_s, self._slow_steps = step_s, max(round(_SLOW_S / step_s), 1)
         self.vehicle = vehicle
         self.parameters = parameters

@@ -73,7 +73,7 @@ class Quadrotor:
         self.velocity = (v[0] + velocity_change[0], v[1] + velocity_change[1], v[2] + velocity_change[2])
 
     def step(self, dt_s: float, specific_thrust_world: Vec3, yaw_rate_radps: float, motors_on: bool) -> None:
-        """Advance by dt_s (at most about 10 ms).
+        """Advance by dt_s, well below the lags (20 ms at most).
 
         specific_thrust_world: wanted rotor force divided by mass, ENU, m/s^2. Gravity is NOT added here: hovering
         is (0, 0, 9.80665), the zero vector is motors at idle. yaw_rate_radps: wanted, counter-clockwise from above.

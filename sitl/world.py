@@ -11,20 +11,19 @@ from numpy.typing import NDArray
 
 from sitl.clearance import Clearance
 from sitl.d435i import Camera
-from sitl.pace import REAL
+from sitl.pace import REAL, Pace
 from sitl.poses import NoisyPoses
 from sitl.px4 import Px4
 from sitl.transform import rigid, rotation_from_quat
 from uav_recon.sensors.wire import StreamWriter
 
-TRUTH_RATE_HZ = 50.0
 PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # taking off and landing so low over the ground, nearness to it is no fault
 BODY_ABOVE_FLOOR_M = 0.10
 
 
 @dataclass
 class TruthLog:
-    """What really happened, sampled at TRUTH_RATE_HZ, in the world frame."""
+    """What really happened, sampled at the pace's truth_hz, in the world frame."""
 
     rows: list[tuple[float, ...]]
 
@@ -58,10 +57,10 @@ class World:
         stream: StreamWriter,
         start_s: float,
         mount_pitch_down_rad: float | None,
-        imu_hz: float = REAL.imu_hz,
+        pace: Pace = REAL,
     ) -> None:
         """A mount_pitch_down_rad of None is a gimbal: its angle is the autopilot's."""
-        self._imu_hz = imu_hz
+        self._imu_hz, self._truth_hz = pace.imu_hz, pace.truth_hz
         self.autopilot, self.camera, self._poses, self._clearance = autopilot, camera, poses, clearance
         self._stream, self._start_s, self._mount_pitch_down_rad = stream, start_s, mount_pitch_down_rad
         self._imu_count = self._truth_count = self._frame_count = 0
@@ -89,9 +88,9 @@ class World:
             )
 
     def _keep_truth(self, now_s: float) -> None:
-        if self._start_s + self._truth_count / TRUTH_RATE_HZ > now_s:
+        if self._start_s + self._truth_count / self._truth_hz > now_s + 1e-9:
             return
-        self._truth_count = int((now_s - self._start_s) * TRUTH_RATE_HZ) + 1
+        self._truth_count = int((now_s - self._start_s) * self._truth_hz + 1e-9) + 1
         truth = self.autopilot.truth()
         position = np.asarray(truth.position)
         landing = "LAND" in truth.mode
