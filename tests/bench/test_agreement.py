@@ -19,3 +19,10 @@ def test_a_wall_one_voxel_off_agrees_and_two_do_not() -> None:
 def test_unknown_where_the_reference_knows_is_no_agreement() -> None:
     reference = np.full((5, 5, 5), FREE, dtype=np.uint8)
     assert agreement(np.zeros_like(reference), reference).share == 0.0
+
+
+def test_only_what_the_reference_calls_occupied_counts_as_freed() -> None:
+    walled, open_space = np.full((5, 5, 5), FREE, dtype=np.uint8), np.full((5, 5, 5), FREE, dtype=np.uint8)
+    walled[2] = OCCUPIED
+    assert agreement(open_space, walled).occupied_freed == 25
+    assert agreement(walled, open_space).occupied_freed == 0

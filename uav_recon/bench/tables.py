@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -14,7 +15,8 @@ def show(console: Console, result: Result) -> None:
     """Print what was measured, and what it was measured with."""
     console.print(
         f"{result['stream']}: {result['frames']} frames of {result['image']} at stride {result['stride']}, one thread; "
-        f"commit {result['commit']}, {result['machine']}, {result['calibration']:.2f} times as slow as the reference machine. "
+        f"commit {result['commit']}, {result['machine']}, {result['calibration']:.2f} times as slow as the reference machine "
+        f"(its processor {result['calibration_cpu']:.2f}). "
         f"Compiled in {result['compile_s']:.1f} s beforehand, not counted.",
         highlight=False,
     )
@@ -29,13 +31,8 @@ def show(console: Console, result: Result) -> None:
 
 
 def _stages(result: Result) -> Table:
-    table = Table(
-        title="milliseconds a frame: by the clock, and of the processor, which a busy machine does not lengthen",
-        title_justify="left",
-    )
-    table.add_column("stage")
-    for column in ("median", "p95", "max", "calibrated", "p95", "processor's", "p95", "calibrated", "p95"):
-        table.add_column(column, justify="right")
+    title = "milliseconds a frame: by the clock, of the processor (a busy machine does not lengthen it), both calibrated"
+    table = _table(title, "stage", "median", "p95", "max", "cal.", "p95", "proc.", "p95", "cal.", "p95")
     for name in result["stages"]:
         tables = ("stages", "stages_calibrated", "stages_cpu", "stages_cpu_calibrated")
         wall, wall_there, cpu, cpu_there = (result[table][name] for table in tables)
@@ -47,9 +44,7 @@ def _stages(result: Result) -> Table:
 
 
 def _tours(result: Result) -> Table:
-    table = Table(title="tours", title_justify="left")
-    for column in ("tasks", "median ms", "calibrated", "mean gap", "worst gap"):
-        table.add_column(column, justify="right")
+    table = _table("tours, processor's milliseconds", "tasks", "median", "calibrated", "mean gap", "worst gap")
     for tasks, score in result["tour"].items():
         calibrated_ms = score["median_ms"] / result["calibration_cpu"]
         table.add_row(
@@ -80,16 +75,15 @@ def _quality(result: Result) -> list[str]:
 
 
 def _scale(sizes: list[Result]) -> Table:
-    table = Table(title="growth: processor milliseconds a frame, and times the smallest", title_justify="left")
-    for column in ("area m²", "voxels", "stage", "median", "p95", "median x", "p95 x", "memory MB"):
-        table.add_column(column, justify="left" if column == "stage" else "right")
+    title = "growth: processor's milliseconds a frame, and times the smallest"
+    table = _table(title, "stage", "m²", "voxels", "median", "p95", "median x", "p95 x", "memory MB")
     for size in sizes:
         for n, (name, spread) in enumerate(size["stages"].items()):
             ratio = size["ratio"][name]
             table.add_row(
+                name,
                 f"{size['area_m2']:.0f}" if n == 0 else "",
                 "x".join(map(str, size["voxels"])) if n == 0 else "",
-                name,
                 f"{spread['median_ms']:.2f}",
                 f"{spread['p95_ms']:.2f}",
                 f"{ratio['median']:.2f}",
@@ -97,4 +91,13 @@ def _scale(sizes: list[Result]) -> Table:
                 f"{size['memory_mb']:.0f}" if n == 0 else "",
                 end_section=n == len(size["stages"]) - 1,
             )
+    return table
+
+
+def _table(title: str, first: str, *columns: str) -> Table:
+    """Narrow enough for eighty columns."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column(first, no_wrap=True)
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
     return table
