@@ -92,3 +92,42 @@ def test_setpoints_are_regular_and_inside_the_fence(flights: list[Flight]) -> No
         assert stream.gap_max_ms is not None
         assert stream.rate_hz > 29.0
         assert stream.gap_max_ms <= 60.0
+
+
+@pytest.fixture(scope="module")
+def quick_flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
+    """Two of the same seed and one of another, with a stand-in for the mapper, by a vehicle of 0.15 m, in a generated flat."""
+    flights = []
+    for seed in (3, 3, 4):
+        folder = tmp_path_factory.mktemp("quick") / "f"
+        options = SimOptions.parse(
+            scene="random:7", views=VIEWS, seed=seed, radius=0.15, mapper="stand-in", lockstep=True, out=folder
+        )
+        assert simulate(options) == 0
+        with np.load(folder / "truth.npz") as truth:
+            report = Report.load(folder / "report.json")
+            flights.append(Flight(folder, report, {name: truth[name] for name in truth.files}))
+    return flights
+
+
+def test_a_quick_flight_is_a_flight(quick_flights: list[Flight]) -> None:
+    for flight in quick_flights:
+        report = flight.report
+        assert report.outcome == "completed"
+        assert 8 <= report.views <= VIEWS
+        assert report.safety.contacts == 0
+        assert report.safety.failsafes == 0
+        assert report.quality is None
+        assert report.explored_fraction is not None
+        assert report.explored_fraction > 0.3
+        assert report.stream.rate_hz is not None
+        assert report.stream.rate_hz > 29.0
+        assert config.load(flight.folder / "config.toml").safety.vehicle_radius_m == 0.15
+
+
+def test_quick_flights_repeat_byte_for_byte(quick_flights: list[Flight]) -> None:
+    first, again, other = quick_flights
+    for name in ("stamp_s", "position_m", "quat_wxyz", "hull_m", "setpoint_arrivals_s"):
+        assert first.truth[name].tobytes() == again.truth[name].tobytes(), name
+    assert (first.folder / "flight.tlog").read_bytes() == (again.folder / "flight.tlog").read_bytes()
+    assert first.truth["position_m"].tobytes() != other.truth["position_m"].tobytes()

@@ -30,6 +30,9 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
     [
         ({"mount": "fixed:61"}, "-60..60"),
         ({"mount": "swivel"}, "gimbal"),
+        ({"mapper": "none"}, "neural, stand-in"),
+        ({"mapper": "stand-in"}, "lockstep"),
+        ({"radius": 0.01}, "0.05..0.6"),
         ({"camera": "d415"}, "d435i, wide"),
         ({"autopilot": "ardupilot"}, "px4"),
         ({"variant": "best"}, "adaptive, merged, reconstruct, explore, explore-yaw, explore-then-refine, evpp, vpp"),
@@ -67,3 +70,23 @@ def test_the_options_of_the_world_survive_their_file(tmp_path: Path) -> None:
     back = WorldOptions.load(tmp_path / "world.json")
     assert (back.scene, tuple(back.start or ()), tuple(back.fence or ())) == ("x.ply", (1, 2, 0, 90), (0, 0, 0, 4, 4, 3))
     assert (back.depth_noise, back.stream) == ("kinect", str(tmp_path / "camera.stream"))
+
+
+@pytest.mark.parametrize(("radius_m", "clearance_m", "inset_m"), [(0.15, 0.30, 0.25), (0.20, 0.35, 0.30), (0.30, 0.45, 0.40)])
+def test_distances_follow_the_radius(tmp_path: Path, radius_m: float, clearance_m: float, inset_m: float) -> None:
+    options = SimOptions.parse(radius=radius_m)
+    config = options.config(SCENE, tmp_path)
+    assert config.planner.clearance_m == pytest.approx(clearance_m)
+    assert config.safety.fence_inset_m == pytest.approx(inset_m)
+    assert config.safety.vehicle_radius_m == options.world(tmp_path).radius_m == radius_m
+
+
+def test_a_stand_in_flies_with_the_fast_camera_unless_told() -> None:
+    quick = SimOptions.parse(mapper="stand-in", lockstep=True)
+    assert quick.camera == "fast"
+    assert SimOptions.parse(mapper="stand-in", lockstep=True, camera="d435i").camera == "d435i"
+    assert (
+        quick.config(SCENE, Path("/tmp")).camera.depth_noise_px
+        == 0.5 * SimOptions.parse().config(SCENE, Path("/tmp")).camera.depth_noise_px
+    )
+    assert not quick.config(SCENE, Path("/tmp")).recording.rerun

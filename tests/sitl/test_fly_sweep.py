@@ -1,0 +1,81 @@
+"""A sweep: which flights it is made of, what its account holds, and that nothing stops it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree
+from sitl.fly_options import UsageError
+from sitl.fly_sweep import SweepOptions, sweep
+from uav_recon import run
+
+BROKEN = Case("/nowhere", 0, 0.2, "adaptive", "fixed:15", "fast", 8)
+
+
+def test_flights_go_through_everything_before_the_next_seed() -> None:
+    options = SweepOptions.parse(flights=9, seed0=4, scenes="random,built-in", radii="0.15,0.3", variants="adaptive,explore")
+    cases = list(options.cases())
+    assert len(cases) == len(set(cases)) == 9
+    assert {case.seed for case in cases[:8]} == {4}
+    assert cases[8].seed == 5
+    assert [case.scene for case in cases[:3]] == ["random:4", None, "random:4"]
+    assert {(case.radius_m, case.variant) for case in cases[:8]} == {
+        (r, v) for r in (0.15, 0.3) for v in ("adaptive", "explore")
+    }
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ({"radii": "0.2,x"}, "radii"),
+        ({"radii": "9"}, "radii"),
+        ({"variants": "fast"}, "variants"),
+        ({"camera": "d415"}, "camera"),
+    ],
+)
+def test_a_word_out_of_range_is_told(words: dict[str, str], named: str) -> None:
+    with pytest.raises(UsageError, match=named):
+        SweepOptions.parse(**words)  # type: ignore[arg-type]
+
+
+def test_what_breaks_is_recorded_with_its_seed() -> None:
+    record = fly_case(BROKEN, truth=False)
+    assert record.case == BROKEN
+    assert record.bad
+    assert "no such scene" in record.error
+    assert "Traceback" in record.trace
+    assert "--scene /nowhere --seed 0" in record.case.command()
+
+
+def test_a_record_survives_its_file() -> None:
+    record = Record(BROKEN, "completed", "enough", flight_s=12.5, contacts=0)
+    assert from_tree(json.loads(json.dumps(as_tree(record)))) == record
+
+
+def test_a_contact_is_bad_and_silence_is_not() -> None:
+    assert Record(BROKEN, contacts=1).bad
+    assert not Record(BROKEN, contacts=0).bad
+    assert not Record(BROKEN, outcome="aborted: battery").bad
+
+
+def test_a_sweep_goes_on_where_its_account_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    account = tmp_path / "sweep.json"
+    options = SweepOptions.parse(flights=2, scenes="/nowhere", jobs=1, json=account)
+    assert sweep(options) == 1
+    assert "no such scene" in capsys.readouterr().out
+    held = json.loads(account.read_text())["flights"]
+    assert [tree["case"]["seed"] for tree in held] == [0, 1]
+    for tree in held:
+        tree["error"] = ""
+    account.write_text(json.dumps({"flights": held}))
+    assert sweep(options) == 0, "nothing is flown again"
+
+
+def test_an_account_of_something_else_is_told(tmp_path: Path) -> None:
+    account = tmp_path / "sweep.json"
+    account.write_text('{"flights": [{"seed": 1}]}')
+    with pytest.raises(run.Failure, match="not the account of a sweep"):
+        sweep(SweepOptions.parse(flights=1, json=account))
