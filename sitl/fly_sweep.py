@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree, one_thread
 from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError
 from uav_recon import run
 
 RANDOM, BUILT_IN = "random", "built-in"  # words for scenes: a new flat with each seed; the room of `sim`
-BAD_SHOWN, LOG_COLUMNS = 20, 160
+BAD_SHOWN = 20
+MEDIANS = ("flight_s", "path_m", "views", "explored", "recall_90_s", "times_real")
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class SweepOptions:
 
 def sweep(options: SweepOptions) -> int:
     """Fly what the account lacks; returns 1 if any flight touched something or broke, else 0. Raises run.Failure."""
-    console = Console(width=None if Console().is_terminal else LOG_COLUMNS)
+    console = Console()
     records = _load(options.json)
     known = {record.case for record in records}
     todo = [case for case in options.cases() if case not in known]
@@ -149,36 +149,38 @@ def _line(record: Record) -> str:
 
 
 def _conclude(records: list[Record], console: Console) -> int:
-    table = Table(title=f"{len(records)} flights", title_justify="left")
-    for name in ("scenes", "radius", "variant", "flights", "completed", "contacts", "errors"):
-        table.add_column(name, no_wrap=True)
-    for name in ("clearance", "flight s", "path m", "views", "explored", "recall .90 s", "x real time"):
-        table.add_column(name, justify="right", no_wrap=True)
+    """Two lines for each scene, radius and variant; a command for each flight that went wrong. Returns the exit code."""
+
+    def say(text: str) -> None:
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+
     groups: dict[tuple[str, float, str], list[Record]] = {}
     for record in records:
         scene = record.case.scene or BUILT_IN
         kind = RANDOM if scene.startswith(f"{RANDOM}:") else Path(scene).name
         groups.setdefault((kind, record.case.radius_m, record.case.variant), []).append(record)
     for (kind, radius_m, variant), some in sorted(groups.items()):
+        completed, broken = sum(r.outcome == "completed" for r in some), sum(bool(r.error) for r in some)
+        contacts = sum(r.contacts or 0 for r in some)
         clearances = [r.min_clearance_m for r in some if r.min_clearance_m is not None]
-        table.add_row(
-            kind, f"{radius_m:.2f}", variant, str(len(some)),
-            str(sum(r.outcome == "completed" for r in some)), str(sum(r.contacts or 0 for r in some)),
-            str(sum(bool(r.error) for r in some)), f"{min(clearances):.3f}" if clearances else "-",
-            *(_middle([getattr(r, name) for r in some]) for name in
-              ("flight_s", "path_m", "views", "explored", "recall_90_s", "times_real")),
-        )  # fmt: skip
-    console.print(table)
-    console.print("clearance: the least of all; the other figures are medians")
+        say(
+            f"{kind}, radius {radius_m:.2f} m, {variant}: {len(some)} flights, {completed} completed, {contacts} contacts, "
+            f"{broken} errors, clearance {_number(min(clearances, default=None), 3, 0)} m or more"
+        )
+        flight_s, path_m, views, explored, recall_s, times = (_middle(some, name) for name in MEDIANS)
+        say(
+            f"    medians: {flight_s} s, {path_m} m, {views} views, explored {explored}, recall .90 at {recall_s} s, "
+            f"{times} x real time"
+        )
     bad = [record for record in records if record.bad]
     for record in bad[:BAD_SHOWN]:
         what = record.error or f"{record.contacts} contacts, clearance {_number(record.min_clearance_m, 3, 0)} m"
-        console.print(f"{what}: {record.case.command()}", markup=False, highlight=False, soft_wrap=True)
+        say(f"{what}: {record.case.command()}")
     if len(bad) > BAD_SHOWN:
-        console.print(f"... and {len(bad) - BAD_SHOWN} more")
+        say(f"... and {len(bad) - BAD_SHOWN} more")
     return 1 if bad else 0
 
 
-def _middle(values: list[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    return f"{np.median(known):.2f}" if known else "-"
+def _middle(records: list[Record], name: str) -> str:
+    known = [value for value in (getattr(record, name) for record in records) if value is not None]
+    return f"{np.median(known):.3g}" if known else "-"
