@@ -12,10 +12,10 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.planning.lines import distance, segment_is_open
 from uav_recon.types.frames import ByteArray, FloatArray
 
-ROUNDS = 3
+ROUNDS = 2
 WORTH = 0.05  # voxels: a gain below it is not looked for any further
 HALVINGS = 4
-SLOPES = (0.17, 0.5, 0.866)  # how much of a sideways step goes straight inwards
+SLOPES = (0.17, 0.7)  # how much of a sideways step goes straight inwards
 
 
 @kernel
