@@ -22,7 +22,7 @@ FURNITURE = 1.5  # surface of a furnished room against that of its box
 SMALLEST_GAIN = 100.0
 UNIT = 10_000  # counts of a look; its sum of SIGHTINGS stays under MET
 MET = 1 << 15  # bit of a voxel that this frame has met already
-THRIFT = 4.0  # a view on the way must bring more than its share: tasks will want views too
+THRIFT = 2.5  # a view on the way must bring more than its share: tasks will want views too
 BASELINE_M, BASELINE_RAD = 0.25, 0.25  # nearer than both to the last keyframe a frame shows the same once more
 
 

@@ -22,7 +22,8 @@ from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.tasks import PlanMode, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
-TOLERANCE_M = 0.05  # half a voxel: what a lookup in the distance field is uncertain by
+TOLERANCE_M = 0.05  # half a voxel: a map that changes by so much does not stop a motion ...
+PLANNED_M = 0.01  # ... but none is planned nearer than the clearance by more than this
 NEAR_VIEW = (0.10, float(np.radians(2.0)))  # of the band off a view; smoothing and the frame's lateness add to it
 BRAKE_SHARE = 0.9  # of the limits: the rest covers the step of the integration
 OVERRUNS = (0.0, 0.4, 1.0)  # of the braking distance, straight on before a new way is taken up; the last ends in a stop
@@ -137,7 +138,7 @@ class MotionPlanner:
         Where the relaxed band comes too close to something, the nearest corner is made a stop; if that does not do, all are,
         and the band is left as the polyline is.
         """
-        stop, least_m = course.stop.copy(), self._clearance_m - TOLERANCE_M
+        stop, least_m = course.stop.copy(), self._clearance_m - PLANNED_M
         for attempt in range(3):
             strung = course.with_stops(stop)
             band = Band.along(strung, self._pacer.span_rad, before)
