@@ -239,6 +239,7 @@ def _rasterise(
     r20, r21, r22, t2 = r[2, 0], r[2, 1], r[2, 2], t[2]
     points = np.empty((3 * CHUNK_FACES, 3))
     screen = np.empty((3 * CHUNK_FACES, 3))
+    after = np.empty((3 * CHUNK_FACES, 2), np.int32)  # the first pixel centre at or after a vertex, each way
     corners = np.empty((3, 3))
     for chunk in range(low.shape[0]):
         if _box_outside(low[chunk], high[chunk], camera_from_world, planes):
@@ -252,11 +253,16 @@ def _rasterise(
             points[k, 0], points[k, 1], points[k, 2] = px, py, pz
             if pz >= near:
                 w = 1.0 / pz
-                screen[k, 0], screen[k, 1], screen[k, 2] = fx * px * w + cx, fy * py * w + cy, w
+                x, y = fx * px * w + cx, fy * py * w + cy
+                screen[k, 0], screen[k, 1], screen[k, 2] = x, y, w
+                after[k, 0] = int(np.ceil(min(max(x, -2.0), width + 1.0) - 1e-9))
+                after[k, 1] = int(np.ceil(min(max(y, -2.0), height + 1.0) - 1e-9))
         for f in range(chunk * CHUNK_FACES, min((chunk + 1) * CHUNK_FACES, faces.shape[0])):
             a, b, c = faces[f, 0] - first, faces[f, 1] - first, faces[f, 2] - first
             ahead = (points[a, 2] >= near) + (points[b, 2] >= near) + (points[c, 2] >= near)
             if ahead == 3:
+                if after[a, 0] == after[b, 0] == after[c, 0] or after[a, 1] == after[b, 1] == after[c, 1]:
+                    continue  # between two columns or rows of pixel centres, or outside
                 _fill(
                     screen[a, 0], screen[a, 1], screen[a, 2], screen[b, 0], screen[b, 1], screen[b, 2],
                     screen[c, 0], screen[c, 1], screen[c, 2], f, inverse_z, face,
