@@ -134,18 +134,18 @@ def test_a_cluster_far_from_a_change_keeps_its_row_and_key() -> None:
 
 def test_a_few_cells_are_a_frontier_as_long_as_they_hang_together_with_more_in_the_next_block() -> None:
     state = np.full((2 * BLOCK, BLOCK, 12), OCCUPIED, dtype=np.uint8)
-    state[BLOCK - 3 : BLOCK + 9, 5, 4] = FREE
-    state[BLOCK - 3 : BLOCK + 9, 5, 5] = UNKNOWN
+    state[BLOCK - 3 : BLOCK + 9, 5:7, 4] = FREE
+    state[BLOCK - 3 : BLOCK + 9, 5:7, 5] = UNKNOWN
     low, high, ignored = np.zeros(3, dtype=np.int64), np.array(state.shape), np.zeros_like(state)
     frontiers = Frontiers()
     frontiers.update(map_of(state, 1), low, high, ignored)
-    assert sorted(len(cluster.cells) for cluster in frontiers.clusters()) == [3, 9]
-    state[BLOCK + 2, 5, 4] = OCCUPIED  # of the second block's cells the first one's now touch two
+    assert sorted(len(cluster.cells) for cluster in frontiers.clusters()) == [6, 18]
+    state[BLOCK + 2, 5:7, 4] = OCCUPIED  # of the second block's cells the first one's now touch two
     frontiers.update(map_of(state, 2), low, high, ignored)
     assert len(frontiers) == len(frontiers.clusters()) == 0
-    state[BLOCK + 2, 5, 4] = FREE
+    state[BLOCK + 2, 5:7, 4] = FREE
     frontiers.update(map_of(state, 3), low, high, ignored)
-    assert sorted(len(cluster.cells) for cluster in frontiers.clusters()) == [3, 9]
+    assert sorted(len(cluster.cells) for cluster in frontiers.clusters()) == [6, 18]
 
 
 def test_the_nearest_are_the_nearest_in_order() -> None:

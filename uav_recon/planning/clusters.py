@@ -16,7 +16,7 @@ from uav_recon.types.maps import FREE, TILE, UNKNOWN
 Int32Array = NDArray[np.int32]
 
 BLOCK = 2 * TILE  # columns along x and y
-MIN_CELLS = 8  # fewer connected cells are a speck on a surface or a sampling gap
+MIN_CELLS = 20  # fewer connected cells (0.2 m² at 0.1 m) are a speck on a surface or a sampling gap: not worth a flight
 MAX_EXTENT_M = 1.2  # along the first principal component: then one view from the shell holds a cluster
 _STACK = 64  # halves waiting at once; a block's piece never needs so many
 _I, _J, _K = 25, 20, (1 << 20) - 1  # places of a cell's packed indices in its block

@@ -18,7 +18,7 @@ from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, GridSpec, VoxelMap
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
-MIN_SEEN = 4  # cells: less is not worth a stop, unless the cluster has no more
+MIN_SEEN = 10  # cells: less is not worth a stop
 COVERED_SHARE = 0.7  # of what its own view sees: a frontier that another view shows so well needs no stop of its own
 BATCH = 32  # clusters looked at, the nearest first; as many more as long as there is no view at all
 SEARCHES = 4  # for each revision of the map since the last plan, or until there is a view: the rest is left for later
@@ -131,7 +131,7 @@ class FrontierViews:
         return row
 
     def _worth(self, row: int, cells: int) -> bool:
-        return bool(self.table.shown[row] >= min(MIN_SEEN, cells))
+        return bool(self.table.shown[row] >= MIN_SEEN)
 
     def _proposals(self, voxels: VoxelMap, space: Flyable, found: list[int], lens: FloatArray) -> list[Proposal]:
         """Tasks for the rows, without those that a better view shows as well; that view then promises their cells too."""
