@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.neural.trainer import Trainer
     from uav_recon.mapping.voxels import Voxels
     from uav_recon.mission.conductor import Conductor
+    from uav_recon.motion.planner import MotionPlanner
     from uav_recon.planning.camera import CameraGeometry
     from uav_recon.planning.planner import ViewPlanner
     from uav_recon.recording.recorder import Recorder
@@ -36,6 +37,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
+INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
 
 
 class Failure(Exception):  # noqa: N818 - it is what the user is told, not a bug
@@ -223,6 +225,16 @@ def _camera_geometry(config: Config) -> CameraGeometry:
     )
 
 
+def make_motion(config: Config) -> MotionPlanner:
+    """Trajectories inside the guard's fence."""
+    from uav_recon.motion.planner import MotionPlanner
+
+    safety = config.safety
+    inset_m = safety.fence_inset_m + INSIDE_M
+    low_m, high_m = np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m
+    return MotionPlanner(config.motion, config.planner.clearance_m, low_m, high_m)
+
+
 def make_coverage(config: Config, voxels: Voxels) -> Coverage:
     """The spending of the view budget."""
     from uav_recon.mapping.coverage import Coverage
@@ -247,11 +259,10 @@ def make_conductor(
     """The mission with every stage warm."""
     from uav_recon.mission.conductor import Conductor
     from uav_recon.mission.orders import MissionWires, Orders, Stages
-    from uav_recon.motion.planner import MotionPlanner
 
     mission = config.mission
     voxels, planner = make_voxels(config), make_planner(config, timer)
-    motion = MotionPlanner(config.motion, config.planner.clearance_m)
+    motion = make_motion(config)
     orders = Orders(
         views=mission.views,
         survey_views=mission.survey_views,
@@ -270,14 +281,13 @@ def make_conductor(
 
 def warm_up(config: Config) -> None:
     """Compile every kernel of the mission process before the drone may be READY."""
-    from uav_recon.motion.planner import MotionPlanner
     from uav_recon.planning import planner
 
     voxels = make_voxels(config)
     voxels.warm_up()
     make_coverage(config, voxels).warm_up()
     planner.warm_up(config.planner, _camera_geometry(config))
-    MotionPlanner(config.motion, config.planner.clearance_m).warm_up()
+    make_motion(config).warm_up()
 
 
 def make_recorder(config: Config, wires: Wires, flight: Path, clock: Clock) -> Recorder | Timelapse:

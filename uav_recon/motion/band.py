@@ -109,7 +109,7 @@ class Band:
         view = np.full(len(control), -1, dtype=np.int64)
         view[self.view_node + 1] = course.view_vertex
         _relax(
-            control, self.held, view, course.vertex, tolerance[0], tolerance[1], space.distance2, space.origin_m,
+            control, self.held, view, course.vertex, tolerance[0], tolerance[1], space.distance2, space.frame,
             space.resolution_m, ROOT, wanted_m, least_m,
         )  # fmt: skip
         return Band(control, self.view_node, self.held)
@@ -126,7 +126,7 @@ def _mirror(control: AnyArray) -> None:
 
 @kernel
 def _least_room(
-    control: AnyArray, i: int, distance2: AnyArray, origin_m: AnyArray, resolution_m: float, root: AnyArray, enough_m: float
+    control: AnyArray, i: int, distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, enough_m: float
 ) -> float:
     """Least room at the nodes and middles of spans that control point i bears on; stops at the first under ``enough_m``."""
     least_m = np.inf
@@ -135,14 +135,14 @@ def _least_room(
         x = (control[j - 1, 0] + 4 * control[j, 0] + control[j + 1, 0]) / 6
         y = (control[j - 1, 1] + 4 * control[j, 1] + control[j + 1, 1]) / 6
         z = (control[j - 1, 2] + 4 * control[j, 2] + control[j + 1, 2]) / 6
-        least_m = min(least_m, room_at(distance2, origin_m, resolution_m, root, x, y, z))
+        least_m = min(least_m, room_at(distance2, frame, resolution_m, root, x, y, z))
         if least_m < enough_m:
             return least_m
     for j in range(max(i - 2, 1), min(i + 1, last - 1) + 1):
         x = (control[j - 1, 0] + 23 * (control[j, 0] + control[j + 1, 0]) + control[j + 2, 0]) / 48
         y = (control[j - 1, 1] + 23 * (control[j, 1] + control[j + 1, 1]) + control[j + 2, 1]) / 48
         z = (control[j - 1, 2] + 23 * (control[j, 2] + control[j + 1, 2]) + control[j + 2, 2]) / 48
-        least_m = min(least_m, room_at(distance2, origin_m, resolution_m, root, x, y, z))
+        least_m = min(least_m, room_at(distance2, frame, resolution_m, root, x, y, z))
         if least_m < enough_m:
             return least_m
     return least_m
@@ -198,7 +198,7 @@ def _turn_within(control: AnyArray, view: AnyArray, vertex: AnyArray, i: int, to
 @kernel
 def _relax(
     control: AnyArray, held: AnyArray, view: AnyArray, vertex: AnyArray, tolerance_m: float, tolerance_rad: float,
-    distance2: AnyArray, origin_m: AnyArray, resolution_m: float, root: AnyArray, wanted_m: float, least_m: float,
+    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, wanted_m: float, least_m: float,
 ) -> None:  # fmt: skip
     """Gauss-Seidel on sum |c[j-1] - 2 c[j] + c[j+1]|² + TENSION sum |c[j+1] - c[j]|² + CALM sum of turning² at the views.
 
@@ -227,16 +227,16 @@ def _relax(
                 sees = True
                 for j in range(i - 1, i + 2):
                     sees = sees and (view[j] < 0 or _off_view(control, j, vertex[view[j]]) <= tolerance_m)
-                if sees and _least_room(control, i, distance2, origin_m, resolution_m, root, wanted_m) >= wanted_m:
+                if sees and _least_room(control, i, distance2, frame, resolution_m, root, wanted_m) >= wanted_m:
                     break
-                has_m = _least_room(control, i, distance2, origin_m, resolution_m, root, 0.0) if sees else 0.0
+                has_m = _least_room(control, i, distance2, frame, resolution_m, root, 0.0) if sees else 0.0
                 for d in range(3):
                     control[i, d] = old[d]
                 _mirror(control)
                 if not sees:
                     continue
                 if had_m < 0.0:
-                    had_m = _least_room(control, i, distance2, origin_m, resolution_m, root, 0.0)
+                    had_m = _least_room(control, i, distance2, frame, resolution_m, root, 0.0)
                 if had_m >= least_m and has_m >= had_m:
                     for d in range(3):
                         share = (1.0, 0.5, 0.25)[attempt] if attempt < 3 else (1.0 if d == attempt - 3 else 0.0)

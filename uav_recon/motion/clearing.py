@@ -20,59 +20,62 @@ ESCAPE_M = 2.0  # ... and may fly so far through free space without the clearanc
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Space:
-    """What kernels need of a map: squared distances (nx, ny, nz) in voxels, origin (3,) and resolution in metres."""
+    """What kernels need of a map: squared distances (nx, ny, nz) in voxels, and the frame.
+
+    frame: (10,) origin (3), lower (3) and upper corner (3) of the box that the body's centre stays in, and the room that
+    counts at the box's border; metres.
+    """
 
     distance2: ByteArray
-    origin_m: FloatArray
+    frame: FloatArray
     resolution_m: float
 
     @staticmethod
-    def of(voxels: VoxelMap) -> Space:
-        """The space of a map."""
-        return Space(voxels.distance2, voxels.grid.origin_world_m, float(voxels.grid.resolution_m))
+    def of(voxels: VoxelMap, low_m: FloatArray, high_m: FloatArray, border_m: float) -> Space:
+        """The space of a map inside a box (infinite corners: no box)."""
+        frame = np.array([*voxels.grid.origin_world_m, *low_m, *high_m, border_m], dtype=np.float64)
+        return Space(voxels.distance2, frame, float(voxels.grid.resolution_m))
 
 
 @kernel
-def room_at(
-    distance2: AnyArray, origin_m: AnyArray, resolution_m: float, root: AnyArray, x: float, y: float, z: float
-) -> float:
+def room_at(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, x: float, y: float, z: float) -> float:
     """Metres from a point to the nearest centre of a voxel that is not known free; 0 in such a voxel and outside the grid.
 
+    Near a side of the box to stay in, what is left to it and the room at its border, if that is less.
     The trilinear one between the eight centres around it; at least the point's own voxel's less half a voxel, so that every
     way through cells that the planner calls flyable stays one.
     """
     nx, ny, nz = distance2.shape
-    u, v, w = (x - origin_m[0]) / resolution_m, (y - origin_m[1]) / resolution_m, (z - origin_m[2]) / resolution_m
+    u, v, w = (x - frame[0]) / resolution_m, (y - frame[1]) / resolution_m, (z - frame[2]) / resolution_m
     i, j, k = math.floor(u), math.floor(v), math.floor(w)
     if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:
         return 0.0
+    inside = min(x - frame[3], frame[6] - x, y - frame[4], frame[7] - y, z - frame[5], frame[8] - z) + frame[9]
     own = root[distance2[i, j, k]]
     if own == 0.0:
         return 0.0
     i, j, k = math.floor(u - 0.5), math.floor(v - 0.5), math.floor(w - 0.5)
     if i < 0 or j < 0 or k < 0 or i + 1 >= nx or j + 1 >= ny or k + 1 >= nz:
-        return float((own - 0.5) * resolution_m)
+        return float(min((own - 0.5) * resolution_m, max(inside, 1e-6)))
     f, g, h = u - 0.5 - i, v - 0.5 - j, w - 0.5 - k
     near = (1 - h) * root[distance2[i, j, k]] + h * root[distance2[i, j, k + 1]]
     left = (1 - h) * root[distance2[i, j + 1, k]] + h * root[distance2[i, j + 1, k + 1]]
     ahead = (1 - h) * root[distance2[i + 1, j, k]] + h * root[distance2[i + 1, j, k + 1]]
     far = (1 - h) * root[distance2[i + 1, j + 1, k]] + h * root[distance2[i + 1, j + 1, k + 1]]
     between = (1 - f) * ((1 - g) * near + g * left) + f * ((1 - g) * ahead + g * far)
-    return float(max(own - 0.5, between) * resolution_m)
+    return float(min(max(own - 0.5, between) * resolution_m, max(inside, 1e-6)))
 
 
 @kernel
-def rooms(
-    distance2: AnyArray, origin_m: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, out: AnyArray
-) -> None:
+def rooms(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, out: AnyArray) -> None:
     """room_at for many points (N, 3 or more)."""
     for n in range(len(points)):
-        out[n] = room_at(distance2, origin_m, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
+        out[n] = room_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
 
 
 @kernel
 def _blocked(
-    distance2: AnyArray, origin_m: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, first: int, least_m: float,
+    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, first: int, least_m: float,
     out: AnyArray,
 ) -> int:  # fmt: skip
     """Mark blocked samples in ``out`` (N,) and return the first one, or -1.
@@ -94,7 +97,7 @@ def _blocked(
             since_m = 0.0
         if n < first or not looks:
             continue
-        room_m = room_at(distance2, origin_m, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
+        room_m = room_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
         enough = room_m >= least_m
         reached = reached or enough or travelled_m > ESCAPE_M
         if travelled_m > LEAVING_M and (room_m == 0.0 or (reached and not enough)):
@@ -107,7 +110,7 @@ def _blocked(
 def blocked(space: Space, points_m: FloatArray, first: int, least_m: float) -> BoolArray:
     """Which samples (N,) from ``first`` on are not known free, or have less room than ``least_m`` after having had it."""
     out = np.zeros(len(points_m), dtype=np.bool_)
-    _blocked(space.distance2, space.origin_m, space.resolution_m, ROOT, points_m, first, least_m, out)
+    _blocked(space.distance2, space.frame, space.resolution_m, ROOT, points_m, first, least_m, out)
     return out
 
 

@@ -137,7 +137,7 @@ class Pacer:
     def _cap(self, curve: Curve, band: Band, entry: Entry, space: Space | None, cap: FloatArray) -> None:
         room_m = np.full(len(cap), np.inf)
         if space is not None:
-            rooms(space.distance2, space.origin_m, space.resolution_m, ROOT, curve.place, room_m)
+            rooms(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, room_m)
         caps(
             curve.slope, curve.along_m, room_m, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
             self.tight_speed, self.climb, self.descent, self.rate, self.blur_radps, self.blur_distance_m, SPREAD_M,

@@ -35,8 +35,15 @@ BACK_STEPS = 5  # samples of a braked way from one waypoint back to the next
 class MotionPlanner:
     """Pure: no clock, no state. Trajectories are in odom; world is taken as odom, as it is within a map epoch."""
 
-    def __init__(self, config: MotionConfig, clearance_m: float) -> None:
-        """clearance_m: from the body's centre to anything not known free; tight_speed_mps is flown where there is no more."""
+    def __init__(
+        self, config: MotionConfig, clearance_m: float, low_m: FloatArray | None = None, high_m: FloatArray | None = None
+    ) -> None:
+        """clearance_m: from the body's centre to anything not known free; tight_speed_mps is flown where there is no more.
+
+        low_m, high_m: (3,) corners of the box that the body's centre stays in; none = no box.
+        """
+        self._low_m = np.full(3, -np.inf) if low_m is None else low_m
+        self._high_m = np.full(3, np.inf) if high_m is None else high_m
         self._clearance_m = clearance_m
         self._pacer = Pacer.of(config, clearance_m)
         self._creeper = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m)
@@ -54,7 +61,7 @@ class MotionPlanner:
             return fault
         entry = Entry.resting(start, self._pacer.box)
         course = Course.through(entry.place, path.waypoints_world, path.viewpoints)
-        flight = self._clear(course, None, entry, Space.of(voxels), views_at_spacing_m)
+        flight = self._clear(course, None, entry, self._space(voxels), views_at_spacing_m)
         return flight if isinstance(flight, str) else flight.trajectory(start_s, path.map_epoch, identifier)
 
     def onward(
@@ -70,7 +77,7 @@ class MotionPlanner:
         if fault:
             return fault
         at = max(int((leave_s - flying.start_s) / flying.step_s + 1e-6), 0)  # past its end it rests
-        entry, space = Entry.leaving(flying, at, self._pacer.box, self._pacer.most()), Space.of(voxels)
+        entry, space = Entry.leaving(flying, at, self._pacer.box, self._pacer.most()), self._space(voxels)
         start_s = flying.start_s + (at - entry.left + 1) * flying.step_s
         if not entry.is_moving:
             course = Course.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints)
@@ -118,7 +125,10 @@ class MotionPlanner:
         if trajectory.map_epoch != voxels.map_epoch:
             return False
         first = int(np.clip((now_s - trajectory.start_s) / trajectory.step_s, 0, len(trajectory.yaw_rad) - 1))
-        return is_clear(Space.of(voxels), trajectory.position_m, first, self._clearance_m - TOLERANCE_M)
+        return is_clear(self._space(voxels), trajectory.position_m, first, self._clearance_m - TOLERANCE_M)
+
+    def _space(self, voxels: VoxelMap) -> Space:
+        return Space.of(voxels, self._low_m, self._high_m, self._clearance_m)
 
     def warm_up(self) -> None:
         """Compile the kernels."""
