@@ -242,8 +242,8 @@ def test_every_frontier_without_a_view_has_a_reason() -> None:
     # nothing flyable within the shell
     state = np.full(solid.shape, OCCUPIED, dtype=np.uint8)
     state[4:20, 4:20, 4:20] = FREE
-    state[40:58, 30:33, 5:8] = FREE
-    state[50:58, 30:33, 5:8] = UNKNOWN
+    state[40:58, 28:33, 4:9] = FREE
+    state[50:58, 28:33, 4:9] = UNKNOWN
     follower = Follower(GrowingMap(solid).grid)
     voxels = voxel_map(state)
     assert not follower.follow(voxels, START).proposals

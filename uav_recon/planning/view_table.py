@@ -7,7 +7,7 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import first_obstacle
 from uav_recon.planning.camera import Sight, in_view, sight
-from uav_recon.planning.glimpses import Int32Array, best_view, targets
+from uav_recon.planning.glimpses import Int32Array, best_view
 from uav_recon.planning.shell import Shell
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
@@ -22,7 +22,7 @@ class ViewTable:
 
     row_of: by the cluster's key. shown: (R,) cells that the view shows, 0 = none. view: (R, 5), see glimpses.best_view(), as
     for asked, blockers, box. counts: (R, 4) how many of asked and of blockers are filled, and the revisions of map and space
-    for which the answer was given. points, first: (R, ...) glimpses.targets() of a sample of the cells shown; samples: (R,).
+    for which the answer was given. points, first: (R, ...) targets() of a sample of the cells shown; samples: (R,).
     promised: by row, flat indices of the cells shown. used: (R,) the plan that last wanted the row.
     """
 
@@ -105,6 +105,27 @@ class ViewTable:
             self.samples, share,
         ).tolist()  # fmt: skip
         return by
+
+
+@kernel
+def targets(faces: ByteArray, flat: IntArray) -> tuple[FloatArray, IntArray]:
+    """Centres (M, 3), voxels, of the unknown neighbours of cells (N,) given by flat index; where each cell's begin (N + 1,)."""
+    _, ny, nz = faces.shape
+    points = np.empty((6 * len(flat), 3))
+    first = np.zeros(len(flat) + 1, dtype=np.int64)
+    count = 0
+    for n in range(len(flat)):
+        i, j, k = flat[n] // (ny * nz), flat[n] // nz % ny, flat[n] % nz
+        bits = int(faces[i, j, k])
+        for face in range(6):
+            if bits & (1 << face):
+                step = 1.0 if face & 1 else -1.0
+                points[count, 0] = i + 0.5 + (step if face < 2 else 0.0)
+                points[count, 1] = j + 0.5 + (step if 2 <= face < 4 else 0.0)
+                points[count, 2] = k + 0.5 + (step if face >= 4 else 0.0)
+                count += 1
+        first[n + 1] = count
+    return points[:count].copy(), first
 
 
 @kernel
