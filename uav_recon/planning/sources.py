@@ -36,9 +36,19 @@ class Source(Protocol):
     """Makes the tasks of one plan; remembers only what spares it work."""
 
     def propose(
-        self, situation: Situation, frontiers: Frontiers, ways: Ways, surface: SurfaceElements | None, looks: Float32Array
+        self,
+        situation: Situation,
+        frontiers: Frontiers,
+        ways: Ways,
+        surface: SurfaceElements | None,
+        looks: Float32Array,
+        spent: float,
     ) -> Harvest:
-        """Look for tasks. looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel."""
+        """Look for tasks.
+
+        looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel. spent: share of the
+        views, 0 to 1.
+        """
         ...
 
     def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
@@ -54,12 +64,18 @@ class Clusters:
         self._views, self._surfaces = views, surfaces
 
     def propose(
-        self, situation: Situation, frontiers: Frontiers, ways: Ways, surface: SurfaceElements | None, looks: Float32Array
+        self,
+        situation: Situation,
+        frontiers: Frontiers,
+        ways: Ways,
+        surface: SurfaceElements | None,
+        looks: Float32Array,
+        spent: float,
     ) -> Harvest:
         """See Source."""
         explore, later = self._explore(situation, frontiers)
         ways.update(situation.exit_cells, situation.position_world, cells_of(explore))
-        mode = self._variant.mode.choose(np.concatenate((ways.lengths_m[0, 1:], np.full(later, np.inf))))
+        mode = self._variant.mode.choose(np.concatenate((ways.lengths_m[0, 1:], np.full(later, np.inf))), spent)
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds:
             return Harvest(mode, explore)
         widening = 1.0 if explore else self._end_factor
@@ -91,7 +107,13 @@ class Field:
         self._views, self._reasons = views, reasons
 
     def propose(
-        self, situation: Situation, frontiers: Frontiers, ways: Ways, surface: SurfaceElements | None, looks: Float32Array
+        self,
+        situation: Situation,
+        frontiers: Frontiers,
+        ways: Ways,
+        surface: SurfaceElements | None,
+        looks: Float32Array,
+        spent: float,
     ) -> Harvest:
         """See Source."""
         return Harvest(PlanMode.MERGED, self._views.propose(situation, frontiers.clusters(), surface, looks))
