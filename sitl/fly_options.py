@@ -21,7 +21,7 @@ VARIANTS = get_args(VariantName)
 AUTOPILOTS = ("px4",)
 BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
 RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
-HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.15, 0.30  # between the hull and what is not known free, in a plan
+HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.20, 0.35  # between the hull and what is not known free, in a plan
 FENCE_MARGIN_M = 0.10  # between the hull and the fence: what is left of the other when the vehicle strays
 NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
 

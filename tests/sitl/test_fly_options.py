@@ -72,7 +72,7 @@ def test_the_options_of_the_world_survive_their_file(tmp_path: Path) -> None:
     assert (back.depth_noise, back.stream) == ("kinect", str(tmp_path / "camera.stream"))
 
 
-@pytest.mark.parametrize(("radius_m", "clearance_m", "inset_m"), [(0.15, 0.30, 0.25), (0.20, 0.35, 0.30), (0.30, 0.45, 0.40)])
+@pytest.mark.parametrize(("radius_m", "clearance_m", "inset_m"), [(0.15, 0.35, 0.25), (0.20, 0.40, 0.30), (0.30, 0.50, 0.40)])
 def test_distances_follow_the_radius(tmp_path: Path, radius_m: float, clearance_m: float, inset_m: float) -> None:
     options = SimOptions.parse(radius=radius_m)
     config = options.config(SCENE, tmp_path)
