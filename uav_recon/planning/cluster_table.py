@@ -9,6 +9,7 @@ from uav_recon.planning.clusters import BLOCK, MIN_CELLS, cut, is_speck
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 _FIRST_ROWS = 256
+_AROUND = 5  # blocks along each side of the square that is looked at first
 POOL, SPARE = 0, 1  # places in ClusterTable.fill
 
 
@@ -180,11 +181,19 @@ def _nearest(
     rows = np.empty(most, dtype=np.int64)
     far2 = np.empty(most)
     found = 0
-    for bi in range(head.shape[0]):
-        off_x = max(bi * BLOCK - place[0], place[0] - (bi + 1) * BLOCK, 0.0)
-        for bj in range(head.shape[1]):
-            if head[bi, bj] == 0:
+    here_i, here_j = int(place[0]) // BLOCK, int(place[1]) // BLOCK
+    # the blocks around the place first: then nearly all others are too far at a glance, however many there are
+    for block in range(_AROUND * _AROUND + head.size):
+        if block < _AROUND * _AROUND:
+            bi, bj = here_i + block // _AROUND - _AROUND // 2, here_j + block % _AROUND - _AROUND // 2
+            if bi < 0 or bj < 0 or bi >= head.shape[0] or bj >= head.shape[1]:
                 continue
+        else:
+            bi, bj = (block - _AROUND * _AROUND) // head.shape[1], (block - _AROUND * _AROUND) % head.shape[1]
+            if abs(bi - here_i) <= _AROUND // 2 and abs(bj - here_j) <= _AROUND // 2:
+                continue
+        if head[bi, bj] > 0:
+            off_x = max(bi * BLOCK - place[0], place[0] - (bi + 1) * BLOCK, 0.0)
             off_y = max(bj * BLOCK - place[1], place[1] - (bj + 1) * BLOCK, 0.0)
             if found == most and off_x * off_x + off_y * off_y > far2[most - 1]:
                 continue
