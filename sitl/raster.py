@@ -136,6 +136,37 @@ def _box_outside(low: F32, high: F32, camera_from_world: F64, planes: F64) -> bo
 
 
 @kernel
+def _nearest(low: F32, high: F32, camera_from_world: F64) -> float:
+    """Smallest depth of a box along the optical axis; negative if it reaches behind the camera."""
+    depth = camera_from_world[2, 3]
+    for axis in range(3):
+        r = camera_from_world[2, axis]
+        depth += r * (low[axis] if r > 0 else high[axis])
+    return depth
+
+
+@kernel
+def _hidden(low: F32, high: F32, camera_from_world: F64, intrinsics: F64, nearest_w: float, inverse_z: F32) -> bool:
+    """Whether every pixel that a box ahead of the camera may cover shows something nearer than 1 / nearest_w already."""
+    u_low, u_high, v_low, v_high = np.inf, -np.inf, np.inf, -np.inf
+    m = camera_from_world
+    for corner in range(8):
+        x = np.float64(high[0] if corner & 1 else low[0])
+        y = np.float64(high[1] if corner & 2 else low[1])
+        z = np.float64(high[2] if corner & 4 else low[2])
+        w = 1.0 / (m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3])
+        u = intrinsics[0] * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) * w + intrinsics[2]
+        v = intrinsics[1] * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) * w + intrinsics[3]
+        u_low, u_high, v_low, v_high = min(u_low, u), max(u_high, u), min(v_low, v), max(v_high, v)
+    height, width = inverse_z.shape
+    for v_pixel in range(max(int(np.floor(v_low)), 0), min(int(np.ceil(v_high)), height - 1) + 1):
+        for u_pixel in range(max(int(np.floor(u_low)), 0), min(int(np.ceil(u_high)), width - 1) + 1):
+            if inverse_z[v_pixel, u_pixel] <= nearest_w:
+                return False
+    return True
+
+
+@kernel
 def _narrowed(at_zero: float, slope: float, first: int, last: int) -> tuple[int, int]:
     """The part of a row, and a pixel more on either side, in which at_zero + slope u >= 0."""
     if slope > 0.0:
@@ -241,8 +272,18 @@ def _rasterise(
     screen = np.empty((3 * CHUNK_FACES, 3))
     after = np.empty((3 * CHUNK_FACES, 2), np.int32)  # the first pixel centre at or after a vertex, each way
     corners = np.empty((3, 3))
+    seen = np.empty(low.shape[0], np.int64)
+    nearest = np.empty(low.shape[0])
+    count = 0
     for chunk in range(low.shape[0]):
-        if _box_outside(low[chunk], high[chunk], camera_from_world, planes):
+        if not _box_outside(low[chunk], high[chunk], camera_from_world, planes):
+            seen[count], nearest[count] = chunk, _nearest(low[chunk], high[chunk], camera_from_world)
+            count += 1
+    for place in np.argsort(nearest[:count], kind="mergesort"):  # from near to far, so that what is hidden need not be drawn
+        chunk = seen[place]
+        if nearest[place] > near and _hidden(
+            low[chunk], high[chunk], camera_from_world, intrinsics, 1.0 / nearest[place], inverse_z
+        ):  # fmt: skip
             continue
         first = vertex_start[chunk]
         for i in range(first, vertex_start[chunk + 1]):
