@@ -16,6 +16,7 @@ from uav_recon.types.maps import FREE, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import PlanRequest, TaskKind, ViewPath
 
 MAX_LOOKS = 2  # in vain, then a frontier voxel is exhausted
+HOPELESS_SHARE = 0.7  # of the promised voxels: if so many are left after a look, another will not settle them either
 ARRIVED_M = 0.35  # a view counts as flown from here ...
 ARRIVED_RAD = 0.4  # ... with this heading
 WORTH_SHARE = 0.3  # of the promised frontier voxels: when fewer are left on the way there, the view is not flown to
@@ -61,7 +62,8 @@ class Visited:
     def _in_vain(self, voxels: VoxelMap, promised: IntArray) -> IntArray:
         still = promised[_still_frontier(voxels.state, promised)]
         looks, exhausted = self.looks_in_vain.reshape(-1), self.exhausted.reshape(-1)
-        looks[still] = np.minimum(looks[still], 254) + 1
+        hopeless = len(still) >= HOPELESS_SHARE * len(promised)
+        looks[still] = np.minimum(looks[still], 255 - MAX_LOOKS) + (MAX_LOOKS if hopeless else 1)
         newly: IntArray = still[(looks[still] >= MAX_LOOKS) & (exhausted[still] == 0)]
         exhausted[newly] = 1
         return newly
