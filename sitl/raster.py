@@ -138,7 +138,7 @@ def _box_outside(low: F32, high: F32, camera_from_world: F64, planes: F64) -> bo
 @kernel
 def _nearest(low: F32, high: F32, camera_from_world: F64) -> float:
     """Smallest depth of a box along the optical axis; negative if it reaches behind the camera."""
-    depth = camera_from_world[2, 3]
+    depth: float = camera_from_world[2, 3]
     for axis in range(3):
         r = camera_from_world[2, axis]
         depth += r * (low[axis] if r > 0 else high[axis])
