@@ -91,7 +91,7 @@ class FrontierViews:
                     row = self._search(voxels, space.reachable, space.revision, frontiers, cluster, lens)
                 if row < 0:
                     later += 1
-                elif self._worth(row, int(frontiers.table.count[cluster])):
+                elif self._worth(row):
                     self.table.used[row] = self._plans
                     found.append(row)
                 else:
@@ -130,7 +130,7 @@ class FrontierViews:
         self._centre[row] = table.centre[cluster]
         return row
 
-    def _worth(self, row: int, cells: int) -> bool:
+    def _worth(self, row: int) -> bool:
         return bool(self.table.shown[row] >= MIN_SEEN)
 
     def _proposals(self, voxels: VoxelMap, space: Flyable, found: list[int], lens: FloatArray) -> list[Proposal]:
@@ -164,8 +164,7 @@ class FrontierViews:
 
     def _reason(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, cluster: int, lens: FloatArray) -> str | None:
         row = self._search(voxels, space.reachable, space.revision, frontiers, cluster, lens)
-        cells = int(frontiers.table.count[cluster])
-        if self._worth(row, cells):
+        if self._worth(row):
             return None
         asked = self.table.asked[row, : self.table.counts[row, 0]]
         if not space.mask.reshape(-1)[np.where(asked >= 0, asked, ~asked)].any():
@@ -173,7 +172,7 @@ class FrontierViews:
         if self.table.shown[row]:
             return "too few cells in sight"
         row = self._search(voxels, space.mask, space.revision, frontiers, cluster, lens)
-        beyond = self._worth(row, cells)
+        beyond = self._worth(row)
         self.table.forget(row)
         return "not reachable" if beyond else "out of the camera's sight"
 
