@@ -184,6 +184,45 @@ def bench_planner(
     _exit(lambda: bench_of_planner.bench_planner(stream, size, stride, scale, json))
 
 
+@bench.command("mapper")
+def bench_mapper(
+    scene: Annotated[
+        str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
+    ] = None,
+    views: Annotated[int, typer.Option(help="How many views, from random places that the vehicle can reach.")] = 80,
+    camera: Annotated[
+        str, typer.Option(help="d435i (colour narrower than depth) or wide (one registered RGB-D camera).")
+    ] = "d435i",
+    depth_noise: Annotated[str, typer.Option(help="d435i, paper, kinect or none.")] = "d435i",
+    mount: Annotated[str, typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount; a gimbal looks at random tilts.")] = (
+        "fixed:15"
+    ),
+    pose_noise: Annotated[
+        str, typer.Option(metavar="CM,DEG", help="Standard deviation, each axis, of the poses that the mapper is told.")
+    ] = "0,0",
+    steps_per_view: Annotated[int, typer.Option(help="Training steps after each view.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of places, noise and learning; one seed, one result.")] = 0,
+    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+) -> None:
+    """How well, how fast and how honestly the mapper learns a scene; a TSDF at 2 cm on the same frames beside it.
+
+    Views are taken one by one as in flight, each followed by its training steps; then once more all at once, for the time
+    to a recall. Recall, completion and pictures count what some view saw. Times are the processor's, on one thread.
+
+    Example: `uav-recon bench mapper --scene ../shared/scenes/meeting_room --camera wide --depth-noise kinect`
+    """
+    from uav_recon.bench import mapper as bench_of_mapper
+
+    _exit(
+        lambda: bench_of_mapper.bench_mapper(
+            bench_of_mapper.MapperBench(
+                scene, views, camera, depth_noise, mount, pose_noise, steps_per_view, seed, device, json
+            )
+        )
+    )
+
+
 def _exit(work: Callable[[], Any]) -> None:
     try:
         code = work()

@@ -6,6 +6,8 @@ measured normals; and no more depth images may look through it than see it. So s
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
@@ -18,6 +20,7 @@ from uav_recon.types.maps import SurfaceElements, TriangleMesh
 EVIDENCE_CELL_M = 0.05
 FILL_M = 0.15  # surface is filled at most so far from a measured point
 EVIDENCE_SIGMA_M = 0.15  # a vaguer measurement does not say where the surface is
+FEWEST_ENDS = 2  # end points that make a cell of surface
 SHEET_M = 0.006  # a vertex whose own distance is larger belongs to the border of the band, not to the surface
 SAW_SIGMAS, SAW_M = 2.0, 0.02  # a depth image confirms a vertex within sigmas * sigma_z + this ...
 SAW_COSINE = 0.15  # ... of a surface that faces it
@@ -52,6 +55,15 @@ class Evidence:
         _spread(self.count, least, out)
         return out
 
+    def holds(self, points: Float32Array) -> BoolArray:
+        """Whether points (N, 3) lie where surface was measured."""
+        near = self.near(FEWEST_ENDS)
+        cell = np.floor((points - self.origin_m) / EVIDENCE_CELL_M).astype(np.int64)
+        inside = ((cell >= 0) & (cell < near.shape)).all(axis=1)
+        held = np.zeros(len(points), dtype=np.bool_)
+        held[inside] = near[tuple(cell[inside].T)]
+        return held
+
     def contradicts(self, points: Float32Array, normal: Float32Array) -> BoolArray:
         """Whether normals (N, 3) at points (N, 3) face away from what was measured there."""
         facing = self._facing.at(points)
@@ -63,7 +75,7 @@ def surface_elements(
     field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, revision: int, map_epoch: int
 ) -> SurfaceElements:
     """Elements on the surface nets of a ``voxel_m`` lattice; empty before the first view."""
-    vertices, normals, _ = _extract(field, evidence, voxel_m)
+    vertices, normals, _ = _extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
     keep = ~evidence.contradicts(vertices, normals)
     vertices, normals = vertices[keep], normals[keep]
     return SurfaceElements(
@@ -79,7 +91,7 @@ def triangle_mesh(
     field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, images: Testimony
 ) -> TriangleMesh:
     """The whole surface as triangles, without what the depth images refute."""
-    vertices, normals, quads = _extract(field, evidence, voxel_m)
+    vertices, normals, quads = _extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
     for _ in range(2):  # surface nets round corners off by a fraction of a voxel: slide back onto the level set
         slip = np.clip(field.distance_m(vertices), -0.5 * voxel_m, 0.5 * voxel_m)
         vertices = (vertices - slip[:, None] * normals).astype(np.float32)
@@ -99,8 +111,26 @@ def triangle_mesh(
     )
 
 
-def _extract(field: Field, evidence: Evidence, voxel_m: float) -> tuple[Float32Array, Float32Array, IntArray]:
-    nodes = wanted_nodes(evidence.near(2), evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
+@dataclass(frozen=True, slots=True, eq=False)
+class WholeSurface:
+    """vertices (V, 3) float32 in world, and which of them lie where surface was measured (V,)."""
+
+    vertices: Float32Array
+    observed: BoolArray
+
+
+def whole_surface(field: Field, evidence: Evidence, voxel_m: float) -> WholeSurface:
+    """The zero level set in the whole box, without any gate; its observed part is what surface_elements() would give."""
+    wanted = np.ones(evidence.count.shape, dtype=np.bool_)
+    vertices, normals, _ = _extract(field, evidence, wanted, voxel_m)
+    observed = evidence.holds(vertices) & ~evidence.contradicts(vertices, normals)
+    return WholeSurface(vertices, observed)
+
+
+def _extract(
+    field: Field, evidence: Evidence, wanted: BoolArray, voxel_m: float
+) -> tuple[Float32Array, Float32Array, IntArray]:
+    nodes = wanted_nodes(wanted, evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
     points, mask = node_points(nodes)
     nodes.values[mask] = field.distance_m(points)
     return surface_net(nodes)

@@ -14,7 +14,7 @@ from uav_recon.mapping.neural.optimiser import Optimiser
 from uav_recon.mapping.neural.rays import pixel_stride, ray_records
 from uav_recon.mapping.neural.replay import Replay
 from uav_recon.mapping.neural.samples import draw, make_batch
-from uav_recon.mapping.neural.surface import Evidence, Testimony, surface_elements, triangle_mesh
+from uav_recon.mapping.neural.surface import Evidence, Testimony, WholeSurface, surface_elements, triangle_mesh, whole_surface
 from uav_recon.mapping.neural.uncertainty import ColourError, DepthInformation, ProductUncertainty, SurfaceUncertainty
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
@@ -99,10 +99,23 @@ class Trainer:
                 self._alignment.refine(self.field, self._replay)
             self.train(1, FINAL_RATE ** ((n + 1) / steps))
 
+    @property
+    def element_spacing_m(self) -> float:
+        """Distance between neighbouring elements of surface()."""
+        return self._config.surface_voxel_m
+
     def surface(self) -> SurfaceElements:
         """Elements of the surface as it is now; none before the first view."""
+        return self.whole_room()
+
+    def whole_room(self) -> SurfaceElements:
+        """The same, from nothing."""
         voxel_m = self._config.surface_voxel_m
         return surface_elements(self.field, self._evidence, self.uncertainty, voxel_m, self.views, self._map_epoch)
+
+    def whole_surface(self, voxel_m: float) -> WholeSurface:
+        """Every place where the field changes its sign, also where nobody looked: to ask what an uncertainty says of it."""
+        return whole_surface(self.field, self._evidence, voxel_m)
 
     def mesh(self, voxel_m: float) -> TriangleMesh:
         """Triangles of the surface as it is now."""

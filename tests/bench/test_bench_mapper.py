@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+import json
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import sitl.fly_report
+from sitl.d435i import MOUNT_M, stream_header
+from sitl.fly_options import SimOptions
+from sitl.scene import Scene
+from sitl.transform import body_from_camera, world_from_body
+from uav_recon.bench import mapper_run, mapper_scene
+from uav_recon.cli import app
+from uav_recon.evaluation.surface import Surface
+
+FIELDS = [
+    "step_ms", "view_update_ms", "time_to_recall_s", "extraction_ms", "accuracy_cm", "completion_cm", "recall_seen_5cm",
+    "psnr_db", "ause_all", "ause_observed", "hallucinated_fraction", "memory_mb",
+]  # fmt: skip
+
+
+def bench(*arguments: str) -> tuple[int, str, str]:
+    done = CliRunner().invoke(app, ["bench", "mapper", *arguments])
+    return done.exit_code, done.stdout, done.stderr
+
+
+def quick_cut(options: SimOptions, scene: Scene) -> types.SimpleNamespace:
+    """Three places above the start instead of the cut of six hundred poses."""
+    positions = np.array([[0.0, 0.0, 1.0], [0.3, 0.0, 1.1], [0.0, 0.3, 1.2]], np.float32)
+    views = [world_from_body(positions[0], yaw) @ body_from_camera(MOUNT_M, 0.26) for yaw in (0.0, 1.5)]
+    return types.SimpleNamespace(positions=positions, views=np.array(views), view_spec=stream_header("d435i").rgb)
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sitl.fly_report, "truth_cut", quick_cut)
+    monkeypatch.setattr(mapper_scene, "TRUTH_POINTS", 30_000)
+    monkeypatch.setattr(mapper_scene, "HELD_OUT_STRIDE", 16)
+    monkeypatch.setattr(mapper_run, "RECALL_STEPS", 20)
+    monkeypatch.setattr(mapper_run, "ROOM_RUNS", 2)
+
+
+def test_measures_every_field_and_writes_json(tmp_path: Path) -> None:
+    written = tmp_path / "result.json"
+    code, out, errors = bench("--views", "6", "--camera", "wide", "--depth-noise", "kinect", "--json", str(written))
+    assert code == 0, errors
+    result = json.loads(written.read_text())
+    assert [*FIELDS, "about"] == [name for name in (*FIELDS, "about") if name in result]
+    assert set(result) == {*FIELDS, "about"}
+    assert set(result["time_to_recall_s"]) == {"0.90", "0.95", "0.99"}
+    assert set(result["extraction_ms"]) == {"room", "view"}
+    assert 0.0 < result["step_ms"] < result["view_update_ms"]
+    assert result["about"]["calibrated"]["step_ms"] == pytest.approx(result["step_ms"] / result["about"]["calibration_cpu"])
+    assert 0.8 < result["recall_seen_5cm"] <= 1.0
+    assert 0.0 < result["accuracy_cm"] < 2.0
+    assert result["hallucinated_fraction"] < 0.05
+    assert result["psnr_db"] > 15.0
+    assert 0.0 < result["ause_all"] < 1.0
+    assert 0.5 < result["about"]["tsdf_2cm"]["recall_seen_5cm"] <= 1.0
+    for word in ("step, ms", "extraction, room", "TSDF at 2 cm", "AUSE", result["about"]["commit"]):
+        assert word in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--scene", "/nowhere"), ("/nowhere", "no such scene")),
+        (("--views", "1"), ("--views 1", "want 4 to 2000")),
+        (("--steps-per-view", "0"), ("--steps-per-view 0", "want 1 to 200")),
+        (("--camera", "fast"), ("--camera fast", "want one of d435i, wide")),
+        (("--depth-noise", "much"), ("--depth-noise much", "want one of")),
+        (("--mount", "loose"), ("--mount loose", "want fixed:DEG")),
+        (("--pose-noise", "2"), ("--pose-noise 2", "want CM,DEG")),
+        (("--pose-noise", "20,1"), ("--pose-noise 20,1", "at most 10 and 5")),
+        (("--device", "cuda"), ("--device cuda", "no CUDA path")),
+        (("--device", "tpu"), ("--device tpu", "want cpu or cuda")),
+        (("--json", "/nowhere/x.json"), ("/nowhere/x.json",)),
+    ],
+)
+def test_bad_input_to_bench_mapper_is_one_line(arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+    code, out, errors = bench(*arguments)
+    assert code != 0
+    assert out == ""
+    assert errors.startswith("uav-recon: ")
+    assert len(errors.strip().splitlines()) == 1
+    for word in words:
+        assert word in errors
+
+
+def test_told_poses_err_as_much_as_they_are_told_to() -> None:
+    def load(sigma: tuple[float, float]) -> mapper_scene.MapperScene:
+        return mapper_scene.load(mapper_scene.SceneOptions(None, 40, "d435i", "none", "fixed:15", sigma, 0))
+
+    true, told = load((0.0, 0.0)), load((0.02, 0.01))
+    shift, turn = [], []
+    for a, b in zip(true.keyframes, told.keyframes, strict=True):
+        assert np.array_equal(a.frame.depth_m, b.frame.depth_m, equal_nan=True)
+        shift.append(b.world_from_depth.translation_m - a.world_from_depth.translation_m)
+        between = b.world_from_depth.rotation() @ a.world_from_depth.rotation().T
+        turn.append(np.arccos(np.clip((np.trace(between) - 1) / 2, -1, 1)))
+    assert np.std(shift) == pytest.approx(0.02, rel=0.2)
+    assert np.sqrt(np.mean(np.square(turn)) / 3) == pytest.approx(0.01, rel=0.25)
+
+
+def test_accuracy_is_point_to_surface_both_ways() -> None:
+    scene = mapper_scene.load(mapper_scene.SceneOptions(None, 4, "d435i", "none", "fixed:15", (0.0, 0.0), 0))
+    perfect = mapper_run.against_truth(scene.surface, scene)
+    assert perfect.accuracy_cm == pytest.approx(0.0, abs=1e-3)
+    assert perfect.completion_cm == pytest.approx(0.0, abs=1e-3)
+    assert (perfect.recall_seen_5cm, perfect.hallucinated_fraction) == (1.0, 0.0)
+    empty = mapper_run.against_truth(Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)), scene)
+    assert (empty.accuracy_cm, empty.recall_seen_5cm) == (None, 0.0)

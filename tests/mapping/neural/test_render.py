@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_recon.mapping.neural.field import Field
+from uav_recon.mapping.neural.render import FARTHEST_M, first_surface, render_rays
+from uav_recon.types.frames import Float32Array
+
+RADIUS_M = 2.0
+
+
+class Hollow(Field):
+    """A spherical room round the origin; the colour of a place is its direction."""
+
+    def __init__(self) -> None:
+        """No grid."""
+
+    def distance_m(self, points: Float32Array) -> Float32Array:
+        distance: Float32Array = (RADIUS_M - np.linalg.norm(points, axis=1)).astype(np.float32)
+        return distance
+
+    def rgb(self, points: Float32Array) -> Float32Array:
+        rgb: Float32Array = (0.5 + 0.5 * points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32)
+        return rgb
+
+
+def test_rays_end_on_the_first_surface() -> None:
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(500, 3))
+    direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
+    origin = rng.uniform(-0.8, 0.8, (500, 3)).astype(np.float32)
+    reach, found = first_surface(Hollow(), origin, direction)
+    assert found.all()
+    along = np.einsum("nc,nc->n", origin, direction)
+    exact = -along + np.sqrt(along**2 + RADIUS_M**2 - np.einsum("nc,nc->n", origin, origin))
+    assert reach == pytest.approx(exact, abs=0.003)
+    rgb, _ = render_rays(Hollow(), origin, direction)
+    assert rgb == pytest.approx(0.5 + 0.5 * (origin + exact[:, None] * direction) / RADIUS_M, abs=0.002)
+
+
+def test_a_ray_that_meets_nothing_is_black() -> None:
+    class Air(Hollow):
+        def distance_m(self, points: Float32Array) -> Float32Array:
+            return np.full(len(points), 0.1, dtype=np.float32)
+
+    ray = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
+    rgb, found = render_rays(Air(), 0 * ray, ray)
+    assert not found.any()
+    assert (rgb == 0).all()
+    assert first_surface(Air(), 0 * ray, ray)[0][0] == np.float32(FARTHEST_M)
+
+
+def test_no_rays_are_no_trouble() -> None:
+    none = np.zeros((0, 3), dtype=np.float32)
+    assert render_rays(Hollow(), none, none)[0].shape == (0, 3)

@@ -1,0 +1,95 @@
+"""Captures lie where their poses say, repeat for a seed, and know what they saw."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sitl.captures import capture, held_out, seen
+from sitl.d435i import stream_header
+from sitl.scene import Scene
+
+HALF_M = 1.5
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32) * np.float32(HALF_M)
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+POSITIONS = np.array([[0.0, 0.0, 0.0], [0.2, -0.1, 0.1]], np.float32)
+
+
+def box() -> Scene:
+    """A closed cube whose walls have one colour each: the wall's number times 40."""
+    vertices = np.concatenate([CORNERS[list(quad)] for quad in QUADS])
+    faces = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * n for n in range(6)]).astype(np.int32)
+    rgb = np.repeat(np.arange(6) * 40, 4).astype(np.uint8)[:, None].repeat(3, axis=1)
+    return Scene("box", vertices, faces, rgb, 0.0, np.full(3, -HALF_M), np.full(3, HALF_M), np.zeros(3))
+
+
+def test_depth_ends_on_the_walls() -> None:
+    taken = capture(box(), POSITIONS, 0.2, "wide", "none", 5, 3)
+    lens = taken.header.depth
+    for depth_mm, pose in zip(taken.depth_mm, taken.world_from_depth, strict=True):
+        v, u = np.nonzero(depth_mm)
+        z = depth_mm[v, u] * 1e-3
+        points = np.stack([(u - lens.cx) / lens.fx * z, (v - lens.cy) / lens.fy * z, z], axis=1)
+        world = points @ pose[:3, :3].T + pose[:3, 3]
+        assert len(u) > 50_000
+        assert np.abs(np.abs(world).max(axis=1) - HALF_M).max() < 2e-3
+        away_m = np.linalg.norm(pose[:3, 3] - POSITIONS, axis=1).min()
+        assert away_m == pytest.approx(0.10)  # the camera sits in front of the body, which stands at a position
+
+
+def test_one_seed_takes_the_same_pictures_and_another_does_not() -> None:
+    first, again, other = (capture(box(), POSITIONS, None, "d435i", "d435i", 3, seed) for seed in (1, 1, 2))
+    assert np.array_equal(first.depth_mm, again.depth_mm)
+    assert np.array_equal(first.world_from_depth, again.world_from_depth)
+    assert not np.array_equal(first.world_from_depth, other.world_from_depth)
+
+
+def test_a_gimbal_looks_at_many_tilts_and_a_fixed_mount_at_one() -> None:
+    for pitch, spread in ((None, 0.1), (0.3, None)):
+        poses = capture(box(), POSITIONS, pitch, "d435i", "none", 12, 0).world_from_depth
+        down = np.arcsin(-poses[:, 2, 2])
+        if spread is None:
+            assert np.allclose(down, 0.3)
+        else:
+            assert down.std() > spread
+
+
+def test_what_lies_behind_the_camera_was_not_seen() -> None:
+    taken = capture(box(), POSITIONS[:1], 0.0, "d435i", "none", 1, 0)
+    ahead = taken.world_from_depth[0, :3, 2]
+    wall = ahead * (HALF_M / np.abs(ahead).max())
+    normal = np.where(np.abs(ahead) == np.abs(ahead).max(), np.sign(ahead), 0.0)
+    points, normals = np.array([wall, -wall], np.float32), np.array([normal, -normal], np.float32)
+    looks, coloured = seen(box(), taken, points, normals)
+    assert looks.tolist() == [1, 0]
+    assert coloured.tolist() == [True, False]
+
+
+def test_colour_is_narrower_than_depth() -> None:
+    scene = box()
+    taken = capture(scene, POSITIONS[:1], 0.0, "d435i", "none", 1, 0)
+    pose, lens = taken.world_from_depth[0], taken.header.depth
+    bearing = np.array([(3.0 - lens.cx) / lens.fx, 0.02, 1.0])
+    direction = pose[:3, :3] @ bearing
+    reach = (np.sign(direction) * HALF_M - pose[:3, 3]) / direction
+    axis = int(np.argmin(reach))
+    point = pose[:3, 3] + reach[axis] * direction
+    looks, coloured = seen(scene, taken, point[None].astype(np.float32), np.eye(3, dtype=np.float32)[axis][None])
+    assert looks[0] == 1
+    assert not coloured[0]
+
+
+def test_held_out_pixels_show_the_wall_that_their_rays_meet() -> None:
+    pose = np.eye(4)
+    pose[:3, :3] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along x
+    spec = stream_header("d435i").rgb
+    pixels = held_out(box(), pose[None], spec, 8)
+    assert len(pixels.rgb) == math.ceil((spec.width - 4) / 8) * math.ceil((spec.height - 4) / 8)
+    reach = np.einsum("nc,nc->n", pixels.point - pixels.origin, pixels.direction)
+    assert np.allclose(pixels.origin + reach[:, None] * pixels.direction, pixels.point, atol=1e-5)
+    assert np.abs(np.abs(pixels.point).max(axis=1) - HALF_M).max() < 1e-4
+    ahead = pixels.point[:, 0] > HALF_M - 1e-4
+    assert ahead.mean() > 0.5
+    assert (pixels.rgb[ahead] == 40).all()

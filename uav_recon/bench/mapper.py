@@ -1,0 +1,179 @@
+"""`uav-recon bench mapper`: how well, how fast and how honestly the mapper learns a scene from so many views of it."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from uav_recon.bench import machine, mapper_baseline, mapper_run, mapper_scene, mapper_tables
+from uav_recon.bench.calibration import Calibration, calibrate
+from uav_recon.evaluation.surface import Surface
+from uav_recon.run import EXIT_FAILURE, Failure
+
+PRINTED_WIDTH = 100  # where no terminal says
+VIEWS, STEPS = (4, 2000), (1, 200)
+CENTIMETRES, DEGREES = 10.0, 5.0  # the most that told poses may err
+
+Result = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class MapperBench:
+    """The words of the command line."""
+
+    scene: str | None
+    views: int
+    camera: str
+    depth_noise: str
+    mount: str
+    pose_noise: str
+    steps_per_view: int
+    seed: int
+    device: str
+    json: Path | None
+
+    def checked(self) -> mapper_scene.SceneOptions:
+        """Raises Failure in one line."""
+        if self.json is not None and not self.json.parent.is_dir():
+            raise Failure(f"--json {self.json}: no such folder {self.json.parent}")
+        if not VIEWS[0] <= self.views <= VIEWS[1]:
+            raise Failure(f"--views {self.views}: want {VIEWS[0]} to {VIEWS[1]}")
+        if not STEPS[0] <= self.steps_per_view <= STEPS[1]:
+            raise Failure(f"--steps-per-view {self.steps_per_view}: want {STEPS[0]} to {STEPS[1]}")
+        if self.device == "cuda":
+            raise Failure("--device cuda: the mapper has no CUDA path yet; want cpu")
+        if self.device != "cpu":
+            raise Failure(f"--device {self.device}: want cpu or cuda")
+        return mapper_scene.SceneOptions(
+            self.scene, self.views, self.camera, self.depth_noise, self.mount, _pose_sigma(self.pose_noise), self.seed
+        )
+
+
+def bench_mapper(wanted: MapperBench) -> int:
+    """Measure, print tables, write JSON. Raises Failure in one line for bad input."""
+    options = wanted.checked()
+    console = Console(stderr=True)
+    with console.status("loading ...") as status:
+        scene = mapper_scene.load(options, lambda what: status.update(f"{what} ..."))
+        status.update("compiling ...")
+        began_s = time.perf_counter()
+        mapper_run.warm_up(scene.keyframes[0])
+        compile_s = time.perf_counter() - began_s
+        calibration = calibrate()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
+        result = _measured(scene, wanted, calibration, progress)
+    result["about"] = _about(scene, wanted, calibration) | {"compile_s": compile_s} | result["about"]
+    mapper_tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
+    if wanted.json is not None:
+        write_json(result, wanted.json)
+    return 0
+
+
+def write_json(result: Result, path: Path) -> None:
+    """Raises Failure if the disk refuses."""
+    try:
+        path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise Failure(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
+
+
+def ticking(progress: Progress, name: str, total: int) -> mapper_run.Tick:
+    """A bar that is drawn when it moves: a thread of its own would be in the way of what is timed."""
+    task = progress.add_task(name, total=total)
+
+    def tick() -> None:
+        progress.advance(task)
+        progress.refresh()
+
+    return tick
+
+
+def _measured(scene: mapper_scene.MapperScene, wanted: MapperBench, calibration: Calibration, progress: Progress) -> Result:
+    """The fields of the bench as measured, times in this machine's processor milliseconds; beside them, in ``about``,
+    the same calibrated, by the clock, and the baseline.
+    """  # fmt: skip
+    views = len(scene.keyframes)
+    run = mapper_run.online(scene, wanted.steps_per_view, wanted.seed, ticking(progress, "view by view", views))
+    room = mapper_run.room_extraction(run.trainer)
+    mesh = run.trainer.mesh(mapper_run.MESH_VOXEL_M)
+    quality = mapper_run.against_truth(Surface(mesh.vertices_world, mesh.faces), scene)
+    psnr_db = mapper_run.picture_psnr_db(run.trainer, scene.pictures)
+    looks = mapper_run.RECALL_STEPS // mapper_run.RECALL_EVERY
+    recalls = mapper_run.time_to_recall(scene, wanted.seed, ticking(progress, "all views at once", looks))
+    baseline = mapper_run.against_truth(
+        mapper_baseline.tsdf_surface(scene.keyframes, ticking(progress, "TSDF beside it", views)), scene
+    )
+    times: Result = {
+        "step_ms": run.step.median_ms,
+        "view_update_ms": run.view_update.median_ms,
+        "time_to_recall_s": recalls,
+        "extraction_ms": {"room": room.median_ms, "view": run.extraction_view.median_ms},
+    }
+    return {
+        **times,
+        "accuracy_cm": quality.accuracy_cm,
+        "completion_cm": quality.completion_cm,
+        "recall_seen_5cm": quality.recall_seen_5cm,
+        "psnr_db": psnr_db,
+        "ause_all": run.ause_all,
+        "ause_observed": run.ause_observed,
+        "hallucinated_fraction": quality.hallucinated_fraction,
+        "memory_mb": run.memory_mb,
+        "about": {
+            "calibrated": _divided(times, calibration.cpu_factor),
+            "wall_ms": {"step": run.step_wall.median_ms, "view_update": run.view_update_wall.median_ms},
+            "p95_ms": {
+                "step": run.step.p95_ms,
+                "view_update": run.view_update.p95_ms,
+                "extraction_room": room.p95_ms,
+                "extraction_view": run.extraction_view.p95_ms,
+            },
+            "tsdf_2cm": asdict(baseline),
+        },
+    }
+
+
+def _about(scene: mapper_scene.MapperScene, wanted: MapperBench, calibration: Calibration) -> Result:
+    return {
+        "scene": scene.name,
+        "views": len(scene.keyframes),
+        "camera": wanted.camera,
+        "depth_noise": wanted.depth_noise,
+        "mount": wanted.mount,
+        "pose_noise": wanted.pose_noise,
+        "steps_per_view": wanted.steps_per_view,
+        "seed": wanted.seed,
+        "device": wanted.device,
+        "seen_points": len(scene.points),
+        "held_out_pixels": len(scene.pictures.rgb),
+        "machine": machine.processor(),
+        "commit": machine.commit(),
+        "calibration_cpu": calibration.cpu_factor,
+    }
+
+
+def _divided(tree: Result, factor: float) -> Result:
+    """Every time in a tree as the reference machine would have taken it."""
+    return {
+        name: _divided(value, factor) if isinstance(value, dict) else None if value is None else value / factor
+        for name, value in tree.items()
+    }
+
+
+def _pose_sigma(words: str) -> tuple[float, float]:
+    try:
+        centimetres, degrees = (float(word) for word in words.split(","))
+    except ValueError:
+        centimetres = degrees = -1.0
+    if not (0.0 <= centimetres <= CENTIMETRES and 0.0 <= degrees <= DEGREES):
+        raise Failure(f"--pose-noise {words}: want CM,DEG, at most {CENTIMETRES:g} and {DEGREES:g}")
+    return centimetres * 0.01, math.radians(degrees)

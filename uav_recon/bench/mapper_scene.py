@@ -1,0 +1,135 @@
+"""What the mapper is measured on: views of a scene by the simulated camera, and the truth that they could see.
+
+A composition root: it asks the outside world for pictures and truth, and turns them into the product's own values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from uav_recon.evaluation.surface import Surface
+from uav_recon.run import Failure
+from uav_recon.sensors.stream import depth_table
+from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
+from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray
+from uav_recon.types.pose import Pose
+
+if TYPE_CHECKING:
+    from sitl.captures import Captures
+    from sitl.d435i import Model, Noise
+
+TRUTH_POINTS, TRUTH_SEED = 300_000, 20240319
+HELD_OUT, HELD_OUT_STRIDE = 20, 4  # pictures, and pixels between those that are compared
+CAMERAS = ("d435i", "wide")
+DEPTH_RANGE_M = (0.3, 6.0)
+STEREO_BASELINE_M = 0.05
+VIEW_PERIOD_S = 0.5
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """What the user asked for, as `uav-recon sim` has it. pose_sigma: of the poses that are told, each axis, m and rad."""
+
+    scene: str | None
+    views: int
+    camera: str
+    depth_noise: str
+    mount: str
+    pose_sigma: tuple[float, float]
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class PictureRays:
+    """Held-out pixels whose surface some view saw in depth and colour: rays (N, 3) in world, true rgb (N, 3)."""
+
+    origin: Float32Array
+    direction: Float32Array
+    rgb: ByteArray
+
+
+@dataclass(frozen=True, eq=False)
+class MapperScene:
+    """keyframes in the order in which they are taken, with the poses that are told. surface: all of the scene, world.
+
+    points (N, 3): drawn on the surface by area, those that some view got a depth return from. coloured (N,): whether a
+    colour picture shows them too. pictures: what a model is to look like.
+    """
+
+    name: str
+    low_m: FloatArray
+    high_m: FloatArray
+    depth_noise_px: float
+    keyframes: tuple[PosedFrame, ...]
+    surface: Surface
+    points: FloatArray
+    coloured: BoolArray
+    pictures: PictureRays
+
+
+def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> MapperScene:
+    """Take the views; half a minute, of which the truth's cut is kept in the cache. Raises Failure in one line.
+
+    say(what) is called as the work goes on.
+    """
+    from sitl import captures as outside
+    from sitl.fly_options import NOISE_PX, SimOptions
+    from sitl.fly_report import truth_cut
+    from sitl.scene import SceneError, load_scene
+    from sitl.surface import area_weighted_samples
+
+    if options.camera not in CAMERAS:
+        raise Failure(f"--camera {options.camera}: want one of {', '.join(CAMERAS)}")
+    wanted = SimOptions.parse(
+        scene=options.scene, seed=options.seed, mount=options.mount, depth_noise=options.depth_noise, camera=options.camera
+    )
+    try:
+        scene = load_scene(wanted.scene)
+    except SceneError as error:
+        raise Failure(str(error)) from None
+    say("cutting truth to what the vehicle could see")
+    cut = truth_cut(wanted, scene)
+    pitch_deg = wanted.mount_pitch_down_deg
+    say(f"taking {options.views} views")
+    taken = outside.capture(
+        scene, cut.positions, None if pitch_deg is None else float(np.deg2rad(pitch_deg)),
+        cast("Model", options.camera), cast("Noise", options.depth_noise), options.views, options.seed,
+    )  # fmt: skip
+    say("finding what they saw")
+    samples, normals = area_weighted_samples(scene.vertices, scene.faces, TRUTH_POINTS, TRUTH_SEED)
+    pixels = outside.held_out(scene, cut.views[:HELD_OUT], cut.view_spec, HELD_OUT_STRIDE)
+    looks, coloured = outside.seen(
+        scene, taken, np.concatenate([samples, pixels.point]), np.concatenate([normals, pixels.normal])
+    )
+    seen, shown = looks[: len(samples)] > 0, coloured[len(samples) :]
+    return MapperScene(
+        scene.name,
+        scene.fence_min,
+        scene.fence_max,
+        NOISE_PX[options.depth_noise],
+        _keyframes(taken, options),
+        Surface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
+        samples[seen].astype(np.float64),
+        coloured[: len(samples)][seen],
+        PictureRays(pixels.origin[shown], pixels.direction[shown], pixels.rgb[shown]),
+    )
+
+
+def _keyframes(taken: Captures, options: SceneOptions) -> tuple[PosedFrame, ...]:
+    """The product's own values, with the errors of the poses that the product would be told."""
+    metres = depth_table(*DEPTH_RANGE_M)
+    header, rng = taken.header, np.random.default_rng([options.seed, 1])
+    depth, rgb = (Intrinsics(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in (header.depth, header.rgb))
+    mounted = np.array(header.rgb_from_depth)
+    sigma_m, sigma_rad = options.pose_sigma
+    keyframes = []
+    for n in range(len(taken.depth_mm)):
+        frame = Frame(n * VIEW_PERIOD_S, n, metres[taken.depth_mm[n]], depth, taken.rgb[n], rgb, Pose(mounted[:4], mounted[4:]))
+        true, shift, turn = Pose.from_matrix(taken.world_from_depth[n]), rng.normal(size=3), rng.normal(size=3)
+        told = Pose.from_rotation_vector(sigma_rad * turn, np.zeros(3)) @ Pose(true.quat_wxyz, np.zeros(3))
+        keyframes.append(PosedFrame(frame, Pose(told.quat_wxyz, true.translation_m + sigma_m * shift)))
+    return tuple(keyframes)
