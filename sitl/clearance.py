@@ -1,7 +1,8 @@
 """True distance between the vehicle's hull and the scene: what reports call clearance. It never asks the product.
 
-The surface is sampled every centimetre; the samples are binned in cells, and a query walks the cells outward from the
-vehicle until no nearer sample can follow. Exact to about a centimetre at contact, and to a few millimetres from 10 cm on.
+The surface is sampled every centimetre; the samples are binned in cells, each with the box that its samples fill, and a
+query walks the cells outward from the vehicle until no nearer sample can follow. Exact to about a centimetre at contact,
+and to a few millimetres from 10 cm on.
 """
 
 from __future__ import annotations
@@ -29,11 +30,17 @@ class PointBins:
         self.cell_m = cell_m
         self.low: F64 = points_m.min(axis=0).astype(np.float64) - 1e-6
         cell = np.floor((points_m - self.low) / cell_m).astype(np.int64)
-        self.shape: I64 = cell.max(axis=0) + 1
-        key = (cell[:, 0] * self.shape[1] + cell[:, 1]) * self.shape[2] + cell[:, 2]
+        self.shape: I64 = cell.max(axis=0)[:2] + 1
+        column = cell[:, 0] * self.shape[1] + cell[:, 1]
+        key = column * (int(cell[:, 2].max()) + 1) + cell[:, 2]
         order = np.argsort(key, kind="stable")
         self.points: F32 = np.ascontiguousarray(points_m[order])
-        self.start: I64 = np.searchsorted(key[order], np.arange(int(self.shape.prod()) + 1)).astype(np.int64)
+        first = np.flatnonzero(np.diff(key[order], prepend=-1))
+        self.start: I64 = np.append(first, len(order)).astype(np.int64)  # of each cell that holds points, column by column
+        self.columns: I64 = np.searchsorted(column[order][first], np.arange(int(self.shape.prod()) + 1)).astype(np.int64)
+        self.boxes: F32 = np.concatenate(
+            (np.minimum.reduceat(self.points, first, axis=0), np.maximum.reduceat(self.points, first, axis=0)), axis=1
+        )
 
     def distances(self, positions_m: F64, radius_m: float, half_height_m: float, cap_m: float) -> F64:
         """Distance (M,) from solid cylinders centred at positions_m (M, 3) to the nearest point, at most cap_m."""
@@ -44,6 +51,8 @@ class PointBins:
             cap_m,
             self.points,
             self.start,
+            self.columns,
+            self.boxes,
             self.shape,
             self.low,
             self.cell_m,
@@ -89,45 +98,30 @@ def _axis_gap(value: float, low: float, high: float) -> float:
 
 @kernel
 def _distance(
-    position: F64,
-    radius: float,
-    half: float,
-    cap: float,
-    points: F32,
-    start: I64,
-    shape: I64,
-    low: F64,
-    cell: float,
-) -> float:
-    """Rings of cells around the centre; a ring that lies farther than the best so far ends the search."""
+    position: F64, radius: float, half: float, cap: float,
+    points: F32, start: I64, columns: I64, boxes: F32, shape: I64, low: F64, cell: float,
+) -> float:  # fmt: skip
+    """Rings of columns of cells around the centre; a ring that lies farther than the best so far ends the search."""
     x, y, z = position[0], position[1], position[2]
     cx, cy = int(np.floor((x - low[0]) / cell)), int(np.floor((y - low[1]) / cell))
     best = cap
     rings = int(np.ceil((radius + cap) / cell)) + 1
-    k_first = max(int(np.floor((z - half - cap - low[2]) / cell)), 0)
-    k_last = min(int(np.floor((z + half + cap - low[2]) / cell)), shape[2] - 1)
     for ring in range(rings + 1):
         if (ring - 1) * cell - radius >= best:
             break
         for i in range(max(cx - ring, 0), min(cx + ring, shape[0] - 1) + 1):
             step = 1 if abs(i - cx) == ring or ring == 0 else 2 * ring
-            gap_x = _axis_gap(x, low[0] + i * cell, low[0] + (i + 1) * cell)
             for j in range(cy - ring, cy + ring + 1, step):
                 if j < 0 or j >= shape[1]:
                     continue
-                gap_y = _axis_gap(y, low[1] + j * cell, low[1] + (j + 1) * cell)
-                flat = max(np.sqrt(gap_x * gap_x + gap_y * gap_y) - radius, 0.0)
-                if flat >= best:
-                    continue
-                column = (i * shape[1] + j) * shape[2]
-                for k in range(k_first, k_last + 1):
-                    first, last = start[column + k], start[column + k + 1]
-                    if first == last:
-                        continue
-                    gap_z = max(low[2] + k * cell - z - half, z - half - low[2] - (k + 1) * cell, 0.0)
+                column = i * shape[1] + j
+                for k in range(columns[column], columns[column + 1]):
+                    gap_x, gap_y = _axis_gap(x, boxes[k, 0], boxes[k, 3]), _axis_gap(y, boxes[k, 1], boxes[k, 4])
+                    flat = max(np.sqrt(gap_x * gap_x + gap_y * gap_y) - radius, 0.0)
+                    gap_z = max(boxes[k, 2] - z - half, z - half - boxes[k, 5], 0.0)
                     if flat * flat + gap_z * gap_z >= best * best:
                         continue
-                    for p in range(first, last):
+                    for p in range(start[k], start[k + 1]):
                         dx, dy = points[p, 0] - x, points[p, 1] - y
                         radial = max(np.sqrt(dx * dx + dy * dy) - radius, 0.0)
                         axial = max(abs(points[p, 2] - z) - half, 0.0)
@@ -137,17 +131,10 @@ def _distance(
 
 @kernel
 def _distances(
-    positions: F64,
-    radius: float,
-    half: float,
-    cap: float,
-    points: F32,
-    start: I64,
-    shape: I64,
-    low: F64,
-    cell: float,
-) -> F64:
+    positions: F64, radius: float, half: float, cap: float,
+    points: F32, start: I64, columns: I64, boxes: F32, shape: I64, low: F64, cell: float,
+) -> F64:  # fmt: skip
     out = np.empty(positions.shape[0])
     for m in range(positions.shape[0]):
-        out[m] = _distance(positions[m], radius, half, cap, points, start, shape, low, cell)
+        out[m] = _distance(positions[m], radius, half, cap, points, start, columns, boxes, shape, low, cell)
     return out

@@ -12,7 +12,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def kernel(function: F) -> F:
     """Compile for one core; no fastmath, so NaN keeps its meaning."""
-    return cast("F", numba.njit(nogil=True, cache=True)(function))
+    return cast("F", numba.njit(nogil=True, cache=True, error_model="numpy")(function))
 
 
 def fast_kernel(function: F) -> F:

@@ -10,6 +10,7 @@ from sitl.jit import kernel
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
+COLUMN_CELLS = 12  # a side: the ticks of a column of a room stay in the cache
 
 
 def dense_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
@@ -22,10 +23,7 @@ def dense_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
     used[faces.ravel()] = True
     inner = _grid_points(vertices, faces, 1.4 * spacing_m)
     points = np.concatenate([vertices[used], inner])
-    cell = np.floor((points - points.min(axis=0)) / (0.25 * spacing_m)).astype(np.int64)
-    size = cell.max(axis=0) + 1
-    _, first = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_index=True)
-    return np.ascontiguousarray(points[first], np.float32)
+    return points[_first_of_cells(points, points.min(axis=0), points.max(axis=0), np.float32(0.25 * spacing_m))]
 
 
 def area_weighted_points(vertices: F32, faces: I32, count: int, seed: int) -> F32:
@@ -82,6 +80,40 @@ def _grid_points(vertices: F32, faces: I32, step_m: float) -> F32:
                     ) / n
                 row += 1
     return out
+
+
+@kernel
+def _cell(value: np.float32, low: np.float32, size: np.float32) -> int:
+    return int(np.floor((value - low) / size))
+
+
+@kernel
+def _first_of_cells(points: F32, low: F32, high: F32, size: np.float32) -> I32:
+    """Indices of the points that are the first of their cubic cell, column by column of cells."""
+    wide, tall = _cell(high[1], low[1], size) // COLUMN_CELLS + 1, _cell(high[2], low[2], size) + 1
+    start = np.zeros((_cell(high[0], low[0], size) // COLUMN_CELLS + 1) * wide + 1, np.int64)
+    column = np.empty(points.shape[0], np.int32)
+    for p in range(points.shape[0]):
+        i, j = _cell(points[p, 0], low[0], size) // COLUMN_CELLS, _cell(points[p, 1], low[1], size) // COLUMN_CELLS
+        column[p] = i * wide + j
+        start[column[p] + 1] += 1
+    start = np.cumsum(start)
+    place, order = start.copy(), np.empty(points.shape[0], np.int32)
+    for p in range(points.shape[0]):
+        order[place[column[p]]] = p
+        place[column[p]] += 1
+    taken, count = np.zeros((COLUMN_CELLS, COLUMN_CELLS, tall), np.bool_), 0
+    for c in range(start.shape[0] - 1):
+        for n in range(start[c], start[c + 1]):
+            p = order[n]
+            i, j = _cell(points[p, 0], low[0], size) % COLUMN_CELLS, _cell(points[p, 1], low[1], size) % COLUMN_CELLS
+            k = _cell(points[p, 2], low[2], size)
+            if not taken[i, j, k]:
+                taken[i, j, k] = True
+                order[count] = p
+                count += 1
+        taken[:] = False
+    return order[:count].copy()
 
 
 @kernel
