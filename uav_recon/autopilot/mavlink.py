@@ -6,12 +6,13 @@ Nothing that arrives raises. A frame counts only if its checksum holds; MAVLink 
 from __future__ import annotations
 
 import math
-import os
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from uav_recon.autopilot.axes import swap_attitude, swap_body, swap_covariance, swap_world, swap_yaw
+from uav_recon.autopilot.framing import MAGIC_1, MAGIC_2, Layout, frame_length, framed, is_intact, kind_of, sender_of, wire
 from uav_recon.autopilot.messages import (
     Ack,
     Attitude,
@@ -30,11 +31,6 @@ from uav_recon.autopilot.messages import (
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.trajectory import Setpoint
 
-os.environ["MAVLINK20"] = "1"
-from pymavlink.dialects.v20 import common as wire
-
-_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
-_HEADER_1, _HEADER_2, _CHECKSUM, _SIGNATURE = 6, 10, 2, 13
 _BUFFER_LIMIT = 1 << 16
 _UPPER = np.triu_indices(6)
 # (m/s)² and (rad/s)²: the pose filter publishes neither; PX4 reads the first three of the diagonal
@@ -46,7 +42,6 @@ class Decoder:
 
     def __init__(self) -> None:
         self._buffer = bytearray()
-        self._mavlink = wire.MAVLink(None)
         self.garbage_bytes = 0
         self.mavlink1_frames = 0
         self.unknown_frames = 0
@@ -56,50 +51,28 @@ class Decoder:
         self._buffer += data[-_BUFFER_LIMIT:]
         received, at, end = [], 0, len(self._buffer)
         while at < end:
-            length = self._frame_length(at)
+            length = frame_length(self._buffer, at)
             if length < 0:
                 break
-            message = self._checked(at, length) if length else None
-            if message is None:
+            frame = bytes(self._buffer[at : at + length])
+            kind = wire.mavlink_map.get(kind_of(frame)) if length else None
+            if not length or not (self._followed(at + length) if kind is None else is_intact(frame, kind)):
                 self.garbage_bytes += 1
                 at += 1
                 continue
-            if self._buffer[at] == _MAGIC_1:
+            if frame[0] == MAGIC_1:
                 self.mavlink1_frames += 1
-            elif isinstance(message, wire.MAVLink_unknown):
+            elif kind is None:
                 self.unknown_frames += 1
             else:
-                frame = bytes(self._buffer[at : at + length])
-                received.append(Received(message.get_srcSystem(), message.get_srcComponent(), _value(message), frame))
+                received.append(Received(*sender_of(frame), _value(kind.id, frame), frame))
             at += length
         del self._buffer[:at]
         return received
 
-    def _frame_length(self, at: int) -> int:
-        """Length of the frame that starts here, 0 if none can, -1 if its end has not arrived."""
-        magic, left = self._buffer[at], len(self._buffer) - at
-        if magic not in (_MAGIC_1, _MAGIC_2):
-            return 0
-        if left < 3:
-            return -1
-        if magic == _MAGIC_1:
-            length = _HEADER_1 + self._buffer[at + 1] + _CHECKSUM
-        elif self._buffer[at + 2] > 1:  # incompatibility flags nobody has defined
-            return 0
-        else:
-            length = _HEADER_2 + self._buffer[at + 1] + _CHECKSUM + (_SIGNATURE if self._buffer[at + 2] else 0)
-        return length if left >= length else -1
-
-    def _checked(self, at: int, length: int) -> Any:
-        """The wire message, or None if these bytes are not a frame. One of unknown kind counts if another follows it."""
-        try:
-            message = self._mavlink.decode(self._buffer[at : at + length])
-        except (wire.MAVError, ValueError, TypeError, UnicodeDecodeError):
-            return None
-        if isinstance(message, wire.MAVLink_unknown):
-            end = at + length
-            return message if end == len(self._buffer) or self._buffer[end] in (_MAGIC_1, _MAGIC_2) else None
-        return message
+    def _followed(self, end: int) -> bool:
+        """Whether nothing or another frame comes next: all that speaks for a frame of unknown kind."""
+        return end == len(self._buffer) or self._buffer[end] in (MAGIC_1, MAGIC_2)
 
 
 class Encoder:
@@ -139,41 +112,38 @@ class Encoder:
         The angular rate is not known here: zero with a variance that says so (nothing on this wire is ever NaN).
         Quality is clipped to 1..100 (0 would say "unknown").
         """
-        covariance = swap_covariance(pose.covariance)[_UPPER].tolist()
         velocity_body = pose.odom_from_body.rotation().T @ pose.velocity_odom_mps
-        return self._pack(
-            wire.MAVLink_odometry_message(
-                time_us,
-                wire.MAV_FRAME_LOCAL_FRD,
-                wire.MAV_FRAME_BODY_FRD,
-                *swap_world(pose.odom_from_body.translation_m),
-                list(swap_attitude(pose.odom_from_body.quat_wxyz)),
-                *swap_body(velocity_body),
-                *(0.0, 0.0, 0.0),
-                covariance,
-                _TWIST_COVARIANCE,
-                pose.reset_counter % 256,
-                wire.MAV_ESTIMATOR_TYPE_VIO,
-                min(max(pose.quality, 1), 100),
-            )
+        payload = _ODOMETRY.unpacker.pack(
+            time_us,
+            *swap_world(pose.odom_from_body.translation_m),
+            *swap_attitude(pose.odom_from_body.quat_wxyz),
+            *swap_body(velocity_body),
+            *(0.0, 0.0, 0.0),
+            *swap_covariance(pose.covariance)[_UPPER].tolist(),
+            *_TWIST_COVARIANCE,
+            wire.MAV_FRAME_LOCAL_FRD,
+            wire.MAV_FRAME_BODY_FRD,
+            pose.reset_counter % 256,
+            wire.MAV_ESTIMATOR_TYPE_VIO,
+            min(max(pose.quality, 1), 100),
         )
+        return self._frame(_ODOMETRY, payload)
 
     def setpoint(self, target: int, setpoint: Setpoint, time_boot_ms: int) -> bytes:
         """SET_POSITION_TARGET_LOCAL_NED with position, velocity, acceleration, yaw and yaw rate (mask 0)."""
-        return self._pack(
-            wire.MAVLink_set_position_target_local_ned_message(
-                time_boot_ms % (1 << 32),
-                target,
-                wire.MAV_COMP_ID_AUTOPILOT1,
-                wire.MAV_FRAME_LOCAL_NED,
-                0,
-                *swap_world(setpoint.position_m),
-                *swap_world(setpoint.velocity_mps),
-                *swap_world(setpoint.acceleration_mps2),
-                swap_yaw(setpoint.yaw_rad),
-                -setpoint.yaw_rate_radps,
-            )
+        payload = _SETPOINT.unpacker.pack(
+            time_boot_ms % (1 << 32),
+            *swap_world(setpoint.position_m),
+            *swap_world(setpoint.velocity_mps),
+            *swap_world(setpoint.acceleration_mps2),
+            swap_yaw(setpoint.yaw_rad),
+            -setpoint.yaw_rate_radps,
+            0,
+            target,
+            wire.MAV_COMP_ID_AUTOPILOT1,
+            wire.MAV_FRAME_LOCAL_NED,
         )
+        return self._frame(_SETPOINT, payload)
 
     def gimbal_pitch(self, target: int, pitch_down_rad: float) -> bytes:
         """GIMBAL_MANAGER_SET_PITCHYAW: pitch against the horizon, yaw stays with the vehicle."""
@@ -189,63 +159,82 @@ class Encoder:
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return frame
 
-
-def _value(message: Any) -> Message | None:
-    """A wire message in our frames, or None for kinds we do not use and numbers that are not finite."""
-    make = _READERS.get(message.get_msgId())
-    return None if make is None else make(message)
-
-
-def _heartbeat(m: Any) -> Message:
-    return Heartbeat(m.type, m.autopilot, bool(m.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED), m.custom_mode)
+    def _frame(self, kind: Any, payload: bytes) -> bytes:
+        """What is said thirty times a second: fields in the order of the wire."""
+        frame = framed(kind, payload, self._mavlink.seq, self._mavlink.srcSystem, self._mavlink.srcComponent)
+        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+        return frame
 
 
-def _system_status(m: Any) -> Message:
-    bit = wire.MAV_SYS_STATUS_PREARM_CHECK
-    battery = m.battery_remaining / 100 if 0 <= m.battery_remaining <= 100 else math.nan
-    return SystemStatus(bool(m.onboard_control_sensors_present & m.onboard_control_sensors_health & bit), battery)
-
-
-def _local_position(m: Any) -> Message | None:
-    numbers = np.array([m.x, m.y, m.z, m.vx, m.vy, m.vz])
-    if not np.isfinite(numbers).all():
+def _value(identifier: int, frame: bytes) -> Message | None:
+    """What a checked frame says in our frames, or None for kinds we do not use and numbers that are not finite."""
+    reader = _READERS.get(identifier)
+    if reader is None:
         return None
-    return LocalPosition(np.array(swap_world(numbers[:3])), np.array(swap_world(numbers[3:])))
+    layout, make = reader
+    return make(*layout.read(frame))
 
 
-def _attitude(m: Any) -> Message | None:
-    quat = np.array([m.q1, m.q2, m.q3, m.q4])
-    good = np.isfinite(quat).all() and abs(float(np.linalg.norm(quat)) - 1.0) < 1e-2
-    return Attitude(np.array(swap_attitude(quat))) if good else None
+def _heartbeat(kind: int, autopilot: int, base_mode: int, custom_mode: int) -> Message:
+    return Heartbeat(kind, autopilot, bool(base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED), custom_mode)
 
 
-def _firmware(m: Any) -> Message:
-    number = m.flight_sw_version
+def _system_status(present: int, health: int, battery_remaining: int) -> Message:
+    battery = battery_remaining / 100 if 0 <= battery_remaining <= 100 else math.nan
+    return SystemStatus(bool(present & health & wire.MAV_SYS_STATUS_PREARM_CHECK), battery)
+
+
+def _local_position(*numbers: float) -> Message | None:
+    if not all(map(math.isfinite, numbers)):
+        return None
+    ned = np.array(numbers)
+    return LocalPosition(np.array(swap_world(ned[:3])), np.array(swap_world(ned[3:])))
+
+
+def _attitude(*quat: float) -> Message | None:
+    good = abs(math.hypot(*quat) - 1.0) < 1e-2  # never of what is not finite
+    return Attitude(np.array(swap_attitude(np.array(quat)))) if good else None
+
+
+def _firmware(number: int) -> Message:
     return Firmware((number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF))
 
 
-def _status_text(m: Any) -> Message:
-    text = m.text.decode(errors="replace") if isinstance(m.text, bytes) else str(m.text)
-    return StatusText(m.severity, "".join(c for c in text if c.isprintable()))
+def _status_text(severity: int, text: bytes) -> Message:
+    return StatusText(severity, "".join(c for c in text.split(b"\0")[0].decode(errors="replace") if c.isprintable()))
 
 
-def _gimbal(m: Any) -> Message | None:
-    w, x, y, z = m.q
+def _gimbal(quat: tuple[float, float, float, float]) -> Message | None:
+    w, x, y, z = quat
     sine = 2.0 * (w * y - z * x)  # FRD: positive pitch is nose up
     return GimbalAttitude(-math.asin(min(max(sine, -1.0), 1.0))) if math.isfinite(sine) else None
 
 
-_READERS = {
-    wire.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
-    wire.MAVLINK_MSG_ID_COMMAND_ACK: lambda m: Ack(m.command, m.result),
-    wire.MAVLINK_MSG_ID_TIMESYNC: lambda m: TimeSync(m.tc1, m.ts1),
-    wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS: lambda m: EstimatorStatus(bool(m.flags & wire.ESTIMATOR_POS_HORIZ_REL)),
-    wire.MAVLINK_MSG_ID_SYS_STATUS: _system_status,
-    wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
-    wire.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude,
-    wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: lambda m: OriginSet(),
-    wire.MAVLINK_MSG_ID_HOME_POSITION: lambda m: OriginSet(),
-    wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _firmware,
-    wire.MAVLINK_MSG_ID_STATUSTEXT: _status_text,
-    wire.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: _gimbal,
-}
+def _origin() -> Message:
+    return OriginSet()
+
+
+_ODOMETRY, _SETPOINT = wire.MAVLink_odometry_message, wire.MAVLink_set_position_target_local_ned_message
+_READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = (
+    (wire.MAVLink_heartbeat_message, ("type", "autopilot", "base_mode", "custom_mode"), _heartbeat),
+    (wire.MAVLink_command_ack_message, ("command", "result"), Ack),
+    (wire.MAVLink_timesync_message, ("tc1", "ts1"), TimeSync),
+    (
+        wire.MAVLink_estimator_status_message,
+        ("flags",),
+        lambda flags: EstimatorStatus(bool(flags & wire.ESTIMATOR_POS_HORIZ_REL)),
+    ),
+    (
+        wire.MAVLink_sys_status_message,
+        ("onboard_control_sensors_present", "onboard_control_sensors_health", "battery_remaining"),
+        _system_status,
+    ),
+    (wire.MAVLink_local_position_ned_message, ("x", "y", "z", "vx", "vy", "vz"), _local_position),
+    (wire.MAVLink_attitude_quaternion_message, ("q1", "q2", "q3", "q4"), _attitude),
+    (wire.MAVLink_gps_global_origin_message, (), _origin),
+    (wire.MAVLink_home_position_message, (), _origin),
+    (wire.MAVLink_autopilot_version_message, ("flight_sw_version",), _firmware),
+    (wire.MAVLink_statustext_message, ("severity", "text"), _status_text),
+    (wire.MAVLink_gimbal_device_attitude_status_message, ("q",), _gimbal),
+)
+_READERS = {kind.id: (Layout(kind, *names), make) for kind, names, make in _READ}

@@ -1,0 +1,78 @@
+"""How MAVLink lies on the wire: frames and their checksums, and named fields straight from a payload's bytes.
+
+The dialect (field order, sizes, checksum seeds) is pymavlink's; its message objects cost ten times as much as what is read.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from typing import Any
+
+os.environ["MAVLINK20"] = "1"
+from pymavlink.dialects.v20 import common as wire
+
+__all__ = ["MAGIC_1", "MAGIC_2", "Layout", "frame_length", "framed", "is_intact", "kind_of", "sender_of", "wire"]
+
+MAGIC_1, MAGIC_2 = 0xFE, 0xFD
+_HEADER_1, _HEADER_2, _CHECKSUM, _SIGNATURE = 6, 10, 2, 13
+_HEAD = struct.Struct("<BBBBBBBHB")  # magic, length, two flags, sequence, system, component, kind (24 bits)
+_CHECK = struct.Struct("<H")
+
+
+def frame_length(buffer: bytearray, at: int) -> int:
+    """Length of the frame that starts here, 0 if none can, -1 if its end has not arrived."""
+    magic, left = buffer[at], len(buffer) - at
+    if magic not in (MAGIC_1, MAGIC_2):
+        return 0
+    if left < 3:
+        return -1
+    if magic == MAGIC_1:
+        length = _HEADER_1 + buffer[at + 1] + _CHECKSUM
+    elif buffer[at + 2] > 1:  # incompatibility flags nobody has defined
+        return 0
+    else:
+        length = _HEADER_2 + buffer[at + 1] + _CHECKSUM + (_SIGNATURE if buffer[at + 2] else 0)
+    return length if left >= length else -1
+
+
+def kind_of(frame: bytes) -> int:
+    """Message id of a whole frame."""
+    return frame[5] if frame[0] == MAGIC_1 else frame[7] | frame[8] << 8 | frame[9] << 16
+
+
+def sender_of(frame: bytes) -> tuple[int, int]:
+    """System and component of a whole MAVLink 2 frame."""
+    return frame[5], frame[6]
+
+
+def is_intact(frame: bytes, kind: Any) -> bool:
+    """Whether the checksum of a whole frame of this pymavlink message class holds."""
+    end = len(frame) - _CHECKSUM - (_SIGNATURE if frame[0] == MAGIC_2 and frame[2] else 0)
+    return bool(wire.x25crc(frame[1:end] + bytes((kind.crc_extra,))).crc == _CHECK.unpack_from(frame, end)[0])
+
+
+class Layout:
+    """Where some named fields of a pymavlink message class stand."""
+
+    def __init__(self, kind: Any, *names: str) -> None:
+        self._unpacker = kind.unpacker
+        places, at = {}, 0
+        for name, length in zip(kind.ordered_fieldnames, kind.lengths, strict=True):
+            places[name] = at if length == 1 else slice(at, at + length)
+            at += length
+        self._places = [places[name] for name in names]
+
+    def read(self, frame: bytes) -> list[Any]:
+        """The fields of a whole MAVLink 2 frame, arrays as tuples, text as bytes."""
+        payload = frame[_HEADER_2 : _HEADER_2 + min(frame[1], self._unpacker.size)]
+        values = self._unpacker.unpack(payload.ljust(self._unpacker.size, b"\0"))  # zeros at the end are not sent
+        return [values[place] for place in self._places]
+
+
+def framed(kind: Any, payload: bytes, sequence: int, system: int, component: int) -> bytes:
+    """A MAVLink 2 frame, unsigned; zeros at the payload's end are left out, but for its first byte."""
+    payload = payload[:1] + payload[1:].rstrip(b"\0")
+    low, high = kind.id & 0xFFFF, kind.id >> 16
+    body = _HEAD.pack(MAGIC_2, len(payload), 0, 0, sequence, system, component, low, high) + payload
+    return body + _CHECK.pack(wire.x25crc(body[1:] + bytes((kind.crc_extra,))).crc)
