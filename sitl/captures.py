@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +40,12 @@ class Captures:
 
 @dataclass(frozen=True)
 class Pixels:
-    """Pixels of held-out colour pictures: origin (N, 3) and unit direction (N, 3) of their rays, the true rgb (N, 3), and
-    the surface that they show: point (N, 3), its unit normal (N, 3); world, metres. Pixels that show nothing are left out.
+    """Pixels of held-out colour pictures: the number of the picture (N,), ascending; origin (N, 3) and unit direction (N, 3)
+    of their rays; the true rgb (N, 3); and the surface that they show: point (N, 3), its unit normal (N, 3); world, metres.
+    Pixels that show nothing are left out.
     """
 
+    picture: NDArray[np.int64]
     origin: F32
     direction: F32
     rgb: U8
@@ -94,22 +96,19 @@ def held_out(scene: Scene, world_from_rgb: F64, spec: CameraSpec, stride: int) -
     v, u = np.repeat(rows, len(columns)), np.tile(columns, len(rows))
     bearing = np.stack([(u - spec.cx) / spec.fx, (v - spec.cy) / spec.fy, np.ones(len(u))], axis=1)
     bearing /= np.linalg.norm(bearing, axis=1, keepdims=True)
-    parts: list[tuple[F64, ...]] = []
-    for pose in world_from_rgb:
+    parts = []
+    for number, pose in enumerate(world_from_rgb):
         direction = bearing @ pose[:3, :3].T
         origin = np.broadcast_to(pose[:3, 3], direction.shape)
         answer = rays.cast_rays(tensor(np.concatenate([origin, direction], axis=1).astype(np.float32)))
         reach = answer["t_hit"].numpy().astype(np.float64)
         hit = np.isfinite(reach)
-        point = origin + np.where(hit, reach, 0.0)[:, None] * direction
-        rgb = renderer.render(pose, spec).rgb[v, u]
-        normal = answer["primitive_normals"].numpy()
-        parts.append((origin[hit], direction[hit], rgb[hit], point[hit], normal[hit]))
-    origin, direction, rgb, point, normal = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Pixels(
-        origin.astype(np.float32), direction.astype(np.float32), rgb.astype(np.uint8),
-        point.astype(np.float32), normal.astype(np.float32),
-    )  # fmt: skip
+        geometry = (origin[hit], direction[hit], (origin + np.where(hit, reach, 0.0)[:, None] * direction)[hit])
+        start, along, point = (np.ascontiguousarray(a, np.float32) for a in geometry)
+        normal: F32 = answer["primitive_normals"].numpy()[hit]
+        rgb = renderer.render(pose, spec).rgb[v, u][hit]
+        parts.append(Pixels(np.full(len(rgb), number), start, along, rgb, point, normal))
+    return Pixels(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Pixels)))
 
 
 def seen(scene: Scene, captures: Captures, points: F32, normals: F32) -> tuple[NDArray[np.int64], Bools]:

@@ -93,3 +93,4 @@ def test_held_out_pixels_show_the_wall_that_their_rays_meet() -> None:
     ahead = pixels.point[:, 0] > HALF_M - 1e-4
     assert ahead.mean() > 0.5
     assert (pixels.rgb[ahead] == 40).all()
+    assert (pixels.picture == 0).all()

@@ -19,7 +19,6 @@ from uav_recon.config import MapperConfig
 from uav_recon.evaluation.metrics import PSNR_CAP_DB, share_within
 from uav_recon.evaluation.recall import ElementRecall
 from uav_recon.evaluation.surface import Surface
-from uav_recon.mapping.neural.render import render_rays
 from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import Float32Array
@@ -149,12 +148,15 @@ def against_truth(model: Surface, scene: MapperScene, seed: int = 0) -> Accuracy
 
 
 def picture_psnr_db(trainer: Trainer, pictures: PictureRays) -> float | None:
-    """Of held-out pixels, drawn through the field; a pixel that meets no surface is black."""
+    """Mean over held-out pictures, drawn through the field; a pixel that meets no surface is black."""
     if not len(pictures.rgb):
         return None
-    rgb, _ = render_rays(trainer.field, pictures.origin, pictures.direction)
-    error = float(np.mean((rgb.astype(np.float64) - pictures.rgb / 255.0) ** 2))
-    return PSNR_CAP_DB if error == 0.0 else min(PSNR_CAP_DB, -10.0 * float(np.log10(error)))
+    rgb = trainer.look(pictures.origin, pictures.direction)
+    square = ((rgb.astype(np.float64) - pictures.rgb / 255.0) ** 2).mean(axis=1)
+    pixels = np.bincount(pictures.picture)
+    error = np.bincount(pictures.picture, square)[pixels > 0] / pixels[pixels > 0]
+    worst = 10.0 ** (-0.1 * PSNR_CAP_DB)
+    return float(np.mean(-10.0 * np.log10(np.maximum(error, worst))))
 
 
 def warm_up(keyframe: PosedFrame) -> None:
@@ -167,7 +169,7 @@ def warm_up(keyframe: PosedFrame) -> None:
     trainer.surface()
     trainer.whole_surface(WHOLE_VOXEL_M)
     ray: Float32Array = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
-    render_rays(trainer.field, position[None].astype(np.float32), ray)
+    trainer.look(position[None].astype(np.float32), ray)
 
 
 def _clocks() -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -15,7 +15,7 @@ from uav_recon.evaluation.surface import Surface
 from uav_recon.run import Failure
 from uav_recon.sensors.stream import depth_table
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
-from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray
+from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 if TYPE_CHECKING:
@@ -45,11 +45,14 @@ class SceneOptions:
 
 @dataclass(frozen=True, eq=False)
 class PictureRays:
-    """Held-out pixels whose surface some view saw in depth and colour: rays (N, 3) in world, true rgb (N, 3)."""
+    """Held-out pixels whose surface some view saw in depth and colour: rays (N, 3) in world, true rgb (N, 3), and the
+    number of the picture (N,), ascending, to which each belongs.
+    """  # fmt: skip
 
     origin: Float32Array
     direction: Float32Array
     rgb: ByteArray
+    picture: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +118,7 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
         Surface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
         samples[seen].astype(np.float64),
         coloured[: len(samples)][seen],
-        PictureRays(pixels.origin[shown], pixels.direction[shown], pixels.rgb[shown]),
+        PictureRays(pixels.origin[shown], pixels.direction[shown], pixels.rgb[shown], pixels.picture[shown]),
     )
 
 

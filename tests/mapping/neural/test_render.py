@@ -5,9 +5,13 @@ import pytest
 
 from uav_recon.mapping.neural.field import Field
 from uav_recon.mapping.neural.render import FARTHEST_M, first_surface, render_rays
-from uav_recon.types.frames import Float32Array
+from uav_recon.types.frames import BoolArray, Float32Array
 
 RADIUS_M = 2.0
+
+
+def everywhere(points: Float32Array) -> BoolArray:
+    return np.ones(len(points), dtype=np.bool_)
 
 
 class Hollow(Field):
@@ -30,12 +34,12 @@ def test_rays_end_on_the_first_surface() -> None:
     direction = rng.normal(size=(500, 3))
     direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
     origin = rng.uniform(-0.8, 0.8, (500, 3)).astype(np.float32)
-    reach, found = first_surface(Hollow(), origin, direction)
+    reach, found = first_surface(Hollow(), everywhere, origin, direction)
     assert found.all()
     along = np.einsum("nc,nc->n", origin, direction)
     exact = -along + np.sqrt(along**2 + RADIUS_M**2 - np.einsum("nc,nc->n", origin, origin))
     assert reach == pytest.approx(exact, abs=0.003)
-    rgb, _ = render_rays(Hollow(), origin, direction)
+    rgb, _ = render_rays(Hollow(), everywhere, origin, direction)
     assert rgb == pytest.approx(0.5 + 0.5 * (origin + exact[:, None] * direction) / RADIUS_M, abs=0.002)
 
 
@@ -45,12 +49,29 @@ def test_a_ray_that_meets_nothing_is_black() -> None:
             return np.full(len(points), 0.1, dtype=np.float32)
 
     ray = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
-    rgb, found = render_rays(Air(), 0 * ray, ray)
+    rgb, found = render_rays(Air(), everywhere, 0 * ray, ray)
     assert not found.any()
     assert (rgb == 0).all()
-    assert first_surface(Air(), 0 * ray, ray)[0][0] == np.float32(FARTHEST_M)
+    assert first_surface(Air(), everywhere, 0 * ray, ray)[0][0] == np.float32(FARTHEST_M)
+
+
+def test_a_surface_that_nobody_measured_is_looked_through() -> None:
+    class Onion(Hollow):
+        """A thin shell of guessed surface at one metre, inside the room."""
+
+        def distance_m(self, points: Float32Array) -> Float32Array:
+            shell = np.abs(np.linalg.norm(points, axis=1) - 1.0) - 0.05
+            return np.minimum(super().distance_m(points), shell).astype(np.float32)
+
+    def beyond(points: Float32Array) -> BoolArray:
+        far: BoolArray = np.linalg.norm(points, axis=1) > 1.5
+        return far
+
+    ray = np.array([[1.0, 0.0, 0.0]], dtype=np.float32)
+    assert first_surface(Onion(), everywhere, 0 * ray, ray)[0][0] == pytest.approx(0.95, abs=0.005)
+    assert first_surface(Onion(), beyond, 0 * ray, ray)[0][0] == pytest.approx(RADIUS_M, abs=0.005)
 
 
 def test_no_rays_are_no_trouble() -> None:
     none = np.zeros((0, 3), dtype=np.float32)
-    assert render_rays(Hollow(), none, none)[0].shape == (0, 3)
+    assert render_rays(Hollow(), everywhere, none, none)[0].shape == (0, 3)

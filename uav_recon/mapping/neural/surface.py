@@ -6,6 +6,7 @@ measured normals; and no more depth images may look through it than see it. So s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,14 +56,18 @@ class Evidence:
         _spread(self.count, least, out)
         return out
 
-    def holds(self, points: Float32Array) -> BoolArray:
-        """Whether points (N, 3) lie where surface was measured."""
+    def holding(self) -> Callable[[Float32Array], BoolArray]:
+        """As it is now: which of some points (N, 3) lie where surface was measured (N,)."""
         near = self.near(FEWEST_ENDS)
-        cell = np.floor((points - self.origin_m) / EVIDENCE_CELL_M).astype(np.int64)
-        inside = ((cell >= 0) & (cell < near.shape)).all(axis=1)
-        held = np.zeros(len(points), dtype=np.bool_)
-        held[inside] = near[tuple(cell[inside].T)]
-        return held
+
+        def holds(points: Float32Array) -> BoolArray:
+            cell = np.floor((points - self.origin_m) / EVIDENCE_CELL_M).astype(np.int64)
+            inside = ((cell >= 0) & (cell < near.shape)).all(axis=1)
+            held = np.zeros(len(points), dtype=np.bool_)
+            held[inside] = near[tuple(cell[inside].T)]
+            return held
+
+        return holds
 
     def contradicts(self, points: Float32Array, normal: Float32Array) -> BoolArray:
         """Whether normals (N, 3) at points (N, 3) face away from what was measured there."""
@@ -123,7 +128,7 @@ def whole_surface(field: Field, evidence: Evidence, voxel_m: float) -> WholeSurf
     """The zero level set in the whole box, without any gate; its observed part is what surface_elements() would give."""
     wanted = np.ones(evidence.count.shape, dtype=np.bool_)
     vertices, normals, _ = _extract(field, evidence, wanted, voxel_m)
-    observed = evidence.holds(vertices) & ~evidence.contradicts(vertices, normals)
+    observed = evidence.holding()(vertices) & ~evidence.contradicts(vertices, normals)
     return WholeSurface(vertices, observed)
 
 

@@ -12,12 +12,13 @@ from uav_recon.mapping.neural.intake import acceptable, padded
 from uav_recon.mapping.neural.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
 from uav_recon.mapping.neural.optimiser import Optimiser
 from uav_recon.mapping.neural.rays import pixel_stride, ray_records
+from uav_recon.mapping.neural.render import render_rays
 from uav_recon.mapping.neural.replay import Replay
 from uav_recon.mapping.neural.samples import draw, make_batch
 from uav_recon.mapping.neural.surface import Evidence, Testimony, WholeSurface, surface_elements, triangle_mesh, whole_surface
 from uav_recon.mapping.neural.uncertainty import ColourError, DepthInformation, ProductUncertainty, SurfaceUncertainty
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
-from uav_recon.types.frames import FloatArray
+from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
 
@@ -120,6 +121,10 @@ class Trainer:
     def mesh(self, voxel_m: float) -> TriangleMesh:
         """Triangles of the surface as it is now."""
         return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._images)
+
+    def look(self, origin: Float32Array, direction: Float32Array) -> Float32Array:
+        """Colour (N, 3) in 0..1 seen along rays from origin (N, 3) in unit direction (N, 3), drawn through the field."""
+        return render_rays(self.field, self._evidence.holding(), origin, direction)[0]
 
     def positions(self) -> FloatArray:
         """Where the views' depth imagers are now held to have been, world (V, 3)."""
