@@ -129,12 +129,12 @@ def test_a_restarted_camera_is_followed(path: Path, writer: StreamWriter) -> Non
     fresh = StreamWriter(path, StreamHeader(CameraSpec(20, 10, 9.0, 9.0, 9.5, 4.5), HEADER_OF.rgb, HEADER_OF.rgb_from_depth))
     fresh.write_frame(9.0, np.full((10, 20), 1500, np.uint16), RGB)
     fresh.write_pose(9.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 1e-4))
-    frames = [camera.poll(), camera.poll()]
+    frames = [camera.poll() for _ in range(10)]  # at 100 Hz a tenth of a second
+    (frame,) = [frame for frame in frames if frame is not None]
     assert frames[0] is None
-    assert frames[1] is not None
-    assert frames[1].depth_m.shape == (10, 20)
-    assert frames[1].depth_intrinsics.width == 20
-    assert [len(source.poses()) for _ in range(2)] == [0, 1]
+    assert frame.depth_m.shape == (10, 20)
+    assert frame.depth_intrinsics.width == 20
+    assert sum(len(source.poses()) for _ in range(10)) == 1
 
 
 class _Appears(ManualClock):

@@ -16,6 +16,7 @@ from uav_recon.types.pose import Pose, StampedPose
 __all__ = ["StreamCamera", "StreamError", "StreamPoses", "depth_table", "open_stream"]
 
 _POLL_S = 0.05
+_EMPTY_POLLS = 8  # so many in a row before the file is looked at: 0.1 s at 100 Hz
 
 
 def open_stream(path: Path, clock: Clock, timeout_s: float) -> StreamReader:
@@ -50,9 +51,14 @@ class _Stream:
         self._reader = StreamReader(path)
         self._inode = path.stat().st_ino
         self._read = 0
+        self._empty = 0
 
     def _follow(self) -> bool:
-        """Open the new file if there is one. The old one stays until the new one can be read."""
+        """Open the new file if there is one, asked at every empty poll. The old one stays until the new one can be read."""
+        self._empty += 1
+        if self._empty < _EMPTY_POLLS:
+            return False
+        self._empty = 0
         try:
             inode = self._path.stat().st_ino
             if inode == self._inode:
@@ -89,7 +95,7 @@ class StreamCamera(_Stream):
                 self._imu_read = 0
                 self._optics = _optics(self._reader, self._path)
             return None
-        self._read = raw.sequence
+        self._read, self._empty = raw.sequence, 0
         if not math.isfinite(raw.stamp_s) or raw.stamp_s <= self._newest_s:
             self.dropped_frames += 1
             return None
@@ -99,10 +105,8 @@ class StreamCamera(_Stream):
     def imu(self) -> list[ImuSample]:
         """Inertial samples since the last call."""
         self._imu_read, samples = self._reader.imu(self._imu_read)
-        return [
-            ImuSample(float(s["stamp_s"]), s["gyro_radps"].astype(np.float64), s["specific_force_mps2"].astype(np.float64))
-            for s in samples
-        ]
+        gyro, force = samples["gyro_radps"].astype(np.float64), samples["specific_force_mps2"].astype(np.float64)
+        return [ImuSample(*row) for row in zip(samples["stamp_s"].tolist(), gyro, force, strict=True)]
 
     def _frame(self, raw: RawFrame) -> Frame:
         depth, rgb, rgb_from_depth = self._optics
@@ -121,21 +125,25 @@ class StreamPoses(_Stream):
         self._read, records = self._reader.poses(self._read)
         if not len(records):
             self._follow()
+            return []
+        self._empty = 0
         out: list[StampedPose] = []
-        for record in records:
-            quat, variance = record["quat_wxyz"].astype(np.float64), record["variance"].astype(np.float64)
-            numbers = np.concatenate(([record["stamp_s"]], record["position_m"], quat, variance))
-            if not np.isfinite(numbers).all() or abs(np.linalg.norm(quat) - 1.0) > 0.01 or (variance < 0).any():
+        positions, quats = records["position_m"].astype(np.float64), records["quat_wxyz"].astype(np.float64)
+        variances, stamps = records["variance"].astype(np.float64), records["stamp_s"].tolist()
+        for k in range(len(records)):
+            quat, variance = quats[k].tolist(), variances[k].tolist()
+            finite = all(map(math.isfinite, (stamps[k], *positions[k].tolist(), *quat, *variance)))
+            if not finite or abs(math.hypot(*quat) - 1.0) > 0.01 or min(variance) < 0.0:
                 self.refused += 1
                 continue
             out.append(
                 StampedPose(
-                    float(record["stamp_s"]),
-                    Pose(quat, record["position_m"].astype(np.float64)),
+                    stamps[k],
+                    Pose(quats[k], positions[k]),
                     np.zeros(3),
-                    np.diag(variance),
-                    int(np.clip(record["quality"], 0, 100)),
-                    int(record["reset_counter"]) % 256,
+                    np.diag(variances[k]),
+                    min(max(int(records["quality"][k]), 0), 100),
+                    int(records["reset_counter"][k]) % 256,
                 )
             )
         return out
