@@ -66,22 +66,13 @@ class Clearance:
         """Samples the mesh: about a second for 700k faces."""
         self.bins = PointBins(dense_points(scene.vertices, scene.faces, SPACING_M))
         self._radius_m, self._half_height_m = radius_m, 0.5 * height_m
-        self._last_position_m, self._last_hull_m = np.zeros(3), np.inf
 
     def hull_m(self, position_m: ArrayLike) -> float:
-        """Clearance in metres at a body position (3,) in the world: 0 in contact, at most CAP_M.
-
-        Clearance changes by no more than the body moves: near the place asked about before the search need not go far.
-        """
-        position = np.asarray(position_m, np.float64)
-        moved_m = float(np.linalg.norm(position - self._last_position_m))
-        cap_m = min(CAP_M, self._last_hull_m + moved_m + 1e-9)
-        hull_m = float(self.bins.distances(position[None], self._radius_m, self._half_height_m, cap_m)[0])
-        self._last_position_m, self._last_hull_m = position, hull_m
-        return hull_m
+        """Clearance in metres at a body position (3,) in the world: 0 in contact, at most CAP_M."""
+        return float(self.batch(np.asarray(position_m, np.float64)[None])[0])
 
     def batch(self, positions_m: F64) -> F64:
-        """Clearance (M,) at positions (M, 3)."""
+        """Clearance (M,) at positions (M, 3); quickest along a way."""
         return self.bins.distances(positions_m, self._radius_m, self._half_height_m, CAP_M)
 
 
@@ -134,7 +125,12 @@ def _distances(
     positions: F64, radius: float, half: float, cap: float,
     points: F32, start: I64, columns: I64, boxes: F32, shape: I64, low: F64, cell: float,
 ) -> F64:  # fmt: skip
+    """Distance changes by no more than the body moves: near the place asked about before the search need not go far."""
     out = np.empty(positions.shape[0])
     for m in range(positions.shape[0]):
-        out[m] = _distance(positions[m], radius, half, cap, points, start, columns, boxes, shape, low, cell)
+        least = cap
+        if m > 0:
+            step = positions[m] - positions[m - 1]
+            least = min(cap, out[m - 1] + np.sqrt((step * step).sum()) + 1e-9)
+        out[m] = _distance(positions[m], radius, half, least, points, start, columns, boxes, shape, low, cell)
     return out

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.mavlink_wire import Heard, Listener, Packet, Speaker, packet
 from sitl.parameters import Parameters
 from sitl.transport import ByteEnd
 
@@ -21,7 +21,7 @@ class Stream:
 
     __slots__ = ("build", "default_s", "interval_s", "next_s")
 
-    def __init__(self, build: Callable[[], Any], rate_hz: float) -> None:
+    def __init__(self, build: Callable[[], Packet | None], rate_hz: float) -> None:
         self.build = build
         self.default_s = 1.0 / rate_hz if rate_hz > 0.0 else math.inf
         self.interval_s = self.default_s
@@ -34,8 +34,7 @@ class MavlinkServer:
     def __init__(self, link: ByteEnd, parameters: Parameters, system: int = 1, component: int = 1) -> None:
         self._link = link
         self._parameters = parameters
-        self._codec = mavlink.MAVLink(None, system, component)
-        self._codec.robust_parsing = True
+        self._system, self._speaker, self._listener = system, Speaker(system, component), Listener()
         self._streams: dict[int, Stream] = {}
         self._due_s = 0.0
         self._out = bytearray()
@@ -46,9 +45,9 @@ class MavlinkServer:
 
     # -- sending --------------------------------------------------------------------------------------------------
 
-    def send(self, message: Any) -> None:
+    def send(self, message: Packet) -> None:
         """Queue a message; flush() puts it on the wire."""
-        self._out += message.pack(self._codec)
+        self._out += self._speaker.frame(message)
 
     def say(self, severity: int, text: str) -> None:
         """STATUSTEXT, in pieces of 50 bytes when it is longer."""
@@ -58,13 +57,13 @@ class MavlinkServer:
         identifier = self._texts if len(raw) > _TEXT_BYTES else 0
         for piece in range(0, max(len(raw), 1), _TEXT_BYTES):
             part = raw[piece : piece + _TEXT_BYTES]
-            self.send(mavlink.MAVLink_statustext_message(severity, part, identifier, piece // _TEXT_BYTES))
+            self.send(packet(mavlink.MAVLink_statustext_message, severity, part, identifier, piece // _TEXT_BYTES))
 
     def acknowledge(self, command: int, result: int, sender: tuple[int, int]) -> None:
         """COMMAND_ACK to whoever asked."""
-        self.send(mavlink.MAVLink_command_ack_message(command, result, 0, 0, sender[0], sender[1]))
+        self.send(packet(mavlink.MAVLink_command_ack_message, command, result, 0, 0, sender[0], sender[1]))
 
-    def add_stream(self, message_id: int, build: Callable[[], Any], rate_hz: float) -> None:
+    def add_stream(self, message_id: int, build: Callable[[], Packet | None], rate_hz: float) -> None:
         """Send build() at a rate (0: only on request); build may return None to skip a turn."""
         self._streams[message_id] = Stream(build, rate_hz)
 
@@ -134,20 +133,19 @@ class MavlinkServer:
             arrival = self._link.arrival_s
             self._inbox.append((now_s if arrival is None else arrival, data))
 
-    def messages(self, now_s: float) -> Iterator[tuple[float, Any]]:
+    def messages(self, now_s: float) -> Iterator[tuple[float, Heard]]:
         """Arrival and message of all that had arrived by now_s, in order; garbage and frames for others left out."""
         while self._inbox and self._inbox[0][0] <= now_s:
             arrival, data = self._inbox.popleft()
-            for message in self._codec.parse_buffer(data) or []:
-                if message.get_msgId() < 0 or getattr(message, "target_system", 0) not in (0, self._codec.srcSystem):
-                    continue
-                yield arrival, message
+            for message in self._listener.feed(data):
+                if getattr(message, "target_system", 0) in (0, self._system):
+                    yield arrival, message
 
     # -- parameters -----------------------------------------------------------------------------------------------
 
-    def take_parameter_message(self, message: Any) -> bool:
+    def take_parameter_message(self, message: Heard) -> bool:
         """Answer PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET; False for any other message."""
-        kind = message.get_msgId()
+        kind = message.kind
         if kind == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
             self._list_next = 0
         elif kind == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
@@ -162,7 +160,7 @@ class MavlinkServer:
             return False
         return True
 
-    def _set_parameter(self, message: Any) -> None:
+    def _set_parameter(self, message: Heard) -> None:
         name = message.param_id
         if name not in self._parameters:
             self.say(mavlink.MAV_SEVERITY_ERROR, f"unknown param: {name}")
@@ -178,4 +176,6 @@ class MavlinkServer:
 
     def _send_parameter(self, name: str) -> None:
         p = self._parameters
-        self.send(mavlink.MAVLink_param_value_message(name.encode(), p.on_wire(name), p.kind(name), len(p), p.index(name)))
+        self.send(
+            packet(mavlink.MAVLink_param_value_message, name.encode(), p.on_wire(name), p.kind(name), len(p), p.index(name))
+        )

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable
-from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.control import ControlSetpoint
 from sitl.estimator import ExternalPose
 from sitl.mavlink_server import MavlinkServer
+from sitl.mavlink_wire import Heard, packet
 from sitl.px4_modes import ACCEPTED, DENIED, FORCE, UNSUPPORTED, Mode
 from sitl.px4_state import State
 
@@ -29,7 +29,7 @@ class Commands:
         self._random = random.Random(seed)
         self.setpoint_arrivals_s: list[float] = []
         self.poses_refused = 0
-        self._handlers: dict[int, Callable[[Any, float], None]] = {
+        self._handlers: dict[int, Callable[[Heard, float], None]] = {
             mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self._setpoint,
             mavlink.MAVLINK_MSG_ID_ODOMETRY: self._odometry,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._timesync,
@@ -40,9 +40,9 @@ class Commands:
             mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_SET_PITCHYAW: self._gimbal_pitch,
         }
 
-    def take(self, message: Any, arrival_s: float) -> None:
+    def take(self, message: Heard, arrival_s: float) -> None:
         """Act on one message that arrived at arrival_s (world clock)."""
-        handler = self._handlers.get(message.get_msgId())
+        handler = self._handlers.get(message.kind)
         if handler is not None:
             handler(message, arrival_s)
         else:
@@ -50,7 +50,7 @@ class Commands:
 
     # -- streams --------------------------------------------------------------------------------------------------
 
-    def _setpoint(self, message: Any, arrival_s: float) -> None:
+    def _setpoint(self, message: Heard, arrival_s: float) -> None:
         """Masked fields become NaN; a setpoint that controls nothing is no proof of life (PX4 mavlink_receiver)."""
         s = self._s
         mask = message.type_mask
@@ -68,7 +68,7 @@ class Commands:
         if s.commander.armed and s.commander.mode is Mode.OFFBOARD:
             self.setpoint_arrivals_s.append(arrival_s)
 
-    def _odometry(self, message: Any, arrival_s: float) -> None:
+    def _odometry(self, message: Heard, arrival_s: float) -> None:
         """External vision. Other frames are not poses of the body and are dropped without a word."""
         s = self._s
         if message.frame_id not in _POSE_FRAMES or message.child_frame_id != mavlink.MAV_FRAME_BODY_FRD:
@@ -90,10 +90,10 @@ class Commands:
             )
         )
 
-    def _timesync(self, message: Any, arrival_s: float) -> None:
+    def _timesync(self, message: Heard, arrival_s: float) -> None:
         s = self._s
         if message.tc1 == 0:  # a question
-            answer = mavlink.MAVLink_timesync_message(s.boot_us * 1000, message.ts1)
+            answer = packet(mavlink.MAVLink_timesync_message, s.boot_us * 1000, message.ts1)
             self._server.send(answer)
         elif message.tc1 > 0:
             arrival_us = round((arrival_s - s.boot_s) * 1e6)
@@ -101,7 +101,7 @@ class Commands:
 
     # -- origin ---------------------------------------------------------------------------------------------------
 
-    def _origin(self, message: Any, _arrival_s: float) -> None:
+    def _origin(self, message: Heard, _arrival_s: float) -> None:
         """Before the first fused pose it drags the local height to the origin's altitude (measured: z = 488 m)."""
         s = self._s
         if s.commander.armed:
@@ -111,20 +111,20 @@ class Commands:
         s.origin = (message.latitude, message.longitude, message.altitude)
         s.estimator.origin_set = True
         s.commander.origin_at_s = min(s.commander.origin_at_s, s.now_s)
-        self._server.send(mavlink.MAVLink_gps_global_origin_message(*s.origin, s.boot_us))
+        self._server.send(packet(mavlink.MAVLink_gps_global_origin_message, *s.origin, s.boot_us))
         if s.estimator.started:
             s.home = s.estimator.position
             self._server.request(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 
     # -- commands -------------------------------------------------------------------------------------------------
 
-    def _command_long(self, m: Any, _arrival_s: float) -> None:
+    def _command_long(self, m: Heard, _arrival_s: float) -> None:
         parameters = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
-        self._command(m.command, parameters, (m.get_srcSystem(), m.get_srcComponent()))
+        self._command(m.command, parameters, m.sender)
 
-    def _command_int(self, m: Any, _arrival_s: float) -> None:
+    def _command_int(self, m: Heard, _arrival_s: float) -> None:
         parameters = (m.param1, m.param2, m.param3, m.param4, float(m.x), float(m.y), m.z)
-        self._command(m.command, parameters, (m.get_srcSystem(), m.get_srcComponent()))
+        self._command(m.command, parameters, m.sender)
 
     def _command(self, command: int, p: tuple[float, ...], sender: tuple[int, int]) -> None:
         result = self._carry_out(command, p, sender)
@@ -166,10 +166,10 @@ class Commands:
             self._s.gimbal.configure(*sender)
         return ACCEPTED
 
-    def _set_mode(self, message: Any, _arrival_s: float) -> None:
+    def _set_mode(self, message: Heard, _arrival_s: float) -> None:
         """The old message: no acknowledgement."""
         self._s.commander.request_mode(message.custom_mode, self._s.condition())
 
-    def _gimbal_pitch(self, message: Any, _arrival_s: float) -> None:
+    def _gimbal_pitch(self, message: Heard, _arrival_s: float) -> None:
         """Radians, positive up. Silently without effect from anyone who did not take primary control (read)."""
-        self._s.gimbal.command((message.get_srcSystem(), message.get_srcComponent()), message.pitch, message.pitch_rate)
+        self._s.gimbal.command(message.sender, message.pitch, message.pitch_rate)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.mavlink_wire import Packet, packet
 from sitl.px4_modes import Mode
 from sitl.px4_state import State
 from sitl.rotation import conjugate, euler_of, rotate
@@ -37,7 +38,7 @@ class Messages:
     def __init__(self, state: State) -> None:
         self._s = state
 
-    def rates(self) -> dict[int, tuple[Any, float]]:
+    def rates(self) -> dict[int, tuple[Callable[[], Packet | None], float]]:
         """Message id to (builder, default rate in Hz); rate 0 is sent on request only."""
         return {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: (self.heartbeat, 1.0),
@@ -57,7 +58,7 @@ class Messages:
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (self.version, 0.0),
         }
 
-    def heartbeat(self) -> Any:
+    def heartbeat(self) -> Packet:
         """1 Hz; custom_mode is the only proof of a mode."""
         c = self._s.commander
         base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
@@ -66,15 +67,21 @@ class Messages:
         )
         base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if c.armed else 0
         status = mavlink.MAV_STATE_ACTIVE if c.armed else mavlink.MAV_STATE_STANDBY
-        return mavlink.MAVLink_heartbeat_message(
-            mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, base, int(c.mode), status, 3
+        return packet(
+            mavlink.MAVLink_heartbeat_message,
+            mavlink.MAV_TYPE_QUADROTOR,
+            mavlink.MAV_AUTOPILOT_PX4,
+            base,
+            int(c.mode),
+            status,
+            3,
         )
 
-    def timesync(self) -> Any:
+    def timesync(self) -> Packet:
         """Our question; the answer teaches us the companion's clock."""
-        return mavlink.MAVLink_timesync_message(0, self._s.boot_us * 1000)
+        return packet(mavlink.MAVLink_timesync_message, 0, self._s.boot_us * 1000)
 
-    def sys_status(self) -> Any:
+    def sys_status(self) -> Packet:
         """Sensors, battery and the PREARM bit."""
         s = self._s
         ready = s.commander.armed or not s.commander.arming_refusal(s.condition())
@@ -83,102 +90,146 @@ class Messages:
         volts = round(s.battery.voltage * 1000)
         amps = round(s.battery.current_a * 100)
         both = _SENSORS | prearm
-        return mavlink.MAVLink_sys_status_message(
-            both, both, health, 300, volts, amps, round(s.battery.fraction * 100), 0, 0, 0, 0, 0, 0
+        return packet(
+            mavlink.MAVLink_sys_status_message,
+            both,
+            both,
+            health,
+            300,
+            volts,
+            amps,
+            round(s.battery.fraction * 100),
+            0,
+            0,
+            0,
+            0,
+            0,
+            0,
         )
 
-    def battery_status(self) -> Any:
+    def battery_status(self) -> Packet:
         """Four cells."""
         b = self._s.battery
         cells = [round(b.voltage * 250)] * 4 + [65535] * 6
-        return mavlink.MAVLink_battery_status_message(
-            0, 0, 0, 32767, cells, round(b.current_a * 100), round(b.used_mah), -1, round(b.fraction * 100)
+        return packet(
+            mavlink.MAVLink_battery_status_message,
+            0,
+            0,
+            0,
+            32767,
+            cells,
+            round(b.current_a * 100),
+            round(b.used_mah),
+            -1,
+            round(b.fraction * 100),
         )
 
-    def attitude(self) -> Any:
+    def attitude(self) -> Packet:
         """Euler angles, FRD in NED."""
         e = self._s.estimator
         roll, pitch, yaw = euler_of(e.quat_wxyz)
-        return mavlink.MAVLink_attitude_message(self._s.boot_ms, roll, pitch, yaw, *e.angular_rate)
+        return packet(mavlink.MAVLink_attitude_message, self._s.boot_ms, roll, pitch, yaw, *e.angular_rate)
 
-    def attitude_quaternion(self) -> Any:
+    def attitude_quaternion(self) -> Packet:
         """Attitude ned_from_frd."""
         e = self._s.estimator
-        return mavlink.MAVLink_attitude_quaternion_message(self._s.boot_ms, *e.quat_wxyz, *e.angular_rate)
+        return packet(mavlink.MAVLink_attitude_quaternion_message, self._s.boot_ms, *e.quat_wxyz, *e.angular_rate)
 
-    def local_position(self) -> Any:
+    def local_position(self) -> Packet | None:
         """Nothing before the first pose was fused."""
         e = self._s.estimator
         if not e.started:
             return None
-        return mavlink.MAVLink_local_position_ned_message(self._s.boot_ms, *e.position, *e.velocity)
+        return packet(mavlink.MAVLink_local_position_ned_message, self._s.boot_ms, *e.position, *e.velocity)
 
-    def odometry(self) -> Any:
+    def odometry(self) -> Packet | None:
         """The estimate in one message: local NED, velocity in the body."""
         s, e = self._s, self._s.estimator
         if not e.started:
             return None
         body_velocity = rotate(conjugate(e.quat_wxyz), e.velocity)
         covariance = [math.nan, *_NAN21[1:]]
-        return mavlink.MAVLink_odometry_message(
+        return packet(
+            mavlink.MAVLink_odometry_message,
             s.boot_us, mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD, *e.position, e.quat_wxyz, *body_velocity,
             *e.angular_rate, covariance, covariance, e.reset_count & 255, mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT, 100,
         )  # fmt: skip
 
-    def position_target(self) -> Any:
+    def position_target(self) -> Packet | None:
         """What the controller follows now."""
         t = self._s.flight.active
         if not self._s.commander.armed:
             return None
         fields = (*t.position, *t.velocity, *t.acceleration)
         mask = sum(1 << i for i, value in enumerate(fields) if not math.isfinite(value))
-        return mavlink.MAVLink_position_target_local_ned_message(
-            self._s.boot_ms, mavlink.MAV_FRAME_LOCAL_NED, mask, *fields, t.yaw, t.yaw_rate
+        return packet(
+            mavlink.MAVLink_position_target_local_ned_message,
+            self._s.boot_ms,
+            mavlink.MAV_FRAME_LOCAL_NED,
+            mask,
+            *fields,
+            t.yaw,
+            t.yaw_rate,
         )
 
-    def estimator_status(self) -> Any:
+    def estimator_status(self) -> Packet:
         """Flags and innovation test ratios."""
         e = self._s.estimator
-        return mavlink.MAVLink_estimator_status_message(
+        return packet(
+            mavlink.MAVLink_estimator_status_message,
             self._s.boot_us, e.flags, 0.0, math.sqrt(e.position_test_ratio), math.sqrt(e.height_test_ratio), 0.0, 0.0, 0.0,
             e.position_accuracy_m, e.position_accuracy_m,
         )  # fmt: skip
 
-    def extended_sys_state(self) -> Any:
+    def extended_sys_state(self) -> Packet:
         """Landed state."""
         s = self._s
         state = mavlink.MAV_LANDED_STATE_ON_GROUND if s.flight.landed else mavlink.MAV_LANDED_STATE_IN_AIR
         if not s.flight.landed and s.commander.mode in _HALF_LIFTED:
             landing = s.commander.mode is Mode.LAND
             state = mavlink.MAV_LANDED_STATE_LANDING if landing else mavlink.MAV_LANDED_STATE_TAKEOFF
-        return mavlink.MAVLink_extended_sys_state_message(0, state)
+        return packet(mavlink.MAVLink_extended_sys_state_message, 0, state)
 
-    def home_position(self) -> Any:
+    def home_position(self) -> Packet | None:
         """Home, once there is an origin and a position."""
         s = self._s
         if s.origin is None or s.home is None:
             return None
         lat, lon, alt = s.origin
-        return mavlink.MAVLink_home_position_message(lat, lon, alt, *s.home, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, s.boot_us)
+        return packet(
+            mavlink.MAVLink_home_position_message, lat, lon, alt, *s.home, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, s.boot_us
+        )
 
-    def global_origin(self) -> Any:
+    def global_origin(self) -> Packet | None:
         """The origin as it was accepted."""
         if self._s.origin is None:
             return None
-        return mavlink.MAVLink_gps_global_origin_message(*self._s.origin, self._s.boot_us)
+        return packet(mavlink.MAVLink_gps_global_origin_message, *self._s.origin, self._s.boot_us)
 
-    def gimbal_attitude(self) -> Any:
+    def gimbal_attitude(self) -> Packet:
         """Pitch relative to the body; PX4 drives the gimbal itself, so the device id is 1 and the component its own."""
         g = self._s.gimbal
         half = 0.5 * g.pitch
-        return mavlink.MAVLink_gimbal_device_attitude_status_message(
+        return packet(
+            mavlink.MAVLink_gimbal_device_attitude_status_message,
             0, 0, self._s.boot_ms, mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME,
-            [math.cos(half), 0.0, math.sin(half), 0.0], 0.0, g.pitch_rate, 0.0, 0, gimbal_device_id=1,
+            [math.cos(half), 0.0, math.sin(half), 0.0], 0.0, g.pitch_rate, 0.0, 0, 0.0, 0.0, 1,
         )  # fmt: skip
 
-    def version(self) -> Any:
+    def version(self) -> Packet:
         """PX4 1.17.0."""
         none = [0] * 8
-        return mavlink.MAVLink_autopilot_version_message(
-            _CAPABILITIES, _VERSION_1_17_0, 0, 0, 0, none, none, none, 0x26AC, 0x0010, _UID
+        return packet(
+            mavlink.MAVLink_autopilot_version_message,
+            _CAPABILITIES,
+            _VERSION_1_17_0,
+            0,
+            0,
+            0,
+            none,
+            none,
+            none,
+            0x26AC,
+            0x0010,
+            _UID,
         )

@@ -47,12 +47,10 @@ class Renderer:
         chunks = int(chunk_of_face[-1]) + 1 if len(faces) else 0
         self._vertices: F32 = np.ascontiguousarray(vertices[source], np.float32)
         self._rgb: U8 = np.ascontiguousarray(rgb[source], np.uint8)
-        self._faces: I32 = np.ascontiguousarray(local.reshape(-1, 3), np.int32)
         self._vertex_start: I32 = np.searchsorted(unique // len(vertices), np.arange(chunks + 1)).astype(np.int32)
         self._low, self._high = _boxes(self._vertices, self._vertex_start)
-        self._columns: F32 = np.ascontiguousarray(self._vertices.T)
-        first = self._vertex_start[chunk_of_face] if chunks else np.zeros(0, np.int32)
-        self._corners: U16 = np.ascontiguousarray((self._faces - first[:, None]).T, np.uint16)
+        first = self._vertex_start[chunk_of_face, None] if chunks else np.zeros((0, 1), np.int32)
+        self._faces: U16 = np.ascontiguousarray(local.reshape(-1, 3) - first, np.uint16)  # within the chunk
 
     def depth(self, world_from_camera: F64, spec: CameraSpec, near_m: float = 0.05, far_m: float = math.inf) -> F32:
         """Only the depth (H, W) float32, metres along the optical axis; 0 where nothing is. Blocks for a few milliseconds."""
@@ -75,15 +73,16 @@ class Renderer:
         inverse_z, face = self._visible(world_from_camera, spec, near_m, far_m)
         intrinsics = np.array([spec.fx, spec.fy, spec.cx, spec.cy])
         pose = np.ascontiguousarray(world_from_camera, np.float64)
-        return Rendering(*_shade(inverse_z, face, self._vertices, self._faces, self._rgb, pose, intrinsics, colour))
+        mesh = (self._vertices, self._faces, self._vertex_start, self._rgb)
+        return Rendering(*_shade(inverse_z, face, *mesh, pose, intrinsics, colour))
 
     def _visible(self, world_from_camera: F64, spec: CameraSpec, near_m: float, far_m: float) -> tuple[F32, I32]:
         intrinsics = np.array([spec.fx, spec.fy, spec.cx, spec.cy])
         inverse_z = np.zeros((spec.height, spec.width), np.float32)
         face = np.full((spec.height, spec.width), -1, np.int32)
         rasterise(
-            self._columns,
-            self._corners,
+            self._vertices,
+            self._faces,
             self._vertex_start,
             self._low,
             self._high,
@@ -136,8 +135,9 @@ def _depth(inverse_z: F32) -> F32:
 
 @kernel
 def _shade(
-    inverse_z: F32, face: I32, vertices: F32, faces: I32, rgb: U8, world_from_camera: F64, intrinsics: F64, coloured: bool
-) -> tuple[F32, U8, F32]:
+    inverse_z: F32, face: I32, vertices: F32, faces: U16, vertex_start: I32, rgb: U8,
+    world_from_camera: F64, intrinsics: F64, coloured: bool,
+) -> tuple[F32, U8, F32]:  # fmt: skip
     """Depth, barycentric colour at the pixel's own surface point, and |cos| between ray and face normal."""
     height, width = inverse_z.shape
     depth = np.zeros((height, width), np.float32)
@@ -145,6 +145,7 @@ def _shade(
     incidence = np.zeros((height, width), np.float32)
     m = world_from_camera
     known = -1  # the face whose corner, edges and normal are at hand: neighbouring pixels often show the same
+    a = b = c = 0
     ax = ay = az = ex = ey = ez = gx = gy = gz = nx = ny = nz = nn = 0.0
     for v in range(height):
         yn = (v - intrinsics[3]) / intrinsics[1]
@@ -158,9 +159,10 @@ def _shade(
             dx = m[0, 0] * xn + m[0, 1] * yn + m[0, 2]
             dy = m[1, 0] * xn + m[1, 1] * yn + m[1, 2]
             dz = m[2, 0] * xn + m[2, 1] * yn + m[2, 2]
-            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
             if f != known:
                 known = f
+                first = vertex_start[f // CHUNK_FACES]
+                a, b, c = first + faces[f, 0], first + faces[f, 1], first + faces[f, 2]
                 ax, ay, az = np.float64(vertices[a, 0]), np.float64(vertices[a, 1]), np.float64(vertices[a, 2])
                 ex, ey, ez = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
                 gx, gy, gz = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,20 +24,25 @@ BODY_ABOVE_FLOOR_M = 0.10
 
 @dataclass
 class TruthLog:
-    """What really happened, sampled at the pace's truth_hz, in the world frame."""
+    """What really happened, sampled at the pace's truth_hz, in the world frame.
+
+    A row: stamp, position, attitude wxyz, whether clearance is to be measured there, armed, landing.
+    """
 
     rows: list[tuple[float, ...]]
 
     def save(self, path: Path, world: World) -> None:
         """Write it with the setpoint arrivals and the failsafes; atomic."""
         table = np.array(self.rows, dtype=np.float64).reshape(-1, 11)
+        hull_m, measured = np.full(len(table), np.nan), table[:, 8] > 0
+        hull_m[measured] = world.clearance.batch(table[measured, 1:4])
         temporary = path.with_suffix(".new.npz")
         np.savez_compressed(
             temporary,
             stamp_s=table[:, 0],
             position_m=table[:, 1:4],
             quat_wxyz=table[:, 4:8],
-            hull_m=table[:, 8],
+            hull_m=hull_m,
             armed=table[:, 9] > 0,
             landing=table[:, 10] > 0,
             setpoint_arrivals_s=np.array(world.autopilot.setpoint_arrivals_s, dtype=np.float64),
@@ -61,7 +67,7 @@ class World:
     ) -> None:
         """A mount_pitch_down_rad of None is a gimbal: its angle is the autopilot's."""
         self._imu_hz, self._truth_hz = pace.imu_hz, pace.truth_hz
-        self.autopilot, self.camera, self._poses, self._clearance = autopilot, camera, poses, clearance
+        self.autopilot, self.camera, self._poses, self.clearance = autopilot, camera, poses, clearance
         self._stream, self._start_s, self._mount_pitch_down_rad = stream, start_s, mount_pitch_down_rad
         self._imu_count = self._truth_count = self._frame_count = 0
         self.truth_log = TruthLog([])
@@ -92,12 +98,11 @@ class World:
             return
         self._truth_count = int((now_s - self._start_s) * self._truth_hz + 1e-9) + 1
         truth = self.autopilot.truth()
-        position = np.asarray(truth.position)
+        x, y, z = truth.position
         landing = "LAND" in truth.mode
-        over_pad = landing or float(np.hypot(position[0], position[1])) < PAD_RADIUS_M
-        low = position[2] + BODY_ABOVE_FLOOR_M < PAD_HEIGHT_M
-        hull_m = np.nan if not truth.armed or (low and over_pad) else self._clearance.hull_m(position)
-        self.truth_log.rows.append((now_s, *position, *truth.quat_wxyz, hull_m, float(truth.armed), float(landing)))
+        over_pad = landing or math.hypot(x, y) < PAD_RADIUS_M
+        measured = truth.armed and not (z + BODY_ABOVE_FLOOR_M < PAD_HEIGHT_M and over_pad)
+        self.truth_log.rows.append((now_s, x, y, z, *truth.quat_wxyz, float(measured), float(truth.armed), float(landing)))
 
     def _world_from_body(self) -> NDArray[np.float64]:
         truth = self.autopilot.truth()

@@ -171,31 +171,31 @@ def _fill_clipped(corners: F64, near: float, intrinsics: F64, face_id: int, inve
 
 @kernel
 def _project(
-    vertices: F32, first: int, count: int, camera_from_world: F64, intrinsics: F64, size: tuple[int, int],
-    points: F64, screen: F64, after: I32,
-) -> None:  # fmt: skip
-    """A chunk's vertices (3, V) in camera axes, on the screen (u, v, 1/z), and the first pixel centre at or after each.
+    vertices: F32, camera_from_world: F64, intrinsics: F64, height: int, width: int, points: F64, screen: F64, after: I32
+) -> None:
+    """Vertices (V, 3) in camera axes, on the screen (u, v, 1/z), and the first pixel centre at or after each.
 
     after: row above, column below 2^16; nonsense for what lies behind the camera.
     """
-    height, width = size
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     m = camera_from_world
     m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
     m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
     m20, m21, m22, m23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
-    for k in range(count):
-        x, y, z = np.float64(vertices[0, first + k]), np.float64(vertices[1, first + k]), np.float64(vertices[2, first + k])
-        points[0, k] = m00 * x + m01 * y + m02 * z + m03
-        points[1, k] = m10 * x + m11 * y + m12 * z + m13
-        points[2, k] = m20 * x + m21 * y + m22 * z + m23
-    for k in range(count):
-        w = 1.0 / points[2, k]
-        u, v = fx * points[0, k] * w + cx, fy * points[1, k] * w + cy
-        screen[0, k], screen[1, k], screen[2, k] = u, v, w
-        column = np.int32(np.ceil(min(max(u, -2.0), width + 1.0) - 1e-9)) + np.int32(2)
-        row = np.int32(np.ceil(min(max(v, -2.0), height + 1.0) - 1e-9)) + np.int32(2)
-        after[k] = (row << np.int32(16)) | column
+    right, bottom = width + 1.0, height + 1.0
+    px, py, pz, su, sv, sw = points[0], points[1], points[2], screen[0], screen[1], screen[2]
+    for k in range(vertices.shape[0]):
+        x, y, z = np.float64(vertices[k, 0]), np.float64(vertices[k, 1]), np.float64(vertices[k, 2])
+        px[k] = m00 * x + m01 * y + m02 * z + m03
+        py[k] = m10 * x + m11 * y + m12 * z + m13
+        pz[k] = m20 * x + m21 * y + m22 * z + m23
+    for k in range(vertices.shape[0]):
+        w = 1.0 / pz[k]
+        sw[k], su[k], sv[k] = w, fx * px[k] * w + cx, fy * py[k] * w + cy
+    for k in range(vertices.shape[0]):
+        column = np.int32(np.ceil(min(max(su[k], -2.0), right) - 1e-9) + 2.0)
+        row = np.int32(np.ceil(min(max(sv[k], -2.0), bottom) - 1e-9) + 2.0)
+        after[k] = row * np.int32(65536) + column
 
 
 @kernel
@@ -214,7 +214,7 @@ def rasterise(
 ) -> None:
     """Fill inverse_z (H, W) and the nearest face (H, W) of all chunks in the frustum.
 
-    vertices (3, V); faces (3, F) number the vertices of their own chunk.
+    vertices (V, 3); faces (F, 3) number the vertices of their own chunk.
     """
     height, width = inverse_z.shape
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
@@ -241,13 +241,13 @@ def rasterise(
         whole = nearest[place] > near
         if whole and _hidden(low[chunk], high[chunk], camera_from_world, intrinsics, 1.0 / nearest[place], inverse_z):
             continue
-        first = vertex_start[chunk]
-        _project(
-            vertices, first, vertex_start[chunk + 1] - first, camera_from_world, intrinsics, inverse_z.shape,
-            points, screen, after,
-        )  # fmt: skip
-        for f in range(chunk * CHUNK_FACES, min((chunk + 1) * CHUNK_FACES, faces.shape[1])):
-            a, b, c = np.uint64(faces[0, f]), np.uint64(faces[1, f]), np.uint64(faces[2, f])
+        own = vertices[vertex_start[chunk] : vertex_start[chunk + 1]]
+        _project(own, camera_from_world, intrinsics, height, width, points, screen, after)
+        first = chunk * CHUNK_FACES
+        triangles = faces[first : first + CHUNK_FACES]
+        for t in range(triangles.shape[0]):
+            f = first + t
+            a, b, c = np.uint64(triangles[t, 0]), np.uint64(triangles[t, 1]), np.uint64(triangles[t, 2])
             ahead = 3 if whole else (points[2, a] >= near) + (points[2, b] >= near) + (points[2, c] >= near)
             if ahead == 3:
                 ka, kb, kc = after[a], after[b], after[c]
