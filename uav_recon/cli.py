@@ -223,6 +223,45 @@ def bench_mapper(
     )
 
 
+@bench.command("uncertainty")
+def bench_uncertainty(
+    scene: Annotated[
+        str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
+    ] = None,
+    after: Annotated[
+        str, typer.Option(metavar="N,N,...", help="Views after which the unfinished map is asked, with commas between.")
+    ] = "20,30",
+    camera: Annotated[str, typer.Option(help="d435i or wide, as `bench mapper` has them.")] = "d435i",
+    depth_noise: Annotated[str, typer.Option(help="d435i, paper, kinect or none.")] = "d435i",
+    mount: Annotated[str, typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount.")] = "fixed:15",
+    pose_noise: Annotated[
+        str, typer.Option(metavar="CM,DEG", help="Standard deviation, each axis, of the poses that the mapper is told.")
+    ] = "0,0",
+    steps_per_view: Annotated[int, typer.Option(help="Training steps after each view.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of places, noise and learning.")] = 0,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+) -> None:
+    """Which measure of uncertainty ranks true errors: AUSE and Spearman of each, on unfinished maps.
+
+    Measures: the paper's colour sigma asked of the network at surface points, colour sigma kept in a grid, the information
+    that depth images gave to a lattice, and the product of the last two. `All` is every vertex of the field's surface in
+    the room's box, also where nobody looked; `observed` is what the planner is given.
+
+    Example: `uav-recon bench uncertainty --scene ../shared/scenes/two_rooms --after 20,30`
+    """
+    from uav_recon.bench import mapper as bench_of_mapper
+    from uav_recon.bench import uncertainty as bench_of_uncertainty
+
+    def measure() -> int:
+        views = bench_of_uncertainty.views_of(after)
+        wanted = bench_of_mapper.MapperBench(
+            scene, max(*views, 4), camera, depth_noise, mount, pose_noise, steps_per_view, seed, "cpu", json
+        )
+        return bench_of_uncertainty.bench_uncertainty(wanted, views)
+
+    _exit(measure)
+
+
 def _exit(work: Callable[[], Any]) -> None:
     try:
         code = work()

@@ -1,18 +1,14 @@
 from __future__ import annotations
 
 import json
-import types
 from pathlib import Path
 
 import numpy as np
 import pytest
+from quick_cut import quick_cut
 from typer.testing import CliRunner
 
 import sitl.fly_report
-from sitl.d435i import MOUNT_M, stream_header
-from sitl.fly_options import SimOptions
-from sitl.scene import Scene
-from sitl.transform import body_from_camera, world_from_body
 from uav_recon.bench import mapper_run, mapper_scene
 from uav_recon.cli import app
 from uav_recon.evaluation.surface import Surface
@@ -26,13 +22,6 @@ FIELDS = [
 def bench(*arguments: str) -> tuple[int, str, str]:
     done = CliRunner().invoke(app, ["bench", "mapper", *arguments])
     return done.exit_code, done.stdout, done.stderr
-
-
-def quick_cut(options: SimOptions, scene: Scene) -> types.SimpleNamespace:
-    """Three places above the start instead of the cut of six hundred poses."""
-    positions = np.array([[0.0, 0.0, 1.0], [0.3, 0.0, 1.1], [0.0, 0.3, 1.2]], np.float32)
-    views = [world_from_body(positions[0], yaw) @ body_from_camera(MOUNT_M, 0.26) for yaw in (0.0, 1.5)]
-    return types.SimpleNamespace(positions=positions, views=np.array(views), view_spec=stream_header("d435i").rgb)
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ import torch
 
 from uav_recon.mapping.neural.field import Field
 from uav_recon.mapping.neural.grid import LEVELS, POINTS, Grid
-from uav_recon.mapping.neural.losses import STENCIL_M, TETRAHEDRON, fit_colour, fit_distance, fit_shape
+from uav_recon.mapping.neural.losses import STENCIL_M, TETRAHEDRON, VARIANCE_SHARE, fit_colour, fit_distance, fit_shape
 from uav_recon.mapping.neural.network import OUTSIDE_BIAS_M, TRUNCATION_M
 from uav_recon.mapping.neural.optimiser import Optimiser
 from uav_recon.types.frames import Float32Array
@@ -50,12 +50,13 @@ class TorchField:
         return self.shape(self.encode(points))[:, 0]
 
     def colour(self, points: torch.Tensor) -> torch.Tensor:
-        """(N, 3) -> (N, 3)."""
+        """(N, 3) -> (N, 4): colour and log variance."""
         encoded = self.encode(points)
         x = torch.cat([self.shape(encoded)[:, 1:], encoded], dim=1)
         for layer in ("1", "2"):
             x = torch.relu(x @ self.net["c" + layer].T + self.net["d" + layer])
-        return torch.sigmoid(x @ self.net["c3"].T + self.net["d3"])
+        rgb = torch.sigmoid(x @ self.net["c3"][:3].T + self.net["d3"][:3])
+        return torch.cat([rgb, x.detach() @ self.net["c3"][3:].T + self.net["d3"][3:]], dim=1)
 
 
 def _weights(field: Field) -> list[tuple[str, Float32Array]]:
@@ -117,7 +118,9 @@ def test_queries_match_torch(field: Field, points: Float32Array) -> None:
     reference = TorchField(field)
     at = torch.tensor(points.astype(np.float64))
     np.testing.assert_allclose(field.distance_m(points), reference.distance(at).detach().numpy(), atol=1e-6)
-    np.testing.assert_allclose(field.rgb(points), reference.colour(at).detach().numpy(), atol=1e-5)
+    colour = reference.colour(at).detach().numpy()
+    np.testing.assert_allclose(field.rgb(points), colour[:, :3], atol=1e-5)
+    np.testing.assert_allclose(field.colour_sigma(points), np.exp(0.5 * colour[:, 3]), rtol=1e-4)
 
 
 def test_distance_gradients_match_torch(field: Field, points: Float32Array) -> None:
@@ -175,11 +178,12 @@ def test_colour_gradients_match_torch(field: Field, points: Float32Array) -> Non
         field.grid, field.network, optimiser.network_gradient, optimiser.gradient, field.scratch, points, rgb, weight, error
     )
     reference = TorchField(field)
-    square = ((reference.colour(torch.tensor(points.astype(np.float64))) - torch.tensor(rgb.astype(np.float64))) ** 2).mean(
-        dim=1
-    )
+    colour = reference.colour(torch.tensor(points.astype(np.float64)))
+    square = ((colour[:, :3] - torch.tensor(rgb.astype(np.float64))) ** 2).mean(dim=1)
     np.testing.assert_allclose(error, square.detach().numpy(), atol=1e-5)
-    _check(field, optimiser, reference, loss, (torch.tensor(weight.astype(np.float64)) * square).sum())
+    gaussian = 0.5 * (square.detach() / torch.exp(colour[:, 3]) + colour[:, 3])
+    expected = (torch.tensor(weight.astype(np.float64)) * (square + float(VARIANCE_SHARE) * gaussian)).sum()
+    _check(field, optimiser, reference, loss, expected)
 
 
 def test_adam_matches_torch(field: Field) -> None:

@@ -61,11 +61,11 @@ def test_a_surface_that_nobody_measured_is_looked_through() -> None:
 
         def distance_m(self, points: Float32Array) -> Float32Array:
             shell = np.abs(np.linalg.norm(points, axis=1) - 1.0) - 0.05
-            return np.minimum(super().distance_m(points), shell).astype(np.float32)
+            nearer: Float32Array = np.minimum(super().distance_m(points), shell).astype(np.float32)
+            return nearer
 
     def beyond(points: Float32Array) -> BoolArray:
-        far: BoolArray = np.linalg.norm(points, axis=1) > 1.5
-        return far
+        return np.asarray(np.linalg.norm(points, axis=1) > 1.5, dtype=np.bool_)
 
     ray = np.array([[1.0, 0.0, 0.0]], dtype=np.float32)
     assert first_surface(Onion(), everywhere, 0 * ray, ray)[0][0] == pytest.approx(0.95, abs=0.005)

@@ -7,6 +7,9 @@ import numpy as np
 from uav_recon.geometry.jit import fast_kernel
 from uav_recon.mapping.neural.grid import POINTS, Grid, allocate, gather, locate, make_grid
 from uav_recon.mapping.neural.network import (
+    COLOUR_OUT,
+    LEAST_LOG_VARIANCE,
+    MOST_LOG_VARIANCE,
     SHAPE_FEATURES,
     Network,
     Scratch,
@@ -53,7 +56,16 @@ class Field:
 
     def rgb(self, points: Float32Array) -> Float32Array:
         """Colour (N, 3) in 0..1 at points (N, 3) float32."""
-        out = np.empty((points.shape[0], 3), dtype=np.float32)
+        return self._coloured(points)[:, :3]
+
+    def colour_sigma(self, points: Float32Array) -> Float32Array:
+        """Standard deviation (N,) of the colour error, 0..1, that the network expects at points (N, 3)."""
+        log_variance = np.clip(self._coloured(points)[:, 3], LEAST_LOG_VARIANCE, MOST_LOG_VARIANCE)
+        sigma: Float32Array = np.exp(np.float32(0.5) * log_variance)
+        return sigma
+
+    def _coloured(self, points: Float32Array) -> Float32Array:
+        out = np.empty((points.shape[0], COLOUR_OUT), dtype=np.float32)
         query_colour(self.grid, self.network, self.scratch, points, out)
         return out
 
@@ -77,7 +89,7 @@ def query_distance(grid: Grid, net: Network, s: Scratch, points: Float32Array, o
 
 @fast_kernel
 def query_colour(grid: Grid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
-    """Colour (N, 3)."""
+    """Colour and the log variance of its error (N, 4)."""
     for start in range(0, points.shape[0], POINTS):
         count = min(POINTS, points.shape[0] - start)
         locate(grid, points, start, count, s.node, s.weight)
@@ -85,5 +97,5 @@ def query_colour(grid: Grid, net: Network, s: Scratch, points: Float32Array, out
         distance_forward(net, s, 1 + SHAPE_FEATURES)
         colour_forward(net, s)
         for p in range(count):
-            for j in range(3):
+            for j in range(COLOUR_OUT):
                 out[start + p, j] = s.rgb[j, p]

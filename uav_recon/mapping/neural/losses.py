@@ -12,6 +12,9 @@ import numpy as np
 from uav_recon.geometry.jit import fast_kernel
 from uav_recon.mapping.neural.grid import POINTS, Gradient, Grid, gather, locate, scatter
 from uav_recon.mapping.neural.network import (
+    COLOUR_OUT,
+    LEAST_LOG_VARIANCE,
+    MOST_LOG_VARIANCE,
     SHAPE_FEATURES,
     Network,
     Scratch,
@@ -24,6 +27,8 @@ from uav_recon.types.frames import BoolArray, Float32Array
 
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=np.float32)
 STENCIL_M = np.float32(0.02)  # half edge of the cube that holds the tetrahedron of difference points
+
+VARIANCE_SHARE = np.float32(0.02)  # of the Gaussian loss in the colour loss
 
 _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 
@@ -104,7 +109,10 @@ def fit_colour(
     grid: Grid, net: Network, d_net: Network, gradient: Gradient, s: Scratch,
     points: Float32Array, rgb: Float32Array, weight: Float32Array, error_squared: Float32Array,
 ) -> float:  # fmt: skip
-    """Sum of weight * mean over channels of (colour(x) - rgb)²; rgb (N, 3) in 0..1. Writes error_squared (N,)."""
+    """Sum of weight * (e² + VARIANCE_SHARE / 2 * (e² / v + log v)), where e² is the mean over channels of (colour(x) - rgb)²
+    and v the variance that the network expects; e² counts as a given number in the second part. rgb (N, 3) in 0..1. Writes
+    e² to error_squared (N,). The second part is the paper's Gaussian colour loss.
+    """  # fmt: skip
     loss, third = _ZERO, np.float32(1.0 / 3.0)
     for start in range(0, points.shape[0], POINTS):
         count = min(POINTS, points.shape[0] - start)
@@ -112,7 +120,7 @@ def fit_colour(
         gather(grid.features, s.node, s.weight, s.encoded)
         distance_forward(net, s, 1 + SHAPE_FEATURES)
         colour_forward(net, s)
-        for j in range(3):
+        for j in range(COLOUR_OUT):
             for p in range(POINTS):
                 s.d_rgb[j, p] = _ZERO
         for p in range(count):
@@ -121,8 +129,13 @@ def fit_colour(
                 error = s.rgb[j, p] - rgb[start + p, j]
                 total += error * error
                 s.d_rgb[j, p] = _TWO * third * weight[start + p] * error
-            error_squared[start + p] = total * third
-            loss += weight[start + p] * total * third
+            square = total * third
+            log_variance = min(max(s.rgb[3, p], LEAST_LOG_VARIANCE), MOST_LOG_VARIANCE)
+            surprise = square * np.exp(-log_variance)
+            share = np.float32(0.5) * VARIANCE_SHARE * weight[start + p]
+            error_squared[start + p] = square
+            loss += weight[start + p] * square + share * (surprise + log_variance)
+            s.d_rgb[3, p] = share * (_ONE - surprise)
         colour_backward(net, s, d_net)
         scatter(s.d_encoded, count, s.node, s.weight, gradient)
     return float(loss)

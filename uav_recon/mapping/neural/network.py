@@ -1,4 +1,5 @@
-"""Two small networks on the encoded point: distance (12-32-1+15) and colour (15+12-32-32-3), forward and backward by hand.
+"""Two small networks on the encoded point: distance (12-32-1+15) and colour with the logarithm of its error's variance
+(15+12-32-32-3+1), forward and backward by hand.
 
 Everything works on POINTS columns at a time, so that the innermost loop is a vector operation on a row in cache.
 """
@@ -16,7 +17,9 @@ from uav_recon.types.frames import AnyArray, Float32Array
 HIDDEN = 32
 SHAPE_FEATURES = 15  # what the distance network tells the colour network
 COLOUR_IN = SHAPE_FEATURES + ENCODED
+COLOUR_OUT = 3 + 1  # red, green, blue; log variance of their error
 TRUNCATION_M = np.float32(0.10)  # distances are learned in units of this
+LEAST_LOG_VARIANCE, MOST_LOG_VARIANCE = np.float32(-10.0), np.float32(2.0)  # of a colour
 OUTSIDE_BIAS_M = np.float32(0.05)  # an untrained field is air
 
 
@@ -37,7 +40,7 @@ class Network(NamedTuple):
 
 SHAPES: tuple[tuple[int, ...], ...] = (
     (HIDDEN, ENCODED), (HIDDEN,), (1 + SHAPE_FEATURES, HIDDEN), (1 + SHAPE_FEATURES,),
-    (HIDDEN, COLOUR_IN), (HIDDEN,), (HIDDEN, HIDDEN), (HIDDEN,), (3, HIDDEN), (3,),
+    (HIDDEN, COLOUR_IN), (HIDDEN,), (HIDDEN, HIDDEN), (HIDDEN,), (COLOUR_OUT, HIDDEN), (COLOUR_OUT,),
 )  # fmt: skip
 PARAMETERS = sum(int(np.prod(shape)) for shape in SHAPES)
 
@@ -87,7 +90,7 @@ class Scratch(NamedTuple):
 
 def make_scratch() -> Scratch:
     """Allocate once, use for every batch."""
-    rows = (ENCODED, HIDDEN, 1 + SHAPE_FEATURES, COLOUR_IN, HIDDEN, HIDDEN, 3)
+    rows = (ENCODED, HIDDEN, 1 + SHAPE_FEATURES, COLOUR_IN, HIDDEN, HIDDEN, COLOUR_OUT)
     forward = [np.zeros((n, POINTS), dtype=np.float32) for n in rows]
     backward = [np.zeros((n, POINTS), dtype=np.float32) for n in rows]
     weight = np.zeros((CORNERS, POINTS), dtype=np.float32)
@@ -173,7 +176,7 @@ def distance_backward(net: Network, s: Scratch, rows: int, d_net: Network) -> No
 
 @fast_kernel
 def colour_forward(net: Network, s: Scratch) -> None:
-    """s.out, s.encoded -> s.rgb in 0..1, after distance_forward with all rows."""
+    """s.out, s.encoded -> s.rgb in 0..1 and its log variance, after distance_forward with all rows."""
     for i in range(SHAPE_FEATURES):
         for p in range(POINTS):
             s.colour_in[i, p] = s.out[1 + i, p]
@@ -184,7 +187,7 @@ def colour_forward(net: Network, s: Scratch) -> None:
     rectify(s.colour_1)
     affine(net.c2, net.d2, s.colour_1, s.colour_2, HIDDEN)
     rectify(s.colour_2)
-    affine(net.c3, net.d3, s.colour_2, s.rgb, 3)
+    affine(net.c3, net.d3, s.colour_2, s.rgb, COLOUR_OUT)
     for j in range(3):
         for p in range(POINTS):
             s.rgb[j, p] = np.float32(1.0) / (np.float32(1.0) + np.exp(-s.rgb[j, p]))
@@ -192,7 +195,19 @@ def colour_forward(net: Network, s: Scratch) -> None:
 
 @fast_kernel
 def colour_backward(net: Network, s: Scratch, d_net: Network) -> None:
-    """s.d_rgb -> s.d_encoded through both networks, and all weights' gradients."""
+    """s.d_rgb -> s.d_encoded through both networks, and all weights' gradients.
+
+    The variance moves its own weights alone: a Gaussian loss that is surprised would drown what colours say.
+    """
+    for i in range(HIDDEN):
+        total = np.float32(0.0)
+        for p in range(POINTS):
+            total += s.colour_2[i, p] * s.d_rgb[3, p]
+        d_net.c3[3, i] += total
+    total = np.float32(0.0)
+    for p in range(POINTS):
+        total += s.d_rgb[3, p]
+    d_net.d3[3] += total
     for j in range(3):
         for p in range(POINTS):
             s.d_rgb[j, p] *= s.rgb[j, p] * (np.float32(1.0) - s.rgb[j, p])

@@ -16,20 +16,28 @@ from uav_recon.mapping.neural.render import render_rays
 from uav_recon.mapping.neural.replay import Replay
 from uav_recon.mapping.neural.samples import draw, make_batch
 from uav_recon.mapping.neural.surface import Evidence, Testimony, WholeSurface, surface_elements, triangle_mesh, whole_surface
-from uav_recon.mapping.neural.uncertainty import ColourError, DepthInformation, ProductUncertainty, SurfaceUncertainty
+from uav_recon.mapping.neural.uncertainty import (
+    ColourError,
+    DepthInformation,
+    NetworkColourSigma,
+    ProductUncertainty,
+    SurfaceUncertainty,
+)
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
 
 ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish at which views are aligned
+DEFAULT_UNCERTAINTY = "product"  # what ranked true errors best; see `uav-recon bench uncertainty`
 FINAL_RATE = 0.1  # the polish ends at this share of the learning rate
 
 
 class Trainer:
     """The mapper without its process. box_min_m, box_max_m (3,): the room's box in world.
 
-    depth_noise_px: disparity noise of the depth image as delivered; baseline_m: stereo baseline.
+    depth_noise_px: disparity noise of the depth image as delivered; baseline_m: stereo baseline. uncertainties: all measures
+    by name; uncertainty: the one that elements carry, which may be set to any of them.
     """
 
     def __init__(
@@ -50,7 +58,13 @@ class Trainer:
         self._alignment = Alignment()
         self.align_views = True
         self._information, self._colour_error = DepthInformation(low, high), ColourError(low, high)
-        self.uncertainty: SurfaceUncertainty = ProductUncertainty(self._colour_error, self._information)
+        self.uncertainties: dict[str, SurfaceUncertainty] = {
+            "paper": NetworkColourSigma(self.field.colour_sigma),
+            "colour": self._colour_error,
+            "information": self._information,
+            "product": ProductUncertainty(self._colour_error, self._information),
+        }
+        self.uncertainty = self.uncertainties[DEFAULT_UNCERTAINTY]
         self.refused, self.steps, self._map_epoch = 0, 0, 0
 
     @property

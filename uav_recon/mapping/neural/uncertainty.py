@@ -6,6 +6,7 @@ output) with the standard deviation that the depth measurements so far leave (Ba
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -80,6 +81,17 @@ class ColourError:
         found = self._lattice.at(points)
         sigma: Float32Array = np.sqrt((found[:, 0] + PRIOR_COUNT * PRIOR_COLOUR_SIGMA**2) / (found[:, 1] + PRIOR_COUNT))
         return sigma.astype(np.float32)
+
+
+class NetworkColourSigma:
+    """The paper's measure, faithfully: the network's own colour sigma, asked at surface points without a ray direction."""
+
+    def __init__(self, colour_sigma: Callable[[Float32Array], Float32Array]) -> None:
+        self._colour_sigma = colour_sigma
+
+    def at(self, points: Float32Array) -> Float32Array:
+        """Sigma (N,) of the colour, 0..1."""
+        return self._colour_sigma(points)
 
 
 class ProductUncertainty:

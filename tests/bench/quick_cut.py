@@ -1,0 +1,19 @@
+"""A stand-in for the cut of truth, which takes a quarter of a minute to make."""
+
+from __future__ import annotations
+
+import types
+
+import numpy as np
+
+from sitl.d435i import MOUNT_M, stream_header
+from sitl.fly_options import SimOptions
+from sitl.scene import Scene
+from sitl.transform import body_from_camera, world_from_body
+
+
+def quick_cut(options: SimOptions, scene: Scene) -> types.SimpleNamespace:
+    """Three places above the start instead of the cut of six hundred poses."""
+    positions = np.array([[0.0, 0.0, 1.0], [0.3, 0.0, 1.1], [0.0, 0.3, 1.2]], np.float32)
+    views = [world_from_body(positions[0], yaw) @ body_from_camera(MOUNT_M, 0.26) for yaw in (0.0, 1.5)]
+    return types.SimpleNamespace(positions=positions, views=np.array(views), view_spec=stream_header("d435i").rgb)
