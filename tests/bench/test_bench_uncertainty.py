@@ -11,7 +11,7 @@ import sitl.fly_report
 from uav_recon.bench import mapper_scene
 from uav_recon.cli import app
 
-MEASURES = ["paper", "colour", "information", "product"]
+MEASURES = ["paper", "colour", "information", "product", "agreement"]
 SCORES = {"ause_all", "ause_observed", "spearman_all", "spearman_observed"}
 
 
@@ -36,7 +36,7 @@ def test_scores_every_measure_on_every_partial_map(tmp_path: Path) -> None:
     for partial in result["partial_maps"]:
         assert list(partial["scores"]) == MEASURES
         assert all(set(score) == SCORES for score in partial["scores"].values())
-        assert partial["scores"]["product"]["ause_all"] < partial["random_all"]
+        assert partial["scores"]["agreement"]["ause_all"] < partial["random_all"]
         assert 0.0 < partial["error_observed_cm"] < partial["error_all_cm"]
         assert 0.0 < partial["observed_share"] < 1.0
     for word in (*MEASURES, "AUSE", "3 views", "6 views"):

@@ -43,6 +43,19 @@ def test_a_post_hides_what_is_behind_it_and_so_does_the_unknown() -> None:
         assert 35 - 2 * 5 - 5 <= seen <= 35 - 5
 
 
+def test_the_slightest_corner_hides_but_an_edge_that_is_touched_does_not() -> None:
+    state, frontier = half_known()
+    cells = np.array([[19, 9, 6]])
+    one = Frontier(cells, frontier.low, frontier.high)
+    state[20:, :] = FREE
+    state[20, 9, 6] = 0
+    # the line to the middle of voxel (20, 9, 6) climbs past the edge of (15, 9, 5): touches it, or cuts 0.006 of a voxel off
+    state[15, 9, 5] = OCCUPIED
+    at_edge = view(11.5, 9.5, 6.5 - 9.0 / 11.0)
+    assert cells_seen(state, LENS, at_edge, one) == 1
+    assert cells_seen(state, LENS, at_edge - [0, 0, 0.01, 0, 0], one) == 0
+
+
 def test_pitch_looks_down() -> None:
     state, frontier = half_known()
     flat = Lens(1.0, 0.2, 1.0, 40.0, -1.0, 1.0)

@@ -8,6 +8,8 @@ from uav_recon.mapping.neural.uncertainty import (
     PRIOR_SIGMA_M,
     ColourError,
     DepthInformation,
+    MeasuredAgreement,
+    NetworkColourSigma,
     ProductUncertainty,
 )
 
@@ -47,3 +49,27 @@ def test_the_product_ranks_badly_known_higher() -> None:
     depth.add(seen, ONE, 0.01 * ONE)
     colour.add(seen, np.array([1e-4], dtype=np.float32))
     assert 0 < both.at(seen)[0] < both.at(unseen)[0]
+
+
+def test_agreement_falls_with_the_root_of_the_count() -> None:
+    once, often = MeasuredAgreement(LOW, HIGH), MeasuredAgreement(LOW, HIGH)
+    node, up = np.array([[0.5, 0.5, 0.5]], dtype=np.float32), np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
+    once.add(node, up)
+    for _ in range(100):
+        often.add(node, up)
+    assert once.at(node)[0] == pytest.approx(0.05 / np.sqrt(1.1), rel=1e-3)
+    assert often.at(node)[0] == pytest.approx(0.05 / np.sqrt(100.1), rel=1e-2)
+
+
+def test_a_corner_is_less_certain_than_a_wall_and_what_was_never_measured_least() -> None:
+    measure = MeasuredAgreement(LOW, HIGH)
+    wall, corner, nowhere = (np.array([[x, 0.5, 0.5]], dtype=np.float32) for x in (0.2, 0.5, 0.8))
+    for normal in np.eye(3, dtype=np.float32):
+        measure.add(wall, np.eye(3, dtype=np.float32)[:1])
+        measure.add(corner, normal[None])
+    assert measure.at(corner)[0] == pytest.approx((1.05 - 1 / np.sqrt(3)) / np.sqrt(3.1), rel=1e-3)
+    assert 0 < measure.at(wall)[0] < measure.at(corner)[0] < measure.at(nowhere)[0]
+
+
+def test_the_papers_measure_is_what_the_network_says() -> None:
+    assert NetworkColourSigma(lambda points: points[:, 0]).at(NODE)[0] == NODE[0, 0]

@@ -19,6 +19,7 @@ from uav_recon.mapping.neural.surface import Evidence, Testimony, WholeSurface, 
 from uav_recon.mapping.neural.uncertainty import (
     ColourError,
     DepthInformation,
+    MeasuredAgreement,
     NetworkColourSigma,
     ProductUncertainty,
     SurfaceUncertainty,
@@ -29,7 +30,7 @@ from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
 
 ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish at which views are aligned
-DEFAULT_UNCERTAINTY = "product"  # what ranked true errors best; see `uav-recon bench uncertainty`
+DEFAULT_UNCERTAINTY = "agreement"  # what ranked true errors best; see `uav-recon bench uncertainty`
 FINAL_RATE = 0.1  # the polish ends at this share of the learning rate
 
 
@@ -58,11 +59,13 @@ class Trainer:
         self._alignment = Alignment()
         self.align_views = True
         self._information, self._colour_error = DepthInformation(low, high), ColourError(low, high)
+        self._agreement = MeasuredAgreement(low, high)
         self.uncertainties: dict[str, SurfaceUncertainty] = {
             "paper": NetworkColourSigma(self.field.colour_sigma),
             "colour": self._colour_error,
             "information": self._information,
             "product": ProductUncertainty(self._colour_error, self._information),
+            "agreement": self._agreement,
         }
         self.uncertainty = self.uncertainties[DEFAULT_UNCERTAINTY]
         self.refused, self.steps, self._map_epoch = 0, 0, 0
@@ -90,6 +93,7 @@ class Trainer:
             self.field.cover(points)
         self._optimiser.follow_growth()
         self._information.add(view.points[0], view.cosine, view.sigma_m)
+        self._agreement.add(view.points[0], view.normal)
         footprint_m = np.sqrt(view.sigma_m / sigma) * (pixel_stride(lens, most) / lens.fx)
         self._evidence.add(position, view.points[0], view.normal, view.sigma_m, footprint_m.astype(np.float32))
         self._images.add(frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)

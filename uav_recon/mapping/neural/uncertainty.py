@@ -1,7 +1,8 @@
 """How badly a piece of surface is known: small objects with one method, higher = worse known.
 
-The default multiplies a colour error that is stored in space (so that it cannot extrapolate, unlike the paper's network
-output) with the standard deviation that the depth measurements so far leave (BayesRays, Goli et al. 2024, in spirit).
+The default counts measurements and asks whether they agree; `uav-recon bench uncertainty` says how well each ranks errors.
+Others: the paper's network output; a colour error that is stored in space, so that it cannot extrapolate; the standard
+deviation that depth measurements leave (BayesRays, Goli et al. 2024, in spirit); and the product of the last two.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from uav_recon.geometry.jit import fast_kernel
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 
 INFORMATION_CELL_M, COLOUR_CELL_M = 0.08, 0.10
+COUNT_CELL_M, FACING_CELL_M = 0.05, 0.10
+COUNT_BELIEF, LEAST_DISAGREEMENT = 0.1, 0.05  # measurements that are held against none; disagreement of equal normals
 PRIOR_SIGMA_M = 1.0  # of a surface that was never measured
 PRIOR_COLOUR_SIGMA, PRIOR_COUNT = 0.3, 8.0  # of a colour that was never seen, and how many samples that belief is worth
 COLOUR_MEMORY = 400.0  # samples: older errors, of a field that knew less, fade
@@ -83,6 +86,32 @@ class ColourError:
         return sigma.astype(np.float32)
 
 
+class MeasuredAgreement:
+    """How few measurements say where a surface is, times how much they disagree on which way it faces.
+
+    1 / sqrt(count) on a 5 cm lattice, times 1.05 less the mean resultant length of the measured normals on a 10 cm one (1 less
+    that is the spherical variance: Mardia and Jupp 2000, section 9.2): edges, corners and clutter are where a field errs.
+    """
+
+    def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
+        self._count = Lattice(box_min_m, box_max_m, COUNT_CELL_M, 1)
+        self._facing = Lattice(box_min_m, box_max_m, FACING_CELL_M, 4)  # sum of normals, and their number
+
+    def add(self, points: Float32Array, normal: Float32Array) -> None:
+        """Count end points (N, 3) with unit normals (N, 3), zero where not known, which agrees with none."""
+        one = np.ones((len(points), 1), dtype=np.float32)
+        self._count.splat(points, one)
+        self._facing.splat(points, np.concatenate([normal, one], axis=1))
+
+    def at(self, points: Float32Array) -> Float32Array:
+        """Positive (N,), largest where nothing was measured."""
+        facing = self._facing.at(points)
+        together = np.linalg.norm(facing[:, :3], axis=1) / np.maximum(facing[:, 3], np.float32(1e-6))
+        few = 1.0 / np.sqrt(self._count.at(points)[:, 0] + np.float32(COUNT_BELIEF))
+        disagreement: Float32Array = few * (np.float32(1.0 + LEAST_DISAGREEMENT) - together)
+        return disagreement.astype(np.float32)
+
+
 class NetworkColourSigma:
     """The paper's measure, faithfully: the network's own colour sigma, asked at surface points without a ray direction."""
 
@@ -95,7 +124,7 @@ class NetworkColourSigma:
 
 
 class ProductUncertainty:
-    """The product of two measures: what ranked true error best (colour error x depth information)."""
+    """The product of two measures."""
 
     def __init__(self, first: SurfaceUncertainty, second: SurfaceUncertainty) -> None:
         self._first, self._second = first, second
