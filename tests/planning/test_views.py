@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from uav_recon.planning import views as views_module
 from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry
 from uav_recon.planning.frontiers import Frontiers
 from uav_recon.planning.space import FlyableSpace
+from uav_recon.planning.view_table import ViewTable
 from uav_recon.planning.views import BATCH, COVERED_SHARE, MIN_SEEN, FrontierProposals, FrontierViews
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
@@ -250,6 +252,27 @@ def test_every_frontier_without_a_view_has_a_reason() -> None:
     assert follower.views.reasons(voxels, follower.space, follower.frontiers).keys() == {"too narrow"}
 
 
+def test_clusters_far_from_all_that_can_be_reached_are_not_searched_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    # a room to stand in without a frontier, and many specks of unknown in a large one behind a wall
+    solid = room((16.0, 12.0, 2.4), [(2.0, 0, 0, 2.1, 12.0, 2.4)])
+    state = np.where(solid, OCCUPIED, FREE).astype(np.uint8)
+    for i in range(75, 160, 9):
+        for j in range(4, 118, 9):
+            state[i : i + 4, j : j + 4, 8:12] = UNKNOWN
+    follower = Follower(GrowingMap(solid).grid)
+    searched, search = [], ViewTable.search
+
+    def counted(table: ViewTable, key: int, *rest: Any) -> int:
+        searched.append(key)
+        return search(table, key, *rest)
+
+    monkeypatch.setattr(ViewTable, "search", counted)
+    found = follower.follow(voxel_map(state), START)
+    assert len(follower.frontiers) > 4 * BATCH
+    assert (len(found.proposals), found.without_view, found.later) == (0, len(follower.frontiers), 0)
+    assert len(searched) == BATCH
+
+
 @pytest.mark.shared
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL], ids=["fixed", "gimbal"])
 def test_on_the_stream_a_view_shows_nearly_what_the_best_of_a_thousand_shows(
@@ -288,5 +311,5 @@ def test_on_the_stream_a_view_shows_nearly_what_the_best_of_a_thousand_shows(
                 )
     share = np.array(mine) / np.array(best)
     assert len(share) > 60
-    assert np.median(share) >= 0.95
-    assert sum(mine) >= 0.9 * sum(best)
+    assert np.mean(share >= 0.95) >= 0.97
+    assert min(share) >= 0.75

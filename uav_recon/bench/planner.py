@@ -19,7 +19,7 @@ from uav_recon.bench.agreement import agreement
 from uav_recon.bench.calibration import Calibration, calibrate
 from uav_recon.bench.recording import Recording, load
 from uav_recon.bench.replay import judged_views, mapped_of, timed_plans, timed_stages
-from uav_recon.bench.stages import STAGES, warm_up
+from uav_recon.bench.stages import MOUNTS_RAD, STAGES, warm_up
 from uav_recon.planning import tour
 from uav_recon.run import EXIT_FAILURE, Failure
 from uav_recon.types.maps import UNKNOWN
@@ -82,7 +82,7 @@ def _replay(recording: Recording, calibration: Calibration, progress: Progress) 
     mapped = mapped_of(recording)
     mapped.start(frames[0])
     whole = timed_plans(mapped, mapped.planner(), _tracked(progress, frames, "plans"))
-    ratios = judged_views(recording, _tracked(progress, frames, "views"))
+    ratios = {mount: judged_views(recording, _tracked(progress, frames, f"views, {mount}"), mount) for mount in MOUNTS_RAD}
     wall = {**{name: timed.wall.spread(*parts) for name, parts in STAGES.items()}, "plan": whole.wall.spread("plan")}
     cpu = {**{name: timed.cpu.spread(*parts) for name, parts in STAGES.items()}, "plan": whole.cpu.spread("plan")}
     result: Result = {
@@ -90,7 +90,8 @@ def _replay(recording: Recording, calibration: Calibration, progress: Progress) 
         "stages_calibrated": {name: asdict(spread.divided_by(calibration.factor)) for name, spread in wall.items()},
         "stages_cpu": {name: asdict(spread) for name, spread in cpu.items()},
         "stages_cpu_calibrated": {name: asdict(spread.divided_by(calibration.cpu_factor)) for name, spread in cpu.items()},
-        "best_view_ratio": _ratio_summary(ratios),
+        "best_view_ratio": _ratio_summary(ratios["gimbal"]),
+        "best_view_ratio_fixed": _ratio_summary(ratios["fixed"]),
     }
     return result | _map_quality(recording, mapped.config.clearance_m, progress) | _tour_quality(recording, progress)
 

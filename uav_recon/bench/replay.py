@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from uav_recon.bench import view_oracle
 from uav_recon.bench.laps import LapTable, Stopwatch
 from uav_recon.bench.recording import RESOLUTION_M, Recording
-from uav_recon.bench.stages import Mapped, Stages, oracle_lens, request_of
+from uav_recon.bench.stages import Mapped, Mount, Stages, oracle_lens, request_of
 from uav_recon.planning.planner import ViewPlanner
 from uav_recon.types.camera import PosedFrame
 
@@ -18,9 +18,9 @@ JUDGED_EVERY = 5  # frames: brute force takes a while
 SHELL_M = (0.5, 4.3)  # how far from a frontier the brute force looks for views
 
 
-def mapped_of(recording: Recording) -> Mapped:
+def mapped_of(recording: Recording, mount: Mount = "gimbal") -> Mapped:
     """The map of the recording's room before its first frame."""
-    return Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
+    return Mapped(recording, recording.grid, (recording.low_m, recording.high_m), mount)
 
 
 class Timed:
@@ -60,9 +60,9 @@ def timed_plans(mapped: Mapped, planner: ViewPlanner, frames: Iterable[PosedFram
     return timed
 
 
-def judged_views(recording: Recording, frames: Iterable[PosedFrame]) -> list[float]:
+def judged_views(recording: Recording, frames: Iterable[PosedFrame], mount: Mount) -> list[float]:
     """What each chosen view sees of its frontier, over what the best of 1,000 random views sees of it; every few frames."""
-    mapped = mapped_of(recording)
+    mapped = mapped_of(recording, mount)
     stages, lens = Stages(mapped), oracle_lens(mapped.camera, RESOLUTION_M)
     shell = (SHELL_M[0] / RESOLUTION_M, SHELL_M[1] / RESOLUTION_M)
     mapped.start(recording.frames[0])

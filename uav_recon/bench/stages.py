@@ -7,6 +7,7 @@ follows the recorded poses; nothing that is planned is flown, so that every fram
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -34,7 +35,12 @@ from uav_recon.types.tasks import PlanRequest
 
 # the recordings are free of noise but for their millimetres
 SENSOR = DepthSensor(depth_min_m=0.1, noise_px=0.001, baseline_m=0.05)
-GIMBAL_RAD = np.radians(60.0)
+Mount = Literal["gimbal", "fixed"]
+# how far down each can look
+MOUNTS_RAD: dict[Mount, tuple[float, float]] = {
+    "gimbal": (float(np.radians(-60.0)), float(np.radians(60.0))),
+    "fixed": (float(np.radians(15.0)), float(np.radians(15.0))),
+}
 VIEWS_LEFT = 1000
 WARM_FRAMES = 20
 # laps of a frame, and the stages that they add up to
@@ -76,14 +82,15 @@ class Decision:
 NOTHING = np.zeros(0, dtype=np.int64)
 
 
-def camera_of(lens: Intrinsics, range_m: float) -> CameraGeometry:
-    """The recording camera as the planner sees it: at the body's centre, on a gimbal."""
+def camera_of(lens: Intrinsics, range_m: float, mount: Mount = "gimbal") -> CameraGeometry:
+    """The recording camera as the planner sees it: at the body's centre, on a gimbal or tilted down for good."""
+    low_rad, high_rad = MOUNTS_RAD[mount]
     return CameraGeometry(
         hfov_rad=2 * float(np.arctan(lens.width / 2 / lens.fx)),
         vfov_rad=2 * float(np.arctan(lens.height / 2 / lens.fy)),
         position_body_m=np.zeros(3),
-        pitch_min_rad=-GIMBAL_RAD,
-        pitch_max_rad=GIMBAL_RAD,
+        pitch_min_rad=low_rad,
+        pitch_max_rad=high_rad,
         range_m=range_m,
         near_m=SENSOR.depth_min_m,
     )
@@ -104,9 +111,11 @@ def oracle_lens(camera: CameraGeometry, resolution_m: float) -> Lens:
 class Mapped:
     """The map of one replay. fence_m: lower and upper corner (3,) in world."""
 
-    def __init__(self, recording: Recording, grid: GridSpec, fence_m: tuple[FloatArray, FloatArray]) -> None:
+    def __init__(
+        self, recording: Recording, grid: GridSpec, fence_m: tuple[FloatArray, FloatArray], mount: Mount = "gimbal"
+    ) -> None:
         self.fence_m, self.fence = fence_m, fence_box(grid, *fence_m)
-        self.camera = camera_of(recording.lens, recording.max_range_m)
+        self.camera = camera_of(recording.lens, recording.max_range_m, mount)
         self.config = derived(PlannerConfig(variant="explore"), *fence_m, self.camera)
         low, high = (tuple(corner.tolist()) for corner in fence_m)
         self.voxels = Voxels(

@@ -54,18 +54,21 @@ def _tours(result: Result) -> Table:
 
 
 def _quality(result: Result) -> list[str]:
-    lengths, ratio = result["path_lengths"], result["best_view_ratio"]
+    lengths = result["path_lengths"]
     lines = []
     if result["agreement"] is not None:
         lines.append(
             f"map: {result['agreement']:.2%} of the voxels agree with the reference to within one; "
             f"{result['occupied_freed']} that it calls occupied are free"
         )
-    if ratio["views"]:
-        lines.append(
-            f"views: {ratio['median']:.3f} of what the best of 1,000 random ones sees (median of {ratio['views']}; "
-            f"5th percentile {ratio['p05']:.3f}, lowest {ratio['min']:.3f}; {ratio['share_of_95']:.0%} of them see 95 % of it)"
-        )
+    for mount, key in (("gimbal", "best_view_ratio"), ("fixed", "best_view_ratio_fixed")):
+        ratio = result[key]
+        if ratio["views"]:
+            lines.append(
+                f"views, {mount}: {ratio['median']:.3f} of what the best of 1,000 random ones sees (median of "
+                f"{ratio['views']}; 5th percentile {ratio['p05']:.3f}, lowest {ratio['min']:.3f}; "
+                f"{ratio['share_of_95']:.1%} of them see 95 % of it)"
+            )
     if lengths is not None:
         lines.append(
             f"ways: {lengths['mean_m']:.3f} m on {lengths['pairs']} pairs, {lengths['mean_excess']:+.2%} beside exact search "

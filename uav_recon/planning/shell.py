@@ -17,7 +17,7 @@ FARTHEST_M = 4.2  # a fixed mount sees high and low cells from afar only
 RANGE_MARGIN_M = 0.2
 _STEEPEST_RAD = np.radians(80.0)
 _OFFSETS = (2048, 1024, 512)  # of the shell itself, beyond it, within it
-_PLACES = (48, 24, 12)  # so many of them are looked from, at most
+_PLACES = (150, 50, 30)  # so many of them are looked from, at most
 # the generalised golden ratio of three dimensions: its powers make a sequence that fills a cube evenly, however many are taken
 _RATIO = 1.2207440846057596
 

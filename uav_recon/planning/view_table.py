@@ -7,12 +7,13 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import first_obstacle
 from uav_recon.planning.camera import Sight, in_view, sight
-from uav_recon.planning.glimpses import Int32Array, best_view
+from uav_recon.planning.outlook import Int32Array
 from uav_recon.planning.shell import Shell
+from uav_recon.planning.vantage import ROOM, best_view
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 ROWS = 512  # answers kept; the oldest go first
-MOST_BLOCKERS = 1024
+MOST_BLOCKERS = 2048
 SAMPLE_CELLS = 40  # of what a view shows: so many stand for all when another view is asked whether it shows them as well
 SAMPLE_POINTS = 6 * SAMPLE_CELLS
 
@@ -33,7 +34,7 @@ class ViewTable:
         self.promised = [np.zeros(0, dtype=np.int64)] * ROWS
         self.shown = np.zeros(ROWS, dtype=np.int64)
         self.view = np.zeros((ROWS, 5))
-        self.asked = np.zeros((ROWS, len(shell.offsets)), dtype=np.int32)
+        self.asked = np.zeros((ROWS, len(shell.offsets) + ROOM), dtype=np.int32)
         self.blockers = np.zeros((ROWS, MOST_BLOCKERS), dtype=np.int32)
         self.box = np.zeros((ROWS, 4), dtype=np.int64)
         self.counts = np.zeros((ROWS, 4), dtype=np.int64)

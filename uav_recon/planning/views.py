@@ -11,6 +11,7 @@ import numpy as np
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.frontiers import Frontiers
+from uav_recon.planning.nearby import Reach, ReachableTiles
 from uav_recon.planning.proposal import Proposal
 from uav_recon.planning.shell import explore_shell
 from uav_recon.planning.view_table import ViewTable
@@ -20,28 +21,17 @@ from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 MIN_SEEN = 10  # cells: less is not worth a stop
 COVERED_SHARE = 0.7  # of what its own view sees: a frontier that another view shows so well needs no stop of its own
-BATCH = 32  # clusters looked at, the nearest first; as many more as long as there is no view at all
+BATCH = 32  # clusters looked at, the nearest first; as many again, and again, as long as there is no view at all
+MOST_MORE = 256  # ... but so many at most: what is found in one go has room in the table
 SEARCHES = 4  # for each revision of the map since the last plan, or until there is a view: the rest is left for later
 
 
-class Flyable(Protocol):
-    """What of the flyable space is asked; see FlyableSpace. Both (nx + 2, ny + 2, nz + 2) uint8, padded by zeros."""
+class Flyable(Reach, Protocol):
+    """What of the flyable space is asked; see FlyableSpace."""
 
     @property
     def mask(self) -> ByteArray:
-        """1 = flyable."""
-
-    @property
-    def reachable(self) -> ByteArray:
-        """1 = flyable and connected with the vehicle."""
-
-    @property
-    def revision(self) -> int:
-        """Grows with each change of ``reachable``."""
-
-    @property
-    def reachable_revision(self) -> IntArray:
-        """(tiles) the revision at which ``reachable`` last changed in a tile of TILE x TILE columns."""
+        """(nx + 2, ny + 2, nz + 2) uint8, padded by zeros: 1 = flyable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,13 +55,15 @@ class FrontierViews:
         self._config = config
         self._camera = camera
         self._plans = 0
+        self._tiles = ReachableTiles()
         self._start(np.zeros((0, 0, 0), dtype=np.uint8), 1.0)
 
     def update(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, position_world: FloatArray) -> FrontierProposals:
-        """Find views of the clusters nearest to a position, BATCH at a time, until there is one. Tasks that another one's view
-        covers are left out; that view promises theirs too.
+        """Find views of the BATCH clusters nearest to a position, or of the more the longer there is none. Tasks that another
+        one's view covers are left out; that view promises theirs too.
 
-        ``frontiers`` is to have seen ``voxels``. The tour executes only the first few metres: far clusters can wait.
+        ``frontiers`` is to have seen ``voxels``. The tour executes only the first few metres: far clusters can wait. One with
+        nothing in its reach that can be flown to is not searched for: that has no view.
         """
         grid = voxels.grid
         self._keep_map(frontiers, grid.resolution_m)
@@ -84,8 +76,13 @@ class FrontierViews:
         self._revision = voxels.revision
         while asked < wanted:
             clusters = frontiers.table.nearest(here, wanted)[asked:]
+            if asked:
+                self._tiles.update(space)
             for cluster, held in zip(clusters.tolist(), self._held(voxels, space, frontiers, clusters), strict=True):
                 row = held if self.table.is_about(held, int(frontiers.table.key[cluster])) else -1
+                if row < 0 and asked and not self._tiles.near(frontiers.table.centre[cluster], self._reach):
+                    without += 1
+                    continue
                 if row < 0 and (searches > 0 or not found):
                     searches -= 1
                     row = self._search(voxels, space.reachable, space.revision, frontiers, cluster, lens)
@@ -97,7 +94,7 @@ class FrontierViews:
                 else:
                     without += 1
             asked += len(clusters)
-            wanted = asked if found else min(wanted + BATCH, total)
+            wanted = asked if found else min(2 * wanted, wanted + MOST_MORE, total)
         return FrontierProposals(self._proposals(voxels, space, found, lens), without, total - asked + later)
 
     def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[str]:
@@ -185,6 +182,7 @@ class FrontierViews:
         self._faces = faces
         self._revision = -BATCH  # for the first plan all of a batch
         self.table = ViewTable(explore_shell(self._config, self._camera, resolution_m))
+        self._reach = float(np.abs(self.table.shell.offsets).max(initial=0.0))  # of a place from its frontier, along an axis
         self._centre = np.zeros((len(self.table.shown), 3))  # of the clusters, by row, voxels
         self._tasks = {}  # by row
 
@@ -206,6 +204,9 @@ def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
         frontiers.update(voxels, np.zeros(3, dtype=np.int64), np.array(grid.shape), np.zeros(grid.shape, dtype=np.uint8))
         views.update(voxels, space, frontiers, np.ones(3))
         views.reasons(voxels, space, frontiers)
+        tiles = ReachableTiles()
+        tiles.update(space)
+        tiles.near(np.ones(3), 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

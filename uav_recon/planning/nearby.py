@@ -1,0 +1,78 @@
+"""Where anything can be reached at all: for a cluster far from that, no place of the shell need be asked."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
+from uav_recon.types.maps import TILE
+
+
+class Reach(Protocol):
+    """What of the flyable space is asked; see FlyableSpace."""
+
+    @property
+    def reachable(self) -> ByteArray:
+        """(nx + 2, ny + 2, nz + 2) uint8, padded by zeros: 1 = can be reached."""
+
+    @property
+    def revision(self) -> int:
+        """Grows with each change of ``reachable``."""
+
+    @property
+    def reachable_revision(self) -> IntArray:
+        """(tiles) the revision at which ``reachable`` last changed in a tile of TILE x TILE columns."""
+
+
+class ReachableTiles:
+    """Tiles of columns in which a place can be reached; only what changed is looked at again."""
+
+    def __init__(self) -> None:
+        self._space: Reach | None = None
+        self._seen = -1
+        self._tiles: BoolArray = np.zeros((0, 0), dtype=np.bool_)
+
+    def update(self, space: Reach) -> None:
+        """Follow a space; another one is looked at from the beginning."""
+        if space is not self._space or space.revision < self._seen:
+            self._space, self._seen = space, -1
+            self._tiles = np.zeros(space.reachable_revision.shape, dtype=np.bool_)
+        _renew(space.reachable, space.reachable_revision, self._seen, self._tiles)
+        self._seen = space.revision
+
+    def near(self, centre: FloatArray, radius: float) -> bool:
+        """Tell whether a tile within a radius of a place (3,), voxels, along both axes holds anything that can be reached."""
+        return bool(_any_near(self._tiles, centre[0], centre[1], radius))
+
+
+@kernel
+def _any_in(reachable: ByteArray, a: int, b: int) -> bool:
+    nx, ny, nz = reachable.shape
+    for i in range(a * TILE + 1, min(a * TILE + TILE, nx - 2) + 1):
+        for j in range(b * TILE + 1, min(b * TILE + TILE, ny - 2) + 1):
+            for k in range(1, nz - 1):
+                if reachable[i, j, k] != 0:
+                    return True
+    return False
+
+
+@kernel
+def _renew(reachable: ByteArray, changed: IntArray, since: int, tiles: BoolArray) -> None:
+    for a in range(tiles.shape[0]):
+        for b in range(tiles.shape[1]):
+            if changed[a, b] > since:
+                tiles[a, b] = _any_in(reachable, a, b)
+
+
+@kernel
+def _any_near(tiles: BoolArray, x: float, y: float, radius: float) -> bool:
+    first_a, last_a = int(max(x - radius, 0.0)) // TILE, min(int(max(x + radius, 0.0)) // TILE, tiles.shape[0] - 1)
+    first_b, last_b = int(max(y - radius, 0.0)) // TILE, min(int(max(y + radius, 0.0)) // TILE, tiles.shape[1] - 1)
+    for a in range(first_a, last_a + 1):
+        for b in range(first_b, last_b + 1):
+            if tiles[a, b]:
+                return True
+    return False
