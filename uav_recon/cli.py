@@ -243,9 +243,10 @@ def bench_uncertainty(
 ) -> None:
     """Which measure of uncertainty ranks true errors: AUSE and Spearman of each, on unfinished maps.
 
-    Measures: the paper's colour sigma asked of the network at surface points, colour sigma kept in a grid, the information
-    that depth images gave to a lattice, and the product of the last two. `All` is every vertex of the field's surface in
-    the room's box, also where nobody looked; `observed` is what the planner is given.
+    Measures: the paper's colour sigma asked of the network at surface points; colour sigma kept in a grid; the information
+    that depth images gave to a lattice; the product of these two; how many measurements there are and whether they agree.
+    `All` is every vertex of the field's surface in the room's box, also where nobody looked; `observed` is what the planner
+    is given.
 
     Example: `uav-recon bench uncertainty --scene ../shared/scenes/two_rooms --after 20,30`
     """

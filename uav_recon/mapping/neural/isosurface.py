@@ -49,21 +49,30 @@ def wanted_nodes(wanted: BoolArray, origin_m: FloatArray, cell_m: float, voxel_m
 def node_points(nodes: SparseNodes) -> tuple[Float32Array, BoolArray]:
     """World points (N, 3) of all wanted nodes, and the mask that puts values back: nodes.values[mask] = f(points)."""
     mask: BoolArray = nodes.values != ABSENT
-    block, i, j, k = np.nonzero(mask)
-    index = nodes.blocks[block] * EDGE + np.stack([i, j, k], axis=1)
-    points: Float32Array = (nodes.origin_m + nodes.voxel_m * index.astype(np.float32)).astype(np.float32)
+    points = np.empty((int(np.count_nonzero(mask)), 3), dtype=np.float32)
+    _list_nodes(nodes, points)
     return points, mask
 
 
+def net_vertices(nodes: SparseNodes) -> tuple[Float32Array, Float32Array]:
+    """Vertices (V, 3), unit normals towards positive values (V, 3)."""
+    return _vertices(nodes)[1:]
+
+
 def surface_net(nodes: SparseNodes) -> tuple[Float32Array, Float32Array, IntArray]:
-    """Vertices (V, 3), unit normals towards positive values (V, 3), quads (Q, 4), counter-clockwise seen from there."""
+    """The same with quads (Q, 4), counter-clockwise seen from positive values."""
+    cells, vertices, normals = _vertices(nodes)
+    quads = np.empty((3 * len(vertices), 4), dtype=np.int64)
+    return vertices, normals, quads[: _join(nodes, cells, quads)]
+
+
+def _vertices(nodes: SparseNodes) -> tuple[AnyArray, Float32Array, Float32Array]:
     cells = np.full(nodes.values.shape, -1, dtype=np.int32)
     count = _number_cells(nodes, cells)
     vertices = np.empty((count, 3), dtype=np.float32)
     normals = np.empty((count, 3), dtype=np.float32)
     _place_vertices(nodes, cells, vertices, normals)
-    quads = np.empty((3 * count, 4), dtype=np.int64)
-    return vertices, normals, quads[: _join(nodes, cells, quads)]
+    return cells, vertices, normals
 
 
 @kernel
@@ -96,6 +105,21 @@ def _mark_nodes(wanted: BoolArray, ratio: float, blocks: AnyArray, values: Float
                     k = int((blocks[block, 2] * EDGE + c) * ratio)
                     if i < nx and j < ny and k < nz and wanted[i, j, k]:
                         values[block, a, b, c] = 0.0
+
+
+@kernel
+def _list_nodes(nodes: SparseNodes, points: Float32Array) -> None:
+    count = 0
+    for block in range(nodes.blocks.shape[0]):
+        x, y, z = nodes.blocks[block, 0] * EDGE, nodes.blocks[block, 1] * EDGE, nodes.blocks[block, 2] * EDGE
+        for a in range(EDGE):
+            for b in range(EDGE):
+                for c in range(EDGE):
+                    if nodes.values[block, a, b, c] < ABSENT:
+                        points[count, 0] = nodes.origin_m[0] + nodes.voxel_m * np.float32(x + a)
+                        points[count, 1] = nodes.origin_m[1] + nodes.voxel_m * np.float32(y + b)
+                        points[count, 2] = nodes.origin_m[2] + nodes.voxel_m * np.float32(z + c)
+                        count += 1
 
 
 @kernel

@@ -13,7 +13,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.neural.field import Field
-from uav_recon.mapping.neural.isosurface import node_points, surface_net, wanted_nodes
+from uav_recon.mapping.neural.isosurface import net_vertices, node_points, surface_net, wanted_nodes
 from uav_recon.mapping.neural.uncertainty import Lattice, SurfaceUncertainty
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
@@ -52,8 +52,12 @@ class Evidence:
 
     def near(self, least: int) -> BoolArray:
         """Cells within one cell of at least ``least`` end points."""
+        return self.near_in(least, np.ones(self.count.shape, dtype=np.bool_))
+
+    def near_in(self, least: int, cells: BoolArray) -> BoolArray:
+        """The same, of some cells (nx, ny, nz) only."""
         out = np.zeros(self.count.shape, dtype=np.bool_)
-        _spread(self.count, least, out)
+        _spread(self.count, least, cells, out)
         return out
 
     def holding(self) -> Callable[[Float32Array], BoolArray]:
@@ -80,7 +84,7 @@ def surface_elements(
     field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, revision: int, map_epoch: int
 ) -> SurfaceElements:
     """Elements on the surface nets of a ``voxel_m`` lattice; empty before the first view."""
-    vertices, normals, _ = _extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
+    vertices, normals = extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
     keep = ~evidence.contradicts(vertices, normals)
     vertices, normals = vertices[keep], normals[keep]
     return SurfaceElements(
@@ -130,6 +134,14 @@ def whole_surface(field: Field, evidence: Evidence, voxel_m: float) -> WholeSurf
     vertices, normals, _ = _extract(field, evidence, wanted, voxel_m)
     observed = evidence.holding()(vertices) & ~evidence.contradicts(vertices, normals)
     return WholeSurface(vertices, observed)
+
+
+def extract(field: Field, evidence: Evidence, wanted: BoolArray, voxel_m: float) -> tuple[Float32Array, Float32Array]:
+    """Vertices (V, 3) and normals (V, 3) of the field's surface in wanted evidence cells."""
+    nodes = wanted_nodes(wanted, evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
+    points, mask = node_points(nodes)
+    nodes.values[mask] = field.distance_m(points)
+    return net_vertices(nodes)
 
 
 def _extract(
@@ -270,7 +282,7 @@ def _count(
 
 
 @kernel
-def _spread(count: AnyArray, least: int, out: BoolArray) -> None:
+def _spread(count: AnyArray, least: int, cells: BoolArray, out: BoolArray) -> None:
     nx, ny, nz = count.shape
     for i in range(nx):
         for j in range(ny):
@@ -280,4 +292,4 @@ def _spread(count: AnyArray, least: int, out: BoolArray) -> None:
                 for a in range(max(i - 1, 0), min(i + 2, nx)):
                     for b in range(max(j - 1, 0), min(j + 2, ny)):
                         for c in range(max(k - 1, 0), min(k + 2, nz)):
-                            out[a, b, c] = True
+                            out[a, b, c] = cells[a, b, c]

@@ -9,6 +9,7 @@ from uav_recon.mapping.neural.alignment import Alignment
 from uav_recon.mapping.neural.field import Field
 from uav_recon.mapping.neural.grid import POINTS
 from uav_recon.mapping.neural.intake import acceptable, padded
+from uav_recon.mapping.neural.livesurface import LiveSurface
 from uav_recon.mapping.neural.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
 from uav_recon.mapping.neural.optimiser import Optimiser
 from uav_recon.mapping.neural.rays import pixel_stride, ray_records
@@ -55,6 +56,7 @@ class Trainer:
         self._batch = make_batch()
         self._corners = np.zeros((POINTS, 3), dtype=np.float32)
         self._evidence = Evidence(low, high)
+        self._live = LiveSurface(self._evidence, config.surface_voxel_m)
         self._images = Testimony()
         self._alignment = Alignment()
         self.align_views = True
@@ -89,13 +91,15 @@ class Trainer:
         view = self._replay.rays(records, rotation, position, sigma)
         self._replay.add(records, rotation, position, sigma)
         self._alignment.add(rotation, position)
+        beside = np.lexsort((records[:, 0], records[:, 1]))  # in rows of the picture: neighbours in space lie side by side
         for points in view.points:
-            self.field.cover(points)
+            self.field.cover(points[beside])
         self._optimiser.follow_growth()
         self._information.add(view.points[0], view.cosine, view.sigma_m)
         self._agreement.add(view.points[0], view.normal)
         footprint_m = np.sqrt(view.sigma_m / sigma) * (pixel_stride(lens, most) / lens.fx)
         self._evidence.add(position, view.points[0], view.normal, view.sigma_m, footprint_m.astype(np.float32))
+        self._live.touch(view.points[0])
         self._images.add(frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)
         self._map_epoch = keyframe.map_epoch
         return True
@@ -124,11 +128,12 @@ class Trainer:
         return self._config.surface_voxel_m
 
     def surface(self) -> SurfaceElements:
-        """Elements of the surface as it is now; none before the first view."""
-        return self.whole_room()
+        """Elements of the surface; none before the first view. New where new views looked, elsewhere a little older."""
+        self._live.refresh(self.field, self.uncertainty)
+        return self._live.elements(self.views, self._map_epoch)
 
     def whole_room(self) -> SurfaceElements:
-        """The same, from nothing."""
+        """Elements of the whole surface as it is now."""
         voxel_m = self._config.surface_voxel_m
         return surface_elements(self.field, self._evidence, self.uncertainty, voxel_m, self.views, self._map_epoch)
 
