@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sitl.jit import kernel
 from sitl.scene import HULL_HEIGHT_M, HULL_RADIUS_M, Scene
-from sitl.surface import dense_points
+from sitl.surface import row_points
 
 CAP_M = 1.0
 SPACING_M = 0.01
@@ -63,8 +63,8 @@ class Clearance:
     """Distance from the hull, an upright cylinder centred on the body, to the scene's mesh."""
 
     def __init__(self, scene: Scene, radius_m: float = HULL_RADIUS_M, height_m: float = HULL_HEIGHT_M) -> None:
-        """Samples the mesh: about a second for 700k faces."""
-        self.bins = PointBins(dense_points(scene.vertices, scene.faces, SPACING_M))
+        """Samples the mesh: less than a second for 700k faces."""
+        self.bins = PointBins(row_points(scene.vertices, scene.faces, SPACING_M))
         self._radius_m, self._half_height_m = radius_m, 0.5 * height_m
 
     def hull_m(self, position_m: ArrayLike) -> float:
@@ -79,7 +79,7 @@ class Clearance:
 def warm_up() -> None:
     """Compile every kernel of this file and of the sampling below it."""
     triangle = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]], np.float32)
-    PointBins(dense_points(triangle, np.array([[0, 1, 2]], np.int32), SPACING_M)).distances(np.zeros((1, 3)), 0.2, 0.1, 1.0)
+    PointBins(row_points(triangle, np.array([[0, 1, 2]], np.int32), SPACING_M)).distances(np.zeros((1, 3)), 0.2, 0.1, 1.0)
 
 
 @kernel

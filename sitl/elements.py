@@ -57,10 +57,7 @@ class SurfaceMemory:
 
     def elements(self) -> tuple[F64, F64, F64]:
         """Positions (N, 3), unit normals (N, 3) towards the camera, and standard deviations (N,) in metres."""
-        sums = self._sums[: self._count]
-        length = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
-        normals = np.where(length > 1e-6, sums[:, 3:6] / np.maximum(length, 1e-6), np.array([0.0, 0.0, 1.0]))
-        return sums[:, :3] / sums[:, 6:7], normals, 1.0 / np.sqrt(sums[:, 7] + 1.0 / PRIOR_SIGMA_M**2)
+        return _elements(self._sums[: self._count])
 
 
 def warm_up() -> None:
@@ -70,6 +67,22 @@ def warm_up() -> None:
     for array in (depth, eye):  # as they come in a frozen frame
         array.setflags(write=False)
     memory.look(depth, np.array([8.0, 8.0, 3.5, 3.5]), np.eye(3), eye, 0.005)
+    memory.elements()
+
+
+@kernel
+def _elements(sums: F64) -> tuple[F64, F64, F64]:
+    """Means of what _look summed up: positions, normals (up where they cancel out) and standard deviations."""
+    positions, normals, sigma = np.empty((sums.shape[0], 3)), np.zeros((sums.shape[0], 3)), np.empty(sums.shape[0])
+    for n in range(sums.shape[0]):
+        length = np.sqrt(sums[n, 3] ** 2 + sums[n, 4] ** 2 + sums[n, 5] ** 2)
+        normals[n, 2] = 1.0
+        for k in range(3):
+            positions[n, k] = sums[n, k] / sums[n, 6]
+            if length > 1e-6:
+                normals[n, k] = sums[n, 3 + k] / length
+        sigma[n] = 1.0 / np.sqrt(sums[n, 7] + 1.0 / PRIOR_SIGMA_M**2)
+    return positions, normals, sigma
 
 
 @kernel

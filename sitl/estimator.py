@@ -269,13 +269,18 @@ class Estimator:
             self._on_reset((dx, dy, dz), turn)
 
     def _shift(self, dx: float, dy: float, dz: float, dvx: float, dvy: float, dvz: float, stamp: float, turn: float) -> None:
-        """Move the estimate at `stamp` and carry the change to now, through the history."""
-        for entry in self._history:
-            age = entry[0] - stamp
-            entry[1] += dx + dvx * age
-            entry[2] += dy + dvy * age
-            entry[3] += dz + dvz * age
-            entry[4] += turn
+        """Move the estimate at `stamp` and carry the change to now, through the history; no velocity without its place."""
+        if dx or dy:
+            for entry in self._history:
+                age = entry[0] - stamp
+                entry[1] += dx + dvx * age
+                entry[2] += dy + dvy * age
+        if dz:
+            for entry in self._history:
+                entry[3] += dz + dvz * (entry[0] - stamp)
+        if turn:
+            for entry in self._history:
+                entry[4] += turn
         age = self._now_s - stamp
         x, y, z = self.position
         self.position = (x + dx + dvx * age, y + dy + dvy * age, z + dz + dvz * age)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.transform import quat_from_rotation, rotation_from_rotvec
+from sitl.rotation import Quat, Vec3, from_small_rotation, multiply
 
 RATE_HZ = 15.0
 DRIFT_M, DRIFT_RAD, DRIFT_TIME_S = 0.01, math.radians(0.3), 20.0
@@ -47,13 +47,14 @@ class NoisyPoses:
         """Whether step() has anything to do now."""
         return self._due_s is None or now_s >= self._due_s - 1e-9 or bool(self._pending and self._pending[0][0] <= now_s)
 
-    def step(self, now_s: float, world_from_body: F64) -> list[PoseRecord]:
+    def step(self, now_s: float, position_m: Vec3, quat_wxyz: Quat) -> list[PoseRecord]:
         """Capture a pose if one is due now, and return those that have arrived by now_s, oldest first. Does not block.
 
-        world_from_body (4, 4) is the truth at now_s. Call it at 30 Hz or more: a pose is captured only inside a call.
+        position_m and quat_wxyz (world_from_body) are the truth at now_s.
+        Call it at 30 Hz or more: a pose is captured only inside a call.
         """
         if self._due_s is None or now_s >= self._due_s - 1e-9:
-            self._capture(now_s, world_from_body)
+            self._capture(now_s, position_m, quat_wxyz)
             scheduled_s = now_s if self._due_s is None else self._due_s
             self._due_s = max(scheduled_s + 1.0 / RATE_HZ, now_s)
         arrived = []
@@ -61,15 +62,15 @@ class NoisyPoses:
             arrived.append(self._pending.popleft()[1])
         return arrived
 
-    def _capture(self, now_s: float, world_from_body: F64) -> None:
+    def _capture(self, now_s: float, position_m: Vec3, quat_wxyz: Quat) -> None:
         if self._due_s is not None:
             keep = math.exp(-(now_s - self._last_s) / DRIFT_TIME_S)
             spread = _DRIFT * math.sqrt(1.0 - keep * keep)
             self._drift = keep * self._drift + spread * self._rng.standard_normal(6)
         self._last_s = now_s
         error = self._drift + _WHITE * self._rng.standard_normal(6)
-        quaternion = quat_from_rotation(rotation_from_rotvec(error[3:]) @ world_from_body[:3, :3])
-        record = PoseRecord(now_s, world_from_body[:3, 3] + error[:3], quaternion, _VARIANCE, 100, 0)
+        attitude = np.array(multiply(from_small_rotation(*error[3:].tolist()), quat_wxyz))
+        record = PoseRecord(now_s, position_m + error[:3], attitude, _VARIANCE, 100, 0)
         delay_s = max(DELAY_S + DELAY_SPREAD_S * float(self._rng.standard_normal()), DELAY_MIN_S)
         self._last_arrival_s = max(self._last_arrival_s, now_s + delay_s)
         self._pending.append((self._last_arrival_s, record))

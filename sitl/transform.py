@@ -39,16 +39,6 @@ def world_from_body(position_m: ArrayLike, yaw_rad: float) -> Matrix:
     return rigid(rotation_from_yaw(yaw_rad), position_m)
 
 
-def rotation_from_rotvec(rotvec_rad: ArrayLike) -> Matrix:
-    """Rotation (3, 3) by |rotvec| about rotvec (3,); Rodrigues' formula."""
-    v = np.asarray(rotvec_rad, np.float64)
-    angle = float(np.sqrt(v @ v))
-    skew = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    if angle < 1e-9:
-        return np.asarray(np.eye(3) + skew)
-    return np.asarray(np.eye(3) + math.sin(angle) / angle * skew + (1.0 - math.cos(angle)) / angle**2 * (skew @ skew))
-
-
 def rotation_from_quat(quat_wxyz: ArrayLike) -> Matrix:
     """Rotation (3, 3) of a quaternion (4,), which is normalised first."""
     q = np.asarray(quat_wxyz, np.float64)
@@ -60,29 +50,6 @@ def rotation_from_quat(quat_wxyz: ArrayLike) -> Matrix:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def quat_from_rotation(rotation: Matrix) -> Matrix:
-    """Quaternion wxyz (4,), w >= 0, of a rotation (3, 3); Shepperd's method (largest component first)."""
-    r = rotation
-    four_squares = np.array(
-        [
-            1 + r[0, 0] + r[1, 1] + r[2, 2],
-            1 + r[0, 0] - r[1, 1] - r[2, 2],
-            1 - r[0, 0] + r[1, 1] - r[2, 2],
-            1 - r[0, 0] - r[1, 1] + r[2, 2],
-        ]
-    )
-    largest = int(np.argmax(four_squares))
-    rows = {
-        0: (four_squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]),
-        1: (r[2, 1] - r[1, 2], four_squares[1], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]),
-        2: (r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], four_squares[2], r[2, 1] + r[1, 2]),
-        3: (r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], four_squares[3]),
-    }
-    q = np.array(rows[largest]) / (2.0 * math.sqrt(four_squares[largest]))
-    q = q / np.sqrt(q @ q)
-    return -q if q[0] < 0 else q
 
 
 def body_from_camera(position_m: ArrayLike, pitch_down_rad: float) -> Matrix:

@@ -88,7 +88,8 @@ class World:
     def _publish_poses(self, now_s: float) -> None:
         if not self._poses.due(now_s):
             return
-        for record in self._poses.step(now_s, self._world_from_body()):
+        truth = self.autopilot.truth()
+        for record in self._poses.step(now_s, truth.position, truth.quat_wxyz):
             self._stream.write_pose(
                 record.stamp_s, record.position_m, record.quat_wxyz, record.variance, record.quality, record.reset_counter
             )

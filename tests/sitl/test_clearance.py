@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from sitl.clearance import CAP_M, Clearance
 from sitl.scene import Scene
-from sitl.surface import area_weighted_points, dense_points, height_below
+from sitl.surface import F32, I32, area_weighted_points, dense_points, height_below, row_points
 
 
 def scene_of(vertices: list[list[float]], faces: list[list[int]]) -> Scene:
@@ -67,12 +68,13 @@ def test_batch_agrees_with_every_point_tried() -> None:
     assert got[7] == clearance.hull_m(positions[7])
 
 
-def test_dense_points_leave_no_gap() -> None:
+@pytest.mark.parametrize("points", [dense_points, row_points])
+def test_dense_points_leave_no_gap(points: Callable[[F32, I32, float], F32]) -> None:
     rng = np.random.default_rng(5)
     vertices = rng.uniform(-0.5, 0.5, (60, 3)).astype(np.float32)
     faces = np.arange(60, dtype=np.int32).reshape(-1, 3)
     everywhere = area_weighted_points(vertices, faces, 100_000, 2)
-    distance, _ = cKDTree(dense_points(vertices, faces, 0.01)).query(everywhere)
+    distance, _ = cKDTree(points(vertices, faces, 0.01)).query(everywhere)
     assert distance.max() < 0.0135
     assert np.sqrt((distance**2).mean()) < 0.006
 
