@@ -16,7 +16,7 @@ from uav_recon.planning.shell import explore_shell
 from uav_recon.planning.space import FlyableSpace
 from uav_recon.planning.vantage import ROOM, _ranked, best_view
 from uav_recon.planning.view_table import MOST_BLOCKERS, targets
-from uav_recon.types.maps import FREE
+from uav_recon.types.maps import FREE, TILE
 
 START = np.array([1.0, 1.0, 1.1])
 
@@ -43,7 +43,7 @@ def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: Ca
     asked, blockers = np.zeros(len(shell.offsets) + ROOM, dtype=np.int32), np.zeros(MOST_BLOCKERS, dtype=np.int32)
     for row in frontiers.rows():
         points, first = targets(frontiers.faces, frontiers.flat(int(row)))
-        view, seen, asks, hidden, box = best_view(
+        view, seen, asks, hidden, boxes = best_view(
             voxels.distance2.reshape(-1), world.grid.shape, space.reachable.reshape(-1), lens, shell.offsets, shell.ends,
             shell.places, frontiers.table.centre[row], points, first, asked, blockers,
         )  # fmt: skip
@@ -60,8 +60,10 @@ def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: Ca
             shares.append(view_oracle.cells_seen(voxels.state, oracle, view, target) / best)
             assert reachable[tuple(view[:3].astype(int))]
             assert seen.sum() <= view_oracle.cells_seen(voxels.state, oracle, view, target)
-            assert (box[:2] * 8 <= view[:2]).all()
-            assert (view[:2] < box[2:] * 8 + 8).all()
+            at = np.array(np.unravel_index(np.where(asked[:asks] >= 0, asked[:asks], ~asked[:asks]), space.reachable.shape)) - 1
+            for box, places in zip(boxes, (view[:2, None], at[:2]), strict=True):
+                assert (box[:2, None] * TILE <= places).all()
+                assert (places < box[2:, None] * TILE + TILE).all()
     assert len(shares) >= 8
     assert np.mean(np.array(shares) >= 0.95) >= 0.9
     assert min(shares) >= 0.8

@@ -32,7 +32,7 @@ _WAYS = np.array(
 )
 Cluster = tuple[FloatArray, IntArray, Targets, FloatArray]  # points, first, see view_table.targets(); targets; centre
 Desk = tuple[Int32Array, ByteArray, IntArray, Float32Array]  # room for facing, found (U,), order (N,) and directions (3, N)
-Record = tuple[Int32Array, FloatArray, Notes]  # asked, extent and notes: what the answer hangs on
+Record = tuple[Int32Array, FloatArray, Notes]  # asked, extents and notes: what the answer hangs on
 
 
 @kernel
@@ -105,6 +105,13 @@ def _widen(extent: FloatArray, x: float, y: float) -> None:
 
 
 @kernel
+def _tiles(extent: FloatArray, beside: float, shape: tuple[int, int, int], box: IntArray) -> None:
+    """First and last tile (i, j, i, j) that a box touches, with so much room to all sides."""
+    box[0], box[1] = int(max(extent[0] - beside, 0.0)) // TILE, int(max(extent[1] - beside, 0.0)) // TILE
+    box[2], box[3] = int(min(extent[2] + beside, shape[0] - 1.0)) // TILE, int(min(extent[3] + beside, shape[1] - 1.0)) // TILE
+
+
+@kernel
 def _survey(
     scene: Scene,
     reachable: ByteArray,
@@ -124,7 +131,7 @@ def _survey(
     """
     _, shape, lens = scene
     _, first, targets, centre = cluster
-    asked, extent, notes = record
+    asked, extents, notes = record
     cells = len(first) - 1
     count, asks, opened, best, cast = 0, 0, 0, 0, 0
     part, left, p = 0, quotas[0], 0
@@ -140,6 +147,7 @@ def _survey(
             continue
         asked[asks] = _ask(reachable, shape, x, y, z)
         asks += 1
+        _widen(extents[1], x, y)
         if asked[asks - 1] < 0:
             continue
         left -= 1
@@ -151,7 +159,7 @@ def _survey(
         opened += 1
         if cast < AT_ONCE and 2 * centred >= cells and cells_with(targets, desk[0])[1] >= ENOUGH * cells:
             promises[opened - 1] = 0
-            _widen(extent, x, y)
+            _widen(extents[0], x, y)
             total, count, _ = _look(scene, cluster, place, best, best, desk, notes, view, count)
             cast += 1
             best = max(best, total)
@@ -205,7 +213,7 @@ def _climb(
 ) -> tuple[int, int, int]:
     """Move a view that shows ``total`` cells to places around it as long as one shows more; how many then, asks, blockers."""
     _, shape, _ = scene
-    asked, extent, notes = record
+    asked, extents, notes = record
     cells = len(cluster[1]) - 1
     hop, way, steps = 0, 0, 0
     while hop < len(HOPS) and steps < STEPS and total < ENOUGH * cells and asks < len(asked):
@@ -219,10 +227,12 @@ def _climb(
             continue
         asked[asks] = _ask(reachable, shape, x, y, z)
         asks += 1
+        _widen(extents[1], x, y)
         if asked[asks - 1] < 0:
             continue
-        _widen(extent, x, y)
         shown, count, cast = _look(scene, cluster, place, total, total, desk, notes, view, count)
+        if cast:
+            _widen(extents[0], x, y)
         steps += cast
         if shown > total:
             total, way = shown, 0
@@ -251,7 +261,7 @@ def best_view(
     Returns the view (x, y, z, yaw, pitch down), voxels and radians, and which cells it shows: none = no view. Then what the
     answer hangs on: how many of ``asked`` (padded flat index of a place, or its complement if it was not reachable) and of
     ``blockers`` (voxels that hid something; more than there is room for: too many to tell) were filled, and the first and
-    last tile, (4,) i and j of each, of the box that all lines lie in.
+    last tile, i and j of each, of the boxes (2, 4) that all lines and all places asked lie in.
     """
     cells = len(first) - 1
     scene, notes = (distance2, shape, lens), (np.zeros(BOOK, dtype=np.int32), blockers)
@@ -261,10 +271,11 @@ def best_view(
     desk = (
         np.zeros(many, dtype=np.int32), np.zeros(many, dtype=np.uint8), np.arange(cells), np.empty((3, cells), dtype=np.float32)
     )  # fmt: skip
-    extent = np.array([points[0, 0], points[0, 1], points[0, 0], points[0, 1]])  # of all ends of lines: low x, y, high x, y
+    extents = np.empty((2, 4))  # of all ends of lines, and of all places asked: low x, y, high x, y
+    extents[:, :2], extents[:, 2:] = points[0, :2], points[0, :2]
     for n in range(len(points)):
-        _widen(extent, points[n, 0], points[n, 1])
-    record = (asked, extent, notes)
+        _widen(extents[0], points[n, 0], points[n, 1])
+    record = (asked, extents, notes)
     places, promises = np.empty((quotas.sum(), 3)), np.zeros(quotas.sum(), dtype=np.int64)
     peaks, totals, view = np.zeros((PEAKS, 5)), np.zeros(PEAKS, dtype=np.int64), np.zeros(5)
     opened, total, asks, count, cast = _survey(
@@ -276,10 +287,11 @@ def best_view(
         for p in _ranked(promises[:opened], 2 * many):
             if cast == CASTS or promises[p] == 0 or totals[0] >= ENOUGH * cells:
                 break
-            _widen(extent, places[p, 0], places[p, 1])
             beat = max(totals[-1], int(WORTH_MOVING * totals[0]))
             total, count, asking = _look(scene, cluster, places[p], totals[0], beat, desk, notes, view, count)
             cast += asking
+            if asking:
+                _widen(extents[0], places[p, 0], places[p, 1])
             if total > 0:
                 _enter(view, total, peaks, totals)
         for q in range(PEAKS):
@@ -292,9 +304,7 @@ def best_view(
     seen = np.zeros(cells, dtype=np.bool_)
     if totals.max() > 0:
         seen, count = confirmed(scene, best, points, first, notes, count)
-    beside = abs(lens[CAM_X]) + abs(lens[CAM_Y]) + 1.0  # from a place to its lines' ends
-    box = np.empty(4, dtype=np.int64)
-    box[0], box[1] = int(max(extent[0] - beside, 0.0)) // TILE, int(max(extent[1] - beside, 0.0)) // TILE
-    box[2] = int(min(extent[2] + beside, shape[0] - 1.0)) // TILE
-    box[3] = int(min(extent[3] + beside, shape[1] - 1.0)) // TILE
-    return best, seen, asks, count, box
+    boxes = np.empty((2, 4), dtype=np.int64)
+    _tiles(extents[0], abs(lens[CAM_X]) + abs(lens[CAM_Y]) + 1.0, shape, boxes[0])  # from a place to its lines' ends
+    _tiles(extents[1], 0.0, shape, boxes[1])
+    return best, seen, asks, count, boxes

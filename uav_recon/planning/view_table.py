@@ -36,7 +36,7 @@ class ViewTable:
         self.view = np.zeros((ROWS, 5))
         self.asked = np.zeros((ROWS, len(shell.offsets) + ROOM), dtype=np.int32)
         self.blockers = np.zeros((ROWS, MOST_BLOCKERS), dtype=np.int32)
-        self.box = np.zeros((ROWS, 4), dtype=np.int64)
+        self.box = np.zeros((ROWS, 2, 4), dtype=np.int64)
         self.counts = np.zeros((ROWS, 4), dtype=np.int64)
         self.points = np.zeros((ROWS, SAMPLE_POINTS, 3))
         self.first = np.zeros((ROWS, SAMPLE_CELLS + 1), dtype=np.int64)
@@ -195,9 +195,12 @@ def _still_hold(
         if row < 0:
             continue
         holds, ask_again = counts[row, 1] <= blockers.shape[1], False
-        for i in range(box[row, 0], box[row, 2] + 1):
-            for j in range(box[row, 1], box[row, 3] + 1):
+        lines, places = box[row, 0], box[row, 1]
+        for i in range(lines[0], lines[2] + 1):
+            for j in range(lines[1], lines[3] + 1):
                 holds = holds and closed[i, j] <= counts[row, 2]
+        for i in range(places[0], places[2] + 1):
+            for j in range(places[1], places[3] + 1):
                 ask_again = ask_again or moved[i, j] > counts[row, 3]
         if holds:
             for n in range(counts[row, 1]):
