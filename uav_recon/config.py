@@ -134,7 +134,7 @@ class PlannerConfig(Section):
     view_spacing_m: Positive | None = None  # l_res; unset: views on the way are taken where surface is new
     end_factor: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0  # alpha, once no frontier is left
     downsample: Annotated[int, Field(ge=1, le=50)] = 5  # N_down
-    worth_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.15  # of the best gain per second so far: flown for no less
+    worth_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.05  # of the best gain per second so far: flown for no less
 
 
 class MotionConfig(Section):

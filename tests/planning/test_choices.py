@@ -33,6 +33,15 @@ def test_the_tour_is_the_shortest_one() -> None:
     assert order(Tour(Worth(0.15)), places) == list(best)
 
 
+def test_what_can_wait_is_flown_when_nothing_else_is_worth_its_flight() -> None:
+    rich, gap = (SURFACE, 5.0, 0.0, 500.0), (EXPLORE, -3.0, 0.0, 0.0)
+    tour = Tour(Worth(0.15))
+    assert order(tour, [rich, gap]) == [1]
+    assert order(tour, [(SURFACE, 5.0, 0.0, 1.0), gap]) == [2]  # poor against what this flight has seen: dropped
+    assert order(tour, [gap, (EXPLORE, -4.0, 0.0, 0.0)]) == [1, 2]
+    assert order(tour, []) == []
+
+
 def test_greedy_takes_the_one_view_that_gains_most_per_second() -> None:
     near_and_poor, far_and_rich = (SURFACE, 1.0, 0.0, 30.0), (SURFACE, 9.0, 0.0, 120.0)
     assert order(Greedy(Worth(0.0)), [far_and_rich, near_and_poor]) == [2]

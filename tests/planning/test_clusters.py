@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from uav_recon.planning.cluster_table import FARTHER, OPENING
 from uav_recon.planning.clusters import BLOCK, MAX_EXTENT_M, MIN_CELLS, main_axis
 from uav_recon.planning.frontiers import FACES, Frontiers
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec, VoxelMap
@@ -111,8 +112,13 @@ def test_following_changes_gives_what_a_fresh_look_gives() -> None:
         assert len(frontiers) == len(contents(fresh))
         sizes.append(len(fresh))
         place = rng.uniform(0, shape)
-        keys = [[int(f.table.key[row]) for row in f.table.nearest(place, 12)] for f in (frontiers, fresh)]
-        assert keys[0] == keys[1]
+        near = [f.table.nearest(place, 12) for f in (frontiers, fresh)]
+        assert frontiers.table.key[near[0]].tolist() == fresh.table.key[near[1]].tolist()
+        behind = [
+            dict(zip(f.table.key[f.rows()].tolist(), f.table.beyond[f.rows()].tolist(), strict=True))
+            for f in (frontiers, fresh)
+        ]
+        assert behind[0] == behind[1]
     assert max(sizes) > 30
 
 
@@ -156,7 +162,8 @@ def test_the_nearest_are_the_nearest_in_order() -> None:
     rows = frontiers.rows()
     for _ in range(5):
         place = rng.uniform(0, state.shape)
-        near = rows[np.argsort(np.linalg.norm(frontiers.table.centre[rows] - place, axis=1))]
+        away = np.linalg.norm(frontiers.table.centre[rows] - place, axis=1)
+        near = rows[np.argsort(away + np.where(frontiers.table.beyond[rows] < OPENING, FARTHER, 0.0))]
         assert frontiers.table.nearest(place, 10).tolist() == near[:10].tolist()
     assert sorted(frontiers.table.nearest(place, len(rows) + 5)) == sorted(rows)
 

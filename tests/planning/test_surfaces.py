@@ -90,13 +90,26 @@ def test_surface_behind_a_wall_is_no_task_and_comes_within_reach_by_the_door() -
     solid = TWO_ROOMS.copy()
     voxels, here = seen_room(solid), np.array([3.2, 0.8, 1.2])
     surface = elements_of(solid)
-    behind = (surface.position_world[:, 0] > 4.05) & (surface.position_world[:, 1] < 0.6)
-    only = SurfaceElements(surface.position_world[behind], surface.normal_world[behind], surface.uncertainty[behind], 1)
+    behind = (surface.position_world[:, 0] > 4.35) & (surface.position_world[:, 1] < 0.6)
+    only = SurfaceElements(surface.position_world, surface.normal_world, np.where(behind, surface.uncertainty, 0.0), 1)
     views = SurfaceViews(CONFIG, GIMBAL)
     looks = np.zeros(voxels.grid.shape, dtype=np.float32)
     assert views.propose(situation_in(voxels, here), only, looks, 1.0) == []
     assert views.propose(situation_in(voxels, here), only, looks, 3.0)
     assert views.propose(situation_in(voxels, np.array([5.0, 0.8, 1.2])), only, looks, 1.0)
+
+
+def test_what_the_map_knows_and_the_model_does_not_is_looked_at_first() -> None:
+    voxels, surface = seen_room(), elements_of(MEETING_ROOM)
+    situation, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
+    x, y = surface.position_world[:, 0], surface.position_world[:, 1]
+    bare = (y < 0.1) & (x > 1.5) & (x < 4.5)  # most of a wall
+    rest = SurfaceElements(surface.position_world[~bare], surface.normal_world[~bare], surface.uncertainty[~bare], 2)
+    first = SurfaceViews(CONFIG, GIMBAL).propose(situation, rest, looks, 1.0)[0]
+    i, j, _ = np.unravel_index(first.promised, voxels.grid.shape)
+    assert np.count_nonzero((j == 0) & (i > 16) & (i < 44)) > 100
+    whole = SurfaceViews(CONFIG, GIMBAL).propose(situation, surface, looks, 1.0)[0]
+    assert whole.task.gain < 0.7 * first.task.gain
 
 
 def test_tasks_run_out_as_they_are_looked_at() -> None:

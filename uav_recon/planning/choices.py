@@ -11,8 +11,9 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.planning.tour import best_tour
+from uav_recon.planning.waiting import worth_now
 from uav_recon.planning.worth import VIEW_S, Kept, Worth
-from uav_recon.types.frames import FloatArray
+from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.tasks import Task, TaskKind
 
 DETOUR_SHARE = 0.5  # of the seconds to the next frontier that may be spent on surface beside the way ...
@@ -28,14 +29,23 @@ class Choice(Protocol):
 
 
 class Tour:
-    """The paper's: the shortest open tour through all tasks, less what is not worth its flight."""
+    """The paper's: the shortest open tour through all tasks, less what can wait and what is not worth its flight."""
 
     def __init__(self, worth: Worth) -> None:
         self._worth = worth
 
     def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> Kept:
         """See Choice."""
-        return self._worth.keep(tasks, costs_s, best_tour(costs_s))
+        now = worth_now(tasks, costs_s)
+        kept = self._of(now, tasks, costs_s)
+        return kept if len(kept.order) or now.all() else self._of(~now, tasks, costs_s)
+
+    def _of(self, which: BoolArray, tasks: Sequence[Task], costs_s: FloatArray) -> Kept:
+        """The tour of some tasks (N,)."""
+        nodes = np.concatenate(([0], 1 + np.flatnonzero(which)))
+        costs_s = costs_s[np.ix_(nodes, nodes)]
+        kept = self._worth.keep([tasks[node - 1] for node in nodes[1:]], costs_s, best_tour(costs_s))
+        return Kept(nodes[kept.order], kept.dropped)
 
 
 class Greedy:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.planning.beyond import weigh
 from uav_recon.planning.clusters import BLOCK, MIN_CELLS, cut, is_speck
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 _FIRST_ROWS = 256
 _AROUND = 5  # blocks along each side of the square that is looked at first
+OPENING = 150  # voxels: less unknown space beyond a cluster is a gap in front of a wall ...
+FARTHER = 100.0  # ... and waits for the openings so many voxels around
 POOL, SPARE = 0, 1  # places in ClusterTable.fill
 
 
@@ -18,7 +23,8 @@ class ClusterTable:
 
     head: (blocks) a block's first row + 1, or 0; after: (M,) the same for the next row of the block. count: (M,) cells, 0 = the
     row is unused. speck: (M,) 1 = too few connected cells to be worth a view. key: (M,) a hash of the cells and their unknown
-    faces. start: (M,) where its flat indices begin in ``pool``. centre: (M, 3) mean of the cells' centres, voxels.
+    faces. start: (M,) where its flat indices begin in ``pool``. centre: (M, 3) mean of the cells' centres, voxels. beyond: (M,)
+    unknown voxels behind it, see beyond.py.
     """
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
@@ -29,6 +35,7 @@ class ClusterTable:
         self.key = np.zeros(0, dtype=np.int64)
         self.start = np.zeros(0, dtype=np.int64)
         self.centre = np.zeros((0, 3))
+        self.beyond = np.zeros(0, dtype=np.int64)
         self.spare = np.zeros(0, dtype=np.int64)  # unused rows, a stack
         self.fill = np.zeros(2, dtype=np.int64)  # how much of pool is used, how many rows are spare
         self.pool = np.zeros(0, dtype=np.int64)
@@ -51,9 +58,16 @@ class ClusterTable:
                 self._more_pool(cells)
         _mark_specks(faces, ignored, blocks, self.head, self.after, self.count, self.speck, self.start, self.pool)
 
+    def weigh(self, state: ByteArray, faces: ByteArray, low: IntArray, high: IntArray, blocks: IntArray) -> None:
+        """Reckon anew what is beyond the clusters of ``blocks`` (N, 2); see beyond.py."""
+        weigh(state, faces, low, high, blocks, self.head, self.after, self.count, self.start, self.pool, self.beyond)
+
     def nearest(self, place: FloatArray, most: int) -> IntArray:
-        """Rows of the ``most`` clusters nearest to a place (3,), voxels; ties by key, so that the order is the map's own."""
-        return _nearest(self.head, self.after, self.count, self.speck, self.key, self.centre, place, most)
+        """Rows of the ``most`` clusters nearest to a place (3,), voxels; ties by key, so that the order is the map's own.
+
+        A cluster with less than OPENING beyond it counts as if it were FARTHER away.
+        """
+        return _nearest(self.head, self.after, self.count, self.speck, self.key, self.centre, self.beyond, place, most)
 
     @property
     def size(self) -> int:
@@ -63,7 +77,7 @@ class ClusterTable:
     def _more_rows(self) -> None:
         old = len(self.count)
         new = max(2 * old, _FIRST_ROWS)
-        for name in ("after", "count", "speck", "key", "start", "centre"):
+        for name in ("after", "count", "speck", "key", "start", "centre", "beyond"):
             column = getattr(self, name)
             grown = np.zeros((new, *column.shape[1:]), dtype=column.dtype)
             grown[:old] = column
@@ -175,6 +189,7 @@ def _nearest(
     speck: ByteArray,
     key: IntArray,
     centre: FloatArray,
+    beyond: IntArray,
     place: FloatArray,
     most: int,
 ) -> IntArray:
@@ -201,6 +216,8 @@ def _nearest(
             while row >= 0:
                 dx, dy, dz = centre[row, 0] - place[0], centre[row, 1] - place[1], centre[row, 2] - place[2]
                 d2 = dx * dx + dy * dy + dz * dz
+                if beyond[row] < OPENING:
+                    d2 = (math.sqrt(d2) + FARTHER) ** 2
                 at = found
                 while at > 0 and (d2 < far2[at - 1] or (d2 == far2[at - 1] and key[row] < key[rows[at - 1]])):
                     at -= 1

@@ -11,6 +11,7 @@ from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import GridSpec, SurfaceElements
 
 CELL = 3.0  # voxels: elements in one cube of this, facing the same main direction, are a cell
+BARE_SIGMA = 2.0  # of surface that no kept picture shows
 RANKED_AT = 90  # percentile of the uncertainty that counts as 1
 _FAR = 1 << 17  # voxels from the map's corner: what is farther is no task of this map, and its cube's number would not fit
 
@@ -21,6 +22,7 @@ class Elements:
 
     position (N, 3), outward unit normal (N, 3), sigma (N,) in 0..1, voxel (N,) flat index or -1 outside the grid.
     cells: (C, 3) int64, one row for each cell: its first element, one past its last, and the one nearest to their mean.
+    modelled: (M,) flat indices of the voxels of all elements before thinning, -1 outside the grid.
     """
 
     position: FloatArray
@@ -28,6 +30,7 @@ class Elements:
     sigma: FloatArray
     voxel: IntArray
     cells: IntArray
+    modelled: IntArray
 
     @staticmethod
     def of(surface: SurfaceElements, grid: GridSpec, every: int) -> Elements:
@@ -35,7 +38,9 @@ class Elements:
 
         The scale of the uncertainty is the mapper's own and drifts as it learns: only its ranking within this map is used.
         """
-        position = np.asarray((surface.position_world[::every] - grid.origin_world_m) / grid.resolution_m, dtype=np.float64)
+        shape = np.array(grid.shape, dtype=np.int64)
+        everywhere = (surface.position_world - grid.origin_world_m) / grid.resolution_m
+        position = np.asarray(everywhere[::every], dtype=np.float64)
         normal = np.asarray(surface.normal_world[::every], dtype=np.float64)
         sigma = np.asarray(surface.uncertainty[::every], dtype=np.float64)
         extent = np.abs(position[:, 0]) + np.abs(position[:, 1]) + np.abs(position[:, 2])
@@ -47,7 +52,7 @@ class Elements:
         if len(sigma):
             scale = float(np.percentile(sigma, RANKED_AT)) or float(sigma.max()) or 1.0
             sigma = np.minimum(sigma / scale, 1.0)
-        voxel = _voxel_of(np.ascontiguousarray(position), np.array(grid.shape, dtype=np.int64))
+        voxel = _voxel_of(np.ascontiguousarray(position), shape)
         order, cells = _gathered(position, normal)
         return Elements(
             np.ascontiguousarray(position[order]),
@@ -55,6 +60,22 @@ class Elements:
             np.ascontiguousarray(sigma[order]),
             np.ascontiguousarray(voxel[order]),
             cells,
+            _voxel_of(np.ascontiguousarray(everywhere, dtype=np.float64), shape),
+        )
+
+    def with_bare(self, position: FloatArray, normal: FloatArray, grid: GridSpec) -> Elements:
+        """And surface that the model does not hold: centres (N, 3) and normals (N, 3), voxels. Nothing is less certain."""
+        if not len(position):
+            return self
+        order, cells = _gathered(position, normal)
+        position, normal = np.ascontiguousarray(position[order]), np.ascontiguousarray(normal[order])
+        return Elements(
+            np.concatenate([self.position, position]),
+            np.concatenate([self.normal, normal]),
+            np.concatenate([self.sigma, np.full(len(position), BARE_SIGMA)]),
+            np.concatenate([self.voxel, _voxel_of(position, np.array(grid.shape, dtype=np.int64))]),
+            np.concatenate([self.cells, cells + len(self.position)]),
+            self.modelled,
         )
 
 
@@ -124,7 +145,7 @@ def _voxel_of(position: FloatArray, shape: IntArray) -> IntArray:
     out = np.full(len(position), -1, dtype=np.int64)
     for n in range(len(position)):
         x, y, z = position[n, 0], position[n, 1], position[n, 2]
-        if min(x, y, z) >= 0.0 and x < shape[0] and y < shape[1] and z < shape[2]:
+        if x >= 0.0 and y >= 0.0 and z >= 0.0 and x < shape[0] and y < shape[1] and z < shape[2]:
             out[n] = (int(x) * shape[1] + int(y)) * shape[2] + int(z)
     return out
 

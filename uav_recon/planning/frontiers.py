@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from uav_recon.planning.beyond import beyond_each
 from uav_recon.planning.cluster_table import ClusterTable
 from uav_recon.planning.clusters import BLOCK, MAX_EXTENT_M, scan
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
@@ -61,9 +64,11 @@ class Frontiers:
         self._revision = voxels.revision
         scan(voxels.state, self._known, self.faces, self._low, self._high, tiles, voxels.revision, self.closed, self._dirty)
         blocks = np.argwhere(self._dirty)
+        around = _blocks_around(self._dirty, tiles)
         if len(blocks):
             self._dirty[:] = 0
             self.table.cut_again(self.faces, ignored, blocks, MAX_EXTENT_M / grid.resolution_m)
+        self.table.weigh(voxels.state, self.faces, self._low, self._high, around)
 
     def touch(self, flat: IntArray) -> None:
         """Tell which voxels (N,) of ``ignored`` have changed: they count from the next update on."""
@@ -92,6 +97,13 @@ class Frontiers:
         start = self.table.start[row]
         return self.table.pool[start : start + self.table.count[row]].copy()
 
+    def beyond(self, voxels: VoxelMap, promised: Sequence[IntArray]) -> IntArray:
+        """Unknown voxels (N,) behind each of N sets of frontier cells, flat indices; see beyond.py."""
+        ends = np.cumsum([0, *(len(cells) for cells in promised)])
+        cells = np.concatenate([np.zeros(0, dtype=np.int64), *promised])
+        counts: IntArray = beyond_each(voxels.state, self.faces, cells, ends, self._low, self._high)
+        return counts
+
     def _start(self, low: IntArray, high: IntArray, shape: tuple[int, int, int]) -> None:
         """Forget all; faces: (nx, ny, nz) uint8 as Frontier.faces; closed: (tiles), see clusters.scan()."""
         self._low, self._high = np.array(low, dtype=np.int64), np.array(high, dtype=np.int64)
@@ -101,3 +113,13 @@ class Frontiers:
         self.closed = np.full((-(-shape[0] // TILE), -(-shape[1] // TILE)), -1, dtype=np.int64)
         self.table = ClusterTable(shape)
         self._dirty = np.zeros(self.table.head.shape, dtype=np.uint8)
+
+
+def _blocks_around(dirty: ByteArray, tiles: IntArray) -> IntArray:
+    """Blocks (N, 2) that are dirty, hold a tile of ``tiles`` (M, 2) or border on one: what is beyond reaches a tile far."""
+    asked = dirty.copy()
+    for corner in itertools.product((-1, 1), repeat=2):
+        i, j = np.clip((tiles + corner) * TILE // BLOCK, 0, np.array(dirty.shape) - 1).T
+        asked[i, j] = 1
+    blocks: IntArray = np.argwhere(asked)
+    return blocks

@@ -62,7 +62,6 @@ class ViewPlanner:
         self._source = _source(config, self._variant, self._variant.camera(camera))
         self._frontiers, self.visited = Frontiers(), Visited()
         self._frame: tuple[object, ...] = ()
-        self._views = 0
         self._offered: tuple[ViewPath, tuple[Proposal, ...]] | None = None
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
@@ -71,9 +70,7 @@ class ViewPlanner:
         situation = self._look(request)
         if isinstance(situation, str):
             return self._nothing(situation, start_s, start_s)
-        harvest = self._source.propose(
-            situation, self._frontiers, self._ways, request.surface, self.visited.surface_looks, self._spent(request)
-        )
+        harvest = self._source.propose(situation, self._frontiers, self._ways, request.surface, self.visited.surface_looks)
         committed = self._committed(situation, request)
         tasks = _without_what_they_settle(committed, harvest.proposals)
         tasks_made_s = self._timer()
@@ -149,11 +146,6 @@ class ViewPlanner:
         kept = self._variant.choice.order([one.task for one in tasks[committed:]], costs_s[committed:, committed:])
         order = [*range(1, committed + 1), *(int(node) + committed for node in kept.order)]
         return order[: request.views_left], kept.dropped
-
-    def _spent(self, request: PlanRequest) -> float:
-        """Share of the views that were left at the first plan and are not any more."""
-        self._views = max(self._views, request.views_left)
-        return 1.0 - request.views_left / max(self._views, 1)
 
     def _within_horizon(self, order: list[int], widening: float) -> list[int]:
         """The tour's first nodes while the way stays within L_exec; at least one."""

@@ -23,6 +23,11 @@ class Proposal:
     promised: IntArray
     squareness: FloatArray
 
+    def gaining(self, gain: float) -> Proposal:
+        """The same with another gain."""
+        task = Task(self.task.kind, self.task.centroid_world, self.task.viewpoint, float(gain))
+        return Proposal(task, self.cell, self.promised, self.squareness)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Situation:

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.config import PlannerConfig
+from uav_recon.planning.cluster_table import OPENING
 from uav_recon.planning.field import FieldViews
 from uav_recon.planning.frontiers import Frontiers
 from uav_recon.planning.proposal import Proposal, Situation
@@ -25,7 +26,7 @@ MOST_FRONTIERS, MOST_TASKS = 24, 40  # the nearest ones: the horizon executes on
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Harvest:
-    """The tasks of one plan. widening: alpha once no frontier can be viewed any more, else 1."""
+    """The tasks of one plan. widening: alpha once no opening can be viewed any more, else 1."""
 
     mode: PlanMode
     proposals: list[Proposal]
@@ -42,12 +43,10 @@ class Source(Protocol):
         ways: Ways,
         surface: SurfaceElements | None,
         looks: Float32Array,
-        spent: float,
     ) -> Harvest:
         """Look for tasks.
 
-        looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel. spent: share of the
-        views, 0 to 1.
+        looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel.
         """
         ...
 
@@ -70,15 +69,15 @@ class Clusters:
         ways: Ways,
         surface: SurfaceElements | None,
         looks: Float32Array,
-        spent: float,
     ) -> Harvest:
         """See Source."""
-        explore, later = self._explore(situation, frontiers)
+        explore = self._explore(situation, frontiers)
         ways.update(situation.exit_cells, situation.position_world, cells_of(explore))
-        mode = self._variant.mode.choose(np.concatenate((ways.lengths_m[0, 1:], np.full(later, np.inf))), spent)
+        opening = np.array([one.task.gain >= OPENING for one in explore], dtype=np.bool_)
+        mode = self._variant.mode.choose(ways.lengths_m[0, 1:], opening)
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds:
             return Harvest(mode, explore)
-        widening = 1.0 if explore else self._end_factor
+        widening = 1.0 if opening.any() else self._end_factor
         return Harvest(mode, (explore + self._surfaces.propose(situation, surface, looks, widening))[:MOST_TASKS], widening)
 
     def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
@@ -87,12 +86,14 @@ class Clusters:
             return Counter()
         return self._views.reasons(situation.voxels, situation.space, frontiers)
 
-    def _explore(self, situation: Situation, frontiers: Frontiers) -> tuple[list[Proposal], int]:
-        """The nearest frontiers' tasks, and how many frontiers were left for later."""
+    def _explore(self, situation: Situation, frontiers: Frontiers) -> list[Proposal]:
+        """The nearest frontiers' tasks, openings first; each gains what is beyond all that its view shows."""
         if TaskKind.EXPLORE not in self._variant.kinds:
-            return [], 0
+            return []
         found = self._views.update(situation.voxels, situation.space, frontiers, situation.position_world)
-        return found.proposals[:MOST_FRONTIERS], found.later + max(len(found.proposals) - MOST_FRONTIERS, 0)
+        nearest = found.proposals[:MOST_FRONTIERS]
+        gains = frontiers.beyond(situation.voxels, [one.promised for one in nearest])
+        return [one.gaining(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
 
 
 def cells_of(proposals: list[Proposal]) -> IntArray:
@@ -113,7 +114,6 @@ class Field:
         ways: Ways,
         surface: SurfaceElements | None,
         looks: Float32Array,
-        spent: float,
     ) -> Harvest:
         """See Source."""
         return Harvest(PlanMode.MERGED, self._views.propose(situation, frontiers.clusters(), surface, looks))

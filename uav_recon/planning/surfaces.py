@@ -6,10 +6,13 @@ way through free space, so that a radius does not reach through walls.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
+from uav_recon.planning.bare import bare_surface
 from uav_recon.planning.camera import RANGE, CameraGeometry
 from uav_recon.planning.elements import Elements, KeptElements, squarest, weigh, within
 from uav_recon.planning.gains import best_view, patches_near, promising
@@ -55,6 +58,7 @@ class SurfaceViews:
         radius = config.cluster_radius_m / resolution_m
         lens = self._camera.lens(resolution_m, min(self._camera.surface_range_m, self._camera.range_m))
         # a view stands at most d_f from its cluster, and sees as far as the camera does
+        elements = _and_bare(elements, situation, start, limit + radius)
         around = within(elements, start + 0.5, limit + config.shell_max_m / resolution_m + lens[RANGE])
         weight = weigh(around, elements.sigma, elements.voxel, looks.ravel(), LOOK_DISCOUNT)
         near = local(elements, around, situation, start, limit)
@@ -97,6 +101,15 @@ class SurfaceViews:
         task = Task(TaskKind.RECONSTRUCT, grid.origin_world_m + centre * grid.resolution_m, viewpoint, gain)
         cell = situation.space.flat(np.floor(hopeful[best]).astype(np.int64) + 1)
         return Proposal(task, cell, *squarest(elements.voxel[seen], cosine[seen]))
+
+
+def _and_bare(elements: Elements, situation: Situation, start: IntArray, reach: float) -> Elements:
+    """And what the map alone knows, at most ``reach`` voxels along each axis from ``start`` (3,)."""
+    voxels = situation.voxels
+    low = np.maximum(start - math.ceil(reach), 0)
+    high = np.minimum(start + math.ceil(reach) + 1, np.array(voxels.grid.shape, dtype=np.int64))
+    position, normal = bare_surface(voxels.state, low, high, elements.modelled)
+    return elements.with_bare(position, normal, voxels.grid)
 
 
 def local(elements: Elements, cells: IntArray, situation: Situation, start: IntArray, limit: float) -> IntArray:

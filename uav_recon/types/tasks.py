@@ -39,7 +39,7 @@ class Viewpoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """One place worth a look, and the best view of it. gain: visible frontier cells, or sum of |n.v| sigma."""
+    """One place worth a look, and the best view of it. gain: unknown voxels beyond a frontier, or sum of |n.v| sigma."""
 
     kind: TaskKind
     centroid_world: FloatArray
