@@ -12,8 +12,8 @@ from uav_recon.mapping.neural.rays import BEARING_UNIT, DEPTH_UNIT_M, NORMAL_UNI
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, IntArray
 
 RAYS = 1024
-NEAR, FREE = 8, 4  # samples per ray: round the measured surface, and in the air before it
-SURFACE_POINTS = 512
+NEAR, FREE = 5, 3  # samples per ray: round the measured surface, and in the air before it
+SURFACE_POINTS, COLOUR_POINTS = 512, 1024  # of the rays: for the shape, and at most for colour
 RECENT_VIEWS, RECENT_SHARE = 5, 0.3
 NEAR_BEFORE_M, NEAR_BEHIND_M = np.float32(0.10), np.float32(0.05)
 NEAREST_FREE_M = np.float32(0.15)
@@ -21,7 +21,7 @@ JITTER_M = np.float32(0.015)
 LEAST_COSINE = np.float32(0.15)
 POSE_SIGMA_M = np.float32(0.01)  # what poses add to every measurement: weights are inverse variances down to it
 
-DISTANCE_FACTOR, FREE_FACTOR, COLOUR_FACTOR = np.float32(10.0), np.float32(2.0), np.float32(1.0)
+DISTANCE_FACTOR, FREE_FACTOR, COLOUR_FACTOR = np.float32(10.0), np.float32(2.0), np.float32(5.0)
 EIKONAL_FACTOR, NORMAL_FACTOR = np.float32(0.1), np.float32(0.1)
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
@@ -58,15 +58,14 @@ class Batch(NamedTuple):
 
 def make_batch() -> Batch:
     """Allocate once."""
-    many, some = RAYS * (NEAR + FREE), SURFACE_POINTS
-    shapes: tuple[tuple[int, ...], ...] = ((some, 3), (some, 3), (some,), (some,), (some, 3), (some, 3), (some,), (some,))
-    return Batch(
-        np.zeros((many, 3), dtype=np.float32),
-        np.zeros(many, dtype=np.float32),
-        np.zeros(many, dtype=np.float32),
-        np.zeros(many, dtype=np.bool_),
-        *[np.zeros(shape, dtype=np.float32) for shape in shapes],
+    many, shape, colour = RAYS * (NEAR + FREE), SURFACE_POINTS, COLOUR_POINTS
+    shapes: tuple[tuple[int, ...], ...] = (
+        *((many, 3), (many,), (many,)),
+        *((shape, 3), (shape, 3), (shape,), (shape,)),
+        *((colour, 3), (colour, 3), (colour,), (colour,)),
     )
+    points, target, weight, *others = (np.zeros(size, dtype=np.float32) for size in shapes)
+    return Batch(points, target, weight, np.zeros(many, dtype=np.bool_), *others)
 
 
 @fast_kernel
@@ -88,7 +87,7 @@ def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high
     coloured = 0
     near_factor = DISTANCE_FACTOR / (TRUNCATION_M * TRUNCATION_M * np.float32(RAYS * NEAR))
     free_factor = FREE_FACTOR / (TRUNCATION_M * TRUNCATION_M * np.float32(RAYS * FREE))
-    shape_factor = _ONE / np.float32(SURFACE_POINTS)
+    shape_factor, colour_factor = _ONE / np.float32(SURFACE_POINTS), COLOUR_FACTOR / np.float32(COLOUR_POINTS)
     for r in range(RAYS):
         if uniform(state) < RECENT_SHARE:
             view = view_count - 1 - int(uniform(state) * recent)
@@ -139,11 +138,11 @@ def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high
             batch.normal[r, 0], batch.normal[r, 1], batch.normal[r, 2] = nx, ny, nz
             batch.eikonal_weight[r] = EIKONAL_FACTOR * shape_factor if inside else _ZERO
             batch.normal_weight[r] = NORMAL_FACTOR * shape_factor * trust if inside and has_normal else _ZERO
-        if record[9] == 1 and inside and coloured < SURFACE_POINTS:
+        if record[9] == 1 and inside and coloured < COLOUR_POINTS:
             batch.coloured[coloured, 0], batch.coloured[coloured, 1], batch.coloured[coloured, 2] = x, y, w
             for channel in range(3):
                 batch.rgb[coloured, channel] = np.float32(record[6 + channel]) * np.float32(1.0 / 255.0)
-            batch.colour_weight[coloured] = COLOUR_FACTOR * shape_factor
+            batch.colour_weight[coloured] = colour_factor
             coloured += 1
     return coloured
 
