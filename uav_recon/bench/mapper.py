@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from uav_recon.bench import machine, mapper_baseline, mapper_run, mapper_scene, mapper_tables
-from uav_recon.bench.calibration import Calibration, calibrate
+from uav_recon.bench.calibration import calibrate
 from uav_recon.evaluation.surface import Surface
 from uav_recon.run import EXIT_FAILURE, Failure
 
@@ -70,8 +70,8 @@ def bench_mapper(wanted: MapperBench) -> int:
         calibration = calibrate()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
-        result = _measured(scene, wanted, calibration, progress)
-    result["about"] = _about(scene, wanted, calibration) | {"compile_s": compile_s} | result["about"]
+        result = _measured(scene, wanted, calibration.cpu_factor, progress)
+    result["about"] = _about(scene, wanted) | {"compile_s": compile_s} | result["about"]
     mapper_tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
     if wanted.json is not None:
         write_json(result, wanted.json)
@@ -109,6 +109,7 @@ def _measured(scene: mapper_scene.MapperScene, wanted: MapperBench, calibration:
     psnr_db = mapper_run.picture_psnr_db(run.trainer, scene.pictures)
     looks = mapper_run.RECALL_STEPS // mapper_run.RECALL_EVERY
     recalls = mapper_run.time_to_recall(scene, wanted.seed, ticking(progress, "all views at once", looks))
+    factor = math.sqrt(factor_before * calibrate().cpu_factor)
     baseline = mapper_run.against_truth(
         mapper_baseline.tsdf_surface(scene.keyframes, ticking(progress, "TSDF beside it", views)), scene
     )
@@ -129,7 +130,8 @@ def _measured(scene: mapper_scene.MapperScene, wanted: MapperBench, calibration:
         "hallucinated_fraction": quality.hallucinated_fraction,
         "memory_mb": run.memory_mb,
         "about": {
-            "calibrated": _divided(times, calibration.cpu_factor),
+            "calibrated": _divided(times, factor),
+            "calibration_cpu": factor,
             "wall_ms": {"step": run.step_wall.median_ms, "view_update": run.view_update_wall.median_ms},
             "p95_ms": {
                 "step": run.step.p95_ms,
@@ -142,7 +144,7 @@ def _measured(scene: mapper_scene.MapperScene, wanted: MapperBench, calibration:
     }
 
 
-def _about(scene: mapper_scene.MapperScene, wanted: MapperBench, calibration: Calibration) -> Result:
+def _about(scene: mapper_scene.MapperScene, wanted: MapperBench) -> Result:
     return {
         "scene": scene.name,
         "views": len(scene.keyframes),
@@ -157,7 +159,6 @@ def _about(scene: mapper_scene.MapperScene, wanted: MapperBench, calibration: Ca
         "held_out_pixels": len(scene.pictures.rgb),
         "machine": machine.processor(),
         "commit": machine.commit(),
-        "calibration_cpu": calibration.cpu_factor,
     }
 
 
