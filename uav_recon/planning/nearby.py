@@ -43,9 +43,10 @@ class ReachableTiles:
         _renew(space.reachable, space.reachable_revision, self._seen, self._tiles)
         self._seen = space.revision
 
-    def near(self, centre: FloatArray, radius: float) -> bool:
-        """Tell whether a tile within a radius of a place (3,), voxels, along both axes holds anything that can be reached."""
-        return bool(_any_near(self._tiles, centre[0], centre[1], radius))
+    def near(self, centres: FloatArray, radius: float) -> BoolArray:
+        """For places (N, 3), voxels: whether a tile within a radius along both axes holds anything that can be reached."""
+        near: BoolArray = _near(self._tiles, centres, radius)
+        return near
 
 
 @kernel
@@ -76,3 +77,11 @@ def _any_near(tiles: BoolArray, x: float, y: float, radius: float) -> bool:
             if tiles[a, b]:
                 return True
     return False
+
+
+@kernel
+def _near(tiles: BoolArray, centres: FloatArray, radius: float) -> BoolArray:
+    out = np.zeros(len(centres), dtype=np.bool_)
+    for n in range(len(centres)):
+        out[n] = _any_near(tiles, centres[n, 0], centres[n, 1], radius)
+    return out

@@ -74,15 +74,15 @@ class FrontierViews:
         without, later, asked, wanted = 0, 0, 0, min(BATCH, total)
         searches = SEARCHES * max(1, voxels.revision - self._revision)
         self._revision = voxels.revision
+        nearest = frontiers.table.nearest(here, wanted)
         while asked < wanted:
-            clusters = frontiers.table.nearest(here, wanted)[asked:]
-            if asked:
-                self._tiles.update(space)
+            clusters = nearest[asked:wanted]
+            before, asked = asked, wanted
+            if before:
+                near = self._tiles.near(frontiers.table.centre[clusters], self._reach)
+                clusters, without = clusters[near], without + int(np.count_nonzero(~near))
             for cluster, held in zip(clusters.tolist(), self._held(voxels, space, frontiers, clusters), strict=True):
                 row = held if self.table.is_about(held, int(frontiers.table.key[cluster])) else -1
-                if row < 0 and asked and not self._tiles.near(frontiers.table.centre[cluster], self._reach):
-                    without += 1
-                    continue
                 if row < 0 and (searches > 0 or not found):
                     searches -= 1
                     row = self._search(voxels, space.reachable, space.revision, frontiers, cluster, lens)
@@ -93,8 +93,11 @@ class FrontierViews:
                     found.append(row)
                 else:
                     without += 1
-            asked += len(clusters)
-            wanted = asked if found else min(2 * wanted, wanted + MOST_MORE, total)
+            if not found and asked < total:
+                if not before:
+                    self._tiles.update(space)
+                    nearest = frontiers.table.nearest(here, total)
+                wanted = min(2 * wanted, wanted + MOST_MORE, total)
         return FrontierProposals(self._proposals(voxels, space, found, lens), without, total - asked + later)
 
     def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[str]:
@@ -206,7 +209,7 @@ def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
         views.reasons(voxels, space, frontiers)
         tiles = ReachableTiles()
         tiles.update(space)
-        tiles.near(np.ones(3), 1.0)
+        tiles.near(np.ones((1, 3)), 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
