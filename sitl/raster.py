@@ -38,19 +38,12 @@ class Renderer:
 
     def __init__(self, vertices: F32, faces: I32, rgb: U8) -> None:
         """Vertices (V, 3) metres, faces (F, 3) indices, rgb (V, 3)."""
-        order = np.argsort(_morton(vertices[faces].mean(axis=1)), kind="stable")
-        sorted_faces = faces[order].astype(np.int64)
-        chunk_of_face = np.arange(len(faces), dtype=np.int64) // CHUNK_FACES
-        key = (chunk_of_face[:, None] * len(vertices) + sorted_faces).ravel()
-        unique, local = np.unique(key, return_inverse=True)
-        source = unique % len(vertices)
-        chunks = int(chunk_of_face[-1]) + 1 if len(faces) else 0
+        centres = (vertices[faces[:, 0]] + vertices[faces[:, 1]] + vertices[faces[:, 2]]) / np.float32(3.0)
+        order = np.argsort(_morton(centres), kind="stable")
+        source, self._faces, self._vertex_start = _numbered(np.ascontiguousarray(faces[order], np.int32), len(vertices))
         self._vertices: F32 = np.ascontiguousarray(vertices[source], np.float32)
         self._rgb: U8 = np.ascontiguousarray(rgb[source], np.uint8)
-        self._vertex_start: I32 = np.searchsorted(unique // len(vertices), np.arange(chunks + 1)).astype(np.int32)
         self._low, self._high = _boxes(self._vertices, self._vertex_start)
-        first = self._vertex_start[chunk_of_face, None] if chunks else np.zeros((0, 1), np.int32)
-        self._faces: U16 = np.ascontiguousarray(local.reshape(-1, 3) - first, np.uint16)  # within the chunk
 
     def depth(self, world_from_camera: F64, spec: CameraSpec, near_m: float = 0.05, far_m: float = math.inf) -> F32:
         """Only the depth (H, W) float32, metres along the optical axis; 0 where nothing is. Blocks for a few milliseconds."""
@@ -117,10 +110,37 @@ def _morton(points: NDArray[np.floating]) -> NDArray[np.uint64]:
     return key
 
 
+@kernel
+def _numbered(faces: I32, count: int) -> tuple[I32, U16, I32]:
+    """Each chunk's own vertices: their indices (W,), the faces (F, 3) in numbers within the chunk, and where a chunk begins."""
+    chunks = (faces.shape[0] + CHUNK_FACES - 1) // CHUNK_FACES
+    source, own = np.empty(3 * faces.shape[0], np.int32), np.empty((faces.shape[0], 3), np.uint16)
+    start, number = np.zeros(chunks + 1, np.int32), np.full(count, -1, np.int32)
+    total = 0
+    for chunk in range(chunks):
+        start[chunk] = total
+        for f in range(chunk * CHUNK_FACES, min((chunk + 1) * CHUNK_FACES, faces.shape[0])):
+            for k in range(3):
+                vertex = faces[f, k]
+                if number[vertex] < start[chunk]:  # not met in this chunk yet
+                    number[vertex] = total
+                    source[total] = vertex
+                    total += 1
+                own[f, k] = number[vertex] - start[chunk]
+    start[chunks] = total
+    return source[:total].copy(), own, start
+
+
+@kernel
 def _boxes(vertices: F32, start: I32) -> tuple[F32, F32]:
-    low = np.minimum.reduceat(vertices, start[:-1], axis=0)
-    high = np.maximum.reduceat(vertices, start[:-1], axis=0)
-    return np.ascontiguousarray(low), np.ascontiguousarray(high)
+    low, high = np.empty((start.shape[0] - 1, 3), np.float32), np.empty((start.shape[0] - 1, 3), np.float32)
+    for chunk in range(start.shape[0] - 1):
+        low[chunk], high[chunk] = vertices[start[chunk]], vertices[start[chunk]]
+        for i in range(start[chunk], start[chunk + 1]):
+            for k in range(3):
+                low[chunk, k] = min(low[chunk, k], vertices[i, k])
+                high[chunk, k] = max(high[chunk, k], vertices[i, k])
+    return low, high
 
 
 @kernel
