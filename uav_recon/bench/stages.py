@@ -25,7 +25,7 @@ from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Proposal
 from uav_recon.planning.sources import MOST_FRONTIERS, cells_of
 from uav_recon.planning.space import FlyableSpace
-from uav_recon.planning.tour import best_tour
+from uav_recon.planning.variants import variant
 from uav_recon.planning.views import FrontierViews
 from uav_recon.planning.ways import Ways
 from uav_recon.types.camera import Intrinsics, PosedFrame
@@ -72,7 +72,7 @@ class ChosenView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
-    """What one frame came to: tasks, and the order (N,) in which a tour visits them, indices into ``tasks``."""
+    """What one frame came to: tasks, and the order (M,) in which a tour visits those that cannot wait, of ``tasks``."""
 
     voxels: VoxelMap
     tasks: tuple[Proposal, ...]
@@ -152,6 +152,7 @@ class Stages:
         self._space = FlyableSpace(grid, inset_m, *fence_box(grid, mapped.fence_m[0] + inset_m, mapped.fence_m[1] - inset_m))
         self._frontiers, self._ways = Frontiers(), Ways(self._space)
         self._views = FrontierViews(mapped.config, mapped.camera)
+        self._choice = variant(mapped.config.variant, mapped.config).choice
         self._none_ignored = np.zeros(grid.shape, dtype=np.uint8)
         self._speed_mps, self._yaw_rate_radps = motion.speed_mps, float(np.radians(motion.yaw_rate_degps))
 
@@ -166,9 +167,10 @@ class Stages:
         watch.lap("space")
         if exit_cells is None:
             return Decision(voxels, (), NOTHING)
-        found = self._views.update(voxels, self._space, self._frontiers, place)
+        nearest = self._views.update(voxels, self._space, self._frontiers, place).proposals[:MOST_FRONTIERS]
+        gains = self._frontiers.beyond(voxels, [one.promised for one in nearest])
+        tasks = [one.gaining(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
         watch.lap("views")
-        tasks = found.proposals[:MOST_FRONTIERS]
         return Decision(voxels, tuple(tasks), self._tour(exit_cells, posed, tasks, watch))
 
     def reachable(self) -> BoolArray:
@@ -182,7 +184,7 @@ class Stages:
         self._ways.update(exit_cells, posed.world_from_depth.translation_m, cells_of(tasks))
         costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._speed_mps, self._yaw_rate_radps)
         watch.lap("ways")
-        order = best_tour(costs_s)
+        order = self._choice.order([one.task for one in tasks], costs_s).order
         watch.lap("order")
         return order - 1
 
