@@ -97,10 +97,12 @@ def ticking(progress: Progress, name: str, total: int) -> mapper_run.Tick:
     return tick
 
 
-def _measured(scene: mapper_scene.MapperScene, wanted: MapperBench, calibration: Calibration, progress: Progress) -> Result:
+def _measured(scene: mapper_scene.MapperScene, wanted: MapperBench, factor_before: float, progress: Progress) -> Result:
     """The fields of the bench as measured, times in this machine's processor milliseconds; beside them, in ``about``,
     the same calibrated, by the clock, and the baseline.
-    """  # fmt: skip
+
+    A machine that others use too is now faster, now slower: the factor is the mean of one before and one after.
+    """
     views = len(scene.keyframes)
     run = mapper_run.online(scene, wanted.steps_per_view, wanted.seed, ticking(progress, "view by view", views))
     room = mapper_run.room_extraction(run.trainer)
