@@ -25,25 +25,36 @@ def beyond(state: ByteArray, faces: ByteArray, cells: IntArray, low: IntArray, h
     The first SHALLOW of each face do not count.
     """
     _, ny, nz = state.shape
+    flat, flat_faces = state.reshape(-1), faces.reshape(-1)
     total = 0
     for n in range(len(cells)):
-        i, j, k = cells[n] // (ny * nz), cells[n] // nz % ny, cells[n] % nz
-        bits = faces[i, j, k]
-        for face in range(6):
-            if not bits >> face & 1:
-                continue
-            axis, sign = face >> 1, (1 if face & 1 else -1)
-            a, b, c = i, j, k
-            for step in range(DEPTH):
-                a += sign if axis == 0 else 0
-                b += sign if axis == 1 else 0
-                c += sign if axis == 2 else 0
-                if a < low[0] or b < low[1] or c < low[2] or a >= high[0] or b >= high[1] or c >= high[2]:
-                    break
-                if state[a, b, c] != UNKNOWN:
-                    break
-                total += 1 if step >= SHALLOW else 0
+        at = cells[n]
+        column = at // nz
+        i, j, k = column // ny, column % ny, at - column * nz
+        bits = flat_faces[at]
+        if bits & 1:
+            total += _run(flat, at, -ny * nz, i - low[0])
+        if bits & 2:
+            total += _run(flat, at, ny * nz, high[0] - 1 - i)
+        if bits & 4:
+            total += _run(flat, at, -nz, j - low[1])
+        if bits & 8:
+            total += _run(flat, at, nz, high[1] - 1 - j)
+        if bits & 16:
+            total += _run(flat, at, -1, k - low[2])
+        if bits & 32:
+            total += _run(flat, at, 1, high[2] - 1 - k)
     return total
+
+
+@kernel
+def _run(flat: ByteArray, at: int, stride: int, room: int) -> int:
+    """Unknown voxels in a row from one beside ``at`` on, at most ``room``, without the first SHALLOW."""
+    most = min(room, DEPTH)
+    run = 0
+    while run < most and flat[at + (run + 1) * stride] == UNKNOWN:
+        run += 1
+    return max(run - SHALLOW, 0)
 
 
 @kernel
@@ -61,7 +72,7 @@ def weigh(
     faces: ByteArray,
     low: IntArray,
     high: IntArray,
-    blocks: IntArray,
+    asked: ByteArray,
     head: IntArray,
     after: IntArray,
     count: IntArray,
@@ -69,9 +80,22 @@ def weigh(
     pool: IntArray,
     out: IntArray,
 ) -> None:
-    """Reckon anew what is beyond the clusters of ``blocks`` (N, 2); the columns of a ClusterTable, ``out`` by row."""
-    for n in range(len(blocks)):
-        row = head[blocks[n, 0], blocks[n, 1]] - 1
-        while row >= 0:
-            out[row] = beyond(state, faces, pool[start[row] : start[row] + count[row]], low, high)
-            row = after[row] - 1
+    """Reckon anew what is beyond the clusters of the blocks that ``asked`` marks; a ClusterTable's columns, ``out`` by row."""
+    for i in range(asked.shape[0]):
+        for j in range(asked.shape[1]):
+            row = head[i, j] - 1 if asked[i, j] else -1
+            while row >= 0:
+                out[row] = beyond(state, faces, pool[start[row] : start[row] + count[row]], low, high)
+                row = after[row] - 1
+
+
+@kernel
+def around(blocks: ByteArray, tiles: IntArray, tiles_a_block: int) -> ByteArray:
+    """Mark, beside the marked blocks, those that hold a tile of ``tiles`` (M, 2) or border on one: so far does DEPTH reach."""
+    out = blocks.copy()
+    for n in range(len(tiles)):
+        for a in (tiles[n, 0] - 1, tiles[n, 0] + 1):
+            for b in (tiles[n, 1] - 1, tiles[n, 1] + 1):
+                i, j = max(a, 0) // tiles_a_block, max(b, 0) // tiles_a_block
+                out[min(i, out.shape[0] - 1), min(j, out.shape[1] - 1)] = 1
+    return out

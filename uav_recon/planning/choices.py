@@ -42,8 +42,10 @@ class Tour:
 
     def _of(self, which: BoolArray, tasks: Sequence[Task], costs_s: FloatArray) -> Kept:
         """The tour of some tasks (N,)."""
-        nodes = np.concatenate(([0], 1 + np.flatnonzero(which)))
-        costs_s = costs_s[np.ix_(nodes, nodes)]
+        if which.all():
+            return self._worth.keep(tasks, costs_s, best_tour(costs_s))
+        nodes = np.flatnonzero(np.concatenate(([True], which)))
+        costs_s = np.ascontiguousarray(costs_s[nodes][:, nodes])
         kept = self._worth.keep([tasks[node - 1] for node in nodes[1:]], costs_s, best_tour(costs_s))
         return Kept(nodes[kept.order], kept.dropped)
 

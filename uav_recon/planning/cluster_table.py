@@ -58,9 +58,9 @@ class ClusterTable:
                 self._more_pool(cells)
         _mark_specks(faces, ignored, blocks, self.head, self.after, self.count, self.speck, self.start, self.pool)
 
-    def weigh(self, state: ByteArray, faces: ByteArray, low: IntArray, high: IntArray, blocks: IntArray) -> None:
-        """Reckon anew what is beyond the clusters of ``blocks`` (N, 2); see beyond.py."""
-        weigh(state, faces, low, high, blocks, self.head, self.after, self.count, self.start, self.pool, self.beyond)
+    def weigh(self, state: ByteArray, faces: ByteArray, low: IntArray, high: IntArray, asked: ByteArray) -> None:
+        """Reckon anew what is beyond the clusters of the blocks that ``asked`` (blocks) marks; see beyond.py."""
+        weigh(state, faces, low, high, asked, self.head, self.after, self.count, self.start, self.pool, self.beyond)
 
     def nearest(self, place: FloatArray, most: int) -> IntArray:
         """Rows of the ``most`` clusters nearest to a place (3,), voxels; ties by key, so that the order is the map's own.

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.planning.beyond import beyond_each
+from uav_recon.planning.beyond import around, beyond_each
 from uav_recon.planning.cluster_table import ClusterTable
 from uav_recon.planning.clusters import BLOCK, MAX_EXTENT_M, scan
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
@@ -64,11 +63,11 @@ class Frontiers:
         self._revision = voxels.revision
         scan(voxels.state, self._known, self.faces, self._low, self._high, tiles, voxels.revision, self.closed, self._dirty)
         blocks = np.argwhere(self._dirty)
-        around = _blocks_around(self._dirty, tiles)
+        asked = around(self._dirty, tiles, BLOCK // TILE)
         if len(blocks):
             self._dirty[:] = 0
             self.table.cut_again(self.faces, ignored, blocks, MAX_EXTENT_M / grid.resolution_m)
-        self.table.weigh(voxels.state, self.faces, self._low, self._high, around)
+        self.table.weigh(voxels.state, self.faces, self._low, self._high, asked)
 
     def touch(self, flat: IntArray) -> None:
         """Tell which voxels (N,) of ``ignored`` have changed: they count from the next update on."""
@@ -113,13 +112,3 @@ class Frontiers:
         self.closed = np.full((-(-shape[0] // TILE), -(-shape[1] // TILE)), -1, dtype=np.int64)
         self.table = ClusterTable(shape)
         self._dirty = np.zeros(self.table.head.shape, dtype=np.uint8)
-
-
-def _blocks_around(dirty: ByteArray, tiles: IntArray) -> IntArray:
-    """Blocks (N, 2) that are dirty, hold a tile of ``tiles`` (M, 2) or border on one: what is beyond reaches a tile far."""
-    asked = dirty.copy()
-    for corner in itertools.product((-1, 1), repeat=2):
-        i, j = np.clip((tiles + corner) * TILE // BLOCK, 0, np.array(dirty.shape) - 1).T
-        asked[i, j] = 1
-    blocks: IntArray = np.argwhere(asked)
-    return blocks
