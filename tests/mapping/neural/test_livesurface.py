@@ -5,6 +5,7 @@ import pytest
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, look, tour
 
 from uav_recon.config import MapperConfig
+from uav_recon.mapping.neural.surface import Evidence
 from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements
@@ -58,3 +59,29 @@ def test_training_alone_renews_everything_in_time() -> None:
         after = trainer.surface()
     assert not before & {tuple(p) for p in after.position_world}
     assert np.array_equal(_sorted(after), _sorted(trainer.whole_room()))
+
+
+def test_both_sides_of_a_thin_thing_are_surface() -> None:
+    evidence = Evidence(LOW, HIGH)
+    n = 4000
+    plate = np.column_stack([np.random.default_rng(0).uniform(1.0, 2.0, (n, 2)), np.full(n, 1.0)]).astype(np.float32)
+    up = np.tile(np.array([[0.0, 0.0, 1.0]], dtype=np.float32), (n, 1))
+    sigma = np.full(n, 0.01, dtype=np.float32)
+    often, seldom = plate, plate[: n // 4] - np.float32(0.03) * up[: n // 4]
+    evidence.add(np.array([1.5, 1.2, 1.9]), often, up, sigma, sigma)
+    evidence.add(np.array([1.5, 1.2, 0.1]), seldom, -up[: n // 4], sigma[: n // 4], sigma[: n // 4])
+    inner = (np.abs(plate[:, :2] - 1.5) < 0.3).all(axis=1)
+    for facing in (up, -up):
+        assert not evidence.contradicts(plate[inner], facing[inner]).any()
+    sideways = np.roll(up, 1, axis=1)
+    assert not evidence.contradicts(plate[inner], sideways[inner]).any()  # nobody said anything of it
+
+
+def test_a_side_that_nobody_saw_is_none() -> None:
+    evidence = Evidence(LOW, HIGH)
+    point, up = np.array([[1.5, 1.2, 1.0]], dtype=np.float32), np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
+    sigma = np.full(1, 0.01, dtype=np.float32)
+    for _ in range(5):
+        evidence.add(np.array([1.5, 1.2, 1.9]), point, up, sigma, sigma)
+    assert evidence.contradicts(point, -up).all()
+    assert not evidence.contradicts(point, up).any()

@@ -71,7 +71,11 @@ def make_grid(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[Grid, int]:
 
 @fast_kernel
 def allocate(grid: Grid, points: Float32Array, used: int, limit: int) -> int:
-    """Give a slot to every missing block under points (N, 3) in world metres; returns slots in use, at most ``limit``."""
+    """Give a slot to every missing block under points (N, 3) in world metres; returns slots in use, at most ``limit``.
+
+    Quick where points that follow each other share cells.
+    """
+    last = np.full((LEVELS, 3), -1, dtype=np.int64)
     for n in range(points.shape[0]):
         for level in range(LEVELS):
             inverse = grid.inverse_cell_per_m[level]
@@ -82,6 +86,9 @@ def allocate(grid: Grid, points: Float32Array, used: int, limit: int) -> int:
             inside = x >= 0 and y >= 0 and z >= 0
             if not inside or i >= grid.cells[level, 0] or j >= grid.cells[level, 1] or k >= grid.cells[level, 2]:
                 continue
+            if i == last[level, 0] and j == last[level, 1] and k == last[level, 2]:
+                continue
+            last[level, 0], last[level, 1], last[level, 2] = i, j, k
             for corner in range(8):
                 a = (i + (corner >> 2)) >> 1
                 b = (j + ((corner >> 1) & 1)) >> 1

@@ -12,8 +12,8 @@ from uav_recon.mapping.neural.rays import BEARING_UNIT, DEPTH_UNIT_M, NORMAL_UNI
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, IntArray
 
 RAYS = 1024
-NEAR, FREE = 5, 3  # samples per ray: round the measured surface, and in the air before it
-SURFACE_POINTS, COLOUR_POINTS = 512, 1024  # of the rays: for the shape, and at most for colour
+NEAR, FREE = 4, 3  # samples per ray: round the measured surface, and in the air before it
+SURFACE_POINTS, COLOUR_POINTS = 384, 1024  # of the rays: for the shape, and at most for colour
 RECENT_VIEWS, RECENT_SHARE = 5, 0.3
 NEAR_BEFORE_M, NEAR_BEHIND_M = np.float32(0.10), np.float32(0.05)
 NEAREST_FREE_M = np.float32(0.15)

@@ -14,6 +14,7 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.neural.field import Field
 from uav_recon.mapping.neural.isosurface import net_vertices, node_points, surface_net, wanted_nodes
+from uav_recon.mapping.neural.testimony import Testimony
 from uav_recon.mapping.neural.uncertainty import Lattice, SurfaceUncertainty
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
@@ -22,19 +23,20 @@ EVIDENCE_CELL_M = 0.05
 FILL_M = 0.15  # surface is filled at most so far from a measured point
 EVIDENCE_SIGMA_M = 0.15  # a vaguer measurement does not say where the surface is
 FEWEST_ENDS = 2  # end points that make a cell of surface
+LEAST_SUPPORT = 0.1  # measured normals for a surface over those against it
 SHEET_M = 0.006  # a vertex whose own distance is larger belongs to the border of the band, not to the surface
-SAW_SIGMAS, SAW_M = 2.0, 0.02  # a depth image confirms a vertex within sigmas * sigma_z + this ...
-SAW_COSINE = 0.15  # ... of a surface that faces it
 
 
 class Evidence:
-    """Where surface was measured and which way it faces: summed normals and counts on a 5 cm lattice."""
+    """Where surface was measured, counts on a 5 cm lattice, and which ways it faces: on a 10 cm lattice, for each half axis
+    the sum of what normals have along it, so that both sides of a thin thing are remembered.
+    """  # fmt: skip
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
         self.origin_m = np.asarray(box_min_m, dtype=np.float64)
         extent = np.asarray(box_max_m, dtype=np.float64) - self.origin_m
         self.count = np.zeros(tuple(int(n) for n in np.ceil(extent / EVIDENCE_CELL_M)), dtype=np.int32)
-        self._facing = Lattice(box_min_m, box_max_m, 2 * EVIDENCE_CELL_M, 3)
+        self._facing = Lattice(box_min_m, box_max_m, 2 * EVIDENCE_CELL_M, 6)
 
     def add(
         self,
@@ -48,7 +50,7 @@ class Evidence:
         distance to the next ray across the line of sight (N,): far and slanted surface is filled between the rays.
         """
         _count(self.count, self.origin_m, EVIDENCE_CELL_M, position_m, points, normal, sigma_m, footprint_m)
-        self._facing.splat(points, normal)
+        self._facing.splat(points, _halves(normal))
 
     def near(self, least: int) -> BoolArray:
         """Cells within one cell of at least ``least`` end points."""
@@ -76,8 +78,16 @@ class Evidence:
     def contradicts(self, points: Float32Array, normal: Float32Array) -> BoolArray:
         """Whether normals (N, 3) at points (N, 3) face away from what was measured there."""
         facing = self._facing.at(points)
-        against: BoolArray = np.einsum("nc,nc->n", facing, normal) < -0.3 * np.linalg.norm(facing, axis=1)
+        against: BoolArray = np.einsum("nc,nc->n", facing, _halves(normal)) < LEAST_SUPPORT * np.einsum(
+            "nc,nc->n", facing, _halves(-normal)
+        )
         return against
+
+
+def _halves(normal: Float32Array) -> Float32Array:
+    """What normals (N, 3) have along +x, +y, +z, -x, -y, -z: (N, 6), none negative."""
+    halves: Float32Array = np.maximum(np.concatenate([normal, -normal], axis=1), np.float32(0.0))
+    return halves
 
 
 def surface_elements(
@@ -173,74 +183,6 @@ def _in_large_parts(quads: IntArray, vertex_count: int, fewest: int = 40) -> Boo
     part = label[quads[:, 0]] if len(quads) else np.zeros(0, dtype=np.int64)
     large: BoolArray = np.bincount(part, minlength=1)[part] >= fewest
     return large
-
-
-class Testimony:
-    """Depth images of all keyframes at half resolution, to ask whether they looked through a point."""
-
-    def __init__(self) -> None:
-        self._depth_mm: list[AnyArray] = []
-        self._lens: list[FloatArray] = []
-        self._depth_from_world: list[tuple[FloatArray, FloatArray]] = []
-        self._sigma: list[float] = []
-
-    def add(
-        self, depth_m: Float32Array, lens: FloatArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float
-    ) -> None:
-        """Keep a depth image (H, W); lens = fx, fy, cx, cy; pose world_from_depth as rotation (3, 3), position (3,)."""
-        half = np.nan_to_num(depth_m[::2, ::2] * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
-        self._depth_mm.append(np.clip(half, 0, 65535).astype(np.uint16))
-        self._lens.append(lens)
-        self._depth_from_world.append((rotation.T.copy(), -rotation.T @ position))
-        self._sigma.append(inverse_depth_sigma)
-
-    def refute(self, points: Float32Array, normals: Float32Array) -> BoolArray:
-        """Whether more images looked through a place than saw a surface there: points (N, 3), normals (N, 3)."""
-        score = np.zeros(len(points), dtype=np.float32)
-        for image, lens, (rotation, translation), sigma in zip(
-            self._depth_mm, self._lens, self._depth_from_world, self._sigma, strict=True
-        ):
-            _vote(image, lens, rotation, translation, sigma, points, normals, score)
-        return score < 0.0
-
-
-@kernel
-def _vote(
-    image: AnyArray, lens: FloatArray, rotation: FloatArray, translation: FloatArray, inverse_sigma: float,
-    points: Float32Array, normals: Float32Array, score: Float32Array,
-) -> None:  # fmt: skip
-    height, width = image.shape
-    for n in range(points.shape[0]):
-        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
-        if z < 0.2:
-            continue
-        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
-        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
-        u = int(np.floor((x / z * lens[0] + lens[2]) * 0.5 + 0.5))
-        v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
-        if u < 1 or v < 1 or u >= width - 1 or v >= height - 1:
-            continue
-        gate = SAW_SIGMAS * inverse_sigma * z * z + SAW_M
-        facing = -(
-            (rotation[0, 0] * normals[n, 0] + rotation[0, 1] * normals[n, 1] + rotation[0, 2] * normals[n, 2]) * x
-            + (rotation[1, 0] * normals[n, 0] + rotation[1, 1] * normals[n, 1] + rotation[1, 2] * normals[n, 2]) * y
-            + (rotation[2, 0] * normals[n, 0] + rotation[2, 1] * normals[n, 1] + rotation[2, 2] * normals[n, 2]) * z
-        ) / np.sqrt(x * x + y * y + z * z)
-        slope = gate / max(facing, SAW_COSINE) if facing > 0.0 else gate
-        measured, through = 0, 0
-        for near in range(5):  # the pixel and its four neighbours: poses are a pixel off, and edges are ragged
-            depth = 0.001 * image[v + (near == 1) - (near == 2), u + (near == 3) - (near == 4)]
-            if depth == 0.0:
-                continue
-            measured += 1
-            if facing > 0.0 and abs(depth - z) < slope:
-                score[n] += 1.0
-                through = 0
-                break
-            through += depth > z + 2.0 * slope + 0.03
-        if measured > 0 and through == measured:
-            score[n] -= 0.5
 
 
 @kernel

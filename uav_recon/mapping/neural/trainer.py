@@ -16,7 +16,8 @@ from uav_recon.mapping.neural.rays import pixel_stride, ray_records
 from uav_recon.mapping.neural.render import render_rays
 from uav_recon.mapping.neural.replay import Replay
 from uav_recon.mapping.neural.samples import draw, make_batch
-from uav_recon.mapping.neural.surface import Evidence, Testimony, WholeSurface, surface_elements, triangle_mesh, whole_surface
+from uav_recon.mapping.neural.surface import Evidence, WholeSurface, surface_elements, triangle_mesh, whole_surface
+from uav_recon.mapping.neural.testimony import Testimony
 from uav_recon.mapping.neural.uncertainty import (
     ColourError,
     DepthInformation,
@@ -91,7 +92,8 @@ class Trainer:
         view = self._replay.rays(records, rotation, position, sigma)
         self._replay.add(records, rotation, position, sigma)
         self._alignment.add(rotation, position)
-        beside = np.lexsort((records[:, 0], records[:, 1]))  # in rows of the picture: neighbours in space lie side by side
+        # in rows of the picture, so that neighbours in space lie side by side in memory
+        beside = np.argsort((records[:, 1].astype(np.int64) << 32) + records[:, 0], kind="stable")
         for points in view.points:
             self.field.cover(points[beside])
         self._optimiser.follow_growth()

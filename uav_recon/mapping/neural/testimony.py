@@ -1,0 +1,79 @@
+"""What the depth images say of a surface: whether they saw it, or looked through the place where it is said to be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
+
+SAW_SIGMAS, SAW_M = 2.0, 0.02  # a depth image confirms a vertex within sigmas * sigma_z + this ...
+SAW_COSINE = 0.15  # ... of a surface that faces it
+
+
+class Testimony:
+    """Depth images of all keyframes at half resolution, to ask whether they looked through a point."""
+
+    def __init__(self) -> None:
+        self._depth_mm: list[AnyArray] = []
+        self._lens: list[FloatArray] = []
+        self._depth_from_world: list[tuple[FloatArray, FloatArray]] = []
+        self._sigma: list[float] = []
+
+    def add(
+        self, depth_m: Float32Array, lens: FloatArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float
+    ) -> None:
+        """Keep a depth image (H, W); lens = fx, fy, cx, cy; pose world_from_depth as rotation (3, 3), position (3,)."""
+        half = np.nan_to_num(depth_m[::2, ::2] * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
+        self._depth_mm.append(np.clip(half, 0, 65535).astype(np.uint16))
+        self._lens.append(lens)
+        self._depth_from_world.append((rotation.T.copy(), -rotation.T @ position))
+        self._sigma.append(inverse_depth_sigma)
+
+    def refute(self, points: Float32Array, normals: Float32Array) -> BoolArray:
+        """Whether more images looked through a place than saw a surface there: points (N, 3), normals (N, 3)."""
+        score = np.zeros(len(points), dtype=np.float32)
+        for image, lens, (rotation, translation), sigma in zip(
+            self._depth_mm, self._lens, self._depth_from_world, self._sigma, strict=True
+        ):
+            _vote(image, lens, rotation, translation, sigma, points, normals, score)
+        return score < 0.0
+
+
+@kernel
+def _vote(
+    image: AnyArray, lens: FloatArray, rotation: FloatArray, translation: FloatArray, inverse_sigma: float,
+    points: Float32Array, normals: Float32Array, score: Float32Array,
+) -> None:  # fmt: skip
+    height, width = image.shape
+    for n in range(points.shape[0]):
+        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
+        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+        if z < 0.2:
+            continue
+        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
+        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
+        u = int(np.floor((x / z * lens[0] + lens[2]) * 0.5 + 0.5))
+        v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
+        if u < 1 or v < 1 or u >= width - 1 or v >= height - 1:
+            continue
+        gate = SAW_SIGMAS * inverse_sigma * z * z + SAW_M
+        facing = -(
+            (rotation[0, 0] * normals[n, 0] + rotation[0, 1] * normals[n, 1] + rotation[0, 2] * normals[n, 2]) * x
+            + (rotation[1, 0] * normals[n, 0] + rotation[1, 1] * normals[n, 1] + rotation[1, 2] * normals[n, 2]) * y
+            + (rotation[2, 0] * normals[n, 0] + rotation[2, 1] * normals[n, 1] + rotation[2, 2] * normals[n, 2]) * z
+        ) / np.sqrt(x * x + y * y + z * z)
+        slope = gate / max(facing, SAW_COSINE) if facing > 0.0 else gate
+        measured, through = 0, 0
+        for near in range(5):  # the pixel and its four neighbours: poses are a pixel off, and edges are ragged
+            depth = 0.001 * image[v + (near == 1) - (near == 2), u + (near == 3) - (near == 4)]
+            if depth == 0.0:
+                continue
+            measured += 1
+            if facing > 0.0 and abs(depth - z) < slope:
+                score[n] += 1.0
+                through = 0
+                break
+            through += depth > z + 2.0 * slope + 0.03
+        if measured > 0 and through == measured:
+            score[n] -= 0.5
