@@ -18,7 +18,7 @@ from uav_recon.planning.camera import CAM_Z, NEAR, RANGE, CameraGeometry, Sight,
 from uav_recon.planning.elements import CELL, Elements, KeptElements, squarest, weigh, within
 from uav_recon.planning.frontiers import FACES, Frontier
 from uav_recon.planning.gains import TAIL, patches_near, seen
-from uav_recon.planning.proposal import Proposal, Situation
+from uav_recon.planning.proposal import MIN_SEEN, Proposal, Situation
 from uav_recon.planning.surfaces import LOOK_DISCOUNT
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import FREE, SurfaceElements
@@ -31,7 +31,6 @@ MOST_PLACES = 1500  # the nearest ones
 HEADINGS = 12
 PITCHES = 3  # over the mount's range
 BEST_VIEWS = 12  # handed on, for the way to each to be measured
-MIN_CELLS_SEEN = 4  # frontier cells: less is not worth a stop
 
 
 class FieldViews:
@@ -120,7 +119,7 @@ class FieldViews:
             surface_gain, count = seen(state, near, line, elements.position, elements.normal, weight, around, True, cosine)
             surface_gain = surface_gain if count >= self._config.min_visible else 0.0
         cell = situation.space.flat(np.floor(place).astype(np.int64) + 1)
-        if len(flat) >= MIN_CELLS_SEEN and unknown_gain >= surface_gain:
+        if len(flat) >= MIN_SEEN and unknown_gain >= surface_gain:
             task = Task(TaskKind.EXPLORE, view.position_world, view, unknown_gain + surface_gain)
             return Proposal(task, cell, np.sort(flat), np.ones(len(flat)))
         if elements is None or surface_gain < self._config.min_visible:

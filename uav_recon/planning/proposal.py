@@ -9,6 +9,8 @@ from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import Task
 
+MIN_SEEN = 10  # frontier cells: a view of fewer is not worth a stop
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:

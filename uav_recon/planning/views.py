@@ -12,14 +12,13 @@ from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.frontiers import Frontiers
 from uav_recon.planning.nearby import Reach, ReachableTiles
-from uav_recon.planning.proposal import Proposal
+from uav_recon.planning.proposal import MIN_SEEN, Proposal
 from uav_recon.planning.shell import explore_shell
 from uav_recon.planning.view_table import ViewTable
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, GridSpec, VoxelMap
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
-MIN_SEEN = 10  # cells: less is not worth a stop
 COVERED_SHARE = 0.7  # of what its own view sees: a frontier that another view shows so well needs no stop of its own
 BATCH = 32  # clusters looked at, the nearest first; as many again, and again, as long as there is no view at all
 MOST_MORE = 256  # ... but so many at most: what is found in one go has room in the table
