@@ -224,4 +224,6 @@ class StreamReader:
     def _ring(self, name: str, ring: Any, slots: int, after: int) -> tuple[int, NDArray[Any]]:
         count = int(self._stream.header[name][0])
         first = max(after, count - slots // 2, 0)
+        if first >= count:  # most polls find nothing new
+            return count, ring[:0].copy()
         return count, ring[np.arange(first, count) % slots].copy()
