@@ -11,37 +11,46 @@ import math
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED
 
 BESIDE = 1  # voxels each way: an element so near is this surface's
 
 
 @kernel
+def _any(held: BoolArray, i: int, j: int, k: int) -> bool:
+    """Whether a voxel or one BESIDE it is held; (i, j, k) is the first corner of that cube."""
+    for a in range(i, i + 2 * BESIDE + 1):
+        for b in range(j, j + 2 * BESIDE + 1):
+            for c in range(k, k + 2 * BESIDE + 1):
+                if held[a, b, c]:
+                    return True
+    return False
+
+
+@kernel
 def bare_surface(state: ByteArray, low: IntArray, high: IntArray, modelled: IntArray) -> tuple[FloatArray, FloatArray]:
     """Centres (N, 3) and outward unit normals (N, 3) of bare surface in voxels [low, high) of the map, in voxel units.
 
-    state: (nx, ny, nz) uint8. modelled: (M,) flat indices of voxels that hold an element of the model; negative ones are not
-    read. The normal is the mean direction to the free ones of the 26 voxels around.
+    state: (nx, ny, nz) uint8. modelled: (M, 3) voxels that hold an element of the model, in the map or not.
+    The normal is the mean direction to the free ones of the 26 voxels around.
     """
     nx, ny, nz = state.shape
-    size = (high[0] - low[0], high[1] - low[1], high[2] - low[2])
-    near = np.zeros(size, dtype=np.bool_)
+    # with a border: what lies beside the box counts too
+    first = (low[0] - BESIDE, low[1] - BESIDE, low[2] - BESIDE)
+    held = np.zeros((high[0] - first[0] + BESIDE, high[1] - first[1] + BESIDE, high[2] - first[2] + BESIDE), dtype=np.bool_)
     for m in range(len(modelled)):
-        if modelled[m] < 0:
-            continue
-        i, j, k = modelled[m] // (ny * nz) - low[0], modelled[m] // nz % ny - low[1], modelled[m] % nz - low[2]
-        for a in range(max(i - BESIDE, 0), min(i + BESIDE + 1, size[0])):
-            for b in range(max(j - BESIDE, 0), min(j + BESIDE + 1, size[1])):
-                for c in range(max(k - BESIDE, 0), min(k + BESIDE + 1, size[2])):
-                    near[a, b, c] = True
-    position = np.empty((size[0] * size[1] * size[2], 3))
-    normal = np.empty((size[0] * size[1] * size[2], 3))
+        i, j, k = modelled[m, 0] - first[0], modelled[m, 1] - first[1], modelled[m, 2] - first[2]
+        if min(i, j, k) >= 0 and i < held.shape[0] and j < held.shape[1] and k < held.shape[2]:
+            held[i, j, k] = True
+    occupied = np.count_nonzero(state[low[0] : high[0], low[1] : high[1], low[2] : high[2]] == OCCUPIED)
+    position = np.empty((occupied, 3))
+    normal = np.empty((occupied, 3))
     count = 0
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
             for k in range(low[2], high[2]):
-                if state[i, j, k] != OCCUPIED or near[i - low[0], j - low[1], k - low[2]]:
+                if state[i, j, k] != OCCUPIED:
                     continue
                 x, y, z, beside = 0.0, 0.0, 0.0, False
                 for a in range(max(i - 1, 0), min(i + 2, nx)):
@@ -50,7 +59,7 @@ def bare_surface(state: ByteArray, low: IntArray, high: IntArray, modelled: IntA
                             if state[a, b, c] == FREE:
                                 x, y, z = x + a - i, y + b - j, z + c - k
                                 beside = beside or abs(a - i) + abs(b - j) + abs(c - k) == 1
-                if not beside:
+                if not beside or _any(held, i - low[0], j - low[1], k - low[2]):
                     continue
                 length = math.sqrt(x * x + y * y + z * z)
                 if length < 1.0:  # free on both sides: thinner than a voxel, and no side of it is the outer one

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ class Elements:
 
     position (N, 3), outward unit normal (N, 3), sigma (N,) in 0..1, voxel (N,) flat index or -1 outside the grid.
     cells: (C, 3) int64, one row for each cell: its first element, one past its last, and the one nearest to their mean.
-    modelled: (M,) flat indices of the voxels of all elements before thinning, -1 outside the grid.
+    modelled: (M, 3) the voxels of all elements before thinning, in the grid or not.
     """
 
     position: FloatArray
@@ -60,7 +61,7 @@ class Elements:
             np.ascontiguousarray(sigma[order]),
             np.ascontiguousarray(voxel[order]),
             cells,
-            _voxel_of(np.ascontiguousarray(everywhere, dtype=np.float64), shape),
+            _floors(np.ascontiguousarray(everywhere, dtype=np.float64)),
         )
 
     def with_bare(self, position: FloatArray, normal: FloatArray, grid: GridSpec) -> Elements:
@@ -137,6 +138,17 @@ def _cells(position: FloatArray, borders: IntArray) -> IntArray:
             if away2 < nearest:
                 nearest = away2
                 out[c, 2] = n
+    return out
+
+
+@kernel
+def _floors(position: FloatArray) -> IntArray:
+    """Voxels (N, 3) of positions (N, 3); what is no number or very far is put beside every grid."""
+    out = np.full(position.shape, -_FAR, dtype=np.int64)
+    for n in range(len(position)):
+        for axis in range(3):
+            if abs(position[n, axis]) < _FAR:
+                out[n, axis] = math.floor(position[n, axis])
     return out
 
 
