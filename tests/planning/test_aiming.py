@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from box_world import FIXED, GIMBAL
 
-from uav_recon.planning.aiming import aimed, framed
 from uav_recon.planning.camera import PITCH_MAX, PITCH_MIN, CameraGeometry, in_view, sight
+from uav_recon.planning.frontier.aiming import aimed, framed
 
 
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL], ids=["fixed", "gimbal"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.planning.bare import BESIDE, bare_surface
+from uav_recon.planning.surface.bare import BESIDE, bare_surface
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
 CROSS = ndimage.generate_binary_structure(3, 1)

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from uav_recon.planning.cluster_table import FARTHER, OPENING
-from uav_recon.planning.clusters import BLOCK, MAX_EXTENT_M, MIN_CELLS, main_axis
-from uav_recon.planning.frontiers import FACES, Frontiers
+from uav_recon.planning.frontier.cluster_table import FARTHER, OPENING
+from uav_recon.planning.frontier.clusters import BLOCK, MAX_EXTENT_M, MIN_CELLS, main_axis
+from uav_recon.planning.frontier.frontiers import FACES, Frontiers
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec, VoxelMap
 
 State = NDArray[np.uint8]

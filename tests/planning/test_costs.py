@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.planning.costs import BRAKING_MPS2, LEAVING_TURN_SHARE, seconds
+from uav_recon.planning.space.costs import BRAKING_MPS2, LEAVING_TURN_SHARE, seconds
 
 
 def turn(a_rad: float, b_rad: float) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 from box_world import MEETING_ROOM
 from uncertain_room import elements_of, seen_room
 
-from uav_recon.planning.elements import CELL, Elements, weigh
+from uav_recon.planning.surface.elements import CELL, Elements, weigh
 from uav_recon.types.maps import SurfaceElements
 
 

@@ -11,9 +11,9 @@ from uncertain_room import elements_of, seen_room, situation_in
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera import CameraGeometry
-from uav_recon.planning.field import BEST_VIEWS, UNKNOWN_WEIGHT, FieldViews, frontier_patches
-from uav_recon.planning.frontiers import FACES, Frontier, Frontiers, fence_box
+from uav_recon.planning.frontier.frontiers import FACES, Frontier, Frontiers, fence_box
 from uav_recon.planning.proposal import Situation
+from uav_recon.planning.surface.field import BEST_VIEWS, UNKNOWN_WEIGHT, FieldViews, frontier_patches
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import TaskKind
 
@@ -111,7 +111,7 @@ from numba.core.registry import CPUDispatcher as Dispatcher
 sys.path.insert(0, sys.argv[1])
 import numpy as np
 from test_field import CONFIG, FIXED, GIMBAL, elements_of, half_seen, looks_of, FieldViews, MEETING_ROOM
-from uav_recon.planning import field, elements
+from uav_recon.planning.surface import field, elements
 
 def compiled():
     return {(m, k): len(v.signatures) for m in ("field", "gains", "elements", "camera")

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.planning.lines import departure, length_of, segment_is_open
+from uav_recon.planning.space.lines import departure, length_of, segment_is_open
 
 
 def test_a_line_is_closed_by_a_single_voxel_in_its_way() -> None:

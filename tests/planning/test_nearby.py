@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from uav_recon.planning.nearby import ReachableTiles
+from uav_recon.planning.frontier.nearby import ReachableTiles
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import TILE
 

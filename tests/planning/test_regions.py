@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.planning.blocks import EDGE, SIDES, part_around, touches
-from uav_recon.planning.regions import Regions
+from uav_recon.planning.space.blocks import EDGE, SIDES, part_around, touches
+from uav_recon.planning.space.regions import Regions
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, IntArray
 
 EVERY_NEIGHBOUR = np.ones((3, 3, 3))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.planning.lines import segment_is_open
-from uav_recon.planning.space import FlyableSpace
+from uav_recon.planning.space.lines import segment_is_open
+from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec, VoxelMap
 

@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from uav_recon.planning.lines import length_of, segment_is_open
-from uav_recon.planning.taut import pull_taut
+from uav_recon.planning.space.lines import length_of, segment_is_open
+from uav_recon.planning.space.taut import pull_taut
 from uav_recon.types.frames import ByteArray, FloatArray
 
 

@@ -10,12 +10,12 @@ from growing_map import GrowingMap
 from uav_recon.bench import view_oracle
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry
-from uav_recon.planning.frontiers import Frontiers
-from uav_recon.planning.outlook import BOOK
+from uav_recon.planning.frontier.frontiers import Frontiers
+from uav_recon.planning.frontier.outlook import BOOK
+from uav_recon.planning.frontier.vantage import ROOM, _ranked, best_view
+from uav_recon.planning.frontier.view_table import MOST_BLOCKERS, targets
 from uav_recon.planning.shell import explore_shell
-from uav_recon.planning.space import FlyableSpace
-from uav_recon.planning.vantage import ROOM, _ranked, best_view
-from uav_recon.planning.view_table import MOST_BLOCKERS, targets
+from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.types.maps import FREE, TILE
 
 START = np.array([1.0, 1.0, 1.1])

@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from uav_recon.planning.vicinity import STRIDE, seen_from_near, wave
+from uav_recon.planning.surface.vicinity import STRIDE, seen_from_near, wave
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED
 

@@ -14,13 +14,13 @@ from growing_map import GrowingMap
 from uav_recon.bench import recording, view_oracle
 from uav_recon.config import PlannerConfig
 from uav_recon.mapping.voxels import DepthSensor, Voxels
-from uav_recon.planning import views as views_module
 from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry
-from uav_recon.planning.frontiers import Frontiers
+from uav_recon.planning.frontier import views as views_module
+from uav_recon.planning.frontier.frontiers import Frontiers
+from uav_recon.planning.frontier.view_table import ViewTable
+from uav_recon.planning.frontier.views import BATCH, COVERED_SHARE, FrontierProposals, FrontierViews
 from uav_recon.planning.proposal import MIN_SEEN
-from uav_recon.planning.space import FlyableSpace
-from uav_recon.planning.view_table import ViewTable
-from uav_recon.planning.views import BATCH, COVERED_SHARE, FrontierProposals, FrontierViews
+from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
 

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from uav_recon.planning.worth import SHORTEST_TOUR_S, VIEW_S, Worth
+from uav_recon.planning.tour.worth import SHORTEST_TOUR_S, VIEW_S, Worth
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 

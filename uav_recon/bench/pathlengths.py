@@ -8,9 +8,9 @@ import numpy as np
 
 from uav_recon.bench import path_oracle
 from uav_recon.mapping.distance import distance2_to_not_free
-from uav_recon.planning.frontiers import fence_box
-from uav_recon.planning.space import FlyableSpace
-from uav_recon.planning.ways import Ways
+from uav_recon.planning.frontier.frontiers import fence_box
+from uav_recon.planning.space.space import FlyableSpace
+from uav_recon.planning.space.ways import Ways
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, GridSpec, VoxelMap
 

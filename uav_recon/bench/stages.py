@@ -18,16 +18,16 @@ from uav_recon.config import MotionConfig, PlannerConfig, VoxelConfig
 from uav_recon.mapping.voxels import DepthSensor, Voxels
 from uav_recon.planning import planner
 from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry
-from uav_recon.planning.costs import time_costs
-from uav_recon.planning.frontiers import Frontiers, fence_box
+from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
+from uav_recon.planning.frontier.views import FrontierViews
 from uav_recon.planning.planner import ViewPlanner
 from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Proposal
 from uav_recon.planning.sources import MOST_FRONTIERS, cells_of
-from uav_recon.planning.space import FlyableSpace
+from uav_recon.planning.space.costs import time_costs
+from uav_recon.planning.space.space import FlyableSpace
+from uav_recon.planning.space.ways import Ways
 from uav_recon.planning.variants import variant
-from uav_recon.planning.views import FrontierViews
-from uav_recon.planning.ways import Ways
 from uav_recon.types.camera import Intrinsics, PosedFrame
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.maps import GridSpec, VoxelMap

@@ -10,23 +10,27 @@ import numpy as np
 
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.geometry import traversal
-from uav_recon.planning import census, costs, field, lines, space, tour, views, visited
+from uav_recon.planning import visited
 from uav_recon.planning.camera import CameraGeometry
-from uav_recon.planning.census import left_out
-from uav_recon.planning.costs import time_costs
-from uav_recon.planning.field import FieldViews
-from uav_recon.planning.frontiers import Frontiers, fence_box
+from uav_recon.planning.frontier import census, views
+from uav_recon.planning.frontier.census import left_out
+from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
+from uav_recon.planning.frontier.views import FrontierViews
 from uav_recon.planning.homing import proposal_for
 from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.planning.sources import Clusters, Field, Source, cells_of
-from uav_recon.planning.space import FlyableSpace
-from uav_recon.planning.surfaces import SurfaceViews
+from uav_recon.planning.space import costs, lines, space
+from uav_recon.planning.space.costs import time_costs
+from uav_recon.planning.space.space import FlyableSpace
+from uav_recon.planning.space.ways import Ways
+from uav_recon.planning.surface import field
+from uav_recon.planning.surface.field import FieldViews
+from uav_recon.planning.surface.surfaces import SurfaceViews
+from uav_recon.planning.tour import tour
+from uav_recon.planning.tour.worth import NOT_WORTH
 from uav_recon.planning.variants import Variant, variant
-from uav_recon.planning.views import FrontierViews
 from uav_recon.planning.visited import Visited
-from uav_recon.planning.ways import Ways
-from uav_recon.planning.worth import NOT_WORTH
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint

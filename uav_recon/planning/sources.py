@@ -9,14 +9,14 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.config import PlannerConfig
-from uav_recon.planning.cluster_table import OPENING
-from uav_recon.planning.field import FieldViews
-from uav_recon.planning.frontiers import Frontiers
+from uav_recon.planning.frontier.cluster_table import OPENING
+from uav_recon.planning.frontier.frontiers import Frontiers
+from uav_recon.planning.frontier.views import FrontierViews
 from uav_recon.planning.proposal import Proposal, Situation
-from uav_recon.planning.surfaces import SurfaceViews
+from uav_recon.planning.space.ways import Ways
+from uav_recon.planning.surface.field import FieldViews
+from uav_recon.planning.surface.surfaces import SurfaceViews
 from uav_recon.planning.variants import Variant
-from uav_recon.planning.views import FrontierViews
-from uav_recon.planning.ways import Ways
 from uav_recon.types.frames import Float32Array, IntArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import PlanMode, TaskKind

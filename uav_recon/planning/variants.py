@@ -9,9 +9,9 @@ from typing import Literal
 
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera import CameraGeometry
-from uav_recon.planning.choices import ByTheWay, Choice, Greedy, Tour
 from uav_recon.planning.modes import Adaptive, AlwaysMerged, ExploreOnly, ExploreThenRefine, ModeRule
-from uav_recon.planning.worth import Worth
+from uav_recon.planning.tour.choices import ByTheWay, Choice, Greedy, Tour
+from uav_recon.planning.tour.worth import Worth
 from uav_recon.types.tasks import TaskKind
 
 BOTH = frozenset(TaskKind)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.blocks import (
+from uav_recon.planning.space.blocks import (
     EDGE,
     MOST_PARTS,
     ONE,

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from uav_recon.planning.worth import VIEW_S
+from uav_recon.planning.tour.worth import VIEW_S
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.tasks import Task
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.lines import distance, segment_is_open
+from uav_recon.planning.space.lines import distance, segment_is_open
 from uav_recon.types.frames import ByteArray, FloatArray
 
 ROUNDS = 2

@@ -12,13 +12,13 @@ import numpy as np
 
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.bare import bare_surface
 from uav_recon.planning.camera import RANGE, CameraGeometry
-from uav_recon.planning.elements import Elements, KeptElements, squarest, weigh, within
-from uav_recon.planning.gains import best_view, patches_near, promising
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.planning.shell import shell
-from uav_recon.planning.vicinity import seen_from_near, wave
+from uav_recon.planning.surface.bare import bare_surface
+from uav_recon.planning.surface.elements import Elements, KeptElements, squarest, weigh, within
+from uav_recon.planning.surface.gains import best_view, patches_near, promising
+from uav_recon.planning.surface.vicinity import seen_from_near, wave
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint

@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import is_visible
-from uav_recon.planning.gains import TAIL
+from uav_recon.planning.surface.gains import TAIL
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE
 

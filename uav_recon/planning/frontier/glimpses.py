@@ -11,7 +11,7 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import first_obstacle
 from uav_recon.planning.camera import Sight, in_view, sight
-from uav_recon.planning.outlook import BOOK, FITTING, Int32Array, Targets
+from uav_recon.planning.frontier.outlook import BOOK, FITTING, Int32Array, Targets
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 Scene = tuple[ByteArray, tuple[int, int, int], FloatArray]  # distance2 raveled, its shape, the lens

@@ -10,11 +10,11 @@ import numpy as np
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera import CameraGeometry
-from uav_recon.planning.frontiers import Frontiers
-from uav_recon.planning.nearby import Reach, ReachableTiles
+from uav_recon.planning.frontier.frontiers import Frontiers
+from uav_recon.planning.frontier.nearby import Reach, ReachableTiles
+from uav_recon.planning.frontier.view_table import ViewTable
 from uav_recon.planning.proposal import MIN_SEEN, Proposal
 from uav_recon.planning.shell import explore_shell
-from uav_recon.planning.view_table import ViewTable
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, GridSpec, VoxelMap
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.aiming import aimed, framed
 from uav_recon.planning.camera import CAM_X, CAM_Y, aim, look_at, sight
-from uav_recon.planning.glimpses import Notes, Scene, confirmed, hoped_for, inside, note_sides, revealed
-from uav_recon.planning.outlook import BOOK, Int32Array, Targets, cells_with, distinct, outlook
+from uav_recon.planning.frontier.aiming import aimed, framed
+from uav_recon.planning.frontier.glimpses import Notes, Scene, confirmed, hoped_for, inside, note_sides, revealed
+from uav_recon.planning.frontier.outlook import BOOK, Int32Array, Targets, cells_with, distinct, outlook
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 

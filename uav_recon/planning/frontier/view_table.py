@@ -7,9 +7,9 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import first_obstacle
 from uav_recon.planning.camera import Sight, in_view, sight
-from uav_recon.planning.outlook import Int32Array
+from uav_recon.planning.frontier.outlook import Int32Array
+from uav_recon.planning.frontier.vantage import ROOM, best_view
 from uav_recon.planning.shell import Shell
-from uav_recon.planning.vantage import ROOM, best_view
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 ROWS = 512  # answers kept; the oldest go first

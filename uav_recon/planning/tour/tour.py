@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning import local_search
-from uav_recon.planning.local_search import search_tour
+from uav_recon.planning.tour import local_search
+from uav_recon.planning.tour.local_search import search_tour
 from uav_recon.types.frames import FloatArray, IntArray
 
 EXACT_LIMIT = 11

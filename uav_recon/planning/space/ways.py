@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.blocks import EDGE, Blocks, corner_of, part_at
-from uav_recon.planning.lines import departure, distance, length_of, segment_is_open
-from uav_recon.planning.passage import Memory, find_bends, memory_for
-from uav_recon.planning.space import FlyableSpace
-from uav_recon.planning.taut import pull_taut
+from uav_recon.planning.space.blocks import EDGE, Blocks, corner_of, part_at
+from uav_recon.planning.space.lines import departure, distance, length_of, segment_is_open
+from uav_recon.planning.space.passage import Memory, find_bends, memory_for
+from uav_recon.planning.space.space import FlyableSpace
+from uav_recon.planning.space.taut import pull_taut
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 

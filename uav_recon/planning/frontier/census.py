@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.clusters import MIN_CELLS
+from uav_recon.planning.frontier.clusters import MIN_CELLS
 from uav_recon.types.frames import BoolArray, ByteArray
 from uav_recon.types.maps import FREE, UNKNOWN
 

@@ -10,9 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from uav_recon.planning.tour import best_tour
-from uav_recon.planning.waiting import worth_now
-from uav_recon.planning.worth import VIEW_S, Kept, Worth
+from uav_recon.planning.tour.tour import best_tour
+from uav_recon.planning.tour.waiting import worth_now
+from uav_recon.planning.tour.worth import VIEW_S, Kept, Worth
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.tasks import Task, TaskKind
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.proposal import Proposal
-from uav_recon.planning.ways import Ways
+from uav_recon.planning.space.ways import Ways
 from uav_recon.types.frames import FloatArray
 
 LEAVING_TURN_SHARE = 0.25  # of the time to turn from a view's heading into the direction of flight: the camera should lead

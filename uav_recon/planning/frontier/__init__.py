@@ -1,0 +1,1 @@
+"""Frontiers, and the best view of each."""

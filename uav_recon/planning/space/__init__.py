@@ -1,0 +1,1 @@
+"""Where one may fly, and the ways there."""

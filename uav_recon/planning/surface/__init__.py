@@ -1,0 +1,1 @@
+"""Uncertain surface, and the best views of it."""

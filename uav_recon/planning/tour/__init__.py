@@ -1,0 +1,1 @@
+"""Which tasks are flown to, and in which order."""
