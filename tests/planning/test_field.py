@@ -114,7 +114,7 @@ from test_field import CONFIG, FIXED, GIMBAL, elements_of, half_seen, looks_of, 
 from uav_recon.planning.surface import field, elements
 
 def compiled():
-    return {(m, k): len(v.signatures) for m in ("field", "gains", "elements", "camera")
+    return {(m, k): len(v.signatures) for m in ("surface.field", "surface.gains", "surface.elements", "camera")
             for k, v in vars(sys.modules["uav_recon.planning." + m]).items() if isinstance(v, Dispatcher)}
 
 situation, frontiers = half_seen(FIXED)
