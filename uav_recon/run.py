@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
 INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
+RETREAT_M = 0.10  # from the hull, on the way back along the breadcrumbs: the vehicle has been there, whatever the map says now
 
 
 class Failure(Exception):  # noqa: N818 - it is what the user is told, not a bug
@@ -225,14 +226,14 @@ def _camera_geometry(config: Config) -> CameraGeometry:
     )
 
 
-def make_motion(config: Config) -> MotionPlanner:
+def make_motion(config: Config, clearance_m: float) -> MotionPlanner:
     """Trajectories inside the guard's fence."""
     from uav_recon.motion.planner import MotionPlanner
 
     safety = config.safety
     inset_m = safety.fence_inset_m + INSIDE_M
     low_m, high_m = np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m
-    return MotionPlanner(config.motion, config.planner.clearance_m, low_m, high_m)
+    return MotionPlanner(config.motion, clearance_m, low_m, high_m)
 
 
 def make_coverage(config: Config, voxels: Voxels) -> Coverage:
@@ -262,7 +263,9 @@ def make_conductor(
 
     mission = config.mission
     voxels, planner = make_voxels(config), make_planner(config, timer)
-    motion = make_motion(config)
+    clearance_m = config.planner.clearance_m
+    motion = make_motion(config, clearance_m)
+    retreat = make_motion(config, min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m))
     orders = Orders(
         views=mission.views,
         survey_views=mission.survey_views,
@@ -275,7 +278,7 @@ def make_conductor(
         plan_cost_s=mission.plan_cost_s,
     )
     channels = MissionWires(wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan)
-    stages = Stages(voxels, make_coverage(config, voxels), mapper, planner, motion)
+    stages = Stages(voxels, make_coverage(config, voxels), mapper, planner, motion, retreat)
     return Conductor(stages, channels, orders, executor, journal, clock)
 
 
@@ -287,7 +290,7 @@ def warm_up(config: Config) -> None:
     voxels.warm_up()
     make_coverage(config, voxels).warm_up()
     planner.warm_up(config.planner, _camera_geometry(config))
-    make_motion(config).warm_up()
+    make_motion(config, config.planner.clearance_m).warm_up()
 
 
 def make_recorder(config: Config, wires: Wires, flight: Path, clock: Clock) -> Recorder | Timelapse:

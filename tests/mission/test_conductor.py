@@ -122,7 +122,7 @@ class Desk:
         self.voxels, self.planner, self.mapper = OpenSpace(), ThreeViews(), Sketchbook()
         motion = MotionPlanner(MotionConfig(), 0.35)
         orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.26, 300.0, 0.1)
-        stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, motion)
+        stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, motion, motion)
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False

@@ -9,8 +9,8 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 
-def vehicle_at(x: float, y: float, armed: bool = True) -> VehicleState:
-    pose = Pose.from_yaw(0.0, np.array([x, y, 1.0]))
+def vehicle_at(x: float, y: float, z: float = 1.0, *, armed: bool = True) -> VehicleState:
+    pose = Pose.from_yaw(0.0, np.array([x, y, z]))
     return VehicleState(0.0, pose, np.zeros(3), armed, "OFFBOARD", FlightPhase.FLYING, 1.0, False, 0.0, -1, 0, "")
 
 
@@ -23,12 +23,24 @@ def test_path_length_counts_only_flight() -> None:
     assert course.path_length_m == 3.0
 
 
+def test_the_way_back_leaves_out_the_climb_from_the_pad() -> None:
+    course = Course(0.0)
+    for z in np.arange(0.1, 1.15, 0.05):
+        course.follow(vehicle_at(0.0, 0.0, z))
+    for x in np.arange(0.0, 2.0, 0.05):
+        course.follow(vehicle_at(x, 0.0, 1.1))
+    back = np.array(course.way_back(np.array([0.0, 0.0, 1.1])))
+    assert back[:, 2].min() > 1.1 - 1.5 * BREADCRUMB_M - 1e-9
+    assert back[0, 0] > 1.7
+    assert np.linalg.norm(back[-1] - (0.0, 0.0, 1.1)) < 1.5 * BREADCRUMB_M + 1e-9
+
+
 def test_the_way_back_cuts_loops_and_ends_at_the_start() -> None:
     course = Course(0.0)
     circle = [(1 + np.sin(a), 1 - np.cos(a)) for a in np.linspace(0, 2 * np.pi, 60)]
     for x, y in [*[(0.05 * i, 0.0) for i in range(20)], *circle, *[(1 + 0.05 * i, 0.0) for i in range(20)]]:
         course.follow(vehicle_at(x, y))
-    back = np.array(course.way_back())
+    back = np.array(course.way_back(np.array([0.0, 0.0, 1.0])))
     steps = np.linalg.norm(np.diff(back, axis=0), axis=1)
     assert np.linalg.norm(back[-1][:2]) < 1e-9
     assert steps.max() <= 1.5 * BREADCRUMB_M + 1e-9

@@ -35,7 +35,7 @@ class Conductor:
         self._account = Account(journal, orders.views)
         self._captures, self._course = Captures(VIEW_LATE_S), Course(orders.camera_pitch_down_rad)
         self._helm = Helm(stages.motion, self._course, self._captures, self._account)
-        decider = Decider(stages.planner, stages.motion, executor, orders.plan_cost_s, orders.view_spacing_m)
+        decider = Decider(stages.planner, stages.motion, stages.retreat, executor, orders.plan_cost_s, orders.view_spacing_m)
         self._survey = Survey(stages, wires, orders, self._helm, decider, self._account)
         self._homeward = Homeward(self._helm, decider, self._account, orders.takeoff_height_m)
         self.phase = Phase.IDLE

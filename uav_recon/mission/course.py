@@ -82,9 +82,10 @@ class Course:
         pose = vehicle.world_from_body
         return Setpoint.hold(pose.translation_m, pose.yaw_rad(), self._pitch_down_rad)
 
-    def way_back(self) -> tuple[FloatArray, ...]:
-        """Breadcrumbs from here to the pad's first hover, newest first, loops cut out."""
-        crumbs = self.breadcrumbs[::-1]
+    def way_back(self, home_world: FloatArray) -> tuple[FloatArray, ...]:
+        """Breadcrumbs from here to a place (3,) over the pad, newest first, loops and the climb to that place cut out."""
+        there = [i for i, crumb in enumerate(self.breadcrumbs) if np.linalg.norm(crumb - home_world) <= BREADCRUMB_M * 1.5]
+        crumbs = self.breadcrumbs[there[0] if there else 0 :][::-1]
         way: list[FloatArray] = []
         i = 0
         while i < len(crumbs):

@@ -25,8 +25,16 @@ class Decision:
 class Decider:
     """Runs planner and motion on the executor. Every method starts work and returns at once."""
 
-    def __init__(self, planner: Planner, motion: Motion, executor: Executor, plan_cost_s: float, view_spacing_m: float) -> None:
-        self._planner, self._motion, self._executor = planner, motion, executor
+    def __init__(
+        self,
+        planner: Planner,
+        motion: Motion,
+        retreat: Motion,
+        executor: Executor,
+        plan_cost_s: float,
+        view_spacing_m: float,
+    ) -> None:
+        self._planner, self._motion, self._retreat, self._executor = planner, motion, retreat, executor
         self._plan_cost_s, self._view_spacing_m = plan_cost_s, view_spacing_m
 
     def next_views(self, request: PlanRequest, departure: Departure, identifier: int) -> Pending[Decision]:
@@ -40,11 +48,12 @@ class Decider:
     def way_back(
         self, request: PlanRequest, rest: Setpoint, crumbs: tuple[FloatArray, ...], home: Viewpoint, identifier: int
     ) -> Pending[Decision]:
-        """Back along the breadcrumbs: where the vehicle has been is free."""
+        """Back along the breadcrumbs: where the vehicle has been is free, though a map with ghosts may want more room there."""
         waypoints = np.array([rest.position_m, *crumbs, home.position_world])
         revision, epoch = request.voxels.revision, request.voxels.map_epoch
         path = ViewPath((home,), (waypoints,), PlanMode.EXPLORE, revision, epoch, (), 0.0, 0.0)
-        return self._submit(lambda: self._flown(path, request, rest, np.inf, identifier))
+        motion = self._retreat
+        return self._submit(lambda: Decision(path, motion.through(path, request.voxels, rest, 0.0, np.inf, identifier)))
 
     def _submit(self, work: Callable[[], Decision]) -> Pending[Decision]:
         return self._executor.submit(work, self._plan_cost_s)

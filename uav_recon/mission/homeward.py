@@ -39,7 +39,7 @@ class Homeward:
             home = Viewpoint(np.array([0.0, 0.0, self._hover_height_m]), rest.yaw_rad, rest.camera_pitch_down_rad)
             request, identifier = PlanRequest(voxels, None, rest.position_m, rest.yaw_rad, 0), course.next_identifier()
             if along_breadcrumbs:
-                self._decision = self._decider.way_back(request, rest, course.way_back(), home, identifier)
+                self._decision = self._decider.way_back(request, rest, course.way_back(home.position_world), home, identifier)
             else:
                 self._decision = self._decider.way_home(request, rest, home, identifier)
         if not self._decision.done():

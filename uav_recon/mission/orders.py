@@ -14,13 +14,14 @@ from uav_recon.types.vehicle import MissionProgress, VehicleState
 
 @dataclass(frozen=True)
 class Stages:
-    """The stages, through their protocols."""
+    """The stages, through their protocols. retreat: motion along ways that were flown already, with less room around."""
 
     voxels: Voxels
     budget: ViewBudget
     mapper: Mapper
     planner: Planner
     motion: Motion
+    retreat: Motion
 
 
 @dataclass(frozen=True)
