@@ -188,7 +188,7 @@ def test_what_is_not_known_yet_is_left_for_later_and_found_in_the_plans_to_come(
     world.look(GIMBAL, START + 0.3, 4.0)
     world.state[20:40, 10:30, 10:14] = FREE
     voxels = world.picture()
-    rounds = [follower.follow(voxels, START) for _ in range(8)]
+    rounds = [follower.follow(voxels, START) for _ in range(12)]
     later = [found.later for found in rounds]
     assert later[0] > later[-1]
     assert later[-2:] == [later[-1]] * 2
