@@ -23,7 +23,7 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.pose import Pose
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
-from uav_recon.types.trajectory import Goal, Intent
+from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
 GRID = GridSpec(np.array([-3.0, -3.0, -1.0]), 0.1, (60, 60, 40))
@@ -110,6 +110,18 @@ class NoExtraViews:
         pass
 
 
+class Asked(MotionPlanner):
+    """Counts the ways that it is asked for."""
+
+    ways = 0
+
+    def through(
+        self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
+    ) -> Trajectory | str:
+        self.ways += 1
+        return super().through(path, voxels, start, start_s, views_at_spacing_m, identifier)
+
+
 class Desk:
     """A conductor on a table: the vehicle is wherever its trajectory says, frames come at 10 Hz."""
 
@@ -122,7 +134,8 @@ class Desk:
         self.voxels, self.planner, self.mapper = OpenSpace(), ThreeViews(), Sketchbook()
         motion = MotionPlanner(MotionConfig(), 0.35)
         orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.26, 300.0, 0.1)
-        stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, motion, motion)
+        self.retreat = Asked(MotionConfig(), 0.30)
+        stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, motion, self.retreat)
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
@@ -248,6 +261,7 @@ def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(120.0, until=Phase.DONE)
     assert Phase.RETREAT in desk.seen
+    assert desk.retreat.ways == 1
     assert desk.conductor.close() == "completed"
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
+
+from uav_recon.bench.tables import narrow_table
 
 Result = dict[str, Any]
 
@@ -34,7 +35,7 @@ def show_uncertainties(console: Console, result: Result) -> None:
     """Print what `bench uncertainty` measured."""
     console.print(header(result["about"]), highlight=False)
     title = "AUSE (0 = a perfect ranking of errors) and Spearman's rank correlation (1 = perfect) against true error"
-    table = _table(title, "map after", "uncertainty", "AUSE all", "observed", "Spearman all", "observed")
+    table = narrow_table(title, "map after", "uncertainty", "AUSE all", "observed", "Spearman all", "observed")
     for partial in result["partial_maps"]:
         for n, (name, score) in enumerate(partial["scores"].items()):
             table.add_row(
@@ -76,7 +77,9 @@ def percent(share: float | None) -> str:
 def _times(result: Result) -> Table:
     about = result["about"]
     calibrated, p95, wall = about["calibrated"], about["p95_ms"], about["wall_ms"]
-    table = _table("processor's time (a busy machine does not lengthen it)", "", "median", "calibrated", "p95", "by the clock")
+    table = narrow_table(
+        "processor's time (a busy machine does not lengthen it)", "", "median", "calibrated", "p95", "by the clock"
+    )
     for name, key in (("step, ms", "step"), ("view update, ms", "view_update")):
         values = (result[f"{key}_ms"], calibrated[f"{key}_ms"], p95[key], wall[key])
         table.add_row(name, *(f"{value:.2f}" for value in values))
@@ -90,7 +93,9 @@ def _times(result: Result) -> Table:
 
 
 def _quality(result: Result) -> Table:
-    table = _table("against truth, point to surface", "", "recall of seen, 5 cm", "accuracy, cm", "completion, cm", "far off")
+    table = narrow_table(
+        "against truth, point to surface", "", "recall of seen, 5 cm", "accuracy, cm", "completion, cm", "far off"
+    )
     for name, row in (("this mapper", result), ("TSDF at 2 cm", result["about"]["tsdf_2cm"])):
         table.add_row(
             name,
@@ -99,13 +104,4 @@ def _quality(result: Result) -> Table:
             figure(row["completion_cm"], 2),
             percent(row["hallucinated_fraction"]),
         )
-    return table
-
-
-def _table(title: str, first: str, *columns: str) -> Table:
-    """Narrow enough for eighty columns."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-    table.add_column(first, no_wrap=True)
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
     return table

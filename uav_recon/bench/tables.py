@@ -32,7 +32,7 @@ def show(console: Console, result: Result) -> None:
 
 def _stages(result: Result) -> Table:
     title = "milliseconds a frame: by the clock, of the processor (a busy machine does not lengthen it), both calibrated"
-    table = _table(title, "stage", "median", "p95", "max", "cal.", "p95", "proc.", "p95", "cal.", "p95")
+    table = narrow_table(title, "stage", "median", "p95", "max", "cal.", "p95", "proc.", "p95", "cal.", "p95")
     for name in result["stages"]:
         tables = ("stages", "stages_calibrated", "stages_cpu", "stages_cpu_calibrated")
         wall, wall_there, cpu, cpu_there = (result[table][name] for table in tables)
@@ -44,7 +44,7 @@ def _stages(result: Result) -> Table:
 
 
 def _tours(result: Result) -> Table:
-    table = _table("tours, processor's milliseconds", "tasks", "median", "calibrated", "mean gap", "worst gap")
+    table = narrow_table("tours, processor's milliseconds", "tasks", "median", "calibrated", "mean gap", "worst gap")
     for tasks, score in result["tour"].items():
         calibrated_ms = score["median_ms"] / result["calibration_cpu"]
         table.add_row(
@@ -79,7 +79,7 @@ def _quality(result: Result) -> list[str]:
 
 def _scale(sizes: list[Result]) -> Table:
     title = "growth: processor's milliseconds a frame, and times the smallest"
-    table = _table(title, "stage", "m²", "voxels", "median", "p95", "median x", "p95 x", "memory MB")
+    table = narrow_table(title, "stage", "m²", "voxels", "median", "p95", "median x", "p95 x", "memory MB")
     for size in sizes:
         for n, (name, spread) in enumerate(size["stages"].items()):
             ratio = size["ratio"][name]
@@ -97,7 +97,7 @@ def _scale(sizes: list[Result]) -> Table:
     return table
 
 
-def _table(title: str, first: str, *columns: str) -> Table:
+def narrow_table(title: str, first: str, *columns: str) -> Table:
     """Narrow enough for eighty columns."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     table.add_column(first, no_wrap=True)
