@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from sitl.cache import cache_folder
 from sitl.d435i import Model
 from sitl.fly_options import SimOptions
 from sitl.oracle import SEEN_WELL_S
@@ -54,11 +54,6 @@ class TruthOfFlight:
                 data["stamp_s"], data["position_m"], data["hull_m"], data["armed"], data["setpoint_arrivals_s"],
                 len(data["failsafes"]),
             )  # fmt: skip
-
-
-def cache_folder() -> Path:
-    """Where truth cuts are kept: $XDG_CACHE_HOME or ~/.cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "uav_recon"
 
 
 def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:

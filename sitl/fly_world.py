@@ -16,6 +16,7 @@ import numpy as np
 
 from sitl import d435i
 from sitl.clearance import Clearance
+from sitl.merged import merged
 from sitl.pace import REAL, Pace
 from sitl.parameters import Parameters
 from sitl.poses import NoisyPoses
@@ -62,7 +63,7 @@ class WorldOptions:
 
 def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float], pace: Pace = REAL) -> World:
     """Put the world together, compile its kernels, and only then read the clock: its time begins there."""
-    renderer, clearance = Renderer(scene.vertices, scene.faces, scene.rgb), Clearance(scene, options.radius_m)
+    renderer, clearance = _renderer(scene, options.camera), Clearance(scene, options.radius_m)
     d435i.warm_up()
     clearance.hull_m(np.zeros(3))
     camera = d435i.Camera(renderer, options.camera, options.depth_noise, seed=options.seed)
@@ -71,6 +72,13 @@ def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callab
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
     return World(autopilot, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad, pace)
+
+
+def _renderer(scene: Scene, camera: d435i.Model) -> Renderer:
+    if camera != "fast":
+        return Renderer(scene.vertices, scene.faces, scene.rgb)
+    vertices, faces = merged(scene.vertices, scene.faces)  # it sees no colour
+    return Renderer(vertices, faces, np.zeros(vertices.shape, np.uint8))
 
 
 def fly(options: WorldOptions) -> None:

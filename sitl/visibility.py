@@ -7,12 +7,8 @@ get a depth return: in range, not at a grazing angle, and with nothing in betwee
 
 from __future__ import annotations
 
-import hashlib
-import logging
 import math
-import os
-import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sitl import d435i
+from sitl.cache import Arrays, kept, key
 from sitl.clearance import PointBins
 from sitl.jit import kernel
 from sitl.raster import Renderer, Rendering
@@ -40,7 +37,6 @@ RAY_STRIDE_PX = 3
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
-LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -68,12 +64,12 @@ def load_truth_cut(scene: Scene, mount: str, camera: d435i.Model, cache_dir: Pat
     pitch_rad = _fixed_pitch(mount)
     path = cache_dir / f"truth-{scene.name}-{_key(scene, mount, camera)}.npz"
     spec = d435i.stream_header(camera).rgb
-    cached = _load(path, spec)
-    if cached is not None:
-        return cached
-    cut = _cut(scene, pitch_rad, camera, spec)
-    _save(path, cut)
-    return cut
+
+    def arrays() -> Arrays:
+        cut = _cut(scene, pitch_rad, camera, spec)
+        return {name: getattr(cut, name) for name in _DIMENSIONS}
+
+    return TruthCut(free_cell_m=STEP_M, view_spec=spec, **kept(path, _DIMENSIONS, arrays))
 
 
 def warm_up() -> None:
@@ -94,41 +90,12 @@ def _fixed_pitch(mount: str) -> float | None:
 
 
 def _key(scene: Scene, mount: str, camera: str) -> str:
-    digest = hashlib.sha256()
-    for array in (scene.vertices, scene.faces, scene.fence_min, scene.fence_max):
-        digest.update(np.ascontiguousarray(array).tobytes())
     parameters = (VERSION, mount, camera, POSES, HELD_OUT, SAMPLES, POSE_SEED, HELD_OUT_SEED, SAMPLE_SEED, STEP_M)
-    digest.update(repr((parameters, REACH_CLEARANCE_M, LOWEST_M, RAY_STRIDE_PX, d435i.RANGE_M, d435i.MOUNT_M)).encode())
-    return digest.hexdigest()[:20]
+    words = repr((parameters, REACH_CLEARANCE_M, LOWEST_M, RAY_STRIDE_PX, d435i.RANGE_M, d435i.MOUNT_M))
+    return key(scene.vertices, scene.faces, scene.fence_min, scene.fence_max, words)
 
 
-_ARRAYS = tuple(f.name for f in fields(TruthCut) if f.name not in ("view_spec", "free_cell_m"))
-
-
-def _load(path: Path, spec: CameraSpec) -> TruthCut | None:
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in _ARRAYS}
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        LOG.warning("truth cache %s is unusable (%s) and is made anew", path, error)
-        return None
-    if arrays["points"].shape[1:] != (3,) or arrays["views"].shape[1:] != (4, 4) or arrays["free_seen"].ndim != 3:
-        LOG.warning("truth cache %s has the wrong shapes and is made anew", path)
-        return None
-    return TruthCut(free_cell_m=STEP_M, view_spec=spec, **arrays)
-
-
-def _save(path: Path, cut: TruthCut) -> None:
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, **{name: getattr(cut, name) for name in _ARRAYS})
-        temporary.replace(path)
-    except OSError as error:
-        LOG.warning("truth cache %s cannot be written (%s)", path, error)
+_DIMENSIONS = {"points": 2, "free_seen": 3, "free_origin_m": 1, "views": 3, "positions": 2}
 
 
 def reachable_positions(scene: Scene) -> F32:

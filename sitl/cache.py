@@ -1,0 +1,65 @@
+"""Arrays that are made once and kept on disk: a cache that cannot be read or written costs time only."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Arrays = dict[str, NDArray[Any]]
+LOG = logging.getLogger(__name__)
+
+
+def cache_folder() -> Path:
+    """Where they are kept: below $XDG_CACHE_HOME or ~/.cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "uav_recon"
+
+
+def key(*parts: NDArray[Any] | str) -> str:
+    """Twenty hexadecimal digits that stand for arrays and words."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()[:20]
+
+
+def kept(path: Path, dimensions: dict[str, int], make: Callable[[], Arrays]) -> Arrays:
+    """The arrays of a file, or those that make() returns, which are kept there. dimensions: names, and ndim of each."""
+    arrays = _load(path, dimensions)
+    if arrays is None:
+        arrays = make()
+        _save(path, arrays)
+    return arrays
+
+
+def _load(path: Path, dimensions: dict[str, int]) -> Arrays | None:
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in dimensions}
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        LOG.warning("cache %s is unusable (%s) and is made anew", path, error)
+        return None
+    if any(array.ndim != dimensions[name] for name, array in arrays.items()):
+        LOG.warning("cache %s has the wrong shapes and is made anew", path)
+        return None
+    return arrays
+
+
+def _save(path: Path, arrays: Arrays) -> None:
+    temporary = path.with_suffix(f".{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        temporary.replace(path)
+    except OSError as error:
+        LOG.warning("cache %s cannot be written (%s)", path, error)
