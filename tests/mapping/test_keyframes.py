@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,24 @@ def test_a_reader_sees_what_was_written_later_and_nothing_half(tmp_path: Path) -
     reader.refresh()
     assert len(reader) == 1
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_poses_read_piece_by_piece_are_those_read_at_once(tmp_path: Path) -> None:
+    writer, reader = KeyframeFolder(tmp_path), KeyframeFolder(tmp_path)
+    for n in range(5):
+        writer.save(_view(n))
+        if n != 2:
+            reader.refresh()
+    whole = json.loads((tmp_path / "poses.json").read_text())
+    assert whole["keyframes"] == reader._entries == KeyframeFolder(tmp_path)._entries
+    assert [entry["sequence"] for entry in whole["keyframes"]] == list(range(5))
+    (tmp_path / "poses.json").write_text(json.dumps(whole, indent=1))  # by another hand
+    reader.refresh()
+    assert reader._entries == whole["keyframes"]
+    other = KeyframeFolder(tmp_path)
+    other.save(_view(5))
+    reader.refresh()
+    assert len(reader) == len(json.loads((tmp_path / "poses.json").read_text())["keyframes"]) == 6
 
 
 def test_a_second_writer_continues_the_numbers(tmp_path: Path) -> None:

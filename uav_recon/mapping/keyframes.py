@@ -19,6 +19,7 @@ from uav_recon.types.pose import Pose
 
 JPEG_QUALITY = 95
 PNG_COMPRESSION = 1
+HEAD, BETWEEN, TAIL = '{"depth_unit_m": 0.001, "keyframes": [\n', ",\n", "\n]}\n"  # of poses.json: a line for each keyframe
 
 
 class KeyframeError(Exception):
@@ -35,6 +36,7 @@ class KeyframeFolder:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         self._entries: list[dict[str, Any]] = []
+        self._lines = ""  # of poses.json: what stands in it already is neither put into words nor read again
         self.refresh()
 
     def __len__(self) -> int:
@@ -46,9 +48,20 @@ class KeyframeFolder:
         if not path.exists():
             return
         try:
-            self._entries = json.loads(path.read_text(encoding="utf-8"))["keyframes"]
+            text = path.read_text(encoding="utf-8")
+            if text.startswith(HEAD) and text.startswith(self._lines, len(HEAD)) and text.endswith(TAIL):
+                fresh = text[len(HEAD) + len(self._lines) : -len(TAIL)]
+                self._entries += json.loads(f"[{fresh.removeprefix(BETWEEN)}]")
+                self._lines += fresh
+            else:
+                self._entries = json.loads(text)["keyframes"]
+                self._lines = BETWEEN.join(json.dumps(entry) for entry in self._entries)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise KeyframeError(f"{path}: not a list of keyframes ({error})") from None
+
+    def stamp_s(self, number: int) -> float:
+        """When a keyframe was taken. Raises IndexError if there is none."""
+        return float(self._entries[number]["stamp_s"])
 
     def save(self, keyframe: PosedFrame) -> int:
         """Write a keyframe; returns its number. Blocks for about 10 ms. Raises OSError if the disk refuses."""
@@ -60,21 +73,20 @@ class KeyframeFolder:
         bgr = np.ascontiguousarray(frame.rgb[:, :, ::-1])
         self._write(f"{number:04d}_rgb.jpg", cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))
         self._write(f"{number:04d}_depth.png", cv2.imencode(".png", depth, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION]))
-        self._entries.append(
-            {
-                "rgb": f"{number:04d}_rgb.jpg",
-                "depth": f"{number:04d}_depth.png",
-                "stamp_s": frame.stamp_s,
-                "sequence": frame.sequence,
-                "map_epoch": keyframe.map_epoch,
-                "depth_intrinsics": _lens(frame.depth_intrinsics),
-                "rgb_intrinsics": _lens(frame.rgb_intrinsics),
-                "rgb_from_depth": _pose(frame.rgb_from_depth),
-                "world_from_depth": _pose(keyframe.world_from_depth),
-            }
-        )
-        text = json.dumps({"depth_unit_m": 0.001, "keyframes": self._entries}, indent=1)
-        write_whole(self.folder / "poses.json", text.encode())
+        entry = {
+            "rgb": f"{number:04d}_rgb.jpg",
+            "depth": f"{number:04d}_depth.png",
+            "stamp_s": frame.stamp_s,
+            "sequence": frame.sequence,
+            "map_epoch": keyframe.map_epoch,
+            "depth_intrinsics": _lens(frame.depth_intrinsics),
+            "rgb_intrinsics": _lens(frame.rgb_intrinsics),
+            "rgb_from_depth": _pose(frame.rgb_from_depth),
+            "world_from_depth": _pose(keyframe.world_from_depth),
+        }
+        self._entries.append(entry)
+        self._lines += (BETWEEN if self._lines else "") + json.dumps(entry)
+        write_whole(self.folder / "poses.json", (HEAD + self._lines + TAIL).encode())
         return number
 
     def load(self, number: int) -> PosedFrame:
