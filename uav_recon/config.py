@@ -113,6 +113,7 @@ class MapperConfig(Section):
     mesh_voxel_m: Annotated[float, Field(ge=0.005, le=0.1)] = 0.02  # final mesh
     surface_voxel_m: Annotated[float, Field(ge=0.01, le=0.2)] = 0.05  # elements handed to the planner
     seed: int = 0  # random sampling
+    prior_model: Path | None = None  # ONNX file that sees normals or depth in a colour picture; for rays without a normal
 
 
 class PlannerConfig(Section):
