@@ -96,6 +96,7 @@ def perception(config_path: Path) -> int:
 
 def mission(config_path: Path, flight: Path | None) -> int:
     """Fly one mission and write its folder; SIGTERM lands. Exit code 0 if the mission was completed or landed on request."""
+    from uav_recon.mapping.neural.priors import PriorError
     from uav_recon.mapping.neural.worker import ProcessMapper
     from uav_recon.recording.debrief import FlightCard, account, publish
     from uav_recon.recording.flightlog import FlightLog
@@ -108,7 +109,10 @@ def mission(config_path: Path, flight: Path | None) -> int:
     configuration.save(config, folder / "config.toml")
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
-    mapper = ProcessMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, folder)
+    try:
+        mapper = ProcessMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, folder)
+    except PriorError as error:
+        raise run.Failure(str(error), run.EXIT_CONFIG) from None
     recorder = _start_recorder(config_path, folder)
     journal, executor = FlightLog(folder), ThreadExecutor("planner")
     try:

@@ -246,12 +246,16 @@ def make_coverage(config: Config, voxels: Voxels) -> Coverage:
 
 
 def make_trainer(config: Config) -> Trainer:
-    """The neural field of the mapper."""
+    """The neural field of the mapper. Raises Failure if its prior model cannot be used."""
+    from uav_recon.mapping.neural.priors import PriorError
     from uav_recon.mapping.neural.trainer import Trainer
 
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
-    return Trainer(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m)
+    try:
+        return Trainer(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m)
+    except PriorError as error:
+        raise Failure(str(error), EXIT_CONFIG) from None
 
 
 def make_conductor(

@@ -7,6 +7,7 @@ import pytest
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, WALL_RGB, distance_to_walls, look, tour
 
 from uav_recon.config import MapperConfig
+from uav_recon.mapping.neural.intake import Refusal
 from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.pose import Pose
@@ -110,7 +111,7 @@ def test_views_that_cannot_be_used_are_refused_and_counted() -> None:
     through_the_wall = Pose(good.world_from_depth.quat_wxyz, np.array([2.95, 1.2, 1.0]))
     deep = dataclasses.replace(frame, depth_m=np.full_like(frame.depth_m, 4.0))
     assert not trainer.add(PosedFrame(deep, through_the_wall))
-    assert trainer.refused == 5
+    assert trainer.refusals.counts == {Refusal.EMPTY: 1, Refusal.SHAPE: 2, Refusal.OUTSIDE: 1, Refusal.ELSEWHERE: 1}
     assert trainer.views == 0
     assert trainer.add(good)
 

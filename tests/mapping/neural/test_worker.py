@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,6 +17,8 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, distance_to_walls, look, t
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.neural.checkpoint import EVERY_VIEWS
+from uav_recon.mapping.neural.child import CHECKPOINT, LOG_FILE
 from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.mapping.neural.worker import RESTARTS, InlineMapper, ProcessMapper
 
@@ -22,12 +26,12 @@ CONFIG = MapperConfig(steps_per_view=10, idle_steps_hz=5.0, polish_steps=20, mes
 PATIENCE_S = 120.0
 
 
-def _wait(condition: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + PATIENCE_S
+def _wait(condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
+    deadline = time.monotonic() + patience_s
     pause = __import__("threading").Event()
     while not condition():
         if time.monotonic() > deadline:
-            raise AssertionError(f"{what} did not happen within {PATIENCE_S} s")
+            raise AssertionError(f"{what} did not happen within {patience_s} s")
         pause.wait(0.01)
 
 
@@ -89,6 +93,80 @@ def test_process_learns_outlives_a_kill_and_meshes(mapper: ProcessMapper, tmp_pa
     assert np.asarray(mesh.metadata["_ply_raw"]["vertex"]["data"]["uncertainty"]).min() > 0
     with pytest.raises(ProcessLookupError):
         os.kill(mapper.pid, 0)
+
+
+def _cpu_s(pid: int) -> float:
+    """What a process was given of the processor: unlike the clock, a busy machine does not change it."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _kill(mapper: ProcessMapper) -> None:
+    pid = mapper.pid
+    os.kill(pid, signal.SIGKILL)
+    _wait(lambda: mapper.pid != pid, "the next child")
+    _wait(mapper.ready, "its return")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_killed_after_120_views_it_is_back_within_10_s_from_its_checkpoint(tmp_path: Path) -> None:
+    config = MapperConfig(steps_per_view=40, idle_steps_hz=0.0)
+    mapper = ProcessMapper(config, LOW, HIGH, NOISE_PX, BASELINE_M, tmp_path)
+    try:
+        _wait(mapper.ready, "ready")
+        start_s = _cpu_s(mapper.pid)
+        views = tour(120, NOISE_PX)
+        for view in views[:-3]:
+            _wait(lambda view=view: mapper.add(view), "a place in the queue")  # type: ignore[misc]
+        _wait(lambda: _kept(tmp_path) >= 112, "a checkpoint with nearly all of them", 600.0)
+        all_s = _cpu_s(mapper.pid) - start_s
+        before = _revision(mapper)
+        for view in views[-3:]:
+            assert mapper.add(view)
+        _kill(mapper)
+        back_s = _cpu_s(mapper.pid)
+        surface = mapper.surface()
+        assert surface is not None
+        assert surface.revision > before
+        assert _went_on(tmp_path)[0] >= 112
+        assert back_s < 10.0
+        assert all_s > 15.0, f"{all_s:.1f} s: too few views to show the difference"
+        print(f"learning {all_s:.1f} s, back {back_s:.1f} s of the processor")
+    finally:
+        mapper.close()
+
+
+def test_a_child_goes_on_from_its_checkpoint_and_tells_of_a_damaged_one(tmp_path: Path) -> None:
+    config = MapperConfig(steps_per_view=2, idle_steps_hz=0.0)
+    mapper = ProcessMapper(config, LOW, HIGH, NOISE_PX, BASELINE_M, tmp_path)
+    state = tmp_path / CHECKPOINT / "state"
+    try:
+        for view in tour(EVERY_VIEWS + 2):
+            assert mapper.add(view)
+        _wait(state.exists, "a checkpoint")
+        _kill(mapper)
+        assert _went_on(tmp_path) == [EVERY_VIEWS]
+        os.truncate(state, 1000)
+        _kill(mapper)
+        assert f"{state}: damaged; learning all {EVERY_VIEWS + 2} keyframes again" in (tmp_path / LOG_FILE).read_text()
+        assert mapper.alive()
+    finally:
+        mapper.close()
+    assert not (tmp_path / CHECKPOINT).exists()
+
+
+def _kept(folder: Path) -> int:
+    """How many keyframes the checkpoint knows."""
+    try:
+        return int(json.loads((folder / CHECKPOINT / "state").read_bytes().split(b"\n", 2)[1])["learned"])
+    except FileNotFoundError:
+        return 0
+
+
+def _went_on(folder: Path) -> list[int]:
+    """Keyframes in the checkpoints from which children went on."""
+    return [int(n) for n in re.findall(r"went on from a checkpoint with (\d+)", (folder / LOG_FILE).read_text())]
 
 
 def test_a_mapper_that_keeps_dying_is_given_up(mapper: ProcessMapper, tmp_path: Path) -> None:

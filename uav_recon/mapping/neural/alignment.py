@@ -7,12 +7,14 @@ nothing measures but the given poses, so it is taken out again.
 
 from __future__ import annotations
 
+from itertools import compress
+
 import numpy as np
 
 from uav_recon.mapping.neural.field import Field
 from uav_recon.mapping.neural.losses import TETRAHEDRON
 from uav_recon.mapping.neural.replay import Replay
-from uav_recon.types.frames import Float32Array, FloatArray
+from uav_recon.types.frames import BoolArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 
 GIVEN_SIGMA_M, GIVEN_SIGMA_RAD = 0.012, np.deg2rad(0.35)  # of the poses that localization gives
@@ -39,6 +41,11 @@ class Alignment:
         self._rotation.append(rotation)
         self._position.append(position)
         self.correction = np.concatenate([self.correction, np.zeros((1, 6))])
+
+    def keep(self, which: BoolArray) -> None:
+        """Forget all views but some (V,)."""
+        self._rotation, self._position = list(compress(self._rotation, which)), list(compress(self._position, which))
+        self.correction = self.correction[which]
 
     def refine(self, field: Field, replay: Replay) -> None:
         """Align every view to the field and move the replayed rays there. About 10 ms a view."""

@@ -1,12 +1,14 @@
 """The mapper's own process, and the parent's handle on it: JSON lines down a pipe, JSON lines back.
 
 Run as ``python -m uav_recon.mapping.neural.child``. The first line is the order (config, box, noise, folder); then
-{"keyframe": N} for each view on disk and {"finish": FOLDER} at the end. Back come {"event": "ready" | "finished"}.
+{"keyframe": N} for each view on disk and {"finish": FOLDER} at the end. Back come {"event": "ready" | "finished"} and, when
+views were refused, {"event": "refused", "counts": {REASON: N so far}}.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import os
 import queue
 import signal
@@ -22,10 +24,14 @@ import numpy as np
 from uav_recon.channels import FileChannel
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
+from uav_recon.mapping.neural.checkpoint import CheckpointError, Checkpoints
 from uav_recon.mapping.neural.meshfile import write_ply
 from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.types.maps import SurfaceElements
 
+LOG = logging.getLogger(__name__)
+
+CHECKPOINT = ".mapper_checkpoint"
 KEYFRAMES, SURFACE_FILE, LOG_FILE, MESH_FILE = "keyframes", ".mapper_surface", "mapper.log", "mesh.ply"
 SURFACE_BYTES = 48 << 20  # a sparse file: a room of 30 m² needs 3 MB
 NICENESS = 10
@@ -37,8 +43,8 @@ Message = dict[str, Any]
 class ChildProcess:
     """One child. Its pipe closes when this process ends, whatever way, and then it ends too."""
 
-    def __init__(self, order: Message, log: Path, tell: Callable[[str], None]) -> None:
-        """Start it. tell("ready" | "finished" | "lost") is called from a thread of this object."""
+    def __init__(self, order: Message, log: Path, tell: Callable[[Message], None]) -> None:
+        """Start it. tell() is called from a thread of this object, with what the child says and {"event": "lost"} last."""
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
         with log.open("ab") as errors:
             self._process = subprocess.Popen(
@@ -64,7 +70,7 @@ class ChildProcess:
         return self._process.poll() is None
 
     def send(self, message: Message) -> None:
-        """Write a line; a child that is gone is reported through tell("lost"), not here."""
+        """Write a line; a child that is gone is reported through tell(), not here."""
         pipe = self._process.stdin
         if pipe is None or pipe.closed:
             return
@@ -93,9 +99,9 @@ class ChildProcess:
         if pipe is not None:
             with pipe:
                 for line in pipe:
-                    self._tell(str(json.loads(line)["event"]))
+                    self._tell(json.loads(line))
         self._process.wait()
-        self._tell("lost")
+        self._tell({"event": "lost"})
 
 
 def main() -> None:
@@ -104,6 +110,7 @@ def main() -> None:
     os.nice(NICENESS)
     replies = os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)  # a stray print must not break the protocol
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s")
     messages: queue.Queue[Message] = queue.Queue()
     order: Message = json.loads(sys.stdin.buffer.readline())
     threading.Thread(target=_read, args=(sys.stdin.buffer, messages), daemon=True).start()
@@ -125,11 +132,14 @@ class _Session:
         self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
         low, high = np.array(order["box_min_m"]), np.array(order["box_max_m"])
         self._trainer = Trainer(self._config, low, high, order["depth_noise_px"], order["baseline_m"])
+        self._checkpoints = Checkpoints(folder / CHECKPOINT, {name: value for name, value in order.items() if name != "folder"})
         self._revision = self._channel.sequence()
         self._learned, self._unseen = 0, False  # keyframes learned; whether they show in no published surface yet
+        self._refused = 0  # as told to the parent
 
     def run(self) -> None:
         self._trainer.warm_up()
+        self._restore()
         self._learn_to(len(self._keyframes))
         self._show()
         self._say("ready")
@@ -140,6 +150,7 @@ class _Session:
                 message = self._messages.get(timeout=idle_s if self._trainer.views else None)
             except queue.Empty:
                 self._trainer.train(1)
+                self._save()
                 idle_steps += 1
                 if idle_steps % IDLE_SURFACE_STEPS == 0:
                     self._publish()
@@ -165,8 +176,32 @@ class _Session:
                 if self._trainer.add(self._keyframes.load(number)):
                     self._trainer.train(self._config.steps_per_view)
             except KeyframeError as error:
-                print(error, file=sys.stderr, flush=True)  # one view less
-        self._learned, self._unseen = count, True
+                LOG.warning("%s", error)  # one view less
+            self._learned = number + 1
+            self._save()
+        self._unseen = True
+        self._tell_refusals()
+
+    def _restore(self) -> None:
+        """Go on from the checkpoint, if there is a sound one; what came after it is learned from the keyframes."""
+        try:
+            found = self._checkpoints.load(self._keyframes)
+        except CheckpointError as error:
+            LOG.warning("%s; learning all %d keyframes again", error, len(self._keyframes))
+            return
+        if found is not None:
+            self._trainer, self._learned = found
+            self._unseen = True
+            LOG.warning("went on from a checkpoint with %d of %d keyframes", self._learned, len(self._keyframes))
+
+    def _save(self) -> None:
+        self._checkpoints.save_if_due(self._trainer, self._learned, self._keyframes.stamp_s(self._learned - 1))
+
+    def _tell_refusals(self) -> None:
+        refusals = self._trainer.refusals
+        if refusals.total() != self._refused:
+            self._refused = refusals.total()
+            self._say("refused", counts={reason.name: count for reason, count in refusals.counts.items()})
 
     def _publish(self) -> None:
         self._unseen = False
@@ -192,8 +227,8 @@ class _Session:
         write_ply(folder / MESH_FILE, self._trainer.mesh(self._config.mesh_voxel_m))
         self._say("finished")
 
-    def _say(self, event: str) -> None:
-        self._replies.write(json.dumps({"event": event}).encode() + b"\n")
+    def _say(self, event: str, **more: object) -> None:
+        self._replies.write(json.dumps({"event": event} | more).encode() + b"\n")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
@@ -34,6 +36,19 @@ class Field:
         self.network: Network = views(self.parameters)
         self.scratch: Scratch = make_scratch()
         self._fill(1, self.slots)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For a checkpoint: without scratch, what is a view of the parameters, and the slots that nobody uses yet."""
+        capacity, used = self.grid.features.shape[0], self.grid._replace(features=self.grid.features[: self.slots])
+        return self.__dict__ | {"grid": used, "capacity": capacity, "network": None, "scratch": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        capacity = state.pop("capacity")
+        self.__dict__.update(state)
+        features = np.zeros((capacity, self.grid.features.shape[1]), dtype=np.float32)
+        features[: self.slots] = self.grid.features
+        self.grid = self.grid._replace(features=features)
+        self.network, self.scratch = views(self.parameters), make_scratch()
 
     def cover(self, points: Float32Array) -> None:
         """Make room for what will be learned at points (N, 3)."""

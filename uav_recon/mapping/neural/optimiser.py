@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
@@ -20,16 +22,34 @@ _ONE = np.float32(1.0)
 
 
 class Optimiser:
-    """Gradients and moments beside a field's parameters."""
+    """Gradients and moments beside a field's parameters. skipped: steps whose gradient was not finite."""
 
     def __init__(self, field: Field) -> None:
+        self._step, self.skipped = 0, 0
+        self._allocate(field)
+
+    def _allocate(self, field: Field) -> None:
         self._field = field
         self.gradient: Gradient = make_gradient(field.grid.features.shape[0])
         self.flat_gradient = np.zeros(PARAMETERS, dtype=np.float32)
         self.network_gradient: Network = views(self.flat_gradient)
         self._weight_moments = np.zeros((2, PARAMETERS), dtype=np.float32)
         self._slot_moments = _slot_moments(field.grid.features.shape[0])
-        self._step = 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For a checkpoint: between steps every gradient is zero; only the moments are worth keeping."""
+        return {
+            "field": self._field,
+            "weight_moments": self._weight_moments,
+            "slot_moments": self._slot_moments[: self._field.slots],
+            "step": self._step,
+            "skipped": self.skipped,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._allocate(state["field"])
+        self._weight_moments, self._step, self.skipped = state["weight_moments"], state["step"], state["skipped"]
+        self._slot_moments[: self._field.slots] = state["slot_moments"]
 
     def follow_growth(self) -> None:
         """Grow with the field's grid. Call after Field.cover(), between steps."""
@@ -40,14 +60,31 @@ class Optimiser:
         moments[:held] = self._slot_moments
         self.gradient, self._slot_moments = make_gradient(slots), moments
 
-    def step(self, rate_factor: float = 1.0) -> None:
-        """Apply and clear the gradients."""
+    def step(self, rate_factor: float = 1.0) -> bool:
+        """Apply and clear the gradients. False if one was not finite: then it is counted, and nothing else changes."""
+        if not self._finite():
+            self._clear()
+            self.skipped += 1
+            return False
         self._step += 1
         first, second = self._weight_moments
         rate = WEIGHT_RATE * rate_factor
         step_weights(self._field.parameters, self.flat_gradient, first, second, rate, self._step)
         rate = GRID_RATE * rate_factor
         step_slots(self._field.grid.features, self.gradient, self._slot_moments, rate, self._step)
+        return True
+
+    def _finite(self) -> bool:
+        """Whether the squares of all gradients have a finite sum: 0.1 ms, and just what the second moments need."""
+        slots = self.gradient.features[: int(self.gradient.rows[0])].reshape(-1)
+        return bool(np.isfinite(np.vdot(self.flat_gradient, self.flat_gradient)) and np.isfinite(np.vdot(slots, slots)))
+
+    def _clear(self) -> None:
+        rows = int(self.gradient.rows[0])
+        self.flat_gradient[:] = 0.0
+        self.gradient.features[:rows] = 0.0
+        self.gradient.row[self.gradient.touched[:rows]] = -1
+        self.gradient.rows[0] = 0
 
 
 def _slot_moments(slots: int) -> Float32Array:

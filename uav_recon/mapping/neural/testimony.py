@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import compress
+from typing import Any
+
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
@@ -11,14 +14,36 @@ SAW_SIGMAS, SAW_M = 2.0, 0.02  # a depth image confirms a vertex within sigmas *
 SAW_COSINE = 0.15  # ... of a surface that faces it
 
 
+DepthImage = tuple[Float32Array, FloatArray, FloatArray, FloatArray, float]  # what Testimony.add() wants
+
+
 class Testimony:
-    """Depth images of all keyframes at half resolution, to ask whether they looked through a point."""
+    """Depth images of the kept keyframes at half resolution, to ask whether they looked through a point."""
 
     def __init__(self) -> None:
         self._depth_mm: list[AnyArray] = []
         self._lens: list[FloatArray] = []
         self._depth_from_world: list[tuple[FloatArray, FloatArray]] = []
         self._sigma: list[float] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For a checkpoint: without the images, which a checkpoint keeps by view; see image() and put_back()."""
+        return self.__dict__ | {"_depth_mm": [np.zeros(0, dtype=np.uint16)] * len(self._depth_mm)}
+
+    def image(self, view: int) -> AnyArray:
+        """Depth image (h, w) uint16 of a view, millimetres, to be read."""
+        return self._depth_mm[view]
+
+    def put_back(self, view: int, depth_mm: AnyArray) -> None:
+        """Fill in the depth image of a view after unpickling."""
+        self._depth_mm[view] = depth_mm
+
+    def keep(self, which: BoolArray) -> None:
+        """Forget all views but some (V,)."""
+        self._depth_mm = list(compress(self._depth_mm, which))
+        self._lens = list(compress(self._lens, which))
+        self._depth_from_world = list(compress(self._depth_from_world, which))
+        self._sigma = list(compress(self._sigma, which))
 
     def add(
         self, depth_m: Float32Array, lens: FloatArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float
@@ -32,12 +57,19 @@ class Testimony:
 
     def refute(self, points: Float32Array, normals: Float32Array) -> BoolArray:
         """Whether more images looked through a place than saw a surface there: points (N, 3), normals (N, 3)."""
+        return self.votes(points, normals) < 0.0
+
+    def votes(self, points: Float32Array, normals: Float32Array, most: int = 1 << 30) -> Float32Array:
+        """For each place (N,): 1 for each image that saw a surface there, less 1/2 for each that looked through.
+
+        most: images to ask, spread evenly over all of them.
+        """
         score = np.zeros(len(points), dtype=np.float32)
-        for image, lens, (rotation, translation), sigma in zip(
-            self._depth_mm, self._lens, self._depth_from_world, self._sigma, strict=True
-        ):
-            _vote(image, lens, rotation, translation, sigma, points, normals, score)
-        return score < 0.0
+        count = len(self._depth_mm)
+        for view in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else ():
+            rotation, translation = self._depth_from_world[view]
+            _vote(self._depth_mm[view], self._lens[view], rotation, translation, self._sigma[view], points, normals, score)
+        return score
 
 
 @kernel

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.neural.alignment import Alignment
 from uav_recon.mapping.neural.field import Field
 from uav_recon.mapping.neural.grid import POINTS
-from uav_recon.mapping.neural.intake import acceptable, padded
+from uav_recon.mapping.neural.intake import FEWEST_RAYS, FEWEST_VIEWS, Doubt, Refusal, Refusals, padded, refusal
 from uav_recon.mapping.neural.livesurface import LiveSurface
 from uav_recon.mapping.neural.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
 from uav_recon.mapping.neural.optimiser import Optimiser
+from uav_recon.mapping.neural.priors import open_prior
 from uav_recon.mapping.neural.rays import pixel_stride, ray_records
+from uav_recon.mapping.neural.remembered import Remembered
 from uav_recon.mapping.neural.render import render_rays
-from uav_recon.mapping.neural.replay import Replay
+from uav_recon.mapping.neural.replay import MOST_VIEWS, Replay, ViewRays
 from uav_recon.mapping.neural.samples import draw, make_batch
 from uav_recon.mapping.neural.surface import Evidence, WholeSurface, surface_elements, triangle_mesh, whole_surface
-from uav_recon.mapping.neural.testimony import Testimony
+from uav_recon.mapping.neural.testimony import DepthImage, Testimony
 from uav_recon.mapping.neural.uncertainty import (
     ColourError,
     DepthInformation,
@@ -27,12 +31,14 @@ from uav_recon.mapping.neural.uncertainty import (
     SurfaceUncertainty,
 )
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
-from uav_recon.types.frames import Float32Array, FloatArray
+from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
 
 ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish at which views are aligned
 DEFAULT_UNCERTAINTY = "agreement"  # what ranked true errors best; see `uav-recon bench uncertainty`
+KEPT_VIEWS = MOST_VIEWS * 3 // 4  # when memory is full
+ASKED_VIEWS, ASKED_POINTS, ASKED_RAYS = 64, 600, 40  # whether a view fits: so many others, on it and on each of them
 FINAL_RATE = 0.1  # the polish ends at this share of the learning rate
 
 
@@ -40,7 +46,7 @@ class Trainer:
     """The mapper without its process. box_min_m, box_max_m (3,): the room's box in world.
 
     depth_noise_px: disparity noise of the depth image as delivered; baseline_m: stereo baseline. uncertainties: all measures
-    by name; uncertainty: the one that elements carry, which may be set to any of them.
+    by name; uncertainty: the one that elements carry, which may be set to any of them. Raises PriorError (see priors).
     """
 
     def __init__(
@@ -52,6 +58,7 @@ class Trainer:
         self._random = np.random.default_rng(config.seed)
         self._stream = np.array([config.seed], dtype=np.uint64)
         self.field = Field(low, high, config.seed)
+        self._prior = open_prior(config.prior_model)
         self._optimiser = Optimiser(self.field)
         self._replay = Replay()
         self._batch = make_batch()
@@ -60,36 +67,76 @@ class Trainer:
         self._live = LiveSurface(self._evidence, config.surface_voxel_m)
         self._images = Testimony()
         self._alignment = Alignment()
+        self._remembered = Remembered()
         self.align_views = True
         self._information, self._colour_error = DepthInformation(low, high), ColourError(low, high)
         self._agreement = MeasuredAgreement(low, high)
-        self.uncertainties: dict[str, SurfaceUncertainty] = {
-            "paper": NetworkColourSigma(self.field.colour_sigma),
-            "colour": self._colour_error,
-            "information": self._information,
-            "product": ProductUncertainty(self._colour_error, self._information),
-            "agreement": self._agreement,
-        }
+        self.uncertainties = self._measures()
         self.uncertainty = self.uncertainties[DEFAULT_UNCERTAINTY]
-        self.refused, self.steps, self._map_epoch = 0, 0, 0
+        self.refusals, self._doubt = Refusals(), Doubt()
+        self.steps, self._map_epoch = 0, 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For a checkpoint: all but what each view brought along; see view_arrays() and put_back()."""
+        chosen = next(name for name, measure in self.uncertainties.items() if measure is self.uncertainty)
+        return self.__dict__ | {"uncertainties": None, "uncertainty": chosen, "_prior": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.uncertainties = self._measures()
+        self.uncertainty = self.uncertainties[state["uncertainty"]]
+        self._prior = open_prior(self._config.prior_model)
 
     @property
     def views(self) -> int:
         """Keyframes taken so far."""
-        return self._replay.count
+        return self._remembered.taken
+
+    @property
+    def kept(self) -> list[int]:
+        """Serial numbers, from 0, of those that are still replayed, ascending."""
+        return self._remembered.numbers
+
+    @property
+    def skipped(self) -> int:
+        """Steps whose gradient was not finite, and which changed nothing."""
+        return self._optimiser.skipped
+
+    def view_arrays(self, index: int) -> dict[str, AnyArray]:
+        """What the index-th kept view brought along and a checkpoint keeps apart; copies."""
+        return {"records": self._replay.records(index).copy(), "depth_mm": self._images.image(index)}
+
+    def put_back(self, index: int, arrays: dict[str, AnyArray]) -> None:
+        """Undo view_arrays() after unpickling. Raises ValueError or KeyError if they are not of this view."""
+        self._replay.put_back(index, arrays["records"])
+        self._images.put_back(index, arrays["depth_mm"])
 
     def add(self, keyframe: PosedFrame) -> bool:
-        """Take a keyframe. False (counted in ``refused``) if it is not acceptable (see intake)."""
+        """Take a keyframe. False (counted and logged by ``refusals``) if something is to be said against it (see intake)."""
+        reason = refusal(keyframe, self._low, self._high) or self._learn_of(keyframe)
+        if reason is not None:
+            self.refusals.note(reason)
+        return reason is None
+
+    def _learn_of(self, keyframe: PosedFrame) -> Refusal | None:
+        """Note everything that a view says, unless it contradicts the others."""
         frame = keyframe.frame
-        if not acceptable(keyframe, self._low, self._high):
-            self.refused += 1
-            return False
         lens = frame.depth_intrinsics
         sigma = self._noise_px / (lens.fx * self._baseline_m)
         most = self._replay.rays_per_view()
         records = ray_records(frame, sigma, most, self._random)
+        if len(records) < FEWEST_RAYS:
+            return Refusal.EMPTY
+        if self._prior is not None:
+            self._prior.fill(records, frame)
         rotation, position = keyframe.world_from_depth.rotation(), keyframe.world_from_depth.translation_m
         view = self._replay.rays(records, rotation, position, sigma)
+        image = (frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)
+        if self.views >= FEWEST_VIEWS and self._doubt.rises(lens, self._votes(view, image)):
+            return Refusal.DISAGREES
+        if self._replay.count == MOST_VIEWS:
+            self._forget()
+        self._remembered.add(position, view.points[0])
         self._replay.add(records, rotation, position, sigma)
         self._alignment.add(rotation, position)
         # in rows of the picture, so that neighbours in space lie side by side in memory
@@ -102,9 +149,9 @@ class Trainer:
         footprint_m = np.sqrt(view.sigma_m / sigma) * (pixel_stride(lens, most) / lens.fx)
         self._evidence.add(position, view.points[0], view.normal, view.sigma_m, footprint_m.astype(np.float32))
         self._live.touch(view.points[0])
-        self._images.add(frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)
+        self._images.add(*image)
         self._map_epoch = keyframe.map_epoch
-        return True
+        return None
 
     def train(self, steps: int, rate: float = 1.0) -> float:
         """Run steps; returns the last loss (0 before the first view). rate: share of the full learning rate."""
@@ -161,11 +208,36 @@ class Trainer:
 
     def warm_up(self) -> None:
         """Compile every kernel, on a small trainer of its own."""
-        small = Trainer(self._config, np.zeros(3), np.ones(3), self._noise_px, self._baseline_m)
+        config = self._config.model_copy(update={"prior_model": None})
+        small = Trainer(config, np.zeros(3), np.ones(3), self._noise_px, self._baseline_m)
         small.add(_wall())
         small.train(1)
         small.surface()
         small.mesh(0.05)
+        small._forget()
+
+    def _votes(self, view: ViewRays, image: DepthImage) -> Float32Array:
+        """What other views say of a new one's points, and it of theirs (N,). About 1 ms."""
+        some = np.flatnonzero(view.cosine >= 0.0)[:ASKED_POINTS]  # those with a normal; rays are in random order
+        others = self._images.votes(view.points[0, some], view.normal[some], ASKED_VIEWS)
+        itself = Testimony()
+        itself.add(*image)
+        return np.concatenate([others, itself.votes(*self._replay.some_points(ASKED_VIEWS, ASKED_RAYS))])
+
+    def _forget(self) -> None:
+        """Make room: the views that are needed least go, in what is replayed and asked; the field keeps what they taught."""
+        which = self._remembered.most_needed(KEPT_VIEWS)
+        for part in (self._remembered, self._replay, self._images, self._alignment):
+            part.keep(which)
+
+    def _measures(self) -> dict[str, SurfaceUncertainty]:
+        return {
+            "paper": NetworkColourSigma(self.field.colour_sigma),
+            "colour": self._colour_error,
+            "information": self._information,
+            "product": ProductUncertainty(self._colour_error, self._information),
+            "agreement": self._agreement,
+        }
 
     def _step(self, rate: float) -> float:
         f, o, b = self.field, self._optimiser, self._batch
@@ -175,8 +247,8 @@ class Trainer:
         loss += fit_shape(*shared, TETRAHEDRON, self._corners, b.surface, b.normal, b.eikonal_weight, b.normal_weight)
         points, error = b.coloured[:coloured], b.colour_error[:coloured]
         loss += fit_colour(*shared, points, b.rgb[:coloured], b.colour_weight[:coloured], error)
-        o.step(rate)
-        self._colour_error.add(points, error)
+        if o.step(rate):
+            self._colour_error.add(points, error)
         self.steps += 1
         return float(loss)
 

@@ -8,15 +8,27 @@ from __future__ import annotations
 
 import logging
 import queue
+import shutil
 import threading
+from collections import Counter
 from pathlib import Path
 
 from uav_recon.channels import FileChannel
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframes import KeyframeFolder
-from uav_recon.mapping.neural.child import KEYFRAMES, LOG_FILE, MESH_FILE, SURFACE_BYTES, SURFACE_FILE, ChildProcess
-from uav_recon.mapping.neural.intake import acceptable, padded
+from uav_recon.mapping.neural.child import (
+    CHECKPOINT,
+    KEYFRAMES,
+    LOG_FILE,
+    MESH_FILE,
+    SURFACE_BYTES,
+    SURFACE_FILE,
+    ChildProcess,
+    Message,
+)
+from uav_recon.mapping.neural.intake import Refusal, Refusals, padded, refusal
 from uav_recon.mapping.neural.meshfile import write_ply
+from uav_recon.mapping.neural.priors import open_prior
 from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
@@ -48,6 +60,10 @@ class InlineMapper:
         self._stale = True
         return True
 
+    def refusals(self) -> Counter[Refusal]:
+        """Views that were not taken, by reason."""
+        return self._trainer.refusals.counts.copy()
+
     def surface(self) -> SurfaceElements | None:
         """The surface after the last view."""
         if self._stale:
@@ -71,9 +87,11 @@ class InlineMapper:
 class ProcessMapper:
     """The mapper in a child process at low priority. Only finish() and close() block.
 
-    The child ends when this process does, whatever way; when the child dies, another learns the saved keyframes, at most
-    RESTARTS times. box_min_m, box_max_m (3,): the room. One thread owns the child and the disk; the methods only leave
-    it notes. Raises OSError if folder cannot be written.
+    The child ends when this process does, whatever way; when the child dies, another goes on from its checkpoint and learns
+    the keyframes since, at most RESTARTS times.
+
+    box_min_m, box_max_m (3,): the room. One thread owns the child and the disk; the methods only leave it notes.
+    Raises OSError if folder cannot be written, PriorError if config.prior_model cannot be used.
     """
 
     def __init__(
@@ -85,6 +103,7 @@ class ProcessMapper:
         baseline_m: float,
         folder: Path,
     ) -> None:
+        open_prior(config.prior_model)  # here somebody hears of it
         self._config, self._folder = config, folder
         self._low, self._high = padded(box_min_m, box_max_m)
         self._order = {
@@ -97,9 +116,10 @@ class ProcessMapper:
         }
         self._keyframes = KeyframeFolder(folder / KEYFRAMES)
         self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
-        self._notes: queue.Queue[PosedFrame | Path | str] = queue.Queue()
+        self._notes: queue.Queue[PosedFrame | Path | Message] = queue.Queue()
         self._ready, self._over = threading.Event(), threading.Event()
         self._losses, self._finishing = 0, False
+        self._refusals, self._childs_refusals = Refusals(), Counter[Refusal]()
         self._mesh_folder: Path | None = None
         self._child = self._start()
         self._owner = threading.Thread(target=self._serve, name="mapper-owner", daemon=True)
@@ -117,10 +137,16 @@ class ProcessMapper:
         """
         if self._finishing or self._gone() or self._notes.qsize() >= BACKLOG:
             return False
-        if not acceptable(keyframe, self._low, self._high):
+        reason = refusal(keyframe, self._low, self._high)
+        if reason is not None:
+            self._refusals.note(reason)
             return False
         self._notes.put(keyframe)
         return True
+
+    def refusals(self) -> Counter[Refusal]:
+        """Views that were not taken, by reason: by add(), or by the child, which knows the map."""
+        return self._refusals.counts + self._childs_refusals
 
     def surface(self) -> SurfaceElements | None:
         """The newest surface, also of a child that died since. Does not wait for the child."""
@@ -147,11 +173,12 @@ class ProcessMapper:
         self.close()
 
     def close(self) -> None:
-        """End the child at once, without a mesh."""
+        """End the child at once, without a mesh, and take away what served only the flight."""
         self._finishing = True
-        self._notes.put("close")
+        self._notes.put({"event": "close"})
         self._owner.join()
         (self._folder / SURFACE_FILE).unlink(missing_ok=True)
+        shutil.rmtree(self._folder / CHECKPOINT, ignore_errors=True)
 
     def _gone(self) -> bool:
         return self._losses > RESTARTS
@@ -168,15 +195,21 @@ class ProcessMapper:
             elif isinstance(note, Path):
                 self._mesh_folder = note
                 self._child.send({"finish": str(note)})
-            elif note == "ready":
-                self._ready.set()
-            elif note == "finished":
-                self._over.set()
-            elif note == "lost":
-                self._replace_child()
-            else:
+            elif note["event"] == "close":
                 self._child.end(END_S)
                 return
+            else:
+                self._hear(note)
+
+    def _hear(self, message: Message) -> None:
+        if message["event"] == "ready":
+            self._ready.set()
+        elif message["event"] == "finished":
+            self._over.set()
+        elif message["event"] == "refused":
+            self._childs_refusals = Counter({Refusal[name]: count for name, count in message["counts"].items()})
+        else:
+            self._replace_child()
 
     def _hand_over(self, keyframe: PosedFrame) -> None:
         try:
@@ -193,7 +226,7 @@ class ProcessMapper:
             LOG.error("the mapper died %d times; see %s", self._losses, self._folder / LOG_FILE)
             self._over.set()
             return
-        LOG.warning("the mapper died; starting it again with %d keyframes", len(self._keyframes))
+        LOG.warning("the mapper died with %d keyframes; starting it again", len(self._keyframes))
         self._child.end(END_S)
         self._child = self._start()
         if self._mesh_folder is not None and not self._over.is_set():
