@@ -223,6 +223,33 @@ def bench_mapper(
     )
 
 
+@bench.command("endurance")
+def bench_endurance(
+    scene: Annotated[
+        str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
+    ] = None,
+    hours: Annotated[float, typer.Option(help="So long the mapper is given keyframes, as fast as it takes them.")] = 2.0,
+    period_s: Annotated[float, typer.Option("--period-s", help="Seconds between two keyframes of that time.")] = 1.5,
+    views: Annotated[int, typer.Option(help="How many different views there are; they come again and again.")] = 160,
+    camera: Annotated[str, typer.Option(help="d435i or wide, as `bench mapper` has them.")] = "d435i",
+    depth_noise: Annotated[str, typer.Option(help="d435i, paper, kinect or none.")] = "d435i",
+    steps_per_view: Annotated[int, typer.Option(help="Training steps after each view.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of places, noise, order and learning.")] = 0,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+) -> None:
+    """Whether memory, disk and time per view stay what they are over hours of keyframes, and accuracy what it was.
+
+    Example: `uav-recon bench endurance --scene ../shared/scenes/meeting_room --steps-per-view 5`
+    """
+    from uav_recon.bench import endurance as bench_of_endurance
+    from uav_recon.bench import mapper as bench_of_mapper
+
+    wanted = bench_of_mapper.MapperBench(
+        scene, views, camera, depth_noise, "fixed:15", "0,0", steps_per_view, seed, "cpu", json
+    )
+    _exit(lambda: bench_of_endurance.bench_endurance(wanted, hours, period_s))
+
+
 @bench.command("uncertainty")
 def bench_uncertainty(
     scene: Annotated[
