@@ -44,6 +44,7 @@ def _refused(tree: dict[str, Any]) -> str:
         ("planner", "variant", "best", "planner.variant: input should be 'adaptive', 'merged', "),
         ("planner", "preset", "mine", "planner.preset: input should be 'auto', 'bhxhp', 'rosser' or 'convoy'"),
         ("planner", "worth_share", 1.1, "planner.worth_share: "),
+        ("mapper", "uncertainty", "best", "mapper.uncertainty: input should be 'agreement', 'paper', 'colour', 'information' or"),
         ("mission", "views", 3, "mission.views: "),
         ("mission", "speed", 1.0, "mission.speed: extra inputs are not permitted (got 1.0)"),
         ("motion", "speed_mps", 2.0, "exceeds safety.max_speed_mps 1.0"),
@@ -55,7 +56,7 @@ def _refused(tree: dict[str, Any]) -> str:
 def test_what_cannot_be_flown_is_one_line_that_names_it(
     tree: dict[str, Any], section: str, key: str, value: Any, wanted: str
 ) -> None:
-    tree[section][key] = value
+    tree.setdefault(section, {})[key] = value
     assert wanted in _refused(tree)
 
 

@@ -20,6 +20,7 @@ else:
 
 Vec3 = tuple[float, float, float]
 VariantName = Literal["adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp"]
+UncertaintyName = Literal["agreement", "paper", "colour", "information", "product"]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
@@ -112,6 +113,7 @@ class MapperConfig(Section):
     polish_steps: Annotated[int, Field(ge=0, le=20000)] = 1500  # after landing
     mesh_voxel_m: Annotated[float, Field(ge=0.005, le=0.1)] = 0.02  # final mesh
     surface_voxel_m: Annotated[float, Field(ge=0.01, le=0.2)] = 0.05  # elements handed to the planner
+    uncertainty: UncertaintyName = "agreement"  # what elements carry; `uav-recon bench uncertainty` compares them
     seed: int = 0  # random sampling
     prior_model: Path | None = None  # ONNX file that sees normals or depth in a colour picture; for rays without a normal
 

@@ -91,6 +91,16 @@ def test_no_surface_is_imagined_where_no_view_looked() -> None:
     assert trainer.surface().position_world[:, 0].min() > 1.2
 
 
+def test_elements_carry_the_uncertainty_that_the_configuration_names() -> None:
+    trainer = Trainer(MapperConfig(uncertainty="information"), LOW, HIGH, NOISE_PX, BASELINE_M)
+    trainer.add(look((0.6, 1.2, 1.0), 0.0))
+    trainer.train(20)
+    surface = trainer.surface()
+    named = trainer.uncertainties["information"].at(surface.position_world.astype(np.float32))
+    assert np.array_equal(surface.uncertainty, named.astype(np.float64))
+    assert MapperConfig().uncertainty == "agreement"
+
+
 def test_before_the_first_view_there_is_nothing() -> None:
     trainer = _trainer()
     assert trainer.train(5) == 0.0

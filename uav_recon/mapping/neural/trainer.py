@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.config import MapperConfig
+from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.mapping.neural.alignment import Alignment
 from uav_recon.mapping.neural.field import Field
 from uav_recon.mapping.neural.grid import POINTS
@@ -36,7 +36,6 @@ from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
 
 ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish at which views are aligned
-DEFAULT_UNCERTAINTY = "agreement"  # what ranked true errors best; see `uav-recon bench uncertainty`
 KEPT_VIEWS = MOST_VIEWS * 3 // 4  # when memory is full
 ASKED_VIEWS, ASKED_POINTS, ASKED_RAYS = 64, 600, 40  # whether a view fits: so many others, on it and on each of them
 FINAL_RATE = 0.1  # the polish ends at this share of the learning rate
@@ -46,7 +45,7 @@ class Trainer:
     """The mapper without its process. box_min_m, box_max_m (3,): the room's box in world.
 
     depth_noise_px: disparity noise of the depth image as delivered; baseline_m: stereo baseline. uncertainties: all measures
-    by name; uncertainty: the one that elements carry, which may be set to any of them. Raises PriorError (see priors).
+    by name; uncertainty: the one that elements carry, by config.uncertainty. Raises PriorError (see priors).
     """
 
     def __init__(
@@ -72,7 +71,7 @@ class Trainer:
         self._information, self._colour_error = DepthInformation(low, high), ColourError(low, high)
         self._agreement = MeasuredAgreement(low, high)
         self.uncertainties = self._measures()
-        self.uncertainty = self.uncertainties[DEFAULT_UNCERTAINTY]
+        self.uncertainty = self.uncertainties[config.uncertainty]
         self.refusals, self._doubt = Refusals(), Doubt()
         self.steps, self._map_epoch = 0, 0
 
@@ -230,7 +229,7 @@ class Trainer:
         for part in (self._remembered, self._replay, self._images, self._alignment):
             part.keep(which)
 
-    def _measures(self) -> dict[str, SurfaceUncertainty]:
+    def _measures(self) -> dict[UncertaintyName, SurfaceUncertainty]:
         return {
             "paper": NetworkColourSigma(self.field.colour_sigma),
             "colour": self._colour_error,
