@@ -44,7 +44,7 @@ def _refused(tree: dict[str, Any]) -> str:
         ("planner", "variant", "best", "planner.variant: input should be 'adaptive', 'merged', "),
         ("planner", "preset", "mine", "planner.preset: input should be 'auto', 'bhxhp', 'rosser' or 'convoy'"),
         ("planner", "worth_share", 1.1, "planner.worth_share: "),
-        ("mapper", "uncertainty", "best", "mapper.uncertainty: input should be 'agreement', 'paper', 'colour', 'information' or"),
+        ("mapper", "uncertainty", "best", "mapper.uncertainty: input should be 'agreement', 'paper', 'colour', '"),
         ("mission", "views", 3, "mission.views: "),
         ("mission", "speed", 1.0, "mission.speed: extra inputs are not permitted (got 1.0)"),
         ("motion", "speed_mps", 2.0, "exceeds safety.max_speed_mps 1.0"),

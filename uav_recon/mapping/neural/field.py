@@ -16,6 +16,7 @@ from uav_recon.mapping.neural.network import (
     Network,
     Scratch,
     colour_forward,
+    distance_alone,
     distance_forward,
     initial_parameters,
     make_scratch,
@@ -97,7 +98,7 @@ def query_distance(grid: Grid, net: Network, s: Scratch, points: Float32Array, o
         count = min(POINTS, points.shape[0] - start)
         locate(grid, points, start, count, s.node, s.weight)
         gather(grid.features, s.node, s.weight, s.encoded)
-        distance_forward(net, s, 1)
+        distance_alone(net, s)
         for p in range(count):
             out[start + p] = s.out[0, p]
 

@@ -41,17 +41,9 @@ def wanted_nodes(wanted: BoolArray, origin_m: FloatArray, cell_m: float, voxel_m
     blocks = np.zeros((count, 3), dtype=np.int32)
     at = np.argwhere(slot >= 0)
     blocks[slot[slot >= 0]] = at
-    values = np.full((count, EDGE, EDGE, EDGE), ABSENT, dtype=np.float32)
+    values = np.empty((count, EDGE, EDGE, EDGE), dtype=np.float32)
     _mark_nodes(wanted, ratio, blocks, values)
     return SparseNodes(np.asarray(origin_m, dtype=np.float32), np.float32(voxel_m), slot, blocks, values)
-
-
-def node_points(nodes: SparseNodes) -> tuple[Float32Array, BoolArray]:
-    """World points (N, 3) of all wanted nodes, and the mask that puts values back: nodes.values[mask] = f(points)."""
-    mask: BoolArray = nodes.values != ABSENT
-    points = np.empty((int(np.count_nonzero(mask)), 3), dtype=np.float32)
-    _list_nodes(nodes, points)
-    return points, mask
 
 
 def net_vertices(nodes: SparseNodes) -> tuple[Float32Array, Float32Array]:
@@ -67,27 +59,31 @@ def surface_net(nodes: SparseNodes) -> tuple[Float32Array, Float32Array, IntArra
 
 
 def _vertices(nodes: SparseNodes) -> tuple[AnyArray, Float32Array, Float32Array]:
-    cells = np.full(nodes.values.shape, -1, dtype=np.int32)
-    count = _number_cells(nodes, cells)
-    vertices = np.empty((count, 3), dtype=np.float32)
-    normals = np.empty((count, 3), dtype=np.float32)
-    _place_vertices(nodes, cells, vertices, normals)
-    return cells, vertices, normals
+    cells = np.empty(nodes.values.shape, dtype=np.int32)
+    most = int(np.count_nonzero(nodes.values < ABSENT))
+    vertices = np.empty((most, 3), dtype=np.float32)
+    normals = np.empty((most, 3), dtype=np.float32)
+    count = _place_vertices(nodes, cells, vertices, normals)
+    return cells, vertices[:count], normals[:count]
 
 
 @kernel
 def _place_blocks(wanted: BoolArray, ratio: float, slot: AnyArray) -> int:
     count = 0
+    first, last = np.empty((3, max(wanted.shape)), dtype=np.int64), np.empty((3, max(wanted.shape)), dtype=np.int64)
+    for axis in range(3):
+        for i in range(wanted.shape[axis]):
+            first[axis, i] = int(np.ceil(i / ratio)) // EDGE
+            last[axis, i] = min(int(np.floor((i + 1) / ratio)) // EDGE, slot.shape[axis] - 1)
     for i in range(wanted.shape[0]):
         for j in range(wanted.shape[1]):
             for k in range(wanted.shape[2]):
                 if not wanted[i, j, k]:
                     continue
-                for a in range(int(np.ceil(i / ratio)) // EDGE, int(np.floor((i + 1) / ratio)) // EDGE + 1):
-                    for b in range(int(np.ceil(j / ratio)) // EDGE, int(np.floor((j + 1) / ratio)) // EDGE + 1):
-                        for c in range(int(np.ceil(k / ratio)) // EDGE, int(np.floor((k + 1) / ratio)) // EDGE + 1):
-                            inside = a < slot.shape[0] and b < slot.shape[1] and c < slot.shape[2]
-                            if inside and slot[a, b, c] < 0:
+                for a in range(first[0, i], last[0, i] + 1):
+                    for b in range(first[1, j], last[1, j] + 1):
+                        for c in range(first[2, k], last[2, k] + 1):
+                            if slot[a, b, c] < 0:
                                 slot[a, b, c] = count
                                 count += 1
     return count
@@ -96,30 +92,18 @@ def _place_blocks(wanted: BoolArray, ratio: float, slot: AnyArray) -> int:
 @kernel
 def _mark_nodes(wanted: BoolArray, ratio: float, blocks: AnyArray, values: Float32Array) -> None:
     nx, ny, nz = wanted.shape
+    along_z = np.empty(EDGE, dtype=np.int64)
     for block in range(blocks.shape[0]):
+        for c in range(EDGE):
+            along_z[c] = int((blocks[block, 2] * EDGE + c) * ratio)
         for a in range(EDGE):
             i = int((blocks[block, 0] * EDGE + a) * ratio)
             for b in range(EDGE):
                 j = int((blocks[block, 1] * EDGE + b) * ratio)
                 for c in range(EDGE):
-                    k = int((blocks[block, 2] * EDGE + c) * ratio)
-                    if i < nx and j < ny and k < nz and wanted[i, j, k]:
-                        values[block, a, b, c] = 0.0
-
-
-@kernel
-def _list_nodes(nodes: SparseNodes, points: Float32Array) -> None:
-    count = 0
-    for block in range(nodes.blocks.shape[0]):
-        x, y, z = nodes.blocks[block, 0] * EDGE, nodes.blocks[block, 1] * EDGE, nodes.blocks[block, 2] * EDGE
-        for a in range(EDGE):
-            for b in range(EDGE):
-                for c in range(EDGE):
-                    if nodes.values[block, a, b, c] < ABSENT:
-                        points[count, 0] = nodes.origin_m[0] + nodes.voxel_m * np.float32(x + a)
-                        points[count, 1] = nodes.origin_m[1] + nodes.voxel_m * np.float32(y + b)
-                        points[count, 2] = nodes.origin_m[2] + nodes.voxel_m * np.float32(z + c)
-                        count += 1
+                    k = along_z[c]
+                    inside = i < nx and j < ny and k < nz and wanted[i, j, k]
+                    values[block, a, b, c] = 0.0 if inside else ABSENT
 
 
 @kernel
@@ -134,66 +118,49 @@ def _read(slot: AnyArray, array: AnyArray, i: int, j: int, k: int, otherwise: fl
 
 
 @kernel
-def _cell_corners(nodes: SparseNodes, i: int, j: int, k: int, corner: FloatArray) -> int:
-    """Read eight corners; 1 if the surface crosses the cell, 0 if not, -1 if a corner is absent."""
-    negative = 0
+def _with_halo(nodes: SparseNodes, block: int, values: Float32Array) -> None:
+    """Copy a block and the first layer of the seven blocks after it: values (EDGE + 1, EDGE + 1, EDGE + 1)."""
+    values[:] = ABSENT
     for n in range(8):
-        value = _read(nodes.slot, nodes.values, i + (n >> 2), j + ((n >> 1) & 1), k + (n & 1), ABSENT)
-        if value >= ABSENT:
-            return -1
-        corner[n] = value
-        negative += value < 0.0
-    return 1 if 0 < negative < 8 else 0
+        i, j, k = n >> 2, (n >> 1) & 1, n & 1
+        a, b, c = nodes.blocks[block, 0] + i, nodes.blocks[block, 1] + j, nodes.blocks[block, 2] + k
+        if a >= nodes.slot.shape[0] or b >= nodes.slot.shape[1] or c >= nodes.slot.shape[2] or nodes.slot[a, b, c] < 0:
+            continue
+        other = nodes.values[nodes.slot[a, b, c]]
+        for x in range(1 if i else EDGE):
+            for y in range(1 if j else EDGE):
+                for z in range(1 if k else EDGE):
+                    values[i * EDGE + x, j * EDGE + y, k * EDGE + z] = other[x, y, z]
 
 
 @kernel
-def _number_cells(nodes: SparseNodes, cells: AnyArray) -> int:
-    corner = np.empty(8)
-    count = 0
-    for block in range(cells.shape[0]):
-        for a in range(EDGE):
-            for b in range(EDGE):
-                for c in range(EDGE):
-                    if nodes.values[block, a, b, c] >= ABSENT:
-                        continue
-                    i, j, k = (nodes.blocks[block, 0] * EDGE + a, nodes.blocks[block, 1] * EDGE + b,
-                               nodes.blocks[block, 2] * EDGE + c)  # fmt: skip
-                    if _cell_corners(nodes, i, j, k, corner) == 1:
-                        cells[block, a, b, c] = count
-                        count += 1
-    return count
-
-
-@kernel
-def _place_vertices(nodes: SparseNodes, cells: AnyArray, vertices: Float32Array, normals: Float32Array) -> None:
+def _place_vertices(nodes: SparseNodes, cells: AnyArray, vertices: Float32Array, normals: Float32Array) -> int:
+    """Number the crossed cells in ``cells``, -1 elsewhere, and place their vertices; returns how many."""
+    near = np.empty((EDGE + 1, EDGE + 1, EDGE + 1), dtype=np.float32)
+    least, most = np.empty(EDGE + 1, dtype=np.float32), np.empty(EDGE + 1, dtype=np.float32)
     f = np.empty(8)
     mean = np.empty(3)
+    count = 0
     for block in range(cells.shape[0]):
+        _with_halo(nodes, block, near)
         for a in range(EDGE):
             for b in range(EDGE):
+                for c in range(EDGE + 1):  # over the four corners at c
+                    p, q, r, s = near[a, b, c], near[a, b + 1, c], near[a + 1, b, c], near[a + 1, b + 1, c]
+                    least[c], most[c] = min(min(p, q), min(r, s)), max(max(p, q), max(r, s))
                 for c in range(EDGE):
-                    vertex = cells[block, a, b, c]
-                    if vertex < 0:
+                    cells[block, a, b, c] = -1
+                    high = max(most[c], most[c + 1])
+                    if not (min(least[c], least[c + 1]) < 0.0 <= high < ABSENT):
                         continue
-                    i, j, k = (nodes.blocks[block, 0] * EDGE + a, nodes.blocks[block, 1] * EDGE + b,
-                               nodes.blocks[block, 2] * EDGE + c)  # fmt: skip
-                    _cell_corners(nodes, i, j, k, f)
-                    mean[:] = 0.0
-                    crossings = 0
+                    cells[block, a, b, c] = count
                     for n in range(8):
-                        for axis in range(3):
-                            bit = 4 >> axis
-                            if n & bit or (f[n] < 0.0) == (f[n | bit] < 0.0):
-                                continue
-                            crossings += 1
-                            mean[0] += n >> 2
-                            mean[1] += (n >> 1) & 1
-                            mean[2] += n & 1
-                            mean[axis] += f[n] / (f[n] - f[n | bit])
-                    u, v, w = mean[0] / crossings, mean[1] / crossings, mean[2] / crossings
-                    vertices[vertex, 0] = nodes.origin_m[0] + nodes.voxel_m * (i + u)
-                    vertices[vertex, 1] = nodes.origin_m[1] + nodes.voxel_m * (j + v)
-                    vertices[vertex, 2] = nodes.origin_m[2] + nodes.voxel_m * (k + w)
+                        f[n] = near[a + (n >> 2), b + ((n >> 1) & 1), c + (n & 1)]
+                    _mean_crossing(f, mean)
+                    u, v, w = mean[0], mean[1], mean[2]
+                    vertices[count, 0] = nodes.origin_m[0] + nodes.voxel_m * (nodes.blocks[block, 0] * EDGE + a + u)
+                    vertices[count, 1] = nodes.origin_m[1] + nodes.voxel_m * (nodes.blocks[block, 1] * EDGE + b + v)
+                    vertices[count, 2] = nodes.origin_m[2] + nodes.voxel_m * (nodes.blocks[block, 2] * EDGE + c + w)
                     gx = (1 - v) * ((1 - w) * (f[4] - f[0]) + w * (f[5] - f[1])) + v * (
                         (1 - w) * (f[6] - f[2]) + w * (f[7] - f[3])
                     )
@@ -204,7 +171,27 @@ def _place_vertices(nodes: SparseNodes, cells: AnyArray, vertices: Float32Array,
                         (1 - v) * (f[5] - f[4]) + v * (f[7] - f[6])
                     )
                     length = np.sqrt(gx * gx + gy * gy + gz * gz) + 1e-9
-                    normals[vertex, 0], normals[vertex, 1], normals[vertex, 2] = gx / length, gy / length, gz / length
+                    normals[count, 0], normals[count, 1], normals[count, 2] = gx / length, gy / length, gz / length
+                    count += 1
+    return count
+
+
+@kernel
+def _mean_crossing(f: FloatArray, mean: FloatArray) -> None:
+    """Mean (3,), in cells, of where the edges of a crossed cell with corners f (8,) change sign."""
+    mean[:] = 0.0
+    crossings = 0
+    for n in range(8):
+        for axis in range(3):
+            bit = 4 >> axis
+            if n & bit or (f[n] < 0.0) == (f[n | bit] < 0.0):
+                continue
+            crossings += 1
+            mean[0] += n >> 2
+            mean[1] += (n >> 1) & 1
+            mean[2] += n & 1
+            mean[axis] += f[n] / (f[n] - f[n | bit])
+    mean /= crossings
 
 
 @kernel

@@ -165,6 +165,24 @@ def distance_forward(net: Network, s: Scratch, rows: int) -> None:
 
 
 @fast_kernel
+def distance_alone(net: Network, s: Scratch) -> None:
+    """s.encoded -> s.out[0] in metres as distance_forward() has it, leaving nothing for a backward pass: no unit is kept."""
+    x, total = s.encoded, s.out[0]
+    for p in range(POINTS):
+        total[p] = net.b2[0]
+    for j in range(HIDDEN):
+        a, b, c, d, e, f = net.w1[j, 0], net.w1[j, 1], net.w1[j, 2], net.w1[j, 3], net.w1[j, 4], net.w1[j, 5]
+        g, h, i, k, m, n = net.w1[j, 6], net.w1[j, 7], net.w1[j, 8], net.w1[j, 9], net.w1[j, 10], net.w1[j, 11]
+        bias, share = net.b1[j], net.w2[0, j]
+        for p in range(POINTS):
+            unit = bias + a * x[0, p] + b * x[1, p] + c * x[2, p] + d * x[3, p] + e * x[4, p] + f * x[5, p]
+            unit += g * x[6, p] + h * x[7, p] + i * x[8, p] + k * x[9, p] + m * x[10, p] + n * x[11, p]
+            total[p] += share * max(unit, np.float32(0.0))
+    for p in range(POINTS):
+        total[p] = total[p] * TRUNCATION_M + OUTSIDE_BIAS_M
+
+
+@fast_kernel
 def distance_backward(net: Network, s: Scratch, rows: int, d_net: Network) -> None:
     """s.d_out[:rows] (row 0 per metre) -> s.d_encoded, and the weights' gradients."""
     for p in range(POINTS):

@@ -13,7 +13,8 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.neural.field import Field
-from uav_recon.mapping.neural.isosurface import net_vertices, node_points, surface_net, wanted_nodes
+from uav_recon.mapping.neural.isosurface import net_vertices, surface_net, wanted_nodes
+from uav_recon.mapping.neural.nodequery import fill_distances
 from uav_recon.mapping.neural.testimony import Testimony
 from uav_recon.mapping.neural.uncertainty import Lattice, SurfaceUncertainty
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
@@ -77,11 +78,8 @@ class Evidence:
 
     def contradicts(self, points: Float32Array, normal: Float32Array) -> BoolArray:
         """Whether normals (N, 3) at points (N, 3) face away from what was measured there."""
-        facing = self._facing.at(points)
-        against: BoolArray = np.einsum("nc,nc->n", facing, _halves(normal)) < LEAST_SUPPORT * np.einsum(
-            "nc,nc->n", facing, _halves(-normal)
-        )
-        return against
+        for_it, against_it = _halves(normal), _halves(-normal)
+        return self._facing.dot(points, for_it - np.float32(LEAST_SUPPORT) * against_it) < 0.0
 
 
 def _halves(normal: Float32Array) -> Float32Array:
@@ -149,8 +147,7 @@ def whole_surface(field: Field, evidence: Evidence, voxel_m: float) -> WholeSurf
 def extract(field: Field, evidence: Evidence, wanted: BoolArray, voxel_m: float) -> tuple[Float32Array, Float32Array]:
     """Vertices (V, 3) and normals (V, 3) of the field's surface in wanted evidence cells."""
     nodes = wanted_nodes(wanted, evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
-    points, mask = node_points(nodes)
-    nodes.values[mask] = field.distance_m(points)
+    fill_distances(field, nodes)
     return net_vertices(nodes)
 
 
@@ -158,8 +155,7 @@ def _extract(
     field: Field, evidence: Evidence, wanted: BoolArray, voxel_m: float
 ) -> tuple[Float32Array, Float32Array, IntArray]:
     nodes = wanted_nodes(wanted, evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
-    points, mask = node_points(nodes)
-    nodes.values[mask] = field.distance_m(points)
+    fill_distances(field, nodes)
     return surface_net(nodes)
 
 
@@ -225,13 +221,27 @@ def _count(
 
 @kernel
 def _spread(count: AnyArray, least: int, cells: BoolArray, out: BoolArray) -> None:
+    """One axis after the other: what is held, widened along z, then y, then x."""
     nx, ny, nz = count.shape
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if count[i, j, k] < least:
-                    continue
-                for a in range(max(i - 1, 0), min(i + 2, nx)):
-                    for b in range(max(j - 1, 0), min(j + 2, ny)):
-                        for c in range(max(k - 1, 0), min(k + 2, nz)):
-                            out[a, b, c] = cells[a, b, c]
+    along_z, along_y = np.zeros((ny + 2, nz), dtype=np.bool_), np.zeros((3, ny, nz), dtype=np.bool_)
+    for i in range(nx + 1):
+        layer = along_y[i % 3]
+        if i < nx:
+            for j in range(ny):
+                row, held = count[i, j], along_z[j + 1]
+                for k in range(nz):
+                    held[k] = row[k] >= least
+                for k in range(1, nz - 1):
+                    held[k] |= (row[k - 1] >= least) | (row[k + 1] >= least)
+                if nz > 1:
+                    held[0] |= row[1] >= least
+                    held[nz - 1] |= row[nz - 2] >= least
+            for j in range(ny):
+                for k in range(nz):
+                    layer[j, k] = along_z[j, k] | along_z[j + 1, k] | along_z[j + 2, k]
+        else:
+            layer[:] = False
+        if i > 0:
+            for j in range(ny):
+                for k in range(nz):
+                    out[i - 1, j, k] = (along_y[0, j, k] | along_y[1, j, k] | along_y[2, j, k]) & cells[i - 1, j, k]

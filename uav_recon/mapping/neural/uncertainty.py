@@ -51,6 +51,12 @@ class Lattice:
         _interpolate(self.values, self.origin_m, self.inverse_cell, points, out)
         return out
 
+    def dot(self, points: Float32Array, weights: Float32Array) -> Float32Array:
+        """Scalar products (N,) of the values that at() gives and weights (N, C), without the values between."""
+        out = np.empty(points.shape[0], dtype=np.float32)
+        _dot(self.values, self.origin_m, self.inverse_cell, points, weights, out)
+        return out
+
 
 class DepthInformation:
     """Standard deviation left by all depth measurements of a place: 1 / sqrt(sum of cos² / sigma_z²), metres."""
@@ -168,6 +174,32 @@ def _interpolate(values: AnyArray, origin: Float32Array, inverse: float, points:
                     share = (u if a else 1 - u) * (v if b else 1 - v) * (w if c else 1 - w)
                     for channel in range(channels):
                         out[n, channel] += share * values[i + a, j + b, k + c, channel]
+
+
+@fast_kernel
+def _dot(
+    values: AnyArray, origin: Float32Array, inverse: float, points: Float32Array, weights: Float32Array, out: Float32Array
+) -> None:
+    nx, ny, nz, channels = values.shape
+    flat = values.reshape(-1)
+    for n in range(points.shape[0]):
+        x, y, z = ((points[n, 0] - origin[0]) * inverse, (points[n, 1] - origin[1]) * inverse,
+                   (points[n, 2] - origin[2]) * inverse)  # fmt: skip
+        out[n] = 0.0
+        if x < 0 or y < 0 or z < 0 or x >= nx - 1 or y >= ny - 1 or z >= nz - 1:
+            continue
+        i, j, k = int(x), int(y), int(z)
+        u, v, w = x - i, y - j, z - k
+        total = 0.0
+        for a in range(2):
+            for b in range(2):
+                row = np.uint64((((i + a) * ny + j + b) * nz + k) * channels)  # two neighbours along z lie side by side
+                low, high = 0.0, 0.0
+                for channel in range(channels):
+                    low += weights[n, channel] * flat[row + np.uint64(channel)]
+                    high += weights[n, channel] * flat[row + np.uint64(channels + channel)]
+                total += (u if a else 1 - u) * (v if b else 1 - v) * (low + w * (high - low))
+        out[n] = total
 
 
 @fast_kernel
