@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
-from uav_recon.mapping.neural.grid import POINTS, Grid, allocate, gather, locate, make_grid
+from uav_recon.mapping.neural.grid import DENSE_BLOCKS, POINTS, Grid, allocate, gather, locate, make_grid
 from uav_recon.mapping.neural.network import (
     COLOUR_OUT,
     LEAST_LOG_VARIANCE,
@@ -33,6 +33,7 @@ class Field:
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray, seed: int) -> None:
         self._random = np.random.default_rng(seed)
         self.grid, self.slots = make_grid(box_min_m, box_max_m)
+        self._dense_levels = int(np.count_nonzero(self.grid.blocks.prod(axis=1) <= DENSE_BLOCKS))  # the coarsest come first
         self.parameters = initial_parameters(self._random)
         self.network: Network = views(self.parameters)
         self.scratch: Scratch = make_scratch()
@@ -56,7 +57,7 @@ class Field:
         while True:
             capacity = self.grid.features.shape[0]
             before = self.slots
-            self.slots = int(allocate(self.grid, points, before, capacity))
+            self.slots = int(allocate(self.grid, points, self._dense_levels, before, capacity))
             self._fill(before, self.slots)
             if self.slots < capacity:
                 return

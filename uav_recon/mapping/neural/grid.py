@@ -70,14 +70,15 @@ def make_grid(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[Grid, int]:
 
 
 @fast_kernel
-def allocate(grid: Grid, points: Float32Array, used: int, limit: int) -> int:
+def allocate(grid: Grid, points: Float32Array, first_level: int, used: int, limit: int) -> int:
     """Give a slot to every missing block under points (N, 3) in world metres; returns slots in use, at most ``limit``.
+    Levels before first_level have all of their blocks.
 
     Quick where points that follow each other share cells.
     """
     last = np.full((LEVELS, 3), -1, dtype=np.int64)
     for n in range(points.shape[0]):
-        for level in range(LEVELS):
+        for level in range(first_level, LEVELS):
             inverse = grid.inverse_cell_per_m[level]
             x = (points[n, 0] - grid.origin_world_m[0]) * inverse
             y = (points[n, 1] - grid.origin_world_m[1]) * inverse

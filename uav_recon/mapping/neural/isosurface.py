@@ -147,7 +147,7 @@ def _place_vertices(nodes: SparseNodes, cells: AnyArray, vertices: Float32Array,
             for b in range(EDGE):
                 for c in range(EDGE + 1):  # over the four corners at c
                     p, q, r, s = near[a, b, c], near[a, b + 1, c], near[a + 1, b, c], near[a + 1, b + 1, c]
-                    least[c], most[c] = min(min(p, q), min(r, s)), max(max(p, q), max(r, s))
+                    least[c], most[c] = min(p, q, r, s), max(p, q, r, s)
                 for c in range(EDGE):
                     cells[block, a, b, c] = -1
                     high = max(most[c], most[c + 1])

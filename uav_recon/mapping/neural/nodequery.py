@@ -11,10 +11,10 @@ import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
 from uav_recon.mapping.neural.field import Field
-from uav_recon.mapping.neural.grid import ENCODED, FEATURES, LEVELS, POINTS, Grid
+from uav_recon.mapping.neural.grid import FEATURES, LEVELS, POINTS, Grid
 from uav_recon.mapping.neural.isosurface import ABSENT, EDGE, SparseNodes
 from uav_recon.mapping.neural.network import Network, Scratch, distance_alone
-from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
+from uav_recon.types.frames import AnyArray, Float32Array
 
 MOST_SHARED = 8  # a level with at most so many nodes along a block is interpolated for the whole block
 
@@ -51,7 +51,6 @@ def _fill(
     flat = along_xy.reshape(LEVELS * FEATURES, EDGE * EDGE * MOST_SHARED)
     inner = np.zeros(POINTS, dtype=np.int64)
     target = np.zeros(POINTS, dtype=np.int64)
-    points = np.zeros((POINTS, 3), dtype=np.float32)
     out = values.reshape(-1)
     count = 0
     for block in range(blocks.shape[0]):
@@ -95,28 +94,28 @@ def _share_levels(
         nk = int(np.uint64(cell[level, 2, z0 + last]) - k0) + 2
         by, bz, first = np.uint64(grid.blocks[level, 1]), np.uint64(grid.blocks[level, 2]), np.uint64(grid.first[level])
         for i in range(ni):
-            a = i0 + np.uint64(i)
+            x = i0 + np.uint64(i)
             for j in range(nj):
-                b = j0 + np.uint64(j)
-                row = first + ((a >> _STEP) * by + (b >> _STEP)) * bz
-                inside = ((a & _STEP) << np.uint64(3)) + ((b & _STEP) << _TWO)
+                y = j0 + np.uint64(j)
+                row = first + ((x >> _STEP) * by + (y >> _STEP)) * bz
+                inside = ((x & _STEP) << np.uint64(3)) + ((y & _STEP) << _TWO)
                 for k in range(nk):
-                    c = k0 + np.uint64(k)
-                    slot = np.uint64(grid.slot[row + (c >> _STEP)])
-                    at = (slot << np.uint64(4)) + inside + ((c & _STEP) << _STEP)
+                    z = k0 + np.uint64(k)
+                    slot = np.uint64(grid.slot[row + (z >> _STEP)])
+                    at = (slot << np.uint64(4)) + inside + ((z & _STEP) << _STEP)
                     raw[0, i, j, k] = features[at]
                     raw[1, i, j, k] = features[at + _STEP]
         for feature in range(FEATURES):
             for b in range(EDGE):
-                j, v = np.uint64(cell[level, 1, y0 + np.uint64(b)]) - j0, share[level, 1, y0 + np.uint64(b)]
+                y, v = np.uint64(cell[level, 1, y0 + np.uint64(b)]) - j0, share[level, 1, y0 + np.uint64(b)]
                 for i in range(ni):
                     for k in range(MOST_SHARED):
-                        near, far = raw[feature, i, j, k], raw[feature, i, j + _STEP, k]
+                        near, far = raw[feature, i, y, k], raw[feature, i, y + _STEP, k]
                         along_y[feature, i, b, k] = near + v * (far - near)
             for a in range(EDGE):
-                i, u = np.uint64(cell[level, 0, x0 + np.uint64(a)]) - i0, share[level, 0, x0 + np.uint64(a)]
+                x, u = np.uint64(cell[level, 0, x0 + np.uint64(a)]) - i0, share[level, 0, x0 + np.uint64(a)]
                 for bk in range(EDGE * MOST_SHARED):
-                    near, far = layer[feature, i, bk], layer[feature, i + _STEP, bk]
+                    near, far = layer[feature, x, bk], layer[feature, x + _STEP, bk]
                     along_xy[level * 2 + feature, a, bk] = near + u * (far - near)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.jit import fast_kernel, kernel
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import AnyArray, ByteArray, Float32Array, FloatArray, IntArray
 
@@ -16,6 +16,8 @@ COLUMNS = 10  # bearing x, y; depth; normal x, y, z (camera; 0 = none); r, g, b;
 BEARING_UNIT, DEPTH_UNIT_M, NORMAL_UNIT = 1e-4, 2.5e-4, 1 / 32767
 DEPTH_NEAREST_M, DEPTH_FARTHEST_M = 0.15, 8.0
 WINDOW = 4  # pixels each way
+SIDE = 2 * WINDOW + 1
+HOLE = np.float32(1e9)  # inverse depth of a pixel without a return: farther from any plane than any gate
 FEWEST = 20  # pixels a plane must explain
 
 
@@ -52,6 +54,13 @@ def pixel_stride(lens: Intrinsics, most: int) -> int:
     return max(1, int(np.ceil(np.sqrt(lens.width * lens.height / most))))
 
 
+def in_rows(records: AnyArray) -> AnyArray:
+    """The same records in rows of the picture, so that neighbours in space lie side by side in memory."""
+    by_column = records[np.argsort(records[:, 0], kind="stable")]  # two quick sorts by 16 bits
+    rows: AnyArray = by_column[np.argsort(by_column[:, 1], kind="stable")]
+    return rows
+
+
 @kernel
 def _pack(
     depth_m: Float32Array, lens: FloatArray, rgb: ByteArray, rgb_lens: FloatArray, rotation: FloatArray,
@@ -59,6 +68,12 @@ def _pack(
 ) -> int:  # fmt: skip
     fx, fy, cx, cy = lens
     plane = np.zeros(3)
+    inverse_depth = np.empty(depth_m.shape, dtype=np.float32)
+    _invert(depth_m, inverse_depth)
+    window, across, down = (np.empty(SIDE * SIDE, dtype=np.float32), np.empty(SIDE * SIDE, dtype=np.float32),
+                            np.empty(SIDE * SIDE, dtype=np.float32))  # fmt: skip
+    for p in range(SIDE * SIDE):
+        across[p], down[p] = p % SIDE - WINDOW, p // SIDE - WINDOW
     count = 0
     for n in range(rows.shape[0]):
         v0, u0 = rows[n], columns[n]
@@ -69,7 +84,8 @@ def _pack(
         bx, by = (u0 - cx) / fx, (v0 - cy) / fy
         record = records[count]
         count += 1
-        if _fit_plane(depth_m, v0, u0, inverse, sigma, plane):
+        _look_round(inverse_depth, v0, u0, window)
+        if _fit_plane(window, across, down, inverse, sigma, plane):
             a, b, c = plane[0], plane[1], plane[2]
             if abs(c - inverse) < 3.0 * sigma + 0.002 * inverse:
                 inverse = c
@@ -100,25 +116,45 @@ def _pack(
 
 
 @kernel
-def _fit_plane(depth_m: Float32Array, v0: int, u0: int, inverse: float, sigma: float, plane: FloatArray) -> bool:
-    """Fit 1/z = a du + b dv + c twice, the second time on what the first explains."""
-    height, width = depth_m.shape
-    a, b, c = 0.0, 0.0, inverse
+def _invert(depth_m: Float32Array, inverse: Float32Array) -> None:
+    """1/z, and HOLE where nothing was measured."""
+    for v in range(depth_m.shape[0]):
+        for u in range(depth_m.shape[1]):
+            z = depth_m[v, u]
+            inverse[v, u] = np.float32(1.0) / z if z > DEPTH_NEAREST_M else HOLE
+
+
+@fast_kernel
+def _look_round(inverse: Float32Array, v0: int, u0: int, window: Float32Array) -> None:
+    """Inverse depth of the pixels round one, less that of its own: window (SIDE * SIDE,)."""
+    height, width = inverse.shape
+    own = inverse[v0, u0]
+    for row in range(SIDE):
+        v = v0 + row - WINDOW
+        for column in range(SIDE):
+            u = u0 + column - WINDOW
+            inside = v >= 0 and u >= 0 and v < height and u < width
+            window[row * SIDE + column] = inverse[np.uint64(v), np.uint64(u)] - own if inside else HOLE
+
+
+@fast_kernel
+def _fit_plane(
+    window: Float32Array, across: Float32Array, down: Float32Array, own: float, sigma: float, plane: FloatArray
+) -> bool:
+    """Fit 1/z = a du + b dv + c twice, the second time on what the first explains. across, down: du, dv of the window."""
+    a, b, c = np.float32(0.0), np.float32(0.0), np.float32(0.0)  # c less the pixel's own inverse depth
     for turn in range(2):
-        gate = 3.0 * sigma + (0.08 if turn == 0 else 0.004) * inverse
-        n, su, sv, suu, suv, svv, sy, suy, svy = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for v in range(max(v0 - WINDOW, 0), min(v0 + WINDOW + 1, height)):
-            for u in range(max(u0 - WINDOW, 0), min(u0 + WINDOW + 1, width)):
-                z = depth_m[v, u]
-                if not z > DEPTH_NEAREST_M:
-                    continue
-                y, du, dv = 1.0 / z, float(u - u0), float(v - v0)
-                if abs(y - (a * du + b * dv + c)) > gate:
-                    continue
-                n += 1
-                su, sv, sy = su + du, sv + dv, sy + y
-                suu, suv, svv = suu + du * du, suv + du * dv, svv + dv * dv
-                suy, svy = suy + du * y, svy + dv * y
+        gate = np.float32(3.0 * sigma + (0.08 if turn == 0 else 0.004) * own)
+        n, su, sv, sy = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        suu, suv, svv, suy, svy = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        for p in range(SIDE * SIDE):
+            y, du, dv = window[p], across[p], down[p]
+            one = np.float32(1.0) if abs(y - (a * du + b * dv + c)) <= gate else np.float32(0.0)
+            u, v = one * du, one * dv
+            n += one
+            su, sv, sy = su + u, sv + v, sy + one * y
+            suu, suv, svv = suu + u * du, suv + u * dv, svv + v * dv
+            suy, svy = suy + u * y, svy + v * y
         if n < FEWEST:
             return False
         mu, mv, my = su / n, sv / n, sy / n
@@ -129,5 +165,5 @@ def _fit_plane(depth_m: Float32Array, v0: int, u0: int, inverse: float, sigma: f
             return False
         a, b = (cuy * cvv - cvy * cuv) / determinant, (cvy * cuu - cuy * cuv) / determinant
         c = my - a * mu - b * mv
-    plane[0], plane[1], plane[2] = a, b, c
-    return c > 1.0 / (2.0 * DEPTH_FARTHEST_M)
+    plane[0], plane[1], plane[2] = a, b, own + c
+    return bool(own + c > 1.0 / (2.0 * DEPTH_FARTHEST_M))

@@ -15,7 +15,7 @@ from uav_recon.mapping.neural.livesurface import LiveSurface
 from uav_recon.mapping.neural.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
 from uav_recon.mapping.neural.optimiser import Optimiser
 from uav_recon.mapping.neural.priors import open_prior
-from uav_recon.mapping.neural.rays import pixel_stride, ray_records
+from uav_recon.mapping.neural.rays import in_rows, pixel_stride, ray_records
 from uav_recon.mapping.neural.remembered import Remembered
 from uav_recon.mapping.neural.render import render_rays
 from uav_recon.mapping.neural.replay import MOST_VIEWS, Replay, ViewRays
@@ -129,7 +129,7 @@ class Trainer:
         if self._prior is not None:
             self._prior.fill(records, frame)
         rotation, position = keyframe.world_from_depth.rotation(), keyframe.world_from_depth.translation_m
-        view = self._replay.rays(records, rotation, position, sigma)
+        view = self._replay.rays(in_rows(records), rotation, position, sigma)
         image = (frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)
         if self.views >= FEWEST_VIEWS and self._doubt.rises(lens, self._votes(view, image)):
             return Refusal.DISAGREES
@@ -138,10 +138,8 @@ class Trainer:
         self._remembered.add(position, view.points[0])
         self._replay.add(records, rotation, position, sigma)
         self._alignment.add(rotation, position)
-        # in rows of the picture, so that neighbours in space lie side by side in memory
-        beside = np.argsort((records[:, 1].astype(np.int64) << 32) + records[:, 0], kind="stable")
         for points in view.points:
-            self.field.cover(points[beside])
+            self.field.cover(points)
         self._optimiser.follow_growth()
         self._information.add(view.points[0], view.cosine, view.sigma_m)
         self._agreement.add(view.points[0], view.normal)
@@ -217,7 +215,8 @@ class Trainer:
 
     def _votes(self, view: ViewRays, image: DepthImage) -> Float32Array:
         """What other views say of a new one's points, and it of theirs (N,). About 1 ms."""
-        some = np.flatnonzero(view.cosine >= 0.0)[:ASKED_POINTS]  # those with a normal; rays are in random order
+        facing = np.flatnonzero(view.cosine >= 0.0)  # those with a normal, in rows of the picture
+        some = facing[:: max(1, len(facing) // ASKED_POINTS)]
         others = self._images.votes(view.points[0, some], view.normal[some], ASKED_VIEWS)
         itself = Testimony()
         itself.add(*image)
