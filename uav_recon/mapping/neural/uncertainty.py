@@ -16,8 +16,10 @@ from uav_recon.geometry.jit import fast_kernel
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 
 INFORMATION_CELL_M, COLOUR_CELL_M = 0.08, 0.10
-COUNT_CELL_M, FACING_CELL_M = 0.05, 0.10
+END_CELL_M, PLANE_CELL_M = 0.05, 0.10
 COUNT_BELIEF, LEAST_DISAGREEMENT = 0.1, 0.05  # measurements that are held against none; disagreement of equal normals
+LEAST_PAST_M, MOST_PAST_M = 0.002, 0.10  # of a surface beside its measurements: to tell apart; where there are none
+LEAST_COUNT = 0.05  # of measurements, below which there are none
 PRIOR_SIGMA_M = 1.0  # of a surface that was never measured
 PRIOR_COLOUR_SIGMA, PRIOR_COUNT = 0.3, 8.0  # of a colour that was never seen, and how many samples that belief is worth
 COLOUR_MEMORY = 400.0  # samples: older errors, of a field that knew less, fade
@@ -93,29 +95,30 @@ class ColourError:
 
 
 class MeasuredAgreement:
-    """How few measurements say where a surface is, times how much they disagree on which way it faces.
+    """How few measurements say where a surface is, times how much they disagree on which way it faces, times how far the
+    learned surface runs past them.
 
-    1 / sqrt(count) on a 5 cm lattice, times 1.05 less the mean resultant length of the measured normals on a 10 cm one (1 less
-    that is the spherical variance: Mardia and Jupp 2000, section 9.2): edges, corners and clutter are where a field errs.
+    1 / sqrt(count) on a 5 cm lattice; 1.05 less the mean resultant length of the measured normals on a 10 cm one (1 less that is
+    the spherical variance: Mardia and Jupp 2000, section 9.2); and the geometric mean of two distances, from the plane through
+    the mean of the end points, and on average from the planes of all. Edges, corners and clutter are where a field errs.
     """
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
-        self._count = Lattice(box_min_m, box_max_m, COUNT_CELL_M, 1)
-        self._facing = Lattice(box_min_m, box_max_m, FACING_CELL_M, 4)  # sum of normals, and their number
+        self._ends = Lattice(box_min_m, box_max_m, END_CELL_M, 4)  # sum of end points, and number
+        self._planes = Lattice(box_min_m, box_max_m, PLANE_CELL_M, 5)  # sum of normals, of their planes' offsets, and number
 
     def add(self, points: Float32Array, normal: Float32Array) -> None:
         """Count end points (N, 3) with unit normals (N, 3), zero where not known, which agrees with none."""
-        one = np.ones((len(points), 1), dtype=np.float32)
-        self._count.splat(points, one)
-        self._facing.splat(points, np.concatenate([normal, one], axis=1))
+        one, place = np.ones((len(points), 1), dtype=np.float32), points - self._ends.origin_m
+        offset = np.einsum("nc,nc->n", normal, place)[:, None]
+        self._ends.splat(points, np.concatenate([place, one], axis=1))
+        self._planes.splat(points, np.concatenate([normal, offset, one], axis=1))
 
     def at(self, points: Float32Array) -> Float32Array:
         """Positive (N,), largest where nothing was measured."""
-        facing = self._facing.at(points)
-        together = np.linalg.norm(facing[:, :3], axis=1) / np.maximum(facing[:, 3], np.float32(1e-6))
-        few = 1.0 / np.sqrt(self._count.at(points)[:, 0] + np.float32(COUNT_BELIEF))
-        disagreement: Float32Array = few * (np.float32(1.0 + LEAST_DISAGREEMENT) - together)
-        return disagreement.astype(np.float32)
+        out = np.empty(len(points), dtype=np.float32)
+        _disagree(self._ends.at(points), self._planes.at(points), points - self._ends.origin_m, out)
+        return out
 
 
 class NetworkColourSigma:
@@ -161,19 +164,23 @@ def _splat(values: AnyArray, origin: Float32Array, inverse: float, points: Float
 @fast_kernel
 def _interpolate(values: AnyArray, origin: Float32Array, inverse: float, points: Float32Array, out: Float32Array) -> None:
     nx, ny, nz, channels = values.shape
+    flat = values.reshape(-1)
     for n in range(points.shape[0]):
         x, y, z = ((points[n, 0] - origin[0]) * inverse, (points[n, 1] - origin[1]) * inverse,
                    (points[n, 2] - origin[2]) * inverse)  # fmt: skip
         if x < 0 or y < 0 or z < 0 or x >= nx - 1 or y >= ny - 1 or z >= nz - 1:
             continue
         i, j, k = int(x), int(y), int(z)
-        u, v, w = x - i, y - j, z - k
-        for a in range(2):
-            for b in range(2):
-                for c in range(2):
-                    share = (u if a else 1 - u) * (v if b else 1 - v) * (w if c else 1 - w)
-                    for channel in range(channels):
-                        out[n, channel] += share * values[i + a, j + b, k + c, channel]
+        u, v, w = np.float32(x - i), np.float32(y - j), np.float32(z - k)
+        step_x, step_y, step_z = np.uint64(ny * nz * channels), np.uint64(nz * channels), np.uint64(channels)
+        at = np.uint64(((i * ny + j) * nz + k) * channels)
+        u0, v0, w0 = np.float32(1.0) - u, np.float32(1.0) - v, np.float32(1.0) - w
+        for c in range(channels):
+            p = at + np.uint64(c)
+            q = p + step_x
+            near = v0 * (w0 * flat[p] + w * flat[p + step_z]) + v * (w0 * flat[p + step_y] + w * flat[p + step_y + step_z])
+            far = v0 * (w0 * flat[q] + w * flat[q + step_z]) + v * (w0 * flat[q + step_y] + w * flat[q + step_y + step_z])
+            out[n, np.uint64(c)] = u0 * near + u * far
 
 
 @fast_kernel
@@ -200,6 +207,25 @@ def _dot(
                     high += weights[n, channel] * flat[row + np.uint64(channels + channel)]
                 total += (u if a else 1 - u) * (v if b else 1 - v) * (low + w * (high - low))
         out[n] = total
+
+
+@fast_kernel
+def _disagree(ends: Float32Array, planes: Float32Array, place: Float32Array, out: Float32Array) -> None:
+    """See MeasuredAgreement: from its lattices' values at points, and the points from the box's corner."""
+    for n in range(place.shape[0]):
+        x, y, z = place[n, 0], place[n, 1], place[n, 2]
+        nx, ny, nz, count = planes[n, 0], planes[n, 1], planes[n, 2], planes[n, 4]
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        together, past_mean, past_each = 0.0, MOST_PAST_M, MOST_PAST_M
+        if count > LEAST_COUNT:
+            together = length / count
+            past_each = min(abs(nx * x + ny * y + nz * z - planes[n, 3]) / count, MOST_PAST_M)
+        known = ends[n, 3]
+        if known > LEAST_COUNT and length > 0.0:
+            along = nx * (x - ends[n, 0] / known) + ny * (y - ends[n, 1] / known) + nz * (z - ends[n, 2] / known)
+            past_mean = min(abs(along) / length, MOST_PAST_M)
+        past = ((past_mean**2 + LEAST_PAST_M**2) * (past_each**2 + LEAST_PAST_M**2)) ** 0.25 / MOST_PAST_M
+        out[n] = past * (1.0 + LEAST_DISAGREEMENT - together) / np.sqrt(known + COUNT_BELIEF)
 
 
 @fast_kernel
