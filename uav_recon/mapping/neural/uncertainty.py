@@ -104,8 +104,8 @@ class MeasuredAgreement:
     """
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
-        self._ends = Lattice(box_min_m, box_max_m, END_CELL_M, 4)  # sum of end points, and number
-        self._planes = Lattice(box_min_m, box_max_m, PLANE_CELL_M, 5)  # sum of normals, of their planes' offsets, and number
+        self._ends = Lattice(box_min_m, box_max_m, END_CELL_M, 4)  # sum of end points, number
+        self._planes = Lattice(box_min_m, box_max_m, PLANE_CELL_M, 5)  # sum of normals, of their planes' offsets, number
 
     def add(self, points: Float32Array, normal: Float32Array) -> None:
         """Count end points (N, 3) with unit normals (N, 3), zero where not known, which agrees with none."""
