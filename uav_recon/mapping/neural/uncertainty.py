@@ -98,9 +98,10 @@ class MeasuredAgreement:
     """How few measurements say where a surface is, times how much they disagree on which way it faces, times how far the
     learned surface runs past them.
 
-    1 / sqrt(count) on a 5 cm lattice; 1.05 less the mean resultant length of the measured normals on a 10 cm one (1 less that is
-    the spherical variance: Mardia and Jupp 2000, section 9.2); and the geometric mean of two distances, from the plane through
-    the mean of the end points, and on average from the planes of all. Edges, corners and clutter are where a field errs.
+    1 / sqrt(count) on a 5 cm lattice; 1.05 less the mean resultant length of the measured normals on a 10 cm one (1 less that
+    is the spherical variance: Mardia and Jupp 2000, section 9.2); and the geometric mean of two distances, from the plane
+    through the mean of the end points, and on average from the planes of all. Edges, corners and clutter are where a field
+    errs.
     """
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
