@@ -200,6 +200,9 @@ def bench_mapper(
     pose_noise: Annotated[
         str, typer.Option(metavar="CM,DEG", help="Standard deviation, each axis, of the poses that the mapper is told.")
     ] = "0,0",
+    exposure: Annotated[
+        float, typer.Option(metavar="EV", help="Random exposure of each picture, uniform in ± this, of linear light.")
+    ] = 0.0,
     steps_per_view: Annotated[int, typer.Option(help="Training steps after each view.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of places, noise and learning; one seed, one result.")] = 0,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
@@ -208,7 +211,8 @@ def bench_mapper(
     """How well, how fast and how honestly the mapper learns a scene; a TSDF at 2 cm on the same frames beside it.
 
     Views are taken one by one as in flight, each followed by its training steps; then once more all at once, for the time
-    to a recall. Recall, completion and pictures count what some view saw. Times are the processor's, on one thread.
+    to a recall. Where poses or exposures err, once more without corrections. Recall, completion and pictures count what
+    some view saw. Times are the processor's, on one thread.
 
     Example: `uav-recon bench mapper --scene ../shared/scenes/meeting_room --camera wide --depth-noise kinect`
     """
@@ -217,7 +221,7 @@ def bench_mapper(
     _exit(
         lambda: bench_of_mapper.bench_mapper(
             bench_of_mapper.MapperBench(
-                scene, views, camera, depth_noise, mount, pose_noise, steps_per_view, seed, device, json
+                scene, views, camera, depth_noise, mount, pose_noise, steps_per_view, seed, device, json, exposure
             )
         )
     )

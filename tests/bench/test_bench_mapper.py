@@ -65,6 +65,7 @@ def test_measures_every_field_and_writes_json(tmp_path: Path) -> None:
         (("--mount", "loose"), ("--mount loose", "want fixed:DEG")),
         (("--pose-noise", "2"), ("--pose-noise 2", "want CM,DEG")),
         (("--pose-noise", "20,1"), ("--pose-noise 20,1", "at most 10 and 5")),
+        (("--exposure", "3"), ("--exposure 3", "want 0 to 2")),
         (("--device", "cuda"), ("--device cuda", "no CUDA path")),
         (("--device", "tpu"), ("--device tpu", "want cpu or cuda")),
         (("--json", "/nowhere/x.json"), ("/nowhere/x.json",)),
@@ -93,6 +94,31 @@ def test_told_poses_err_as_much_as_they_are_told_to() -> None:
         turn.append(np.arccos(np.clip((np.trace(between) - 1) / 2, -1, 1)))
     assert np.std(shift) == pytest.approx(0.02, rel=0.2)
     assert np.sqrt(np.mean(np.square(turn)) / 3) == pytest.approx(0.01, rel=0.25)
+
+
+def test_says_what_corrections_are_worth(tmp_path: Path) -> None:
+    written = tmp_path / "result.json"
+    wild = ("--pose-noise", "2,1", "--exposure", "1", "--steps-per-view", "8")
+    code, out, errors = bench("--views", "6", *wild, "--json", str(written))
+    assert code == 0, errors
+    about = json.loads(written.read_text())["about"]
+    assert about["uncorrected"]["accuracy_cm"] > 0.0
+    assert set(about["colour_sigma"]) == {"one_exposure", "many_exposures"}
+    assert "without corrections" in out
+    assert "±1 EV" in out
+
+
+def test_exposure_multiplies_light_and_clips() -> None:
+    scene = mapper_scene.load(mapper_scene.SceneOptions(None, 6, "d435i", "none", "fixed:15", (0.0, 0.0), 0))
+    shown = mapper_scene.exposed(scene, 1.0, 0)
+    ev = []
+    for a, b in zip(scene.keyframes, shown.keyframes, strict=True):
+        before, after = (((k.frame.rgb / 255.0 + 0.055) / 1.055) ** 2.4 for k in (a, b))
+        mid = (a.frame.rgb > 60) & (b.frame.rgb > 60) & (b.frame.rgb < 255)
+        ev.append(np.log2(np.median(after[mid] / before[mid])))
+        assert np.quantile(np.abs(np.log2(after[mid] / before[mid]) - ev[-1]), 0.9) < 0.03
+    assert np.abs(ev).max() < 1.01
+    assert np.ptp(ev) > 0.5
 
 
 def test_accuracy_is_point_to_surface_both_ways() -> None:

@@ -21,6 +21,7 @@ from uav_recon.run import EXIT_FAILURE, Failure
 PRINTED_WIDTH = 100  # where no terminal says
 VIEWS, STEPS = (4, 2000), (1, 200)
 CENTIMETRES, DEGREES = 10.0, 5.0  # the most that told poses may err
+MOST_EV = 2.0
 
 Result = dict[str, Any]
 
@@ -39,6 +40,7 @@ class MapperBench:
     seed: int
     device: str
     json: Path | None
+    exposure: float = 0.0
 
     def checked(self) -> mapper_scene.SceneOptions:
         """Raises Failure in one line."""
@@ -48,6 +50,8 @@ class MapperBench:
             raise Failure(f"--views {self.views}: want {VIEWS[0]} to {VIEWS[1]}")
         if not STEPS[0] <= self.steps_per_view <= STEPS[1]:
             raise Failure(f"--steps-per-view {self.steps_per_view}: want {STEPS[0]} to {STEPS[1]}")
+        if not 0.0 <= self.exposure <= MOST_EV:
+            raise Failure(f"--exposure {self.exposure:g}: want 0 to {MOST_EV:g}")
         if self.device == "cuda":
             raise Failure("--device cuda: the mapper has no CUDA path yet; want cpu")
         if self.device != "cpu":
@@ -70,7 +74,9 @@ def bench_mapper(wanted: MapperBench) -> int:
         calibration = calibrate()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
-        result = _measured(scene, wanted, calibration.cpu_factor, progress)
+        shown = mapper_scene.exposed(scene, wanted.exposure, wanted.seed) if wanted.exposure else scene
+        result = _measured(shown, wanted, calibration.cpu_factor, progress)
+        result["about"] |= _compared(scene, shown, options, wanted, progress)
     result["about"] = _about(scene, wanted) | {"compile_s": compile_s} | result["about"]
     mapper_tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
     if wanted.json is not None:
@@ -146,6 +152,30 @@ def _measured(scene: mapper_scene.MapperScene, wanted: MapperBench, factor_befor
     }
 
 
+def _compared(
+    plain: mapper_scene.MapperScene,
+    shown: mapper_scene.MapperScene,
+    options: mapper_scene.SceneOptions,
+    wanted: MapperBench,
+    progress: Progress,
+) -> Result:
+    """What corrections are worth, where poses or exposures err: the same views without, and with the exposure that is right."""
+    result: Result = {}
+    views, steps, seed = len(plain.keyframes), wanted.steps_per_view, wanted.seed
+    if options.pose_sigma != (0.0, 0.0) or wanted.exposure:
+        trainer = mapper_run.learned(shown, steps, seed, False, ticking(progress, "without corrections", views))
+        mesh = trainer.mesh(mapper_run.MESH_VOXEL_M)
+        quality = mapper_run.against_truth(Surface(mesh.vertices_world, mesh.faces), plain)
+        result["uncorrected"] = asdict(quality) | {"psnr_db": mapper_run.picture_psnr_db(trainer, plain.pictures)}
+    if wanted.exposure:
+        sigmas = [
+            mapper_run.colour_sigmas(mapper_run.learned(scene, steps, seed, True, ticking(progress, name, views)))
+            for scene, name in ((plain, "one exposure"), (shown, "many exposures"))
+        ]
+        result["colour_sigma"] = {"one_exposure": sigmas[0], "many_exposures": sigmas[1]}
+    return result
+
+
 def _about(scene: mapper_scene.MapperScene, wanted: MapperBench) -> Result:
     return {
         "scene": scene.name,
@@ -154,6 +184,7 @@ def _about(scene: mapper_scene.MapperScene, wanted: MapperBench) -> Result:
         "depth_noise": wanted.depth_noise,
         "mount": wanted.mount,
         "pose_noise": wanted.pose_noise,
+        "exposure": wanted.exposure,
         "steps_per_view": wanted.steps_per_view,
         "seed": wanted.seed,
         "device": wanted.device,

@@ -93,6 +93,23 @@ def online(scene: MapperScene, steps_per_view: int, seed: int, tick: Tick = lamb
     )  # fmt: skip
 
 
+def learned(scene: MapperScene, steps_per_view: int, seed: int, correct: bool, tick: Tick = lambda: None) -> Trainer:
+    """The same views one by one, untimed; without ``correct`` poses and exposures are taken as they are told."""
+    trainer = make_trainer(scene, steps_per_view, seed)
+    trainer.align_views = trainer.learn_gains = correct
+    for keyframe in scene.keyframes:
+        trainer.add(keyframe)
+        trainer.train(steps_per_view)
+        tick()
+    return trainer
+
+
+def colour_sigmas(trainer: Trainer) -> dict[str, float]:
+    """Median of each colour sigma over the surface, 0..1."""
+    points = trainer.whole_room().position_world.astype(np.float32)
+    return {name: float(np.median(trainer.uncertainties[name].at(points))) for name in ("colour", "paper")}
+
+
 def uncertainty_scores(trainer: Trainer, truth: Surface) -> tuple[float | None, float | None]:
     """AUSE of the mapper's uncertainty over every vertex of the field's surface, and over those that were observed."""
     whole = trainer.whole_surface(WHOLE_VOXEL_M)

@@ -6,7 +6,7 @@ A composition root: it asks the outside world for pictures and truth, and turns 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -120,6 +120,20 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
         coloured[: len(samples)][seen],
         PictureRays(pixels.origin[shown], pixels.direction[shown], pixels.rgb[shown], pixels.picture[shown]),
     )
+
+
+def exposed(scene: MapperScene, most_ev: float, seed: int) -> MapperScene:
+    """The same views, each picture with an exposure of its own, uniform in ± most_ev: linear light times 2**ev, clipped."""
+    value = np.arange(256) / 255.0
+    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    rng = np.random.default_rng([seed, 2])
+    keyframes = []
+    for keyframe in scene.keyframes:
+        brighter = np.clip(light * 2.0 ** rng.uniform(-most_ev, most_ev), 0.0, 1.0)
+        shown = np.where(brighter <= 0.0031308, 12.92 * brighter, 1.055 * brighter ** (1.0 / 2.4) - 0.055)
+        frame = replace(keyframe.frame, rgb=np.rint(255.0 * shown).astype(np.uint8)[keyframe.frame.rgb])
+        keyframes.append(replace(keyframe, frame=frame))
+    return replace(scene, keyframes=tuple(keyframes))
 
 
 def _keyframes(taken: Captures, options: SceneOptions) -> tuple[PosedFrame, ...]:

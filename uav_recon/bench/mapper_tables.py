@@ -29,6 +29,8 @@ def show(console: Console, result: Result) -> None:
         f"{figure(result['ause_observed'], 3)} over observed ones; memory: {result['memory_mb']:.0f} MB",
         highlight=False,
     )
+    for line in _corrections(about):
+        console.print(line, highlight=False)
 
 
 def show_uncertainties(console: Console, result: Result) -> None:
@@ -72,6 +74,21 @@ def figure(value: float | None, digits: int) -> str:
 def percent(share: float | None) -> str:
     """A share of one."""
     return "-" if share is None else f"{share:.2%}"
+
+
+def _corrections(about: Result) -> list[str]:
+    lines = []
+    if "uncorrected" in about:
+        row = about["uncorrected"]
+        lines.append(
+            f"without corrections of pose and exposure: accuracy {figure(row['accuracy_cm'], 2)} cm, "
+            f"recall {row['recall_seen_5cm']:.4f}, pictures {figure(row['psnr_db'], 1)} dB"
+        )
+    if "colour_sigma" in about:
+        one, many = about["colour_sigma"]["one_exposure"], about["colour_sigma"]["many_exposures"]
+        changes = ", ".join(f"{name} {many[name] / one[name] - 1.0:+.1%}" for name in one)
+        lines.append(f"exposures in ±{about['exposure']:g} EV change the median colour sigma: {changes}")
+    return lines
 
 
 def _times(result: Result) -> Table:

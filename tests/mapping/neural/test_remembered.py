@@ -18,7 +18,7 @@ def _patch(cell: int, size: int = 10) -> Float32Array:
 def _of(cells: list[int]) -> Remembered:
     remembered = Remembered()
     for cell in cells:
-        remembered.add(np.array([-100.0, 0.0, 0.0]), _patch(cell))
+        remembered.add(remembered.taken, np.array([-100.0, 0.0, 0.0]), _patch(cell))
     return remembered
 
 
@@ -34,16 +34,16 @@ def test_a_hover_leaves_little_and_a_place_seen_once_stays() -> None:
 
 def test_the_same_place_from_the_other_side_counts_for_itself() -> None:
     remembered = _of([0] * 10)
-    remembered.add(np.array([100.0, 0.0, 0.0]), _patch(0))
+    remembered.add(remembered.taken, np.array([100.0, 0.0, 0.0]), _patch(0))
     for _ in range(10):
-        remembered.add(np.array([-100.0, 0.0, 0.0]), _patch(0))
+        remembered.add(remembered.taken, np.array([-100.0, 0.0, 0.0]), _patch(0))
     assert remembered.most_needed(8)[10]
 
 
 def test_forgetting_again_and_again_keeps_all_parts_of_a_flight() -> None:
     remembered, random = Remembered(), np.random.default_rng(0)
     for _ in range(2000):
-        remembered.add(np.array([-100.0, 0.0, 0.0]), _patch(int(random.integers(0, 40))))
+        remembered.add(remembered.taken, np.array([-100.0, 0.0, 0.0]), _patch(int(random.integers(0, 40))))
         if len(remembered.numbers) == 64:
             remembered.keep(remembered.most_needed(48))
     numbers = np.array(remembered.numbers)

@@ -1,8 +1,9 @@
 """The mapper's own process, and the parent's handle on it: JSON lines down a pipe, JSON lines back.
 
 Run as ``python -m uav_recon.mapping.neural.child``. The first line is the order (config, box, noise, folder); then
-{"keyframe": N} for each view on disk and {"finish": FOLDER} at the end. Back come {"event": "ready" | "finished"} and, when
-views were refused, {"event": "refused", "counts": {REASON: N so far}}.
+{"keyframe": N} for each view on disk; {"repose": [[w, x, y, z, x_m, y_m, z_m], ...], "map_epoch": N} with the new
+world_from_depth of each, when the map's frame changed; {"finish": FOLDER} at the end. Back come {"event": "ready" |
+"finished"} and, when views were refused, {"event": "refused", "counts": {REASON: N so far}}.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from uav_recon.mapping.neural.checkpoint import CheckpointError, Checkpoints
 from uav_recon.mapping.neural.meshfile import write_ply
 from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.pose import Pose
 
 LOG = logging.getLogger(__name__)
 
@@ -147,8 +149,13 @@ class _Session:
         idle_steps = 0
         while True:
             try:
-                message = self._messages.get(timeout=idle_s if self._trainer.views else None)
+                patience_s = 0.0 if self._trainer.waiting else idle_s
+                message = self._messages.get(timeout=patience_s if self._trainer.views else None)
             except queue.Empty:
+                if self._trainer.waiting:
+                    self._unseen |= self._trainer.relearn(1) == 0
+                    self._show()
+                    continue
                 self._trainer.train(1)
                 self._save()
                 idle_steps += 1
@@ -157,6 +164,11 @@ class _Session:
                 continue
             if "finish" in message:
                 self._finish(Path(message["finish"]))
+            elif "repose" in message:
+                given = np.array(message["repose"])
+                self._learn_to(len(given))
+                poses = [Pose(given[n, :4], given[n, 4:]) for n in self._trainer.kept]
+                self._trainer.repose(poses, int(message["map_epoch"]))
             else:
                 self._learn_to(int(message["keyframe"]) + 1)
                 self._show()
@@ -173,7 +185,7 @@ class _Session:
         self._keyframes.refresh()
         for number in range(self._learned, min(count, len(self._keyframes))):
             try:
-                if self._trainer.add(self._keyframes.load(number)):
+                if self._trainer.add(self._keyframes.load(number), number):
                     self._trainer.train(self._config.steps_per_view)
             except KeyframeError as error:
                 LOG.warning("%s", error)  # one view less

@@ -107,11 +107,12 @@ def fit_shape(
 @fast_kernel
 def fit_colour(
     grid: Grid, net: Network, d_net: Network, gradient: Gradient, s: Scratch,
-    points: Float32Array, rgb: Float32Array, weight: Float32Array, error_squared: Float32Array,
+    points: Float32Array, rgb: Float32Array, at_least: BoolArray, weight: Float32Array, error_squared: Float32Array,
 ) -> float:  # fmt: skip
     """Sum of weight * (e² + VARIANCE_SHARE / 2 * (e² / v + log v)), where e² is the mean over channels of (colour(x) - rgb)²
-    and v the variance that the network expects; e² counts as a given number in the second part. rgb (N, 3) in 0..1. Writes
-    e² to error_squared (N,). The second part is the paper's Gaussian colour loss.
+    and v the variance that the network expects; e² counts as a given number in the second part. rgb (N, 3) in 0..1; where
+    at_least (N, 3), only a value below it counts. Writes e² to error_squared (N,). The second part is the paper's Gaussian
+    colour loss.
     """  # fmt: skip
     loss, third = _ZERO, np.float32(1.0 / 3.0)
     for start in range(0, points.shape[0], POINTS):
@@ -127,6 +128,8 @@ def fit_colour(
             total = _ZERO
             for j in range(3):
                 error = s.rgb[j, p] - rgb[start + p, j]
+                if at_least[start + p, j] and error > _ZERO:
+                    error = _ZERO
                 total += error * error
                 s.d_rgb[j, p] = _TWO * third * weight[start + p] * error
             square = total * third

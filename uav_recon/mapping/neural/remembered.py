@@ -16,25 +16,24 @@ from uav_recon.mapping.neural.samples import RECENT_VIEWS
 from uav_recon.types.frames import BoolArray, Float32Array, FloatArray, IntArray
 
 CELL_M = 0.25
-STRIDE = 4  # of the end points, every so many are looked at
 SHIFT = 1 << 20  # cells along an axis, more than any box has
 
 
 class Remembered:
-    """numbers: serial numbers of the views that are kept, ascending. taken: how many there ever were."""
+    """numbers: by which the views that are kept are known, ascending. taken: how many there ever were."""
 
     def __init__(self) -> None:
         self.taken = 0
         self.numbers: list[int] = []
         self._cells: list[IntArray] = []
 
-    def add(self, position: FloatArray, points: Float32Array) -> None:
+    def add(self, number: int, position: FloatArray, points: Float32Array) -> None:
         """Note the next view: from position (3,), end points (N, 3), world."""
-        some = points[::STRIDE].astype(np.float64)
+        some = points.astype(np.float64)
         x, y, z = np.floor(some / CELL_M).astype(np.int64).T + SHIFT // 2
         octant = (some > position) @ np.array([4, 2, 1])
         self._cells.append(np.unique(((x * SHIFT + y) * SHIFT + z) * 8 + octant))
-        self.numbers.append(self.taken)
+        self.numbers.append(number)
         self.taken += 1
 
     def most_needed(self, count: int) -> BoolArray:

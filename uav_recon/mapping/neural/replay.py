@@ -63,6 +63,7 @@ class Replay:
             rotation[None].astype(np.float32),
             position[None].astype(np.float32),
             np.array([inverse_depth_sigma], dtype=np.float32),
+            np.ones((1, 3), dtype=np.float32),
         )
         count = len(records)
         points = np.empty((len(OFFSETS_M), count, 3), dtype=np.float32)
@@ -80,16 +81,16 @@ class Replay:
         v, n = self.views, self.count
         v.records[start : start + len(records)] = records
         v.rotation[n], v.position[n], v.inverse_depth_sigma[n] = rotation, position, inverse_depth_sigma
-        v.first[n + 1] = start + len(records)
+        v.gain[n], v.first[n + 1] = 1.0, start + len(records)
         self.count += 1
 
-    def camera_points(self, view: int, most: int) -> tuple[FloatArray, FloatArray]:
-        """Up to ``most`` measured points of a view in its camera (N, 3) and their depth sigma (N,)."""
-        v = self.views
-        records = v.records[v.first[view] : min(v.first[view + 1], v.first[view] + most)].astype(np.float64)
-        z = records[:, 2] * DEPTH_UNIT_M
-        points = np.stack([records[:, 0] * BEARING_UNIT * z, records[:, 1] * BEARING_UNIT * z, z], axis=1)
-        return points, z * z * float(v.inverse_depth_sigma[view])
+    def pose(self, view: int) -> tuple[FloatArray, FloatArray]:
+        """Where a view is now held to be: world_from_depth as rotation (3, 3) and position (3,)."""
+        return self.views.rotation[view].astype(np.float64), self.views.position[view].astype(np.float64)
+
+    def place(self, view: int, rotation: FloatArray, position: FloatArray) -> None:
+        """Hold a view to have been elsewhere."""
+        self.views.rotation[view], self.views.position[view] = rotation, position
 
     def records(self, view: int) -> AnyArray:
         """The rays (N, COLUMNS) of a view, to be read."""
@@ -157,4 +158,5 @@ def _empty() -> Views:
         np.zeros((MOST_VIEWS, 3, 3), dtype=np.float32),
         np.zeros((MOST_VIEWS, 3), dtype=np.float32),
         np.zeros(MOST_VIEWS, dtype=np.float32),
+        np.ones((MOST_VIEWS, 3), dtype=np.float32),
     )

@@ -19,6 +19,8 @@ NEAR_BEFORE_M, NEAR_BEHIND_M = np.float32(0.10), np.float32(0.05)
 NEAREST_FREE_M = np.float32(0.15)
 JITTER_M = np.float32(0.015)
 LEAST_COSINE = np.float32(0.15)
+TOE = np.float32(0.055)  # sRGB (IEC 61966-2-1) is a power law on (value + this): another exposure is a factor there
+WHITE = 254  # a channel that may have been brighter than it says
 POSE_SIGMA_M = np.float32(0.01)  # what poses add to every measurement: weights are inverse variances down to it
 
 DISTANCE_FACTOR, FREE_FACTOR, COLOUR_FACTOR = np.float32(10.0), np.float32(2.0), np.float32(5.0)
@@ -29,7 +31,8 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 class Views(NamedTuple):
     """What the rays come from. records (M, 10) i16; first (V + 1,) i64 start of each view in records;
-    rotation (V, 3, 3) f32 and position (V, 3) f32 of world_from_depth; sigma (V,) f32 of 1/z in 1/m.
+    rotation (V, 3, 3) f32 and position (V, 3) f32 of world_from_depth; sigma (V,) f32 of 1/z in 1/m; gain (V, 3) f32 on
+    rgb + TOE that makes the view's colours those of a mean exposure.
     """  # fmt: skip
 
     records: AnyArray
@@ -37,6 +40,7 @@ class Views(NamedTuple):
     rotation: Float32Array
     position: Float32Array
     inverse_depth_sigma: Float32Array
+    gain: Float32Array
 
 
 class Batch(NamedTuple):
@@ -46,6 +50,7 @@ class Batch(NamedTuple):
     target_m: Float32Array
     weight: Float32Array
     at_least: BoolArray
+    at_least_rgb: BoolArray
     surface: Float32Array
     normal: Float32Array
     eikonal_weight: Float32Array
@@ -65,7 +70,8 @@ def make_batch() -> Batch:
         *((colour, 3), (colour, 3), (colour,), (colour,)),
     )
     points, target, weight, *others = (np.zeros(size, dtype=np.float32) for size in shapes)
-    return Batch(points, target, weight, np.zeros(many, dtype=np.bool_), *others)
+    below, white = np.zeros(many, dtype=np.bool_), np.zeros((colour, 3), dtype=np.bool_)
+    return Batch(points, target, weight, below, white, *others)
 
 
 @fast_kernel
@@ -141,7 +147,9 @@ def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high
         if record[9] == 1 and inside and coloured < COLOUR_POINTS:
             batch.coloured[coloured, 0], batch.coloured[coloured, 1], batch.coloured[coloured, 2] = x, y, w
             for channel in range(3):
-                batch.rgb[coloured, channel] = np.float32(record[6 + channel]) * np.float32(1.0 / 255.0)
+                value = np.float32(record[6 + channel]) * np.float32(1.0 / 255.0)
+                batch.rgb[coloured, channel] = (value + TOE) * views.gain[view, channel] - TOE
+                batch.at_least_rgb[coloured, channel] = record[6 + channel] >= WHITE
             batch.colour_weight[coloured] = colour_factor
             coloured += 1
     return coloured

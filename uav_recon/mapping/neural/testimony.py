@@ -55,6 +55,10 @@ class Testimony:
         self._depth_from_world.append((rotation.T.copy(), -rotation.T @ position))
         self._sigma.append(inverse_depth_sigma)
 
+    def place(self, view: int, rotation: FloatArray, position: FloatArray) -> None:
+        """Hold an image to have been taken elsewhere: world_from_depth as in add()."""
+        self._depth_from_world[view] = (rotation.T.copy(), -rotation.T @ position)
+
     def refute(self, points: Float32Array, normals: Float32Array) -> BoolArray:
         """Whether more images looked through a place than saw a surface there: points (N, 3), normals (N, 3)."""
         return self.votes(points, normals) < 0.0

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
 from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.mapping.neural.alignment import Alignment
+from uav_recon.mapping.neural.exposure import Exposure
 from uav_recon.mapping.neural.field import Field
 from uav_recon.mapping.neural.grid import POINTS
 from uav_recon.mapping.neural.intake import FEWEST_RAYS, FEWEST_VIEWS, Doubt, Refusal, Refusals, padded, refusal
 from uav_recon.mapping.neural.livesurface import LiveSurface
 from uav_recon.mapping.neural.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
 from uav_recon.mapping.neural.optimiser import Optimiser
+from uav_recon.mapping.neural.patches import Patches
 from uav_recon.mapping.neural.priors import open_prior
 from uav_recon.mapping.neural.rays import in_rows, pixel_stride, ray_records
 from uav_recon.mapping.neural.remembered import Remembered
@@ -37,6 +41,7 @@ from uav_recon.types.pose import Pose
 
 ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish at which views are aligned
 KEPT_VIEWS = MOST_VIEWS * 3 // 4  # when memory is full
+SOME_RAYS = 6500  # of a view, to see what it shows
 ASKED_VIEWS, ASKED_POINTS, ASKED_RAYS = 64, 600, 40  # whether a view fits: so many others, on it and on each of them
 FINAL_RATE = 0.1  # the polish ends at this share of the learning rate
 
@@ -56,29 +61,35 @@ class Trainer:
         self._low, self._high = low.astype(np.float32), high.astype(np.float32)
         self._random = np.random.default_rng(config.seed)
         self._stream = np.array([config.seed], dtype=np.uint64)
-        self.field = Field(low, high, config.seed)
         self._prior = open_prior(config.prior_model)
-        self._optimiser = Optimiser(self.field)
-        self._replay = Replay()
-        self._batch = make_batch()
+        self._replay, self._batch = Replay(), make_batch()
         self._corners = np.zeros((POINTS, 3), dtype=np.float32)
-        self._evidence = Evidence(low, high)
-        self._live = LiveSurface(self._evidence, config.surface_voxel_m)
         self._images = Testimony()
-        self._alignment = Alignment()
         self._remembered = Remembered()
-        self.align_views = True
+        self._ray_rad: list[float] = []  # between neighbouring rays, of each view
+        self.align_views = self.learn_gains = True
+        self.refusals = Refusals()
+        self.steps, self._map_epoch = 0, 0
+        self._begin(config.uncertainty)
+
+    def _begin(self, uncertainty: UncertaintyName) -> None:
+        """A map of nothing, of which no view is part yet."""
+        low, high = self._low.astype(np.float64), self._high.astype(np.float64)
+        self._taken, self._doubt = 0, Doubt()
+        self.field = Field(low, high, self._config.seed)
+        self._optimiser = Optimiser(self.field)
+        self._evidence = Evidence(low, high)
+        self._live = LiveSurface(self._evidence, self._config.surface_voxel_m)
+        self._patches = Patches(low, high)
+        self._alignment, self._exposure = Alignment(self._patches), Exposure(self._patches)
         self._information, self._colour_error = DepthInformation(low, high), ColourError(low, high)
         self._agreement = MeasuredAgreement(low, high)
         self.uncertainties = self._measures()
-        self.uncertainty = self.uncertainties[config.uncertainty]
-        self.refusals, self._doubt = Refusals(), Doubt()
-        self.steps, self._map_epoch = 0, 0
+        self.uncertainty = self.uncertainties[uncertainty]
 
     def __getstate__(self) -> dict[str, Any]:
         """For a checkpoint: all but what each view brought along; see view_arrays() and put_back()."""
-        chosen = next(name for name, measure in self.uncertainties.items() if measure is self.uncertainty)
-        return self.__dict__ | {"uncertainties": None, "uncertainty": chosen, "_prior": None}
+        return self.__dict__ | {"uncertainties": None, "uncertainty": self._chosen(), "_prior": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -93,7 +104,7 @@ class Trainer:
 
     @property
     def kept(self) -> list[int]:
-        """Serial numbers, from 0, of those that are still replayed, ascending."""
+        """Numbers of those that are still replayed, ascending."""
         return self._remembered.numbers
 
     @property
@@ -110,14 +121,18 @@ class Trainer:
         self._replay.put_back(index, arrays["records"])
         self._images.put_back(index, arrays["depth_mm"])
 
-    def add(self, keyframe: PosedFrame) -> bool:
-        """Take a keyframe. False (counted and logged by ``refusals``) if something is to be said against it (see intake)."""
-        reason = refusal(keyframe, self._low, self._high) or self._learn_of(keyframe)
+    def add(self, keyframe: PosedFrame, number: int | None = None) -> bool:
+        """Take a keyframe. False (counted and logged by ``refusals``) if something is to be said against it (see intake).
+
+        number: by which it is known, greater than those before; as many as were taken, if not given.
+        """
+        reason = refusal(keyframe, self._low, self._high)
+        reason = reason or self._learn_of(keyframe, self.views if number is None else number)
         if reason is not None:
             self.refusals.note(reason)
         return reason is None
 
-    def _learn_of(self, keyframe: PosedFrame) -> Refusal | None:
+    def _learn_of(self, keyframe: PosedFrame, number: int) -> Refusal | None:
         """Note everything that a view says, unless it contradicts the others."""
         frame = keyframe.frame
         lens = frame.depth_intrinsics
@@ -129,31 +144,70 @@ class Trainer:
         if self._prior is not None:
             self._prior.fill(records, frame)
         rotation, position = keyframe.world_from_depth.rotation(), keyframe.world_from_depth.translation_m
-        view = self._replay.rays(in_rows(records), rotation, position, sigma)
         image = (frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)
-        if self.views >= FEWEST_VIEWS and self._doubt.rises(lens, self._votes(view, image)):
+        ends = self._replay.rays(records[:SOME_RAYS], rotation, position, sigma)
+        if self.views >= FEWEST_VIEWS and self._doubt.rises(lens, self._votes(ends, image)):
             return Refusal.DISAGREES
         if self._replay.count == MOST_VIEWS:
             self._forget()
-        self._remembered.add(position, view.points[0])
+        self._remembered.add(number, position, ends.points[0])
         self._replay.add(records, rotation, position, sigma)
-        self._alignment.add(rotation, position)
+        self._ray_rad.append(pixel_stride(lens, most) / lens.fx)
+        self._images.add(*image)
+        self._map_epoch = keyframe.map_epoch
+        if self.waiting == 1:  # no older view waits
+            self._take()
+        return None
+
+    @property
+    def waiting(self) -> int:
+        """Views that are kept and not yet part of the map: after repose(), until relearn() took them."""
+        return self._replay.count - self._taken
+
+    def repose(self, world_from_depth: Sequence[Pose], map_epoch: int) -> None:
+        """Begin the map anew with other poses of all views that are kept (V). Cheap; relearn() does the work, in turns. Views
+        that are added meanwhile wait for their turn. Raises ValueError for another number of poses.
+        """  # fmt: skip
+        if len(world_from_depth) != self._replay.count:
+            raise ValueError(f"{len(world_from_depth)} poses for {self._replay.count} views")
+        for view, pose in enumerate(world_from_depth):
+            self._replay.place(view, pose.rotation(), pose.translation_m)
+            self._images.place(view, pose.rotation(), pose.translation_m)
+        self._map_epoch = map_epoch
+        self._begin(self._chosen())
+
+    def relearn(self, views: int) -> int:
+        """Take at most so many waiting views, with the steps that each had in flight; returns how many wait still."""
+        for _ in range(min(views, self.waiting)):
+            self._take()
+            self.train(self._config.steps_per_view)
+        return self.waiting
+
+    def _take(self) -> None:
+        """Make the next waiting view part of the map."""
+        replay, number = self._replay, self._taken
+        self._taken += 1
+        self._alignment.add(replay)
+        if self.align_views:
+            self._alignment.meet(replay)
+        if self.learn_gains:
+            self._exposure.meet(replay)
+        sigma, (rotation, position) = float(replay.views.inverse_depth_sigma[number]), replay.pose(number)
+        view = replay.rays(in_rows(replay.records(number)), rotation, position, sigma)
         for points in view.points:
             self.field.cover(points)
         self._optimiser.follow_growth()
         self._information.add(view.points[0], view.cosine, view.sigma_m)
         self._agreement.add(view.points[0], view.normal)
-        footprint_m = np.sqrt(view.sigma_m / sigma) * (pixel_stride(lens, most) / lens.fx)
+        footprint_m = np.sqrt(view.sigma_m / replay.views.inverse_depth_sigma[number]) * self._ray_rad[number]
+        position = replay.pose(number)[1]
         self._evidence.add(position, view.points[0], view.normal, view.sigma_m, footprint_m.astype(np.float32))
         self._live.touch(view.points[0])
-        self._images.add(*image)
-        self._map_epoch = keyframe.map_epoch
-        return None
 
     def train(self, steps: int, rate: float = 1.0) -> float:
         """Run steps; returns the last loss (0 before the first view). rate: share of the full learning rate."""
         loss = 0.0
-        for _ in range(steps if self._replay.count else 0):
+        for _ in range(steps if self._taken else 0):
             loss = self._step(rate)
         return loss
 
@@ -162,10 +216,11 @@ class Trainer:
 
         What remains of the noise averages out; the alignment takes away most of what poses did to it.
         """
+        self.relearn(self.waiting)
         aligned_at = {int(steps * share) for share in ALIGN_AT}
         for n in range(steps if self.views else 0):
             if self.align_views and n in aligned_at:
-                self._alignment.refine(self.field, self._replay)
+                self._alignment.refine(self._replay)
             self.train(1, FINAL_RATE ** ((n + 1) / steps))
 
     @property
@@ -189,6 +244,8 @@ class Trainer:
 
     def mesh(self, voxel_m: float) -> TriangleMesh:
         """Triangles of the surface as it is now."""
+        for view in range(self._replay.count):  # images were taken where views are held to have been by now
+            self._images.place(view, *self._replay.pose(view))
         return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._images)
 
     def look(self, origin: Float32Array, direction: Float32Array) -> Float32Array:
@@ -197,11 +254,15 @@ class Trainer:
 
     def positions(self) -> FloatArray:
         """Where the views' depth imagers are now held to have been, world (V, 3)."""
-        return self._replay.views.position[: self.views].astype(np.float64)
+        return self._replay.views.position[: self._replay.count].astype(np.float64)
 
     def corrections(self) -> FloatArray:
         """What alignment did to the given poses (V, 6): translation and rotation vector about the camera, world."""
         return self._alignment.correction.copy()
+
+    def log_gains(self) -> FloatArray:
+        """How each picture is brightened to agree with the others: log factors (V, 3) of rgb + TOE, their mean zero."""
+        return self._exposure.log_gain.copy()
 
     def warm_up(self) -> None:
         """Compile every kernel, on a small trainer of its own."""
@@ -215,8 +276,7 @@ class Trainer:
 
     def _votes(self, view: ViewRays, image: DepthImage) -> Float32Array:
         """What other views say of a new one's points, and it of theirs (N,). About 1 ms."""
-        facing = np.flatnonzero(view.cosine >= 0.0)  # those with a normal, in rows of the picture
-        some = facing[:: max(1, len(facing) // ASKED_POINTS)]
+        some = np.flatnonzero(view.cosine >= 0.0)[:ASKED_POINTS]  # those with a normal; rays are in random order
         others = self._images.votes(view.points[0, some], view.normal[some], ASKED_VIEWS)
         itself = Testimony()
         itself.add(*image)
@@ -225,8 +285,15 @@ class Trainer:
     def _forget(self) -> None:
         """Make room: the views that are needed least go, in what is replayed and asked; the field keeps what they taught."""
         which = self._remembered.most_needed(KEPT_VIEWS)
-        for part in (self._remembered, self._replay, self._images, self._alignment):
-            part.keep(which)
+        for memory in (self._remembered, self._replay, self._images):
+            memory.keep(which)
+        self._ray_rad = list(compress(self._ray_rad, which))
+        taken, self._taken = which[: self._taken], int(which[: self._taken].sum())
+        for part in (self._alignment, self._exposure, self._patches):
+            part.keep(taken)
+
+    def _chosen(self) -> UncertaintyName:
+        return next(name for name, measure in self.uncertainties.items() if measure is self.uncertainty)
 
     def _measures(self) -> dict[UncertaintyName, SurfaceUncertainty]:
         return {
@@ -239,12 +306,12 @@ class Trainer:
 
     def _step(self, rate: float) -> float:
         f, o, b = self.field, self._optimiser, self._batch
-        coloured = int(draw(self._stream, self._replay.views, self._replay.count, self._low, self._high, b))
+        coloured = int(draw(self._stream, self._replay.views, self._taken, self._low, self._high, b))
         shared = (f.grid, f.network, o.network_gradient, o.gradient, f.scratch)
         loss = fit_distance(*shared, b.points, b.target_m, b.weight, b.at_least)
         loss += fit_shape(*shared, TETRAHEDRON, self._corners, b.surface, b.normal, b.eikonal_weight, b.normal_weight)
         points, error = b.coloured[:coloured], b.colour_error[:coloured]
-        loss += fit_colour(*shared, points, b.rgb[:coloured], b.colour_weight[:coloured], error)
+        loss += fit_colour(*shared, points, b.rgb[:coloured], b.at_least_rgb[:coloured], b.colour_weight[:coloured], error)
         if o.step(rate):
             self._colour_error.add(points, error)
         self.steps += 1
