@@ -1,0 +1,43 @@
+"""The losses of mapping.neural.losses on tensors. Weights carry the factors and the means: each loss is a plain sum."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from uav_recon.mapping.neural.losses import STENCIL_M, TETRAHEDRON, VARIANCE_SHARE
+from uav_recon.mapping.neural.network import LEAST_LOG_VARIANCE, MOST_LOG_VARIANCE
+
+LEAST_SLOPE = 1e-6  # added to a gradient's length
+
+
+def around(points: Tensor) -> Tensor:
+    """The tetrahedron's corners (4 N, 3) about points (N, 3)."""
+    stencil = torch.as_tensor(TETRAHEDRON, device=points.device)
+    return (points[:, None] + float(STENCIL_M) * stencil).view(-1, 3)
+
+
+def distance_loss(distance_m: Tensor, target_m: Tensor, weight: Tensor, at_least: Tensor) -> Tensor:
+    """Sum of weight * (f - target)², all (N,); where at_least, only a value below the target counts."""
+    error = distance_m - target_m
+    error = torch.where(at_least, error.clamp(max=0.0), error)
+    return (weight * error.square()).sum()
+
+
+def shape_loss(corner_m: Tensor, normal: Tensor, eikonal_weight: Tensor, normal_weight: Tensor) -> Tensor:
+    """Sum of eikonal_weight * (|g| - 1)² + normal_weight * |g/|g| - n|², with g from corner_m (4 N,) of around()."""
+    stencil = torch.as_tensor(TETRAHEDRON, device=corner_m.device)
+    gradient = corner_m.view(-1, 4) @ stencil / (4.0 * float(STENCIL_M))
+    # a place outside the box has no slope at all, and a root no derivative there
+    length = gradient.square().sum(dim=1).clamp(min=LEAST_SLOPE**2).sqrt() + LEAST_SLOPE
+    along = (gradient * normal).sum(dim=1) / length
+    return (eikonal_weight * (length - 1.0).square() + 2.0 * normal_weight * (1.0 - along)).sum()
+
+
+def colour_loss(rgb: Tensor, log_variance: Tensor, seen: Tensor, weight: Tensor) -> Tensor:
+    """Sum of weight * (e² + VARIANCE_SHARE / 2 * (e² / v + log v)): rgb, seen (N, 3); log_variance, weight (N,)."""
+    square = (rgb - seen).square().mean(dim=1)
+    # held inside its limits, yet always free to move: what surprises must be able to widen it
+    held = log_variance + (log_variance.clamp(float(LEAST_LOG_VARIANCE), float(MOST_LOG_VARIANCE)) - log_variance).detach()
+    gaussian = square.detach() * torch.exp(-held) + held
+    return (weight * (square + 0.5 * float(VARIANCE_SHARE) * gaussian)).sum()
