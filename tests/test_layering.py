@@ -23,10 +23,15 @@ ALLOWED = {
     "evaluation": {"types", "geometry", "evaluation"},
     "notify": set(),
 }
-ROOTS = {"run", "processes", "bench", "cli"}
-ROOT_IMPORTS = {"cli": {"run", "processes", "bench"}, "run": set(ALLOWED), "bench": {*ALLOWED, "run", "bench"}}
+ROOTS = {"run", "processes", "refine", "bench", "cli"}
+ROOT_IMPORTS = {
+    "cli": {"run", "processes", "refine", "bench"},
+    "run": set(ALLOWED),
+    "refine": {*ALLOWED, "run", "processes"},
+    "bench": {*ALLOWED, "run", "bench"},
+}
 HEAVY = {
-    "torch": {"uav_recon/mapping/neural"},
+    "torch": {"uav_recon/mapping/neural/tensor"},
     "pyrealsense2": {"uav_recon/sensors/realsense.py"},
     "pymavlink": {"uav_recon/autopilot", "sitl"},
     "rerun": {"uav_recon/recording"},
@@ -90,22 +95,36 @@ def test_heavy_packages_stay_in_their_room(path: Path) -> None:
         assert rooms is None or any(where.startswith(room) for room in rooms), f"{where} imports {name}"
 
 
-def test_the_pilot_reaches_no_heavy_package() -> None:
-    seen: set[Path] = set()
-    todo = modules("uav_recon/autopilot") + modules("uav_recon/safety")
+def reached_from(start: list[Path]) -> dict[Path, set[str]]:
+    """Every module of ours that these import, directly or not, and what each imports."""
+    seen: dict[Path, set[str]] = {}
+    todo = list(start)
     while todo:
         path = todo.pop()
         if path in seen:
             continue
-        seen.add(path)
-        for name in imports(path):
-            assert name.split(".")[0] not in PILOT_FORBIDS, f"{path} imports {name}"
+        seen[path] = imports(path)
+        for name in seen[path]:
             if name.startswith("uav_recon."):
                 for candidate in (name, name.rpartition(".")[0]):
                     file = ROOT / (candidate.replace(".", "/") + ".py")
                     if file.exists():
                         todo.append(file)
-    assert len(seen) > 10
+    return seen
+
+
+def test_the_pilot_reaches_no_heavy_package() -> None:
+    reached = reached_from(modules("uav_recon/autopilot") + modules("uav_recon/safety"))
+    for path, names in reached.items():
+        assert not {name.split(".")[0] for name in names} & PILOT_FORBIDS, path
+    assert len(reached) > 10
+
+
+def test_the_mapper_in_flight_reaches_no_torch() -> None:
+    reached = reached_from([ROOT / "uav_recon/mapping/neural/child.py", ROOT / "uav_recon/mapping/neural/worker.py"])
+    for path, names in reached.items():
+        assert not any(name.split(".")[0] == "torch" for name in names), path
+    assert len(reached) > 20
 
 
 @pytest.mark.parametrize("path", modules("uav_recon") + modules("sitl"), ids=lambda p: str(p.relative_to(ROOT)))

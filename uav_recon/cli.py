@@ -167,6 +167,28 @@ def review(flight: Annotated[Path, typer.Argument(help="A flight folder.")]) -> 
     _exit(lambda: processes.review(flight))
 
 
+@app.command()
+def refine(
+    flight: Annotated[Path, typer.Argument(help="A flight folder.")],
+    steps: Annotated[int, typer.Option(help="Training steps, 1 to 1000000.")] = 8000,
+    voxel: Annotated[float, typer.Option(help="Edge of the mesh's triangles in metres, 0.005 to 0.05.")] = 0.01,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda; auto takes every GPU there is.")] = "auto",
+    processes: Annotated[
+        int | None, typer.Option(help="Learn with so many processes (torchrun). Default: one for each GPU.")
+    ] = None,
+    save_every: Annotated[float, typer.Option(metavar="S", help="Seconds between checkpoints, 1 to 3600.")] = 60.0,
+) -> None:
+    """Learn the final model of a flight at full quality: FLIGHT/refined/mesh.ply and mesh.glb.
+
+    The mesh is watertight. Faces that close what nobody saw are marked (mesh.ply: property `observed`; mesh.glb: primitive
+    `unseen`) and are part of no figure. Ctrl-C saves; the same command goes on, also after a kill.
+    """
+    from uav_recon import refine as refinement
+
+    wanted = refinement.RefineOptions(flight, steps, voxel, device, processes, save_every)
+    _exit(lambda: refinement.refine(wanted))
+
+
 @bench.command("planner")
 def bench_planner(
     stream: Annotated[

@@ -33,6 +33,11 @@ class Stop:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._ask)
 
+    def heed_no_more(self) -> None:
+        """From now on both end the process."""
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
     def _ask(self, number: int, frame: FrameType | None) -> None:
         self.asked = True
 
@@ -49,12 +54,20 @@ def flight_folder(config: Config, flight: Path | None) -> Path:
 
 def claim(name: str, config: Config) -> None:
     """Be the only process of this name on this machine, until it ends. Raises Failure with exit code 75 if it is not."""
-    lock = os.open(config.runtime.folder / f"{name}.lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    claim_file(config.runtime.folder / f"{name}.lock", f"a {name} runs already in {config.runtime.folder}")
+
+
+def claim_file(path: Path, otherwise: str) -> int:
+    """Hold a lock file until this process ends, or closes what comes back. Raises Failure with exit code 75 and these words
+    if another holds it.
+    """
+    lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         os.close(lock)
-        raise run.Failure(f"a {name} runs already in {config.runtime.folder}", run.EXIT_SECOND_COPY) from None
+        raise run.Failure(otherwise, run.EXIT_SECOND_COPY) from None
+    return lock
 
 
 def pilot(config_path: Path, flight: Path | None) -> int:

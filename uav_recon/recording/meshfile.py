@@ -14,7 +14,10 @@ _LOG = logging.getLogger(__name__)
 
 
 def load_mesh(folder: Path) -> TriangleMesh | None:
-    """Read ``folder``/mesh.ply; None if there is none, with a logged line if it cannot be read. No uncertainty reads as 0."""
+    """Read ``folder``/mesh.ply; None if there is none, with a logged line if it cannot be read. No uncertainty reads as 0.
+
+    Faces that are told as not observed close a room over what nobody saw: they are left out.
+    """
     path = folder / MESH
     if not path.exists():
         return None
@@ -30,6 +33,9 @@ def load_mesh(folder: Path) -> TriangleMesh | None:
         uncertainty = (
             np.asarray(record["uncertainty"], dtype=np.float32).ravel() if named else np.zeros(len(vertices), np.float32)
         )
+        told = loaded.metadata.get("_ply_raw", {}).get("face", {}).get("data")
+        if told is not None and "observed" in (told.dtype.names or ()):
+            faces = faces[np.asarray(told["observed"]).ravel() != 0]
         return TriangleMesh(vertices, faces, rgb, uncertainty)
     except (ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
         _LOG.warning("%s cannot be read as a mesh: %s", path, error)

@@ -2,10 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from node_places import node_places
 from skimage.measure import marching_cubes
 
-from uav_recon.mapping.neural.isosurface import SparseNodes, surface_net, wanted_nodes
+from uav_recon.mapping.neural.isosurface import SparseNodes, node_points, surface_net, wanted_nodes
 from uav_recon.types.frames import AnyArray, FloatArray
 
 CENTRE, RADIUS_M = np.array([0.55, 0.5, 0.45]), 0.31
@@ -24,7 +23,7 @@ def _nodes(upper_half: bool = False) -> SparseNodes:
     if upper_half:
         wanted &= centres[..., 2] > CENTRE[2]
     nodes = wanted_nodes(wanted, np.zeros(3), CELL_M, VOXEL_M)
-    points, mask = node_places(nodes)
+    points, mask = node_points(nodes)
     nodes.values[mask] = _sphere(points)
     return nodes
 

@@ -2,10 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from node_places import node_places
 
 from uav_recon.mapping.neural.field import Field
-from uav_recon.mapping.neural.isosurface import wanted_nodes
+from uav_recon.mapping.neural.isosurface import node_points, wanted_nodes
 from uav_recon.mapping.neural.nodequery import fill_distances
 
 LOW, HIGH = np.array([-0.4, 0.1, 0.0]), np.array([1.7, 1.9, 1.3])
@@ -20,7 +19,7 @@ def test_nodes_get_what_the_field_says_of_their_places(voxel_m: float) -> None:
     field.grid.features[1:] += random.normal(0.0, 3.0, field.grid.features[1:].shape).astype(np.float32)
     shape = np.ceil((HIGH - LOW) / CELL_M).astype(int)
     nodes = wanted_nodes(random.random(shape) < 0.3, LOW, CELL_M, voxel_m)  # up to the box's border
-    places, mask = node_places(nodes)
+    places, mask = node_points(nodes)
     points = places.astype(np.float32)
     untouched = nodes.values[~mask].copy()
     fill_distances(field, nodes)

@@ -46,6 +46,15 @@ def wanted_nodes(wanted: BoolArray, origin_m: FloatArray, cell_m: float, voxel_m
     return SparseNodes(np.asarray(origin_m, dtype=np.float32), np.float32(voxel_m), slot, blocks, values)
 
 
+def node_points(nodes: SparseNodes) -> tuple[Float32Array, BoolArray]:
+    """World points (N, 3) of all wanted nodes, and the mask that puts values back: nodes.values[mask] = f(points)."""
+    mask: BoolArray = nodes.values != ABSENT
+    block, *inner = np.nonzero(mask)
+    node = nodes.blocks[block] * np.int32(EDGE) + np.stack(inner, axis=1).astype(np.int32)
+    points: Float32Array = nodes.origin_m + nodes.voxel_m * node.astype(np.float32)
+    return points, mask
+
+
 def net_vertices(nodes: SparseNodes) -> tuple[Float32Array, Float32Array]:
     """Vertices (V, 3), unit normals towards positive values (V, 3)."""
     return _vertices(nodes)[1:]

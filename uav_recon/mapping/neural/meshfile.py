@@ -1,4 +1,4 @@
-"""A mesh as binary PLY: float xyz, uchar red green blue, float uncertainty."""
+"""A mesh as binary PLY: float xyz, uchar red green blue, float uncertainty; of a closed one, uchar observed by face."""
 
 from __future__ import annotations
 
@@ -7,24 +7,35 @@ from pathlib import Path
 import numpy as np
 
 from uav_recon.mapping.keyframes import write_whole
+from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TriangleMesh
 
 _VERTEX = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("uncertainty", "<f4")]
 )
-_FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
+_FACE = [("count", "u1"), ("vertices", "<i4", 3)]
 
 
 def write_ply(path: Path, mesh: TriangleMesh) -> None:
     """Write whole or not at all. Raises OSError if the disk refuses."""
-    vertices = np.empty(len(mesh.vertices_world), dtype=_VERTEX)
+    write_whole(path, ply(mesh.vertices_world, mesh.faces, mesh.rgb, mesh.uncertainty))
+
+
+def ply(
+    vertices_world: FloatArray, faces: IntArray, rgb: ByteArray, uncertainty: Float32Array, observed: BoolArray | None = None
+) -> bytes:
+    """The file: vertices (V, 3), faces (F, 3), rgb (V, 3), uncertainty (V,); observed (F,), where it is told."""
+    vertices = np.empty(len(vertices_world), dtype=_VERTEX)
     for axis, name in enumerate("xyz"):
-        vertices[name] = mesh.vertices_world[:, axis]
+        vertices[name] = vertices_world[:, axis]
     for channel, name in enumerate(("red", "green", "blue")):
-        vertices[name] = mesh.rgb[:, channel]
-    vertices["uncertainty"] = mesh.uncertainty
-    faces = np.empty(len(mesh.faces), dtype=_FACE)
-    faces["count"], faces["vertices"] = 3, mesh.faces
+        vertices[name] = rgb[:, channel]
+    vertices["uncertainty"] = uncertainty
+    told = observed is not None
+    records = np.empty(len(faces), dtype=np.dtype(_FACE + ([("observed", "u1")] if told else [])))
+    records["count"], records["vertices"] = 3, faces
+    if told:
+        records["observed"] = observed
     head = [
         "ply",
         "format binary_little_endian 1.0",
@@ -39,6 +50,7 @@ def write_ply(path: Path, mesh: TriangleMesh) -> None:
         "property float uncertainty",
         f"element face {len(faces)}",
         "property list uchar int vertex_indices",
+        *(["property uchar observed"] if told else []),
         "end_header\n",
     ]
-    write_whole(path, "\n".join(head).encode() + vertices.tobytes() + faces.tobytes())
+    return "\n".join(head).encode() + vertices.tobytes() + records.tobytes()

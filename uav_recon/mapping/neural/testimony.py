@@ -75,6 +75,37 @@ class Testimony:
             _vote(self._depth_mm[view], self._lens[view], rotation, translation, self._sigma[view], points, normals, score)
         return score
 
+    def looked_through(self, points: Float32Array, margin_m: float) -> BoolArray:
+        """Whether an image measured a depth beyond points (N, 3), by more than a margin: there was air."""
+        through = np.zeros(len(points), dtype=np.bool_)
+        for image, lens, (rotation, translation), sigma in zip(
+            self._depth_mm, self._lens, self._depth_from_world, self._sigma, strict=True
+        ):
+            _look_through(image, lens, rotation, translation, sigma, margin_m, points, through)
+        return through
+
+
+@kernel
+def _look_through(
+    image: AnyArray, lens: FloatArray, rotation: FloatArray, translation: FloatArray, inverse_sigma: float, margin_m: float,
+    points: Float32Array, through: BoolArray,
+) -> None:  # fmt: skip
+    height, width = image.shape
+    for n in range(points.shape[0]):
+        if through[n]:
+            continue
+        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
+        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+        if z < 0.05:
+            continue
+        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
+        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
+        u = int(np.floor((x / z * lens[0] + lens[2]) * 0.5 + 0.5))
+        v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
+        if u < 0 or v < 0 or u >= width or v >= height:
+            continue
+        through[n] = 0.001 * image[v, u] > z + margin_m + SAW_SIGMAS * inverse_sigma * z * z
+
 
 @kernel
 def _vote(

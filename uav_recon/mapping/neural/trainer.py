@@ -12,6 +12,7 @@ from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.mapping.neural.alignment import Alignment
 from uav_recon.mapping.neural.exposure import Exposure
 from uav_recon.mapping.neural.field import Field
+from uav_recon.mapping.neural.gathered import Gathered
 from uav_recon.mapping.neural.grid import POINTS
 from uav_recon.mapping.neural.intake import FEWEST_RAYS, FEWEST_VIEWS, Doubt, Refusal, Refusals, padded, refusal
 from uav_recon.mapping.neural.livesurface import LiveSurface
@@ -43,6 +44,7 @@ ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish at which views are aligned
 KEPT_VIEWS = MOST_VIEWS * 3 // 4  # when memory is full
 SOME_RAYS = 6500  # of a view, to see what it shows
 ASKED_VIEWS, ASKED_POINTS, ASKED_RAYS = 64, 600, 40  # whether a view fits: so many others, on it and on each of them
+ALIGN_ROUNDS = 3  # for another learner, all views at once
 FINAL_RATE = 0.1  # the polish ends at this share of the learning rate
 
 
@@ -101,6 +103,13 @@ class Trainer:
     def views(self) -> int:
         """Keyframes taken so far."""
         return self._remembered.taken
+
+    def gathered(self) -> Gathered:
+        """What the views brought, aligned with each other once more, for another learner; it changes with this trainer."""
+        for _ in range(ALIGN_ROUNDS):
+            self._alignment.refine(self._replay)
+        self._place_images()
+        return Gathered(self._low, self._high, self._replay, self._evidence, self._images, self.uncertainty)
 
     @property
     def kept(self) -> list[int]:
@@ -244,8 +253,7 @@ class Trainer:
 
     def mesh(self, voxel_m: float) -> TriangleMesh:
         """Triangles of the surface as it is now."""
-        for view in range(self._replay.count):  # images were taken where views are held to have been by now
-            self._images.place(view, *self._replay.pose(view))
+        self._place_images()
         return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._images)
 
     def look(self, origin: Float32Array, direction: Float32Array) -> Float32Array:
@@ -291,6 +299,11 @@ class Trainer:
         taken, self._taken = which[: self._taken], int(which[: self._taken].sum())
         for part in (self._alignment, self._exposure, self._patches):
             part.keep(taken)
+
+    def _place_images(self) -> None:
+        """Images were taken where their views are held to have been by now."""
+        for view in range(self._replay.count):
+            self._images.place(view, *self._replay.pose(view))
 
     def _chosen(self) -> UncertaintyName:
         return next(name for name, measure in self.uncertainties.items() if measure is self.uncertainty)

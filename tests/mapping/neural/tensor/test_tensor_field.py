@@ -42,7 +42,7 @@ def same(kernels: Field, device: torch.device = CPU) -> TensorField:
 
 
 def views() -> samples.Views:
-    """Three views with rays of every kind: without a normal, without colour, out of the box."""
+    """Three views with rays of every kind: without a normal, without colour, white, out of the box."""
     random = np.random.default_rng(8)
     records = np.zeros((900, COLUMNS), dtype=np.int16)
     records[:, :2] = random.integers(-8000, 8000, (900, 2))
@@ -50,13 +50,14 @@ def views() -> samples.Views:
     normal = random.standard_normal((900, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     records[:, 3:6] = np.where(random.random((900, 1)) < 0.8, np.round(normal * 32767), 0)
-    records[:, 6:9] = random.integers(0, 256, (900, 3))
+    records[:, 6:9] = np.minimum(random.integers(0, 320, (900, 3)), 255)
     records[:, 9] = random.random(900) < 0.7
     turn, _ = np.linalg.qr(random.standard_normal((3, 3, 3)))
     position = random.uniform(LOW + 0.3, HIGH - 0.3, (3, 3))
     first = np.array([0, 200, 500, 900])
     sigma = np.array([0.003, 0.004, 0.005], dtype=np.float32)
-    return samples.Views(records, first, turn.astype(np.float32), position.astype(np.float32), sigma)
+    gain = random.uniform(0.7, 1.4, (3, 3)).astype(np.float32)
+    return samples.Views(records, first, turn.astype(np.float32), position.astype(np.float32), sigma, gain)
 
 
 def drawn_by_kernels(draws: int) -> tuple[samples.Batch, int]:
@@ -80,7 +81,8 @@ def gradients_of_kernels(field: Field, batch: samples.Batch, coloured: int) -> t
     b, corners = batch, np.zeros((POINTS, 3), dtype=np.float32)
     loss = fit_distance(*shared, b.points, b.target_m, b.weight, b.at_least)
     loss += fit_shape(*shared, TETRAHEDRON, corners, b.surface, b.normal, b.eikonal_weight, b.normal_weight)
-    loss += fit_colour(*shared, b.coloured[:coloured], b.rgb[:coloured], b.colour_weight[:coloured], b.colour_error[:coloured])
+    loss += fit_colour(*shared, b.coloured[:coloured], b.rgb[:coloured], b.at_least_rgb[:coloured], b.colour_weight[:coloured],
+                       b.colour_error[:coloured])  # fmt: skip
     return optimiser, loss
 
 
@@ -120,7 +122,7 @@ def test_batches_are_those_of_the_kernels(draws: int) -> None:
     for name in ("points", "target_m", "weight", "at_least", "surface", "normal", "eikonal_weight", "normal_weight"):
         np.testing.assert_allclose(getattr(ours, name).numpy(), getattr(theirs, name), rtol=2e-5, atol=2e-6, err_msg=name)
     held = ours.colour_weight > 0
-    for name in ("coloured", "rgb", "colour_weight"):
+    for name in ("coloured", "rgb", "at_least_rgb", "colour_weight"):
         np.testing.assert_allclose(getattr(ours, name)[held].numpy(), getattr(theirs, name)[:coloured], rtol=2e-5, atol=2e-6)
     assert not bool(ours.weight.bool().all())  # some samples fell out of the box
 

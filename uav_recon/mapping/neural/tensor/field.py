@@ -10,12 +10,12 @@ from torch import Tensor, nn
 
 from uav_recon.mapping.neural.field import INITIAL_FEATURE
 from uav_recon.mapping.neural.tensor.grid import IN_BLOCK, Layout, encode, locate
-from uav_recon.mapping.neural.tensor.losses import around, colour_loss, distance_loss, shape_loss
+from uav_recon.mapping.neural.tensor.losses import around, colour_loss, distance_loss, shape_loss, tetrahedron
 from uav_recon.mapping.neural.tensor.network import Heads, initial_weights
 from uav_recon.mapping.neural.tensor.rays import Batch
 from uav_recon.types.frames import Float32Array
 
-TOGETHER = 1 << 16  # points of a question that travel at once
+TOGETHER = {"cpu": 1 << 12, "cuda": 1 << 18}  # points of a question that travel at once: a cache full, or a GPU
 
 
 class TensorField(nn.Module):
@@ -25,6 +25,7 @@ class TensorField(nn.Module):
         super().__init__()
         random = np.random.default_rng(seed)
         self._layout, self._slot = layout.to(device), slot.to(device)
+        self._stencil = tetrahedron(device)
         self.weights = nn.Parameter(torch.tensor(initial_weights(layout.levels, random), device=device))
         features = random.uniform(-INITIAL_FEATURE, INITIAL_FEATURE, (slots, IN_BLOCK)).astype(np.float32)
         features[0] = 0.0
@@ -32,14 +33,14 @@ class TensorField(nn.Module):
 
     def forward(self, batch: Batch) -> Tensor:
         """The loss () of a batch."""
-        every = torch.cat([batch.points, around(batch.surface), batch.coloured])
+        every = torch.cat([batch.points, around(batch.surface, self._stencil), batch.coloured])
         sizes = [len(batch.points), 4 * len(batch.surface), len(batch.coloured)]
         heads = Heads(self.weights, self._layout.levels)
         free, corners, coloured = torch.split(self._encode(every), sizes)
         distance_m = heads.distance_m(torch.cat([free, corners]))
         loss = distance_loss(distance_m[: sizes[0]], batch.target_m, batch.weight, batch.at_least)
-        loss = loss + shape_loss(distance_m[sizes[0] :], batch.normal, batch.eikonal_weight, batch.normal_weight)
-        return loss + colour_loss(*heads.colour(coloured), batch.rgb, batch.colour_weight)
+        loss = loss + shape_loss(distance_m[sizes[0] :], self._stencil, batch.normal, batch.eikonal_weight, batch.normal_weight)
+        return loss + colour_loss(*heads.colour(coloured), batch.rgb, batch.at_least_rgb, batch.colour_weight)
 
     def distance_m(self, points: Float32Array) -> Float32Array:
         """Signed distance (N,) at points (N, 3) float32."""
@@ -56,10 +57,10 @@ class TensorField(nn.Module):
 
     @torch.no_grad()
     def _ask(self, points: Float32Array, what: Callable[[Heads, Tensor], Tensor]) -> Float32Array:
-        heads = Heads(self.weights, self._layout.levels)
+        heads, device = Heads(self.weights, self._layout.levels), self.weights.device
+        whole = torch.from_numpy(np.ascontiguousarray(points, dtype=np.float32))
         pieces = [
-            what(heads, self._encode(piece.to(self.weights.device))).cpu().numpy()
-            for piece in torch.split(torch.from_numpy(np.ascontiguousarray(points, dtype=np.float32)), TOGETHER)
+            what(heads, self._encode(piece.to(device))).cpu().numpy() for piece in torch.split(whole, TOGETHER[device.type])
         ]
         found: Float32Array = np.concatenate(pieces)
         return found

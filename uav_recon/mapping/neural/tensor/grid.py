@@ -103,30 +103,34 @@ class Blocks:
 
 
 def locate(layout: Layout, slot: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Corner nodes (N, L, 8) int64 and trilinear weights (N, L, 8) of points (N, 3); a point outside moves to the border."""
-    cells = layout.cells.to(points.dtype)
-    x = (points[:, None] - layout.origin_world_m) * layout.inverse_cell_per_m[:, None]  # (N, L, 3)
-    x = torch.minimum(x.clamp(min=0.0), cells)
-    cell = torch.minimum(x.long(), layout.cells - 1)
+    """Corner nodes (8, L, N) int64 and trilinear weights (8, L, N) of points (N, 3); a point outside moves to the border.
+
+    Points come last: what a processor does to many at once lies side by side.
+    """
+    x = (points.T[:, None] - layout.origin_world_m[:, None, None]) * layout.inverse_cell_per_m[:, None]  # (3, L, N)
+    cells = layout.cells.T[:, :, None]
+    x = torch.minimum(x.clamp(min=0.0), cells.to(x.dtype))
+    cell = torch.minimum(x.long(), cells - 1)
     share = x - cell
-    ends = torch.stack([cell, cell + 1], dim=-1)  # (N, L, 3, 2): the cell's two ends along each axis
-    stride = torch.stack([layout.blocks[:, 1] * layout.blocks[:, 2], layout.blocks[:, 2], torch.ones_like(layout.first)], dim=1)
-    x0, y0, z0 = _by_axis((ends >> 1) * stride[..., None])
-    x1, y1, z1 = _by_axis((ends & 1) << layout.within)
-    u, v, w = _by_axis(torch.stack([1.0 - share, share], dim=-1))
-    entry = (layout.first[:, None, None, None] + x0 + y0 + z0).flatten(-3)
-    return (slot[entry].long() << 3) + (x1 + y1 + z1).flatten(-3), (u * v * w).flatten(-3)
+    ends = torch.stack([cell, cell + 1])  # (2, 3, L, N): the cell's two ends
+    stride = torch.stack([layout.blocks[:, 1] * layout.blocks[:, 2], layout.blocks[:, 2], torch.ones_like(layout.first)])
+    x0, y0, z0 = _by_axis((ends >> 1) * stride[:, :, None])
+    x1, y1, z1 = _by_axis((ends & 1) << layout.within[:, :, None])
+    u, v, w = _by_axis(torch.stack([1.0 - share, share]))
+    entry = layout.first[:, None] + x0 + y0 + z0
+    nodes = (slot[entry].long() << 3) + (x1 + y1 + z1)
+    return nodes.flatten(0, 2), (u * v * w).flatten(0, 2)
 
 
 def encode(features: Tensor, node: Tensor, weight: Tensor) -> Tensor:
     """Interpolate features (S, IN_BLOCK) at nodes and weights of locate(): (N, L * FEATURES)."""
-    encoded: Tensor = _Gather.apply(features, node, weight)
+    encoded: Tensor = _Gather.apply(features, node, weight)  # type: ignore[no-untyped-call]
     return encoded
 
 
 def _by_axis(ends: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """What (N, L, 3, 2) says of x, y and z, spread over the eight corners (N, L, 2, 2, 2)."""
-    return ends[:, :, 0, :, None, None], ends[:, :, 1, None, :, None], ends[:, :, 2, None, None, :]
+    """What (2, 3, L, N) says of x, y and z, to be spread over the corners (2, 2, 2, L, N)."""
+    return ends[:, None, None, 0], ends[None, :, None, 1], ends[None, None, :, 2]
 
 
 class _Gather(torch.autograd.Function):
@@ -137,12 +141,12 @@ class _Gather(torch.autograd.Function):
         ctx.save_for_backward(node, weight)
         ctx.shape = features.shape
         found = features.view(-1, FEATURES)[node] * weight[..., None]
-        return found.sum(dim=2).flatten(1)
+        return found.sum(dim=0).transpose(0, 1).flatten(1)
 
     @staticmethod
-    def backward(ctx: Any, d_encoded: Tensor) -> tuple[Tensor, None, None]:  # type: ignore[override]
+    def backward(ctx: Any, d_encoded: Tensor) -> tuple[Tensor, None, None]:
         node, weight = ctx.saved_tensors
-        d_found = weight[..., None] * d_encoded.view(len(node), -1, 1, FEATURES)
+        d_found = weight[..., None] * d_encoded.view(len(d_encoded), -1, FEATURES).transpose(0, 1)
         gradient = torch.zeros(ctx.shape, dtype=d_encoded.dtype, device=d_encoded.device)
         gradient.view(-1, FEATURES).index_add_(0, node.flatten(), d_found.flatten(0, 2))
         gradient[0] = 0.0  # slot 0 stands for places that nobody measured

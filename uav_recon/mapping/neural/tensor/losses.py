@@ -11,9 +11,13 @@ from uav_recon.mapping.neural.network import LEAST_LOG_VARIANCE, MOST_LOG_VARIAN
 LEAST_SLOPE = 1e-6  # added to a gradient's length
 
 
-def around(points: Tensor) -> Tensor:
+def tetrahedron(device: torch.device) -> Tensor:
+    """The difference stencil (4, 3), made once: a CUDA graph may fetch nothing from outside."""
+    return torch.tensor(TETRAHEDRON, device=device)
+
+
+def around(points: Tensor, stencil: Tensor) -> Tensor:
     """The tetrahedron's corners (4 N, 3) about points (N, 3)."""
-    stencil = torch.as_tensor(TETRAHEDRON, device=points.device)
     return (points[:, None] + float(STENCIL_M) * stencil).view(-1, 3)
 
 
@@ -24,9 +28,8 @@ def distance_loss(distance_m: Tensor, target_m: Tensor, weight: Tensor, at_least
     return (weight * error.square()).sum()
 
 
-def shape_loss(corner_m: Tensor, normal: Tensor, eikonal_weight: Tensor, normal_weight: Tensor) -> Tensor:
+def shape_loss(corner_m: Tensor, stencil: Tensor, normal: Tensor, eikonal_weight: Tensor, normal_weight: Tensor) -> Tensor:
     """Sum of eikonal_weight * (|g| - 1)² + normal_weight * |g/|g| - n|², with g from corner_m (4 N,) of around()."""
-    stencil = torch.as_tensor(TETRAHEDRON, device=corner_m.device)
     gradient = corner_m.view(-1, 4) @ stencil / (4.0 * float(STENCIL_M))
     # a place outside the box has no slope at all, and a root no derivative there
     length = gradient.square().sum(dim=1).clamp(min=LEAST_SLOPE**2).sqrt() + LEAST_SLOPE
@@ -34,9 +37,13 @@ def shape_loss(corner_m: Tensor, normal: Tensor, eikonal_weight: Tensor, normal_
     return (eikonal_weight * (length - 1.0).square() + 2.0 * normal_weight * (1.0 - along)).sum()
 
 
-def colour_loss(rgb: Tensor, log_variance: Tensor, seen: Tensor, weight: Tensor) -> Tensor:
-    """Sum of weight * (e² + VARIANCE_SHARE / 2 * (e² / v + log v)): rgb, seen (N, 3); log_variance, weight (N,)."""
-    square = (rgb - seen).square().mean(dim=1)
+def colour_loss(rgb: Tensor, log_variance: Tensor, seen: Tensor, at_least: Tensor, weight: Tensor) -> Tensor:
+    """Sum of weight * (e² + VARIANCE_SHARE / 2 * (e² / v + log v)): rgb, seen (N, 3); log_variance, weight (N,).
+
+    Where at_least (N, 3), only a value below what was seen counts.
+    """
+    error = rgb - seen
+    square = torch.where(at_least, error.clamp(max=0.0), error).square().mean(dim=1)
     # held inside its limits, yet always free to move: what surprises must be able to widen it
     held = log_variance + (log_variance.clamp(float(LEAST_LOG_VARIANCE), float(MOST_LOG_VARIANCE)) - log_variance).detach()
     gaussian = square.detach() * torch.exp(-held) + held

@@ -22,20 +22,24 @@ SHAPE_SHARE = samples.SURFACE_POINTS / samples.RAYS  # of the rays that also say
 
 
 class Replayed(NamedTuple):
-    """samples.Views on a device: records (M, 10) i16, first (V + 1,) i64, rotation (V, 3, 3), position (V, 3), sigma (V,)."""
+    """samples.Views on a device: records (M, 10) i16, first (V + 1,) i64, rotation (V, 3, 3), position (V, 3), sigma (V,),
+    gain (V, 3).
+    """  # fmt: skip
 
     records: Tensor
     first: Tensor
     rotation: Tensor
     position: Tensor
     inverse_depth_sigma: Tensor
+    gain: Tensor
 
     @staticmethod
     def of(views: Views, count: int, device: torch.device) -> Replayed:
         """The first ``count`` views."""
         records = views.records[: views.first[count]]
-        parts = (records, views.first[: count + 1], views.rotation[:count], views.position[:count])
-        return Replayed(*(torch.tensor(part, device=device) for part in (*parts, views.inverse_depth_sigma[:count])))
+        whole = (views.rotation, views.position, views.inverse_depth_sigma, views.gain)
+        parts = (records, views.first[: count + 1], *(part[:count] for part in whole))
+        return Replayed(*(torch.tensor(part, device=device) for part in parts))
 
 
 class Batch(NamedTuple):
@@ -51,6 +55,7 @@ class Batch(NamedTuple):
     normal_weight: Tensor
     coloured: Tensor
     rgb: Tensor
+    at_least_rgb: Tensor
     colour_weight: Tensor
 
 
@@ -104,7 +109,7 @@ def draw(state: Tensor, views: Replayed, low: Tensor, high: Tensor, rays: int, r
     jitter = (1.0 - 2.0 * number[:, -1]) * float(samples.JITTER_M)
     end = position + (reach + jitter)[:, None] * direction
     inside = _inside(end, low, high)
-    shape = int(rays * SHAPE_SHARE)
+    shape, toe = int(rays * SHAPE_SHARE), float(samples.TOE)
     return Batch(
         points.view(-1, 3),
         target.flatten(),
@@ -115,7 +120,8 @@ def draw(state: Tensor, views: Replayed, low: Tensor, high: Tensor, rays: int, r
         inside[:shape] * (float(samples.EIKONAL_FACTOR) / shape),
         (inside & has_normal)[:shape] * trust[:shape] * (float(samples.NORMAL_FACTOR) / shape),
         end,
-        record[:, 6:9].float() * (1.0 / 255.0),
+        (record[:, 6:9].float() * (1.0 / 255.0) + toe) * views.gain[view] - toe,
+        record[:, 6:9] >= samples.WHITE,
         (inside & (record[:, 9] == 1)) * (float(samples.COLOUR_FACTOR) / rays),
     )
 

@@ -1,0 +1,90 @@
+"""Checkpoints that a kill at any instant leaves whole: the last one and the one before it.
+
+A file is the SHA-256 of what follows, then what torch.save() wrote. It is written beside, forced to the disk, and renamed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+LAST, BEFORE = "checkpoint.pt", "checkpoint.before.pt"
+_DIGEST = hashlib.sha256().digest_size
+
+State = dict[str, Tensor]
+Identity = dict[str, float | int | str]
+
+
+class CheckpointMismatchError(Exception):
+    """A checkpoint of another run; the text names what differs."""
+
+
+class Checkpoints:
+    """Those of one folder, of the run that identity describes."""
+
+    def __init__(self, folder: Path, identity: Identity) -> None:
+        self._folder, self._identity = folder, identity
+
+    def save(self, state: State) -> None:
+        """Write the last one; what was last is the one before. Raises OSError if the disk refuses."""
+        buffer = io.BytesIO()
+        torch.save({"identity": self._identity, "state": state}, buffer)
+        data = buffer.getbuffer()
+        self._folder.mkdir(parents=True, exist_ok=True)
+        last, temporary = self._folder / LAST, self._folder / (LAST + ".part")
+        with temporary.open("wb") as file:
+            file.write(hashlib.sha256(data).digest())
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        if last.exists():
+            last.replace(self._folder / BEFORE)
+        temporary.replace(last)
+        self._settle()
+
+    def load(self) -> tuple[State | None, list[str]]:
+        """The newest whole one, or None; and a line for each that is damaged. Raises CheckpointMismatchError."""
+        said = []
+        for name in (LAST, BEFORE):
+            path = self._folder / name
+            if not path.exists():
+                continue
+            held = _read(path)
+            if held is None:
+                said.append(f"{path}: damaged, left aside")
+                continue
+            identity, state = held
+            self._check(identity, path)
+            return state, said
+        return None, said
+
+    def _check(self, identity: Identity, path: Path) -> None:
+        names = sorted(set(identity) | set(self._identity))
+        differ = [f"{n} {identity.get(n)} there, {self._identity.get(n)} here" for n in names if not self._same(identity, n)]
+        if differ:
+            raise CheckpointMismatchError(f"{path} is of another run: {', '.join(differ)}; move the folder away to begin anew")
+
+    def _same(self, identity: Identity, name: str) -> bool:
+        return name in identity and name in self._identity and identity[name] == self._identity[name]
+
+    def _settle(self) -> None:
+        """Force the renames to the disk."""
+        descriptor = os.open(self._folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _read(path: Path) -> tuple[Identity, State] | None:
+    """None if it is not whole."""
+    data = path.read_bytes()
+    if len(data) <= _DIGEST or hashlib.sha256(memoryview(data)[_DIGEST:]).digest() != data[:_DIGEST]:
+        return None
+    held = torch.load(io.BytesIO(memoryview(data)[_DIGEST:]), map_location="cpu", weights_only=True)
+    return held["identity"], held["state"]

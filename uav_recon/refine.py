@@ -1,0 +1,262 @@
+"""`uav-recon refine`: the views of a flight once more, for as long as it takes, on every GPU there is.
+
+A composition root like run.py. With more than one GPU the command starts itself again under torchrun, one process for each.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from uav_recon import run
+from uav_recon.processes import Stop, claim_file
+from uav_recon.run import EXIT_USAGE, Failure
+
+if TYPE_CHECKING:
+    from uav_recon.config import Config
+    from uav_recon.mapping.neural.gathered import Gathered
+    from uav_recon.mapping.neural.shell import ClosedMesh
+    from uav_recon.mapping.neural.tensor.checkpoint import Checkpoints, State
+    from uav_recon.mapping.neural.tensor.refiner import RefinePlan, Refiner
+    from uav_recon.mapping.neural.tensor.team import Team
+
+REFINED, MESH_PLY, MESH_GLB = "refined", "mesh.ply", "mesh.glb"
+STOP_FILE, LOCK_FILE = ".stop", ".lock"
+STEPS, VOXEL_M, SAVE_EVERY_S, PROCESSES = (1, 1_000_000), (0.005, 0.05), (1.0, 3600.0), (1, 64)
+RAYS = {"cpu": 1024, "cuda": 4096}  # of a step and a process
+SLICE_STEPS = 20  # between two looks at the clock and at Ctrl-C
+TEXEL_VOXELS = 0.5  # side of a texel
+WORKER = "UAV_RECON_REFINE_WORKER"  # set for the processes that torchrun starts
+
+
+@dataclass(frozen=True)
+class RefineOptions:
+    """The words of the command line."""
+
+    flight: Path
+    steps: int
+    voxel_m: float
+    device: str
+    processes: int | None
+    save_every_s: float
+
+    def checked(self) -> RefineOptions:
+        """Raises Failure in one line."""
+        _in_range("--steps", self.steps, STEPS)
+        _in_range("--voxel", self.voxel_m, VOXEL_M)
+        _in_range("--save-every", self.save_every_s, SAVE_EVERY_S)
+        if self.processes is not None:
+            _in_range("--processes", self.processes, PROCESSES)
+        if not self.flight.is_dir():
+            raise Failure(f"{self.flight}: no such flight folder", EXIT_USAGE)
+        if not (self.flight / "keyframes" / "poses.json").is_file():
+            raise Failure(f"{self.flight}: has no keyframes (keyframes/poses.json): not a flight with views", EXIT_USAGE)
+        return self
+
+
+def refine(wanted: RefineOptions) -> int:
+    """Learn, mesh, write FLIGHT/refined. Raises Failure in one line for bad input. 0 also after Ctrl-C, which saves."""
+    from uav_recon.mapping.neural.tensor import team
+
+    wanted.checked()
+    try:
+        kind = team.device_kind(wanted.device)
+    except team.DeviceError as error:
+        raise Failure(f"--device {error}", EXIT_USAGE) from None
+    processes = wanted.processes or (team.gpus() if kind == "cuda" else 1)
+    if kind == "cuda" and processes > team.gpus():
+        raise Failure(f"--processes {processes}: torch sees {team.gpus()} GPUs", EXIT_USAGE)
+    if processes > 1 and WORKER not in os.environ:
+        _state(_checkpoints(wanted, kind)[2])  # what is wrong is said here, once
+        return _under_torchrun(wanted, processes)
+    return _Work(wanted, team.Team(kind), kind).run()
+
+
+def _in_range(name: str, value: float, allowed: tuple[float, float]) -> None:
+    if not allowed[0] <= value <= allowed[1]:
+        raise Failure(f"{name} {value:g}: want {allowed[0]:g} to {allowed[1]:.7g}", EXIT_USAGE)
+
+
+def _under_torchrun(wanted: RefineOptions, processes: int) -> int:
+    """The same command, once for each GPU. Ctrl-C is for this process: it leaves word in a file, which the others heed."""
+    stop_file = wanted.flight / REFINED / STOP_FILE
+    stop_file.parent.mkdir(parents=True, exist_ok=True)
+    stop_file.unlink(missing_ok=True)
+    threads = str(max(1, (os.cpu_count() or 1) // processes))
+    worker = [
+        *("refine", str(wanted.flight), "--steps", str(wanted.steps), "--voxel", str(wanted.voxel_m)),
+        *("--device", wanted.device, "--processes", str(processes), "--save-every", str(wanted.save_every_s)),
+    ]
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
+    child = subprocess.Popen(  # noqa: S603 - this very command
+        [*torchrun, "-m", "uav_recon.cli", *worker],
+        env={"OMP_NUM_THREADS": threads} | os.environ | {WORKER: "1"},
+        start_new_session=True,
+    )
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop_file.touch())
+    return child.wait()
+
+
+class _Work:
+    """One process of a run."""
+
+    def __init__(self, wanted: RefineOptions, team: Team, kind: str) -> None:
+        self._wanted, self._team, self._kind = wanted, team, kind
+        self._folder = wanted.flight / REFINED
+        self._console = Console(stderr=True, quiet=not team.leads)
+        self._stop = Stop()
+
+    def run(self) -> int:
+        """The whole of it; 0, or Failure."""
+        from uav_recon.mapping.neural.shell import ShellError
+        from uav_recon.mapping.neural.tensor.grid import GridError
+        from uav_recon.mapping.neural.tensor.team import FullDeviceError
+
+        lock = self._claim() if self._team.leads else None
+        try:
+            self._run()
+        except (GridError, ShellError) as error:
+            raise Failure(f"--voxel {self._wanted.voxel_m:g}: {error}", EXIT_USAGE) from None
+        except FullDeviceError:
+            raise Failure(f"--voxel {self._wanted.voxel_m:g}: the GPU's memory is full; want a larger voxel") from None
+        except OSError as error:
+            raise Failure(f"{self._folder}: cannot be written ({error.strerror})") from None
+        finally:
+            if lock is not None:
+                os.close(lock)
+        return 0
+
+    def _run(self) -> None:
+        from uav_recon.mapping.neural.shell import closed_mesh
+
+        gathered, refiner, checkpoints = self._prepare()
+        done = self._learn(refiner, checkpoints)
+        self._team.leave()
+        self._stop.heed_no_more()
+        if not done:
+            self._say(f"stopped after {refiner.steps} of {self._wanted.steps} steps; the same command goes on from there")
+        elif self._team.leads:
+            with self._console.status("closing the surface ..."):
+                mesh = closed_mesh(refiner.field, gathered, self._wanted.voxel_m)
+            self._write(mesh, refiner, gathered)
+
+    def _claim(self) -> int:
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise Failure(f"{self._folder}: cannot be made ({error.strerror})") from None
+        return claim_file(self._folder / LOCK_FILE, f"a refinement of {self._wanted.flight} runs already")
+
+    def _prepare(self) -> tuple[Gathered, Refiner, Checkpoints]:
+        from uav_recon.mapping.neural.shell import check_size
+        from uav_recon.mapping.neural.tensor.refiner import Refiner
+
+        config, plan, checkpoints = _checkpoints(self._wanted, self._kind)
+        state, said = _state(checkpoints)
+        for line in said:
+            self._say(line)
+        with self._console.status("taking in the views ..."):
+            gathered = _gathered(self._wanted.flight, config, self._say)
+            check_size(gathered, self._wanted.voxel_m)  # now, not when all is learned
+            refiner = Refiner(gathered, plan, self._team)
+        if state is not None:
+            refiner.restore(state)
+            self._say(f"going on after {refiner.steps} of {plan.steps} steps")
+        elif said:
+            self._say("beginning anew")
+        return gathered, refiner, checkpoints
+
+    def _learn(self, refiner: Refiner, checkpoints: Checkpoints) -> bool:
+        """Whether the plan was done; saved in any case."""
+        start, began_s = refiner.steps, time.monotonic()
+        saved_s, saved_at = began_s, refiner.steps
+        columns = (TextColumn("learning"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[told]}"))
+        with Progress(*columns, TimeRemainingColumn(), console=self._console) as progress:
+            task = progress.add_task("learning", total=self._wanted.steps, completed=start, told="")
+            while not refiner.done and not self._team.any(self._asked()):
+                loss = refiner.advance(SLICE_STEPS)
+                now_s = time.monotonic()
+                told = f"{(refiner.steps - start) / (now_s - began_s):.1f} steps/s, loss {loss:.3f}"
+                progress.update(task, completed=refiner.steps, told=told)
+                if self._team.leads and now_s - saved_s > self._wanted.save_every_s:
+                    checkpoints.save(refiner.state())
+                    saved_s, saved_at = time.monotonic(), refiner.steps
+        if self._team.leads and saved_at != refiner.steps:
+            checkpoints.save(refiner.state())
+        return refiner.done
+
+    def _asked(self) -> bool:
+        return self._stop.asked or (WORKER in os.environ and (self._folder / STOP_FILE).exists())
+
+    def _write(self, mesh: ClosedMesh, refiner: Refiner, gathered: Gathered) -> None:
+        from uav_recon.mapping.neural.modelfile import write_closed_ply, write_textured_glb
+        from uav_recon.recording.mesh_pictures import mesh_pictures
+
+        write_closed_ply(self._folder / MESH_PLY, mesh)
+        with self._console.status("drawing the texture ..."):
+            write_textured_glb(self._folder / MESH_GLB, mesh, refiner.field, TEXEL_VOXELS * self._wanted.voxel_m)
+            mesh_pictures(self._folder, mesh.seen(), gathered.replay.views.position[0].astype(np.float64))
+        self._say(f"{self._folder / MESH_PLY}, {MESH_GLB}: {len(mesh.faces)} faces, {100 * mesh.seen_share():.0f} % of the "
+                  "area observed, the rest closes the room")  # fmt: skip
+
+    def _say(self, line: str) -> None:
+        self._console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, Checkpoints]:
+    """The flight's config, what is to be done, and where it is kept."""
+    from uav_recon.mapping.neural.tensor.checkpoint import Checkpoints
+    from uav_recon.mapping.neural.tensor.refiner import RefinePlan
+
+    config = run.load_config(wanted.flight / "config.toml")
+    plan = RefinePlan(wanted.steps, wanted.voxel_m, RAYS[kind], config.mapper.seed)
+    return config, plan, Checkpoints(wanted.flight / REFINED, plan.identity(_digest(wanted.flight, config)))
+
+
+def _state(checkpoints: Checkpoints) -> tuple[State | None, list[str]]:
+    """The newest, and what is to be said of it. Raises Failure if it is of another run."""
+    from uav_recon.mapping.neural.tensor.checkpoint import CheckpointMismatchError
+
+    try:
+        return checkpoints.load()
+    except CheckpointMismatchError as error:
+        raise Failure(str(error), EXIT_USAGE) from None
+
+
+def _gathered(flight: Path, config: Config, say: Callable[[str], None]) -> Gathered:
+    """Take every readable view. Raises Failure if there is none."""
+    from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
+
+    trainer = run.make_trainer(config)
+    try:
+        folder = KeyframeFolder(flight / "keyframes")
+    except KeyframeError as error:
+        raise Failure(str(error)) from None
+    for number in range(len(folder)):
+        try:
+            trainer.add(folder.load(number))
+        except KeyframeError as error:
+            say(str(error))  # one view less
+    if trainer.views == 0:
+        raise Failure(f"{flight}: none of its {len(folder)} keyframes can be used")
+    return trainer.gathered()
+
+
+def _digest(flight: Path, config: Config) -> str:
+    """Of what is learned from: views, box and camera."""
+    parts = (config.safety.fence_min_m, config.safety.fence_max_m, config.camera.depth_noise_px, config.camera.baseline_m)
+    data = (flight / "keyframes" / "poses.json").read_bytes() + repr(parts).encode()
+    return hashlib.sha256(data).hexdigest()[:12]
