@@ -206,6 +206,17 @@ def bench_planner(
     _exit(lambda: bench_of_planner.bench_planner(stream, size, stride, scale, json))
 
 
+@bench.command("tasks")
+def bench_tasks(
+    flight: Annotated[Path, typer.Argument(metavar="FLIGHT", help="Folder of a flight with the neural mapper.")],
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+) -> None:
+    """What it costs to find views of the learned surface, along a flight that was flown; all on one thread."""
+    from uav_recon.bench import tasks
+
+    _exit(lambda: tasks.bench_tasks(flight, json))
+
+
 @bench.command("mapper")
 def bench_mapper(
     scene: Annotated[

@@ -202,7 +202,7 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ViewPlanner:
         config.planner,
         np.array(safety.fence_min_m),
         np.array(safety.fence_max_m),
-        _camera_geometry(config),
+        camera_geometry(config),
         motion.speed_mps,
         math.radians(motion.yaw_rate_degps),
         timer,
@@ -210,7 +210,8 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ViewPlanner:
     )
 
 
-def _camera_geometry(config: Config) -> CameraGeometry:
+def camera_geometry(config: Config) -> CameraGeometry:
+    """The depth camera of the config as the planner knows it."""
     from uav_recon.planning.camera import CameraGeometry
 
     camera = config.camera
@@ -293,7 +294,7 @@ def warm_up(config: Config) -> None:
     voxels = make_voxels(config)
     voxels.warm_up()
     make_coverage(config, voxels).warm_up()
-    planner.warm_up(config.planner, _camera_geometry(config))
+    planner.warm_up(config.planner, camera_geometry(config))
     make_motion(config, config.planner.clearance_m).warm_up()
 
 
