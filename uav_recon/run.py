@@ -294,7 +294,7 @@ def warm_up(config: Config) -> None:
     voxels = make_voxels(config)
     voxels.warm_up()
     make_coverage(config, voxels).warm_up()
-    planner.warm_up(config.planner, camera_geometry(config))
+    planner.warm_up(config.planner.variant)
     make_motion(config, config.planner.clearance_m).warm_up()
 
 

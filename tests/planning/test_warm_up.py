@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 PROBE = """
 import sys
 import numpy as np
@@ -25,12 +27,13 @@ def compiled():
     }
     return {key: len(value.signatures) for key, value in kernels.items()}
 
-planning.warm_up(PlannerConfig(), GIMBAL)
+CONFIG = PlannerConfig(clearance_m=float(sys.argv[2]))  # of a small vehicle, and of the largest
+planning.warm_up(CONFIG.variant)
 before = compiled()
 assert len(before) > 15, before
 world = BoxWorld(MEETING_ROOM, GIMBAL, np.array([3.0, 1.0, 1.2]))
 world.look_round()
-planner = planning.ViewPlanner(PlannerConfig(), np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, 0.8, 0.8)
+planner = planning.ViewPlanner(CONFIG, np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, 0.8, 0.8)
 for position in ((3.0, 1.0, 1.2), (3.0, 0.15, 1.2), (9.0, 9.0, 9.0)):
     asked = world.request()
     planner.plan(PlanRequest(asked.voxels, surface_of(MEETING_ROOM), np.array(position), 0.0, 50))
@@ -39,9 +42,14 @@ assert before == after, {key: (before[key], after[key]) for key in before if bef
 """
 
 
-def test_nothing_is_compiled_after_warm_up() -> None:
+@pytest.mark.parametrize("clearance_m", [0.3, 0.6])
+def test_nothing_is_compiled_after_warm_up(clearance_m: float) -> None:
     # a fresh process: here, earlier tests have compiled whatever they needed
     probe = subprocess.run(
-        [sys.executable, "-c", PROBE, str(Path(__file__).parent)], capture_output=True, text=True, check=False, timeout=240
+        [sys.executable, "-c", PROBE, str(Path(__file__).parent), str(clearance_m)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
     )
     assert probe.returncode == 0, probe.stderr

@@ -217,7 +217,7 @@ def warm_up(recording: Recording) -> None:
     """Compile every kernel that a replay runs; then the first frames on a flight of their own."""
     mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
     mapped.voxels.warm_up()
-    planner.warm_up(mapped.config, mapped.camera)
+    planner.warm_up(mapped.config.variant)
     stages, whole = Stages(mapped), mapped.planner()
     mapped.start(recording.frames[0])
     for posed in recording.frames[:WARM_FRAMES]:

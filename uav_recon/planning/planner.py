@@ -35,6 +35,7 @@ from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
 
+TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # to warm up with
 SAME_SHARE = 0.5  # of what a task is to settle: if the committed view settles so much of it, it is no task of its own
 
 
@@ -217,8 +218,12 @@ def _share_in(promised: IntArray, settled: IntArray) -> float:
     return float(np.isin(promised, settled).mean()) if len(promised) else 0.0
 
 
-def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
-    """Compile every kernel of the planner: on a toy map that grows, surface included, by every way of choosing."""
+def warm_up(name: VariantName) -> None:
+    """Compile every kernel of the planner: on a toy map that grows, surface included, by every way of choosing.
+
+    The vehicle and its camera are toys too: in a room as small as this the real one might find nothing to do.
+    """
+    config, camera = PlannerConfig(clearance_m=0.3), TOY_CAMERA
     for module in (traversal, lines, space, tour, costs, visited, field, census):
         module.warm_up()
     views.warm_up(config, camera)
@@ -227,9 +232,8 @@ def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
     rng = np.random.default_rng(0)
     points = np.stack([rng.uniform(0.2, 2.5, 4000), rng.uniform(0.2, 2.8, 4000), np.full(4000, 0.1)], axis=1)
     surface = SurfaceElements(points, np.tile([0.0, 0.0, 1.0], (4000, 1)), rng.uniform(0.5, 1.0, 4000), 1)
-    variants: tuple[VariantName, ...] = ("merged", config.variant)
-    for name in variants:
-        planner = ViewPlanner(config.model_copy(update={"variant": name}), low_m, high_m, camera, 0.8, 0.8)
+    for chosen in ("merged", name):
+        planner = ViewPlanner(config.model_copy(update={"variant": chosen}), low_m, high_m, camera, 0.8, 0.8)
         for revision, (position, unknown_from) in enumerate(
             (((1.0, 1.0, 1.0), 24), ((3.9, 0.05, 1.0), 28), ((1.0, 1.0, 1.0), 40))
         ):
