@@ -138,6 +138,8 @@ class _RealTime:
             )
         with contextlib.suppress(PermissionError):  # as the services have it, and as a flight controller is: if we may
             os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS[name])
+        with contextlib.suppress(OSError):  # where the kernel weighs whole sessions and not processes: sched(7), autogroup
+            Path(f"/proc/{process.pid}/autogroup").write_text(str(NICENESS[name]), encoding="ascii")
         self._children.append(_Child(name, process, log))
 
     def _watch(self) -> str | None:

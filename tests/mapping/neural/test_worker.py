@@ -18,7 +18,7 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, distance_to_walls, look, t
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.mapping.neural.checkpoint import EVERY_VIEWS
-from uav_recon.mapping.neural.child import CHECKPOINT, LOG_FILE
+from uav_recon.mapping.neural.child import CHECKPOINT, LOG_FILE, NICENESS
 from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.mapping.neural.worker import RESTARTS, InlineMapper, ProcessMapper
 
@@ -72,6 +72,9 @@ def test_process_learns_outlives_a_kill_and_meshes(mapper: ProcessMapper, tmp_pa
     _wait(mapper.ready, "ready")
     _wait(lambda: _revision(mapper) > 0, "a first surface")
     first = mapper.pid
+    assert os.getpriority(os.PRIO_PROCESS, first) - os.getpriority(os.PRIO_PROCESS, 0) == NICENESS
+    group = Path(f"/proc/{first}/autogroup")
+    assert not group.exists() or group.read_text().endswith(f"nice {NICENESS}\n")
     os.kill(first, signal.SIGKILL)
     _wait(lambda: not mapper.alive(), "noticing the death")
     assert mapper.surface() is not None

@@ -8,6 +8,7 @@ world_from_depth of each, when the map's frame changed; {"finish": FOLDER} at th
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -109,7 +110,7 @@ class ChildProcess:
 def main() -> None:
     """Serve one parent until its pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(NICENESS)
+    _step_back()
     replies = os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)  # a stray print must not break the protocol
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s")
@@ -117,6 +118,13 @@ def main() -> None:
     order: Message = json.loads(sys.stdin.buffer.readline())
     threading.Thread(target=_read, args=(sys.stdin.buffer, messages), daemon=True).start()
     _Session(order, messages, replies).run()
+
+
+def _step_back() -> None:
+    """Let everything that flies go first, also where the kernel weighs sessions and not processes: sched(7), autogroup."""
+    os.nice(NICENESS)
+    with contextlib.suppress(OSError):  # no such kernel
+        Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
 
 
 def _read(pipe: IO[bytes], messages: queue.Queue[Message]) -> None:
