@@ -1,7 +1,7 @@
-"""PX4's multicopter position control: position P, velocity PI with acceleration feedback, feedforward, limits.
+"""Multicopter position control, PX4's and ArduCopter's alike: position P, velocity PI, feedforward, limits.
 
 Local NED frame, metres, radians. A NaN in a setpoint means "not controlled by this field", as in PX4.
-One simplification: the acceleration is limited to MPC_ACC_*_MAX here, where PX4 limits only tilt and thrust.
+One simplification: the acceleration is limited here, where PX4 limits only tilt and thrust.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from sitl.parameters import Parameters
 from sitl.rotation import Vec3, wrapped
 from sitl.vehicle import GRAVITY_MPS2
 
@@ -41,24 +40,36 @@ class ControlSetpoint:
         return replace(self, position=(p[0] + delta[0], p[1] + delta[1], p[2] + delta[2]), yaw=self.yaw + turn_rad)
 
 
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Gains and limits. A triple: velocity P (1/s), velocity I (1/s²), feedback of the acceleration (1). SI, radians."""
+
+    xy_p: float
+    z_p: float
+    yaw_p: float
+    xy_velocity: Vec3
+    z_velocity: Vec3
+    speed_xy: float
+    speed_up: float
+    speed_down: float
+    accel_xy: float
+    accel_up: float
+    accel_down: float
+    tilt_rad: float
+    yaw_rate: float
+
+
 class Controller:
     """Turns a setpoint into a wanted specific force (local NED, hover = (0, 0, -g)) and a yaw rate, rad/s."""
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, gains: Gains) -> None:
         self._integral = [0.0, 0.0, 0.0]
-        self.configure(parameters)
+        self.configure(gains)
 
-    def configure(self, parameters: Parameters) -> None:
-        """Take over changed parameters."""
-        p = parameters
-        self._xy_p, self._z_p, self._yaw_p = p["MPC_XY_P"], p["MPC_Z_P"], p["MC_YAW_P"]
-        self._xy_gains = (p["MPC_XY_VEL_P_ACC"], p["MPC_XY_VEL_I_ACC"], p["MPC_XY_VEL_D_ACC"])
-        self._z_gains = (p["MPC_Z_VEL_P_ACC"], p["MPC_Z_VEL_I_ACC"], p["MPC_Z_VEL_D_ACC"])
-        self._speed_xy = p["MPC_XY_VEL_MAX"]
-        self._speed_up, self._speed_down = p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"]
-        self._accel_xy, self._accel_up, self._accel_down = p["MPC_ACC_HOR_MAX"], p["MPC_ACC_UP_MAX"], p["MPC_ACC_DOWN_MAX"]
-        self._tilt = math.tan(math.radians(p["MPC_TILTMAX_AIR"]))
-        self._yaw_rate_max = math.radians(p["MPC_YAWRAUTO_MAX"])
+    def configure(self, gains: Gains) -> None:
+        """Take over changed gains."""
+        self._gains = gains
+        self._tilt = math.tan(gains.tilt_rad)
 
     def reset(self) -> None:
         """Forget the integrals (on the ground)."""
@@ -75,14 +86,14 @@ class Controller:
         speed_up_mps: float = math.inf,
     ) -> tuple[Vec3, float]:
         """One step. speed_up_mps: a tighter climb limit than the parameter's (the take-off ramp)."""
-        wanted = self._wanted_velocity(position, setpoint, min(speed_up_mps, self._speed_up))
+        wanted = self._wanted_velocity(position, setpoint, min(speed_up_mps, self._gains.speed_up))
         a = setpoint.acceleration
-        x, sx = self._axis(0, self._xy_gains, wanted[0], velocity[0], acceleration[0], a[0])
-        y, sy = self._axis(1, self._xy_gains, wanted[1], velocity[1], acceleration[1], a[1])
-        z, sz = self._axis(2, self._z_gains, wanted[2], velocity[2], acceleration[2], a[2])
-        z = min(max(z, -self._accel_up), self._accel_down)
+        x, sx = self._axis(0, self._gains.xy_velocity, wanted[0], velocity[0], acceleration[0], a[0])
+        y, sy = self._axis(1, self._gains.xy_velocity, wanted[1], velocity[1], acceleration[1], a[1])
+        z, sz = self._axis(2, self._gains.z_velocity, wanted[2], velocity[2], acceleration[2], a[2])
+        z = min(max(z, -self._gains.accel_up), self._gains.accel_down)
         side = math.sqrt(x * x + y * y)
-        most = min(self._accel_xy, self._tilt * max(GRAVITY_MPS2 - z, 1.0))
+        most = min(self._gains.accel_xy, self._tilt * max(GRAVITY_MPS2 - z, 1.0))
         free = side <= most
         if not free:
             x, y = x * most / side, y * most / side
@@ -95,21 +106,21 @@ class Controller:
 
     def level(self, dt_s: float, velocity_down: float, wanted_down: float) -> Vec3:
         """Without a horizontal position: keep level, control the vertical speed alone."""
-        z, sz = self._axis(2, self._z_gains, wanted_down, velocity_down, 0.0, math.nan)
+        z, sz = self._axis(2, self._gains.z_velocity, wanted_down, velocity_down, 0.0, math.nan)
         self._integral[2] = min(max(self._integral[2] + sz * dt_s, -6.0), 9.0)
-        return (0.0, 0.0, min(max(z, -self._accel_up), self._accel_down) - GRAVITY_MPS2)
+        return (0.0, 0.0, min(max(z, -self._gains.accel_up), self._gains.accel_down) - GRAVITY_MPS2)
 
     def _wanted_velocity(self, position: Vec3, setpoint: ControlSetpoint, speed_up: float) -> Vec3:
         px, py, pz = setpoint.position
         fx, fy, fz = setpoint.velocity
-        ex = self._xy_p * (px - position[0])
-        ey = self._xy_p * (py - position[1])
-        ez = self._z_p * (pz - position[2])
+        ex = self._gains.xy_p * (px - position[0])
+        ey = self._gains.xy_p * (py - position[1])
+        ez = self._gains.z_p * (pz - position[2])
         wx, wy = _sum(ex, fx), _sum(ey, fy)
-        limit = self._speed_xy
+        limit = self._gains.speed_xy
         if wx * wx + wy * wy > limit * limit:
             wx, wy = _prioritised(_or_zero(ex), _or_zero(ey), wx, wy, limit)
-        return (wx, wy, min(max(_sum(ez, fz), -speed_up), self._speed_down))
+        return (wx, wy, min(max(_sum(ez, fz), -speed_up), self._gains.speed_down))
 
     def _axis(
         self, axis: int, gains: tuple[float, float, float], wanted: float, now: float, accel: float, forward: float
@@ -124,8 +135,8 @@ class Controller:
     def _turn(self, yaw: float, setpoint: ControlSetpoint) -> float:
         rate = _or_zero(setpoint.yaw_rate)
         if not math.isnan(setpoint.yaw):
-            rate += self._yaw_p * wrapped(setpoint.yaw - yaw)
-        return min(max(rate, -self._yaw_rate_max), self._yaw_rate_max)
+            rate += self._gains.yaw_p * wrapped(setpoint.yaw - yaw)
+        return min(max(rate, -self._gains.yaw_rate), self._gains.yaw_rate)
 
 
 def _sum(a: float, b: float) -> float:

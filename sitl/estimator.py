@@ -1,4 +1,4 @@
-"""The simulated EKF2: IMU integration corrected by late external poses, with PX4's gates, timeouts and resets.
+"""The simulated EKF: IMU integration corrected by late external poses, with a firmware's gates, timeouts and resets.
 
 Frames: local NED (the frame of the poses it is fed), body FRD. Instants: seconds of the autopilot's own clock.
 Gains per axis are those of a critically damped g-h-k filter (fading memory, Morrison 1969, ch. 9), so the loop
@@ -12,15 +12,12 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sitl.parameters import Parameters
 from sitl.rotation import IDENTITY, Quat, Vec3, from_small_rotation, from_yaw, multiply, normalised, rotate, wrapped, yaw_of
 from sitl.vehicle import GRAVITY_MPS2
 
 _HISTORY_S = 0.32  # samples older than 0.2 s delay + 0.1 s search window are never fused (HAZARDS 0.8)
 _EXPECTED_GAP_S = 0.2  # EV_MAX_INTERVAL
 _FUSION_STOPS_S = 0.4  # twice EV_MAX_INTERVAL
-_REJECT_TIMEOUT_S = 1.0  # no_aid_timeout_max: then reset to vision
-_RESETS_IN_AIR = 5
 _START_S = 0.5  # poses must come steadily for so long before they are used
 _NORM_TOLERANCE = 1e-3  # wire floats carry 1e-7 each
 _POSITION_BANDWIDTH = 3.0  # rad/s
@@ -47,12 +44,30 @@ class ExternalPose:
     reset_counter: int
 
 
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """What a firmware's parameters and constants make of the filter. Noises: floors of the standard deviation."""
+
+    fuse_xy: bool
+    fuse_z: bool
+    fuse_yaw: bool
+    noise_from_message: bool
+    position_noise_m: float
+    yaw_noise_rad: float
+    gate: float  # standard deviations
+    quality_min: int
+    delay_s: float
+    valid_s: float  # for so long after the last fused pose the horizontal position may be flown on
+    reject_s: float  # poses refused for longer are taken for true
+    resets_in_air: float
+
+
 class Estimator:
     """Local position, velocity and attitude. on_reset(delta_position, delta_yaw) is called at each jump of the estimate."""
 
-    def __init__(self, parameters: Parameters, on_reset: Callable[[Vec3, float], None] | None = None) -> None:
+    def __init__(self, tuning: Tuning, on_reset: Callable[[Vec3, float], None] | None = None) -> None:
         self._on_reset = on_reset
-        self.configure(parameters)
+        self.configure(tuning)
         self.position: Vec3 = (0.0, 0.0, 0.0)
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
         self.acceleration: Vec3 = (0.0, 0.0, 0.0)
@@ -75,34 +90,21 @@ class Estimator:
         self._fused_z_s = -math.inf
         self._fused_yaw_s = -math.inf
         self._reset_counter = -1
-        self._resets_left = _RESETS_IN_AIR
+        self._resets_left = self._tuning.resets_in_air
         self.started = False
         self._baro_zero = math.nan
         self._on_ground = True
 
-    def configure(self, parameters: Parameters) -> None:
-        """Take over changed parameters."""
-        control = parameters.integer("EKF2_EV_CTRL")
-        self._fuse_xy, self._fuse_z, self._fuse_yaw = bool(control & 1), bool(control & 2), bool(control & 8)
-        self._noise_from_message = parameters.integer("EKF2_EV_NOISE_MD") == 0
-        self._position_noise = parameters["EKF2_EVP_NOISE"]
-        self._yaw_noise = parameters["EKF2_EVA_NOISE"]
-        self._gate = parameters["EKF2_EVP_GATE"]
-        self._quality_min = parameters.integer("EKF2_EV_QMIN")
-        self._delay_s = parameters["EKF2_EV_DELAY"] * 1e-3
-        self._no_aid_s = max(parameters["EKF2_NOAID_TOUT"], 500000.0) * 1e-6
-        self._eph_limit = parameters["COM_POS_FS_EPH"]
+    def configure(self, tuning: Tuning) -> None:
+        """Take over a changed tuning."""
+        self._tuning = tuning
 
     # -- what others may know -------------------------------------------------------------------------------------
 
     @property
     def horizontal_valid(self) -> bool:
-        """Whether the local horizontal position may be flown on.
-
-        Measured on the firmware with EKF2_NOAID_TOUT = 5 s: the flag falls 4.7 s after the last pose.
-        """
-        silent = self._now_s - self._fused_xy_s
-        return self.started and silent <= max(self._no_aid_s - 0.3, 0.6)
+        """Whether the local horizontal position may be flown on."""
+        return self.started and self._now_s - self._fused_xy_s <= self._tuning.valid_s
 
     @property
     def position_accuracy_m(self) -> float:
@@ -136,7 +138,7 @@ class Estimator:
         self._now_s = now_s
         self._on_ground = on_ground
         if on_ground:
-            self._resets_left = _RESETS_IN_AIR
+            self._resets_left = self._tuning.resets_in_air
         rate = (gyro[0], gyro[1], gyro[2] - self._yaw_rate_bias)
         self.angular_rate = rate
         turn = from_small_rotation(rate[0] * dt_s, rate[1] * dt_s, rate[2] * dt_s)
@@ -175,7 +177,7 @@ class Estimator:
 
     def take(self, pose: ExternalPose) -> None:
         """Fuse, hold back, reset or ignore one pose; why it was ignored is counted in `ignored`."""
-        stamp = pose.stamp_s - self._delay_s
+        stamp = pose.stamp_s - self._tuning.delay_s
         if not self._usable(pose, stamp):
             return
         gap = stamp - self._last_pose_s
@@ -204,7 +206,7 @@ class Estimator:
         self.position = (x, y, altitude_m)
 
     def _usable(self, pose: ExternalPose, stamp: float) -> bool:
-        if pose.quality < self._quality_min:
+        if pose.quality < self._tuning.quality_min:
             return self._ignore("quality")
         if stamp <= self._last_pose_s + 0.002:
             return self._ignore("repeated")
@@ -233,8 +235,8 @@ class Estimator:
         return later
 
     def _start(self, pose: ExternalPose, past: list[float]) -> None:
-        if not (self._fuse_xy and self._position_of(pose)):
-            self._ignore("not configured" if not self._fuse_xy else "not finite")
+        if not (self._tuning.fuse_xy and self._position_of(pose)):
+            self._ignore("not configured" if not self._tuning.fuse_xy else "not finite")
             return
         self.started = True
         self._reset_counter = pose.reset_counter
@@ -253,12 +255,12 @@ class Estimator:
     def _reset_to(self, pose: ExternalPose, past: list[float], stamp: float, xy: bool, z: bool, yaw: bool) -> None:
         dx = dy = dz = turn = 0.0
         if self._position_of(pose):
-            if xy and self._fuse_xy:
+            if xy and self._tuning.fuse_xy:
                 dx, dy, self._fused_xy_s = pose.position[0] - past[1], pose.position[1] - past[2], stamp
-            if z and self._fuse_z:
+            if z and self._tuning.fuse_z:
                 dz, self._fused_z_s = pose.position[2] + self.height_offset_m - past[3], stamp
         heading = self._yaw_of(pose)
-        if yaw and self._fuse_yaw and math.isfinite(heading):
+        if yaw and self._tuning.fuse_yaw and math.isfinite(heading):
             turn, self._fused_yaw_s = wrapped(heading - past[4]), stamp
         self._baro_zero += dz
         self._shift(dx, dy, dz, 0.0, 0.0, 0.0, stamp, turn)
@@ -295,27 +297,27 @@ class Estimator:
             return
         ix, iy = pose.position[0] - past[1], pose.position[1] - past[2]
         iz = pose.position[2] + self.height_offset_m - past[3]
-        noise = self._position_noise**2
-        if self._noise_from_message and math.isfinite(pose.position_variance_m2):
+        noise = self._tuning.position_noise_m**2
+        if self._tuning.noise_from_message and math.isfinite(pose.position_variance_m2):
             noise = max(noise, pose.position_variance_m2)
-        gate = self._gate**2 * (noise + min(self.position_accuracy_m, 0.5) ** 2)
+        gate = self._tuning.gate**2 * (noise + min(self.position_accuracy_m, 0.5) ** 2)
         self.position_test_ratio = max(ix * ix, iy * iy) / gate
         self.height_test_ratio = iz * iz / gate
-        if self._fuse_xy:
+        if self._tuning.fuse_xy:
             if self.position_test_ratio <= 1.0:
                 self._correct_horizontal(ix, iy, stamp, dt)
                 self._fused_xy_s = stamp
             else:
                 self._ignore("position gate")
-                if stamp - self._fused_xy_s > _REJECT_TIMEOUT_S and self._may_reset():
+                if stamp - self._fused_xy_s > self._tuning.reject_s and self._may_reset():
                     self._reset_to(pose, past, stamp, xy=True, z=False, yaw=False)
-        if self._fuse_z:
+        if self._tuning.fuse_z:
             if self.height_test_ratio <= 1.0:
                 self._correct_height(iz, stamp, dt, _POSITION_BANDWIDTH)
                 self._fused_z_s = stamp
             else:
                 self._ignore("height gate")
-                if stamp - self._fused_z_s > _REJECT_TIMEOUT_S and self._may_reset():
+                if stamp - self._fused_z_s > self._tuning.reject_s and self._may_reset():
                     self._reset_to(pose, past, stamp, xy=False, z=True, yaw=False)
 
     def _may_reset(self) -> bool:
@@ -342,18 +344,18 @@ class Estimator:
 
     def _fuse_heading(self, pose: ExternalPose, past: list[float], stamp: float, dt: float) -> None:
         heading = self._yaw_of(pose)
-        if not self._fuse_yaw or math.isnan(heading):
+        if not self._tuning.fuse_yaw or math.isnan(heading):
             return
         innovation = wrapped(heading - past[4])
-        noise = self._yaw_noise**2
-        if self._noise_from_message and math.isfinite(pose.yaw_variance_rad2):
+        noise = self._tuning.yaw_noise_rad**2
+        if self._tuning.noise_from_message and math.isfinite(pose.yaw_variance_rad2):
             noise = max(noise, pose.yaw_variance_rad2)
-        if innovation * innovation <= self._gate**2 * (noise + 0.02**2):
+        if innovation * innovation <= self._tuning.gate**2 * (noise + 0.02**2):
             fade = math.exp(-_YAW_BANDWIDTH * dt)
             self._shift(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, stamp, (1.0 - fade * fade) * innovation)
             self._yaw_rate_bias -= (1.0 - fade) ** 2 / dt * innovation
             self._fused_yaw_s = stamp
             return
         self._ignore("yaw gate")
-        if stamp - self._fused_yaw_s > _REJECT_TIMEOUT_S and self._may_reset():
+        if stamp - self._fused_yaw_s > self._tuning.reject_s and self._may_reset():
             self._reset_to(pose, past, stamp, xy=False, z=False, yaw=True)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.mavlink_wire import Heard, Listener, Packet, Speaker, packet
-from sitl.parameters import Parameters
+from sitl.parameter_table import ParameterTable
 from sitl.transport import ByteEnd
 
 _TEXT_BYTES = 50
@@ -31,7 +31,7 @@ class Stream:
 class MavlinkServer:
     """Reads and writes one link. A link that fails is treated as silence: the world goes on without its companion."""
 
-    def __init__(self, link: ByteEnd, parameters: Parameters, system: int = 1, component: int = 1) -> None:
+    def __init__(self, link: ByteEnd, parameters: ParameterTable, system: int = 1, component: int = 1) -> None:
         self._link = link
         self._parameters = parameters
         self._system, self._speaker, self._listener = system, Speaker(system, component), Listener()

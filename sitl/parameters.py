@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 
-INT32 = 6  # MAV_PARAM_TYPE_INT32
-REAL32 = 9  # MAV_PARAM_TYPE_REAL32
+from sitl.parameter_table import INT32, REAL32, ParameterError, ParameterTable
+
+__all__ = ["DEFAULT_FILE", "INT32", "REAL32", "ParameterError", "Parameters"]
 
 # Defaults of PX4 v1.17 for what the simulated autopilot obeys or a companion reads back before arming.
 _DEFAULTS: dict[str, int | float] = {
@@ -41,33 +40,17 @@ _DEFAULTS: dict[str, int | float] = {
 DEFAULT_FILE = Path(__file__).resolve().parent.parent / "firmware_params" / "px4_indoor.params"
 
 
-class ParameterError(ValueError):
-    """A parameter file that cannot be loaded; its text names file, line and fault."""
-
-
-class Parameters:
-    """Name to value, with the type fixed by the default. `revision` grows with each change."""
+class Parameters(ParameterTable):
+    """PX4's table."""
 
     def __init__(self) -> None:
-        self._values: dict[str, int | float] = dict(sorted(_DEFAULTS.items()))
-        self._names = list(self._values)
-        self.revision = 0
+        super().__init__(_DEFAULTS)
 
     @staticmethod
     def load(path: Path = DEFAULT_FILE) -> Parameters:
         """Defaults with a file over them. Raises ParameterError for an unknown name, a bad line or a bad value."""
         parameters = Parameters()
-        try:
-            lines = path.read_text(encoding="utf-8").splitlines()
-        except OSError as error:
-            raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
-        for number, line in enumerate(lines, start=1):
-            if line.startswith("#") or not line.strip():
-                continue
-            try:
-                parameters._take_line(line)
-            except ValueError as error:
-                raise ParameterError(f"{path}:{number}: {error}") from None
+        parameters._read(path, parameters._take_line)
         return parameters
 
     def _take_line(self, line: str) -> None:
@@ -80,51 +63,6 @@ class Parameters:
         if int(kind) != self.kind(name):
             raise ValueError(f"{name} has type {self.kind(name)}, not {kind}")
         self.set(name, int(value) if self.kind(name) == INT32 else float(value))
-
-    def __getitem__(self, name: str) -> float:
-        return float(self._values[name])
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._values
-
-    def __len__(self) -> int:
-        return len(self._names)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def integer(self, name: str) -> int:
-        """Value of an INT32 parameter. Raises KeyError for an unknown name, ValueError for a REAL32 one."""
-        value = self._values[name]
-        if not isinstance(value, int):
-            raise ValueError(f"{name} is not an integer")
-        return value
-
-    def kind(self, name: str) -> int:
-        """MAV_PARAM_TYPE of a parameter. Raises KeyError for an unknown name."""
-        return INT32 if isinstance(self._values[name], int) else REAL32
-
-    def index(self, name: str) -> int:
-        """Position in the list that the wire counts. Raises ValueError for an unknown name."""
-        return self._names.index(name)
-
-    def name(self, index: int) -> str:
-        """Name at a position. Raises IndexError outside the list."""
-        if index < 0:
-            raise IndexError(index)
-        return self._names[index]
-
-    def set(self, name: str, value: float) -> None:
-        """Change a value. Raises KeyError for an unknown name, ValueError for a value that does not fit its type."""
-        if self.kind(name) == INT32:
-            if value != int(value) or not -(2**31) <= value < 2**31:
-                raise ValueError(f"{name} needs a 32-bit integer, got {value!r}")
-            self._values[name] = int(value)
-        else:
-            if not math.isfinite(value):
-                raise ValueError(f"{name} needs a finite number, got {value!r}")
-            self._values[name] = struct.unpack("<f", struct.pack("<f", value))[0]
-        self.revision += 1
 
     def on_wire(self, name: str) -> float:
         """The float of PARAM_VALUE: PX4 puts the BYTES of an INT32 into it, not its value."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -12,41 +11,29 @@ from sitl.control import ControlSetpoint
 from sitl.estimator import ExternalPose
 from sitl.mavlink_server import MavlinkServer
 from sitl.mavlink_wire import Heard, packet
-from sitl.px4_modes import ACCEPTED, DENIED, FORCE, UNSUPPORTED, Mode
+from sitl.px4_modes import Mode
 from sitl.px4_state import State
+from sitl.requests import DENIED, FORCE, FORCE_SET, NO_YAW, NO_YAW_RATE, Requests
 
-_FORCE_SET = 512
 _DUPLICATE_ACKS = 0.5  # share of DO_SET_MODE that is acknowledged twice
 _POSE_FRAMES = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_LOCAL_NED)
 
 
-class Commands:
-    """Dispatches messages by id; unknown ones are left alone."""
+class Commands(Requests):
+    """PX4's own: setpoints, poses, TIMESYNC, modes, arming and the origin."""
 
     def __init__(self, state: State, server: MavlinkServer, seed: int) -> None:
+        super().__init__(state, server)
         self._s = state
-        self._server = server
         self._random = random.Random(seed)
-        self.setpoint_arrivals_s: list[float] = []
         self.poses_refused = 0
-        self._handlers: dict[int, Callable[[Heard, float], None]] = {
+        self._handlers |= {
             mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self._setpoint,
             mavlink.MAVLINK_MSG_ID_ODOMETRY: self._odometry,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._timesync,
-            mavlink.MAVLINK_MSG_ID_COMMAND_LONG: self._command_long,
-            mavlink.MAVLINK_MSG_ID_COMMAND_INT: self._command_int,
             mavlink.MAVLINK_MSG_ID_SET_MODE: self._set_mode,
             mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN: self._origin,
-            mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_SET_PITCHYAW: self._gimbal_pitch,
         }
-
-    def take(self, message: Heard, arrival_s: float) -> None:
-        """Act on one message that arrived at arrival_s (world clock)."""
-        handler = self._handlers.get(message.kind)
-        if handler is not None:
-            handler(message, arrival_s)
-        else:
-            self._server.take_parameter_message(message)
 
     # -- streams --------------------------------------------------------------------------------------------------
 
@@ -59,10 +46,10 @@ class Commands:
             return
         raw = (message.x, message.y, message.z, message.vx, message.vy, message.vz, message.afx, message.afy, message.afz)
         f = [math.nan if mask >> i & 1 or not math.isfinite(value) else value for i, value in enumerate(raw)]
-        if mask & _FORCE_SET or all(math.isnan(value) for value in f):
+        if mask & FORCE_SET or all(math.isnan(value) for value in f):
             return
-        yaw = math.nan if mask & 1024 else message.yaw
-        yaw_rate = math.nan if mask & 2048 else message.yaw_rate
+        yaw = math.nan if mask & NO_YAW else message.yaw
+        yaw_rate = math.nan if mask & NO_YAW_RATE else message.yaw_rate
         s.flight.offboard = ControlSetpoint((f[0], f[1], f[2]), (f[3], f[4], f[5]), (f[6], f[7], f[8]), yaw, yaw_rate)
         s.commander.stream.arrived(s.now_s)
         if s.commander.armed and s.commander.mode is Mode.OFFBOARD:
@@ -93,8 +80,7 @@ class Commands:
     def _timesync(self, message: Heard, arrival_s: float) -> None:
         s = self._s
         if message.tc1 == 0:  # a question
-            answer = packet(mavlink.MAVLink_timesync_message, s.boot_us * 1000, message.ts1)
-            self._server.send(answer)
+            self._answer_timesync(message)
         elif message.tc1 > 0:
             arrival_us = round((arrival_s - s.boot_s) * 1e6)
             s.timesync.answered(arrival_us, message.tc1, message.ts1)
@@ -118,21 +104,13 @@ class Commands:
 
     # -- commands -------------------------------------------------------------------------------------------------
 
-    def _command_long(self, m: Heard, _arrival_s: float) -> None:
-        parameters = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
-        self._command(m.command, parameters, m.sender)
-
-    def _command_int(self, m: Heard, _arrival_s: float) -> None:
-        parameters = (m.param1, m.param2, m.param3, m.param4, float(m.x), float(m.y), m.z)
-        self._command(m.command, parameters, m.sender)
-
-    def _command(self, command: int, p: tuple[float, ...], sender: tuple[int, int]) -> None:
-        result = self._carry_out(command, p, sender)
-        self._server.acknowledge(command, result, sender)
+    def _command(self, command: int, p: tuple[float, ...], sender: tuple[int, int]) -> int:
+        result = super()._command(command, p, sender)
         if command == mavlink.MAV_CMD_DO_SET_MODE and self._random.random() < _DUPLICATE_ACKS:
             self._server.acknowledge(command, result, sender)
+        return result
 
-    def _carry_out(self, command: int, p: tuple[float, ...], sender: tuple[int, int]) -> int:
+    def _carry_out(self, command: int, p: tuple[float, ...]) -> int | None:
         s = self._s
         if command == mavlink.MAV_CMD_DO_SET_MODE:
             if not int(p[0]) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
@@ -142,34 +120,8 @@ class Commands:
             return s.commander.request_arming(p[0] > 0.5, p[1] == FORCE, s.condition())
         if command == mavlink.MAV_CMD_NAV_LAND:
             return s.commander.request_mode(Mode.LAND, s.condition())
-        if command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-            return ACCEPTED if self._server.set_interval(int(p[0]), p[1], s.now_s) else DENIED
-        if command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-            return ACCEPTED if self._server.request(int(p[0])) else DENIED
-        if command == mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
-            return ACCEPTED if self._server.request(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION) else DENIED
-        if command == mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE:
-            return self._gimbal_owner(p, sender)
-        if command == mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW:  # degrees, unlike the message
-            moved = s.gimbal.command(sender, math.radians(p[0]), math.radians(p[2]))
-            return ACCEPTED if moved else DENIED
-        return UNSUPPORTED
-
-    def _gimbal_owner(self, p: tuple[float, ...], sender: tuple[int, int]) -> int:
-        """An id of 0 or more is the new owner, -1 leaves it, -2 takes it for the sender, -3 gives it up."""
-        wanted = (int(p[0]), int(p[1]))
-        if wanted[0] >= 0 and wanted[1] >= 0:
-            self._s.gimbal.configure(*wanted)
-        elif wanted[0] == -3 and self._s.gimbal.owner == sender:
-            self._s.gimbal.configure(0, 0)
-        elif wanted[0] == -2:
-            self._s.gimbal.configure(*sender)
-        return ACCEPTED
+        return None
 
     def _set_mode(self, message: Heard, _arrival_s: float) -> None:
         """The old message: no acknowledgement."""
         self._s.commander.request_mode(message.custom_mode, self._s.condition())
-
-    def _gimbal_pitch(self, message: Heard, _arrival_s: float) -> None:
-        """Radians, positive up. Silently without effect from anyone who did not take primary control (read)."""
-        self._s.gimbal.command(message.sender, message.pitch, message.pitch_rate)

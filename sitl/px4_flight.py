@@ -6,8 +6,10 @@ import math
 
 from sitl.control import Controller, ControlSetpoint
 from sitl.estimator import Estimator
+from sitl.landing import LandDetector
 from sitl.parameters import Parameters
 from sitl.px4_modes import Mode
+from sitl.px4_tuning import control_gains
 from sitl.rotation import Vec3
 from sitl.vehicle import GRAVITY_MPS2
 
@@ -20,16 +22,15 @@ class Flight:
     """Turns mode and setpoint into a wanted specific force and yaw rate, and knows whether the vehicle has landed."""
 
     def __init__(self, parameters: Parameters) -> None:
-        self._controller = Controller(parameters)
+        self._controller = Controller(control_gains(parameters))
+        self._ground = LandDetector(_LAND_DETECT_S)
         self.offboard = ControlSetpoint()
         self.active = ControlSetpoint()
-        self.landed = True
         self.has_flown = False
         self._mode: Mode | None = None
         self._hold: Vec3 = (0.0, 0.0, 0.0)
         self._hold_yaw = 0.0
         self._ramp_s = -1.0  # time since the take-off began, negative before
-        self._resting_s = 0.0
         self._armed_s = 0.0
         self._ground_down = 0.0
         self.configure(parameters)
@@ -37,7 +38,7 @@ class Flight:
     def configure(self, parameters: Parameters) -> None:
         """Take over changed parameters."""
         p = parameters
-        self._controller.configure(p)
+        self._controller.configure(control_gains(p))
         self._spoolup_s, self._ramp_t, self._takeoff_speed = p["COM_SPOOLUP_TIME"], p["MPC_TKO_RAMP_T"], p["MPC_TKO_SPEED"]
         self._up, self._down, self._takeoff_height = p["MPC_Z_V_AUTO_UP"], p["MPC_Z_V_AUTO_DN"], p["MIS_TAKEOFF_ALT"]
         self._land = (p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"], p["MPC_LAND_SPEED"])
@@ -50,6 +51,11 @@ class Flight:
         self._hold = (h[0] + delta[0], h[1] + delta[1], h[2] + delta[2])
         self._hold_yaw += turn_rad
         self._ground_down += delta[2]
+
+    @property
+    def landed(self) -> bool:
+        """The land detector's word."""
+        return self._ground.landed
 
     @property
     def takeoff_complete(self) -> bool:
@@ -82,7 +88,8 @@ class Flight:
         else:
             a = estimator.acceleration
             force, turn = self._controller.step(dt_s, position, velocity, a, estimator.yaw, setpoint, limit)
-        self._detect_landing(dt_s, force, velocity)
+        if self._ground.touched_down(dt_s, force, velocity):
+            self._ramp_s = -1.0
         return force, turn
 
     def _begin(self, mode: Mode, position: Vec3, velocity: Vec3, yaw: float) -> None:
@@ -121,22 +128,12 @@ class Flight:
         if self._ramp_s < 0.0:
             return False
         if self._ground_down - position[2] > 0.08:
-            self.landed = False
+            self._ground.lifted()
             self.has_flown = True
         return True
-
-    def _detect_landing(self, dt_s: float, force: Vec3, velocity: Vec3) -> None:
-        """Landed: pressed down, yet not moving."""
-        pressed = force[2] + GRAVITY_MPS2 > 0.8
-        still = abs(velocity[2]) < 0.15 and math.hypot(velocity[0], velocity[1]) < 0.5
-        self._resting_s = self._resting_s + dt_s if pressed and still and not self.landed else 0.0
-        if self._resting_s >= _LAND_DETECT_S:
-            self.landed = True
-            self._ramp_s = -1.0
 
     def _rest(self, position: Vec3) -> None:
         self._controller.reset()
         self._ramp_s = -1.0
-        self.landed = True
+        self._ground.rest()
         self._ground_down = position[2]
-        self._resting_s = 0.0

@@ -8,17 +8,11 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.mavlink_wire import Packet, packet
+from sitl.messages import Telling
 from sitl.px4_modes import Mode
 from sitl.px4_state import State
-from sitl.rotation import conjugate, euler_of, rotate
+from sitl.rotation import conjugate, rotate
 
-_SENSORS = (
-    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
-    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-    | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
-    | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
-    | mavlink.MAV_SYS_STATUS_AHRS
-)
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
@@ -28,14 +22,15 @@ _CAPABILITIES = (
 )
 _VERSION_1_17_0 = 1 << 24 | 17 << 16 | 0 << 8 | 255  # major, minor, patch, official release
 _UID = 0x5349544C50583401
-_HALF_LIFTED = (Mode.TAKEOFF, Mode.LAND)
+_HALF_LIFTED = {Mode.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF, Mode.LAND: mavlink.MAV_LANDED_STATE_LANDING}
 _NAN21 = [math.nan] * 21
 
 
-class Messages:
-    """Builders over the state of the autopilot; each returns a message, or None when there is nothing to tell."""
+class Messages(Telling):
+    """PX4's own beside the shared ones."""
 
     def __init__(self, state: State) -> None:
+        super().__init__(state)
         self._s = state
 
     def rates(self) -> dict[int, tuple[Callable[[], Packet | None], float]]:
@@ -83,64 +78,8 @@ class Messages:
 
     def sys_status(self) -> Packet:
         """Sensors, battery and the PREARM bit."""
-        s = self._s
-        ready = s.commander.armed or not s.commander.arming_refusal(s.condition())
-        prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-        health = _SENSORS | (prearm if ready else 0)
-        volts = round(s.battery.voltage * 1000)
-        amps = round(s.battery.current_a * 100)
-        both = _SENSORS | prearm
-        return packet(
-            mavlink.MAVLink_sys_status_message,
-            both,
-            both,
-            health,
-            300,
-            volts,
-            amps,
-            round(s.battery.fraction * 100),
-            0,
-            0,
-            0,
-            0,
-            0,
-            0,
-        )
-
-    def battery_status(self) -> Packet:
-        """Four cells."""
-        b = self._s.battery
-        cells = [round(b.voltage * 250)] * 4 + [65535] * 6
-        return packet(
-            mavlink.MAVLink_battery_status_message,
-            0,
-            0,
-            0,
-            32767,
-            cells,
-            round(b.current_a * 100),
-            round(b.used_mah),
-            -1,
-            round(b.fraction * 100),
-        )
-
-    def attitude(self) -> Packet:
-        """Euler angles, FRD in NED."""
-        e = self._s.estimator
-        roll, pitch, yaw = euler_of(e.quat_wxyz)
-        return packet(mavlink.MAVLink_attitude_message, self._s.boot_ms, roll, pitch, yaw, *e.angular_rate)
-
-    def attitude_quaternion(self) -> Packet:
-        """Attitude ned_from_frd."""
-        e = self._s.estimator
-        return packet(mavlink.MAVLink_attitude_quaternion_message, self._s.boot_ms, *e.quat_wxyz, *e.angular_rate)
-
-    def local_position(self) -> Packet | None:
-        """Nothing before the first pose was fused."""
-        e = self._s.estimator
-        if not e.started:
-            return None
-        return packet(mavlink.MAVLink_local_position_ned_message, self._s.boot_ms, *e.position, *e.velocity)
+        c = self._s.commander
+        return self._health(c.armed or not c.arming_refusal(self._s.condition()))
 
     def odometry(self) -> Packet | None:
         """The estimate in one message: local NED, velocity in the body."""
@@ -183,38 +122,7 @@ class Messages:
 
     def extended_sys_state(self) -> Packet:
         """Landed state."""
-        s = self._s
-        state = mavlink.MAV_LANDED_STATE_ON_GROUND if s.flight.landed else mavlink.MAV_LANDED_STATE_IN_AIR
-        if not s.flight.landed and s.commander.mode in _HALF_LIFTED:
-            landing = s.commander.mode is Mode.LAND
-            state = mavlink.MAV_LANDED_STATE_LANDING if landing else mavlink.MAV_LANDED_STATE_TAKEOFF
-        return packet(mavlink.MAVLink_extended_sys_state_message, 0, state)
-
-    def home_position(self) -> Packet | None:
-        """Home, once there is an origin and a position."""
-        s = self._s
-        if s.origin is None or s.home is None:
-            return None
-        lat, lon, alt = s.origin
-        return packet(
-            mavlink.MAVLink_home_position_message, lat, lon, alt, *s.home, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, s.boot_us
-        )
-
-    def global_origin(self) -> Packet | None:
-        """The origin as it was accepted."""
-        if self._s.origin is None:
-            return None
-        return packet(mavlink.MAVLink_gps_global_origin_message, *self._s.origin, self._s.boot_us)
-
-    def gimbal_attitude(self) -> Packet:
-        """Pitch relative to the body; PX4 drives the gimbal itself, so the device id is 1 and the component its own."""
-        g = self._s.gimbal
-        half = 0.5 * g.pitch
-        return packet(
-            mavlink.MAVLink_gimbal_device_attitude_status_message,
-            0, 0, self._s.boot_ms, mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME,
-            [math.cos(half), 0.0, math.sin(half), 0.0], 0.0, g.pitch_rate, 0.0, 0, 0.0, 0.0, 1,
-        )  # fmt: skip
+        return self._landed_state(self._s.flight.landed, _HALF_LIFTED.get(self._s.commander.mode))
 
     def version(self) -> Packet:
         """PX4 1.17.0."""

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from sitl.parameters import Parameters
+from sitl.requests import ACCEPTED, DENIED, TEMPORARILY_REJECTED
 
-FORCE = 21196.0  # the magic second parameter of MAV_CMD_COMPONENT_ARM_DISARM
 _OFFBOARD_PROOF_S = 1.0  # a stream must run for so long before OFFBOARD engages
 _PREARM_AFTER_ORIGIN_S = 5.0
 _POSE_LOSS_HYSTERESIS_S = 0.6  # from the flag falling to LAND (measured 0.6 to 0.9 s)
 _STREAM_LOSS_REACTION_S = (0.1, 0.8)  # beyond COM_OF_LOSS_T (measured 0.6 to 1.3 s in all)
 
-ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
 EMERGENCY, CRITICAL, WARNING, INFO = 0, 2, 4, 6
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.autopilot import Autopilot
 from sitl.clearance import Clearance
 from sitl.d435i import Camera
 from sitl.pace import REAL, Pace
 from sitl.poses import NoisyPoses
-from sitl.px4 import Px4
 from sitl.transform import rigid, rotation_from_quat
 from uav_recon.sensors.wire import StreamWriter
 
@@ -56,7 +56,7 @@ class World:
 
     def __init__(
         self,
-        autopilot: Px4,
+        autopilot: Autopilot,
         camera: Camera,
         poses: NoisyPoses,
         clearance: Clearance,

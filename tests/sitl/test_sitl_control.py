@@ -6,6 +6,7 @@ import pytest
 
 from sitl.control import Controller, ControlSetpoint
 from sitl.parameters import Parameters
+from sitl.px4_tuning import control_gains
 from sitl.vehicle import GRAVITY_MPS2
 
 DT = 0.004
@@ -16,7 +17,7 @@ def controller(**changes: float) -> Controller:
     p = Parameters.load()
     for name, value in changes.items():
         p.set(name, value)
-    return Controller(p)
+    return Controller(control_gains(p))
 
 
 def once(c: Controller, setpoint: ControlSetpoint, **state: tuple[float, float, float]) -> tuple[tuple[float, ...], float]:

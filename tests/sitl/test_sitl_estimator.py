@@ -19,6 +19,7 @@ from sitl.estimator import (
 from sitl.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from sitl.imu import Imu
 from sitl.parameters import Parameters
+from sitl.px4_tuning import estimator_tuning
 from sitl.rotation import Quat, Vec3, from_yaw, multiply
 from sitl.vehicle import GRAVITY_MPS2, Quadrotor
 
@@ -33,7 +34,8 @@ class Rig:
         self.vehicle = Quadrotor(5, wind_mps=0.1, start=(0.0, 0.0, 0.0))
         self.vehicle.position = (0.0, 0.0, 50.0)
         self.resets: list[tuple[Vec3, float]] = []
-        self.estimator = Estimator(parameters or Parameters.load(), lambda d, t: self.resets.append((d, t)))
+        tuning = estimator_tuning(parameters or Parameters.load())
+        self.estimator = Estimator(tuning, lambda d, t: self.resets.append((d, t)))
         self.imu = Imu(5)
         self.noise = random.Random(5)
         self.now_s = 40.0

@@ -1,0 +1,35 @@
+"""The land detector: pressed down, yet not moving."""
+
+from __future__ import annotations
+
+import math
+
+from sitl.rotation import Vec3
+from sitl.vehicle import GRAVITY_MPS2
+
+
+class LandDetector:
+    """landed: from the start, and again when the vehicle has rested for after_s."""
+
+    def __init__(self, after_s: float) -> None:
+        self._after_s = after_s
+        self._resting_s = 0.0
+        self.landed = True
+
+    def touched_down(self, dt_s: float, force: Vec3, velocity: Vec3) -> bool:
+        """Whether it landed in this step. force: wanted specific force, local NED, m/s^2; velocity: local NED, m/s."""
+        if self.landed:
+            return False
+        pressed = force[2] + GRAVITY_MPS2 > 0.8
+        still = abs(velocity[2]) < 0.15 and math.hypot(velocity[0], velocity[1]) < 0.5
+        self._resting_s = self._resting_s + dt_s if pressed and still else 0.0
+        self.landed = self._resting_s >= self._after_s
+        return self.landed
+
+    def lifted(self) -> None:
+        """It left the ground."""
+        self.landed = False
+
+    def rest(self) -> None:
+        """It stands, motors idle or off."""
+        self.landed, self._resting_s = True, 0.0
