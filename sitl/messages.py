@@ -7,6 +7,7 @@ import math
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.board import Board
+from sitl.control import ControlSetpoint
 from sitl.mavlink_wire import Packet, packet
 from sitl.rotation import euler_of
 
@@ -77,7 +78,7 @@ class Telling:
         return packet(mavlink.MAVLink_gps_global_origin_message, *self._board.origin, self._board.boot_us)
 
     def gimbal_attitude(self) -> Packet:
-        """Pitch relative to the body; PX4 drives the gimbal itself, so the device id is 1 and the component its own."""
+        """Pitch relative to the body; the autopilot drives the gimbal itself: device id 1, component its own."""
         g = self._board.gimbal
         half = 0.5 * g.pitch
         return packet(
@@ -104,3 +105,11 @@ class Telling:
         """EXTENDED_SYS_STATE. half: MAV_LANDED_STATE of a take-off or landing under way."""
         state = mavlink.MAV_LANDED_STATE_ON_GROUND if landed else half or mavlink.MAV_LANDED_STATE_IN_AIR
         return packet(mavlink.MAVLink_extended_sys_state_message, 0, state)
+
+    def _followed(self, t: ControlSetpoint) -> Packet:
+        """POSITION_TARGET_LOCAL_NED: what the controller follows."""
+        fields = (*t.position, *t.velocity, *t.acceleration)
+        mask = sum(1 << i for i, value in enumerate(fields) if not math.isfinite(value))
+        frame = mavlink.MAV_FRAME_LOCAL_NED
+        boot_ms = self._board.boot_ms
+        return packet(mavlink.MAVLink_position_target_local_ned_message, boot_ms, frame, mask, *fields, t.yaw, t.yaw_rate)

@@ -96,20 +96,7 @@ class Messages(Telling):
 
     def position_target(self) -> Packet | None:
         """What the controller follows now."""
-        t = self._s.flight.active
-        if not self._s.commander.armed:
-            return None
-        fields = (*t.position, *t.velocity, *t.acceleration)
-        mask = sum(1 << i for i, value in enumerate(fields) if not math.isfinite(value))
-        return packet(
-            mavlink.MAVLink_position_target_local_ned_message,
-            self._s.boot_ms,
-            mavlink.MAV_FRAME_LOCAL_NED,
-            mask,
-            *fields,
-            t.yaw,
-            t.yaw_rate,
-        )
+        return self._followed(self._s.flight.active) if self._s.commander.armed else None
 
     def estimator_status(self) -> Packet:
         """Flags and innovation test ratios."""

@@ -71,6 +71,13 @@ def yaw_of(q: Quat) -> float:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
+def from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quat:
+    """The attitude of yaw, then pitch, then roll; the inverse of euler_of()."""
+    pitch = (math.cos(0.5 * pitch_rad), 0.0, math.sin(0.5 * pitch_rad), 0.0)
+    roll = (math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad), 0.0, 0.0)
+    return multiply(multiply(from_yaw(yaw_rad), pitch), roll)
+
+
 def euler_of(q: Quat) -> Vec3:
     """Roll, pitch, yaw (intrinsic z-y-x), rad."""
     w, x, y, z = q

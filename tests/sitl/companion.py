@@ -1,4 +1,4 @@
-"""A scripted companion for tests of the simulated autopilot: pymavlink only, a perfect pose feed, injected time."""
+"""A scripted companion for tests of the simulated autopilots: pymavlink only, a perfect pose feed, injected time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.frames import ned_frd_from_enu_flu
 from sitl.parameters import Parameters
 from sitl.px4 import Px4
-from sitl.transport import pipe
+from sitl.transport import ByteEnd, pipe
 from sitl.vehicle import Quadrotor
 
 LOITER, LAND, OFFBOARD, POSCTL = 50593792, 100925440, 393216, 196608
@@ -24,15 +24,15 @@ CLOCK_AHEAD_S = 1000.0  # the companion's clock against the world's
 class Companion:
     """Owns the world's clock. Each tick: physics, telemetry, pose at 50 Hz, setpoint at setpoint_hz, heartbeat."""
 
-    def __init__(
-        self, parameters: Parameters | None = None, seed: int = 1, wind_mps: float = 0.15, yaw_rad: float = 0.3
-    ) -> None:
+    system = 42
+
+    def __init__(self, parameters: Any = None, seed: int = 1, wind_mps: float = 0.15, yaw_rad: float = 0.3) -> None:
         self.now_s = 500.0
         self.vehicle = Quadrotor(seed, wind_mps=wind_mps, yaw_rad=yaw_rad)
         end, mine = pipe()
-        self.px4 = Px4(self.vehicle, end, parameters or Parameters.load(), seed)
+        self.autopilot = self._make(end, parameters, seed)
         self._pipe = mine
-        self._codec = mavlink.MAVLink(None, 42, 191)
+        self._codec: Any = mavlink.MAVLink(None, self.system, 191)
         self.last: dict[str, Any] = {}
         self.acks: list[tuple[int, int]] = []
         self.texts: list[str] = []
@@ -53,7 +53,16 @@ class Companion:
         self._past: list[tuple[float, Any, Any]] = []
         self._ticks = 0
         self._next_setpoint_s = 0.0
-        self.px4.step(self.now_s)
+        self.autopilot.step(self.now_s)
+
+    def _make(self, end: ByteEnd, parameters: Any, seed: int) -> Any:
+        return Px4(self.vehicle, end, parameters or Parameters.load(), seed)
+
+    @property
+    def px4(self) -> Px4:
+        """The autopilot, where it is PX4."""
+        assert isinstance(self.autopilot, Px4)
+        return self.autopilot
 
     # -- speaking ---
 
@@ -97,7 +106,7 @@ class Companion:
     def _tick(self) -> None:
         self._ticks += 1
         self.now_s = 500.0 + self._ticks * TICK_S
-        self.px4.step(self.now_s)
+        self.autopilot.step(self.now_s)
         v = self.vehicle
         self._past.append((self.now_s, v.position, v.quat_wxyz))
         self._past = self._past[-60:]
@@ -109,7 +118,10 @@ class Companion:
             target = self.setpoint(self.now_s)
             self.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, self.type_mask, *target))
         if self._ticks % 100 == 0:
-            self.send(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
+            self.send_heartbeat()
+
+    def send_heartbeat(self) -> None:
+        self.send(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
 
     def _send_pose(self) -> None:
         wanted = self.now_s - self.pose_age_s

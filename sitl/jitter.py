@@ -1,0 +1,30 @@
+"""ArduPilot's idea of when a foreign stamp was: no TIMESYNC, but the least lag seen (AP_RTC JitterCorrection)."""
+
+from __future__ import annotations
+
+_LONGEST_LAG_US = 500_000
+_WINDOW = 100
+
+
+class JitterCorrection:
+    """Keeps local - remote, in microseconds. What every message lags by stays in the answer: VISO_DELAY_MS is for that."""
+
+    def __init__(self) -> None:
+        self._offset_us: int | None = None
+        self._least_us = 0
+        self._count = 0
+
+    def local_us(self, remote_us: int, now_us: int) -> int:
+        """The sender's stamp on our clock."""
+        lag_us = now_us - remote_us
+        if self._offset_us is None or lag_us < self._offset_us:
+            self._offset_us = lag_us
+        estimate_us = remote_us + self._offset_us
+        if now_us - estimate_us > _LONGEST_LAG_US:  # nothing lags so far: the sender's clock was set
+            estimate_us = now_us - _LONGEST_LAG_US
+            self._offset_us = estimate_us - remote_us
+        self._least_us = lag_us if self._count == 0 else min(self._least_us, lag_us)
+        self._count += 1
+        if self._count == _WINDOW:
+            self._offset_us, self._count = self._least_us, 0
+        return estimate_us
