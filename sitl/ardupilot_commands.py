@@ -16,7 +16,7 @@ from sitl.requests import ACCEPTED, DENIED, FAILED, FORCE, FORCE_SET, NO_YAW, NO
 from sitl.rotation import Quat, Vec3, from_euler
 
 _NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION = 0b111, 0b111000, 0b111000000
-_NONE: Vec3 = (math.nan, math.nan, math.nan)
+_STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
 class Commands(Requests):
@@ -47,26 +47,16 @@ class Commands(Requests):
             return
         if s.commander.armed:
             self.setpoint_arrivals_s.append(arrival_s)
-        position = _NONE if mask & _NO_POSITION else (m.x, m.y, m.z)
-        velocity = _NONE if mask & _NO_VELOCITY else (m.vx, m.vy, m.vz)
-        acceleration = _NONE if mask & _NO_ACCELERATION else (m.afx, m.afy, m.afz)
-        if not self._flyable(m, position, velocity, acceleration):
+        position = None if mask & _NO_POSITION else (m.x, m.y, m.z)
+        velocity = _STILL if mask & _NO_VELOCITY else (m.vx, m.vy, m.vz)
+        acceleration = _STILL if mask & _NO_ACCELERATION else (m.afx, m.afy, m.afz)
+        if not _flyable(m, (*(position or _STILL), *velocity, *acceleration)):
             s.flight.stop(s.estimator.position, s.estimator.yaw)
             return
-        if not (mask & _NO_POSITION or self._inside(position)):
+        if position is not None and not self._inside(position):
             return
         yaw, yaw_rate = (math.nan if mask & NO_YAW else m.yaw), (math.nan if mask & NO_YAW_RATE else m.yaw_rate)
         s.flight.follow(Target(position, velocity, acceleration, yaw, yaw_rate))
-
-    @staticmethod
-    def _flyable(m: Heard, position: Vec3, velocity: Vec3, acceleration: Vec3) -> bool:
-        """Velocity with or without place, acceleration alone, or a place alone, in LOCAL_NED; finite."""
-        mask = m.type_mask
-        has_place, moves, pushes = not mask & _NO_POSITION, not mask & _NO_VELOCITY, not mask & _NO_ACCELERATION
-        if m.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or (mask & FORCE_SET and pushes):
-            return False
-        said = (position if has_place else ()) + (velocity if moves else ()) + (acceleration if pushes else ())
-        return all(math.isfinite(x) for x in said) and (moves or has_place != pushes)
 
     def _inside(self, position: Vec3) -> bool:
         home = self._s.home
@@ -152,3 +142,12 @@ class Commands(Requests):
         """The old message: acknowledged under its own number (read)."""
         result = self._s.commander.request_mode(message.custom_mode, self._s.condition())
         self._server.send(packet(mavlink.MAVLink_command_ack_message, mavlink.MAVLINK_MSG_ID_SET_MODE, result))
+
+
+def _flyable(m: Heard, numbers: tuple[float, ...]) -> bool:
+    """Velocity with or without place, or a place alone, in LOCAL_NED; finite. (Acceleration alone is not simulated.)"""
+    mask = m.type_mask
+    has_place, moves, pushes = not mask & _NO_POSITION, not mask & _NO_VELOCITY, not mask & _NO_ACCELERATION
+    if m.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or (mask & FORCE_SET and pushes):
+        return False
+    return all(math.isfinite(x) for x in numbers) and (moves or (has_place and not pushes))

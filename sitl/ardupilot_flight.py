@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 
 from sitl.ardupilot_modes import Mode
 from sitl.ardupilot_parameters import ArduPilotParameters
-from sitl.ardupilot_tuning import control_gains
+from sitl.ardupilot_tuning import control_gains, shaping_limits
 from sitl.control import Controller, ControlSetpoint
 from sitl.estimator import Estimator
 from sitl.landing import LandDetector
 from sitl.rotation import Vec3
+from sitl.shaper import Shaper
 from sitl.vehicle import GRAVITY_MPS2
 
 _LAND_DETECT_S = 1.0
@@ -23,15 +24,14 @@ _ARMING_DELAY_S = 2.0
 _ARRIVED_M = 0.05
 _IDLE: Vec3 = (0.0, 0.0, -0.1 * GRAVITY_MPS2)
 _STILL: Vec3 = (0.0, 0.0, 0.0)
-_FREE: Vec3 = (math.nan, math.nan, math.nan)
 _STOP_AT_FENCE = 1  # AVOID_ENABLE
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """One SET_POSITION_TARGET_LOCAL_NED as GUIDED takes it; NaN where it says nothing."""
+    """One SET_POSITION_TARGET_LOCAL_NED as GUIDED takes it; no position: velocity alone. A NaN yaw or rate says nothing."""
 
-    position: Vec3
+    position: Vec3 | None
     velocity: Vec3
     acceleration: Vec3
     yaw: float
@@ -44,6 +44,7 @@ class Flight:
     def __init__(self, parameters: ArduPilotParameters) -> None:
         self._controller = Controller(control_gains(parameters))
         self._ground = LandDetector(_LAND_DETECT_S)
+        self._shaper = Shaper(*shaping_limits(parameters))
         self.active = ControlSetpoint()
         self.home: Vec3 | None = None
         self._mode: Mode | None = None
@@ -54,13 +55,14 @@ class Flight:
         self._hold_yaw = 0.0
         self._armed_s = 0.0
         self._ground_down = 0.0
+        self._motion = _STILL, _STILL
         self.configure(parameters)
 
     def configure(self, parameters: ArduPilotParameters) -> None:
         """Take over changed parameters."""
         p = parameters
-        self._gains = control_gains(p)
-        self._controller.configure(self._gains)
+        self._controller.configure(control_gains(p))
+        self._shaper.limits = shaping_limits(p)
         self._spool_s = _ARMING_DELAY_S + p["MOT_SPOOL_TIME"]
         self._timeout_s = p["GUID_TIMEOUT"]
         self._climb, self._brake = p["WP_SPD_UP"], p["WP_ACC"]
@@ -84,6 +86,7 @@ class Flight:
         h = self._hold
         self._hold = (h[0] + delta[0], h[1] + delta[1], h[2] + delta[2])
         self._hold_yaw += turn_rad
+        self._shaper.shift(delta)
         self._ground_down += delta[2]
         if self._top is not None:
             self._top += delta[2]
@@ -95,6 +98,8 @@ class Flight:
 
     def follow(self, target: Target) -> None:
         """A new target in GUIDED; it ends a take-off."""
+        if self._target is None:
+            self._shaper.reset(*self._motion)
         self._target, self._target_age_s, self._top = target, 0.0, None
 
     def stop(self, position: Vec3, yaw: float) -> None:
@@ -104,6 +109,7 @@ class Flight:
     def step(self, dt_s: float, armed: bool, mode: Mode, estimator: Estimator) -> tuple[Vec3, float]:
         """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s)."""
         position, velocity = estimator.position, estimator.velocity
+        self._motion = position, velocity
         if mode is not self._mode:
             self._begin(mode, position, velocity, estimator.yaw)
         if not armed:
@@ -131,7 +137,6 @@ class Flight:
         ahead_s = math.hypot(velocity[0], velocity[1]) / (2.0 * self._brake)
         self._hold = (position[0] + velocity[0] * ahead_s, position[1] + velocity[1] * ahead_s, position[2])
         self._hold_yaw = yaw
-        self._controller.configure(self._gains)
 
     def _wanted(self, dt_s: float, position: Vec3) -> ControlSetpoint:
         x, y, z = self._hold
@@ -154,21 +159,19 @@ class Flight:
     def _guided(self, target: Target, dt_s: float, position: Vec3) -> ControlSetpoint:
         """The target now: its velocity carries its position along, until both have been silent for too long."""
         self._target_age_s += dt_s
-        moving = math.isfinite(target.velocity[0])
-        unlimited = replace(self._gains, speed_xy=math.inf) if moving else self._gains  # (read)
-        self._controller.configure(unlimited)
         if self._target_age_s > self._timeout_s:
-            still = _STILL if moving else target.velocity
-            target = replace(target, velocity=still, acceleration=_FREE, yaw_rate=0.0)
-        if moving and math.isfinite(target.position[0]):
-            p, v = target.position, target.velocity
-            target = replace(target, position=(p[0] + v[0] * dt_s, p[1] + v[1] * dt_s, p[2] + v[2] * dt_s))
-        self._target = target
-        yaw = self._hold_yaw if math.isnan(target.yaw) and math.isnan(target.yaw_rate) else target.yaw
-        velocity = target.velocity
-        if moving and not math.isfinite(target.position[0]):
+            target = replace(target, velocity=_STILL, acceleration=_STILL, yaw_rate=0.0)
+        place, velocity = target.position, target.velocity
+        if place is None:
             velocity = self._avoiding(velocity, position)
-        return ControlSetpoint(target.position, velocity, target.acceleration, yaw, target.yaw_rate)
+        else:
+            x, y, z = place
+            place = (x + velocity[0] * dt_s, y + velocity[1] * dt_s, z + velocity[2] * dt_s)
+        self._target = replace(target, position=place)
+        self._shaper.step(dt_s, place, velocity, target.acceleration)
+        s, yaw = self._shaper, target.yaw
+        yaw = self._hold_yaw if math.isnan(yaw) and math.isnan(target.yaw_rate) else yaw
+        return ControlSetpoint(s.position, s.velocity, s.acceleration, yaw, target.yaw_rate)
 
     def _avoiding(self, velocity: Vec3, position: Vec3) -> Vec3:
         """A velocity that can still stop at the fence's margin (AVOID_ENABLE; for velocity targets alone)."""

@@ -7,10 +7,12 @@ import math
 from sitl.ardupilot_parameters import ArduPilotParameters
 from sitl.control import Gains
 from sitl.estimator import Tuning
+from sitl.shaper import Limits
 
 EXTERNAL = 6  # EK3_SRC1_*: external navigation
 _FLAGS_FALL_S = 7.2  # after the last pose (measured)
 _REJECT_S = 7.0  # posRetryTimeNoVel_ms: then reset to the poses (read)
+_VERTICAL_LIMIT_MPS2 = 5.0
 _VERTICAL_INTEGRAL = 2.0  # 1/s²: what ArduPilot's inner acceleration loop amounts to
 
 
@@ -34,19 +36,25 @@ def estimator_tuning(p: ArduPilotParameters) -> Tuning:
 
 
 def control_gains(p: ArduPilotParameters) -> Gains:
-    """AC_PosControl. Vertical acceleration is limited as by WP_ACC_Z, horizontal as by WP_ACC and the lean angle."""
+    """AC_PosControl after its shaping: the lean angle is its only limit."""
     return Gains(
         xy_p=p["PSC_NE_POS_P"],
         z_p=p["PSC_D_POS_P"],
         yaw_p=p["ATC_ANG_YAW_P"],
         xy_velocity=(p["PSC_NE_VEL_P"], p["PSC_NE_VEL_I"], p["PSC_NE_VEL_D"]),
         z_velocity=(p["PSC_D_VEL_P"], _VERTICAL_INTEGRAL, 0.0),
-        speed_xy=p["WP_SPD"],
-        speed_up=p["WP_SPD_UP"],
-        speed_down=p["WP_SPD_DN"],
-        accel_xy=2.0 * p["WP_ACC"],  # corrections have a budget of their own, as large as the profile's
-        accel_up=2.0 * p["WP_ACC_Z"],
-        accel_down=2.0 * p["WP_ACC_Z"],
+        speed_xy=math.inf,
+        speed_up=math.inf,
+        speed_down=math.inf,
+        accel_xy=math.inf,
+        accel_up=_VERTICAL_LIMIT_MPS2,
+        accel_down=_VERTICAL_LIMIT_MPS2,
         tilt_rad=math.radians(p["ATC_ANGLE_MAX"]),
         yaw_rate=math.radians(p["ATC_RATE_WPY_MAX"]),
     )
+
+
+def shaping_limits(p: ArduPilotParameters) -> tuple[Limits, Limits]:
+    """Horizontal and vertical, of GUIDED."""
+    vertical = Limits(max(p["WP_SPD_UP"], p["WP_SPD_DN"]), p["WP_ACC_Z"], p["PSC_JERK_D"])
+    return Limits(p["WP_SPD"], p["WP_ACC"], p["PSC_JERK_NE"]), vertical

@@ -1,0 +1,105 @@
+"""AUTOPILOTS.md: pilot, companion's heartbeat, battery and transmitter of the simulated ArduCopter."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from ardupilot_rig import LOITER, Copilot, copter, flying, mode_of, seconds_until
+
+
+def test_a_pilot_takes_over_and_setpoints_no_longer_move_it() -> None:
+    c = flying()
+    c.copter.pilot_takes_over()
+    c.run(1.1)
+    assert c.mode == LOITER
+    place = c.ned
+    c.go_to(2.0, 0.0, -1.2)
+    c.run(3.0)
+    assert math.dist(c.ned, place) < 0.3
+    assert c.copter.failsafes == []
+
+
+@pytest.mark.parametrize("timeout_s", [2.0, 3.0])
+def test_a_companion_that_falls_silent_is_landed_for(timeout_s: float) -> None:
+    c = flying(FS_GCS_TIMEOUT=timeout_s)
+    c.run(1.0)
+    c.heartbeats = False
+    assert timeout_s - 1.05 < seconds_until(c, lambda: mode_of(c) == "LAND", 5.0) < timeout_s + 0.1
+    assert c.copter.failsafes == ["GCS Failsafe: LAND"]
+    assert c.run(15.0, lambda: not c.armed)
+
+
+def test_a_companion_that_comes_back_does_not_stop_the_landing() -> None:
+    c = flying()
+    c.heartbeats = False
+    assert c.run(4.0, lambda: mode_of(c) == "LAND")
+    c.heartbeats = True
+    c.run(2.0)
+    assert mode_of(c) == "LAND"
+
+
+@pytest.mark.parametrize("system", [1, 42])
+def test_with_another_system_id_its_death_is_never_seen(system: int) -> None:
+    """The vehicle's own id, and any but the one that MAV_GCS_SYSID names."""
+    c = copter()
+    c.heartbeats_as = system
+    c.take_off()
+    c.heartbeats = False
+    c.run(10.0)
+    assert mode_of(c) == "GUIDED"
+    assert c.copter.failsafes == []
+
+
+def test_with_the_vehicles_id_even_if_that_is_the_parameters() -> None:
+    c = copter(MAV_GCS_SYSID=1)
+    c.heartbeats_as = 1
+    c.take_off()
+    c.heartbeats = False
+    c.run(6.0)
+    assert mode_of(c) == "GUIDED"
+
+
+def test_a_pilots_mode_outlives_the_companion() -> None:
+    c = flying()
+    c.copter.pilot_takes_over("ALT_HOLD")
+    c.heartbeats = False
+    c.run(6.0)
+    assert mode_of(c) == "ALT_HOLD"
+
+
+@pytest.mark.parametrize(("fraction", "trouble"), [(0.19, "Battery is low"), (0.11, "Battery is low")])
+def test_an_empty_battery_lands(fraction: float, trouble: str) -> None:
+    c = flying()
+    c.copter.set_battery(fraction)
+    c.run(0.2)
+    assert mode_of(c) == "LAND"
+    assert c.copter.failsafes == [f"{trouble}: LAND"]
+
+
+def test_a_transmitter_that_falls_silent_lands_it() -> None:
+    c = flying()
+    c.copter.transmitter(heard=False)
+    assert 0.4 < seconds_until(c, lambda: mode_of(c) == "LAND", 4.0) < 1.0
+    assert c.copter.failsafes == ["Radio Failsafe: LAND"]
+
+
+def test_the_kill_switch_wins() -> None:
+    c = flying()
+    c.copter.pilot_disarms()
+    c.run(2.0)
+    assert c.vehicle.on_ground
+
+
+@pytest.mark.parametrize("name", ["FS_THR_ENABLE", "FS_GCS_ENABLE", "FENCE_ACTION", "BATT_FS_LOW_ACT"])
+def test_failsafes_that_return_are_not_simulated(name: str) -> None:
+    """Return is a climb into the ceiling; a file that asks for it is not flown."""
+    with pytest.raises(ValueError, match=name):
+        copter(**{name: 2 if name.startswith("BATT") else 1})
+
+
+def test_the_ceiling_of_the_fence_lands() -> None:
+    c: Copilot = flying(FENCE_ALT_MAX=2.0)
+    c.move(0.0, 0.0, -0.5)
+    assert c.run(6.0, lambda: mode_of(c) == "LAND")
+    assert -c.ned[2] < 2.3
