@@ -18,7 +18,7 @@ NOISES = ("d435i", "paper", "kinect", "none")
 CAMERAS = ("d435i", "wide", "fast")
 MAPPERS = ("neural", "stand-in")
 VARIANTS = get_args(VariantName)
-AUTOPILOTS = ("px4",)
+AUTOPILOTS = ("px4", "ardupilot")
 BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
 RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
 HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.20, 0.35  # between the hull and what is not known free, in a plan
@@ -102,7 +102,7 @@ class SimOptions:
     def world(self, runtime: Path) -> WorldOptions:
         """The options of the outside world."""
         return WorldOptions(
-            scene=self.scene, start=self.start, fence=self.fence, seed=self.seed,
+            scene=self.scene, start=self.start, fence=self.fence, seed=self.seed, autopilot=self.autopilot,
             mount_pitch_down_deg=self.mount_pitch_down_deg, radius_m=self.radius_m,
             depth_noise=cast("Noise", self.depth_noise), camera=cast("Model", self.camera), port=self.port,
             stream=str(runtime / "camera.stream"),

@@ -15,6 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from sitl import d435i
+from sitl.ardupilot import ArduCopter
+from sitl.ardupilot_parameters import ArduPilotParameters
+from sitl.autopilot import Autopilot
 from sitl.clearance import Clearance
 from sitl.merged import merged
 from sitl.pace import REAL, Pace
@@ -39,6 +42,7 @@ class WorldOptions:
     start: tuple[float, float, float, float] | None
     fence: tuple[float, float, float, float, float, float] | None
     seed: int
+    autopilot: str  # px4 or ardupilot
     mount_pitch_down_deg: float | None  # None = gimbal
     depth_noise: d435i.Noise
     camera: d435i.Model
@@ -68,10 +72,17 @@ def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callab
     clearance.hull_m(np.zeros(3))
     camera = d435i.Camera(renderer, options.camera, options.depth_noise, seed=options.seed)
     vehicle = Quadrotor(seed=options.seed, yaw_rad=scene.start_yaw_rad)
-    autopilot = Px4(vehicle, link, Parameters.load(), options.seed, pace.physics_s)
+    autopilot = _autopilot(options, vehicle, link, pace)
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
     return World(autopilot, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad, pace)
+
+
+def _autopilot(options: WorldOptions, vehicle: Quadrotor, link: ByteEnd, pace: Pace) -> Autopilot:
+    """With the parameters that are to be flown."""
+    if options.autopilot == "ardupilot":
+        return ArduCopter(vehicle, link, ArduPilotParameters.load(), options.seed, pace.physics_s)
+    return Px4(vehicle, link, Parameters.load(), options.seed, pace.physics_s)
 
 
 def _renderer(scene: Scene, camera: d435i.Model) -> Renderer:

@@ -50,7 +50,7 @@ def sim(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of wind, noise and learning; one seed, one lockstep flight.")] = 0,
     out: Annotated[Path | None, typer.Option(help="Flight folder. Default: flights/SCENE-DATE.")] = None,
-    autopilot: Annotated[str, typer.Option(help="Firmware personality: px4.")] = "px4",
+    autopilot: Annotated[str, typer.Option(help="Firmware personality: px4 or ardupilot.")] = "px4",
     variant: Annotated[
         str,
         typer.Option(

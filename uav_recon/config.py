@@ -61,7 +61,7 @@ class SafetyConfig(Section):
 class LinkConfig(Section):
     """The way to the autopilot."""
 
-    autopilot: Literal["px4"] = "px4"  # firmware personality
+    autopilot: Literal["px4", "ardupilot"] = "px4"  # firmware personality
     url: str = "udp:127.0.0.1:14540"  # udp:HOST:PORT (listens there) or serial:DEVICE:BAUD
     setpoint_rate_hz: Annotated[float, Field(ge=10.0, le=100.0)] = 30.0  # setpoints on the wire
     origin_lat_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.3977  # origin handed to the autopilot
@@ -149,8 +149,8 @@ class MotionConfig(Section):
 
     speed_mps: Positive = 1.0  # in the open
     tight_speed_mps: Positive = 0.7  # where clearance is the planning distance
-    climb_mps: Positive = 0.6  # upwards, inside the autopilot's MPC_Z_VEL_MAX_UP
-    descent_mps: Positive = 0.4  # downwards, inside the autopilot's MPC_Z_VEL_MAX_DN
+    climb_mps: Positive = 0.6  # upwards, inside the autopilot's MPC_Z_VEL_MAX_UP, WP_SPD_UP
+    descent_mps: Positive = 0.4  # downwards, inside the autopilot's MPC_Z_VEL_MAX_DN, WP_SPD_DN
     acceleration_mps2: Positive = 1.2  # along and across
     yaw_rate_degps: Positive = 45.0  # rotation
     yaw_acceleration_degps2: Positive = 90.0  # rotation

@@ -108,7 +108,10 @@ def load_config(path: Path) -> Config:
 
 def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, clock: Clock) -> Pilot:
     """The loop next to the autopilot."""
-    from uav_recon.autopilot.pilot import Origin, PilotChannels, make_px4_pilot
+    from uav_recon.autopilot.ardupilot import ARDUPILOT
+    from uav_recon.autopilot.pilot import Origin, PilotChannels
+    from uav_recon.autopilot.pilot import make_pilot as wire_pilot
+    from uav_recon.autopilot.px4 import PX4
     from uav_recon.safety.envelope import Envelope
     from uav_recon.safety.guard import Guard, Patience
 
@@ -125,7 +128,8 @@ def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, cloc
     channels = PilotChannels(wires.odom, wires.intent, wires.vehicle)
     origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
     gimbal = config.camera.mount == "gimbal"
-    return make_px4_pilot(link, Guard(envelope, patience), channels, clock, origin, config.link.setpoint_rate_hz, gimbal, log)
+    firmware, guard = {"px4": PX4, "ardupilot": ARDUPILOT}[config.link.autopilot], Guard(envelope, patience)
+    return wire_pilot(link, firmware, guard, channels, clock, origin, config.link.setpoint_rate_hz, gimbal, log)
 
 
 # -- perception ---------------------------------------------------------------------------------------------------------

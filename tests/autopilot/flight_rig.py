@@ -1,4 +1,4 @@
-"""A lockstep flight without a mission: pilot and simulated PX4 over a pipe, poses straight from the truth."""
+"""A lockstep flight without a mission: pilot and simulated autopilot over a pipe, poses straight from the truth."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.autopilot import Autopilot
 from sitl.parameters import Parameters
 from sitl.px4 import Px4
-from sitl.transport import pipe
+from sitl.transport import ByteEnd, pipe
 from sitl.vehicle import Quadrotor
-from uav_recon.autopilot.pilot import Origin, PilotChannels, make_px4_pilot
+from uav_recon.autopilot.personality import Personality
+from uav_recon.autopilot.pilot import Origin, PilotChannels, make_pilot
+from uav_recon.autopilot.px4 import PX4
 from uav_recon.autopilot.tlog import FrameLog
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
@@ -73,20 +76,31 @@ class Tap:
 class Rig:
     """One flight. The mission is whoever calls fly(), land() and silent()."""
 
+    firmware: Personality = PX4
+
     def __init__(self, seed: int = 1, start: tuple[float, float, float] = (0.0, 0.0, 0.0), log: FrameLog | None = None) -> None:
         self.clock = ManualClock(100.0)
         ours, theirs = pipe()
         self.tap = Tap(ours, self.clock)
         self.vehicle = Quadrotor(seed, 0.1, start)
-        self.px4 = Px4(self.vehicle, theirs, Parameters.load(), seed)
+        self.autopilot = self._fly(theirs, seed)
         self.channels = PilotChannels(MemoryChannel(StampedPose), MemoryChannel(Intent), MemoryChannel(VehicleState))
         self.guard = Guard(ENVELOPE, PATIENCE)
         origin = Origin(47.3977, 8.5456, 488.0)
-        self.pilot = make_px4_pilot(self.tap, self.guard, self.channels, self.clock, origin, log=log)
+        self.pilot = make_pilot(self.tap, self.firmware, self.guard, self.channels, self.clock, origin, log=log)
         self.intent: tuple[Goal, Trajectory | None] | None = (Goal.STANDBY, None)
         self.poses = True
         self.turn = 0
         self.track: list[tuple[float, FloatArray]] = []
+
+    def _fly(self, end: ByteEnd, seed: int) -> Autopilot:
+        return Px4(self.vehicle, end, Parameters.load(), seed)
+
+    @property
+    def px4(self) -> Px4:
+        """The autopilot, where it is PX4."""
+        assert isinstance(self.autopilot, Px4)
+        return self.autopilot
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / TICK_S)):
@@ -103,8 +117,8 @@ class Rig:
     def step(self) -> None:
         now = 100.0 + self.turn * TICK_S
         self.clock.advance_to(now)
-        self.px4.step(now)
-        truth = self.px4.truth()
+        self.autopilot.step(now)
+        truth = self.autopilot.truth()
         if self.poses and self.turn % 3 == 0:
             pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position))
             self.channels.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity)))
@@ -122,11 +136,11 @@ class Rig:
 
     @property
     def height_m(self) -> float:
-        return float(self.px4.truth().position[2])
+        return float(self.autopilot.truth().position[2])
 
     def fly(self, *waypoints: tuple[float, float, float], identifier: int = 1) -> Trajectory:
         """Propose a smooth way from here through the points, at rest at each of them."""
-        trajectory = smooth_way(self.clock.now_s() + 0.1, [self.px4.truth().position, *waypoints], identifier)
+        trajectory = smooth_way(self.clock.now_s() + 0.1, [self.autopilot.truth().position, *waypoints], identifier)
         self.intent = (Goal.FLY, trajectory)
         return trajectory
 

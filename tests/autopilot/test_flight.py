@@ -11,7 +11,8 @@ import pytest
 from flight_rig import ARM, ENVELOPE, MODE, TAKEOFF_LAG_S, TICK_S, Rig, Tap
 from pymavlink.dialects.v20 import common as mavlink
 
-from uav_recon.autopilot.pilot import Origin, make_px4_pilot
+from uav_recon.autopilot.pilot import Origin, make_pilot
+from uav_recon.autopilot.px4 import PX4
 from uav_recon.autopilot.tlog import Tlog
 from uav_recon.safety.guard import Guard
 from uav_recon.types.frames import FloatArray
@@ -249,8 +250,8 @@ def test_a_trajectory_of_another_epoch_is_not_flown(hovering: Rig) -> None:
 
 
 def test_a_pilot_started_in_the_air_only_watches(hovering: Rig) -> None:
-    second = make_px4_pilot(
-        hovering.tap, Guard(ENVELOPE, hovering.guard.patience), hovering.channels, hovering.clock, Origin(47.0, 8.0, 400.0)
+    second = make_pilot(
+        hovering.tap, PX4, Guard(ENVELOPE, hovering.guard.patience), hovering.channels, hovering.clock, Origin(47.0, 8.0, 400.0)
     )
     hovering.pilot = second
     begin = hovering.clock.now_s()

@@ -12,6 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import common as wire
 
 from uav_recon.autopilot.link import Link
+from uav_recon.autopilot.px4 import PX4
 from uav_recon.autopilot.tlog import NoLog
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Setpoint
@@ -52,7 +53,7 @@ def heartbeat(mode: int = 6 << 16, armed: bool = False, autopilot: int = 12) -> 
 @pytest.fixture
 def pair() -> tuple[Link, Wire]:
     far = Wire()
-    return Link(far, NoLog(), 0.0), far
+    return Link(far, NoLog(), 0.0, PX4), far
 
 
 def converge(link: Link, far: Wire, offset_s: float = 37.5) -> None:

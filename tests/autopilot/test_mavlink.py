@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.dialects.v20 import common as wire
 
 from uav_recon.autopilot.mavlink import Decoder, Encoder
@@ -83,14 +84,24 @@ def test_odometry_is_the_pose_in_frd(
 @settings(max_examples=100, deadline=None)
 @given(numbers(3), numbers(3), numbers(3), st.floats(-9, 9), st.floats(-2, 2))
 def test_setpoints_carry_everything(p: FloatArray, v: FloatArray, a: FloatArray, yaw: float, rate: float) -> None:
-    m = written(Encoder(245, 191).setpoint(7, Setpoint(p, v, a, yaw, rate, 0.3), 2**32 + 5))
+    m = written(Encoder(245, 191).setpoint(7, Setpoint(p, v, a, yaw, rate, 0.3), 2**32 + 5, 2496))
     np.testing.assert_allclose([m.x, m.y, m.z], NED_ENU @ p, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose([m.vx, m.vy, m.vz], NED_ENU @ v, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose([m.afx, m.afy, m.afz], NED_ENU @ a, rtol=1e-6, atol=1e-6)
     forward = NED_ENU @ [math.cos(yaw), math.sin(yaw), 0.0]
     np.testing.assert_allclose([math.cos(m.yaw), math.sin(m.yaw)], forward[:2], atol=1e-5)
     assert m.yaw_rate == pytest.approx(-rate, abs=1e-6)
-    assert (m.type_mask, m.coordinate_frame, m.target_system, m.target_component, m.time_boot_ms) == (0, 1, 7, 1, 5)
+    assert (m.type_mask, m.coordinate_frame, m.target_system, m.target_component, m.time_boot_ms) == (2496, 1, 7, 1, 5)
+
+
+@pytest.mark.parametrize(
+    ("flags", "horizontal", "good"),
+    [(0x33F, 0.4, True), (0x33F, 1.0, False), (0x25, 0.0, False), (0xA5, 0.0, False), (0x400, 0.0, False), (0x73F, 0.1, False)],
+)
+def test_ardupilots_estimator_follows_only_when_it_takes_what_it_is_fed(flags: int, horizontal: float, good: bool) -> None:
+    report = ardupilotmega.MAVLink_ekf_status_report_message(flags, 0.1, horizontal, 0.1, 0.0, 0.0)
+    (received,) = Decoder().feed(bytes(report.pack(ardupilotmega.MAVLink(None, 1, 1))))
+    assert received.message == EstimatorStatus(good)
 
 
 def test_other_things_we_say() -> None:

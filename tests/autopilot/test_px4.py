@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from uav_recon.autopilot import px4
-from uav_recon.autopilot.link import Telemetry
-from uav_recon.autopilot.px4 import Arming, Outcome
+from uav_recon.autopilot.personality import ARM_DISARM, DO_SET_MODE, Outcome
+from uav_recon.autopilot.px4 import Arming
+from uav_recon.autopilot.telemetry import Telemetry
 
 OFFBOARD, LAND, LOITER, POSCTL, RTL = 393216, 100925440, 50593792, 196608, 84148224  # the first three as measured
 
@@ -84,7 +85,7 @@ def drive(
 def test_a_mode_that_never_shows_is_asked_for_three_times() -> None:
     arming = Arming(0.0)
     asked, outcome = drive(arming, ready(warning="no RC"), 20.0)
-    assert [command for _, command in asked] == [px4.DO_SET_MODE] * 3
+    assert [command for _, command in asked] == [DO_SET_MODE] * 3
     assert asked[0][0] >= 1.0
     assert outcome is Outcome.GIVEN_UP
     assert arming.reason == "arming given up: mode stays AUTO.LOITER: no RC"
@@ -93,7 +94,7 @@ def test_a_mode_that_never_shows_is_asked_for_three_times() -> None:
 def test_motors_that_stay_off_are_asked_three_times_five_seconds_apart() -> None:
     arming = Arming(0.0)
     asked, outcome = drive(arming, ready(custom_mode=OFFBOARD, warning="Arming denied: compass"), 30.0)
-    arms = [at for at, command in asked if command == px4.ARM_DISARM]
+    arms = [at for at, command in asked if command == ARM_DISARM]
     assert len(arms) == 3
     assert [b - a for a, b in itertools.pairwise(arms)] == pytest.approx([5.0, 5.0], abs=0.02)
     assert outcome is Outcome.GIVEN_UP
@@ -103,7 +104,7 @@ def test_motors_that_stay_off_are_asked_three_times_five_seconds_apart() -> None
 def test_offboard_left_over_from_before_is_no_proof() -> None:
     """The mode is asked for even if an old heartbeat shows it already."""
     asked, _ = drive(Arming(0.0), ready(custom_mode=OFFBOARD), 1.5)
-    assert asked[0][1] == px4.DO_SET_MODE
+    assert asked[0][1] == DO_SET_MODE
 
 
 def test_a_mode_changed_before_arming_gives_up() -> None:

@@ -34,7 +34,7 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
         ({"mapper": "stand-in"}, "lockstep"),
         ({"radius": 0.01}, "0.05..0.6"),
         ({"camera": "d415"}, "d435i, wide"),
-        ({"autopilot": "ardupilot"}, "px4"),
+        ({"autopilot": "inav"}, "px4, ardupilot"),
         ({"variant": "best"}, "adaptive, merged, reconstruct, explore, explore-yaw, explore-then-refine, evpp, vpp"),
         ({"start": "1,2,3"}, "4 numbers"),
         ({"start": "1,2,3,inf"}, "4 numbers"),

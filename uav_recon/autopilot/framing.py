@@ -10,7 +10,7 @@ import struct
 from typing import Any
 
 os.environ["MAVLINK20"] = "1"
-from pymavlink.dialects.v20 import common as wire
+from pymavlink.dialects.v20 import ardupilotmega as wire  # the common messages, and EKF_STATUS_REPORT
 
 __all__ = ["MAGIC_1", "MAGIC_2", "Layout", "frame_length", "framed", "is_intact", "kind_of", "sender_of", "wire"]
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-
-import numpy as np
 
 from uav_recon.autopilot.mavlink import Decoder, Encoder
 from uav_recon.autopilot.messages import (
@@ -23,12 +20,13 @@ from uav_recon.autopilot.messages import (
     SystemStatus,
     TimeSync,
 )
+from uav_recon.autopilot.personality import Personality
+from uav_recon.autopilot.telemetry import Telemetry
 from uav_recon.autopilot.timesync import TimeSyncFilter
 from uav_recon.autopilot.tlog import FrameLog
 from uav_recon.clock import RateKeeper
 from uav_recon.protocols import ByteLink
 from uav_recon.safety.guard import ClearedSetpoint
-from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import StampedPose
 
 AUTOPILOT_COMPONENT = 1
@@ -39,38 +37,24 @@ _NS = 1_000_000_000
 _CHATTER_S = (1.0, 5.0, 10.0)  # Hz: heartbeat, TIMESYNC, gimbal at most
 
 
-@dataclass(slots=True)
-class Telemetry:
-    """The newest word of the autopilot. Instants are ours; -inf = never."""
-
-    system: int = 0  # MAVLink system id of the vehicle; 0 = nobody heard
-    heard_s: float = -math.inf
-    heartbeat_s: float = -math.inf
-    firmware_family: int = 0  # MAV_AUTOPILOT
-    armed: bool = False
-    custom_mode: int = 0
-    version: tuple[int, int, int] | None = None
-    estimator_good: bool = False
-    prearm_good: bool = False
-    origin_known: bool = False
-    battery_fraction: float = math.nan
-    position_m: FloatArray = field(default_factory=lambda: np.zeros(3))
-    velocity_mps: FloatArray = field(default_factory=lambda: np.zeros(3))
-    quat_wxyz: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
-    camera_pitch_down_rad: float = math.nan
-    refused_command: int = 0  # newest command answered with anything but "accepted" or "in progress"
-    warning: str = ""  # newest text of severity warning or worse
-    pose_fed_s: float = -math.inf
-    twin_heard: bool = False  # somebody else speaks with our own id
-    reboots: int = 0
-    failure: str = ""  # why the byte link failed last
-
-
 class Link:
-    """Speaks MAVLink with one autopilot over one byte link. Methods never block and never raise on what arrives."""
+    """Speaks MAVLink with one autopilot over one byte link. Methods never block and never raise on what arrives.
 
-    def __init__(self, bytes_link: ByteLink, log: FrameLog, start_s: float, system: int = 245, component: int = 191) -> None:
+    firmware: whose rules hold on the other end.
+    """
+
+    def __init__(
+        self,
+        bytes_link: ByteLink,
+        log: FrameLog,
+        start_s: float,
+        firmware: Personality,
+        system: int = 245,
+        component: int = 191,
+    ) -> None:
         self._bytes, self._log = bytes_link, log
+        self.firmware = firmware
+        self._mute = False
         self._own = (system, component)
         self._decoder, self._encoder = Decoder(), Encoder(system, component)
         self._timesync = TimeSyncFilter()
@@ -95,10 +79,14 @@ class Link:
 
     def keep_alive(self, now_s: float) -> None:
         """Our heartbeat, and the question for the autopilot's clock."""
-        if self._heartbeat.due(now_s):
+        if self._heartbeat.due(now_s) and not self._mute:
             self._send(self._encoder.heartbeat(), now_s)
         if self.telemetry.system and self._sync.due(now_s):
             self._send(self._encoder.timesync(0, int(now_s * _NS)), now_s)
+
+    def stop_heartbeats(self) -> None:
+        """From now on the autopilot is to take us for dead, and to land by itself where it is ours no more."""
+        self._mute = True
 
     def feed_pose(self, pose: StampedPose, now_s: float) -> None:
         """ODOMETRY on the autopilot's clock; nothing before that clock is known."""
@@ -111,7 +99,7 @@ class Link:
     def stream(self, cleared: ClearedSetpoint, now_s: float, gimbal: bool) -> None:
         """Put a cleared setpoint on the wire, and at most ten times a second its camera pitch."""
         boot_ms = self._timesync.autopilot_ns(now_s) // 1_000_000
-        self._send(self._encoder.setpoint(self.telemetry.system, cleared.setpoint, boot_ms), now_s)
+        self._send(self._encoder.setpoint(self.telemetry.system, cleared.setpoint, boot_ms, self.firmware.setpoint_mask), now_s)
         if gimbal and self._gimbal.due(now_s):
             pitch_rad = min(max(cleared.setpoint.camera_pitch_down_rad, -math.pi / 2), math.pi / 2)
             self._send(self._encoder.gimbal_pitch(self.telemetry.system, pitch_rad), now_s)

@@ -129,8 +129,8 @@ class Encoder:
         )
         return self._frame(_ODOMETRY, payload)
 
-    def setpoint(self, target: int, setpoint: Setpoint, time_boot_ms: int) -> bytes:
-        """SET_POSITION_TARGET_LOCAL_NED with position, velocity, acceleration, yaw and yaw rate (mask 0)."""
+    def setpoint(self, target: int, setpoint: Setpoint, time_boot_ms: int, mask: int) -> bytes:
+        """SET_POSITION_TARGET_LOCAL_NED; mask: the bits of what is to be ignored, 0 = nothing."""
         payload = _SETPOINT.unpacker.pack(
             time_boot_ms % (1 << 32),
             *swap_world(setpoint.position_m),
@@ -138,7 +138,7 @@ class Encoder:
             *swap_world(setpoint.acceleration_mps2),
             swap_yaw(setpoint.yaw_rad),
             -setpoint.yaw_rate_radps,
-            0,
+            mask,
             target,
             wire.MAV_COMP_ID_AUTOPILOT1,
             wire.MAV_FRAME_LOCAL_NED,
@@ -210,10 +210,17 @@ def _gimbal(quat: tuple[float, float, float, float]) -> Message | None:
     return GimbalAttitude(-math.asin(min(max(sine, -1.0), 1.0))) if math.isfinite(sine) else None
 
 
+def _ekf(flags: int, horizontal: float) -> Message:
+    """ArduPilot's: it follows, it knows where it is, and it does not refuse what it is fed (innovation over gate)."""
+    return EstimatorStatus(flags & (_EKF_FOLLOWS | _EKF_DOES_NOT) == _EKF_FOLLOWS and horizontal < 1.0)
+
+
 def _origin() -> Message:
     return OriginSet()
 
 
+_EKF_FOLLOWS = 0x33F  # attitude, velocities, positions and their predictions (measured)
+_EKF_DOES_NOT = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED
 _ODOMETRY, _SETPOINT = wire.MAVLink_odometry_message, wire.MAVLink_set_position_target_local_ned_message
 _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = (
     (wire.MAVLink_heartbeat_message, ("type", "autopilot", "base_mode", "custom_mode"), _heartbeat),
@@ -224,6 +231,7 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
         ("flags",),
         lambda flags: EstimatorStatus(bool(flags & wire.ESTIMATOR_POS_HORIZ_REL)),
     ),
+    (wire.MAVLink_ekf_status_report_message, ("flags", "pos_horiz_variance"), _ekf),
     (
         wire.MAVLink_sys_status_message,
         ("onboard_control_sensors_present", "onboard_control_sensors_health", "battery_remaining"),

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.autopilot import px4
 from uav_recon.autopilot.handover import Handover
 from uav_recon.autopilot.link import Link
-from uav_recon.autopilot.px4 import Arming, Outcome
+from uav_recon.autopilot.personality import ARM, Arming, Outcome, Personality
 from uav_recon.autopilot.tlog import FrameLog, NoLog
 from uav_recon.clock import RateKeeper
 from uav_recon.protocols import ByteLink, Channel, Clock
@@ -68,6 +67,7 @@ class Pilot:
         gimbal: bool = False,
     ) -> None:
         self._link, self._guard, self._channels, self._clock = link, guard, channels, clock
+        self._firmware = link.firmware
         self._origin, self._gimbal = origin, gimbal
         start_s = clock.now_s()
         self._tick = RateKeeper(setpoint_rate_hz, start_s)
@@ -176,20 +176,23 @@ class Pilot:
         t = self._link.telemetry
         rebooted, self._reboots = t.reboots != self._reboots, t.reboots
         if self.phase in (FlightPhase.CONNECTING, FlightPhase.READY) and t.armed:
-            if px4.is_ours(t.custom_mode) and now_s - self._arm_asked_s < _LATE_ARM_S:
+            if self._firmware.is_ours(t.custom_mode) and now_s - self._arm_asked_s < _LATE_ARM_S:
                 self.phase = FlightPhase.LANDING  # our own request, withdrawn before it took effect
             else:
                 self._yield("armed by somebody else")
+                if self._firmware.is_ours(t.custom_mode):  # by us before a restart: nobody flies it now
+                    self._link.stop_heartbeats()
         elif self.phase in _IN_THE_AIR and rebooted:
             self._yield("the autopilot restarted in flight")
         elif self.phase in _IN_THE_AIR and now_s - t.heard_s > _LINK_LOST_S:
             self._yield("the autopilot is silent")
+            self._link.stop_heartbeats()
         elif self.phase is FlightPhase.FLYING and not t.armed:
             self._land_finished("disarmed in flight")
-        elif self.phase is FlightPhase.FLYING and px4.is_landing(t.custom_mode):
+        elif self.phase is FlightPhase.FLYING and self._firmware.is_landing(t.custom_mode):
             self.phase, self._land_seen, self._note = FlightPhase.LANDING, True, f"the autopilot lands: {t.warning}"
-        elif self.phase is FlightPhase.FLYING and not px4.is_ours(t.custom_mode):
-            self._yield(f"mode changed to {px4.mode_name(t.custom_mode)}")
+        elif self.phase is FlightPhase.FLYING and not self._firmware.is_ours(t.custom_mode):
+            self._yield(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
 
     def _situation(self, now_s: float) -> Situation:
         pose, intent = self._pose, self._intent
@@ -223,7 +226,7 @@ class Pilot:
 
     def _connect(self, now_s: float) -> None:
         t = self._link.telemetry
-        missing = px4.missing_for_arming(t, self._link.time_known, now_s)
+        missing = self._firmware.missing_for_arming(t, self._link.time_known, now_s)
         if not missing:
             self.phase, self._note = FlightPhase.READY, ""
             return
@@ -231,17 +234,17 @@ class Pilot:
         if t.system == 0 or now_s - self._asked_s < _ASK_AGAIN_S:
             return
         self._asked_s = now_s
-        self._link.request_streams(now_s, px4.STREAMS_HZ, () if t.version else px4.ASKED_ONCE)
+        self._link.request_streams(now_s, self._firmware.streams_hz, () if t.version else self._firmware.asked_once)
         if self._gimbal:
             self._link.claim_gimbal(now_s)
-        if not t.origin_known and not px4.missing_for_origin(t, self._link.time_known, now_s):
+        if not t.origin_known and not self._firmware.missing_for_origin(t, self._link.time_known, now_s):
             self._link.send_origin(now_s, self._origin.lat_deg, self._origin.lon_deg, self._origin.alt_m)
 
     def _stand_ready(self, now_s: float) -> None:
-        if px4.missing_for_arming(self._link.telemetry, self._link.time_known, now_s):
+        if self._firmware.missing_for_arming(self._link.telemetry, self._link.time_known, now_s):
             self.phase = FlightPhase.CONNECTING
         elif self._goal(now_s) is Goal.FLY and self._may_arm and not self._land_wanted:
-            self.phase, self._note, self._arming = FlightPhase.ARMING, "", Arming(now_s)
+            self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
             self._guard.rebase(self._situation(now_s), rest_s=0.0)
 
     def _arm(self, now_s: float) -> None:
@@ -257,10 +260,12 @@ class Pilot:
         outcome, command = arming.step(now_s, t)
         if outcome is Outcome.ARMED:
             self.phase, self._note = FlightPhase.FLYING, ""
+            if not arming.streams:
+                self._guard.rebase(self._situation(now_s), rest_s=0.0)
         elif outcome is Outcome.GIVEN_UP:
             self._abandon_arming(arming.reason)
         elif command is not None:
-            self._arm_asked_s = now_s if command == px4.ARM else self._arm_asked_s
+            self._arm_asked_s = now_s if command == ARM else self._arm_asked_s
             self._link.command(now_s, command[0], *command[1])
 
     def _abandon_arming(self, why: str) -> None:
@@ -280,13 +285,13 @@ class Pilot:
         t = self._link.telemetry
         if not t.armed:
             self._land_finished("")
-        elif px4.is_landing(t.custom_mode):
+        elif self._firmware.is_landing(t.custom_mode):
             self._land_seen = True
-        elif not px4.is_ours(t.custom_mode):
-            self._yield(f"mode changed to {px4.mode_name(t.custom_mode)}")
+        elif not self._firmware.is_ours(t.custom_mode):
+            self._yield(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
         elif now_s - self._land_asked_s >= _LAND_AGAIN_S and self._mode_is_current(now_s):
             self._land_asked_s = now_s
-            self._link.command(now_s, px4.LAND[0], *px4.LAND[1])
+            self._link.command(now_s, self._firmware.land[0], *self._firmware.land[1])
 
     def _mode_is_current(self, now_s: float) -> bool:
         """Whether no human can have taken over unseen: the mode was told this instant, or is not told often."""
@@ -305,10 +310,9 @@ class Pilot:
 
     def _stream(self, now_s: float) -> None:
         """One setpoint, if the vehicle is ours: the guard's answer to the trajectory, or its hold."""
-        streaming = self.phase in (FlightPhase.ARMING, FlightPhase.FLYING) or (
-            self.phase is FlightPhase.LANDING and not self._land_seen
-        )
-        if not streaming:
+        arming = self.phase is FlightPhase.ARMING and self._arming is not None and self._arming.streams
+        landing = self.phase is FlightPhase.LANDING and not self._land_seen
+        if not (arming or landing or self.phase is FlightPhase.FLYING):
             return
         cleared, refusal = self._clear(now_s)
         if refusal is not None:
@@ -339,7 +343,7 @@ class Pilot:
                 world_from_body=world_from_body,
                 velocity_world_mps=velocity,
                 armed=t.armed,
-                mode=px4.mode_name(t.custom_mode),
+                mode=self._firmware.mode_name(t.custom_mode),
                 phase=self.phase,
                 battery_fraction=t.battery_fraction,
                 human_in_control=self.phase is FlightPhase.YIELDED,
@@ -356,8 +360,9 @@ def _key(trajectory: Trajectory | None) -> tuple[int, float] | None:
     return None if trajectory is None else (trajectory.identifier, trajectory.start_s)
 
 
-def make_px4_pilot(
+def make_pilot(
     bytes_link: ByteLink,
+    firmware: Personality,
     guard: Guard,
     channels: PilotChannels,
     clock: Clock,
@@ -366,6 +371,6 @@ def make_px4_pilot(
     gimbal: bool = False,
     log: FrameLog | None = None,
 ) -> Pilot:
-    """Wire a pilot that flies PX4 over the given bytes."""
-    link = Link(bytes_link, log or NoLog(), clock.now_s())
+    """Wire a pilot that flies a firmware over the given bytes."""
+    link = Link(bytes_link, log or NoLog(), clock.now_s(), firmware)
     return Pilot(link, guard, channels, clock, origin, setpoint_rate_hz, gimbal)

@@ -1,30 +1,33 @@
 """PX4's personality: its modes, what it must tell us, when it may arm, and how arming is asked for.
 
-Facts from ../shared/AUTOPILOTS.md (measured on 1.17) and PX4's sources: commands are believed when HEARTBEAT shows
-their effect, never by their ACK; OFFBOARD wants a running setpoint stream first; the origin may be set only once the
-estimator follows the poses.
+Facts from ../shared/AUTOPILOTS.md (measured on 1.17) and PX4's sources: OFFBOARD wants a running setpoint stream first;
+the origin may be set only once the estimator follows the poses.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from enum import Enum
 
-from uav_recon.autopilot.link import Telemetry
+from uav_recon.autopilot.personality import (
+    ARM,
+    DO_SET_MODE,
+    Command,
+    Outcome,
+    Personality,
+    Request,
+    missing_to_arm,
+    missing_to_follow,
+)
+from uav_recon.autopilot.telemetry import Telemetry
 
-DO_SET_MODE, ARM_DISARM = 176, 400
 _PX4_FAMILY = 12
 _CUSTOM_MODE_ENABLED = 1.0
 _OFFBOARD, _AUTO, _AUTO_LAND = 6, 4, 6
 _MAIN_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED", 8: "RATTITUDE"}
 _AUTO_MODES = {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND", 8: "FOLLOW", 9: "PRECLAND"}
 
-Command = tuple[int, tuple[float, ...]]
-
 FLY: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _OFFBOARD))
 LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _AUTO_LAND))
-ARM: Command = (ARM_DISARM, (1.0,))  # the second parameter stays 0: the autopilot's own checks are never forced
 
 MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
 
@@ -59,67 +62,24 @@ def is_landing(custom_mode: int) -> bool:
 
 def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> str:
     """What is missing before the origin may be sent, '' for nothing. Sent too early, PX4 puts local z at the altitude."""
-    if not now_s - t.heartbeat_s <= 3.0:
-        return "no heartbeat from the autopilot"
-    if t.firmware_family != _PX4_FAMILY:
-        return f"the autopilot is not PX4 (MAV_AUTOPILOT {t.firmware_family})"
-    if t.twin_heard:
-        return "another companion speaks with our id"
-    if t.version is None:
-        return "firmware version unknown"
-    if t.version < MIN_VERSION:
-        return f"PX4 {'.'.join(map(str, t.version))} is older than {'.'.join(map(str, MIN_VERSION))}"
-    if not time_known:
-        return "clocks not synchronised yet"
-    if not now_s - t.pose_fed_s <= 0.5:
-        return "no pose to feed"
-    if not t.estimator_good:
-        return "the estimator does not follow the poses yet"
-    return ""
+    return missing_to_follow(t, time_known, now_s, "PX4", _PX4_FAMILY, MIN_VERSION)
 
 
 def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
     """What is missing before arming may be asked for, '' for nothing."""
-    missing = missing_for_origin(t, time_known, now_s)
-    if missing:
-        return missing
-    if not t.origin_known:
-        return "no origin yet"
-    return "" if t.prearm_good else f"pre-arm checks fail{': ' + t.warning if t.warning else ''}"
-
-
-class Outcome(Enum):
-    """Where an attempt to arm stands."""
-
-    PENDING = "pending"
-    ARMED = "armed"
-    GIVEN_UP = "given up"
-
-
-@dataclass(slots=True)
-class _Request:
-    """One command, asked for a few times until the state shows it."""
-
-    command: Command
-    patience_s: float
-    tries: int = 0
-    asked_s: float = -math.inf
-
-    def due(self, now_s: float) -> bool:
-        return now_s - self.asked_s >= self.patience_s
+    return missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
 
 
 class Arming:
     """From a running stream to armed in OFFBOARD: the mode first, then the motors, three tries each."""
 
     STREAM_S = 1.0
-    TRIES = 3
 
     def __init__(self, now_s: float) -> None:
+        self.streams, self.reason = True, ""
         self._start_s = now_s
-        self._mode, self._arm = _Request(FLY, 2.5), _Request(ARM, 5.0)
+        self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
         self._mode_seen_s = math.inf
-        self.reason = ""
 
     def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
         """What has been reached, and the command to send now. Setpoints must be streaming all the while."""
@@ -130,19 +90,18 @@ class Arming:
                 return self._ask(self._mode, now_s, f"mode stays {mode_name(t.custom_mode)}", t)
             self._mode_seen_s = now_s
         if not is_ours(t.custom_mode):
-            return self._give_up(f"mode changed to {mode_name(t.custom_mode)}")
+            self.reason = f"arming given up: mode changed to {mode_name(t.custom_mode)}"
+            return Outcome.GIVEN_UP, None
         if t.armed:
             return Outcome.ARMED, None
         return self._ask(self._arm, now_s, "motors stay off", t)
 
-    def _ask(self, request: _Request, now_s: float, why: str, t: Telemetry) -> tuple[Outcome, Command | None]:
-        if not request.due(now_s):
-            return Outcome.PENDING, None
-        if request.tries >= self.TRIES:
-            return self._give_up(f"{why}{': ' + t.warning if t.warning else ''}")
-        request.tries, request.asked_s = request.tries + 1, now_s
-        return Outcome.PENDING, request.command
+    def _ask(self, request: Request, now_s: float, why: str, t: Telemetry) -> tuple[Outcome, Command | None]:
+        command, self.reason = request.step(now_s, why, t)
+        return (Outcome.GIVEN_UP if self.reason else Outcome.PENDING), command
 
-    def _give_up(self, why: str) -> tuple[Outcome, Command | None]:
-        self.reason = f"arming given up: {why}"
-        return Outcome.GIVEN_UP, None
+
+PX4 = Personality(
+    mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, Arming,
+    land=LAND, setpoint_mask=0, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
+)  # fmt: skip

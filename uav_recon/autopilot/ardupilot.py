@@ -1,0 +1,131 @@
+"""ArduCopter's personality: its modes, what it must tell us, when it may arm, and how it is brought into the air.
+
+Facts from ../shared/AUTOPILOTS.md (measured on 4.8-dev) and its sources: an origin is taken once per boot, and leaves the
+vehicle without a home if it comes before the estimator follows the poses; on the ground setpoints do nothing, or end a
+take-off, so none is sent before it is in the air; when setpoints end it hovers for ever, so the landing is ours to command,
+and a heartbeat that ends is what lands it after our death.
+"""
+
+from __future__ import annotations
+
+import math
+
+from uav_recon.autopilot.personality import (
+    ARM,
+    DO_SET_MODE,
+    Command,
+    Outcome,
+    Personality,
+    Request,
+    missing_to_arm,
+    missing_to_follow,
+)
+from uav_recon.autopilot.telemetry import Telemetry
+
+TAKE_OFF = 22
+CLIMB_M = 0.5  # by command; from there on setpoints are followed
+MIN_VERSION = (4, 5, 2)  # before it, VISO_DELAY_MS had no effect
+_FAMILY = 3
+_CUSTOM_MODE_ENABLED = 1.0
+_GUIDED, _LAND = 4, 9
+_MODES = {
+    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
+    11: "DRIFT", 13: "SPORT", 14: "FLIP", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 19: "AVOID_ADSB",
+    20: "GUIDED_NOGPS", 21: "SMART_RTL", 22: "FLOWHOLD", 23: "FOLLOW", 24: "ZIGZAG", 25: "SYSTEMID", 26: "AUTOROTATE",
+    27: "AUTO_RTL", 28: "TURTLE",
+}  # fmt: skip
+
+FLY: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _GUIDED))
+LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _LAND))
+CLIMB: Command = (TAKE_OFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, CLIMB_M))
+
+PLACE_SPEED_YAW = 0b1001_1100_0000  # accelerations and yaw rate are ignored
+
+STREAMS_HZ = (
+    (0, 5.0),  # HEARTBEAT: a human's mode is to be seen at once
+    (1, 2.0),  # SYS_STATUS
+    (31, 30.0),  # ATTITUDE_QUATERNION
+    (32, 30.0),  # LOCAL_POSITION_NED
+    (49, 1.0),  # GPS_GLOBAL_ORIGIN
+    (193, 5.0),  # EKF_STATUS_REPORT
+    (285, 10.0),  # GIMBAL_DEVICE_ATTITUDE_STATUS
+)
+ASKED_ONCE = (148,)  # AUTOPILOT_VERSION
+
+
+def mode_name(custom_mode: int) -> str:
+    """The mode as ArduPilot's own tools call it."""
+    return _MODES.get(custom_mode, f"MODE{custom_mode}")
+
+
+def is_ours(custom_mode: int) -> bool:
+    """GUIDED: the vehicle follows our setpoints."""
+    return custom_mode == _GUIDED
+
+
+def is_landing(custom_mode: int) -> bool:
+    """LAND, by our word or by a failsafe."""
+    return custom_mode == _LAND
+
+
+def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> str:
+    """What is missing before the origin may be sent, '' for nothing."""
+    return missing_to_follow(t, time_known, now_s, "ArduPilot", _FAMILY, MIN_VERSION)
+
+
+def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
+    """What is missing before arming may be asked for, '' for nothing."""
+    return missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
+
+
+class TakeOff:
+    """GUIDED, motors, and a climb by command; each is believed when it is seen. The climb is asked for once."""
+
+    LIFTED_M, LIFT_S = 0.15, 6.0  # the motors alone take two seconds and a half
+    ARRIVED_M, CLIMB_S = 0.10, 12.0
+
+    def __init__(self, now_s: float) -> None:
+        self.streams, self.reason = False, ""
+        self._start_s = now_s
+        self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
+        self._mode_seen, self._ground_m = False, math.nan
+        self._climb_s = math.inf
+
+    def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+        """What has been reached, and the command to send now. No setpoint may be sent before it is ARMED."""
+        if not self._mode_seen:
+            if not (is_ours(t.custom_mode) and t.heartbeat_s > self._mode.asked_s > -math.inf):
+                return self._ask(self._mode, now_s, f"mode stays {mode_name(t.custom_mode)}", t)
+            self._mode_seen = True
+        if not is_ours(t.custom_mode):
+            return self._give_up(f"mode changed to {mode_name(t.custom_mode)}")
+        if not t.armed:
+            if self._climb_s < math.inf:
+                return self._give_up(f"disarmed before it flew{': ' + t.warning if t.warning else ''}")
+            return self._ask(self._arm, now_s, "motors stay off", t)
+        return self._climb(now_s, float(t.position_m[2]))
+
+    def _climb(self, now_s: float, height_m: float) -> tuple[Outcome, Command | None]:
+        if self._climb_s == math.inf:
+            self._climb_s, self._ground_m = now_s, height_m
+            return Outcome.PENDING, CLIMB
+        climbed_m, took_s = height_m - self._ground_m, now_s - self._climb_s
+        if climbed_m >= CLIMB_M - self.ARRIVED_M:
+            return Outcome.ARMED, None
+        if took_s > self.CLIMB_S or (took_s > self.LIFT_S and climbed_m < self.LIFTED_M):
+            return self._give_up(f"it climbed {climbed_m:.2f} m in {took_s:.0f} s")
+        return Outcome.PENDING, None
+
+    def _ask(self, request: Request, now_s: float, why: str, t: Telemetry) -> tuple[Outcome, Command | None]:
+        command, self.reason = request.step(now_s, why, t)
+        return (Outcome.GIVEN_UP if self.reason else Outcome.PENDING), command
+
+    def _give_up(self, why: str) -> tuple[Outcome, Command | None]:
+        self.reason = f"take-off given up: {why}"
+        return Outcome.GIVEN_UP, None
+
+
+ARDUPILOT = Personality(
+    mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, TakeOff,
+    land=LAND, setpoint_mask=PLACE_SPEED_YAW, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
+)  # fmt: skip

@@ -1,0 +1,37 @@
+"""What is known of the one autopilot we fly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uav_recon.types.frames import FloatArray
+
+
+@dataclass(slots=True)
+class Telemetry:
+    """The newest word of the autopilot. Instants are ours; -inf = never."""
+
+    system: int = 0  # MAVLink system id of the vehicle; 0 = nobody heard
+    heard_s: float = -math.inf
+    heartbeat_s: float = -math.inf
+    firmware_family: int = 0  # MAV_AUTOPILOT
+    armed: bool = False
+    custom_mode: int = 0
+    version: tuple[int, int, int] | None = None
+    estimator_good: bool = False
+    prearm_good: bool = False
+    origin_known: bool = False
+    battery_fraction: float = math.nan
+    position_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    velocity_mps: FloatArray = field(default_factory=lambda: np.zeros(3))
+    quat_wxyz: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    camera_pitch_down_rad: float = math.nan
+    refused_command: int = 0  # newest command answered with anything but "accepted" or "in progress"
+    warning: str = ""  # newest text of severity warning or worse
+    pose_fed_s: float = -math.inf
+    twin_heard: bool = False  # somebody else speaks with our own id
+    reboots: int = 0
+    failure: str = ""  # why the byte link failed last
