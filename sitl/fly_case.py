@@ -23,6 +23,7 @@ class Case:
     mount: str
     camera: str
     views: int | None
+    autopilot: str = "px4"
 
     def command(self) -> str:
         """What flies it once more, with a report."""
@@ -30,7 +31,8 @@ class Case:
         views = [] if self.views is None else ["--views", str(self.views)]
         words = [
             "uav-recon", "sim", "--lockstep", "--mapper", "stand-in", *scene, "--seed", str(self.seed),
-            "--radius", f"{self.radius_m:g}", "--variant", self.variant, "--mount", self.mount, "--camera", self.camera, *views,
+            "--radius", f"{self.radius_m:g}", "--variant", self.variant, "--mount", self.mount, "--camera", self.camera,
+            "--autopilot", self.autopilot, *views,
         ]  # fmt: skip
         return " ".join(words)
 
@@ -88,7 +90,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
 
     options = SimOptions.parse(
         scene=case.scene, seed=case.seed, radius=case.radius_m, variant=case.variant, mount=case.mount, camera=case.camera,
-        views=case.views, mapper="stand-in", lockstep=True, out=folder / "flight",
+        views=case.views, autopilot=case.autopilot, mapper="stand-in", lockstep=True, out=folder / "flight",
     )  # fmt: skip
     scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)
     options.make_folder()

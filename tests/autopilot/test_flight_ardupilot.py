@@ -64,7 +64,7 @@ def test_the_handshake_keeps_its_order_and_never_forces(hovering: CopterRig) -> 
     assert [first[name] for name in order] == sorted(first[name] for name in order)
     assert hovering.tap.since(0)["SET_GPS_GLOBAL_ORIGIN"] == 1
     assert hovering.tap.since(0)[CLIMB] == 1
-    assert {m.type_mask for _, m in hovering.tap.sent if Tap.name(m) == SETPOINT} == {2496}
+    assert {m.type_mask for _, m in hovering.tap.sent if Tap.name(m) == SETPOINT} == {2048}
 
 
 def test_no_setpoint_is_sent_before_it_is_in_the_air(hovering: CopterRig) -> None:
