@@ -110,7 +110,7 @@ def test_says_what_corrections_are_worth(tmp_path: Path) -> None:
 
 def test_exposure_multiplies_light_and_clips() -> None:
     scene = mapper_scene.load(mapper_scene.SceneOptions(None, 6, "d435i", "none", "fixed:15", (0.0, 0.0), 0))
-    shown = mapper_scene.exposed(scene, 1.0, 0)
+    shown = mapper_scene.exposed(scene, mapper_scene.exposures(scene, 1.0, 0))
     ev = []
     for a, b in zip(scene.keyframes, shown.keyframes, strict=True):
         before, after = (((k.frame.rgb / 255.0 + 0.055) / 1.055) ** 2.4 for k in (a, b))
@@ -119,6 +119,9 @@ def test_exposure_multiplies_light_and_clips() -> None:
         assert np.quantile(np.abs(np.log2(after[mid] / before[mid]) - ev[-1]), 0.9) < 0.03
     assert np.abs(ev).max() < 1.01
     assert np.ptp(ev) > 0.5
+    before, after = (((p.rgb / 255.0 + 0.055) / 1.055) ** 2.4 for p in (scene.pictures, shown.pictures))
+    mid = (scene.pictures.rgb > 60) & (scene.pictures.rgb < 200)
+    assert np.log2(np.median(after[mid] / before[mid])) == pytest.approx(np.mean(ev), abs=0.05)
 
 
 def test_accuracy_is_point_to_surface_both_ways() -> None:

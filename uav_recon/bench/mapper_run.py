@@ -6,7 +6,7 @@ Times are processor seconds of the calling thread, which a busy machine does not
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from uav_recon.bench import machine
 from uav_recon.bench.laps import Spread
 from uav_recon.bench.mapper_scene import MapperScene, PictureRays
 from uav_recon.bench.uncertainty_score import ause
-from uav_recon.config import MapperConfig
+from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.evaluation.metrics import PSNR_CAP_DB, share_within
 from uav_recon.evaluation.recall import ElementRecall
 from uav_recon.evaluation.surface import Surface
@@ -31,6 +31,7 @@ WITHIN_M = 0.05
 PARTIAL_SHARE = 0.375  # of the views, after which the uncertainty is asked
 MESH_VOXEL_M, WHOLE_VOXEL_M = 0.02, 0.05
 ROOM_RUNS = 7
+COLOUR_SIGMAS: tuple[UncertaintyName, ...] = ("colour", "paper")
 
 Tick = Callable[[], None]
 
@@ -104,10 +105,15 @@ def learned(scene: MapperScene, steps_per_view: int, seed: int, correct: bool, t
     return trainer
 
 
-def colour_sigmas(trainer: Trainer) -> dict[str, float]:
-    """Median of each colour sigma over the surface, 0..1."""
-    points = trainer.whole_room().position_world.astype(np.float32)
-    return {name: float(np.median(trainer.uncertainties[name].at(points))) for name in ("colour", "paper")}
+def colour_sigmas(scene: MapperScene, steps_per_view: int, seeds: Iterable[int], tick: Tick = lambda: None) -> dict[str, float]:
+    """Median of each colour sigma over the surface, 0..1; of that the geometric mean over seeds."""
+    logs = []
+    for seed in seeds:
+        trainer = learned(scene, steps_per_view, seed, True, tick)
+        points = trainer.whole_room().position_world.astype(np.float32)
+        logs.append([np.log(np.median(trainer.uncertainties[name].at(points))) for name in COLOUR_SIGMAS])
+    means = np.exp(np.mean(logs, axis=0))
+    return {name: float(mean) for name, mean in zip(COLOUR_SIGMAS, means, strict=True)}
 
 
 def uncertainty_scores(trainer: Trainer, truth: Surface) -> tuple[float | None, float | None]:

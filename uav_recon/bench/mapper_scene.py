@@ -122,18 +122,30 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
     )
 
 
-def exposed(scene: MapperScene, most_ev: float, seed: int) -> MapperScene:
-    """The same views, each picture with an exposure of its own, uniform in ± most_ev: linear light times 2**ev, clipped."""
+def exposures(scene: MapperScene, most_ev: float, seed: int) -> FloatArray:
+    """An exposure (V,) for each view, uniform in ± most_ev."""
+    return np.random.default_rng([seed, 2]).uniform(-most_ev, most_ev, len(scene.keyframes))
+
+
+def exposed(scene: MapperScene, ev: FloatArray) -> MapperScene:
+    """The same views, each with an exposure (V,) of its own, and the pictures held out with the mean of these: what a map of
+    all views looks like, since none of them says which is right.
+    """  # fmt: skip
+    keyframes = [
+        replace(k, frame=replace(k.frame, rgb=_brighter(stops)[k.frame.rgb]))
+        for k, stops in zip(scene.keyframes, ev, strict=True)
+    ]
+    pictures = replace(scene.pictures, rgb=_brighter(float(ev.mean()))[scene.pictures.rgb])
+    return replace(scene, keyframes=tuple(keyframes), pictures=pictures)
+
+
+def _brighter(ev: float) -> ByteArray:
+    """What becomes of each sRGB value (256,): linear light times 2**ev, clipped."""
     value = np.arange(256) / 255.0
     light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
-    rng = np.random.default_rng([seed, 2])
-    keyframes = []
-    for keyframe in scene.keyframes:
-        brighter = np.clip(light * 2.0 ** rng.uniform(-most_ev, most_ev), 0.0, 1.0)
-        shown = np.where(brighter <= 0.0031308, 12.92 * brighter, 1.055 * brighter ** (1.0 / 2.4) - 0.055)
-        frame = replace(keyframe.frame, rgb=np.rint(255.0 * shown).astype(np.uint8)[keyframe.frame.rgb])
-        keyframes.append(replace(keyframe, frame=frame))
-    return replace(scene, keyframes=tuple(keyframes))
+    light = np.clip(light * 2.0**ev, 0.0, 1.0)
+    shown = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
+    return np.rint(255.0 * shown).astype(np.uint8)
 
 
 def _keyframes(taken: Captures, options: SceneOptions) -> tuple[PosedFrame, ...]:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from uav_recon.mapping.neural.losses import UNKNOWN
 from uav_recon.mapping.neural.uncertainty import (
     LEAST_PAST_M,
     MOST_PAST_M,
@@ -42,6 +43,9 @@ def test_colour_error_tends_to_the_mean_square() -> None:
     for _ in range(300):
         colour.add(at, np.array([0.05**2], dtype=np.float32))
     assert 0.05 < colour.at(at)[0] < 0.08
+    known = colour.at(at)[0]
+    colour.add(at, np.array([UNKNOWN]))
+    assert colour.at(at)[0] == known
 
 
 def test_the_product_ranks_badly_known_higher() -> None:

@@ -29,6 +29,7 @@ TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype
 STENCIL_M = np.float32(0.02)  # half edge of the cube that holds the tetrahedron of difference points
 
 VARIANCE_SHARE = np.float32(0.02)  # of the Gaussian loss in the colour loss
+UNKNOWN = np.float32(-1.0)  # an error that no channel tells
 
 _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 
@@ -111,8 +112,9 @@ def fit_colour(
 ) -> float:  # fmt: skip
     """Sum of weight * (e² + VARIANCE_SHARE / 2 * (e² / v + log v)), where e² is the mean over channels of (colour(x) - rgb)²
     and v the variance that the network expects; e² counts as a given number in the second part. rgb (N, 3) in 0..1; where
-    at_least (N, 3), only a value below it counts. Writes e² to error_squared (N,). The second part is the paper's Gaussian
-    colour loss.
+    at_least (N, 3), only a value below it counts, and one above says nothing of v: then the second part's e² is the mean of
+    the other channels, and there is no such part without any. Writes that e² to error_squared (N,), or UNKNOWN. The second
+    part is the paper's Gaussian colour loss.
     """  # fmt: skip
     loss, third = _ZERO, np.float32(1.0 / 3.0)
     for start in range(0, points.shape[0], POINTS):
@@ -125,19 +127,21 @@ def fit_colour(
             for p in range(POINTS):
                 s.d_rgb[j, p] = _ZERO
         for p in range(count):
-            total = _ZERO
+            total, known = _ZERO, _ZERO
             for j in range(3):
                 error = s.rgb[j, p] - rgb[start + p, j]
                 if at_least[start + p, j] and error > _ZERO:
                     error = _ZERO
+                else:
+                    known += _ONE
                 total += error * error
                 s.d_rgb[j, p] = _TWO * third * weight[start + p] * error
-            square = total * third
+            square = total / max(known, _ONE)
             log_variance = min(max(s.rgb[3, p], LEAST_LOG_VARIANCE), MOST_LOG_VARIANCE)
             surprise = square * np.exp(-log_variance)
-            share = np.float32(0.5) * VARIANCE_SHARE * weight[start + p]
-            error_squared[start + p] = square
-            loss += weight[start + p] * square + share * (surprise + log_variance)
+            share = np.float32(0.5) * VARIANCE_SHARE * weight[start + p] if known > _ZERO else _ZERO
+            error_squared[start + p] = square if known > _ZERO else UNKNOWN
+            loss += weight[start + p] * total * third + share * (surprise + log_variance)
             s.d_rgb[3, p] = share * (_ONE - surprise)
         colour_backward(net, s, d_net)
         scatter(s.d_encoded, count, s.node, s.weight, gradient)

@@ -83,7 +83,8 @@ class ColourError:
         self._lattice = Lattice(box_min_m, box_max_m, COLOUR_CELL_M, 2)  # sum of weighted squares, sum of weights
 
     def add(self, points: Float32Array, error_squared: Float32Array) -> None:
-        """Learn from the colour loss of one step: points (N, 3), mean squared error (N,)."""
+        """Learn from the colour loss of one step: points (N, 3), mean squared error (N,), negative where it is not known."""
+        points, error_squared = points[error_squared >= 0.0], error_squared[error_squared >= 0.0]
         _fade(self._lattice.values, self._lattice.origin_m, self._lattice.inverse_cell, points, COLOUR_MEMORY)
         self._lattice.splat(points, np.stack([error_squared, np.ones_like(error_squared)], axis=1))
 

@@ -40,11 +40,12 @@ def shape_loss(corner_m: Tensor, stencil: Tensor, normal: Tensor, eikonal_weight
 def colour_loss(rgb: Tensor, log_variance: Tensor, seen: Tensor, at_least: Tensor, weight: Tensor) -> Tensor:
     """Sum of weight * (e² + VARIANCE_SHARE / 2 * (e² / v + log v)): rgb, seen (N, 3); log_variance, weight (N,).
 
-    Where at_least (N, 3), only a value below what was seen counts.
+    Where at_least (N, 3), only a value below what was seen counts, and one above says nothing of v (see losses.fit_colour).
     """
     error = rgb - seen
-    square = torch.where(at_least, error.clamp(max=0.0), error).square().mean(dim=1)
+    known = ~at_least | (error <= 0.0)
+    total, count = torch.where(known, error, 0.0).square().sum(dim=1), known.sum(dim=1)
     # held inside its limits, yet always free to move: what surprises must be able to widen it
     held = log_variance + (log_variance.clamp(float(LEAST_LOG_VARIANCE), float(MOST_LOG_VARIANCE)) - log_variance).detach()
-    gaussian = square.detach() * torch.exp(-held) + held
-    return (weight * (square + 0.5 * float(VARIANCE_SHARE) * gaussian)).sum()
+    gaussian = (total / count.clamp(min=1)).detach() * torch.exp(-held) + held
+    return (weight * (total / 3.0 + 0.5 * float(VARIANCE_SHARE) * torch.where(count > 0, gaussian, 0.0))).sum()
