@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from uav_recon.mapping.neural.field import Field
-from uav_recon.mapping.neural.render import FARTHEST_M, first_surface, render_rays
+from uav_recon.mapping.neural.render import EDGE_M, FARTHEST_M, render_rays
 from uav_recon.types.frames import BoolArray, Float32Array
 
 RADIUS_M = 2.0
@@ -34,12 +34,11 @@ def test_rays_end_on_the_first_surface() -> None:
     direction = rng.normal(size=(500, 3))
     direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
     origin = rng.uniform(-0.8, 0.8, (500, 3)).astype(np.float32)
-    reach, found = first_surface(Hollow(), everywhere, origin, direction)
+    rgb, reach, found = render_rays(Hollow(), everywhere, origin, direction)
     assert found.all()
     along = np.einsum("nc,nc->n", origin, direction)
     exact = -along + np.sqrt(along**2 + RADIUS_M**2 - np.einsum("nc,nc->n", origin, origin))
     assert reach == pytest.approx(exact, abs=0.003)
-    rgb, _ = render_rays(Hollow(), everywhere, origin, direction)
     assert rgb == pytest.approx(0.5 + 0.5 * (origin + exact[:, None] * direction) / RADIUS_M, abs=0.002)
 
 
@@ -49,10 +48,10 @@ def test_a_ray_that_meets_nothing_is_black() -> None:
             return np.full(len(points), 0.1, dtype=np.float32)
 
     ray = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
-    rgb, found = render_rays(Air(), everywhere, 0 * ray, ray)
+    rgb, reach, found = render_rays(Air(), everywhere, 0 * ray, ray)
     assert not found.any()
     assert (rgb == 0).all()
-    assert first_surface(Air(), everywhere, 0 * ray, ray)[0][0] == np.float32(FARTHEST_M)
+    assert reach[0] == np.float32(FARTHEST_M)
 
 
 def test_a_surface_that_nobody_measured_is_looked_through() -> None:
@@ -68,8 +67,28 @@ def test_a_surface_that_nobody_measured_is_looked_through() -> None:
         return np.asarray(np.linalg.norm(points, axis=1) > 1.5, dtype=np.bool_)
 
     ray = np.array([[1.0, 0.0, 0.0]], dtype=np.float32)
-    assert first_surface(Onion(), everywhere, 0 * ray, ray)[0][0] == pytest.approx(0.95, abs=0.005)
-    assert first_surface(Onion(), beyond, 0 * ray, ray)[0][0] == pytest.approx(RADIUS_M, abs=0.005)
+    assert render_rays(Onion(), everywhere, 0 * ray, ray)[1][0] == pytest.approx(0.95, abs=0.005)
+    assert render_rays(Onion(), beyond, 0 * ray, ray)[1][0] == pytest.approx(RADIUS_M, abs=0.005)
+
+
+def test_a_ray_along_an_edge_is_half_of_what_is_there_and_half_of_what_is_behind() -> None:
+    class Post(Hollow):
+        """A red post of ten centimetres, one metre along x; it lies below the plane y = 0."""
+
+        def distance_m(self, points: Float32Array) -> Float32Array:
+            post = np.hypot(points[:, 0] - 1.0, points[:, 1] + 0.05) - 0.05
+            nearer: Float32Array = np.minimum(super().distance_m(points), post).astype(np.float32)
+            return nearer
+
+        def rgb(self, points: Float32Array) -> Float32Array:
+            red: Float32Array = np.float32([1.0, 0.0, 0.0]) * (points[:, :1] < 1.5)
+            return red
+
+    y = np.array([-0.05, -3.0 * EDGE_M, 0.0, 3.0 * EDGE_M], dtype=np.float32)
+    origin = np.stack([0 * y, y, 0 * y], axis=1)
+    along = np.tile(np.array([[1.0, 0.0, 0.0]], dtype=np.float32), (len(y), 1))
+    red = render_rays(Post(), everywhere, origin, along)[0][:, 0]
+    assert red == pytest.approx([1.0, 1.0, 0.5, 0.0], abs=0.06)
 
 
 def test_no_rays_are_no_trouble() -> None:

@@ -29,6 +29,7 @@ FULL_RAYS = 4.0  # more do not make a patch better
 ALIKE = 0.9  # least cosine between a patch's normal and its cell's
 TOGETHER = 8  # views that move at once
 FEWEST_SHARED = 20  # cells, to belong together
+LEAST_STEP_M, LEAST_STEP_RAD = 0.0003, np.deg2rad(0.01)  # less is not worth gathering a view's patches anew
 COMMON_M = 0.001  # a drift of the whole map that is taken out
 
 
@@ -100,9 +101,10 @@ class Alignment:
             normal, right = np.zeros((6 * len(views), 6 * len(views))), np.zeros(6 * len(views))
             gather_planes(cell, active[whose], row, centre, scale_m, normal, right)
             normal[np.diag_indices(len(normal))] += precision
-            step = np.linalg.solve(normal, right + precision * self.correction[views].ravel())
-            wanted = self.correction[views] - step.reshape(-1, 6)
+            step = np.linalg.solve(normal, right + precision * self.correction[views].ravel()).reshape(-1, 6)
+            wanted = self.correction[views] - step
             near = (np.linalg.norm(wanted[:, :3], axis=1) < MOST_M) & (np.linalg.norm(wanted[:, 3:], axis=1) < MOST_RAD)
+            near &= (np.abs(step) > np.repeat([LEAST_STEP_M, LEAST_STEP_RAD], 3)).any(axis=1)
             self.correction[views[near]] = wanted[near]
             for view in views[near]:
                 self._move(int(view), replay)

@@ -19,7 +19,7 @@ SCALE = 0.1  # a difference that counts half: what one view alone saw in a cell
 MOST_LOG_GAIN = 1.0
 FEWEST_RAYS, MOST_WHITE_SHARE = 1.5, 0.1  # of a cell whose mean colour is known
 ROUNDS = 4
-REVISITED = 6  # older views, for each new one
+REVISITED = 3  # older views, for each new one
 
 
 class Exposure:
@@ -31,7 +31,7 @@ class Exposure:
         self.log_gain: FloatArray = np.zeros((0, 3))
 
     def meet(self, replay: Replay) -> None:
-        """Find the newest view's gain, then those of some older ones in turn. About 3 ms."""
+        """Find the newest view's gain, then those of some older ones in turn. About 2 ms."""
         newest = len(self.log_gain)
         self.log_gain = np.concatenate([self.log_gain, np.zeros((1, 3))])
         self._learn(newest)

@@ -21,6 +21,8 @@ RAYS_USED = 2500
 BESIDE = 40  # views that a view is compared with
 FEWEST_RAYS = 1.5  # of a patch
 
+LOG_LEVEL = np.log(np.arange(256) / 255.0 + float(TOE))  # of a channel's 256 values
+
 # columns of a row
 WEIGHT, POINT, NORMAL, VARIANCE, COLOURED, COLOUR, WHITENED = 0, slice(1, 4), slice(4, 7), 7, 8, slice(9, 12), slice(12, 15)
 COLUMNS = 15
@@ -52,7 +54,7 @@ class Patches:
         touched = np.zeros(2 * RAYS_USED, dtype=np.int64)
         count = _sum(
             records[:RAYS_USED], rotation, position, inverse_depth_sigma, self._origin, self._across, self._along, self._first,
-            self._sums, touched,
+            LOG_LEVEL, self._sums, touched,
         )  # fmt: skip
         key = touched[:count]
         row = self._sums[key]
@@ -94,7 +96,7 @@ class Patches:
 @kernel
 def _sum(
     records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float, origin: FloatArray,
-    across: IntArray, along: IntArray, first: IntArray, rows: FloatArray, touched: IntArray,
+    across: IntArray, along: IntArray, first: IntArray, logarithm: FloatArray, rows: FloatArray, touched: IntArray,
 ) -> int:  # fmt: skip
     point, normal, colour = np.zeros(3), np.zeros(3), np.zeros(3)
     count = 0
@@ -119,7 +121,7 @@ def _sum(
         if i < 0 or j < 0 or i >= across[one] or j >= across[two] or k < 1 or k >= along[axis]:
             continue
         for c in range(3):
-            colour[c] = np.log(record[6 + c] / 255.0 + TOE)
+            colour[c] = logarithm[record[6 + c]]
         layer = 2 * axis + (1 if normal[axis] > 0.0 else 0)
         for side in range(2):
             share = (depth - k if side else 1.0 - (depth - k)) + 1e-9
