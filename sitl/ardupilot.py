@@ -52,6 +52,11 @@ class ArduCopter(Autopilot):
         """The kill switch: motors stop, wherever the vehicle is."""
         self._state.commander.request_arming(arm=False, force=True, c=self._state.condition())
 
+    def reboot(self) -> None:
+        """It starts anew where it is: its clock and its mode, while the motors happen to run on."""
+        self._state.boot_s = self._state.now_s
+        self._state.commander.takeover(Mode.STABILIZE)
+
     @property
     def _landed(self) -> bool:
         return self._state.flight.landed

@@ -120,9 +120,23 @@ class Autopilot(ABC):
     def pilot_disarms(self) -> None:
         """The kill switch: motors stop, wherever the vehicle is."""
 
+    @abstractmethod
+    def reboot(self) -> None:
+        """It starts anew where it is: its clock and its mode, while the motors happen to run on."""
+
     def transmitter(self, heard: bool) -> None:
         """Switch the pilot's transmitter off or on."""
         self._board.rc_lost_at_s = math.inf if heard else self._board.now_s
+
+    @property
+    def battery_fraction(self) -> float:
+        """State of charge now."""
+        return self._board.battery.fraction
+
+    @property
+    def boot_s(self) -> float:
+        """When it booted, on the world's clock."""
+        return self._board.boot_s
 
     def set_battery(self, fraction: float) -> None:
         """Another state of charge, from now on."""

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sitl.jit import kernel
-from sitl.raster import Renderer
+from sitl.raster import Renderer, Rendering
 from sitl.transform import body_from_camera, inverse, rigid
 from uav_recon.sensors.wire import CameraSpec, StreamHeader
 
@@ -64,12 +64,22 @@ def stream_header(model: Model) -> StreamHeader:
     return StreamHeader(DEPTH_SPEC, COLOUR_SPEC, (1.0, 0.0, 0.0, 0.0, *COLOUR_FROM_DEPTH_M))
 
 
+class Sight(Protocol):
+    """What a camera looks at: a scene's renderer, or one with more in it."""
+
+    def render(
+        self, world_from_camera: F64, spec: CameraSpec, near_m: float = 0.05, far_m: float = math.inf, colour: bool = True
+    ) -> Rendering:
+        """As Renderer.render."""
+        ...
+
+
 class Camera:
     """Takes frames of a scene. Frame n of a seed has the same noise in every run; use it from one thread."""
 
-    def __init__(self, renderer: Renderer, model: Model = "d435i", noise: Noise = "d435i", seed: int = 0) -> None:
+    def __init__(self, renderer: Sight, model: Model = "d435i", noise: Noise = "d435i", seed: int = 0) -> None:
         self.header, self.period_s = stream_header(model), 1.0 / RATES_HZ[model]
-        self._renderer, self._model, self._seed = renderer, model, seed
+        self.renderer, self._model, self._seed = renderer, model, seed
         self._noise = _NOISES[noise]
         self._frames = 0
         tx, ty, tz = self.header.rgb_from_depth[4:]
@@ -83,7 +93,7 @@ class Camera:
         world_from_depth = world_from_body @ body_from_camera(MOUNT_M, pitch_down_rad)
         wide = self._model == "wide"
         far_m = math.inf if wide else RANGE_M[1] + FAR_MARGIN_M
-        view = self._renderer.render(world_from_depth, self.header.depth, far_m=far_m, colour=wide)
+        view = self.renderer.render(world_from_depth, self.header.depth, far_m=far_m, colour=wide)
         rng = np.random.default_rng([self._seed, self._frames])
         self._frames += 1
         depth_mm = self._noise(view.depth_m, view.incidence_cos, rng)
@@ -91,7 +101,7 @@ class Camera:
             return depth_mm, view.rgb
         if self._model == "fast":
             return depth_mm, np.zeros((self.header.rgb.height, self.header.rgb.width, 3), np.uint8)
-        return depth_mm, self._renderer.render(world_from_depth @ self._depth_from_rgb, self.header.rgb).rgb
+        return depth_mm, self.renderer.render(world_from_depth @ self._depth_from_rgb, self.header.rgb).rgb
 
 
 def warm_up() -> None:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from rich.console import Console
 
@@ -21,12 +21,13 @@ from sitl.fly_world import make_world
 from sitl.pace import QUICK, REAL
 from sitl.scene import Scene
 from sitl.transport import pipe
+from sitl.world import World
 from uav_recon import run
 from uav_recon.autopilot.tlog import Tlog
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
 from uav_recon.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
-from uav_recon.protocols import Mapper
+from uav_recon.protocols import ByteLink, Mapper
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.recording.mapfile import save_map
 from uav_recon.recording.timelapse import Timelapse
@@ -51,20 +52,80 @@ class Flown:
     processor_s: float
 
 
+class Meddling(Protocol):
+    """Who takes part in a flight in lockstep: between the world and the product, and in the turns of the product's loops."""
+
+    def enter(self, world: World, channels: object, now_s: float) -> None:
+        """The world is made."""
+        ...
+
+    def link(self, end: ByteLink) -> ByteLink:
+        """What stands at the product's end of the MAVLink link."""
+        ...
+
+    def turn(self, now_s: float) -> None:
+        """A turn begins."""
+        ...
+
+    def runs(self, stage: str) -> bool:
+        """Whether pilot, perception or mission makes its turn."""
+        ...
+
+    def restarts(self, stage: str) -> bool:
+        """Whether it is built anew first."""
+        ...
+
+    def over(self, finished: bool) -> bool:
+        """Whether the flight ends here; finished: the mission says so."""
+        ...
+
+
+class Nobody:
+    """A flight as it is."""
+
+    def enter(self, world: World, channels: object, now_s: float) -> None:
+        """Look on."""
+
+    def link(self, end: ByteLink) -> ByteLink:
+        """The link itself."""
+        return end
+
+    def turn(self, now_s: float) -> None:
+        """Look on."""
+
+    def runs(self, stage: str) -> bool:
+        """All do."""
+        return True
+
+    def restarts(self, stage: str) -> bool:
+        """None is."""
+        return False
+
+    def over(self, finished: bool) -> bool:
+        """With the mission."""
+        return finished
+
+
+NOBODY = Nobody()
+
+
 def fly_in_lockstep(
-    options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool], timelapse: bool = True
-) -> Flown:
+    options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool], timelapse: bool = True,
+    meddler: Meddling = NOBODY,
+) -> Flown:  # fmt: skip
     """Fly. land() is asked whether the operator wants to land now; timelapse: keep states of the surface, for recall."""
     clock, quick = ManualClock(START_S), options.mapper == "stand-in"
     pace, wires = (QUICK, direct_wires()) if quick else (REAL, run.memory_wires())
     ours, theirs = pipe()
     world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s, pace)
+    meddler.enter(world, wires, START_S)
     run.warm_up(config)
     mapper = _mapper(options, config)
     log, journal = Tlog(options.out / "flight.tlog", epoch_s=0.0), FlightLog(options.out)
-    pilot = run.make_pilot(config, wires, ours, log, clock)
+    link, executor = meddler.link(ours), InlineExecutor(clock)
+    pilot = run.make_pilot(config, wires, link, log, clock)
     perception = run.make_perception(config, wires, clock)
-    conductor = run.make_conductor(config, wires, mapper, InlineExecutor(clock), journal, clock, time.perf_counter)
+    conductor = run.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
     watchers: list[Recorder | Timelapse] = []  # the recorder keeps states of the surface too
     if config.recording.rerun:
         watchers.append(run.make_recorder(config, wires, options.out, clock))
@@ -75,19 +136,27 @@ def fly_in_lockstep(
     steps = 0
     started_s, processor_s = time.perf_counter(), time.process_time()
     with Screen(console, wires) as screen:
-        while not conductor.finished and steps * pace.turn_s < LONGEST_S:
+        while not meddler.over(conductor.finished) and steps * pace.turn_s < LONGEST_S:
             steps += 1
             now_s = START_S + steps * pace.turn_s
             clock.advance_to(now_s)
+            meddler.turn(now_s)
             world.step(now_s)
             if world.frame_due(now_s):
                 world.develop(world.expose(now_s))
-            perception.step()
-            if mission_rate.due(now_s):
+            if meddler.runs("perception"):
+                perception.step()
+            if meddler.restarts("mission"):
+                conductor = run.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
+                conductor.request_start()
+            if mission_rate.due(now_s) and meddler.runs("mission"):
                 if land():
                     conductor.request_abort("the operator asked to land")
                 conductor.step()
-            pilot.step()
+            if meddler.restarts("pilot"):
+                pilot = run.make_pilot(config, wires, link, log, clock)
+            if meddler.runs("pilot"):
+                pilot.step()
             if record_rate.due(now_s):
                 for watcher in watchers:
                     watcher.step()

@@ -67,6 +67,11 @@ class Px4(Autopilot):
         s.flight.configure(p)
         s.commander.configure(p)
 
+    def reboot(self) -> None:
+        """It starts anew where it is: its clock and its mode, while the motors happen to run on."""
+        self._state.boot_s = self._state.now_s
+        self._state.commander.takeover(Mode.ALTCTL)
+
     def _think(self, dt_s: float) -> None:
         s = self._state
         self._sense_slowly(dt_s)

@@ -6,6 +6,7 @@ import math
 import threading
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,28 @@ from sitl.d435i import Camera
 from sitl.pace import REAL, Pace
 from sitl.poses import NoisyPoses
 from sitl.transform import rigid, rotation_from_quat
-from uav_recon.sensors.wire import StreamWriter
 
+F64 = NDArray[np.float64]
 PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # taking off and landing so low over the ground, nearness to it is no fault
 BODY_ABOVE_FLOOR_M = 0.10
+
+
+class Outlet(Protocol):
+    """Where the camera's stream goes: the wire format's writer, or whatever stands before it."""
+
+    def write_frame(self, stamp_s: float, depth_mm: NDArray[np.uint16], rgb: NDArray[np.uint8]) -> None:
+        """A frame."""
+        ...
+
+    def write_imu(self, stamp_s: float, gyro_radps: F64, specific_force_mps2: F64) -> None:
+        """An inertial sample."""
+        ...
+
+    def write_pose(
+        self, stamp_s: float, position_m: F64, quat_wxyz: F64, variance: F64, quality: int, reset_counter: int
+    ) -> None:
+        """A pose, on its arrival."""
+        ...
 
 
 @dataclass
@@ -60,7 +79,7 @@ class World:
         camera: Camera,
         poses: NoisyPoses,
         clearance: Clearance,
-        stream: StreamWriter,
+        stream: Outlet,
         start_s: float,
         mount_pitch_down_rad: float | None,
         pace: Pace = REAL,
@@ -68,7 +87,7 @@ class World:
         """A mount_pitch_down_rad of None is a gimbal: its angle is the autopilot's."""
         self._imu_hz, self._truth_hz = pace.imu_hz, pace.truth_hz
         self.autopilot, self.camera, self._poses, self.clearance = autopilot, camera, poses, clearance
-        self._stream, self._start_s, self._mount_pitch_down_rad = stream, start_s, mount_pitch_down_rad
+        self.stream, self._start_s, self._mount_pitch_down_rad = stream, start_s, mount_pitch_down_rad
         self._imu_count = self._truth_count = self._frame_count = 0
         self.truth_log = TruthLog([])
 
@@ -82,7 +101,7 @@ class World:
     def _publish_imu(self, now_s: float) -> None:
         truth = self.autopilot.truth()
         while (stamp_s := self._start_s + self._imu_count / self._imu_hz) <= now_s + 1e-9:
-            self._stream.write_imu(stamp_s, np.asarray(truth.gyro), np.asarray(truth.specific_force))
+            self.stream.write_imu(stamp_s, np.asarray(truth.gyro), np.asarray(truth.specific_force))
             self._imu_count += 1
 
     def _publish_poses(self, now_s: float) -> None:
@@ -90,7 +109,7 @@ class World:
             return
         truth = self.autopilot.truth()
         for record in self._poses.step(now_s, truth.position, truth.quat_wxyz):
-            self._stream.write_pose(
+            self.stream.write_pose(
                 record.stamp_s, record.position_m, record.quat_wxyz, record.variance, record.quality, record.reset_counter
             )
 
@@ -126,7 +145,7 @@ class World:
     def develop(self, exposure: Exposure) -> None:
         """Render an exposure and publish it."""
         depth_mm, rgb = self.camera.capture(exposure.world_from_body, exposure.pitch_down_rad)
-        self._stream.write_frame(exposure.stamp_s, depth_mm, rgb)
+        self.stream.write_frame(exposure.stamp_s, depth_mm, rgb)
 
 
 @dataclass(frozen=True)

@@ -138,6 +138,29 @@ def sweep(
 
 
 @app.command()
+def faults(
+    only: Annotated[
+        str | None, typer.Option(metavar="A1,B4,...", help="Rows to fly, with commas between. Default: all.")
+    ] = None,
+    autopilot: Annotated[str, typer.Option(help="Firmware personality: px4, ardupilot or both.")] = "both",
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Flights a row; the cases of a row take turns.")] = 3,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; one core each.")] = 2,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write every figure.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the report faults.html and the flights. Default: keep none.")
+    ] = None,
+) -> None:
+    """Fly with one thing going wrong at a time; a line a row of the hazards' table, the measured figure beside its bar.
+
+    Judged by the simulator's truth and by what was on the wire. Exit code 1 if any row failed.
+    """
+    from sitl.fly_faults import FaultOptions
+    from sitl.fly_faults import faults as fly_all
+
+    _exit(lambda: fly_all(FaultOptions.parse(only=only, autopilot=autopilot, seeds=seeds, jobs=jobs, json=json, out=out)))
+
+
+@app.command()
 def pilot(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
     """The process next to the autopilot: the only MAVLink link, the guard, the setpoint stream."""
     _exit(lambda: processes.pilot(config, flight))

@@ -1,0 +1,91 @@
+"""Troubles of vehicle and autopilot: pushes, motors, battery, transmitter, the pilot's own switch."""
+
+from __future__ import annotations
+
+import math
+
+from sitl.faults.injector import Injector, Theatre
+
+
+class Push(Injector):
+    """A steady force for a while, away from the room's middle or to the nearest side of the fence: m/s² in a direction."""
+
+    def __init__(self, acceleration_mps2: float, for_s: float) -> None:
+        self._force, self._for_s = acceleration_mps2, for_s
+        self._along, self._before_s = (0.0, 0.0), 0.0
+
+    def begin(self, at: Theatre) -> None:
+        """On along the way that it flies."""
+        vx, vy, _ = at.world.autopilot.truth().velocity
+        speed = math.hypot(vx, vy) or 1.0
+        self._along = (vx / speed, vy / speed)
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """A turn's share of it."""
+        if since_s <= self._for_s:
+            change = self._force * (since_s - self._before_s)
+            at.world.autopilot.vehicle.push((self._along[0] * change, self._along[1] * change, 0.0))
+        self._before_s = since_s
+
+
+class HeldDown(Injector):
+    """The rotors cannot lift it: three times too heavy, or a motor that does not turn."""
+
+    def __init__(self, weight_mps2: float = 25.0) -> None:
+        self._weight, self._before_s = weight_mps2, 0.0
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Pulled down all the time."""
+        at.world.autopilot.vehicle.push((0.0, 0.0, -self._weight * (since_s - self._before_s)))
+        self._before_s = since_s
+
+
+class Takeover(Injector):
+    """The pilot's switch, later_s after the moment."""
+
+    def __init__(self, mode: str, later_s: float = 0.0) -> None:
+        self._mode, self._later_s, self._done = mode, later_s, False
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Once."""
+        if not self._done and since_s >= self._later_s:
+            self._done = True
+            at.world.autopilot.pilot_takes_over(self._mode)
+
+
+class Reboot(Injector):
+    """The autopilot starts anew in the air."""
+
+    def begin(self, at: Theatre) -> None:
+        """Once."""
+        at.world.autopilot.reboot()
+
+
+class TransmitterLost(Injector):
+    """The pilot's transmitter is no longer heard."""
+
+    def begin(self, at: Theatre) -> None:
+        """For good."""
+        at.world.autopilot.transmitter(heard=False)
+
+
+class Battery(Injector):
+    """The charge falls to a fraction at once, and then by so much each second."""
+
+    def __init__(self, fraction: float, per_s: float = 0.0) -> None:
+        self._fraction, self._per_s = fraction, per_s
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Linear."""
+        at.world.autopilot.set_battery(max(self._fraction - self._per_s * since_s, 0.0))
+
+
+class Parameter(Injector):
+    """A parameter of the autopilot is another than the product counts on."""
+
+    def __init__(self, name: str, value: float) -> None:
+        self._name, self._value = name, value
+
+    def begin(self, at: Theatre) -> None:
+        """Raises KeyError where the personality has no such parameter."""
+        at.world.autopilot.parameters.set(self._name, self._value)

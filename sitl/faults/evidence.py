@@ -1,0 +1,109 @@
+"""All that a flight's judges may look at: the simulator's truth and the wire. Never the product's own account."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.faults.meddler import OURS, Meddler
+from sitl.faults.wire import Wire, decode, modes_told
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the product was told it may do: fence corners (m), inset (m), speed (m/s), acceleration (m/s²), yaw (rad/s)."""
+
+    fence_min_m: tuple[float, float, float]
+    fence_max_m: tuple[float, float, float]
+    inset_m: float
+    speed_mps: float
+    acceleration_mps2: float
+    yaw_rate_radps: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One flight. Instants on the world's clock; onset_s: when the trouble began, inf if it never came to that.
+
+    stamp_s (K,), position_m and velocity_mps (K, 3), armed (K,), mode (K,) of each turn; hull_s (H,) and hull_m (H,): true
+    clearance where it counts. heard: (instant, custom mode, armed) of heartbeats that reached the product. box_m: the
+    nearest that the hull came to an obstacle of the trouble, inf without one. error: of the flight's program, "" for none.
+    """
+
+    onset_s: float
+    end_s: float
+    stamp_s: F64
+    position_m: F64
+    velocity_mps: F64
+    armed: Bools
+    mode: tuple[str, ...]
+    hull_s: F64
+    hull_m: F64
+    box_m: float
+    battery: float
+    failsafes: tuple[str, ...]
+    texts: tuple[str, ...]
+    wire: Wire
+    heard: tuple[tuple[float, int, bool], ...]
+    limits: Limits
+    boot_s: float = 0.0
+    error: str = ""
+
+    @cached_property
+    def speed_mps(self) -> F64:
+        """True speed (K,)."""
+        return np.asarray(np.linalg.norm(self.velocity_mps, axis=1))
+
+    @cached_property
+    def ours(self) -> Bools:
+        """Whether the vehicle followed our setpoints (K,)."""
+        return np.array([mode in OURS for mode in self.mode], dtype=np.bool_) & self.armed
+
+    @cached_property
+    def landing(self) -> Bools:
+        """Whether the autopilot was landing (K,)."""
+        return np.array(["LAND" in mode for mode in self.mode], dtype=np.bool_)
+
+    def since(self, mask: Bools, from_s: float) -> float:
+        """Seconds from an instant to the first turn after it in which mask (K,) holds; inf for never."""
+        found = np.flatnonzero(mask & (self.stamp_s >= from_s))
+        return float(self.stamp_s[found[0]] - from_s) if len(found) else math.inf
+
+
+def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m: float, error: str) -> Evidence:
+    """Of a flight that is over. hull_m: against the scene; obstacles of the trouble are added here."""
+    world, ledger = meddler.theatre.world, meddler.ledger
+    stamps = np.array([m.stamp_s for m in ledger])
+    positions = np.array([m.position_m for m in ledger]).reshape(-1, 3)
+    armed = np.array([m.armed for m in ledger], dtype=np.bool_)
+    aloft, box_m = armed & (positions[:, 2] > 0.05), math.inf
+    for obstacle in meddler.theatre.obstacles:
+        gaps = obstacle.hull_m(stamps[aloft], positions[aloft], radius_m)
+        box_m = min(box_m, float(gaps.min())) if len(gaps) else box_m
+    return Evidence(
+        onset_s=meddler.onset_s,
+        end_s=meddler.end_s,
+        stamp_s=stamps,
+        position_m=positions,
+        velocity_mps=np.array([m.velocity_mps for m in ledger]).reshape(-1, 3),
+        armed=armed,
+        mode=tuple(m.mode for m in ledger),
+        hull_s=hull_s,
+        hull_m=hull_m,
+        box_m=box_m,
+        battery=world.autopilot.battery_fraction,
+        failsafes=tuple(world.autopilot.failsafes),
+        texts=tuple(world.autopilot.texts),
+        wire=decode(meddler.proxy.sent),
+        heard=tuple(modes_told(meddler.proxy.heard)),
+        limits=limits,
+        boot_s=world.autopilot.boot_s,
+        error=error,
+    )

@@ -1,0 +1,70 @@
+"""What can be made to go wrong: one small object a trouble, and what it may lay hands on."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass, field
+from typing import Any
+
+from sitl.faults.link import Late, Proxy
+from sitl.faults.obstacle import Obstacle
+from sitl.poses import PoseRecord
+from sitl.world import World
+
+
+@dataclass
+class Theatre:
+    """What an injector may lay hands on. dice: of the flight's seed. channels: the product's own, for hostile stages."""
+
+    world: World
+    dice: random.Random
+    channels: Any = None
+    proxy: Proxy | None = None
+    now_s: float = 0.0
+    abort: bool = False  # the operator has pressed
+    obstacles: list[Obstacle] = field(default_factory=list)
+
+
+class Injector:
+    """A trouble that does nothing; each kind overrides what it touches. since_s counts from the trouble's beginning, and
+    nothing is asked before it. Frames are whole MAVLink frames; an item given back later than now overtakes nothing before.
+    """
+
+    def begin(self, at: Theatre) -> None:
+        """The trouble begins."""
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Once in each turn of the flight."""
+
+    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+        """What becomes of a pose that the tracker delivers now."""
+        return [(0.0, record)]
+
+    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+        """What becomes of a depth frame."""
+        return [(0.0, frame)]
+
+    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """What becomes of a frame of the product."""
+        return [(0.0, frame)]
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """What becomes of a frame of the autopilot."""
+        return [(0.0, frame)]
+
+    def stalls(self, since_s: float, stage: str) -> bool:
+        """Whether a stage's loop stands still: mission, perception or pilot."""
+        return False
+
+    def restarts(self, since_s: float, stage: str) -> bool:
+        """Whether a stage is built anew now; asked once a turn."""
+        return False
+
+
+@dataclass(frozen=True)
+class Depth:
+    """A depth frame on its way: depth_mm (H, W) uint16, 0 = no return; rgb (h, w, 3) uint8."""
+
+    stamp_s: float
+    depth_mm: Any
+    rgb: Any

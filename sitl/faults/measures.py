@@ -1,0 +1,324 @@
+"""Figures of a flight: each a function from the evidence to one number; inf where what was waited for never came."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from sitl.faults.evidence import Evidence
+from sitl.faults.wire import MODE_OR_ARM, Order
+
+Measure = Callable[[Evidence], float]
+_STILL_MPS = 0.02  # of a setpoint
+_RESTING_MPS = 0.12  # of the vehicle, gusts included
+_ARM, _SET_MODE = 400, 176
+
+
+def held_after(late_s: float = 0.0) -> Measure:
+    """Seconds from the trouble (and so much) to the setpoint at which braking to rest begins."""
+
+    def measure(e: Evidence) -> float:
+        w, from_s = e.wire, e.onset_s + late_s
+        speed = np.linalg.norm(w.velocity_mps, axis=1)
+        after = np.flatnonzero((w.setpoint_s >= from_s) & (speed <= _STILL_MPS))
+        gone = e.since(~e.ours, from_s)  # another mode has ended the motion
+        if not len(after):
+            return gone
+        k = int(after[0])
+        while k > 0 and w.setpoint_s[k - 1] >= from_s and speed[k - 1] > speed[k] - 1e-6:
+            k -= 1
+        return min(max(float(w.setpoint_s[k]) - from_s, 0.0), gone)
+
+    return measure
+
+
+def stopped_within(late_s: float = 0.0) -> Measure:
+    """Metres of true path from the trouble (and so much) until the vehicle rests or lands."""
+
+    def measure(e: Evidence) -> float:
+        from_s = e.onset_s + late_s
+        level = np.linalg.norm(e.velocity_mps[:, :2], axis=1) < _RESTING_MPS
+        until_s = from_s + min(e.since(level, from_s), e.end_s - from_s)
+        way = e.position_m[(e.stamp_s >= from_s) & (e.stamp_s <= until_s)]
+        return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+
+    return measure
+
+
+def rest_after(late_s: float = 0.0) -> Measure:
+    """Seconds from the trouble (and so much) until the vehicle truly rests."""
+    return lambda e: e.since(e.speed_mps < _RESTING_MPS, e.onset_s + late_s)
+
+
+def landing_after(late_s: float = 0.0) -> Measure:
+    """Seconds from the trouble (and so much) to the autopilot's landing mode."""
+    return lambda e: e.since(e.landing | ~e.armed, e.onset_s + late_s)
+
+
+def disarmed_after() -> Measure:
+    """Seconds from the trouble until the motors stand."""
+    return lambda e: e.since(~e.armed, e.onset_s)
+
+
+def drift_landing(e: Evidence) -> float:
+    """Metres, level, from where the vehicle was at the trouble to where it came down."""
+    k = int(np.searchsorted(e.stamp_s, e.onset_s))
+    return float(np.linalg.norm(e.position_m[-1, :2] - e.position_m[k, :2])) if e.onset_s < math.inf else math.inf
+
+
+def drift_after_rest(e: Evidence) -> float:
+    """Metres, level, from where the landing mode began to where the vehicle came down."""
+    k = np.flatnonzero(e.landing & (e.stamp_s >= e.onset_s))
+    return float(np.linalg.norm(e.position_m[k[-1], :2] - e.position_m[k[0], :2])) if len(k) else math.inf
+
+
+def longest_gap(for_s: float = math.inf) -> Measure:
+    """Longest seconds between setpoints from the trouble on, while the vehicle follows them and until it lands."""
+
+    def measure(e: Evidence) -> float:
+        until_s = e.onset_s + min(for_s, e.since(~e.ours, e.onset_s), e.end_s - e.onset_s)
+        stamps = e.wire.setpoint_s
+        inside = stamps[(stamps >= e.onset_s - 0.1) & (stamps <= until_s)]
+        return float(np.diff(np.append(inside, until_s)).max()) if len(inside) else math.inf
+
+    return measure
+
+
+def slowest_second(e: Evidence) -> float:
+    """Fewest setpoints in any second from the trouble on, while the vehicle follows them."""
+    until_s = e.onset_s + min(e.since(~e.ours, e.onset_s), e.end_s - e.onset_s)
+    starts = np.arange(e.onset_s, until_s - 1.0, 0.1)
+    if not len(starts):
+        return math.inf
+    stamps = e.wire.setpoint_s
+    return float((np.searchsorted(stamps, starts + 1.0) - np.searchsorted(stamps, starts)).min())
+
+
+def failsafes(e: Evidence) -> float:
+    """How often the autopilot had to act by itself."""
+    return float(len(e.failsafes))
+
+
+def moves_again_after(late_s: float) -> Measure:
+    """Seconds from the end of a trouble of late_s to the first setpoint that moves."""
+
+    def measure(e: Evidence) -> float:
+        w, from_s = e.wire, e.onset_s + late_s
+        moving = w.setpoint_s[(w.setpoint_s >= from_s) & (np.linalg.norm(w.velocity_mps, axis=1) > 0.05)]
+        return float(moving[0]) - from_s if len(moving) else math.inf
+
+    return measure
+
+
+def setpoint_jump(e: Evidence) -> float:
+    """Longest metres between one setpoint and the next, from the trouble on, while the vehicle follows them."""
+    w = e.wire
+    until_s = e.onset_s + e.since(~e.ours, e.onset_s)
+    k = np.flatnonzero((w.setpoint_s >= e.onset_s) & (w.setpoint_s <= until_s))
+    return float(np.linalg.norm(np.diff(w.position_m[k], axis=0), axis=1).max()) if len(k) > 1 else 0.0
+
+
+def retreat_after(e: Evidence) -> float:
+    """Seconds from the trouble to the first motion after a rest that goes back along the way."""
+    w = e.wire
+    speed, after = np.linalg.norm(w.velocity_mps, axis=1), w.setpoint_s >= e.onset_s
+    still = np.flatnonzero(after & (speed <= _STILL_MPS))
+    moving = np.flatnonzero(after & (speed > 0.05))
+    moving = moving[moving > still[0]] if len(still) else moving[:0]
+    return float(w.setpoint_s[moving[0]]) - e.onset_s if len(moving) else math.inf
+
+
+def commands(after_s: float = 0.0, kinds: frozenset[int] = MODE_OR_ARM) -> Measure:
+    """Mode and arm commands of the product from so long after the trouble on."""
+    return lambda e: float(sum(o.command in kinds and o.stamp_s > e.onset_s + after_s for o in e.wire.orders))
+
+
+def commands_once_known(e: Evidence) -> float:
+    """Mode and arm commands after the first heartbeat that told the product of a mode it had not asked for."""
+    return float(len(_after_takeover(e)))
+
+
+def _after_takeover(e: Evidence) -> list[Order]:
+    theirs = e.armed & ~e.ours & ~e.landing
+    k = np.flatnonzero(theirs[1:] & e.ours[:-1]) + 1
+    if not len(k):
+        return []
+    known = [stamp_s for stamp_s, _, _ in e.heard if stamp_s >= e.stamp_s[k[0]]]
+    return [o for o in e.wire.orders if o.command in MODE_OR_ARM and known and o.stamp_s > known[0] + 0.02]
+
+
+def mode_lost(mode: str) -> Measure:
+    """Turns, from half a second after the trouble on, in which the autopilot was armed and not in the pilot's mode."""
+
+    def measure(e: Evidence) -> float:
+        later = e.armed & (e.stamp_s > e.onset_s + 0.5)
+        return float(sum(bool(late) and m != mode for late, m in zip(later, e.mode, strict=True)))
+
+    return measure
+
+
+def position_mode(e: Evidence) -> float:
+    """Turns in a mode that wants a pilot's hands."""
+    return float(sum(m in ("POSCTL", "ALTCTL", "MANUAL", "STABILIZED", "LOITER", "ALT_HOLD") for m in e.mode[_onset(e) :]))
+
+
+def streams_after(e: Evidence) -> float:
+    """Seconds from the trouble to the last setpoint on the wire."""
+    return max(float(e.wire.setpoint_s[-1]) - e.onset_s, 0.0) if len(e.wire.setpoint_s) else 0.0
+
+
+def pose_error_step(for_s: float = 3.0) -> Measure:
+    """How far (m) the error of ODOMETRY against truth moved within so long after the trouble."""
+
+    def measure(e: Evidence) -> float:
+        w = e.wire
+        k = np.flatnonzero((w.odometry_s >= e.onset_s - 0.1) & (w.odometry_s <= e.onset_s + for_s))
+        if len(k) < 2:
+            return math.inf
+        truth = np.stack([np.interp(w.odometry_s[k], e.stamp_s, e.position_m[:, axis]) for axis in range(3)], axis=1)
+        error = w.odometry_m[k] - truth
+        return float(np.linalg.norm(error - error[0], axis=1).max())
+
+    return measure
+
+
+def pose_step(e: Evidence) -> float:
+    """Longest step (m) of ODOMETRY beyond what the vehicle flew, while the reset counter stays as it is."""
+    w = e.wire
+    k = np.flatnonzero(w.odometry_s >= e.onset_s)
+    if len(k) < 2:
+        return 0.0
+    truth = np.stack([np.interp(w.odometry_s[k], e.stamp_s, e.position_m[:, axis]) for axis in range(3)], axis=1)
+    steps = np.linalg.norm(np.diff(w.odometry_m[k] - truth, axis=0), axis=1)
+    same = np.diff(w.reset_counter[k]) == 0
+    return float(steps[same].max(initial=0.0))
+
+
+def resets(e: Evidence) -> float:
+    """How often the reset counter changed from the trouble on."""
+    return float(np.count_nonzero(np.diff(e.wire.reset_counter[e.wire.odometry_s >= e.onset_s])))
+
+
+def pose_rate(e: Evidence) -> float:
+    """Fewest ODOMETRY in any second of the first eight after the trouble, while the vehicle is ours."""
+    stamps = e.wire.odometry_s
+    starts = np.arange(e.onset_s, e.onset_s + min(8.0, e.since(~e.ours, e.onset_s)) - 1.0, 0.1)
+    counts = np.searchsorted(stamps, starts + 1.0) - np.searchsorted(stamps, starts)
+    return float(counts.min()) if len(counts) else math.inf
+
+
+def pose_age(e: Evidence) -> float:
+    """Oldest stamp (s) of any ODOMETRY when it was sent."""
+    w = e.wire
+    return float(np.abs(w.odometry_s - e.boot_s - w.odometry_stamp_us * 1e-6).max()) if len(w.odometry_s) else 0.0
+
+
+def speed_from(late_s: float) -> Measure:
+    """Fastest setpoint (m/s) from so long after the trouble on, while the vehicle follows them."""
+
+    def measure(e: Evidence) -> float:
+        from_s, w = e.onset_s + late_s, e.wire
+        until_s = from_s + e.since(~e.ours, from_s)
+        k = (w.setpoint_s >= from_s) & (w.setpoint_s <= until_s)
+        return float(np.linalg.norm(w.velocity_mps[k], axis=1).max(initial=0.0))
+
+    return measure
+
+
+def clearance(e: Evidence) -> float:
+    """Least true clearance (m) to the scene and to what appeared in it."""
+    return min(float(e.hull_m.min()) if len(e.hull_m) else math.inf, e.box_m)
+
+
+def overshoot(e: Evidence) -> float:
+    """Farthest (m) out of the fence, of the vehicle's middle."""
+    aloft = e.position_m[e.armed]
+    if not len(aloft):
+        return 0.0
+    return float(max(np.maximum(e.limits.fence_min_m - aloft, aloft - e.limits.fence_max_m).max(), 0.0))
+
+
+def back_inside(e: Evidence) -> float:
+    """Longest seconds without a break outside the inset fence before the landing, after the trouble."""
+    low, high = np.array(e.limits.fence_min_m) + e.limits.inset_m, np.array(e.limits.fence_max_m) - e.limits.inset_m
+    out = ((e.position_m < low) | (e.position_m > high))[:, :2].any(axis=1) & e.ours & (e.stamp_s >= e.onset_s)
+    longest = run = 0
+    for outside in out.tolist():
+        run = run + 1 if outside else 0
+        longest = max(longest, run)
+    return longest * float(np.diff(e.stamp_s).mean())
+
+
+def armed_at_all(e: Evidence) -> float:
+    """1 if the motors ever ran."""
+    return float(e.armed.any())
+
+
+def arm_tries(e: Evidence) -> float:
+    """How often arming was asked for."""
+    return float(sum(o.command == _ARM and o.first > 0.5 for o in e.wire.orders))
+
+
+def forced(e: Evidence) -> float:
+    """Commands that force the autopilot to arm or disarm."""
+    return float(sum(o.command == _ARM and o.second == 21196.0 for o in e.wire.orders))
+
+
+def last_try_after(e: Evidence) -> float:
+    """Seconds from the first arm command to the last."""
+    tries = [o.stamp_s for o in e.wire.orders if o.command == _ARM and o.first > 0.5]
+    return tries[-1] - tries[0] if tries else math.inf
+
+
+def first_arm(e: Evidence) -> float:
+    """Seconds from the start of the product to its first arm command."""
+    tries = [o.stamp_s for o in e.wire.orders if o.command == _ARM and o.first > 0.5]
+    return tries[0] - float(e.stamp_s[0]) if tries else math.inf
+
+
+def motors_ran(e: Evidence) -> float:
+    """Seconds for which the motors ran."""
+    return float(np.count_nonzero(e.armed) * np.diff(e.stamp_s).mean())
+
+
+def battery_left(e: Evidence) -> float:
+    """Charge at the end, as a share."""
+    return e.battery
+
+
+def from_pad(e: Evidence) -> float:
+    """Metres, level, from the pad to where the vehicle came down."""
+    return float(np.hypot(*e.position_m[-1, :2]))
+
+
+def told_after(late_s: float = 0.0) -> Measure:
+    """Seconds from the trouble (and so much) to the product's first STATUSTEXT."""
+
+    def measure(e: Evidence) -> float:
+        said = [stamp_s for stamp_s, _ in e.wire.texts if stamp_s >= e.onset_s + late_s]
+        return said[0] - e.onset_s - late_s if said else math.inf
+
+    return measure
+
+
+def relaunched(e: Evidence) -> float:
+    """Turns of following setpoints again after a landing had begun."""
+    first_s = e.since(e.landing, e.onset_s)
+    return float((e.ours & (e.stamp_s > e.onset_s + first_s)).sum())
+
+
+def unfinished(e: Evidence) -> float:
+    """1 unless the flight ended with motors off over the pad, and no failsafe had to act."""
+    return float(bool(e.armed[-1]) or from_pad(e) > 0.5 or bool(e.failsafes) or not e.armed.any())
+
+
+def asked_to_land(e: Evidence) -> float:
+    """Seconds from the trouble to the product's own command to land."""
+    asked = [o.stamp_s for o in e.wire.orders if o.command in (_SET_MODE, 21) and o.stamp_s >= e.onset_s]
+    return asked[0] - e.onset_s if asked else math.inf
+
+
+def _onset(e: Evidence) -> int:
+    return int(np.searchsorted(e.stamp_s, e.onset_s))

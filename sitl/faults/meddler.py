@@ -1,0 +1,190 @@
+"""Takes part in a flight: begins the troubles at their moment, stands in every stream, and keeps the referee's ledger."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.faults.injector import Depth, Injector, Theatre
+from sitl.faults.link import Bytes, Late, Proxy
+from sitl.poses import PoseRecord
+from sitl.world import World
+
+T = TypeVar("T")
+OURS = ("OFFBOARD", "GUIDED")
+AIRBORNE_M = 0.9
+_REST_S = 2.0  # watched for so long after the motors stopped
+_LONGEST_WAIT_S = 120.0  # for a trouble's moment
+
+
+@dataclass(frozen=True)
+class Onset:
+    """When a trouble begins: at a random instant between these seconds after the climb is over, and then as soon as the
+    vehicle is flown at speed_mps or more. at_boot: at once. after_s counts from the boot where at_boot is set.
+    """
+
+    after_s: tuple[float, float] = (2.0, 8.0)
+    speed_mps: float = 0.4
+    at_boot: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One line of the ledger: the truth at the end of a turn."""
+
+    stamp_s: float
+    position_m: tuple[float, float, float]
+    velocity_mps: tuple[float, float, float]
+    armed: bool
+    mode: str
+
+
+class Meddler:
+    """longest_s: the flight is ended so long after the trouble began, whatever it does then."""
+
+    def __init__(self, injectors: Sequence[Injector], onset: Onset, seed: int, longest_s: float = 60.0) -> None:
+        self._injectors, self._onset, self._longest_s = tuple(injectors), onset, longest_s
+        self._dice = random.Random(seed * 7919 + 17)
+        self._wait_s = self._dice.uniform(*onset.after_s)
+        self._airborne_s, self._flown, self._disarmed_s = math.inf, False, math.inf
+        self._begun_s = math.inf
+        self.onset_s = math.inf
+        self.end_s = -math.inf
+        self.ledger: list[Moment] = []
+
+    # -- what the flight asks -----------------------------------------------------------------------------------------
+
+    def enter(self, world: World, channels: object, now_s: float) -> None:
+        """The world is made: step in between it and the product."""
+        self.theatre = Theatre(world, self._dice, channels, now_s=now_s)
+        self._begun_s = now_s
+        self._stream = world.stream = FaultyStream(world.stream, self)
+
+    def link(self, end: Bytes) -> Proxy:
+        """The product's end of the MAVLink link, through the proxy."""
+        self.proxy = Proxy(end, lambda: self.theatre.now_s, self._fate("to_autopilot"), self._fate("to_product"))
+        self.theatre.proxy = self.proxy
+        return self.proxy
+
+    def turn(self, now_s: float) -> None:
+        """Before anything else moves in a turn."""
+        at, truth = self.theatre, self.theatre.world.autopilot.truth()
+        at.now_s = now_s
+        self.ledger.append(Moment(now_s, truth.position, truth.velocity, truth.armed, truth.mode))
+        self._watch(self.ledger[-1])
+        if self.onset_s < math.inf:
+            for injector in self._injectors:
+                injector.turn(at, now_s - self.onset_s)
+        self.proxy.forward()
+        self._stream.release(now_s)
+
+    def runs(self, stage: str) -> bool:
+        """Whether a stage's loop makes its turn."""
+        since_s = self.theatre.now_s - self.onset_s
+        return since_s < 0.0 or not any(injector.stalls(since_s, stage) for injector in self._injectors)
+
+    def restarts(self, stage: str) -> bool:
+        """Whether a stage is to be built anew before its turn."""
+        since_s = self.theatre.now_s - self.onset_s
+        return since_s >= 0.0 and any(injector.restarts(since_s, stage) for injector in self._injectors)
+
+    def lands(self) -> bool:
+        """Whether the operator wants to land."""
+        return self.theatre.abort
+
+    def over(self, finished: bool) -> bool:
+        """Whether there is nothing left to see."""
+        now_s = self.theatre.now_s
+        late = now_s - self.onset_s > self._longest_s or (self.onset_s == math.inf and now_s - self._begun_s > _LONGEST_WAIT_S)
+        landed = self._flown and now_s - self._disarmed_s > _REST_S
+        ended = late or landed or (finished and not self._flown)
+        self.end_s = now_s if ended else self.end_s
+        return ended
+
+    # -- the moment -----------------------------------------------------------------------------------------------------
+
+    def _watch(self, now: Moment) -> None:
+        self._flown = self._flown or (now.armed and now.position_m[2] > 0.3)
+        self._disarmed_s = math.inf if now.armed else min(self._disarmed_s, now.stamp_s)
+        if self.onset_s < math.inf:
+            return
+        flown = now.armed and now.mode in OURS
+        if flown and now.position_m[2] > AIRBORNE_M:
+            self._airborne_s = min(self._airborne_s, now.stamp_s)
+        since_s = self._begun_s if self._onset.at_boot else self._airborne_s
+        fast = self._onset.at_boot or (flown and math.hypot(*now.velocity_mps[:2]) >= self._onset.speed_mps)
+        if fast and now.stamp_s >= since_s + self._wait_s:
+            self.onset_s = now.stamp_s
+            for injector in self._injectors:
+                injector.begin(self.theatre)
+
+    # -- in the streams -------------------------------------------------------------------------------------------------
+
+    def fate(self, kind: str, item: T) -> Late[T]:
+        """What all injectors together make of an item: delays add up."""
+        since_s = self.theatre.now_s - self.onset_s
+        late: Late[T] = [(0.0, item)]
+        if since_s < 0.0:
+            return late
+        for injector in self._injectors:
+            make: Callable[[float, T], Late[T]] = getattr(injector, kind)
+            late = [(wait + more, changed) for wait, each in late for more, changed in make(since_s, each)]
+        return late
+
+    def _fate(self, kind: str) -> Callable[[bytes], Late[bytes]]:
+        return lambda frame: self.fate(kind, frame)
+
+
+class FaultyStream:
+    """Stands before the writer of the camera stream."""
+
+    def __init__(self, writer: Any, meddler: Meddler) -> None:
+        self._writer, self._meddler = writer, meddler
+        self._waiting: list[tuple[float, int, PoseRecord | Depth]] = []
+        self._numbers = itertools.count()
+
+    def write_imu(self, stamp_s: float, gyro: NDArray[np.float64], force: NDArray[np.float64]) -> None:
+        """Inertial samples go through."""
+        self._writer.write_imu(stamp_s, gyro, force)
+
+    def write_pose(
+        self,
+        stamp_s: float,
+        position_m: NDArray[np.float64],
+        quat_wxyz: NDArray[np.float64],
+        variance: NDArray[np.float64],
+        quality: int = 100,
+        reset_counter: int = 0,
+    ) -> None:
+        """A pose is delivered: perhaps later, otherwise, or never."""
+        record = PoseRecord(stamp_s, position_m, quat_wxyz, variance, quality, reset_counter)
+        self._queue(self._meddler.fate("pose", record))
+
+    def write_frame(self, stamp_s: float, depth_mm: NDArray[np.uint16], rgb: NDArray[np.uint8]) -> None:
+        """A frame likewise."""
+        self._queue(self._meddler.fate("depth", Depth(stamp_s, depth_mm, rgb)))
+
+    def _queue(self, late: Late[PoseRecord] | Late[Depth]) -> None:
+        now_s = self._meddler.theatre.now_s
+        for wait_s, item in late:
+            heapq.heappush(self._waiting, (now_s + wait_s, next(self._numbers), item))
+        self.release(now_s)
+
+    def release(self, now_s: float) -> None:
+        """Write what is due."""
+        while self._waiting and self._waiting[0][0] <= now_s + 1e-9:
+            item = heapq.heappop(self._waiting)[2]
+            if isinstance(item, Depth):
+                self._writer.write_frame(item.stamp_s, item.depth_mm, item.rgb)
+            else:
+                self._writer.write_pose(
+                    item.stamp_s, item.position_m, item.quat_wxyz, item.variance, item.quality, item.reset_counter
+                )

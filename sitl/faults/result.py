@@ -1,0 +1,90 @@
+"""What came of a row over all its flights: for each bar the worst figure, and what was broken of what holds everywhere."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sitl.faults.row import Bar, Row, Verdict
+
+
+@dataclass(frozen=True)
+class Result:
+    """passed None: not flown. worst: of each bar over the flights. kept: flights that passed; remarks: what else broke."""
+
+    row: Row
+    autopilot: str
+    seeds: int
+    kept: int
+    passed: bool | None
+    worst: tuple[float, ...]
+    remarks: tuple[str, ...]
+
+    def headline(self) -> tuple[Bar, float] | None:
+        """The bar that is used up most, and its figure."""
+        if not self.worst:
+            return None
+        pairs = list(zip(self.row.bars, self.worst, strict=True))
+        return max(pairs, key=lambda pair: pair[0].badness(pair[1], self.autopilot))
+
+    def sentence(self) -> str:
+        """Every broken bar with its figure; the tightest one where none is."""
+        pairs = list(zip(self.row.bars, self.worst, strict=True))
+        broken = [(bar, figure) for bar, figure in pairs if not bar.holds(figure, self.autopilot)]
+        head = self.headline()
+        return ", ".join(self._words(bar, figure) for bar, figure in broken or ([head] if head else []))
+
+    def words(self) -> list[str]:
+        """One for each bar."""
+        return [self._words(bar, figure) for bar, figure in zip(self.row.bars, self.worst, strict=True)]
+
+    def _words(self, bar: Bar, figure: float) -> str:
+        said = "never" if math.isinf(figure) else "-" if math.isnan(figure) else f"{figure:.2f}"
+        sign = ">=" if bar.at_least else "<="
+        return f"{bar.name} {said} {sign} {bar.limit_of(self.autopilot):g} {bar.unit}".rstrip()
+
+    def tree(self) -> dict[str, object]:
+        """For JSON; a figure that is null never came, or could not be measured."""
+        head = self.headline()
+        return {
+            "id": self.row.id,
+            "tier": self.row.tier,
+            "autopilot": self.autopilot,
+            "seeds": self.seeds,
+            "passed": self.passed,
+            "figure": _number(head[1]) if head else None,
+            "bar": head[0].limit_of(self.autopilot) if head else None,
+            "unit": head[0].unit if head else "",
+            "measure": head[0].name if head else "",
+            "bars": [
+                {
+                    "measure": b.name,
+                    "figure": _number(f),
+                    "bar": b.limit_of(self.autopilot),
+                    "unit": b.unit,
+                    "at_least": b.at_least,
+                }
+                for b, f in zip(self.row.bars, self.worst, strict=True)
+            ],
+            "remarks": list(self.remarks),
+            "why": self.row.why,
+        }
+
+
+def result_of(row: Row, autopilot: str, verdicts: Sequence[Verdict]) -> Result:
+    """Worst of all flights. A row without flights was not flown."""
+    if not verdicts:
+        return Result(row, autopilot, 0, 0, None, (), ())
+    worst = []
+    for k, bar in enumerate(row.bars):
+        worst.append(max((v.figures[k] for v in verdicts), key=lambda figure: bar.badness(figure, autopilot)))
+    kept = sum(verdict.passed(row, autopilot) for verdict in verdicts)
+    said = Counter(words for verdict in verdicts for words in verdict.broken)
+    remarks = tuple(words if count == 1 else f"{words} ({count} times)" for words, count in said.items())
+    return Result(row, autopilot, len(verdicts), kept, kept == len(verdicts), tuple(worst), remarks)
+
+
+def _number(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None

@@ -1,0 +1,87 @@
+"""One row of the hazards' table: what goes wrong, when, and the bars that the flight is held to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from sitl.faults.evidence import Evidence
+from sitl.faults.injector import Injector
+from sitl.faults.measures import Measure
+from sitl.faults.meddler import Onset
+
+Arena = Literal["hall", "pen", "corridor"]
+ON_THE_WAY = Onset()
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A figure and what it may be at most, or at least; ardupilot: where that firmware's bar is another."""
+
+    name: str
+    measure: Measure
+    limit: float
+    unit: str
+    at_least: bool = False
+    ardupilot: float | None = None
+
+    def limit_of(self, autopilot: str) -> float:
+        """For a personality."""
+        return self.ardupilot if autopilot == "ardupilot" and self.ardupilot is not None else self.limit
+
+    def holds(self, figure: float, autopilot: str) -> bool:
+        """NaN never does."""
+        limit = self.limit_of(autopilot)
+        return figure >= limit - 1e-9 if self.at_least else figure <= limit + 1e-9
+
+    def badness(self, figure: float, autopilot: str) -> float:
+        """Share of the bar that is used up; above 1 it is broken. For finding the worst."""
+        limit = self.limit_of(autopilot)
+        if math.isnan(figure):
+            return math.inf
+        if self.at_least:
+            return limit / figure if figure > 0 else math.inf
+        return figure / limit if limit > 0 else 1.0 + figure if figure > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere; none:
+    the row cannot be flown here, and why says it. longest_s: watched so long after the trouble began.
+    """
+
+    id: str
+    hazard: str
+    injection: str
+    injectors: Callable[[int], Sequence[Injector]] = lambda n: ()
+    bars: tuple[Bar, ...] = ()
+    onset: Onset = ON_THE_WAY
+    arena: Arena = "hall"
+    longest_s: float = 60.0
+    views: int = 14
+    tier: str = "T0"
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Of one flight: a figure for each bar, and what was broken of what holds everywhere."""
+
+    figures: tuple[float, ...]
+    broken: tuple[str, ...]
+
+    def passed(self, row: Row, autopilot: str) -> bool:
+        """All bars and all of the rest."""
+        held = all(bar.holds(figure, autopilot) for bar, figure in zip(row.bars, self.figures, strict=True))
+        return held and not self.broken
+
+
+def judge(row: Row, evidence: Evidence, broken: Sequence[str]) -> Verdict:
+    """Hold a flight to its row. broken: of everywhere.violations(). A trouble that never came is no pass."""
+    if evidence.onset_s == math.inf and not evidence.error:
+        broken = (*broken, "the moment for the trouble never came")
+    if evidence.error or evidence.onset_s == math.inf:
+        return Verdict(tuple(math.nan for _ in row.bars), tuple(broken))
+    return Verdict(tuple(float(bar.measure(evidence)) for bar in row.bars), tuple(broken))

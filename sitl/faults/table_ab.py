@@ -1,0 +1,182 @@
+"""Tables A (software death and starvation) and B (pose and SLAM)."""
+
+from __future__ import annotations
+
+from sitl.faults import measures as m
+from sitl.faults.bars import NO_FAILSAFE, NO_JUMP, NO_ORDER, STEADY, STREAMS, clear, down, holds, lands, lands_no_sooner, stops
+from sitl.faults.host import Crash, Stall
+from sitl.faults.meddler import Onset
+from sitl.faults.row import Bar, Row
+from sitl.faults.tracker import (
+    Altered,
+    Frozen,
+    Later,
+    Silence,
+    Thinned,
+    drifting,
+    map_turned,
+    moved,
+    spoilt,
+    stamped,
+    turned,
+)  # fmt: skip
+
+FAST = Onset(speed_mps=0.6)
+GONE_AND_BACK = tuple((gap_s, offset_m) for gap_s in (0.5, 2.0, 10.0) for offset_m in (0.0, 0.3, 1.0))
+CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
+SPOILT = tuple(spoilt(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp"))
+
+TABLE_A = (
+    Row(
+        "A1",
+        "planner stalls 5 s",
+        "mission stands still for 5 s at speed",
+        lambda n: [Stall("mission", for_s=5.0)],
+        (holds(0.6), stops(0.6), STEADY, STREAMS, NO_FAILSAFE, NO_JUMP, Bar("flies on", m.moves_again_after(5.0), 1.0, "s")),
+        onset=FAST,
+    ),
+    Row(
+        "A2",
+        "planner stalls 30 s",
+        "mission stands still for 30 s at speed, then goes on",
+        lambda n: [Stall("mission", for_s=30.0)],
+        (
+            Bar("retreat begun", m.retreat_after, 5.5, "s"),
+            lands(21.0),
+            lands_no_sooner(19.0),
+            down(45.0),
+            STREAMS,
+        ),
+        onset=FAST,
+    ),
+    Row(
+        "A3",
+        "mission crashes",
+        "mission dies at speed; its supervisor has a new one running after 5 s",
+        lambda n: [Crash("mission", back_s=5.0)],
+        (holds(0.6), STREAMS, NO_FAILSAFE, down(120.0)),
+        onset=FAST,
+        longest_s=125.0,
+    ),
+    Row(
+        "A4",
+        "out of memory",
+        "mapper allocates up to its limit",
+        why="needs a cgroup with MemoryMax; run on the installed units",
+    ),
+    Row(
+        "A5",
+        "mapper hangs",
+        "mapper child stopped for 60 s",
+        why="the mapper is a stand-in inside the mission in lockstep; a process row of real time",
+    ),
+    Row(
+        "A6",
+        "pilot and mission killed",
+        "SIGKILL to both at once, for ever",
+        lambda n: [Stall("mission", "pilot", "perception")],
+        (lands(1.3, ardupilot=2.5), Bar("drift", m.drift_landing, 1.5, "m"), down(30.0)),
+        onset=FAST,
+    ),
+    Row(
+        "A7",
+        "pilot restarts in the air",
+        "pilot dies and is back after 0.2, 1 and 3 s",
+        lambda n: [Crash("pilot", back_s=(0.2, 1.0, 3.0)[n % 3])],
+        (NO_ORDER, down(60.0)),
+    ),
+    Row("A8", "second copy started", "another pilot on the same link", why="a process row of real time"),
+    Row("A9", "SIGTERM in flight", "SIGTERM to the pilot at height", why="a process row of real time"),
+    Row("A10", "overload", "all cores busy", why="ten minutes in real time: run apart"),
+    Row("A11", "stall by GC, fork or log", "system calls of the pilot's loop", why="needs strace; real time"),
+)
+
+TABLE_B = (
+    Row(
+        "B1",
+        "pose stops",
+        "no pose any more, at speed",
+        lambda n: [Silence()],
+        (holds(0.3), lands(1.2), Bar("drift", m.drift_landing, 0.8, "m"), down(30.0)),
+        onset=FAST,
+    ),
+    Row(
+        "B2",
+        "pose comes back",
+        "no pose for 0.5, 2, 10 s; back with an offset of 0, 0.3, 1 m",
+        lambda n: [
+            Silence(GONE_AND_BACK[n % 9][0]),
+            Altered(moved(x=GONE_AND_BACK[n % 9][1]), from_s=GONE_AND_BACK[n % 9][0]),
+        ],
+        (NO_JUMP, Bar("takes back a landing", m.relaunched, 0.0, "")),
+    ),
+    Row(
+        "B3",
+        "pose spike",
+        "one pose off by 0.5 m",
+        lambda n: [Altered(moved(x=0.5), count=1)],
+        (Bar("motion of the error", m.pose_error_step(2.0), 0.05, "m"), NO_FAILSAFE),
+    ),
+    Row(
+        "B4",
+        "pose jumps and stays",
+        "every pose off by 0.5 m, 2 m, odom turned by 10 degrees",
+        lambda n: [Altered(CLOSURES[n % 3])],
+        (
+            Bar("step of ODOMETRY", m.pose_step, 0.05, "m"),
+            Bar("reset counter", m.resets, 1.0, ""),
+            Bar("motion", m.stopped_within(), 0.8, "m"),
+        ),
+    ),
+    Row(
+        "B5",
+        "pose drifts",
+        "0.05 m/s for a minute along either axis",
+        lambda n: [Altered(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
+        (clear(0.10), Bar("alarm", m.told_after(), 10.0, "s")),
+        longest_s=80.0,
+        views=30,
+    ),
+    Row("B6", "height drifts, scale is wrong", "z ramp, scale 0.9 and 1.1", why="waits for perception"),
+    Row(
+        "B7",
+        "poses make no sense",
+        "NaN, infinite, zero or long in each field",
+        lambda n: [Altered(SPOILT[n % len(SPOILT)])],
+        (Bar("NaN on the wire", lambda e: float(e.wire.not_finite), 0.0, ""), holds(0.3), lands(1.2)),
+    ),
+    Row(
+        "B8",
+        "stamps are wrong",
+        "poses 0.1, 0.3, 1 s late; a frozen stamp; 5 s in the future",
+        lambda n: [(Later(0.1), Later(0.3), Later(1.0), Frozen(), Altered(stamped(5.0)))[n % 5]],
+        (Bar("oldest pose sent", m.pose_age, 0.15, "s"),),
+    ),
+    Row(
+        "B9",
+        "heading flips once",
+        "one pose turned by 180, 90, 15 degrees",
+        lambda n: [Altered(turned((180.0, 90.0, 15.0)[n % 3]), count=1)],
+        (Bar("motion of the error", m.pose_error_step(2.0), 0.05, "m"), NO_FAILSAFE),
+    ),
+    Row(
+        "B9p",
+        "heading flips for good",
+        "every pose turned by 180, 90, 15 degrees",
+        lambda n: [Altered(turned((180.0, 90.0, 15.0)[n % 3]))],
+        (lands(1.5), Bar("drift", m.drift_landing, 0.8, "m")),
+    ),
+    Row(
+        "B10",
+        "few poses",
+        "6 poses a second; 3 of them",
+        lambda n: [Thinned((6.0, 3.0)[n % 2])],
+        (
+            Bar("ODOMETRY in a second", m.pose_rate, 28.0, "1/s", at_least=True),
+            Bar("speed 1.5 s later", m.speed_from(2.5), 0.3, "m/s"),
+        ),
+        longest_s=30.0,
+    ),
+    Row("B11", "nothing to track", "dark, blank wall, blur", why="needs a tracker on pictures: waits for perception"),
+    Row("B12", "frames mixed up", "axes swapped in the config", why="waits for perception"),
+)

@@ -1,0 +1,180 @@
+"""Tables C (camera and depth) and D (link)."""
+
+from __future__ import annotations
+
+from sitl.faults import measures as m
+from sitl.faults.bars import (
+    COMPLETES,
+    NO_FAILSAFE,
+    NO_ORDER,
+    STEADY,
+    STREAMS,
+    clear,
+    down,
+    holds,
+    lands,
+)
+from sitl.faults.body import Reboot
+from sitl.faults.eye import (
+    Appears,
+    Approaches,
+    Dark,
+    FrozenPicture,
+    LateFrames,
+    Painted,
+    Shuffled,
+    bit_errors,
+    constant,
+    salted,
+    scaled,
+    shifted,
+)  # fmt: skip
+from sitl.faults.host import Crash
+from sitl.faults.injector import Injector
+from sitl.faults.meddler import Onset
+from sitl.faults.row import Bar, Row
+from sitl.faults.wires import Corrupted, Garbage, Jitter, Loss, Repeated
+
+FAST = Onset(speed_mps=0.6)
+STILL = Onset(speed_mps=0.0)
+
+TABLE_C = (
+    Row("C1", "frames lost for 0.3 s", "no frame for 0.3 s", lambda n: [Dark(0.3)], (COMPLETES, NO_FAILSAFE), onset=FAST),
+    Row(
+        "C1b",
+        "frames lost for 3 s",
+        "no frame for 3 s at speed",
+        lambda n: [Dark(3.0)],
+        (holds(0.4), STREAMS, COMPLETES),
+        onset=FAST,
+    ),
+    Row(
+        "C1c",
+        "frames lost",
+        "no frame any more",
+        lambda n: [Dark()],
+        (holds(0.4), Bar("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5)),
+        onset=FAST,
+    ),
+    Row(
+        "C2",
+        "camera unplugged",
+        "perception dies at speed and is back after 2 s",
+        lambda n: [Crash("perception", back_s=2.0)],
+        (holds(0.3), lands(1.2), down(30.0)),
+        onset=FAST,
+    ),
+    Row(
+        "C3",
+        "depth corrupted",
+        "salt on 30 % of the pixels; 64 pixels aside; bit errors; half and twice the range; frozen",
+        lambda n: [_corrupt(n)],
+        (holds(0.5), clear(0.10)),
+    ),
+    Row(
+        "C4",
+        "lens covered",
+        "every pixel 0; every pixel 65535",
+        lambda n: [Painted(constant((0, 65535)[n % 2]))],
+        (holds(0.4), clear(0.10)),
+        onset=FAST,
+    ),
+    Row("C5", "glass, black, mirror", "surfaces that stereo does not see", why="T2 and T4: glass is not rendered"),
+    Row(
+        "C6",
+        "frames late",
+        "0.2, 0.5, 0.8 s late",
+        lambda n: [LateFrames((0.2, 0.5, 0.8)[n % 3])],
+        (
+            Bar("speed 2 s later", m.speed_from(2.0), 0.3, "m/s"),
+            clear(0.10),
+        ),
+    ),
+    Row(
+        "C7",
+        "frames repeated and out of order",
+        "each twice, every third behind the next",
+        lambda n: [Shuffled()],
+        (COMPLETES,),
+    ),
+    Row(
+        "C8",
+        "obstacle appears",
+        "a box stands 1.0 m ahead of the hull, at speed",
+        lambda n: [Appears(1.0)],
+        (holds(0.25), clear(0.40)),
+        onset=FAST,
+    ),
+    Row(
+        "C9",
+        "obstacle approaches",
+        "a box comes at 0.8 m/s to where it is",
+        lambda n: [Approaches(0.8)],
+        (clear(0.30),),
+        onset=STILL,
+    ),
+)
+
+
+def _corrupt(n: int) -> Injector:
+    changes = (salted(0.3), shifted(32), bit_errors(), scaled(0.5), scaled(2.0))
+    return FrozenPicture() if n % 6 == 5 else Painted(changes[n % 6])
+
+
+TABLE_D = (
+    Row(
+        "D1",
+        "nothing heard for 1 s",
+        "autopilot to product lost for 1 s at speed",
+        lambda n: [Loss("down", 1.0)],
+        (holds(0.6), NO_FAILSAFE, STREAMS),
+        onset=FAST,
+    ),
+    Row(
+        "D1b",
+        "nothing heard for 10 s",
+        "autopilot to product lost for 10 s at speed",
+        lambda n: [Loss("down", 10.0)],
+        (holds(0.6), Bar("stream ends", m.streams_after, 3.1, "s"), lands(4.5), NO_ORDER),
+        onset=FAST,
+    ),
+    Row(
+        "D2",
+        "nothing said for 3 s",
+        "product to autopilot lost for 3 s",
+        lambda n: [Loss("up", 3.0)],
+        (lands(1.3, ardupilot=2.5), NO_ORDER, down(30.0)),
+        onset=FAST,
+    ),
+    Row(
+        "D3",
+        "bad link",
+        "20 % lost both ways; up to 0.3 s late; 0.3 s holes",
+        lambda n: [(Loss("both", share=0.2, seed=n), Jitter(0.3, n), Loss("both", 0.3))[n % 3]],
+        (NO_FAILSAFE, STEADY, COMPLETES),
+    ),
+    Row(
+        "D4",
+        "frames repeated and out of order",
+        "each three times, up to 0.5 s late",
+        lambda n: [Repeated(0.5)],
+        (Bar("arm commands", m.arm_tries, 1.0, ""), NO_FAILSAFE, COMPLETES),
+        onset=Onset((0.0, 0.0), at_boot=True),
+        longest_s=150.0,
+    ),
+    Row(
+        "D5",
+        "garbage",
+        "1 MB/s of random bytes for 10 s, then a fifth of the frames spoilt",
+        lambda n: [Garbage(1_000_000, 10.0), Corrupted(0.2, n)],
+        (NO_FAILSAFE, STEADY, COMPLETES),
+    ),
+    Row(
+        "D6",
+        "serial line unplugged",
+        "device gone and back",
+        why="needs a serial device: bench, or a pseudo terminal in real time",
+    ),
+    Row("D7", "autopilot restarts in the air", "its clock begins anew", lambda n: [Reboot()], (NO_ORDER,), longest_s=20.0),
+    Row("D8", "ground station lost", "its heartbeats stop", why="the product has no link to a ground station"),
+)

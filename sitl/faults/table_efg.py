@@ -1,0 +1,252 @@
+"""Tables E (authority), F (geometry) and G (host)."""
+
+from __future__ import annotations
+
+from sitl.faults import measures as m
+from sitl.faults.bars import (
+    COMPLETES,
+    NEVER_ARMED,
+    NO_FAILSAFE,
+    NO_FORCE,
+    STREAMS,
+    clear,
+    down,
+    lands,
+)  # fmt: skip
+from sitl.faults.body import Battery, HeldDown, Parameter, Push, Takeover, TransmitterLost
+from sitl.faults.evidence import Evidence
+from sitl.faults.eye import Stands
+from sitl.faults.host import Abort, DiskFull
+from sitl.faults.meddler import Onset
+from sitl.faults.row import Bar, Row
+from sitl.faults.wires import Forger, Loss, Rewritten, version
+
+AT_BOOT = Onset((0.0, 0.0), at_boot=True)
+ANY = Onset((0.0, 15.0), speed_mps=0.0)
+FAST = Onset(speed_mps=0.6)
+PILOT_MODES = ("POSCTL", "ALTCTL", "STABILIZED", "LOITER")
+PARAMETERS = (
+    ("COM_OBL_RC_ACT", 0), ("COM_OF_LOSS_T", 5.0), ("COM_LOW_BAT_ACT", 0), ("NAV_RCL_ACT", 2), ("MPC_XY_VEL_MAX", 12.0),
+    ("EKF2_EV_CTRL", 0), ("GF_ACTION", 2), ("COM_RC_OVERRIDE", 1),
+)  # fmt: skip
+_ARM, _ORIGIN, _VERSION = 400, 48, 148
+
+TABLE_E = (
+    Row(
+        "E1",
+        "pilot switches the mode",
+        "at a random moment, each mode in turn",
+        lambda n: [Takeover(PILOT_MODES[n % 4])],
+        (
+            Bar("turns in another mode", lambda e: m.mode_lost(_mode_after(e))(e), 0.0, ""),
+            Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
+            Bar("stream ends", m.streams_after, 0.3, "s"),
+        ),
+        onset=ANY,
+        longest_s=20.0,
+    ),
+    Row(
+        "E1b",
+        "pilot switches as we ask for a mode",
+        "around the operator's landing, 50 ms before to after",
+        lambda n: [Abort(), Takeover(PILOT_MODES[n % 3], later_s=0.02 * (n % 6))],
+        (
+            Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
+            Bar("stream ends", m.streams_after, 0.5, "s"),
+        ),
+        onset=ANY,
+        longest_s=20.0,
+    ),
+    Row(
+        "E2",
+        "pilot moves the sticks",
+        "the firmware's answer to it: position mode",
+        lambda n: [Takeover("POSCTL")],
+        (
+            Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
+            Bar("stream ends", m.streams_after, 0.3, "s"),
+            Bar("turns in another mode", m.mode_lost("POSCTL"), 0.0, ""),
+        ),
+        onset=FAST,
+        longest_s=20.0,
+    ),
+    Row(
+        "E3",
+        "transmitter lost",
+        "no transmitter any more",
+        lambda n: [TransmitterLost()],
+        (lands(1.6, ardupilot=2.0), Bar("turns in a stick mode", m.position_mode, 0.0, ""), down(30.0)),
+    ),
+    Row(
+        "E4",
+        "forged commands",
+        "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
+        lambda n: [Forger(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
+        (NO_FAILSAFE, COMPLETES),
+    ),
+    Row(
+        "E5",
+        "battery low",
+        "falls to 30 % and on by 0.5 % a second; by 20 % at once; to 24 % at once",
+        lambda n: [(Battery(0.30, 0.005), Battery(0.78), Battery(0.24))[n % 3]],
+        (
+            Bar("charge left", m.battery_left, 0.10, "", at_least=True),
+            Bar("off the pad", m.from_pad, 0.5, "m"),
+            NO_FAILSAFE,
+            down(120.0),
+        ),
+        longest_s=120.0,
+    ),
+    Row(
+        "E6",
+        "arming refused",
+        "arm commands have no effect",
+        lambda n: [Loss("up", only=(76,), share=1.0)],
+        (
+            NEVER_ARMED,
+            NO_FORCE,
+            Bar("arm commands", m.arm_tries, 3.0, ""),
+            Bar("gives up", m.last_try_after, 20.0, "s"),
+        ),
+        onset=Onset((12.0, 12.0), at_boot=True),
+        longest_s=60.0,
+    ),
+    Row(
+        "E7",
+        "take-off fails",
+        "it cannot lift itself",
+        lambda n: [HeldDown()],
+        (Bar("motors ran", m.motors_ran, 4.0, "s"), Bar("arm commands", m.arm_tries, 1.0, "")),
+        onset=AT_BOOT,
+        longest_s=90.0,
+    ),
+    Row(
+        "E8",
+        "pad occupied",
+        "a box stands on the pad when it comes home",
+        lambda n: [Stands((0.0, 0.0, 0.1), (0.25, 0.25, 0.2))],
+        (clear(0.30),),
+        longest_s=90.0,
+    ),
+    Row(
+        "E9",
+        "landing never noticed",
+        "motors do not stop on the floor",
+        lambda n: [Parameter("COM_DISARM_LAND", 0.0), Abort()],
+        (Bar("alert", m.told_after(4.0), 15.0, "s"), NO_FORCE),
+        longest_s=40.0,
+    ),
+    Row(
+        "E10",
+        "operator's key",
+        "pressed once",
+        lambda n: [Abort()],
+        (Bar("command to land", m.asked_to_land, 0.15, "s"), lands(0.5), down(30.0)),
+        onset=ANY,
+    ),
+)
+
+TABLE_F = (
+    Row(
+        "F1",
+        "planner gone mad",
+        "hostile trajectories at 30 Hz: NaN, far, fast, outside, other epochs, other times",
+        bars=(STREAMS, NO_FAILSAFE, clear(0.10)),
+        longest_s=30.0,
+        injectors=lambda n: [],
+    ),
+    Row(
+        "F2",
+        "pushed out",
+        "5 N on 1.5 kg for 2 s along its way, in a pen inside the hall",
+        lambda n: [Push(3.3, 2.0)],
+        (
+            Bar("fence overshoot", m.overshoot, 0.30, "m"),
+            Bar("outside the inset", m.back_inside, 3.0, "s"),
+            STREAMS,
+        ),
+        arena="pen",
+        onset=FAST,
+    ),
+    Row("F3", "fence makes no sense", "bad corners", why="no flight: tests of the config hold it"),
+    Row(
+        "F4",
+        "no origin",
+        "SET_GPS_GLOBAL_ORIGIN never arrives",
+        lambda n: [Loss("up", only=(_ORIGIN,))],
+        (NEVER_ARMED,),
+        onset=AT_BOOT,
+        longest_s=45.0,
+    ),
+    Row(
+        "F5",
+        "way home closed",
+        "a wall stands across the hall behind it, and the battery is low",
+        lambda n: [Stands((2.0, 0.0, 1.4), (0.1, 3.5, 1.5)), Battery(0.24)],
+        (clear(0.10), down(90.0)),
+        onset=Onset((8.0, 12.0)),
+        longest_s=100.0,
+    ),
+    Row(
+        "F6",
+        "tight passage",
+        "a gap of 0.9 m between two rooms, nothing else",
+        lambda n: [],
+        (clear(0.15), COMPLETES),
+        arena="corridor",
+        onset=AT_BOOT,
+        longest_s=300.0,
+        views=24,
+    ),
+)
+
+TABLE_G = (
+    Row(
+        "G1", "wall clock jumps", "an hour forth and back", why="needs the right to set the clock; no clock of the wall is read"
+    ),
+    Row(
+        "G2",
+        "disk full",
+        "no file grows any more, from the climb on",
+        lambda n: [DiskFull()],
+        (NO_FAILSAFE, STREAMS, COMPLETES),
+        longest_s=120.0,
+    ),
+    Row("G3", "viewer slow or dead", "viewer stopped", why="needs a screen; the recorder is a process of its own"),
+    Row("G4", "bad config", "changed, missing, unknown and doubled keys", why="no flight: tests of the config hold it"),
+    Row(
+        "G5",
+        "parameters are others",
+        "one of the firmware's parameters is not what the product counts on",
+        lambda n: [Parameter(*PARAMETERS[n % len(PARAMETERS)])],
+        (NEVER_ARMED,),
+        onset=AT_BOOT,
+        longest_s=60.0,
+    ),
+    Row(
+        "G6",
+        "wrong firmware",
+        "AUTOPILOT_VERSION says 1.13.0, 1.15.1, 1.18.0",
+        lambda n: [Rewritten(_VERSION, version(*((1, 13, 0), (1, 15, 1), (1, 18, 0))[n % 3]))],
+        (NEVER_ARMED,),
+        onset=AT_BOOT,
+        longest_s=45.0,
+    ),
+    Row("G7", "power lost", "plug pulled", why="T3; its path is A6"),
+    Row(
+        "G8",
+        "time to ready",
+        "nothing",
+        lambda n: [],
+        (Bar("first arm command", m.first_arm, 60.0, "s"), COMPLETES),
+        onset=AT_BOOT,
+        longest_s=300.0,
+    ),
+    Row("G9", "soak", "two hours", why="run apart"),
+    Row("G10", "combinations", "pairs of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2", why="run apart"),
+)
+
+
+def _mode_after(e: Evidence) -> str:
+    """The mode that the pilot chose: the first one that is neither ours nor a landing."""
+    return next((mode for t, mode in zip(e.stamp_s, e.mode, strict=True) if t > e.onset_s + 0.05 and mode != "OFFBOARD"), "")

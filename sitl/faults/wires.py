@@ -1,0 +1,141 @@
+"""Troubles of the MAVLink link: loss, delay, repetition, disorder, garbage and forgery."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.faults.injector import Injector, Theatre
+from sitl.faults.link import Late, Proxy, message_id
+
+
+class Loss(Injector):
+    """Frames are lost for a while, all of them or a share, up (to the autopilot), down or both ways."""
+
+    def __init__(self, way: str, for_s: float = 1e9, share: float = 1.0, seed: int = 0, only: tuple[int, ...] = ()) -> None:
+        self._way, self._for_s, self._share, self._only, self._dice = way, for_s, share, only, random.Random(seed)
+
+    def _fate(self, way: str, since_s: float, frame: bytes) -> Late[bytes]:
+        hit = self._way in (way, "both") and since_s < self._for_s
+        hit = hit and (not self._only or message_id(frame) in self._only)
+        return [] if hit and self._dice.random() < self._share else [(0.0, frame)]
+
+    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """Lost with this probability."""
+        return self._fate("up", since_s, frame)
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """Lost with this probability."""
+        return self._fate("down", since_s, frame)
+
+
+class Jitter(Injector):
+    """Every frame is late by a random time, so that some overtake others."""
+
+    def __init__(self, most_s: float, seed: int = 0) -> None:
+        self._most_s, self._dice = most_s, random.Random(seed)
+
+    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """Uniform."""
+        return [(self._dice.uniform(0.0, self._most_s), frame)]
+
+    to_product = to_autopilot
+
+
+class Repeated(Injector):
+    """Every frame comes three times, the copies late and among later ones."""
+
+    def __init__(self, late_s: float = 0.5) -> None:
+        self._late_s = late_s
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """Once in time."""
+        return [(0.0, frame), (0.3 * self._late_s, frame), (self._late_s, frame)]
+
+    to_autopilot = to_product
+
+
+class Corrupted(Injector):
+    """One byte in a share of the frames is another."""
+
+    def __init__(self, share: float, seed: int = 0) -> None:
+        self._share, self._dice = share, random.Random(seed)
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """Anywhere, the start byte too."""
+        if self._dice.random() >= self._share:
+            return [(0.0, frame)]
+        spoilt = bytearray(frame)
+        spoilt[self._dice.randrange(len(spoilt))] ^= self._dice.randrange(1, 256)
+        return [(0.0, bytes(spoilt))]
+
+    to_autopilot = to_product
+
+
+class Garbage(Injector):
+    """Random bytes poured into what the product reads."""
+
+    def __init__(self, bytes_per_s: int, for_s: float) -> None:
+        self._per_s, self._for_s, self._before_s = bytes_per_s, for_s, 0.0
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """A turn's share."""
+        if since_s < self._for_s:
+            count = int(self._per_s * (since_s - self._before_s))
+            proxy_of(at).forge(at.dice.randbytes(count))
+        self._before_s = since_s
+
+
+class Forger(Injector):
+    """Somebody on the link speaks as system: heartbeats in other modes, disarmed, false poses, commands to the product."""
+
+    def __init__(self, system: int, component: int = 1, for_s: float = 10.0, version_1: bool = False) -> None:
+        self._for_s, self._voice = for_s, mavlink.MAVLink(None, system, component)
+        self._version_1 = version_1
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """All kinds, each turn."""
+        if since_s >= self._for_s:
+            return
+        boot_ms = int(since_s * 1000)
+        for message in (
+            mavlink.MAVLink_heartbeat_message(2, 12, 1, 3 << 16, 3, 3),
+            mavlink.MAVLink_heartbeat_message(2, 12, 1, 84148224, 4, 3),
+            mavlink.MAVLink_local_position_ned_message(boot_ms, 90.0, -80.0, 5.0, 3.0, 3.0, 3.0),
+            mavlink.MAVLink_command_long_message(245, 191, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_command_long_message(245, 191, 176, 0, 1.0, 4.0, 6.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_command_long_message(245, 191, 185, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0),
+        ):
+            proxy_of(at).forge(bytes(message.pack(self._voice, force_mavlink1=self._version_1)))
+
+
+class Rewritten(Injector):
+    """Frames of one kind from the autopilot are replaced by what a function makes of them."""
+
+    def __init__(self, kind: int, change: Callable[[bytes], bytes]) -> None:
+        self._kind, self._change = kind, change
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """The others go through."""
+        return [(0.0, self._change(frame) if message_id(frame) == self._kind else frame)]
+
+
+def version(major: int, minor: int, patch: int) -> Callable[[bytes], bytes]:
+    """AUTOPILOT_VERSION of another firmware."""
+    voice = mavlink.MAVLink(None, 1, 1)
+
+    def change(frame: bytes) -> bytes:
+        message = mavlink.MAVLink(None).decode(bytearray(frame))
+        message.flight_sw_version = major << 24 | minor << 16 | patch << 8 | 255
+        return bytes(message.pack(voice))
+
+    return change
+
+
+def proxy_of(at: Theatre) -> Proxy:
+    """The link's proxy, which the meddler keeps in the theatre."""
+    assert at.proxy is not None
+    return at.proxy
