@@ -41,16 +41,16 @@ class HeldDown(Injector):
 
 
 class Takeover(Injector):
-    """The pilot's switch, later_s after the moment."""
+    """The pilot's switch, later_s after the moment. modes: the same thing as each firmware calls it."""
 
-    def __init__(self, mode: str, later_s: float = 0.0) -> None:
-        self._mode, self._later_s, self._done = mode, later_s, False
+    def __init__(self, *modes: str, later_s: float = 0.0) -> None:
+        self._modes, self._later_s, self._done = modes, later_s, False
 
     def turn(self, at: Theatre, since_s: float) -> None:
         """Once."""
         if not self._done and since_s >= self._later_s:
             self._done = True
-            at.world.autopilot.pilot_takes_over(self._mode)
+            switch(at, self._modes)
 
 
 class Reboot(Injector):
@@ -81,11 +81,26 @@ class Battery(Injector):
 
 
 class Parameter(Injector):
-    """A parameter of the autopilot is another than the product counts on."""
+    """A parameter of the autopilot is another than the product counts on. values: its name and value on each firmware."""
 
-    def __init__(self, name: str, value: float) -> None:
-        self._name, self._value = name, value
+    def __init__(self, *values: tuple[str, float]) -> None:
+        self._values = values
 
     def begin(self, at: Theatre) -> None:
-        """Raises KeyError where the personality has no such parameter."""
-        at.world.autopilot.parameters.set(self._name, self._value)
+        """Raises KeyError where the personality has none of them."""
+        parameters = at.world.autopilot.parameters
+        known = [(name, value) for name, value in self._values if name in parameters]
+        if not known:
+            raise KeyError(self._values[0][0])
+        parameters.set(*known[0])
+
+
+def switch(at: Theatre, modes: tuple[str, ...]) -> None:
+    """The first of these modes that the personality has. Raises KeyError for none."""
+    for mode in modes:
+        try:
+            at.world.autopilot.pilot_takes_over(mode)
+        except KeyError:
+            continue
+        return
+    raise KeyError(modes[0])

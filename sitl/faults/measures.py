@@ -12,6 +12,7 @@ from sitl.faults.wire import MODE_OR_ARM, Order
 
 Measure = Callable[[Evidence], float]
 _STILL_MPS = 0.02  # of a setpoint
+_BRAKING_MPS2 = 0.8  # what slows down more gently than this, on the mean, is flying on
 _RESTING_MPS = 0.12  # of the vehicle, gusts included
 _ARM, _SET_MODE = 400, 176
 
@@ -26,10 +27,12 @@ def held_after(late_s: float = 0.0) -> Measure:
         gone = e.since(~e.ours, from_s)  # another mode has ended the motion
         if not len(after):
             return gone
-        k = int(after[0])
-        while k > 0 and w.setpoint_s[k - 1] >= from_s and speed[k - 1] > speed[k] - 1e-6:
+        rest = k = best = int(after[0])
+        while k > 0 and w.setpoint_s[k - 1] >= from_s and speed[k - 1] > speed[k] + 1e-4:
             k -= 1
-        return min(max(float(w.setpoint_s[k]) - from_s, 0.0), gone)
+            if speed[k] >= _BRAKING_MPS2 * (w.setpoint_s[rest] - w.setpoint_s[k]) - _STILL_MPS:
+                best = k
+        return min(max(float(w.setpoint_s[best]) - from_s, 0.0), gone)
 
     return measure
 
@@ -149,14 +152,13 @@ def _after_takeover(e: Evidence) -> list[Order]:
     return [o for o in e.wire.orders if o.command in MODE_OR_ARM and known and o.stamp_s > known[0] + 0.02]
 
 
-def mode_lost(mode: str) -> Measure:
-    """Turns, from half a second after the trouble on, in which the autopilot was armed and not in the pilot's mode."""
-
-    def measure(e: Evidence) -> float:
-        later = e.armed & (e.stamp_s > e.onset_s + 0.5)
-        return float(sum(bool(late) and m != mode for late, m in zip(later, e.mode, strict=True)))
-
-    return measure
+def mode_lost(e: Evidence) -> float:
+    """Turns in which the autopilot was armed in another mode than the one that the pilot chose; inf if none was chosen."""
+    after = np.flatnonzero(~e.ours & ~e.landing & (e.stamp_s >= e.onset_s))
+    if not len(after):
+        return math.inf
+    chosen = e.mode[int(after[0])]
+    return float(sum(armed and m != chosen for armed, m in zip(e.armed[after[0] :], e.mode[after[0] :], strict=True)))
 
 
 def position_mode(e: Evidence) -> float:

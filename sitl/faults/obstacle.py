@@ -31,7 +31,8 @@ class Obstacle:
     def hull_m(self, stamps_s: F64, positions_m: F64, radius_m: float) -> F64:
         """Distance (M,) from an upright cylinder around each position (M, 3) to the box; inf before it is there."""
         centre = np.array([self.place(float(t)) for t in stamps_s]).reshape(-1, 3)
-        half = (*np.array(self.half_m), 0.0, 0.0, 0.5 * HULL_HEIGHT_M)
+        wide, deep, high = self.half_m
+        half = np.array([wide, deep, high + 0.5 * HULL_HEIGHT_M])
         gap = np.maximum(np.abs(positions_m - centre) - half, 0.0)
         flat = np.maximum(np.hypot(gap[:, 0], gap[:, 1]) - radius_m, 0.0)
         return np.where(stamps_s >= self.since_s, np.hypot(flat, gap[:, 2]), math.inf)

@@ -14,31 +14,37 @@ from sitl.faults.bars import (
     lands,
 )  # fmt: skip
 from sitl.faults.body import Battery, HeldDown, Parameter, Push, Takeover, TransmitterLost
-from sitl.faults.evidence import Evidence
 from sitl.faults.eye import Stands
 from sitl.faults.host import Abort, DiskFull
 from sitl.faults.meddler import Onset
 from sitl.faults.row import Bar, Row
-from sitl.faults.wires import Forger, Loss, Rewritten, version
+from sitl.faults.wires import Forger, Loss, Refused, Rewritten, version
 
 AT_BOOT = Onset((0.0, 0.0), at_boot=True)
 ANY = Onset((0.0, 15.0), speed_mps=0.0)
 FAST = Onset(speed_mps=0.6)
-PILOT_MODES = ("POSCTL", "ALTCTL", "STABILIZED", "LOITER")
-PARAMETERS = (
-    ("COM_OBL_RC_ACT", 0), ("COM_OF_LOSS_T", 5.0), ("COM_LOW_BAT_ACT", 0), ("NAV_RCL_ACT", 2), ("MPC_XY_VEL_MAX", 12.0),
-    ("EKF2_EV_CTRL", 0), ("GF_ACTION", 2), ("COM_RC_OVERRIDE", 1),
-)  # fmt: skip
+PILOT_MODES = (("POSCTL", "POSHOLD"), ("ALTCTL", "ALT_HOLD"), ("STABILIZED", "STABILIZE"), ("LOITER",))
+PARAMETERS = (  # of either firmware, with values that come with it
+    (("COM_OBL_RC_ACT", 0), ("FS_GCS_ENABLE", 0)),
+    (("COM_OF_LOSS_T", 5.0), ("FS_GCS_TIMEOUT", 5)),
+    (("COM_LOW_BAT_ACT", 0), ("BATT_FS_LOW_ACT", 0)),
+    (("NAV_RCL_ACT", 2), ("FS_THR_ENABLE", 1)),
+    (("MPC_XY_VEL_MAX", 12.0), ("WPNAV_SPEED", 1000)),
+    (("EKF2_EV_CTRL", 0), ("VISO_TYPE", 0)),
+    (("GF_ACTION", 2), ("FENCE_ACTION", 1)),
+    (("COM_RC_OVERRIDE", 1), ("GUID_TIMEOUT", 3.0)),
+)
 _ARM, _ORIGIN, _VERSION = 400, 48, 148
+PUSH_MPS2 = 5.0 / 2.0  # 5 N on a vehicle of 2 kg
 
 TABLE_E = (
     Row(
         "E1",
         "pilot switches the mode",
         "at a random moment, each mode in turn",
-        lambda n: [Takeover(PILOT_MODES[n % 4])],
+        lambda n: [Takeover(*PILOT_MODES[n % 4])],
         (
-            Bar("turns in another mode", lambda e: m.mode_lost(_mode_after(e))(e), 0.0, ""),
+            Bar("turns in another mode", m.mode_lost, 0.0, ""),
             Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
             Bar("stream ends", m.streams_after, 0.3, "s"),
         ),
@@ -49,7 +55,7 @@ TABLE_E = (
         "E1b",
         "pilot switches as we ask for a mode",
         "around the operator's landing, 50 ms before to after",
-        lambda n: [Abort(), Takeover(PILOT_MODES[n % 3], later_s=0.02 * (n % 6))],
+        lambda n: [Abort(), Takeover(*PILOT_MODES[n % 3], later_s=0.02 * (n % 6))],
         (
             Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
             Bar("stream ends", m.streams_after, 0.5, "s"),
@@ -61,11 +67,11 @@ TABLE_E = (
         "E2",
         "pilot moves the sticks",
         "the firmware's answer to it: position mode",
-        lambda n: [Takeover("POSCTL")],
+        lambda n: [Takeover("POSCTL", "LOITER")],
         (
             Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
             Bar("stream ends", m.streams_after, 0.3, "s"),
-            Bar("turns in another mode", m.mode_lost("POSCTL"), 0.0, ""),
+            Bar("turns in another mode", m.mode_lost, 0.0, ""),
         ),
         onset=FAST,
         longest_s=20.0,
@@ -101,14 +107,14 @@ TABLE_E = (
         "E6",
         "arming refused",
         "arm commands have no effect",
-        lambda n: [Loss("up", only=(76,), share=1.0)],
+        lambda n: [Refused(_ARM)],
         (
             NEVER_ARMED,
             NO_FORCE,
             Bar("arm commands", m.arm_tries, 3.0, ""),
             Bar("gives up", m.last_try_after, 20.0, "s"),
         ),
-        onset=Onset((12.0, 12.0), at_boot=True),
+        onset=AT_BOOT,
         longest_s=60.0,
     ),
     Row(
@@ -132,7 +138,7 @@ TABLE_E = (
         "E9",
         "landing never noticed",
         "motors do not stop on the floor",
-        lambda n: [Parameter("COM_DISARM_LAND", 0.0), Abort()],
+        lambda n: [Parameter(("COM_DISARM_LAND", 0.0), ("DISARM_DELAY", 0)), Abort()],
         (Bar("alert", m.told_after(4.0), 15.0, "s"), NO_FORCE),
         longest_s=40.0,
     ),
@@ -158,8 +164,8 @@ TABLE_F = (
     Row(
         "F2",
         "pushed out",
-        "5 N on 1.5 kg for 2 s along its way, in a pen inside the hall",
-        lambda n: [Push(3.3, 2.0)],
+        "5 N on 2 kg for 2 s along its way, in a pen inside the hall",
+        lambda n: [Push(PUSH_MPS2, 2.0)],
         (
             Bar("fence overshoot", m.overshoot, 0.30, "m"),
             Bar("outside the inset", m.back_inside, 3.0, "s"),
@@ -245,8 +251,3 @@ TABLE_G = (
     Row("G9", "soak", "two hours", why="run apart"),
     Row("G10", "combinations", "pairs of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2", why="run apart"),
 )
-
-
-def _mode_after(e: Evidence) -> str:
-    """The mode that the pilot chose: the first one that is neither ours nor a landing."""
-    return next((mode for t, mode in zip(e.stamp_s, e.mode, strict=True) if t > e.onset_s + 0.05 and mode != "OFFBOARD"), "")

@@ -10,6 +10,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.faults.injector import Injector, Theatre
 from sitl.faults.link import Late, Proxy, message_id
 
+_COMMAND_LONG = 76
+
 
 class Loss(Injector):
     """Frames are lost for a while, all of them or a share, up (to the autopilot), down or both ways."""
@@ -29,6 +31,18 @@ class Loss(Injector):
     def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
         """Lost with this probability."""
         return self._fate("down", since_s, frame)
+
+
+class Refused(Injector):
+    """The autopilot never carries out one kind of command: it is lost on its way."""
+
+    def __init__(self, command: int) -> None:
+        self._command = command
+
+    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """COMMAND_LONG carries its number behind seven floats."""
+        hit = message_id(frame) == _COMMAND_LONG and int.from_bytes(frame[38:40], "little") == self._command
+        return [] if hit else [(0.0, frame)]
 
 
 class Jitter(Injector):

@@ -1,0 +1,70 @@
+"""What holds in every flight: a sound flight passes, and each violation is seen and named."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from fault_evidence import evidence, rewired, spoilt
+
+from sitl.faults.everywhere import violations
+from sitl.faults.evidence import Evidence
+from sitl.faults.wire import Order
+
+Spoil = Callable[[Evidence], Evidence]
+
+
+def hovering(e: Evidence) -> Evidence:
+    """Armed and alone until the end, and the end is far."""
+    t = np.arange(0.0, 90.0, 1.0 / 30.0)
+    place = np.tile([1.0, 0.0, 1.0], (len(t), 1))
+    return dataclasses.replace(
+        e, stamp_s=t, position_m=place, velocity_mps=np.zeros_like(place), armed=np.ones(len(t), bool),
+        mode=("OFFBOARD",) * len(t), end_s=90.0,
+    )  # fmt: skip
+
+
+SPOILS: dict[str, Spoil] = {
+    "contact": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.0)),
+    "contact: clearance": lambda e: dataclasses.replace(e, box_m=0.0),
+    "fence overshot": lambda e: dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 1), 3.4)),
+    "NaN": lambda e: rewired(e, not_finite=1),
+    "m/s²": lambda e: rewired(e, acceleration_mps2=spoilt(e.wire.acceleration_mps2, (100, 0), 2.1)),
+    "m/s": lambda e: rewired(e, velocity_mps=spoilt(e.wire.velocity_mps, slice(100, 110), (1.25, 0.0, 0.0))),
+    "rad/s": lambda e: rewired(e, yaw_rate_radps=spoilt(e.wire.yaw_rate_radps, 100, -1.1)),
+    "jumps 0": lambda e: rewired(e, position_m=e.wire.position_m + np.where(e.wire.setpoint_s > 7.0, 0.2, 0.0)[:, None]),
+    "velocity jumps": lambda e: rewired(e, velocity_mps=spoilt(e.wire.velocity_mps, (100, 1), 0.5)),
+    "out of the inset fence": lambda e: rewired(e, position_m=spoilt(e.wire.position_m, (slice(None), 1), 2.8)),
+    "after the pilot took over": lambda e: rewired(
+        dataclasses.replace(e, mode=tuple("POSCTL" if t > 8.0 else m for t, m in zip(e.stamp_s, e.mode, strict=True))),
+        orders=(*e.wire.orders, Order(9.0, 176, 1.0, 6.0)),
+    ),
+    "motors to stop": lambda e: rewired(e, orders=(*e.wire.orders, Order(9.0, 400, 0.0, 21196.0))),
+    "disarmed in the air": lambda e: dataclasses.replace(e, armed=e.stamp_s < 9.0),
+    "hovers": hovering,
+}
+
+
+def test_a_sound_flight_breaks_nothing() -> None:
+    assert violations(evidence()) == []
+
+
+@pytest.mark.parametrize("said", SPOILS)
+def test_each_violation_is_seen_and_named(said: str) -> None:
+    assert any(said in words for words in violations(SPOILS[said](evidence())))
+
+
+def test_what_is_allowed_is_no_violation() -> None:
+    reset = evidence()
+    counter = np.where(reset.wire.odometry_s > 7.0, 1.0, 0.0)
+    shifted = reset.wire.position_m + counter[:, None] * (0.5, 0.0, 0.0)
+    assert violations(rewired(reset, reset_counter=counter, position_m=shifted)) == [], "setpoints move with a reset pose"
+    over = tuple("POSCTL" if t > 14.0 else m for t, m in zip(reset.stamp_s, reset.mode, strict=True))
+    quiet = dataclasses.replace(reset, mode=over)
+    assert violations(rewired(quiet, orders=reset.wire.orders[:2])) == [], "a pilot may take over"
+
+
+def test_a_program_that_broke_is_a_violation() -> None:
+    assert violations(evidence(error="OSError: gone")) == ["OSError: gone"]

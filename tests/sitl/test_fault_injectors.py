@@ -1,0 +1,132 @@
+"""Each trouble does what its name says, from its moment on, and nothing before."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sitl.d435i import FAST_DEPTH_SPEC
+from sitl.faults import eye, tracker
+from sitl.faults.host import Crash, Stall
+from sitl.faults.injector import Depth, Injector
+from sitl.faults.obstacle import Furnished, Obstacle
+from sitl.faults.table import ROWS, TABLE
+from sitl.mesh import joined
+from sitl.poses import PoseRecord
+from sitl.raster import Renderer
+from sitl.rotation import yaw_of
+from sitl.solids import Workshop
+from sitl.texture import plain
+from sitl.transform import body_from_camera
+
+
+def record(stamp_s: float = 10.0) -> PoseRecord:
+    return PoseRecord(stamp_s, np.array([1.0, 2.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 1e-4), 100, 0)
+
+
+def frame(stamp_s: float = 10.0) -> Depth:
+    return Depth(stamp_s, np.full((4, 6), 2000, np.uint16), np.zeros((2, 3, 3), np.uint8))
+
+
+def one(trouble: Injector, since_s: float = 0.0) -> PoseRecord:
+    late = trouble.pose(since_s, record())
+    assert len(late) == 1
+    return late[0][1]
+
+
+def test_poses_stop_and_come_back() -> None:
+    silence = tracker.Silence(0.5)
+    assert silence.pose(0.4, record()) == []
+    assert len(silence.pose(0.6, record())) == 1
+
+
+def test_a_spike_is_one_pose() -> None:
+    spike = tracker.Altered(tracker.moved(x=0.5), count=1)
+    assert one(spike).position_m[0] == pytest.approx(1.5)
+    assert one(spike).position_m[0] == pytest.approx(1.0)
+
+
+def test_drift_grows_and_ends() -> None:
+    drift = tracker.Altered(tracker.drifting(0.05, 0.0, most_m=3.0))
+    assert one(drift, 10.0).position_m[0] == pytest.approx(1.5)
+    assert one(drift, 1000.0).position_m[0] == pytest.approx(4.0)
+
+
+def test_a_heading_flips() -> None:
+    w, x, y, z = one(tracker.Altered(tracker.turned(90.0))).quat_wxyz
+    assert yaw_of((w, x, y, z)) == pytest.approx(math.pi / 2)
+    moved = one(tracker.Altered(tracker.map_turned(90.0)))
+    np.testing.assert_allclose(moved.position_m, [-2.0, 1.0, 1.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp"])
+def test_what_makes_no_sense_makes_none(kind: str) -> None:
+    bad = one(tracker.Altered(tracker.spoilt(kind)))
+    numbers = np.concatenate([[bad.stamp_s], bad.position_m, bad.quat_wxyz, bad.variance])
+    assert not np.isfinite(numbers).all() or abs(np.linalg.norm(bad.quat_wxyz) - 1.0) > 0.5
+
+
+def test_stamps_and_rates() -> None:
+    frozen = tracker.Frozen()
+    assert [late[0][1].stamp_s for late in (frozen.pose(0.0, record(10.0)), frozen.pose(0.1, record(11.0)))] == [10.0, 10.0]
+    assert one(tracker.Altered(tracker.stamped(5.0))).stamp_s == 15.0
+    assert tracker.Later(0.3).pose(0.0, record())[0][0] == 0.3
+    thinned = tracker.Thinned(3.0)
+    assert sum(len(thinned.pose(k / 30.0, record())) for k in range(300)) == pytest.approx(30, abs=2)
+
+
+def test_frames_are_lost_repeated_and_late() -> None:
+    assert eye.Dark(0.3).depth(0.2, frame()) == []
+    assert eye.LateFrames(0.5).depth(0.0, frame())[0][0] == 0.5
+    assert len(eye.Shuffled().depth(0.0, frame())) == 2
+    hung = eye.FrozenPicture()
+    first = hung.depth(0.0, frame(1.0))[0][1]
+    later = Depth(2.0, np.full((4, 6), 500, np.uint16), first.rgb)
+    assert (hung.depth(0.1, later)[0][1].depth_mm == first.depth_mm).all()
+    assert hung.depth(0.2, later)[0][1].stamp_s == 2.0
+
+
+@pytest.mark.parametrize(
+    "change", [eye.constant(0), eye.constant(65535), eye.salted(0.3), eye.shifted(2), eye.bit_errors(), eye.scaled(0.5)]
+)
+def test_pictures_are_spoilt(change: eye.Change) -> None:
+    depth = np.arange(400, 400 + 24 * 50, 50).reshape(4, 6).astype(np.uint16)
+    changed = eye.Painted(change).depth(0.0, Depth(0.0, depth, None))[0][1].depth_mm
+    assert changed.dtype == np.uint16
+    assert changed.shape == depth.shape
+    assert (changed != depth).any()
+
+
+def test_stages_stall_and_crash() -> None:
+    stall = Stall("mission", for_s=5.0)
+    assert stall.stalls(4.9, "mission")
+    assert not stall.stalls(4.9, "pilot")
+    assert not stall.stalls(5.1, "mission")
+    crash = Crash("pilot", back_s=1.0)
+    assert crash.stalls(0.5, "pilot")
+    assert not crash.restarts(0.5, "pilot")
+    assert [crash.restarts(1.0, "pilot"), crash.restarts(1.1, "pilot")] == [True, False]
+
+
+def test_an_obstacle_is_seen_and_felt() -> None:
+    wall = joined([Workshop(fine=False).patch((4, -5, -5), (0, 10, 0), (0, 0, 10), plain((0.5, 0.5, 0.5)))])
+    scene = Renderer(wall.vertices, wall.faces, wall.rgb)
+    box = Obstacle(3.0, (0.5, 0.5, 0.5), lambda now_s: (2.5, 0.0, 0.0))
+    pose = body_from_camera((0.0, 0.0, 0.0), 0.0)
+    v, u = FAST_DEPTH_SPEC.height // 2, FAST_DEPTH_SPEC.width // 2
+    both = Furnished(scene, box, lambda: 5.0).render(pose, FAST_DEPTH_SPEC, colour=False).depth_m
+    assert scene.render(pose, FAST_DEPTH_SPEC, colour=False).depth_m[v, u] == pytest.approx(4.0, abs=0.01)
+    assert both[v, u] == pytest.approx(2.0, abs=0.01)
+    assert both[v, 2] == pytest.approx(4.0, abs=0.01)
+    gaps = box.hull_m(np.array([2.0, 4.0, 5.0, 5.0]), np.array([[0, 0, 0], [0, 0, 0], [1.8, 0, 0], [2.5, 0.0, 1.0]]), 0.2)
+    np.testing.assert_allclose(gaps, [math.inf, 1.8, 0.0, 0.4], atol=1e-9)
+
+
+def test_every_row_can_be_flown_or_says_why() -> None:
+    assert len(ROWS) == len(TABLE)
+    for row in TABLE:
+        assert bool(row.why) != bool(row.bars), row.id
+        for number in range(9):
+            list(row.injectors(number))

@@ -1,0 +1,105 @@
+"""The proxy on the byte pipe: whole frames, each trouble on its way, and a capture of what was really said."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.faults.injector import Injector
+from sitl.faults.link import Late, Proxy, frames, message_id
+from sitl.faults.wire import decode, modes_told
+from sitl.faults.wires import Corrupted, Jitter, Loss, Repeated, Rewritten, version
+from sitl.transport import PipeEnd, pipe
+
+VOICE = mavlink.MAVLink(None, 245, 191)
+
+
+def setpoint(x: float, y: float = 0.0, z: float = -1.0) -> bytes:
+    message = mavlink.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, 1, 0, x, y, z, 0.1, 0.2, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0
+    )
+    return bytes(message.pack(VOICE))
+
+
+def heartbeat(mode: int) -> bytes:
+    return bytes(mavlink.MAVLink_heartbeat_message(2, 12, 129, mode, 4, 3).pack(mavlink.MAVLink(None, 1, 1)))
+
+
+def proxied(trouble: Injector) -> tuple[Proxy, list[float], PipeEnd]:
+    ours, theirs = pipe()
+    clock = [0.0]
+
+    def up(frame: bytes) -> Late[bytes]:
+        return trouble.to_autopilot(clock[0], frame)
+
+    def down(frame: bytes) -> Late[bytes]:
+        return trouble.to_product(clock[0], frame)
+
+    return Proxy(ours, lambda: clock[0], up, down), clock, theirs
+
+
+def test_frames_are_cut_where_they_end() -> None:
+    pieces = [setpoint(1.0), heartbeat(7), setpoint(2.0)]
+    assert frames(b"".join(pieces)) == pieces
+    assert [message_id(p) for p in pieces] == [84, 0, 84]
+    assert frames(b"garbage") == [b"garbage"]
+    assert message_id(b"garbage") == -1
+
+
+def test_a_clean_proxy_changes_nothing() -> None:
+    proxy, clock, theirs = proxied(Injector())
+    proxy.write(setpoint(1.0))
+    assert message_id(theirs.read()) == 84
+    theirs.write(heartbeat(1) + heartbeat(2))
+    clock[0] = 0.1
+    assert len(frames(proxy.read())) == 2
+    assert [mode for _, mode, _ in modes_told(proxy.heard)] == [1, 2]
+
+
+def test_what_is_lost_was_said_all_the_same() -> None:
+    proxy, _, theirs = proxied(Loss("up"))
+    proxy.write(setpoint(1.0))
+    assert theirs.read() == b""
+    assert len(decode(proxy.sent).setpoint_s) == 1
+
+
+def test_a_late_frame_waits_for_its_time() -> None:
+    proxy, clock, theirs = proxied(Jitter(0.3, seed=1))
+    for _ in range(20):
+        proxy.write(setpoint(1.0))
+    early = len(frames(theirs.read()))
+    clock[0] = 0.31
+    proxy.forward()
+    assert early < 20
+    assert early + len(frames(theirs.read())) == 20
+
+
+def test_repeats_and_errors() -> None:
+    proxy, clock, theirs = proxied(Repeated(0.5))
+    proxy.write(setpoint(1.0))
+    clock[0] = 1.0
+    proxy.forward()
+    assert len(frames(theirs.read())) == 3
+    proxy, _, theirs = proxied(Corrupted(1.0))
+    proxy.write(setpoint(1.0))
+    assert theirs.read() != setpoint(1.0)
+
+
+def test_another_firmware_is_told() -> None:
+    told = mavlink.MAVLink_autopilot_version_message(0, 17 << 16, 0, 0, 0, b"\0" * 8, b"\0" * 8, b"\0" * 8, 0, 0, 0)
+    frame = bytes(told.pack(mavlink.MAVLink(None, 1, 1)))
+    late = Rewritten(148, version(1, 13, 0)).to_product(0.0, frame)
+    changed = mavlink.MAVLink(None).decode(bytearray(late[0][1]))
+    assert changed.flight_sw_version >> 16 == 1 << 8 | 13
+    assert Rewritten(0, version(1, 13, 0)).to_product(0.0, frame) == [(0.0, frame)]
+
+
+def test_the_capture_is_in_the_worlds_axes() -> None:
+    wire = decode([(3.0, setpoint(1.0, 2.0, -1.5)), (4.0, setpoint(math.nan))])
+    np.testing.assert_allclose(wire.position_m[0], [2.0, 1.0, 1.5])
+    np.testing.assert_allclose(wire.velocity_mps[0], [0.2, 0.1, 0.3], atol=1e-6)
+    assert wire.not_finite == 1
+    order = bytes(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1.0, 21196.0, 0, 0, 0, 0, 0).pack(VOICE))
+    assert decode([(1.0, order)]).orders[0].second == 21196.0

@@ -1,0 +1,137 @@
+"""Each figure on a flight whose figures are known by hand, and on one that is worse."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from fault_evidence import BOOT_S, DT_S, evidence, rewired, spoilt
+
+from sitl.faults import measures as m
+from sitl.faults.evidence import Evidence
+from sitl.faults.wire import Order
+
+NEAR = 2.5 * DT_S
+
+
+def stopping(from_s: float) -> Evidence:
+    """Setpoints and vehicle brake at 1 m/s² from an instant on, out of 0.5 m/s."""
+    e = evidence()
+    left = np.clip(0.5 - (e.stamp_s - from_s), 0.0, 0.5)
+    speed = np.zeros_like(e.velocity_mps)
+    speed[:, 0] = np.where(e.stamp_s > 2.0, left, 0.0)
+    place = np.cumsum(speed, axis=0) * DT_S + [0.0, 0.0, 1.0]
+    n = len(e.wire.setpoint_s)
+    return rewired(
+        dataclasses.replace(e, velocity_mps=speed, position_m=place), velocity_mps=speed[:n], position_m=place[:n],
+        odometry_m=place[:n],
+    )  # fmt: skip
+
+
+def test_hold_is_where_braking_begins() -> None:
+    assert m.held_after()(stopping(5.2)) == pytest.approx(0.2, abs=NEAR)
+    assert m.held_after()(stopping(6.5)) == pytest.approx(1.5, abs=NEAR)
+    assert m.held_after(1.0)(stopping(6.5)) == pytest.approx(0.5, abs=NEAR)
+
+
+def test_stop_distance_counts_reaction_and_braking() -> None:
+    assert m.stopped_within()(stopping(5.2)) == pytest.approx(0.1 + 0.125, abs=0.03)
+    assert m.stopped_within()(stopping(7.0)) == pytest.approx(1.0 + 0.125, abs=0.03)
+    assert m.rest_after()(stopping(7.0)) == pytest.approx(2.4, abs=0.05)
+
+
+def test_landing_and_disarming() -> None:
+    assert m.landing_after()(evidence()) == pytest.approx(10.0, abs=NEAR)
+    assert m.disarmed_after()(evidence()) == pytest.approx(13.0, abs=NEAR)
+    assert m.landing_after()(evidence(mode=("OFFBOARD",) * 600, armed=np.ones(600, bool))) == math.inf
+    assert m.drift_landing(evidence()) == pytest.approx(2.62, abs=0.05)
+    relaunch = evidence()
+    again = tuple("OFFBOARD" if t > 16.0 else mode for t, mode in zip(relaunch.stamp_s, relaunch.mode, strict=True))
+    assert m.relaunched(relaunch) == 0
+    assert m.relaunched(dataclasses.replace(relaunch, mode=again)) > 0
+
+
+def test_a_hole_in_the_stream_is_measured() -> None:
+    e = evidence()
+    assert m.longest_gap()(e) == pytest.approx(DT_S, abs=1e-3)
+    assert m.slowest_second(e) >= 29
+    keep = (e.wire.setpoint_s < 8.0) | (e.wire.setpoint_s > 8.6)
+    holed = rewired(e, setpoint_s=e.wire.setpoint_s[keep])
+    assert m.longest_gap()(holed) == pytest.approx(0.6, abs=NEAR)
+    assert m.slowest_second(holed) <= 13
+    ended = rewired(e, setpoint_s=e.wire.setpoint_s[e.wire.setpoint_s < 8.0])
+    assert m.longest_gap()(ended) == pytest.approx(7.0, abs=NEAR)
+    assert m.streams_after(ended) == pytest.approx(3.0, abs=NEAR)
+
+
+def test_poses_on_the_wire() -> None:
+    e = evidence()
+    assert m.pose_error_step()(e) < 0.02
+    assert m.pose_step(e) < 0.02
+    assert m.pose_age(e) < 1e-3
+    assert m.pose_rate(e) >= 29
+    jumped = rewired(e, odometry_m=e.wire.odometry_m + np.where(e.wire.odometry_s > 6.0, 0.5, 0.0)[:, None] * (1, 0, 0))
+    assert m.pose_error_step()(jumped) == pytest.approx(0.5, abs=0.03)
+    assert m.pose_step(jumped) == pytest.approx(0.5, abs=0.03)
+    told = rewired(jumped, reset_counter=np.where(e.wire.odometry_s > 6.0, 1.0, 0.0))
+    assert m.pose_step(told) < 0.02
+    assert m.resets(told) == 1
+    assert m.pose_age(rewired(e, odometry_stamp_us=(e.wire.odometry_s - BOOT_S - 0.4) * 1e6)) == pytest.approx(0.4)
+    few = rewired(e, odometry_s=e.wire.odometry_s[::6], odometry_m=e.wire.odometry_m[::6])
+    assert m.pose_rate(few) <= 6
+
+
+def test_orders_are_counted() -> None:
+    e = evidence()
+    assert m.commands()(e) == 1
+    assert m.commands()(rewired(e, orders=e.wire.orders[:2])) == 0
+    assert m.arm_tries(e) == 1
+    assert m.forced(e) == 0
+    assert m.forced(rewired(e, orders=(Order(1.0, 400, 1.0, 21196.0),))) == 1
+    assert m.last_try_after(rewired(e, orders=tuple(Order(t, 400, 1.0, 0.0) for t in (1.0, 6.0, 30.0)))) == 29.0
+    assert m.first_arm(e) == pytest.approx(0.8)
+    assert m.asked_to_land(e) == pytest.approx(10.0)
+    assert m.told_after()(e) == pytest.approx(1.0)
+    assert m.told_after()(rewired(e, texts=())) == math.inf
+
+
+def test_speed_clearance_and_fence() -> None:
+    e = evidence()
+    assert m.speed_from(1.0)(e) == pytest.approx(0.5)
+    assert m.speed_from(5.5)(e) == 0.0
+    assert m.clearance(e) == 0.5
+    assert m.clearance(dataclasses.replace(e, box_m=0.2)) == pytest.approx(0.2)
+    assert m.overshoot(e) == 0.0
+    assert m.overshoot(dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 0), 8.4))) == pytest.approx(0.4)
+    out = np.where((e.stamp_s > 6.0) & (e.stamp_s < 8.0), 2.9, 0.0)
+    assert m.back_inside(dataclasses.replace(e, position_m=e.position_m + out[:, None] * (0, 1, 0))) == pytest.approx(
+        2.0, abs=0.1
+    )
+    assert m.setpoint_jump(rewired(e, position_m=spoilt(e.wire.position_m, (200, 1), 0.7))) == pytest.approx(0.7, abs=0.02)
+
+
+def test_moving_on_and_going_back() -> None:
+    e = evidence()
+    pause = (e.wire.setpoint_s > 5.2) & (e.wire.setpoint_s < 7.0)
+    paused = rewired(e, velocity_mps=np.where(pause[:, None], 0.0, e.wire.velocity_mps))
+    assert m.moves_again_after(0.5)(paused) == pytest.approx(1.5, abs=NEAR)
+    assert m.retreat_after(paused) == pytest.approx(2.0, abs=NEAR)
+    assert m.retreat_after(rewired(e, velocity_mps=np.zeros_like(e.wire.velocity_mps))) == math.inf
+
+
+def test_how_a_flight_ended() -> None:
+    e = evidence()
+    home = dataclasses.replace(e, position_m=spoilt(e.position_m, -1, (0.1, 0.0, 0.0)))
+    assert m.unfinished(home) == 0
+    assert m.unfinished(e) == 1, "not on the pad"
+    assert m.unfinished(dataclasses.replace(home, failsafes=("x",))) == 1
+    assert m.motors_ran(e) == pytest.approx(18.0, abs=0.1)
+    assert m.armed_at_all(e) == 1
+    kept = tuple("POSCTL" if t > 5.2 else mode for t, mode in zip(e.stamp_s, e.mode, strict=True))
+    assert m.mode_lost(dataclasses.replace(e, mode=kept)) == 0
+    assert m.mode_lost(e) == math.inf
+    taken = tuple("OFFBOARD" if t > 8.0 else mode for t, mode in zip(e.stamp_s, kept, strict=True))
+    assert m.mode_lost(dataclasses.replace(e, mode=taken)) > 100
+    assert m.position_mode(dataclasses.replace(e, mode=kept)) > 0

@@ -1,0 +1,85 @@
+"""The campaign: which flights it is made of, what a row's result says, and how it is written down."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+from fault_evidence import evidence
+
+from sitl.faults import measures as m
+from sitl.faults.page import render
+from sitl.faults.result import result_of
+from sitl.faults.row import Bar, Row, Verdict, judge
+from sitl.faults.table import ROWS
+from sitl.fly_faults import FaultOptions, faults
+from sitl.fly_options import AUTOPILOTS, UsageError
+
+GAP = Bar("gap", m.longest_gap(), 0.25, "s")
+CLEAR = Bar("clearance", m.clearance, 0.4, "m", at_least=True, ardupilot=0.6)
+ROW = Row("X1", "a <hazard>", "something", bars=(GAP, CLEAR))
+
+
+def test_rows_come_in_the_tables_order() -> None:
+    options = FaultOptions.parse(only="B4, A1", autopilot="px4", seeds=2, out=Path("/somewhere"))
+    assert [row.id for row in options.rows] == ["A1", "B4"]
+    cases = options.cases(ROWS["A1"], "px4")
+    assert [case.number for case in cases] == [0, 1]
+    assert cases[1].out == Path("/somewhere/A1-px4-1")
+    assert options.cases(ROWS["A4"], "px4") == []
+    assert FaultOptions.parse().autopilots == AUTOPILOTS
+    assert len(FaultOptions.parse().rows) == len(ROWS)
+
+
+@pytest.mark.parametrize(("words", "named"), [({"only": "A1,Z9"}, "Z9"), ({"autopilot": "inav"}, "autopilot")])
+def test_a_word_that_is_unknown_is_told(words: dict[str, str], named: str) -> None:
+    with pytest.raises(UsageError, match=named):
+        FaultOptions.parse(**words)  # type: ignore[arg-type]
+
+
+def test_a_flight_is_held_to_its_bars() -> None:
+    verdict = judge(ROW, evidence(), [])
+    assert verdict.passed(ROW, "px4")
+    assert not verdict.passed(ROW, "ardupilot"), "whose bar is higher"
+    assert not judge(ROW, evidence(box_m=0.3), []).passed(ROW, "px4")
+    assert not judge(ROW, evidence(), ["contact"]).passed(ROW, "px4")
+    assert not judge(ROW, evidence(onset_s=math.inf), []).passed(ROW, "px4"), "a trouble that never came proves nothing"
+    assert not judge(ROW, evidence(error="broke"), ["broke"]).passed(ROW, "px4")
+
+
+def test_a_row_is_as_good_as_its_worst_flight() -> None:
+    result = result_of(ROW, "px4", [Verdict((0.03, 0.5), ()), Verdict((0.30, 0.45), ()), Verdict((0.05, 0.7), ("contact",))])
+    assert (result.kept, result.seeds, result.passed) == (1, 3, False)
+    assert result.worst == (0.30, 0.45)
+    tree = result.tree()
+    assert (tree["figure"], tree["bar"], tree["unit"], tree["passed"]) == (0.3, 0.25, "s", False)
+    assert "gap 0.30 <= 0.25 s" in result.sentence()
+    assert result.remarks == ("contact",)
+
+
+def test_what_never_came_is_null_and_breaks_the_bar() -> None:
+    result = result_of(ROW, "px4", [Verdict((math.inf, math.nan), ())])
+    assert result.passed is False
+    assert result.tree()["figure"] is None
+    assert "gap never" in result.sentence()
+    json.dumps(result.tree(), allow_nan=False)
+
+
+def test_a_row_that_cannot_be_flown_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = FaultOptions.parse(only="G7", autopilot="px4", jobs=1, json=tmp_path / "f.json", out=tmp_path / "out")
+    assert faults(options) == 0
+    assert "not flown: T3" in capsys.readouterr().out
+    row = json.loads((tmp_path / "f.json").read_text())["rows"][0]
+    assert set(row) >= {"id", "tier", "autopilot", "seeds", "passed", "figure", "bar", "unit"}
+    assert row["passed"] is None
+    assert "not flown" in (tmp_path / "out" / "faults.html").read_text()
+
+
+def test_the_page_tells_figures_and_keeps_its_tags() -> None:
+    page = render([result_of(ROW, "px4", [Verdict((0.3, 0.5), ("contact <1>",))])])
+    assert "0 of 1 rows pass" in page
+    assert "gap 0.30 &lt;= 0.25 s" in page
+    assert "a &lt;hazard&gt;" in page
+    assert "contact &lt;1&gt;" in page
