@@ -8,7 +8,7 @@ from sitl.faults.injector import Injector, Theatre
 
 
 class Push(Injector):
-    """A steady force for a while, away from the room's middle or to the nearest side of the fence: m/s² in a direction."""
+    """A steady force for a while along the way that it flies, as an acceleration in m/s²."""
 
     def __init__(self, acceleration_mps2: float, for_s: float) -> None:
         self._force, self._for_s = acceleration_mps2, for_s

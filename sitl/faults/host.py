@@ -51,7 +51,7 @@ class DiskFull(Injector):
         self._most_bytes, self._for_s, self._before = most_bytes, for_s, (-1, -1)
 
     def begin(self, at: Theatre) -> None:
-        """Of this process alone; end() lifts it."""
+        """Of this process alone."""
         self._before = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (self._most_bytes, self._before[1]))
 

@@ -50,11 +50,6 @@ def stopped_within(late_s: float = 0.0) -> Measure:
     return measure
 
 
-def rest_after(late_s: float = 0.0) -> Measure:
-    """Seconds from the trouble (and so much) until the vehicle truly rests."""
-    return lambda e: e.since(e.speed_mps < _RESTING_MPS, e.onset_s + late_s)
-
-
 def landing_after(late_s: float = 0.0) -> Measure:
     """Seconds from the trouble (and so much) to the autopilot's landing mode."""
     return lambda e: e.since(e.landing | ~e.armed, e.onset_s + late_s)
@@ -69,12 +64,6 @@ def drift_landing(e: Evidence) -> float:
     """Metres, level, from where the vehicle was at the trouble to where it came down."""
     k = int(np.searchsorted(e.stamp_s, e.onset_s))
     return float(np.linalg.norm(e.position_m[-1, :2] - e.position_m[k, :2])) if e.onset_s < math.inf else math.inf
-
-
-def drift_after_rest(e: Evidence) -> float:
-    """Metres, level, from where the landing mode began to where the vehicle came down."""
-    k = np.flatnonzero(e.landing & (e.stamp_s >= e.onset_s))
-    return float(np.linalg.norm(e.position_m[k[-1], :2] - e.position_m[k[0], :2])) if len(k) else math.inf
 
 
 def longest_gap(for_s: float = math.inf) -> Measure:

@@ -8,7 +8,7 @@ import math
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.link import Bytes, Late, Proxy
 from sitl.poses import PoseRecord
-from sitl.world import World
+from sitl.world import Outlet, World
 
 T = TypeVar("T")
 OURS = ("OFFBOARD", "GUIDED")
@@ -146,7 +146,7 @@ class Meddler:
 class FaultyStream:
     """Stands before the writer of the camera stream."""
 
-    def __init__(self, writer: Any, meddler: Meddler) -> None:
+    def __init__(self, writer: Outlet, meddler: Meddler) -> None:
         self._writer, self._meddler = writer, meddler
         self._waiting: list[tuple[float, int, PoseRecord | Depth]] = []
         self._numbers = itertools.count()

@@ -22,7 +22,7 @@ from sitl.faults.tracker import (
 )  # fmt: skip
 
 FAST = Onset(speed_mps=0.6)
-GONE_AND_BACK = tuple((gap_s, offset_m) for gap_s in (0.5, 2.0, 10.0) for offset_m in (0.0, 0.3, 1.0))
+GONE_AND_BACK = tuple(((0.5, 2.0, 10.0)[n % 3], (0.0, 0.3, 1.0)[(n + n // 3) % 3]) for n in range(9))
 CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
 SPOILT = tuple(spoilt(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp"))
 

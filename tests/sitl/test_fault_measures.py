@@ -39,7 +39,6 @@ def test_hold_is_where_braking_begins() -> None:
 def test_stop_distance_counts_reaction_and_braking() -> None:
     assert m.stopped_within()(stopping(5.2)) == pytest.approx(0.1 + 0.125, abs=0.03)
     assert m.stopped_within()(stopping(7.0)) == pytest.approx(1.0 + 0.125, abs=0.03)
-    assert m.rest_after()(stopping(7.0)) == pytest.approx(2.4, abs=0.05)
 
 
 def test_landing_and_disarming() -> None:
