@@ -125,7 +125,6 @@ TABLE_B = (
         (
             Bar("step of ODOMETRY", m.pose_step, 0.05, "m"),
             Bar("reset counter", m.resets, 1.0, ""),
-            Bar("motion", m.stopped_within(), 0.8, "m"),
         ),
     ),
     Row(
