@@ -21,7 +21,7 @@ class Paced(Companion):
         super().__init__(seed=3)
         self.vehicle = Quadrotor(3, yaw_rad=0.3)
         end, self._pipe = pipe()
-        self.px4 = Px4(self.vehicle, end, Parameters.load(), 3, pace.physics_s)
+        self.autopilot = Px4(self.vehicle, end, Parameters.load(), 3, pace.physics_s)
         self.px4.step(self.now_s)
 
 

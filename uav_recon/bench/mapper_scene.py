@@ -145,7 +145,8 @@ def _brighter(ev: float) -> ByteArray:
     light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
     light = np.clip(light * 2.0**ev, 0.0, 1.0)
     shown = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
-    return np.rint(255.0 * shown).astype(np.uint8)
+    table: ByteArray = np.rint(255.0 * shown).astype(np.uint8)
+    return table
 
 
 def _keyframes(taken: Captures, options: SceneOptions) -> tuple[PosedFrame, ...]:

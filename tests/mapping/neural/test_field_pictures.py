@@ -81,7 +81,7 @@ def test_a_ray_along_an_edge_is_half_of_what_is_there_and_half_of_what_is_behind
             return nearer
 
         def rgb(self, points: Float32Array) -> Float32Array:
-            red: Float32Array = np.float32([1.0, 0.0, 0.0]) * (points[:, :1] < 1.5)
+            red: Float32Array = np.array([1.0, 0.0, 0.0], dtype=np.float32) * (points[:, :1] < 1.5)
             return red
 
     y = np.array([-0.05, -3.0 * EDGE_M, 0.0, 3.0 * EDGE_M], dtype=np.float32)
