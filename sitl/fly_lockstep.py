@@ -199,8 +199,8 @@ def _mapper(options: SimOptions, config: Config) -> Mapper:
 
 def _neural(config: Config, folder: Path) -> Mapper:
     from uav_recon.mapping.keyframes import KeyframeFolder
-    from uav_recon.mapping.neural.child import KEYFRAMES
-    from uav_recon.mapping.neural.worker import InlineMapper
+    from uav_recon.mapping.neural.process.child import KEYFRAMES
+    from uav_recon.mapping.neural.process.worker import InlineMapper
 
     trainer = run.make_trainer(config)
     trainer.warm_up()

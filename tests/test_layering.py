@@ -121,7 +121,9 @@ def test_the_pilot_reaches_no_heavy_package() -> None:
 
 
 def test_the_mapper_in_flight_reaches_no_torch() -> None:
-    reached = reached_from([ROOT / "uav_recon/mapping/neural/child.py", ROOT / "uav_recon/mapping/neural/worker.py"])
+    reached = reached_from(
+        [ROOT / "uav_recon/mapping/neural/process/child.py", ROOT / "uav_recon/mapping/neural/process/worker.py"]
+    )
     for path, names in reached.items():
         assert not any(name.split(".")[0] == "torch" for name in names), path
     assert len(reached) > 20

@@ -109,8 +109,8 @@ def perception(config_path: Path) -> int:
 
 def mission(config_path: Path, flight: Path | None) -> int:
     """Fly one mission and write its folder; SIGTERM lands. Exit code 0 if the mission was completed or landed on request."""
-    from uav_recon.mapping.neural.priors import PriorError
-    from uav_recon.mapping.neural.worker import ProcessMapper
+    from uav_recon.mapping.neural.process.worker import ProcessMapper
+    from uav_recon.mapping.neural.views.priors import PriorError
     from uav_recon.recording.debrief import FlightCard, account, publish
     from uav_recon.recording.flightlog import FlightLog
     from uav_recon.recording.mapfile import save_map

@@ -26,8 +26,8 @@ from uav_recon.run import EXIT_USAGE, Failure
 
 if TYPE_CHECKING:
     from uav_recon.config import Config
+    from uav_recon.mapping.neural.closed.shell import ClosedMesh
     from uav_recon.mapping.neural.gathered import Gathered
-    from uav_recon.mapping.neural.shell import ClosedMesh
     from uav_recon.mapping.neural.tensor.checkpoint import Checkpoints, State
     from uav_recon.mapping.neural.tensor.refiner import RefinePlan, Refiner
     from uav_recon.mapping.neural.tensor.team import Team
@@ -121,7 +121,7 @@ class _Work:
 
     def run(self) -> int:
         """The whole of it; 0, or Failure."""
-        from uav_recon.mapping.neural.shell import ShellError
+        from uav_recon.mapping.neural.closed.shell import ShellError
         from uav_recon.mapping.neural.tensor.grid import GridError
         from uav_recon.mapping.neural.tensor.team import FullDeviceError
 
@@ -140,7 +140,7 @@ class _Work:
         return 0
 
     def _run(self) -> None:
-        from uav_recon.mapping.neural.shell import closed_mesh
+        from uav_recon.mapping.neural.closed.shell import closed_mesh
 
         gathered, refiner, checkpoints = self._prepare()
         done = self._learn(refiner, checkpoints)
@@ -161,7 +161,7 @@ class _Work:
         return claim_file(self._folder / LOCK_FILE, f"a refinement of {self._wanted.flight} runs already")
 
     def _prepare(self) -> tuple[Gathered, Refiner, Checkpoints]:
-        from uav_recon.mapping.neural.shell import check_size
+        from uav_recon.mapping.neural.closed.shell import check_size
         from uav_recon.mapping.neural.tensor.refiner import Refiner
 
         config, plan, checkpoints = _checkpoints(self._wanted, self._kind)
@@ -202,7 +202,7 @@ class _Work:
         return self._stop.asked or (WORKER in os.environ and (self._folder / STOP_FILE).exists())
 
     def _write(self, mesh: ClosedMesh, refiner: Refiner, gathered: Gathered) -> None:
-        from uav_recon.mapping.neural.modelfile import write_closed_ply, write_textured_glb
+        from uav_recon.mapping.neural.closed.modelfile import write_closed_ply, write_textured_glb
         from uav_recon.recording.mesh_pictures import mesh_pictures
 
         write_closed_ply(self._folder / MESH_PLY, mesh)

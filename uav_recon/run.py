@@ -252,8 +252,8 @@ def make_coverage(config: Config, voxels: Voxels) -> Coverage:
 
 def make_trainer(config: Config) -> Trainer:
     """The neural field of the mapper. Raises Failure if its prior model cannot be used."""
-    from uav_recon.mapping.neural.priors import PriorError
     from uav_recon.mapping.neural.trainer import Trainer
+    from uav_recon.mapping.neural.views.priors import PriorError
 
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)

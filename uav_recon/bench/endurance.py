@@ -23,9 +23,9 @@ from uav_recon.bench.mapper_tables import figure
 from uav_recon.bench.tables import narrow_table
 from uav_recon.evaluation.surface import Surface
 from uav_recon.mapping.keyframes import KeyframeFolder
-from uav_recon.mapping.neural.checkpoint import Checkpoints
-from uav_recon.mapping.neural.replay import MOST_VIEWS
+from uav_recon.mapping.neural.process.checkpoint import Checkpoints
 from uav_recon.mapping.neural.trainer import Trainer
+from uav_recon.mapping.neural.views.replay import MOST_VIEWS
 from uav_recon.run import Failure
 
 PARTS = 10

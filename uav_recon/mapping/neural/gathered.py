@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from uav_recon.mapping.neural.replay import Replay
-from uav_recon.mapping.neural.surface import Evidence
-from uav_recon.mapping.neural.testimony import Testimony
-from uav_recon.mapping.neural.uncertainty import SurfaceUncertainty
+from uav_recon.mapping.neural.surface.surface import Evidence
+from uav_recon.mapping.neural.surface.uncertainty import SurfaceUncertainty
+from uav_recon.mapping.neural.views.replay import Replay
+from uav_recon.mapping.neural.views.testimony import Testimony
 from uav_recon.types.frames import Float32Array
 
 

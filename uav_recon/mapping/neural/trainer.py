@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import compress
 from typing import Any
 
 import numpy as np
 
 from uav_recon.config import MapperConfig, UncertaintyName
-from uav_recon.mapping.neural.alignment import Alignment
-from uav_recon.mapping.neural.exposure import Exposure
-from uav_recon.mapping.neural.field import Field
+from uav_recon.mapping.neural.field.field import Field
+from uav_recon.mapping.neural.field.grid import POINTS
+from uav_recon.mapping.neural.field.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
+from uav_recon.mapping.neural.field.optimiser import Optimiser
+from uav_recon.mapping.neural.field.render import render_rays
 from uav_recon.mapping.neural.gathered import Gathered
-from uav_recon.mapping.neural.grid import POINTS
-from uav_recon.mapping.neural.intake import FEWEST_RAYS, FEWEST_VIEWS, Doubt, Refusal, Refusals, padded, refusal
-from uav_recon.mapping.neural.livesurface import LiveSurface
-from uav_recon.mapping.neural.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
-from uav_recon.mapping.neural.optimiser import Optimiser
-from uav_recon.mapping.neural.patches import Patches
-from uav_recon.mapping.neural.priors import open_prior
-from uav_recon.mapping.neural.rays import in_rows, pixel_stride, ray_records
-from uav_recon.mapping.neural.remembered import Remembered
-from uav_recon.mapping.neural.render import render_rays
-from uav_recon.mapping.neural.replay import MOST_VIEWS, Replay, ViewRays
-from uav_recon.mapping.neural.samples import draw, make_batch
-from uav_recon.mapping.neural.surface import Evidence, WholeSurface, surface_elements, triangle_mesh, whole_surface
-from uav_recon.mapping.neural.testimony import DepthImage, Testimony
-from uav_recon.mapping.neural.uncertainty import (
+from uav_recon.mapping.neural.surface.livesurface import LiveSurface
+from uav_recon.mapping.neural.surface.surface import Evidence, WholeSurface, surface_elements, triangle_mesh, whole_surface
+from uav_recon.mapping.neural.surface.uncertainty import (
     ColourError,
     DepthInformation,
     MeasuredAgreement,
@@ -35,15 +24,19 @@ from uav_recon.mapping.neural.uncertainty import (
     ProductUncertainty,
     SurfaceUncertainty,
 )
+from uav_recon.mapping.neural.views.album import Album
+from uav_recon.mapping.neural.views.alignment import Alignment
+from uav_recon.mapping.neural.views.exposure import Exposure
+from uav_recon.mapping.neural.views.intake import FEWEST_VIEWS, Doubt, Refusal, Refusals, padded, refusal
+from uav_recon.mapping.neural.views.patches import Patches
+from uav_recon.mapping.neural.views.rays import in_rows
+from uav_recon.mapping.neural.views.samples import draw, make_batch
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
 
 ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish at which views are aligned
-KEPT_VIEWS = MOST_VIEWS * 3 // 4  # when memory is full
-SOME_RAYS = 6500  # of a view, to see what it shows
-ASKED_VIEWS, ASKED_POINTS, ASKED_RAYS = 64, 600, 40  # whether a view fits: so many others, on it and on each of them
 ALIGN_ROUNDS = 3  # for another learner, all views at once
 FINAL_RATE = 0.1  # the polish ends at this share of the learning rate
 
@@ -61,14 +54,10 @@ class Trainer:
         self._config, self._noise_px, self._baseline_m = config, depth_noise_px, baseline_m
         low, high = padded(box_min_m, box_max_m)
         self._low, self._high = low.astype(np.float32), high.astype(np.float32)
-        self._random = np.random.default_rng(config.seed)
         self._stream = np.array([config.seed], dtype=np.uint64)
-        self._prior = open_prior(config.prior_model)
-        self._replay, self._batch = Replay(), make_batch()
+        self._album = Album(depth_noise_px, baseline_m, config.prior_model, config.seed)
+        self._replay, self._batch = self._album.replay, make_batch()
         self._corners = np.zeros((POINTS, 3), dtype=np.float32)
-        self._images = Testimony()
-        self._remembered = Remembered()
-        self._ray_rad: list[float] = []  # between neighbouring rays, of each view
         self.align_views = self.learn_gains = True
         self.refusals = Refusals()
         self.steps, self._map_epoch = 0, 0
@@ -91,30 +80,29 @@ class Trainer:
 
     def __getstate__(self) -> dict[str, Any]:
         """For a checkpoint: all but what each view brought along; see view_arrays() and put_back()."""
-        return self.__dict__ | {"uncertainties": None, "uncertainty": self._chosen(), "_prior": None}
+        return self.__dict__ | {"uncertainties": None, "uncertainty": self._chosen()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self.uncertainties = self._measures()
         self.uncertainty = self.uncertainties[state["uncertainty"]]
-        self._prior = open_prior(self._config.prior_model)
 
     @property
     def views(self) -> int:
         """Keyframes taken so far."""
-        return self._remembered.taken
+        return self._album.remembered.taken
 
     def gathered(self) -> Gathered:
         """What the views brought, aligned with each other once more, for another learner; it changes with this trainer."""
         for _ in range(ALIGN_ROUNDS):
             self._alignment.refine(self._replay)
-        self._place_images()
-        return Gathered(self._low, self._high, self._replay, self._evidence, self._images, self.uncertainty)
+        self._album.place_images()
+        return Gathered(self._low, self._high, self._replay, self._evidence, self._album.images, self.uncertainty)
 
     @property
     def kept(self) -> list[int]:
         """Numbers of those that are still replayed, ascending."""
-        return self._remembered.numbers
+        return self._album.remembered.numbers
 
     @property
     def skipped(self) -> int:
@@ -123,12 +111,11 @@ class Trainer:
 
     def view_arrays(self, index: int) -> dict[str, AnyArray]:
         """What the index-th kept view brought along and a checkpoint keeps apart; copies."""
-        return {"records": self._replay.records(index).copy(), "depth_mm": self._images.image(index)}
+        return self._album.arrays(index)
 
     def put_back(self, index: int, arrays: dict[str, AnyArray]) -> None:
         """Undo view_arrays() after unpickling. Raises ValueError or KeyError if they are not of this view."""
-        self._replay.put_back(index, arrays["records"])
-        self._images.put_back(index, arrays["depth_mm"])
+        self._album.put_back(index, arrays)
 
     def add(self, keyframe: PosedFrame, number: int | None = None) -> bool:
         """Take a keyframe. False (counted and logged by ``refusals``) if something is to be said against it (see intake).
@@ -143,26 +130,14 @@ class Trainer:
 
     def _learn_of(self, keyframe: PosedFrame, number: int) -> Refusal | None:
         """Note everything that a view says, unless it contradicts the others."""
-        frame = keyframe.frame
-        lens = frame.depth_intrinsics
-        sigma = self._noise_px / (lens.fx * self._baseline_m)
-        most = self._replay.rays_per_view()
-        records = ray_records(frame, sigma, most, self._random)
-        if len(records) < FEWEST_RAYS:
+        view = self._album.develop(keyframe)
+        if view is None:
             return Refusal.EMPTY
-        if self._prior is not None:
-            self._prior.fill(records, frame)
-        rotation, position = keyframe.world_from_depth.rotation(), keyframe.world_from_depth.translation_m
-        image = (frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)
-        ends = self._replay.rays(records[:SOME_RAYS], rotation, position, sigma)
-        if self.views >= FEWEST_VIEWS and self._doubt.rises(lens, self._votes(ends, image)):
+        if self.views >= FEWEST_VIEWS and self._doubt.rises(keyframe.frame.depth_intrinsics, self._album.votes(view)):
             return Refusal.DISAGREES
-        if self._replay.count == MOST_VIEWS:
+        if self._album.full:
             self._forget()
-        self._remembered.add(number, position, ends.points[0])
-        self._replay.add(records, rotation, position, sigma)
-        self._ray_rad.append(pixel_stride(lens, most) / lens.fx)
-        self._images.add(*image)
+        self._album.add(view, number)
         self._map_epoch = keyframe.map_epoch
         if self.waiting == 1:  # no older view waits
             self._take()
@@ -180,8 +155,7 @@ class Trainer:
         if len(world_from_depth) != self._replay.count:
             raise ValueError(f"{len(world_from_depth)} poses for {self._replay.count} views")
         for view, pose in enumerate(world_from_depth):
-            self._replay.place(view, pose.rotation(), pose.translation_m)
-            self._images.place(view, pose.rotation(), pose.translation_m)
+            self._album.place(view, pose.rotation(), pose.translation_m)
         self._map_epoch = map_epoch
         self._begin(self._chosen())
 
@@ -208,9 +182,9 @@ class Trainer:
         self._optimiser.follow_growth()
         self._information.add(view.points[0], view.cosine, view.sigma_m)
         self._agreement.add(view.points[0], view.normal)
-        footprint_m = np.sqrt(view.sigma_m / replay.views.inverse_depth_sigma[number]) * self._ray_rad[number]
+        footprint_m = self._album.footprint_m(number, view.sigma_m)
         position = replay.pose(number)[1]
-        self._evidence.add(position, view.points[0], view.normal, view.sigma_m, footprint_m.astype(np.float32))
+        self._evidence.add(position, view.points[0], view.normal, view.sigma_m, footprint_m)
         self._live.touch(view.points[0])
 
     def train(self, steps: int, rate: float = 1.0) -> float:
@@ -253,8 +227,8 @@ class Trainer:
 
     def mesh(self, voxel_m: float) -> TriangleMesh:
         """Triangles of the surface as it is now."""
-        self._place_images()
-        return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._images)
+        self._album.place_images()
+        return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._album.images)
 
     def look(self, origin: Float32Array, direction: Float32Array) -> Float32Array:
         """Colour (N, 3) in 0..1 seen along rays from origin (N, 3) in unit direction (N, 3), drawn through the field."""
@@ -282,28 +256,12 @@ class Trainer:
         small.mesh(0.05)
         small._forget()
 
-    def _votes(self, view: ViewRays, image: DepthImage) -> Float32Array:
-        """What other views say of a new one's points, and it of theirs (N,). About 1 ms."""
-        some = np.flatnonzero(view.cosine >= 0.0)[:ASKED_POINTS]  # those with a normal; rays are in random order
-        others = self._images.votes(view.points[0, some], view.normal[some], ASKED_VIEWS)
-        itself = Testimony()
-        itself.add(*image)
-        return np.concatenate([others, itself.votes(*self._replay.some_points(ASKED_VIEWS, ASKED_RAYS))])
-
     def _forget(self) -> None:
         """Make room: the views that are needed least go, in what is replayed and asked; the field keeps what they taught."""
-        which = self._remembered.most_needed(KEPT_VIEWS)
-        for memory in (self._remembered, self._replay, self._images):
-            memory.keep(which)
-        self._ray_rad = list(compress(self._ray_rad, which))
+        which = self._album.clear_out()
         taken, self._taken = which[: self._taken], int(which[: self._taken].sum())
         for part in (self._alignment, self._exposure, self._patches):
             part.keep(taken)
-
-    def _place_images(self) -> None:
-        """Images were taken where their views are held to have been by now."""
-        for view in range(self._replay.count):
-            self._images.place(view, *self._replay.pose(view))
 
     def _chosen(self) -> UncertaintyName:
         return next(name for name, measure in self.uncertainties.items() if measure is self.uncertainty)

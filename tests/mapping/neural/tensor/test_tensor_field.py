@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from uav_recon.mapping.neural import samples
-from uav_recon.mapping.neural.field import Field
-from uav_recon.mapping.neural.grid import FINEST_CELL_M, POINTS, Gradient
-from uav_recon.mapping.neural.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
-from uav_recon.mapping.neural.optimiser import Optimiser
-from uav_recon.mapping.neural.rays import COLUMNS
+from uav_recon.mapping.neural.field.field import Field
+from uav_recon.mapping.neural.field.grid import FINEST_CELL_M, POINTS, Gradient
+from uav_recon.mapping.neural.field.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
+from uav_recon.mapping.neural.field.optimiser import Optimiser
 from uav_recon.mapping.neural.tensor.field import TensorField
 from uav_recon.mapping.neural.tensor.grid import GridError, lay_out
 from uav_recon.mapping.neural.tensor.optimiser import Adam
 from uav_recon.mapping.neural.tensor.rays import Batch, Replayed, draw, state_before
+from uav_recon.mapping.neural.views import samples
+from uav_recon.mapping.neural.views.rays import COLUMNS
 from uav_recon.types.frames import Float32Array
 
 LOW, HIGH = np.zeros(3), np.array([1.7, 1.2, 0.9])

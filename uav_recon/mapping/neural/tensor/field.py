@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from uav_recon.mapping.neural.field import INITIAL_FEATURE
+from uav_recon.mapping.neural.field.field import INITIAL_FEATURE
 from uav_recon.mapping.neural.tensor.grid import IN_BLOCK, Layout, encode, locate
 from uav_recon.mapping.neural.tensor.losses import around, colour_loss, distance_loss, shape_loss, tetrahedron
 from uav_recon.mapping.neural.tensor.network import Heads, initial_weights

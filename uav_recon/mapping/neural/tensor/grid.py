@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uav_recon.mapping.neural.grid import COARSEST_CELL_M, DENSE_BLOCKS, FEATURES, FINEST_CELL_M, LEVELS
+from uav_recon.mapping.neural.field.grid import COARSEST_CELL_M, DENSE_BLOCKS, FEATURES, FINEST_CELL_M, LEVELS
 from uav_recon.types.frames import FloatArray
 
 GROWTH = (FINEST_CELL_M / COARSEST_CELL_M) ** (1.0 / (LEVELS - 1))  # of a cell from one level to the next

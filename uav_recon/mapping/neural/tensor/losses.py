@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from uav_recon.mapping.neural.losses import STENCIL_M, TETRAHEDRON, VARIANCE_SHARE
-from uav_recon.mapping.neural.network import LEAST_LOG_VARIANCE, MOST_LOG_VARIANCE
+from uav_recon.mapping.neural.field.losses import STENCIL_M, TETRAHEDRON, VARIANCE_SHARE
+from uav_recon.mapping.neural.field.network import LEAST_LOG_VARIANCE, MOST_LOG_VARIANCE
 
 LEAST_SLOPE = 1e-6  # added to a gradient's length
 

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import linear
 
-from uav_recon.mapping.neural.grid import FEATURES
-from uav_recon.mapping.neural.network import COLOUR_OUT, HIDDEN, OUTSIDE_BIAS_M, SHAPE_FEATURES, TRUNCATION_M
+from uav_recon.mapping.neural.field.grid import FEATURES
+from uav_recon.mapping.neural.field.network import COLOUR_OUT, HIDDEN, OUTSIDE_BIAS_M, SHAPE_FEATURES, TRUNCATION_M
 from uav_recon.types.frames import Float32Array
 
 Shape = tuple[int, ...]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from uav_recon.mapping.neural.optimiser import BETA_1, BETA_2, EPSILON, GRID_RATE, WEIGHT_EPSILON, WEIGHT_RATE
+from uav_recon.mapping.neural.field.optimiser import BETA_1, BETA_2, EPSILON, GRID_RATE, WEIGHT_EPSILON, WEIGHT_RATE
 
 _B1, _B2 = float(BETA_1), float(BETA_2)
 SETTLED = 2000  # steps after which the corrections for the start are 1

@@ -12,10 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uav_recon.mapping.neural import samples
-from uav_recon.mapping.neural.network import TRUNCATION_M
-from uav_recon.mapping.neural.rays import BEARING_UNIT, DEPTH_UNIT_M, NORMAL_UNIT
-from uav_recon.mapping.neural.samples import FREE, NEAR, Views
+from uav_recon.mapping.neural.field.network import TRUNCATION_M
+from uav_recon.mapping.neural.views import samples
+from uav_recon.mapping.neural.views.rays import BEARING_UNIT, DEPTH_UNIT_M, NORMAL_UNIT
+from uav_recon.mapping.neural.views.samples import FREE, NEAR, Views
 
 NUMBERS = 4 + NEAR + FREE  # that a ray takes from the stream: two for the view, one for the ray, its samples, the jitter
 SHAPE_SHARE = samples.SURFACE_POINTS / samples.RAYS  # of the rays that also say how the surface lies

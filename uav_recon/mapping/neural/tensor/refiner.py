@@ -9,13 +9,13 @@ import torch
 from torch import Tensor
 
 from uav_recon.mapping.neural.gathered import Gathered
-from uav_recon.mapping.neural.replay import OFFSETS_M
 from uav_recon.mapping.neural.tensor.checkpoint import Identity
 from uav_recon.mapping.neural.tensor.field import TensorField
 from uav_recon.mapping.neural.tensor.grid import Blocks, lay_out
 from uav_recon.mapping.neural.tensor.learner import Learner, Sampling
 from uav_recon.mapping.neural.tensor.rays import Replayed
 from uav_recon.mapping.neural.tensor.team import Team
+from uav_recon.mapping.neural.views.replay import OFFSETS_M
 
 FINAL_RATE = 0.05  # the last step has this share of the learning rate; it falls from the middle of the run on
 CELL_VOXELS = 2.0  # finest cell in voxels of the mesh: a trilinear cell holds what two samples of it show

@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_recon.mapping.neural.field.losses import UNKNOWN
+from uav_recon.mapping.neural.surface.uncertainty import (
+    LEAST_PAST_M,
+    MOST_PAST_M,
+    PRIOR_COLOUR_SIGMA,
+    PRIOR_SIGMA_M,
+    ColourError,
+    DepthInformation,
+    MeasuredAgreement,
+    NetworkColourSigma,
+    ProductUncertainty,
+)
+
+LOW, HIGH = np.zeros(3), np.ones(3)
+NODE = np.array([[0.48, 0.48, 0.48]], dtype=np.float32)  # a node of the 8 cm lattice
+ONE = np.ones(1, dtype=np.float32)
+
+
+def test_information_adds_up_as_inverse_variances() -> None:
+    depth = DepthInformation(LOW, HIGH)
+    assert depth.at(NODE)[0] == pytest.approx(PRIOR_SIGMA_M)
+    depth.add(NODE, ONE, 0.02 * ONE)
+    depth.add(NODE, 0.5 * ONE, 0.01 * ONE)
+    assert depth.at(NODE)[0] == pytest.approx(1.0 / np.sqrt(1 / 0.02**2 + 0.25 / 0.01**2 + 1.0), rel=1e-4)
+
+
+def test_a_point_outside_the_box_counts_nowhere_and_is_not_known() -> None:
+    depth = DepthInformation(LOW, HIGH)
+    outside = np.array([[1.5, 0.5, 0.5]], dtype=np.float32)
+    depth.add(outside, ONE, 0.01 * ONE)
+    assert depth.at(outside)[0] == pytest.approx(PRIOR_SIGMA_M)
+    assert depth.at(NODE)[0] == pytest.approx(PRIOR_SIGMA_M)
+
+
+def test_colour_error_tends_to_the_mean_square() -> None:
+    colour, at = ColourError(LOW, HIGH), np.array([[0.5, 0.5, 0.5]], dtype=np.float32)
+    assert colour.at(at)[0] == pytest.approx(PRIOR_COLOUR_SIGMA)
+    for _ in range(300):
+        colour.add(at, np.array([0.05**2], dtype=np.float32))
+    assert 0.05 < colour.at(at)[0] < 0.08
+    known = colour.at(at)[0]
+    colour.add(at, np.array([UNKNOWN]))
+    assert colour.at(at)[0] == known
+
+
+def test_the_product_ranks_badly_known_higher() -> None:
+    depth, colour = DepthInformation(LOW, HIGH), ColourError(LOW, HIGH)
+    both = ProductUncertainty(colour, depth)
+    seen, unseen = NODE, np.array([[0.8, 0.8, 0.8]], dtype=np.float32)
+    depth.add(seen, ONE, 0.01 * ONE)
+    colour.add(seen, np.array([1e-4], dtype=np.float32))
+    assert 0 < both.at(seen)[0] < both.at(unseen)[0]
+
+
+def test_agreement_falls_with_the_root_of_the_count() -> None:
+    once, often = MeasuredAgreement(LOW, HIGH), MeasuredAgreement(LOW, HIGH)
+    node, up = np.array([[0.5, 0.5, 0.5]], dtype=np.float32), np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
+    once.add(node, up)
+    for _ in range(100):
+        often.add(node, up)
+    on_the_plane = LEAST_PAST_M / MOST_PAST_M
+    assert once.at(node)[0] == pytest.approx(on_the_plane * 0.05 / np.sqrt(1.1), rel=1e-2)
+    assert often.at(node)[0] == pytest.approx(on_the_plane * 0.05 / np.sqrt(100.1), rel=1e-2)
+
+
+def test_a_surface_beside_its_measurements_is_uncertain_by_how_far_it_is() -> None:
+    measure, random = MeasuredAgreement(LOW, HIGH), np.random.default_rng(0)
+    floor = np.column_stack([random.uniform(0.1, 0.9, (8000, 2)), np.full(8000, 0.42)]).astype(np.float32)
+    measure.add(floor, np.tile(np.array([[0.0, 0.0, 1.0]], dtype=np.float32), (8000, 1)))
+    past = np.array([0.0, 0.004, 0.01, 0.02, 0.03])
+    beside = np.column_stack([np.full((5, 2), 0.5), 0.42 + past]).astype(np.float32)
+    expected = np.hypot(past, LEAST_PAST_M)  # both distances are this one, and so is their geometric mean
+    assert np.allclose(measure.at(beside) / measure.at(beside[:1]), expected / expected[0], rtol=0.25)
+
+
+def test_a_corner_is_less_certain_than_a_wall_and_what_was_never_measured_least() -> None:
+    measure = MeasuredAgreement(LOW, HIGH)
+    wall, corner, nowhere = (np.array([[x, 0.5, 0.5]], dtype=np.float32) for x in (0.2, 0.5, 0.8))
+    for normal in np.eye(3, dtype=np.float32):
+        measure.add(wall, np.eye(3, dtype=np.float32)[:1])
+        measure.add(corner, normal[None])
+    assert measure.at(corner)[0] == pytest.approx(LEAST_PAST_M / MOST_PAST_M * (1.05 - 1 / np.sqrt(3)) / np.sqrt(3.1), rel=2e-2)
+    assert 0 < measure.at(wall)[0] < measure.at(corner)[0] < measure.at(nowhere)[0]
+    assert measure.at(nowhere)[0] == pytest.approx(1.05 / np.sqrt(0.1), rel=1e-2)
+
+
+def test_the_papers_measure_is_what_the_network_says() -> None:
+    assert NetworkColourSigma(lambda points: points[:, 0]).at(NODE)[0] == NODE[0, 0]

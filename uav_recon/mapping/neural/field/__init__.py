@@ -1,0 +1,1 @@
+"""The learned field itself, and one step of learning: the CPU kernels."""

@@ -1,0 +1,255 @@
+"""The mapper's own process, and the parent's handle on it: JSON lines down a pipe, JSON lines back.
+
+Run as ``python -m uav_recon.mapping.neural.process.child``. The first line is the order (config, box, noise, folder); then
+{"keyframe": N} for each view on disk; {"repose": [[w, x, y, z, x_m, y_m, z_m], ...], "map_epoch": N} with the new
+world_from_depth of each, when the map's frame changed; {"finish": FOLDER} at the end. Back come {"event": "ready" |
+"finished"} and, when views were refused, {"event": "refused", "counts": {REASON: N so far}}.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from uav_recon.channels import FileChannel
+from uav_recon.config import MapperConfig
+from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
+from uav_recon.mapping.neural.process.checkpoint import CheckpointError, Checkpoints
+from uav_recon.mapping.neural.surface.meshfile import write_ply
+from uav_recon.mapping.neural.trainer import Trainer
+from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.pose import Pose
+
+LOG = logging.getLogger(__name__)
+
+CHECKPOINT = ".mapper_checkpoint"
+KEYFRAMES, SURFACE_FILE, LOG_FILE, MESH_FILE = "keyframes", ".mapper_surface", "mapper.log", "mesh.ply"
+SURFACE_BYTES = 48 << 20  # a sparse file: a room of 30 m² needs 3 MB
+NICENESS = 10
+IDLE_SURFACE_STEPS = 60  # idle steps between two surfaces
+
+Message = dict[str, Any]
+
+
+class ChildProcess:
+    """One child. Its pipe closes when this process ends, whatever way, and then it ends too."""
+
+    def __init__(self, order: Message, log: Path, tell: Callable[[Message], None]) -> None:
+        """Start it. tell() is called from a thread of this object, with what the child says and {"event": "lost"} last."""
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+        with log.open("ab") as errors:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "uav_recon.mapping.neural.process.child"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                env=environment,
+                start_new_session=True,  # a terminal's Ctrl-C is not for the mapper
+            )
+        self._tell = tell
+        self._listener = threading.Thread(target=self._listen, name="mapper-events", daemon=True)
+        self._listener.start()
+        self.send(order)
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def running(self) -> bool:
+        """Whether the process is there."""
+        return self._process.poll() is None
+
+    def send(self, message: Message) -> None:
+        """Write a line; a child that is gone is reported through tell(), not here."""
+        pipe = self._process.stdin
+        if pipe is None or pipe.closed:
+            return
+        try:
+            pipe.write(json.dumps(message).encode() + b"\n")
+            pipe.flush()
+        except (BrokenPipeError, OSError):
+            return
+
+    def end(self, patience_s: float) -> None:
+        """Close the pipe, wait, and kill what does not go."""
+        try:
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        except OSError:
+            pass  # unsent bytes of a child that is gone
+        try:
+            self._process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._listener.join()
+
+    def _listen(self) -> None:
+        pipe = self._process.stdout
+        if pipe is not None:
+            with pipe:
+                for line in pipe:
+                    self._tell(json.loads(line))
+        self._process.wait()
+        self._tell({"event": "lost"})
+
+
+def main() -> None:
+    """Serve one parent until its pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _step_back()
+    replies = os.fdopen(os.dup(1), "wb", buffering=0)
+    os.dup2(2, 1)  # a stray print must not break the protocol
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s")
+    messages: queue.Queue[Message] = queue.Queue()
+    order: Message = json.loads(sys.stdin.buffer.readline())
+    threading.Thread(target=_read, args=(sys.stdin.buffer, messages), daemon=True).start()
+    _Session(order, messages, replies).run()
+
+
+def _step_back() -> None:
+    """Let everything that flies go first, also where the kernel weighs sessions and not processes: sched(7), autogroup."""
+    os.nice(NICENESS)
+    with contextlib.suppress(OSError):  # no such kernel
+        Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
+
+
+def _read(pipe: IO[bytes], messages: queue.Queue[Message]) -> None:
+    for line in pipe:
+        messages.put(json.loads(line))
+    os._exit(0)  # the parent is gone, or wants us gone: at once, also from the middle of a kernel
+
+
+class _Session:
+    def __init__(self, order: Message, messages: queue.Queue[Message], replies: IO[bytes]) -> None:
+        self._config = MapperConfig.model_validate(order["config"])
+        self._messages, self._replies = messages, replies
+        folder = Path(order["folder"])
+        self._keyframes = KeyframeFolder(folder / KEYFRAMES)
+        self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
+        low, high = np.array(order["box_min_m"]), np.array(order["box_max_m"])
+        self._trainer = Trainer(self._config, low, high, order["depth_noise_px"], order["baseline_m"])
+        self._checkpoints = Checkpoints(folder / CHECKPOINT, {name: value for name, value in order.items() if name != "folder"})
+        self._revision = self._channel.sequence()
+        self._learned, self._unseen = 0, False  # keyframes learned; whether they show in no published surface yet
+        self._refused = 0  # as told to the parent
+
+    def run(self) -> None:
+        self._trainer.warm_up()
+        self._restore()
+        self._learn_to(len(self._keyframes))
+        self._show()
+        self._say("ready")
+        idle_s = 1.0 / self._config.idle_steps_hz if self._config.idle_steps_hz > 0 else None
+        idle_steps = 0
+        while True:
+            try:
+                patience_s = 0.0 if self._trainer.waiting else idle_s
+                message = self._messages.get(timeout=patience_s if self._trainer.views else None)
+            except queue.Empty:
+                if self._trainer.waiting:
+                    self._unseen |= self._trainer.relearn(1) == 0
+                    self._show()
+                    continue
+                self._trainer.train(1)
+                self._save()
+                idle_steps += 1
+                if idle_steps % IDLE_SURFACE_STEPS == 0:
+                    self._publish()
+                continue
+            if "finish" in message:
+                self._finish(Path(message["finish"]))
+            elif "repose" in message:
+                given = np.array(message["repose"])
+                self._learn_to(len(given))
+                poses = [Pose(given[n, :4], given[n, 4:]) for n in self._trainer.kept]
+                self._trainer.repose(poses, int(message["map_epoch"]))
+            else:
+                self._learn_to(int(message["keyframe"]) + 1)
+                self._show()
+
+    def _show(self) -> None:
+        """Publish what was learned, once nothing newer waits."""
+        if self._unseen and self._messages.empty():
+            self._publish()
+
+    def _learn_to(self, count: int) -> None:
+        """Learn keyframes up to a number; a message for one that was learned from disk already does nothing."""
+        if count <= self._learned:
+            return
+        self._keyframes.refresh()
+        for number in range(self._learned, min(count, len(self._keyframes))):
+            try:
+                if self._trainer.add(self._keyframes.load(number), number):
+                    self._trainer.train(self._config.steps_per_view)
+            except KeyframeError as error:
+                LOG.warning("%s", error)  # one view less
+            self._learned = number + 1
+            self._save()
+        self._unseen = True
+        self._tell_refusals()
+
+    def _restore(self) -> None:
+        """Go on from the checkpoint, if there is a sound one; what came after it is learned from the keyframes."""
+        try:
+            found = self._checkpoints.load(self._keyframes)
+        except CheckpointError as error:
+            LOG.warning("%s; learning all %d keyframes again", error, len(self._keyframes))
+            return
+        if found is not None:
+            self._trainer, self._learned = found
+            self._unseen = True
+            LOG.warning("went on from a checkpoint with %d of %d keyframes", self._learned, len(self._keyframes))
+
+    def _save(self) -> None:
+        self._checkpoints.save_if_due(self._trainer, self._learned, self._keyframes.stamp_s(self._learned - 1))
+
+    def _tell_refusals(self) -> None:
+        refusals = self._trainer.refusals
+        if refusals.total() != self._refused:
+            self._refused = refusals.total()
+            self._say("refused", counts={reason.name: count for reason, count in refusals.counts.items()})
+
+    def _publish(self) -> None:
+        self._unseen = False
+        self._revision += 1
+        surface = self._trainer.surface()
+        for every in (1, 2, 4, 8, 16):
+            try:
+                self._channel.publish(
+                    SurfaceElements(
+                        surface.position_world[::every],
+                        surface.normal_world[::every],
+                        surface.uncertainty[::every],
+                        self._revision,
+                        surface.map_epoch,
+                    )
+                )
+                return
+            except ValueError:  # a hall: every second element does
+                continue
+
+    def _finish(self, folder: Path) -> None:
+        self._trainer.polish(self._config.polish_steps)
+        write_ply(folder / MESH_FILE, self._trainer.mesh(self._config.mesh_voxel_m))
+        self._say("finished")
+
+    def _say(self, event: str, **more: object) -> None:
+        self._replies.write(json.dumps({"event": event} | more).encode() + b"\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,233 @@
+"""The mapper as the mission sees it: inline for lockstep, or in a process of its own that may die and come back.
+
+The disk is the queue between the processes: a keyframe is written to the flight folder first and its number sent
+after, so a restarted child has everything it needs, and the mission never waits for it.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import shutil
+import threading
+from collections import Counter
+from pathlib import Path
+
+from uav_recon.channels import FileChannel
+from uav_recon.config import MapperConfig
+from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.neural.process.child import (
+    CHECKPOINT,
+    KEYFRAMES,
+    LOG_FILE,
+    MESH_FILE,
+    SURFACE_BYTES,
+    SURFACE_FILE,
+    ChildProcess,
+    Message,
+)
+from uav_recon.mapping.neural.surface.meshfile import write_ply
+from uav_recon.mapping.neural.trainer import Trainer
+from uav_recon.mapping.neural.views.intake import Refusal, Refusals, padded, refusal
+from uav_recon.mapping.neural.views.priors import open_prior
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import SurfaceElements
+
+LOG = logging.getLogger(__name__)
+
+BACKLOG = 64  # keyframes that may wait for the disk
+RESTARTS = 3
+FINISH_S, FINISH_STEP_S, FINISH_VIEW_S = 120.0, 0.1, 2.0  # patience with a busy machine: at all, per step, per view
+END_S = 5.0
+
+
+class InlineMapper:
+    """Lockstep: add() trains at once, surface() extracts when asked. The same trainer, no process."""
+
+    def __init__(self, trainer: Trainer, config: MapperConfig, keyframes: KeyframeFolder | None = None) -> None:
+        self._trainer, self._config, self._keyframes = trainer, config, keyframes
+        self._surface: SurfaceElements | None = None
+        self._stale = False
+
+    def add(self, keyframe: PosedFrame) -> bool:
+        """Train on a view; blocks for steps_per_view steps. Raises OSError if the keyframe cannot be saved."""
+        if not self._trainer.add(keyframe):
+            return False
+        if self._keyframes is not None:
+            self._keyframes.save(keyframe)
+        self._trainer.train(self._config.steps_per_view)
+        self._stale = True
+        return True
+
+    def refusals(self) -> Counter[Refusal]:
+        """Views that were not taken, by reason."""
+        return self._trainer.refusals.counts.copy()
+
+    def surface(self) -> SurfaceElements | None:
+        """The surface after the last view."""
+        if self._stale:
+            self._surface, self._stale = self._trainer.surface(), False
+        return self._surface
+
+    def alive(self) -> bool:
+        """Always: there is no process to lose."""
+        return True
+
+    def ready(self) -> bool:
+        """Always; call Trainer.warm_up() before the flight."""
+        return True
+
+    def finish(self, folder: Path) -> None:
+        """Polish and write mesh.ply."""
+        self._trainer.polish(self._config.polish_steps)
+        write_ply(folder / MESH_FILE, self._trainer.mesh(self._config.mesh_voxel_m))
+
+
+class ProcessMapper:
+    """The mapper in a child process at low priority. Only finish() and close() block.
+
+    The child ends when this process does, whatever way; when the child dies, another goes on from its checkpoint and learns
+    the keyframes since, at most RESTARTS times.
+
+    box_min_m, box_max_m (3,): the room. One thread owns the child and the disk; the methods only leave it notes.
+    Raises OSError if folder cannot be written, PriorError if config.prior_model cannot be used.
+    """
+
+    def __init__(
+        self,
+        config: MapperConfig,
+        box_min_m: FloatArray,
+        box_max_m: FloatArray,
+        depth_noise_px: float,
+        baseline_m: float,
+        folder: Path,
+    ) -> None:
+        open_prior(config.prior_model)  # here somebody hears of it
+        self._config, self._folder = config, folder
+        self._low, self._high = padded(box_min_m, box_max_m)
+        self._order = {
+            "config": config.model_dump(mode="json"),
+            "box_min_m": [float(x) for x in box_min_m],
+            "box_max_m": [float(x) for x in box_max_m],
+            "depth_noise_px": depth_noise_px,
+            "baseline_m": baseline_m,
+            "folder": str(folder),
+        }
+        self._keyframes = KeyframeFolder(folder / KEYFRAMES)
+        self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
+        self._notes: queue.Queue[PosedFrame | Path | Message] = queue.Queue()
+        self._ready, self._over = threading.Event(), threading.Event()
+        self._losses, self._finishing = 0, False
+        self._refusals, self._childs_refusals = Refusals(), Counter[Refusal]()
+        self._mesh_folder: Path | None = None
+        self._child = self._start()
+        self._owner = threading.Thread(target=self._serve, name="mapper-owner", daemon=True)
+        self._owner.start()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the child that runs now."""
+        return self._child.pid
+
+    def add(self, keyframe: PosedFrame) -> bool:
+        """Hand over a view. False if it is not acceptable, too many wait, or the last child died.
+
+        While a new child is starting the answer is True: the view is on disk and will be learned.
+        """
+        if self._finishing or self._gone() or self._notes.qsize() >= BACKLOG:
+            return False
+        reason = refusal(keyframe, self._low, self._high)
+        if reason is not None:
+            self._refusals.note(reason)
+            return False
+        self._notes.put(keyframe)
+        return True
+
+    def refusals(self) -> Counter[Refusal]:
+        """Views that were not taken, by reason: by add(), or by the child, which knows the map."""
+        return self._refusals.counts + self._childs_refusals
+
+    def surface(self) -> SurfaceElements | None:
+        """The newest surface, also of a child that died since. Does not wait for the child."""
+        return self._channel.latest()
+
+    def alive(self) -> bool:
+        """False from a child's death until its successor has learned the saved keyframes."""
+        return self._child.running() and not self._gone() and (self._losses == 0 or self._ready.is_set())
+
+    def ready(self) -> bool:
+        """Whether the child has compiled its kernels and learned what was on disk."""
+        return self._ready.is_set() and self._child.running()
+
+    def finish(self, folder: Path) -> None:
+        """Polish, write mesh.ply into folder, end the child. Blocks, bounded by steps and views.
+
+        A child that cannot do it leaves no mesh.ply, a log line, and its reason in mapper.log.
+        """
+        self._finishing = True
+        patience_s = FINISH_S + FINISH_STEP_S * self._config.polish_steps + FINISH_VIEW_S * len(self._keyframes)
+        self._notes.put(folder)
+        if not self._over.wait(patience_s):
+            LOG.error("the mapper made no mesh within %.0f s; see %s", patience_s, self._folder / LOG_FILE)
+        self.close()
+
+    def close(self) -> None:
+        """End the child at once, without a mesh, and take away what served only the flight."""
+        self._finishing = True
+        self._notes.put({"event": "close"})
+        self._owner.join()
+        (self._folder / SURFACE_FILE).unlink(missing_ok=True)
+        shutil.rmtree(self._folder / CHECKPOINT, ignore_errors=True)
+
+    def _gone(self) -> bool:
+        return self._losses > RESTARTS
+
+    def _start(self) -> ChildProcess:
+        self._ready.clear()
+        return ChildProcess(self._order, self._folder / LOG_FILE, self._notes.put)
+
+    def _serve(self) -> None:
+        while True:
+            note = self._notes.get()
+            if isinstance(note, PosedFrame):
+                self._hand_over(note)
+            elif isinstance(note, Path):
+                self._mesh_folder = note
+                self._child.send({"finish": str(note)})
+            elif note["event"] == "close":
+                self._child.end(END_S)
+                return
+            else:
+                self._hear(note)
+
+    def _hear(self, message: Message) -> None:
+        if message["event"] == "ready":
+            self._ready.set()
+        elif message["event"] == "finished":
+            self._over.set()
+        elif message["event"] == "refused":
+            self._childs_refusals = Counter({Refusal[name]: count for name, count in message["counts"].items()})
+        else:
+            self._replace_child()
+
+    def _hand_over(self, keyframe: PosedFrame) -> None:
+        try:
+            number = self._keyframes.save(keyframe)
+        except OSError as error:
+            LOG.error("a keyframe was lost: %s", error)
+            return
+        self._child.send({"keyframe": number})
+
+    def _replace_child(self) -> None:
+        self._losses += 1
+        self._ready.clear()
+        if self._gone():
+            LOG.error("the mapper died %d times; see %s", self._losses, self._folder / LOG_FILE)
+            self._over.set()
+            return
+        LOG.warning("the mapper died with %d keyframes; starting it again", len(self._keyframes))
+        self._child.end(END_S)
+        self._child = self._start()
+        if self._mesh_folder is not None and not self._over.is_set():
+            self._child.send({"finish": str(self._mesh_folder)})
