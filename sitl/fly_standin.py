@@ -12,6 +12,7 @@ from uav_recon.config import Config
 from uav_recon.mapping.neural.views.intake import acceptable, padded
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.pose import MapCorrection
 
 
 class StandInMapper:
@@ -21,10 +22,11 @@ class StandInMapper:
         """Compiles its kernel."""
         elements.warm_up()
         self._low, self._high = padded(np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m))
-        self._memory = SurfaceMemory(self._low, self._high, config.mapper.surface_voxel_m)
+        self._voxel_m = config.mapper.surface_voxel_m
+        self._memory = SurfaceMemory(self._low, self._high, self._voxel_m)
         self._noise_px, self._baseline_m = config.camera.depth_noise_px, config.camera.baseline_m
         self._surface: SurfaceElements | None = None
-        self._revision, self._stale = 0, False
+        self._revision, self._map_epoch, self._stale = 0, 0, False
 
     def add(self, keyframe: PosedFrame) -> bool:
         """Take a view; a few milliseconds. False where the neural mapper would refuse it too."""
@@ -38,10 +40,15 @@ class StandInMapper:
         self._revision, self._stale = self._revision + 1, True
         return True
 
+    def repose(self, correction: MapCorrection) -> None:
+        """Forget the old map: unlike the neural mapper it keeps no views to learn a new one from."""
+        self._memory = SurfaceMemory(self._low, self._high, self._voxel_m)
+        self._surface, self._map_epoch, self._stale = None, correction.map_epoch, False
+
     def surface(self) -> SurfaceElements | None:
         """The surface after the last view; None before the first."""
         if self._stale and len(self._memory):
-            self._surface, self._stale = SurfaceElements(*self._memory.elements(), self._revision), False
+            self._surface, self._stale = SurfaceElements(*self._memory.elements(), self._revision, self._map_epoch), False
         return self._surface
 
     def alive(self) -> bool:

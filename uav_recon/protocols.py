@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 from uav_recon.types.camera import Frame, ImuSample, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements, VoxelMap
-from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.pose import MapCorrection, Pose, StampedPose
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import MissionProgress
@@ -134,8 +134,12 @@ class Mapper(Protocol):
         """Hand over a view. False if it was refused (not finite, empty, outside the box) or the mapper is down."""
         ...
 
+    def repose(self, correction: MapCorrection) -> None:
+        """The map has another frame: learn it anew from the views, each where it now is. Those without a place are dropped."""
+        ...
+
     def surface(self) -> SurfaceElements | None:
-        """The newest surface; may be a few views behind. None before the first."""
+        """The newest surface; may be a few views behind. None before the first of a map epoch."""
         ...
 
     def alive(self) -> bool:
@@ -172,6 +176,10 @@ class Voxels(Protocol):
 
     def integrate(self, posed: PosedFrame) -> int:
         """Fuse a frame; how many voxels changed."""
+        ...
+
+    def reset(self, map_epoch: int) -> None:
+        """Forget everything: poses of a new epoch do not fit the old map."""
         ...
 
     def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:

@@ -16,7 +16,7 @@ from uav_recon.config import Config
 from uav_recon.protocols import ByteLink, Camera, Channel, Clock, Executor, Journal, Mapper, PoseSource
 from uav_recon.types.camera import PosedFrame, body_from_camera
 from uav_recon.types.maps import GridSpec, SurfaceElements, VoxelMap
-from uav_recon.types.pose import StampedPose
+from uav_recon.types.pose import MapCorrection, StampedPose
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
 from uav_recon.types.vehicle import MissionProgress, VehicleState
@@ -66,6 +66,7 @@ class Wires:
     voxels: Channel[VoxelMap]
     surface: Channel[SurfaceElements]
     plan: Channel[ViewPath]
+    correction: Channel[MapCorrection]
 
 
 def memory_wires() -> Wires:
@@ -73,6 +74,7 @@ def memory_wires() -> Wires:
     return Wires(
         MemoryChannel(StampedPose), MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent),
         MemoryChannel(MissionProgress), MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
+        MemoryChannel(MapCorrection),
     )  # fmt: skip
 
 
@@ -90,6 +92,7 @@ def file_wires(folder: Path) -> Wires:
             voxels=FileChannel(folder / "voxels.channel", VoxelMap, 64 * megabyte),
             surface=FileChannel(folder / "surface.channel", SurfaceElements, 32 * megabyte),
             plan=FileChannel(folder / "plan.channel", ViewPath, megabyte),
+            correction=FileChannel(folder / "correction.channel", MapCorrection, megabyte),
         )
     except OSError as error:
         raise Failure(f"runtime.folder {folder}: cannot be written ({error.strerror})", EXIT_CONFIG) from None
@@ -274,7 +277,8 @@ def make_conductor(
     voxels, planner = make_voxels(config), make_planner(config, timer)
     clearance_m = config.planner.clearance_m
     motion = make_motion(config, clearance_m)
-    retreat = make_motion(config, min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m))
+    retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m)
+    retreat = make_motion(config, retreat_m)
     orders = Orders(
         views=mission.views,
         survey_views=mission.survey_views,
@@ -282,11 +286,14 @@ def make_conductor(
         takeoff_height_m=mission.takeoff_height_m,
         takeoff_radius_m=config.voxels.takeoff_radius_m,
         vehicle_height_m=config.safety.vehicle_height_m,
+        clear_radius_m=retreat_m,
         camera_pitch_down_rad=math.radians(config.camera.pitch_down_deg),
         max_flight_s=mission.max_flight_s,
         plan_cost_s=mission.plan_cost_s,
     )
-    channels = MissionWires(wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan)
+    channels = MissionWires(
+        wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan, wires.correction
+    )  # fmt: skip
     stages = Stages(voxels, make_coverage(config, voxels), mapper, planner, motion, retreat)
     return Conductor(stages, channels, orders, executor, journal, clock)
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 
 from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
-from uav_recon.types.pose import Pose
+from uav_recon.types.pose import MapCorrection, Pose
 
 
 def _view(seed: int) -> PosedFrame:
@@ -84,3 +85,28 @@ def test_damage_is_named(tmp_path: Path) -> None:
     (tmp_path / "poses.json").write_text("[")
     with pytest.raises(KeyframeError, match=r"poses\.json"):
         KeyframeFolder(tmp_path)
+
+
+def test_a_new_map_epoch_moves_keyframes_or_leaves_them_without_a_place(tmp_path: Path) -> None:
+    writer = KeyframeFolder(tmp_path)
+    for n in range(3):
+        writer.save(_view(2 * n))
+    reader = KeyframeFolder(tmp_path)
+    there = Pose.from_yaw(1.0, np.array([0.1, 0.2, 0.3]))
+    writer.repose(MapCorrection(4, np.array([4.25, 0.25, 77.0]), (there, Pose.identity(), there)))
+    writer.save(dataclasses.replace(_view(7), map_epoch=4))
+    reader.refresh()
+    for folder in (writer, reader, KeyframeFolder(tmp_path)):
+        assert (len(folder), folder.map_epoch) == (4, 4)
+        assert folder.pose(1) is None
+        with pytest.raises(KeyframeError, match="keyframe 1 has no place in map epoch 4"):
+            folder.load(1)
+        moved = folder.load(2)
+        assert moved.map_epoch == 4
+        np.testing.assert_allclose(moved.world_from_depth.matrix(), there.matrix(), atol=1e-12)
+        np.testing.assert_allclose(folder.load(0).world_from_depth.matrix(), np.eye(4), atol=1e-12)
+
+
+def test_a_correction_has_a_pose_for_each_stamp() -> None:
+    with pytest.raises(ValueError, match="1 poses for stamps of shape"):
+        MapCorrection(1, np.array([0.0, 1.0]), (Pose.identity(),))

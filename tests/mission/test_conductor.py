@@ -21,7 +21,7 @@ from uav_recon.recording.flightlog import FlightLog, read_timeline
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, GridSpec, SurfaceElements, VoxelMap
-from uav_recon.types.pose import Pose
+from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
@@ -34,18 +34,22 @@ class OpenSpace:
     """Voxels that are free everywhere, or nowhere once `closed`."""
 
     closed = False
-    revision = 0
+    revision = epoch = 0
 
     def integrate(self, posed: PosedFrame) -> int:
+        assert posed.map_epoch == self.epoch
         self.revision += 1
         return 1
+
+    def reset(self, map_epoch: int) -> None:
+        self.epoch = map_epoch
 
     def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:
         self.declared = (radius_m, z_min_m, z_max_m)
 
     def snapshot(self) -> VoxelMap:
         state = np.full(GRID.shape, 0 if self.closed else FREE, np.uint8)
-        return VoxelMap.whole(GRID, state, np.where(state == FREE, 100, 0).astype(np.uint8), self.revision)
+        return VoxelMap.whole(GRID, state, np.where(state == FREE, 100, 0).astype(np.uint8), self.revision, self.epoch)
 
     def explored_m3(self) -> float:
         return 0.001 * self.revision
@@ -81,12 +85,16 @@ class ThreeViews:
         places = [request.position_world, *(view.position_world for view in views)]
         ways = tuple(np.array(leg) for leg in itertools.pairwise(places))
         tasks = tuple(Task(TaskKind.EXPLORE, view.position_world, view, 9.0) for view in views)
-        return ViewPath(views, ways, PlanMode.EXPLORE, request.voxels.revision, 0, tasks, 0.01, 0.02)
+        return ViewPath(views, ways, PlanMode.EXPLORE, request.voxels.revision, request.voxels.map_epoch, tasks, 0.01, 0.02)
 
 
 class Sketchbook:
     def __init__(self) -> None:
         self.stamps: list[float] = []
+        self.corrections: list[MapCorrection] = []
+
+    def repose(self, correction: MapCorrection) -> None:
+        self.corrections.append(correction)
 
     def add(self, keyframe: PosedFrame) -> bool:
         self.stamps.append(keyframe.frame.stamp_s)
@@ -130,16 +138,18 @@ class Desk:
         self.wires = MissionWires(
             MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
             MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
+            MemoryChannel(MapCorrection),
         )  # fmt: skip
         self.voxels, self.planner, self.mapper = OpenSpace(), ThreeViews(), Sketchbook()
         motion = MotionPlanner(MotionConfig(), 0.35)
-        orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.26, 300.0, 0.1)
+        orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1)
         self.retreat = Asked(MotionConfig(), 0.30)
         stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, motion, self.retreat)
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
         self.seen: list[Phase] = []
+        self.epoch = 0
 
     def run(self, seconds: float, until: Phase | None = None) -> None:
         for _ in range(int(seconds * 30)):
@@ -185,7 +195,7 @@ class Desk:
     def _frame(self) -> None:
         depth = np.full((4, 4), 2.0, np.float32)
         frame = Frame(self.clock.now_s() - 0.1, 1, depth, LENS, np.zeros((4, 4, 3), np.uint8), LENS, Pose.identity())
-        self.wires.frames.publish(PosedFrame(frame, Pose.identity()))
+        self.wires.frames.publish(PosedFrame(frame, Pose.identity(), self.epoch))
 
 
 @pytest.fixture()
@@ -246,6 +256,36 @@ def test_an_abort_lands_at_once(desk: Desk) -> None:
     desk.run(0.2, until=Phase.LANDING)
     desk.run(1.0, until=Phase.DONE)
     assert desk.conductor.close() == "aborted: the operator asked to land"
+
+
+def test_a_new_map_epoch_holds_maps_anew_and_goes_on(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.run(12.0)
+    assert desk.planner.accepted
+    desk.epoch = 1
+    desk.run(5.0, until=Phase.HOLD)  # frames of a map that nobody has announced are as good as none
+    views, plans = len(desk.mapper.stamps), len(desk.planner.accepted)
+    there = MapCorrection(1, np.array(desk.mapper.stamps), tuple(Pose.identity() for _ in desk.mapper.stamps))
+    desk.wires.correction.publish(there)
+    desk.run(0.1)
+    assert [c.map_epoch for c in desk.mapper.corrections] == [desk.voxels.epoch] == [1]
+    assert desk.intent.trajectory is not None
+    assert desk.intent.trajectory.map_epoch == 1
+    assert desk.voxels.declared[0] == 0.3  # about the places where it flew
+    desk.run(120.0, until=Phase.DONE)
+    assert desk.conductor.close() == "completed"
+    assert len(desk.mapper.stamps) >= views + 4  # a look round, as at first
+    assert {path.map_epoch for path in desk.planner.accepted[plans:]} == {1}
+
+
+def test_a_correction_that_was_there_before_the_flight_is_not_heeded(tmp_path: Path, desk: Desk) -> None:
+    desk.wires.correction.publish(MapCorrection(9, np.zeros(0), ()))
+    again = Conductor(
+        desk.conductor._stages, desk.wires, desk.conductor._orders, InlineExecutor(desk.clock), desk.journal, desk.clock
+    )
+    again.step()
+    assert not desk.mapper.corrections
 
 
 def test_a_human_with_the_sticks_ends_the_mission(desk: Desk) -> None:

@@ -1,7 +1,8 @@
 """Keyframes on disk: what a flight saw, readable by anything.
 
 folder/NNNN_rgb.jpg, folder/NNNN_depth.png (16 bit, millimetres, 0 = no return) and folder/poses.json with intrinsics, poses
-and stamps of all of them. Every file appears whole or not at all.
+and stamps of all of them. Every file appears whole or not at all. All poses are of one map epoch; a keyframe of which a new
+epoch does not say where it was taken has null for its pose, and keeps its number.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray
-from uav_recon.types.pose import Pose
+from uav_recon.types.pose import MapCorrection, Pose
 
 JPEG_QUALITY = 95
 PNG_COMPRESSION = 1
@@ -63,6 +64,31 @@ class KeyframeFolder:
         """When a keyframe was taken. Raises IndexError if there is none."""
         return float(self._entries[number]["stamp_s"])
 
+    @property
+    def map_epoch(self) -> int:
+        """Of all poses; 0 without keyframes."""
+        return int(self._entries[-1]["map_epoch"]) if self._entries else 0
+
+    def pose(self, number: int) -> Pose | None:
+        """world_from_depth of a keyframe in the present map epoch, if that is known. Raises KeyframeError if it is damaged."""
+        try:
+            entry = self._entries[number]["world_from_depth"]
+            return None if entry is None else _read_pose(entry)
+        except (IndexError, KeyError, TypeError, ValueError) as error:
+            raise KeyframeError(f"{self.folder}: keyframe {number}: {error}") from None
+
+    def repose(self, correction: MapCorrection) -> None:
+        """Put all keyframes, by their stamps, where they are in a new map epoch. Raises OSError if the disk refuses."""
+        where = dict(correction.poses())
+        entries = []
+        for entry in self._entries:
+            pose = where.get(float(entry["stamp_s"]))
+            there = {"map_epoch": correction.map_epoch, "world_from_depth": None if pose is None else _pose(pose)}
+            entries.append(entry | there)
+        lines = BETWEEN.join(json.dumps(entry) for entry in entries)
+        write_whole(self.folder / "poses.json", (HEAD + lines + TAIL).encode())
+        self._entries, self._lines = entries, lines
+
     def save(self, keyframe: PosedFrame) -> int:
         """Write a keyframe; returns its number. Blocks for about 10 ms. Raises OSError if the disk refuses."""
         import cv2
@@ -94,7 +120,9 @@ class KeyframeFolder:
         import cv2
 
         try:
-            entry = self._entries[number]
+            entry, pose = self._entries[number], self.pose(number)
+            if pose is None:
+                raise KeyframeError(f"{self.folder}: keyframe {number} has no place in map epoch {self.map_epoch}")
             depth = cv2.imread(str(self.folder / entry["depth"]), cv2.IMREAD_UNCHANGED)
             bgr = cv2.imread(str(self.folder / entry["rgb"]), cv2.IMREAD_COLOR)
             if depth is None or bgr is None or depth.dtype != np.uint16:
@@ -109,7 +137,7 @@ class KeyframeFolder:
                 Intrinsics(**entry["rgb_intrinsics"]),
                 _read_pose(entry["rgb_from_depth"]),
             )
-            return PosedFrame(frame, _read_pose(entry["world_from_depth"]), int(entry["map_epoch"]))
+            return PosedFrame(frame, pose, int(entry["map_epoch"]))
         except (IndexError, KeyError, TypeError, ValueError) as error:
             raise KeyframeError(f"{self.folder}: keyframe {number}: {error}") from None
 

@@ -41,6 +41,7 @@ class Conductor:
         self.phase = Phase.IDLE
         self.map: VoxelMap | None = None
         self._frame_sequence, self._frame_s = 0, -np.inf
+        self._map_epoch, self._correction_sequence = 0, wires.correction.sequence()  # what stands there is of another flight
         self._surface_revision, self._refusals = -1, 0
         self._took_off_s = np.inf
         self._reported_s = self._map_published_s = -np.inf
@@ -65,6 +66,7 @@ class Conductor:
         """Frame to map, map to events, events to phase, phase to motion, motion to the pilot."""
         now_s = self._clock.now_s()
         vehicle = self._wires.vehicle.latest()
+        self._hear_of_a_new_map(now_s, vehicle)
         self._map_newest_frame(now_s)
         if vehicle is not None:
             self._course.follow(vehicle)
@@ -75,12 +77,36 @@ class Conductor:
 
     # -- detect -------------------------------------------------------------------------------------------------------
 
+    def _hear_of_a_new_map(self, now_s: float, vehicle: VehicleState | None) -> None:
+        """Where the past is held to have been elsewhere: hold, map anew, and look round. Where the vehicle flew is free."""
+        sequence = self._wires.correction.sequence()
+        correction = self._wires.correction.latest() if sequence != self._correction_sequence else None
+        self._correction_sequence = sequence
+        if correction is None or correction.map_epoch == self._map_epoch:
+            return
+        self._map_epoch = self._helm.map_epoch = correction.map_epoch
+        self._stages.voxels.reset(correction.map_epoch)
+        half_m = self._orders.vehicle_height_m / 2
+        for crumb in self._course.breadcrumbs:
+            z_m = float(crumb[2])
+            self._stages.voxels.declare_free(crumb, self._orders.clear_radius_m, z_m - half_m, z_m + half_m)
+        self._stages.mapper.repose(correction)
+        self._account.refusal(now_s, f"map epoch {correction.map_epoch}: everything is mapped anew")
+        self.map = self._stages.voxels.snapshot()
+        self._survey.begin_again()
+        self._homeward.begin_again()
+        if vehicle is not None and self._course.trajectory is not None:
+            self._helm.hold(now_s, vehicle)
+
     def _map_newest_frame(self, now_s: float) -> None:
         sequence = self._wires.frames.sequence()
         posed = self._wires.frames.latest() if sequence != self._frame_sequence else None
         if posed is None:
             return
-        self._frame_sequence, self._frame_s = sequence, now_s
+        self._frame_sequence = sequence
+        if posed.map_epoch != self._map_epoch:
+            return  # its pose does not fit the map: as if it had not come
+        self._frame_s = now_s
         self._stages.voxels.integrate(posed)
         self.map = self._stages.voxels.snapshot()
         promised = self._captures.take(posed.frame.stamp_s)

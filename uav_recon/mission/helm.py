@@ -19,6 +19,7 @@ class Helm:
     def __init__(self, motion: Motion, course: Course, captures: Captures, account: Account) -> None:
         self._motion, self._captures, self._account = motion, captures, account
         self.course = course
+        self.map_epoch = 0  # of what is flown from now on
         self._braking: Trajectory | None = None
         self._checked_revision = -1
 
@@ -28,7 +29,7 @@ class Helm:
 
     def fly(self, trajectory: Trajectory, now_s: float) -> None:
         """From rest: made a moment ago, flown from now."""
-        self.follow(dataclasses.replace(trajectory, start_s=now_s), now_s)
+        self.follow(dataclasses.replace(trajectory, start_s=now_s, map_epoch=self.map_epoch), now_s)
 
     def follow(self, trajectory: Trajectory, leave_s: float) -> None:
         """In motion: it goes the present way until ``leave_s``."""

@@ -29,6 +29,10 @@ class Homeward:
         """Forget what is being thought about: the phase has changed."""
         self._decision = None
 
+    def begin_again(self) -> None:
+        """The map is a new one: the way home is looked for anew."""
+        self._decision, self.under_way, self.no_way = None, False, False
+
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap, along_breadcrumbs: bool) -> None:
         """From rest: think, then fly."""
         course = self._helm.course

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from uav_recon.protocols import Channel, Mapper, Motion, Planner, ViewBudget, Voxels
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements, VoxelMap
+from uav_recon.types.pose import MapCorrection
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
 from uav_recon.types.vehicle import MissionProgress, VehicleState
@@ -35,11 +36,12 @@ class MissionWires:
     voxels: Channel[VoxelMap]
     surface: Channel[SurfaceElements]
     plan: Channel[ViewPath]
+    correction: Channel[MapCorrection]
 
 
 @dataclass(frozen=True)
 class Orders:
-    """What this mission is to do, in SI units."""
+    """What this mission is to do, in SI units. clear_radius_m: about every place where the vehicle flew nothing is."""
 
     views: int
     survey_views: int
@@ -47,6 +49,7 @@ class Orders:
     takeoff_height_m: float
     takeoff_radius_m: float
     vehicle_height_m: float
+    clear_radius_m: float
     camera_pitch_down_rad: float
     max_flight_s: float
     plan_cost_s: float

@@ -41,6 +41,11 @@ class Survey:
         """Forget what is being thought about: the phase has changed."""
         self._decision, self._resting_since_s, self._think_again_s = None, np.inf, -np.inf
 
+    def begin_again(self) -> None:
+        """The map is a new one: look round again before choosing views."""
+        self.interrupt()
+        self._looked_round, self._asked_revision = False, -1
+
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         """Watch the way, think in time, fly what was decided."""
         resting = self._helm.at_rest(now_s)

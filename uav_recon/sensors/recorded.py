@@ -59,7 +59,7 @@ class _Recording:
         path = images / "poses.json"
         try:
             tree = json.loads(path.read_text(encoding="utf-8"))
-            frames = [_Keyframe.read(images, entry) for entry in tree["keyframes"]]
+            frames = [_Keyframe.read(images, entry) for entry in tree["keyframes"] if entry["world_from_depth"] is not None]
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
         except (ValueError, KeyError, TypeError) as error:

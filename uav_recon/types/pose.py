@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -134,3 +135,24 @@ class StampedPose:
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity_odom_mps", frozen(np.asarray(self.velocity_odom_mps, dtype=np.float64)))
         object.__setattr__(self, "covariance", frozen(np.asarray(self.covariance, dtype=np.float64)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapCorrection:
+    """A new frame of the map, in which the present pose stays as it is: where past frames were taken in it.
+
+    map_epoch: its number. stamp_s (N,): capture stamps of those frames; world_from_depth (N): their depth imagers' poses.
+    """
+
+    map_epoch: int
+    stamp_s: FloatArray
+    world_from_depth: tuple[Pose, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stamp_s", frozen(np.asarray(self.stamp_s, dtype=np.float64)))
+        if self.stamp_s.shape != (len(self.world_from_depth),):
+            raise ValueError(f"{len(self.world_from_depth)} poses for stamps of shape {self.stamp_s.shape}")
+
+    def poses(self) -> Iterator[tuple[float, Pose]]:
+        """Stamp and pose of each frame."""
+        return zip(self.stamp_s.tolist(), self.world_from_depth, strict=True)

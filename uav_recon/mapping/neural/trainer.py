@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -27,12 +27,12 @@ from uav_recon.mapping.neural.surface.uncertainty import (
 from uav_recon.mapping.neural.views.album import Album
 from uav_recon.mapping.neural.views.alignment import Alignment
 from uav_recon.mapping.neural.views.exposure import Exposure
-from uav_recon.mapping.neural.views.intake import FEWEST_VIEWS, Doubt, Refusal, Refusals, padded, refusal
+from uav_recon.mapping.neural.views.intake import FEWEST_VIEWS, Doubt, Refusal, Refusals, padded, pose_refusal, refusal
 from uav_recon.mapping.neural.views.patches import Patches
 from uav_recon.mapping.neural.views.rays import in_rows
 from uav_recon.mapping.neural.views.samples import draw, make_batch
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
-from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
+from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
 
@@ -60,7 +60,7 @@ class Trainer:
         self._corners = np.zeros((POINTS, 3), dtype=np.float32)
         self.align_views = self.learn_gains = True
         self.refusals = Refusals()
-        self.steps, self._map_epoch = 0, 0
+        self.steps, self.map_epoch = 0, 0
         self._begin(config.uncertainty)
 
     def _begin(self, uncertainty: UncertaintyName) -> None:
@@ -123,24 +123,36 @@ class Trainer:
         number: by which it is known, greater than those before; as many as were taken, if not given.
         """
         reason = refusal(keyframe, self._low, self._high)
-        reason = reason or self._learn_of(keyframe, self.views if number is None else number)
+        if reason is None:
+            try:
+                reason = self._learn_of(keyframe, self.views if number is None else number)
+            except MemoryError:
+                reason = Refusal.MEMORY
         if reason is not None:
             self.refusals.note(reason)
         return reason is None
 
     def _learn_of(self, keyframe: PosedFrame, number: int) -> Refusal | None:
-        """Note everything that a view says, unless it contradicts the others."""
+        """Note everything that a view says, unless it contradicts the others. MemoryError leaves the map as it was."""
+        if self._replay.count and keyframe.map_epoch != self.map_epoch:
+            return Refusal.EPOCH
         view = self._album.develop(keyframe)
         if view is None:
             return Refusal.EMPTY
         if self.views >= FEWEST_VIEWS and self._doubt.rises(keyframe.frame.depth_intrinsics, self._album.votes(view)):
             return Refusal.DISAGREES
         if self._album.full:
-            self._forget()
-        self._album.add(view, number)
-        self._map_epoch = keyframe.map_epoch
-        if self.waiting == 1:  # no older view waits
-            self._take()
+            self._keep(self._album.most_needed())
+        taken, kept = self.views, np.ones(self._replay.count, dtype=np.bool_)
+        try:
+            self._album.add(view, number)
+            if self.waiting == 1:  # no older view waits
+                self._take()
+        except MemoryError:
+            self._keep(kept)
+            self._album.remembered.taken = taken
+            raise
+        self.map_epoch = keyframe.map_epoch
         return None
 
     @property
@@ -148,22 +160,33 @@ class Trainer:
         """Views that are kept and not yet part of the map: after repose(), until relearn() took them."""
         return self._replay.count - self._taken
 
-    def repose(self, world_from_depth: Sequence[Pose], map_epoch: int) -> None:
-        """Begin the map anew with other poses of all views that are kept (V). Cheap; relearn() does the work, in turns. Views
-        that are added meanwhile wait for their turn. Raises ValueError for another number of poses.
-        """  # fmt: skip
-        if len(world_from_depth) != self._replay.count:
-            raise ValueError(f"{len(world_from_depth)} poses for {self._replay.count} views")
-        for view, pose in enumerate(world_from_depth):
-            self._album.place(view, pose.rotation(), pose.translation_m)
-        self._map_epoch = map_epoch
+    def repose(self, world_from_depth: Mapping[int, Pose], map_epoch: int) -> None:
+        """Begin the map anew with other poses of the views, by number. Those of which none, or none in the box, is given are
+        forgotten and counted by ``refusals``. Cheap; relearn() does the work, in turns. Views that are added meanwhile wait
+        for their turn.
+        """
+        self.map_epoch = map_epoch
         self._begin(self._chosen())
+        self._keep(np.array([self._placed(world_from_depth.get(number)) for number in self.kept], dtype=np.bool_))
+        for view, number in enumerate(self.kept):
+            self._album.place(view, world_from_depth[number].rotation(), world_from_depth[number].translation_m)
+
+    def _placed(self, world_from_depth: Pose | None) -> bool:
+        """Whether a view can be where a new map says."""
+        reason = Refusal.UNPLACED if world_from_depth is None else pose_refusal(world_from_depth, self._low, self._high)
+        if reason is not None:
+            self.refusals.note(reason)
+        return reason is None
 
     def relearn(self, views: int) -> int:
         """Take at most so many waiting views, with the steps that each had in flight; returns how many wait still."""
         for _ in range(min(views, self.waiting)):
-            self._take()
-            self.train(self._config.steps_per_view)
+            try:
+                self._take()
+                self.train(self._config.steps_per_view)
+            except MemoryError:
+                self.refusals.note(Refusal.MEMORY)
+                self._keep(np.arange(self._replay.count) != self._taken - 1)
         return self.waiting
 
     def _take(self) -> None:
@@ -178,8 +201,10 @@ class Trainer:
         sigma, (rotation, position) = float(replay.views.inverse_depth_sigma[number]), replay.pose(number)
         view = replay.rays(in_rows(replay.records(number)), rotation, position, sigma)
         for points in view.points:
-            self.field.cover(points)
-        self._optimiser.follow_growth()
+            while not self.field.cover(points):
+                capacity = 2 * self.field.capacity
+                self._optimiser.grow(capacity)
+                self.field.grow(capacity)
         self._information.add(view.points[0], view.cosine, view.sigma_m)
         self._agreement.add(view.points[0], view.normal)
         footprint_m = self._album.footprint_m(number, view.sigma_m)
@@ -214,12 +239,12 @@ class Trainer:
     def surface(self) -> SurfaceElements:
         """Elements of the surface; none before the first view. New where new views looked, elsewhere a little older."""
         self._live.refresh(self.field, self.uncertainty)
-        return self._live.elements(self.views, self._map_epoch)
+        return self._live.elements(self.views, self.map_epoch)
 
     def whole_room(self) -> SurfaceElements:
         """Elements of the whole surface as it is now."""
         voxel_m = self._config.surface_voxel_m
-        return surface_elements(self.field, self._evidence, self.uncertainty, voxel_m, self.views, self._map_epoch)
+        return surface_elements(self.field, self._evidence, self.uncertainty, voxel_m, self.views, self.map_epoch)
 
     def whole_surface(self, voxel_m: float) -> WholeSurface:
         """Every place where the field changes its sign, also where nobody looked: to ask what an uncertainty says of it."""
@@ -254,11 +279,11 @@ class Trainer:
         small.train(1)
         small.surface()
         small.mesh(0.05)
-        small._forget()
+        small._keep(small._album.most_needed())
 
-    def _forget(self) -> None:
-        """Make room: the views that are needed least go, in what is replayed and asked; the field keeps what they taught."""
-        which = self._album.clear_out()
+    def _keep(self, which: BoolArray) -> None:
+        """Forget all views but some (V,), in what is replayed and asked; the field keeps what they taught."""
+        self._album.keep(which)
         taken, self._taken = which[: self._taken], int(which[: self._taken].sum())
         for part in (self._alignment, self._exposure, self._patches):
             part.keep(taken)

@@ -52,18 +52,23 @@ class Field:
         self.grid = self.grid._replace(features=features)
         self.network, self.scratch = views(self.parameters), make_scratch()
 
-    def cover(self, points: Float32Array) -> None:
-        """Make room for what will be learned at points (N, 3)."""
-        while True:
-            capacity = self.grid.features.shape[0]
-            before = self.slots
-            self.slots = int(allocate(self.grid, points, self._dense_levels, before, capacity))
-            self._fill(before, self.slots)
-            if self.slots < capacity:
-                return
-            grown = np.zeros((capacity * 2, self.grid.features.shape[1]), dtype=np.float32)
-            grown[:capacity] = self.grid.features
-            self.grid = self.grid._replace(features=grown)
+    @property
+    def capacity(self) -> int:
+        """Slots that there is memory for."""
+        return int(self.grid.features.shape[0])
+
+    def cover(self, points: Float32Array) -> bool:
+        """Make room for what will be learned at points (N, 3). False if the slots were used up: grow, and cover again."""
+        before = self.slots
+        self.slots = int(allocate(self.grid, points, self._dense_levels, before, self.capacity))
+        self._fill(before, self.slots)
+        return self.slots < self.capacity
+
+    def grow(self, capacity: int) -> None:
+        """Have memory for more slots, after the optimiser has it (see there). Raises MemoryError; then nothing has changed."""
+        grown = np.zeros((capacity, self.grid.features.shape[1]), dtype=np.float32)
+        grown[: self.capacity] = self.grid.features
+        self.grid = self.grid._replace(features=grown)
 
     def distance_m(self, points: Float32Array) -> Float32Array:
         """Signed distance (N,) at points (N, 3) float32."""

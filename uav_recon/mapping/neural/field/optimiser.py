@@ -51,10 +51,13 @@ class Optimiser:
         self._weight_moments, self._step, self.skipped = state["weight_moments"], state["step"], state["skipped"]
         self._slot_moments[: self._field.slots] = state["slot_moments"]
 
-    def follow_growth(self) -> None:
-        """Grow with the field's grid. Call after Field.cover(), between steps."""
-        slots, held = self._field.grid.features.shape[0], self.gradient.row.shape[0]
-        if slots == held:
+    def grow(self, slots: int) -> None:
+        """Have memory for more slots, between steps. Call before Field.grow(): what is too large here does no harm.
+
+        Raises MemoryError; then nothing has changed.
+        """
+        held = self.gradient.row.shape[0]
+        if slots <= held:
             return
         moments = _slot_moments(slots)
         moments[:held] = self._slot_moments

@@ -1,9 +1,9 @@
 """The mapper's own process, and the parent's handle on it: JSON lines down a pipe, JSON lines back.
 
 Run as ``python -m uav_recon.mapping.neural.process.child``. The first line is the order (config, box, noise, folder); then
-{"keyframe": N} for each view on disk; {"repose": [[w, x, y, z, x_m, y_m, z_m], ...], "map_epoch": N} with the new
-world_from_depth of each, when the map's frame changed; {"finish": FOLDER} at the end. Back come {"event": "ready" |
-"finished"} and, when views were refused, {"event": "refused", "counts": {REASON: N so far}}.
+{"keyframe": N} for each view on disk; {"repose": EPOCH} when those on disk have other poses, of a new map epoch;
+{"finish": FOLDER} at the end. Back come {"event": "ready" | "finished"} and, when views were refused,
+{"event": "refused", "counts": {REASON: N so far}}.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
 from uav_recon.mapping.neural.process.checkpoint import CheckpointError, Checkpoints
 from uav_recon.mapping.neural.surface.meshfile import write_ply
 from uav_recon.mapping.neural.trainer import Trainer
+from uav_recon.mapping.neural.views.intake import Refusal
 from uav_recon.types.maps import SurfaceElements
-from uav_recon.types.pose import Pose
 
 LOG = logging.getLogger(__name__)
 
@@ -150,7 +150,9 @@ class _Session:
     def run(self) -> None:
         self._trainer.warm_up()
         self._restore()
+        self._look_on_disk()
         self._learn_to(len(self._keyframes))
+        self._tell_refusals()
         self._show()
         self._say("ready")
         idle_s = 1.0 / self._config.idle_steps_hz if self._config.idle_steps_hz > 0 else None
@@ -162,6 +164,7 @@ class _Session:
             except queue.Empty:
                 if self._trainer.waiting:
                     self._unseen |= self._trainer.relearn(1) == 0
+                    self._tell_refusals()
                     self._show()
                     continue
                 self._trainer.train(1)
@@ -173,27 +176,27 @@ class _Session:
             if "finish" in message:
                 self._finish(Path(message["finish"]))
             elif "repose" in message:
-                given = np.array(message["repose"])
-                self._learn_to(len(given))
-                poses = [Pose(given[n, :4], given[n, 4:]) for n in self._trainer.kept]
-                self._trainer.repose(poses, int(message["map_epoch"]))
+                self._look_on_disk()
+                self._tell_refusals()
             else:
                 self._learn_to(int(message["keyframe"]) + 1)
                 self._show()
 
     def _show(self) -> None:
-        """Publish what was learned, once nothing newer waits."""
-        if self._unseen and self._messages.empty():
+        """Publish what was learned, once nothing newer waits and a new map is whole."""
+        if self._unseen and self._messages.empty() and not self._trainer.waiting:
             self._publish()
 
     def _learn_to(self, count: int) -> None:
         """Learn keyframes up to a number; a message for one that was learned from disk already does nothing."""
         if count <= self._learned:
             return
-        self._keyframes.refresh()
+        self._look_on_disk()
         for number in range(self._learned, min(count, len(self._keyframes))):
             try:
-                if self._trainer.add(self._keyframes.load(number), number):
+                if self._keyframes.pose(number) is None:
+                    self._trainer.refusals.note(Refusal.UNPLACED)
+                elif self._trainer.add(self._keyframes.load(number), number):
                     self._trainer.train(self._config.steps_per_view)
             except KeyframeError as error:
                 LOG.warning("%s", error)  # one view less
@@ -201,6 +204,16 @@ class _Session:
             self._save()
         self._unseen = True
         self._tell_refusals()
+
+    def _look_on_disk(self) -> None:
+        """See what the parent wrote; where it put the views into a new map, begin to learn that."""
+        self._keyframes.refresh()
+        epoch = self._keyframes.map_epoch
+        if epoch == self._trainer.map_epoch or not self._trainer.kept:
+            return
+        poses = {number: self._keyframes.pose(number) for number in self._trainer.kept}
+        self._trainer.repose({number: pose for number, pose in poses.items() if pose is not None}, epoch)
+        LOG.warning("map epoch %d: %d views have a place in it", epoch, self._trainer.waiting)
 
     def _restore(self) -> None:
         """Go on from the checkpoint, if there is a sound one; what came after it is learned from the keyframes."""

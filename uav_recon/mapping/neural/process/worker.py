@@ -33,6 +33,7 @@ from uav_recon.mapping.neural.views.priors import open_prior
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.pose import MapCorrection
 
 LOG = logging.getLogger(__name__)
 
@@ -49,16 +50,30 @@ class InlineMapper:
         self._trainer, self._config, self._keyframes = trainer, config, keyframes
         self._surface: SurfaceElements | None = None
         self._stale = False
+        self._numbers: dict[float, int] = {}  # of the views taken, by stamp
 
     def add(self, keyframe: PosedFrame) -> bool:
         """Train on a view; blocks for steps_per_view steps. Raises OSError if the keyframe cannot be saved."""
+        number = self._trainer.views
         if not self._trainer.add(keyframe):
             return False
+        self._numbers[keyframe.frame.stamp_s] = number
         if self._keyframes is not None:
             self._keyframes.save(keyframe)
         self._trainer.train(self._config.steps_per_view)
         self._stale = True
         return True
+
+    def repose(self, correction: MapCorrection) -> None:
+        """Begin the map anew in another frame; blocks until all views are learned again. Views that it does not place are
+        forgotten and counted. Raises OSError if the poses cannot be saved.
+        """
+        if self._keyframes is not None:
+            self._keyframes.repose(correction)
+        placed = {self._numbers[stamp_s]: pose for stamp_s, pose in correction.poses() if stamp_s in self._numbers}
+        self._trainer.repose(placed, correction.map_epoch)
+        self._trainer.relearn(self._trainer.waiting)
+        self._stale = True
 
     def refusals(self) -> Counter[Refusal]:
         """Views that were not taken, by reason."""
@@ -116,7 +131,8 @@ class ProcessMapper:
         }
         self._keyframes = KeyframeFolder(folder / KEYFRAMES)
         self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
-        self._notes: queue.Queue[PosedFrame | Path | Message] = queue.Queue()
+        self._notes: queue.Queue[PosedFrame | MapCorrection | Path | Message] = queue.Queue()
+        self._epoch: int | None = None  # of the map, once there is one
         self._ready, self._over = threading.Event(), threading.Event()
         self._losses, self._finishing = 0, False
         self._refusals, self._childs_refusals = Refusals(), Counter[Refusal]()
@@ -138,19 +154,31 @@ class ProcessMapper:
         if self._finishing or self._gone() or self._notes.qsize() >= BACKLOG:
             return False
         reason = refusal(keyframe, self._low, self._high)
+        if self._epoch not in (None, keyframe.map_epoch):
+            reason = Refusal.EPOCH
         if reason is not None:
             self._refusals.note(reason)
             return False
+        self._epoch = keyframe.map_epoch
         self._notes.put(keyframe)
         return True
+
+    def repose(self, correction: MapCorrection) -> None:
+        """Put the views where they are in a new map epoch, and learn that map from them. Views that it does not place are
+        counted as refused. Returns at once; until the new map has been learned, surface() has none.
+        """
+        if not self._finishing:
+            self._epoch = correction.map_epoch
+            self._notes.put(correction)
 
     def refusals(self) -> Counter[Refusal]:
         """Views that were not taken, by reason: by add(), or by the child, which knows the map."""
         return self._refusals.counts + self._childs_refusals
 
     def surface(self) -> SurfaceElements | None:
-        """The newest surface, also of a child that died since. Does not wait for the child."""
-        return self._channel.latest()
+        """The newest surface of this map epoch, also of a child that died since. Does not wait for the child."""
+        surface = self._channel.latest()
+        return surface if surface is not None and self._epoch in (None, surface.map_epoch) else None
 
     def alive(self) -> bool:
         """False from a child's death until its successor has learned the saved keyframes."""
@@ -192,6 +220,8 @@ class ProcessMapper:
             note = self._notes.get()
             if isinstance(note, PosedFrame):
                 self._hand_over(note)
+            elif isinstance(note, MapCorrection):
+                self._hand_over_poses(note)
             elif isinstance(note, Path):
                 self._mesh_folder = note
                 self._child.send({"finish": str(note)})
@@ -218,6 +248,14 @@ class ProcessMapper:
             LOG.error("a keyframe was lost: %s", error)
             return
         self._child.send({"keyframe": number})
+
+    def _hand_over_poses(self, correction: MapCorrection) -> None:
+        try:
+            self._keyframes.repose(correction)
+        except OSError as error:
+            LOG.error("the views keep their old places: %s", error)
+            return
+        self._child.send({"repose": correction.map_epoch})
 
     def _replace_child(self) -> None:
         self._losses += 1

@@ -58,7 +58,7 @@ class Album:
 
     @property
     def full(self) -> bool:
-        """Whether clear_out() must make room for the next view."""
+        """Whether keep() must make room for the next view."""
         return self.replay.count == MOST_VIEWS
 
     def arrays(self, index: int) -> dict[str, AnyArray]:
@@ -118,10 +118,12 @@ class Album:
         spacing: Float32Array = np.sqrt(sigma_m / self.replay.views.inverse_depth_sigma[index]) * self._ray_rad[index]
         return spacing.astype(np.float32)
 
-    def clear_out(self) -> BoolArray:
-        """Keep the KEPT_VIEWS that are needed most; returns which of the views (V,) those were."""
-        which = self.remembered.most_needed(KEPT_VIEWS)
+    def most_needed(self) -> BoolArray:
+        """The KEPT_VIEWS among the views (V,) that should stay when room must be made."""
+        return self.remembered.most_needed(KEPT_VIEWS)
+
+    def keep(self, which: BoolArray) -> None:
+        """Forget all views but some (V,), and whatever came after those."""
         for memory in (self.remembered, self.replay, self.images):
             memory.keep(which)
         self._ray_rad = list(compress(self._ray_rad, which))
-        return which

@@ -54,9 +54,10 @@ class Alignment:
         self._move(view, replay)
 
     def keep(self, which: BoolArray) -> None:
-        """Forget all views but some (V,)."""
+        """Forget all views but some (V,), and whatever came after those."""
         self._rotation, self._position = list(compress(self._rotation, which)), list(compress(self._position, which))
-        self._square, self.correction = self._square[which], self.correction[which]
+        kept = np.flatnonzero(which)
+        self._square, self.correction = self._square[kept], self.correction[kept]
         self._turn = 0
 
     @property

@@ -42,8 +42,8 @@ class Exposure:
         replay.views.gain[: newest + 1] = np.exp(self.log_gain)
 
     def keep(self, which: BoolArray) -> None:
-        """Forget all views but some (V,)."""
-        self.log_gain, self._turn = self.log_gain[which], 0
+        """Forget all views but some (V,), and whatever came after those."""
+        self.log_gain, self._turn = self.log_gain[np.flatnonzero(which)], 0
 
     def _learn(self, view: int) -> None:
         """The log gain of a view that makes its cells as bright as other views see them, drawn to none."""

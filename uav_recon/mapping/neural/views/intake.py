@@ -11,6 +11,7 @@ import numpy as np
 from uav_recon.mapping.neural.views.rays import DEPTH_FARTHEST_M, DEPTH_NEAREST_M
 from uav_recon.types.camera import Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
+from uav_recon.types.pose import Pose
 
 LOG = logging.getLogger(__name__)
 
@@ -34,6 +35,9 @@ class Refusal(Enum):
     OUTSIDE = "taken from outside the box"
     EMPTY = "no depth"
     ELSEWHERE = "what it shows lies outside the box"
+    EPOCH = "taken on a map that is no more"
+    UNPLACED = "the new map does not say where it was taken"
+    MEMORY = "memory is full"
     DISAGREES = "earlier views look through what it shows: wrong intrinsics or a wrong pose"
 
 
@@ -77,10 +81,9 @@ def refusal(keyframe: PosedFrame, low_m: AnyArray, high_m: AnyArray) -> Refusal 
     if not (_possible(lens) and _possible(colour)):
         return Refusal.INTRINSICS
     pose = keyframe.world_from_depth
-    if not (np.isfinite(pose.translation_m).all() and abs(float(np.linalg.norm(pose.quat_wxyz)) - 1.0) < 1e-6):
-        return Refusal.POSE
-    if not ((pose.translation_m > low_m) & (pose.translation_m < high_m)).all():
-        return Refusal.OUTSIDE
+    reason = pose_refusal(pose, low_m, high_m)
+    if reason is not None:
+        return reason
     valid = (frame.depth_m >= DEPTH_NEAREST_M) & (frame.depth_m <= DEPTH_FARTHEST_M)
     if valid.mean() < FEWEST_SHARE:
         return Refusal.EMPTY
@@ -91,6 +94,14 @@ def refusal(keyframe: PosedFrame, low_m: AnyArray, high_m: AnyArray) -> Refusal 
     world = pose.apply(points)
     inside = ((world > low_m) & (world < high_m)).all(axis=1)
     return Refusal.ELSEWHERE if inside.mean() < INSIDE_SHARE else None
+
+
+def pose_refusal(world_from_depth: Pose, low_m: AnyArray, high_m: AnyArray) -> Refusal | None:
+    """What can be said against a place alone."""
+    quat_wxyz, position = world_from_depth.quat_wxyz, world_from_depth.translation_m
+    if not (np.isfinite(position).all() and abs(float(np.linalg.norm(quat_wxyz)) - 1.0) < 1e-6):
+        return Refusal.POSE
+    return None if ((position > low_m) & (position < high_m)).all() else Refusal.OUTSIDE
 
 
 def acceptable(keyframe: PosedFrame, low_m: AnyArray, high_m: AnyArray) -> bool:
