@@ -166,6 +166,7 @@ def fly_in_lockstep(
     if conductor.map is not None:
         save_map(options.out, conductor.map)
     mapper.finish(options.out)
+    journal.refused_views(clock.now_s(), mapper.refused())
     journal.close()
     log.close()
     for watcher in watchers:

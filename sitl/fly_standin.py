@@ -9,7 +9,7 @@ import numpy as np
 from sitl import elements
 from sitl.elements import SurfaceMemory
 from uav_recon.config import Config
-from uav_recon.mapping.neural.views.intake import acceptable, padded
+from uav_recon.mapping.neural.views.intake import Refusals, in_words, padded, refusal
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.pose import MapCorrection
@@ -25,12 +25,15 @@ class StandInMapper:
         self._voxel_m = config.mapper.surface_voxel_m
         self._memory = SurfaceMemory(self._low, self._high, self._voxel_m)
         self._noise_px, self._baseline_m = config.camera.depth_noise_px, config.camera.baseline_m
+        self._refusals = Refusals()
         self._surface: SurfaceElements | None = None
         self._revision, self._map_epoch, self._stale = 0, 0, False
 
     def add(self, keyframe: PosedFrame) -> bool:
         """Take a view; a few milliseconds. False where the neural mapper would refuse it too."""
-        if not acceptable(keyframe, self._low, self._high):
+        reason = refusal(keyframe, self._low, self._high)
+        if reason is not None:
+            self._refusals.note(reason)
             return False
         frame, pose = keyframe.frame, keyframe.world_from_depth
         lens = frame.depth_intrinsics
@@ -39,6 +42,10 @@ class StandInMapper:
         self._memory.look(frame.depth_m, intrinsics, pose.rotation(), pose.translation_m, noise)
         self._revision, self._stale = self._revision + 1, True
         return True
+
+    def refused(self) -> dict[str, int]:
+        """Views that were not taken, by reason."""
+        return in_words(self._refusals.counts)
 
     def repose(self, correction: MapCorrection) -> None:
         """Forget the old map: unlike the neural mapper it keeps no views to learn a new one from."""

@@ -149,6 +149,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
         executor.close()
         notify.stopping()
         mapper.finish(folder)
+        journal.refused_views(clock.now_s(), mapper.refused())
         journal.close()
         _stop_recorder(recorder)
     mount = "gimbal" if camera.mount == "gimbal" else f"fixed:{camera.pitch_down_deg:g}"

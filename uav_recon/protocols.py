@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -142,6 +142,10 @@ class Mapper(Protocol):
         """The newest surface; may be a few views behind. None before the first of a map epoch."""
         ...
 
+    def refused(self) -> Mapping[str, int]:
+        """How many views were not taken so far, by reason in words."""
+        ...
+
     def alive(self) -> bool:
         """False while the mapper is dead or restarting."""
         ...
@@ -258,6 +262,10 @@ class Journal(Protocol):
 
     def refusal(self, stamp_s: float, reason: str) -> None:
         """Something that was turned down."""
+        ...
+
+    def refused_views(self, stamp_s: float, counts: Mapping[str, int]) -> None:
+        """How many keyframes the mapper did not take, by reason in words."""
         ...
 
     def outcome(self, stamp_s: float, outcome: str, stop_reason: str) -> None:

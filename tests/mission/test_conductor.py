@@ -93,6 +93,9 @@ class Sketchbook:
         self.stamps: list[float] = []
         self.corrections: list[MapCorrection] = []
 
+    def refused(self) -> dict[str, int]:
+        return {}
+
     def repose(self, correction: MapCorrection) -> None:
         self.corrections.append(correction)
 

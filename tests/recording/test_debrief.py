@@ -32,6 +32,7 @@ def flight(folder: Path) -> None:
     log.view(13.0, 1, Pose.identity())
     log.refusal(14.0, "the map shows an obstacle on the way")
     log.outcome(40.0, "completed", "no frontiers left")
+    log.refused_views(41.0, {"no depth": 3, "memory is full": 1})
     log.close()
 
 
@@ -50,6 +51,7 @@ def test_a_real_flight_is_accounted_for(tmp_path: Path) -> None:
     assert report.quality is None
     assert report.safety.contacts is None
     assert report.safety.refusals == 1
+    assert report.refused_views == {"no depth": 3, "memory is full": 1}
     assert "not measured" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 

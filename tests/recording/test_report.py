@@ -36,6 +36,7 @@ def tree() -> dict[str, Any]:
         "planning": {"explore": times, "merged": copy.deepcopy(times), "total_s": 2.4, "hover_wait_s": 0.3},
         "stream": {"rate_hz": 29.97, "gap_p99_ms": 38.0, "gap_max_ms": 70.0},
         "safety": {"min_clearance_m": 0.184, "fence_overshoot_m": 0.0, "contacts": 0, "refusals": 0, "failsafes": 0},
+        "refused_views": {"no depth": 2, "memory is full": 11},
     }  # fmt: skip
 
 
@@ -141,6 +142,7 @@ def test_the_page_stands_alone(tmp_path: Path) -> None:
         "140.5 s",
         "2.1 %",
         "96.4 s, 2.9 times the oracle",
+        "<th>Memory is full</th><td>11</td></tr><tr><th>No depth</th><td>2</td></tr><tr><th>All</th><td>13</td>",
     ):
         assert figure in text, figure
 
@@ -149,9 +151,11 @@ def test_a_flight_without_truth_says_so(tmp_path: Path) -> None:
     safety = tree()["safety"] | {"min_clearance_m": None, "fence_overshoot_m": None, "contacts": None}
     real = tree() | {"recall_over_time": None, "time_to_recall_s": {"0.90": None, "0.95": None}, "oracle_s": None}
     real |= {"quality": None, "explored_fraction": None, "seed": None, "depth_noise": None, "safety": safety}
+    real |= {"refused_views": None}
     _, page = write_report(tmp_path, Report.from_tree(real))
     text = page.read_text()
     assert "no truth to be held against" in text
+    assert "refused</h2>" not in text
     assert "Accuracy" not in text and "None" not in text and "nan" not in text
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,6 +85,14 @@ class RefusalRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class RefusedViewsRecord:
+    """Keyframes that the mapper did not take, all of the flight: (reason in words, count) each."""
+
+    stamp_s: float
+    counts: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class OutcomeRecord:
     """How the flight ended: "completed" or "aborted: reason", and why it stopped looking."""
 
@@ -102,6 +110,7 @@ class Timeline:
     views: tuple[ViewRecord, ...]
     phases: tuple[PhaseRecord, ...]
     refusals: tuple[RefusalRecord, ...]
+    refused_views: tuple[RefusedViewsRecord, ...]
     outcomes: tuple[OutcomeRecord, ...]
     torn_lines: int
 
@@ -135,6 +144,7 @@ _KINDS: dict[str, type[Any]] = {
     "view": ViewRecord,
     "phase": PhaseRecord,
     "refusal": RefusalRecord,
+    "refused views": RefusedViewsRecord,
     "outcome": OutcomeRecord,
 }
 
@@ -194,6 +204,10 @@ class FlightLog:
         """Add a refusal."""
         self._write("refusal", RefusalRecord(stamp_s, reason))
 
+    def refused_views(self, stamp_s: float, counts: Mapping[str, int]) -> None:
+        """Add how many keyframes the mapper did not take, by reason."""
+        self._write("refused views", RefusedViewsRecord(stamp_s, tuple(sorted(counts.items()))))
+
     def outcome(self, stamp_s: float, outcome: str, stop_reason: str) -> None:
         """Add the last line."""
         self._write("outcome", OutcomeRecord(stamp_s, outcome, stop_reason))
@@ -230,6 +244,7 @@ def read_timeline(folder: Path) -> Timeline:
         views=tuple(found["view"]),
         phases=tuple(found["phase"]),
         refusals=tuple(found["refusal"]),
+        refused_views=tuple(found["refused views"]),
         outcomes=tuple(found["outcome"]),
         torn_lines=torn,
     )

@@ -94,7 +94,7 @@ class Report:
     last_view_s: from the order to take off to the last view; waiting_share: the share of it spent hovering for a plan.
     recall_over_time: (seconds since the order to take off, views then taken, recall within 5 cm of the surface as the mapper
     then knew it); time_to_recall_s: by recall, the first of those instants that reaches it. oracle_s: what a tour by somebody
-    who knows the scene needs to see 95 % of it well.
+    who knows the scene needs to see 95 % of it well. refused_views: keyframes that the mapper did not take, by reason.
     """
 
     scene: str
@@ -119,6 +119,7 @@ class Report:
     planning: ReportPlanning
     stream: ReportStream
     safety: ReportSafety
+    refused_views: Mapping[str, int] | None
 
     @property
     def completed(self) -> bool:

@@ -70,6 +70,7 @@ def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str
         _figures(shown[1:], "pictures"),
         '<div class="tables">',
         _quality(report),
+        _refused_views(report),
         _safety(report),
         _planning(report),
         _flight(report),
@@ -146,6 +147,15 @@ def _quality(report: Report) -> str:
             ("Floor of point to point", _number(quality.point_floor_cm, 2, " cm")),
         ],
     )
+
+
+def _refused_views(report: Report) -> str:
+    refused = report.refused_views
+    if refused is None:
+        return ""
+    reasons = sorted(refused.items(), key=lambda item: (-item[1], item[0]))
+    rows = [(reason[:1].upper() + reason[1:], str(count)) for reason, count in reasons]
+    return _table("Views that the mapper refused", [*rows, ("All", str(sum(refused.values())))])
 
 
 def _safety(report: Report) -> str:

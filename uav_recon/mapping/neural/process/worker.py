@@ -28,7 +28,7 @@ from uav_recon.mapping.neural.process.child import (
 )
 from uav_recon.mapping.neural.surface.meshfile import write_ply
 from uav_recon.mapping.neural.trainer import Trainer
-from uav_recon.mapping.neural.views.intake import Refusal, Refusals, padded, refusal
+from uav_recon.mapping.neural.views.intake import Refusal, Refusals, in_words, padded, refusal
 from uav_recon.mapping.neural.views.priors import open_prior
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
@@ -78,6 +78,10 @@ class InlineMapper:
     def refusals(self) -> Counter[Refusal]:
         """Views that were not taken, by reason."""
         return self._trainer.refusals.counts.copy()
+
+    def refused(self) -> dict[str, int]:
+        """The same in words."""
+        return in_words(self.refusals())
 
     def surface(self) -> SurfaceElements | None:
         """The surface after the last view."""
@@ -147,7 +151,7 @@ class ProcessMapper:
         return self._child.pid
 
     def add(self, keyframe: PosedFrame) -> bool:
-        """Hand over a view. False if it is not acceptable, too many wait, or the last child died.
+        """Hand over a view. False if it is refused, too many wait, or the last child died.
 
         While a new child is starting the answer is True: the view is on disk and will be learned.
         """
@@ -174,6 +178,10 @@ class ProcessMapper:
     def refusals(self) -> Counter[Refusal]:
         """Views that were not taken, by reason: by add(), or by the child, which knows the map."""
         return self._refusals.counts + self._childs_refusals
+
+    def refused(self) -> dict[str, int]:
+        """The same in words."""
+        return in_words(self.refusals())
 
     def surface(self) -> SurfaceElements | None:
         """The newest surface of this map epoch, also of a child that died since. Does not wait for the child."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from collections.abc import Mapping
 from enum import Enum
 
 import numpy as np
@@ -59,6 +60,11 @@ class Refusals:
         return sum(self.counts.values())
 
 
+def in_words(counts: Mapping[Refusal, int]) -> dict[str, int]:
+    """Counts by reason as somebody reads them."""
+    return {reason.value: count for reason, count in counts.items()}
+
+
 def padded(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The box that is mapped. Raises ValueError if it is not a finite box."""
     low = np.asarray(box_min_m, dtype=np.float64) - PADDING_M
@@ -102,11 +108,6 @@ def pose_refusal(world_from_depth: Pose, low_m: AnyArray, high_m: AnyArray) -> R
     if not (np.isfinite(position).all() and abs(float(np.linalg.norm(quat_wxyz)) - 1.0) < 1e-6):
         return Refusal.POSE
     return None if ((position > low_m) & (position < high_m)).all() else Refusal.OUTSIDE
-
-
-def acceptable(keyframe: PosedFrame, low_m: AnyArray, high_m: AnyArray) -> bool:
-    """Whether nothing can be said against a view without a map."""
-    return refusal(keyframe, low_m, high_m) is None
 
 
 class Doubt:
