@@ -13,6 +13,7 @@ import numpy as np
 
 from uav_recon.mapping.keyframes import write_whole
 from uav_recon.mapping.neural.closed.atlas import unwrap
+from uav_recon.mapping.neural.closed.picture import painted
 from uav_recon.mapping.neural.closed.shell import ClosedMesh
 from uav_recon.mapping.neural.field.learned import LearnedField
 from uav_recon.mapping.neural.surface.meshfile import ply
@@ -37,10 +38,8 @@ def write_textured_glb(path: Path, mesh: ClosedMesh, field: LearnedField, texel_
     seen = mesh.faces[mesh.observed]
     if len(seen):
         atlas = unwrap(mesh.vertices_world, seen, mesh.normals, texel_m)
-        picture = np.zeros((atlas.side, atlas.side, 3), dtype=np.uint8)
-        picture[tuple(atlas.texels.T)] = np.clip(np.round(field.rgb(atlas.points) * 255.0), 0, 255)
         material = trimesh.visual.material.PBRMaterial(
-            name=OBSERVED, baseColorTexture=Image.fromarray(picture), metallicFactor=0.0, roughnessFactor=1.0
+            name=OBSERVED, baseColorTexture=Image.fromarray(painted(atlas, field)), metallicFactor=0.0, roughnessFactor=1.0
         )
         visual = trimesh.visual.TextureVisuals(uv=atlas.uv, material=material)
         _add(scene, OBSERVED, mesh.vertices_world[atlas.source], atlas.faces, visual)
