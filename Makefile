@@ -1,7 +1,7 @@
 # Short names for the commands of every day; the README and .ci/run do not need them.
 PYTHON ?= .venv/bin/python
 
-.PHONY: install test lint sim clean
+.PHONY: install test lint safety sim clean
 
 install:
 	python3 -m venv .venv
@@ -14,6 +14,16 @@ lint:
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m mypy
+
+# The guard: every branch of it taken by its own tests, then each of its lines broken once to see whether they notice.
+safety: export PYTHONPATH = .:tests/safety
+safety:
+	$(PYTHON) -m coverage run --branch --include='uav_recon/safety/*,uav_recon/types/polygon.py' -m pytest -q tests/safety tests/types
+	$(PYTHON) -m coverage report --show-missing --fail-under=100
+	rm -f mutation.sqlite
+	$(PYTHON) -m cosmic_ray.cli init tests/safety/mutation.toml mutation.sqlite
+	$(PYTHON) -m cosmic_ray.cli exec tests/safety/mutation.toml mutation.sqlite
+	$(PYTHON) -m cosmic_ray.tools.survival_rate mutation.sqlite
 
 sim:
 	$(PYTHON) -m uav_recon.cli sim

@@ -22,6 +22,7 @@ AUTOPILOTS = ("px4", "ardupilot")
 BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
 RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
 HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.20, 0.35  # between the hull and what is not known free, in a plan
+BLIND_MPS = 1.2  # not asked for: planned motion looks at its views, and four fifths of it go elsewhere
 FENCE_MARGIN_M = 0.10  # between the hull and the fence: what is left of the other when the vehicle strays
 NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
 
@@ -117,16 +118,27 @@ class SimOptions:
             "safety": {
                 "fence_min_m": [float(x) for x in scene.fence_min],
                 "fence_max_m": [float(x) for x in scene.fence_max],
+                "fence_corners_m": [],
                 "fence_inset_m": self.radius_m + FENCE_MARGIN_M,
                 "max_speed_mps": 1.2,
                 "max_acceleration_mps2": 2.0,
                 "max_yaw_rate_degps": 60.0,
                 "vehicle_radius_m": self.radius_m,
                 "vehicle_height_m": HULL_HEIGHT_M,
+                "stop_clearance_m": 0.1,
+                "fast_clearance_m": 0.4,
+                "blind_speed_mps": BLIND_MPS,
+                "blind_memory_s": 10.0,
+                "retreat_speed_mps": 0.3,
+                "silence_way_m": 0.45,
                 "intent_timeout_s": 0.5,
+                "retreat_timeout_s": 5.0,
                 "pose_timeout_s": 0.25,
                 "pose_land_s": 1.0,
                 "land_timeout_s": 20.0,
+                "depth_timeout_s": 0.3,
+                "depth_retreat_s": 3.0,
+                "depth_land_s": 10.0,
             },
             "link": {"autopilot": self.autopilot, "url": f"udp:127.0.0.1:{self.port}"},
             "camera": {

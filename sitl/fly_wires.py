@@ -33,6 +33,6 @@ class DirectChannel(Generic[T]):
 def direct_wires() -> Wires:
     """All of a flight's channels."""
     return Wires(
+        DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
         DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
-        DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
     )  # fmt: skip

@@ -120,6 +120,11 @@ def test_the_pilot_reaches_no_heavy_package() -> None:
     assert len(reached) > 10
 
 
+def test_the_guard_stays_small_enough_to_be_read() -> None:
+    lines = sum(len(path.read_text(encoding="utf-8").splitlines()) for path in modules("uav_recon/safety"))
+    assert lines <= 800
+
+
 def test_the_mapper_in_flight_reaches_no_torch() -> None:
     reached = reached_from(
         [ROOT / "uav_recon/mapping/neural/process/child.py", ROOT / "uav_recon/mapping/neural/process/worker.py"]

@@ -13,6 +13,8 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from uav_recon.types.polygon import Polygon
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
@@ -39,16 +41,27 @@ class SafetyConfig(Section):
 
     fence_min_m: Vec3  # lower corner of the fence box, world frame
     fence_max_m: Vec3  # upper corner of the fence box, world frame
+    fence_corners_m: tuple[tuple[float, float], ...]  # its floor plan inside that box, x and y in order; [] = the box's own
     fence_inset_m: Annotated[float, Field(ge=0.0, le=2.0)]  # the guard keeps the body's centre this far inside
     max_speed_mps: Annotated[float, Field(gt=0.0, le=3.0)]  # any direction
     max_acceleration_mps2: Annotated[float, Field(gt=0.0, le=5.0)]  # any direction
     max_yaw_rate_degps: Annotated[float, Field(gt=0.0, le=120.0)]  # rotation of the heading
     vehicle_radius_m: Annotated[float, Field(gt=0.0, le=1.0)]  # cylinder around the rotors
     vehicle_height_m: Annotated[float, Field(gt=0.0, le=1.0)]  # cylinder height, body origin in its middle
+    stop_clearance_m: Annotated[float, Field(ge=0.05, le=2.0)]  # hull to anything ahead in raw depth: stop there
+    fast_clearance_m: Annotated[float, Field(ge=0.05, le=2.0)]  # nearer than this: at most 0.5 m/s towards it
+    blind_speed_mps: Annotated[float, Field(gt=0.0, le=3.0)]  # where the camera does not look; max_speed_mps = not asked for
+    blind_memory_s: Annotated[float, Field(gt=0.0, le=60.0)]  # ... and only through space seen free so lately
+    retreat_speed_mps: Annotated[float, Field(gt=0.0, le=3.0)]  # on the pilot's own way back
+    silence_way_m: Annotated[float, Field(gt=0.0, le=5.0)]  # flown since the mission's last pulse, braking included: hold
     intent_timeout_s: Annotated[float, Field(gt=0.0, le=5.0)]  # mission silent for longer: hold
+    retreat_timeout_s: Annotated[float, Field(gt=0.0, le=60.0)]  # mission still silent: back along the breadcrumbs
     pose_timeout_s: Annotated[float, Field(gt=0.0, le=1.0)]  # pose older: hold, stop feeding the autopilot
     pose_land_s: Annotated[float, Field(gt=0.0, le=5.0)]  # pose still missing: land
     land_timeout_s: Annotated[float, Field(gt=0.0, le=60.0)]  # mission silent for this long in flight: land
+    depth_timeout_s: Annotated[float, Field(gt=0.0, le=1.0)]  # newest depth older: no motion
+    depth_retreat_s: Annotated[float, Field(gt=0.0, le=30.0)]  # still none: back along the breadcrumbs
+    depth_land_s: Annotated[float, Field(gt=0.0, le=60.0)]  # still none: land
 
     @model_validator(mode="after")
     def _fence_is_a_box(self) -> SafetyConfig:
@@ -56,6 +69,41 @@ class SafetyConfig(Section):
             if not high - low > 2 * self.fence_inset_m:
                 raise ValueError(f"fence_max_m.{axis} {high} must exceed fence_min_m.{axis} {low} by twice the inset")
         return self
+
+    @model_validator(mode="after")
+    def _plan_is_a_polygon(self) -> SafetyConfig:
+        try:
+            plan = self.fence_plan()
+        except ValueError as error:
+            raise ValueError(f"fence_corners_m: {error}") from None
+        for x, y in plan.corners_m:
+            (low_x, low_y, _), (high_x, high_y, _) = self.fence_min_m, self.fence_max_m
+            if not (low_x <= x <= high_x and low_y <= y <= high_y):
+                raise ValueError(f"fence_corners_m: ({x:g}, {y:g}) lies outside the box of fence_min_m and fence_max_m")
+        if not plan.room_m((0.0, 0.0), (0.0, 0.0)) >= self.fence_inset_m:
+            raise ValueError(f"the fence does not hold the take-off place (0, 0) with {self.fence_inset_m:g} m around it")
+        return self
+
+    @model_validator(mode="after")
+    def _ladder_leads_down(self) -> SafetyConfig:
+        ladders = (
+            ("intent_timeout_s", "retreat_timeout_s", "land_timeout_s"),
+            ("depth_timeout_s", "depth_retreat_s", "depth_land_s"),
+            ("pose_timeout_s", "pose_land_s"),
+            ("stop_clearance_m", "fast_clearance_m"),
+            ("blind_speed_mps", "max_speed_mps"),
+            ("retreat_speed_mps", "max_speed_mps"),
+        )
+        for names in ladders:
+            values = [getattr(self, name) for name in names]
+            if values != sorted(values):
+                raise ValueError(f"{' <= '.join(names)} does not hold for {values}")
+        return self
+
+    def fence_plan(self) -> Polygon:
+        """The floor plan of the fence. Raises ValueError for one that is open, crosses itself, or has no size."""
+        (low_x, low_y, _), (high_x, high_y, _) = self.fence_min_m, self.fence_max_m
+        return Polygon(self.fence_corners_m) if self.fence_corners_m else Polygon.box((low_x, low_y), (high_x, high_y))
 
 
 class LinkConfig(Section):

@@ -15,7 +15,8 @@ from uav_recon.channels import FileChannel, MemoryChannel
 from uav_recon.config import Config
 from uav_recon.protocols import ByteLink, Camera, Channel, Clock, Executor, Journal, Mapper, PoseSource
 from uav_recon.types.camera import PosedFrame, body_from_camera
-from uav_recon.types.maps import GridSpec, SurfaceElements, VoxelMap
+from uav_recon.types.maps import FreeSpace, GridSpec, SurfaceElements, VoxelMap
+from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import MapCorrection, StampedPose
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
@@ -34,6 +35,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.planning.planner import ViewPlanner
     from uav_recon.recording.recorder import Recorder
     from uav_recon.recording.timelapse import Timelapse
+    from uav_recon.safety.envelope import Envelope
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
@@ -67,6 +69,8 @@ class Wires:
     surface: Channel[SurfaceElements]
     plan: Channel[ViewPath]
     correction: Channel[MapCorrection]
+    free: Channel[FreeSpace]
+    nearby: Channel[Nearby]
 
 
 def memory_wires() -> Wires:
@@ -74,7 +78,7 @@ def memory_wires() -> Wires:
     return Wires(
         MemoryChannel(StampedPose), MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent),
         MemoryChannel(MissionProgress), MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
-        MemoryChannel(MapCorrection),
+        MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(Nearby),
     )  # fmt: skip
 
 
@@ -93,6 +97,8 @@ def file_wires(folder: Path) -> Wires:
             surface=FileChannel(folder / "surface.channel", SurfaceElements, 32 * megabyte),
             plan=FileChannel(folder / "plan.channel", ViewPath, megabyte),
             correction=FileChannel(folder / "correction.channel", MapCorrection, megabyte),
+            free=FileChannel(folder / "free.channel", FreeSpace, 4 * megabyte),
+            nearby=FileChannel(folder / "nearby.channel", Nearby),
         )
     except OSError as error:
         raise Failure(f"runtime.folder {folder}: cannot be written ({error.strerror})", EXIT_CONFIG) from None
@@ -112,27 +118,45 @@ def load_config(path: Path) -> Config:
 def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, clock: Clock) -> Pilot:
     """The loop next to the autopilot."""
     from uav_recon.autopilot.ardupilot import ARDUPILOT
-    from uav_recon.autopilot.pilot import Origin, PilotChannels
+    from uav_recon.autopilot.briefing import Origin
+    from uav_recon.autopilot.pilot import Airframe, PilotChannels
     from uav_recon.autopilot.pilot import make_pilot as wire_pilot
     from uav_recon.autopilot.px4 import PX4
-    from uav_recon.safety.envelope import Envelope
-    from uav_recon.safety.guard import Guard, Patience
+    from uav_recon.safety.guard import Bounds, Guard
+    from uav_recon.safety.ladder import Patience
+    from uav_recon.safety.proximity import Margins
+    from uav_recon.safety.sight import Sight
 
     safety = config.safety
-    envelope = Envelope(
-        fence_min_m=safety.fence_min_m,
-        fence_max_m=safety.fence_max_m,
-        inset_m=safety.fence_inset_m,
-        max_speed_mps=safety.max_speed_mps,
-        max_acceleration_mps2=safety.max_acceleration_mps2,
-        max_yaw_rate_radps=math.radians(safety.max_yaw_rate_degps),
-    )
-    patience = Patience(safety.pose_timeout_s, safety.pose_land_s, safety.intent_timeout_s, safety.land_timeout_s)
-    channels = PilotChannels(wires.odom, wires.intent, wires.vehicle)
+    patience = Patience(
+        safety.pose_timeout_s, safety.pose_land_s, safety.intent_timeout_s, safety.retreat_timeout_s, safety.land_timeout_s,
+        safety.depth_timeout_s, safety.depth_retreat_s, safety.depth_land_s,
+    )  # fmt: skip
+    margins = Margins(safety.stop_clearance_m, safety.fast_clearance_m)
+    bounds = Bounds(
+        safety.pose_timeout_s, safety.intent_timeout_s, safety.silence_way_m, safety.depth_timeout_s, safety.blind_speed_mps,
+        safety.retreat_speed_mps, margins,
+    )  # fmt: skip
+    sight = Sight(safety.blind_memory_s, safety.vehicle_radius_m)
+    guard = Guard(_envelope(config), bounds, sight)
+    channels = PilotChannels(wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby)
     origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
     gimbal = config.camera.mount == "gimbal"
-    firmware, guard = {"px4": PX4, "ardupilot": ARDUPILOT}[config.link.autopilot], Guard(envelope, patience)
-    return wire_pilot(link, firmware, guard, channels, clock, origin, config.link.setpoint_rate_hz, gimbal, log)
+    airframe = Airframe(safety.vehicle_radius_m, safety.vehicle_height_m, config.mission.takeoff_height_m, gimbal)
+    firmware, rate_hz = {"px4": PX4, "ardupilot": ARDUPILOT}[config.link.autopilot], config.link.setpoint_rate_hz
+    return wire_pilot(link, firmware, guard, sight, patience, channels, clock, origin, airframe, rate_hz, log)
+
+
+def _envelope(config: Config) -> Envelope:
+    """The guard's fence and limits. Raises Failure if the fence does not hold the take-off column."""
+    from uav_recon.safety.envelope import Envelope, Fence
+
+    safety = config.safety
+    fence = Fence(safety.fence_plan(), safety.fence_min_m[2], safety.fence_max_m[2], safety.fence_inset_m)
+    try:
+        return Envelope(fence, safety.max_speed_mps, safety.max_acceleration_mps2, math.radians(safety.max_yaw_rate_degps))
+    except ValueError as error:
+        raise Failure(f"safety: {error}", EXIT_CONFIG) from None
 
 
 # -- perception ---------------------------------------------------------------------------------------------------------
@@ -154,7 +178,7 @@ def make_perception(config: Config, wires: Wires, clock: Clock) -> Perception:
     )
     fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
     rate_hz, wait_s = config.localization.rate_hz, config.localization.frame_wait_s
-    return Perception(camera, poses, fusion, mount, wires.odom, wires.frames, clock, rate_hz, wait_s)
+    return Perception(camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, clock, rate_hz, wait_s)
 
 
 def _camera(config: Config, clock: Clock) -> tuple[Camera, PoseSource]:
@@ -292,7 +316,8 @@ def make_conductor(
         plan_cost_s=mission.plan_cost_s,
     )
     channels = MissionWires(
-        wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan, wires.correction
+        wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
+        wires.correction, wires.free,
     )  # fmt: skip
     stages = Stages(voxels, make_coverage(config, voxels), mapper, planner, motion, retreat)
     return Conductor(stages, channels, orders, executor, journal, clock)

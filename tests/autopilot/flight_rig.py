@@ -16,16 +16,23 @@ from sitl.parameters import Parameters
 from sitl.px4 import Px4
 from sitl.transport import ByteEnd, pipe
 from sitl.vehicle import Quadrotor
+from uav_recon.autopilot.briefing import Origin
 from uav_recon.autopilot.personality import Personality
-from uav_recon.autopilot.pilot import Origin, PilotChannels, make_pilot
+from uav_recon.autopilot.pilot import Airframe, Pilot, PilotChannels, make_pilot
 from uav_recon.autopilot.px4 import PX4
 from uav_recon.autopilot.tlog import FrameLog
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.protocols import ByteLink
-from uav_recon.safety.envelope import Envelope
-from uav_recon.safety.guard import Guard, Patience
+from uav_recon.safety.envelope import Envelope, Fence
+from uav_recon.safety.guard import Bounds, Guard
+from uav_recon.safety.ladder import Patience
+from uav_recon.safety.proximity import Margins
+from uav_recon.safety.sight import Sight
+from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import FreeSpace, GridSpec
+from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 from uav_recon.types.vehicle import FlightPhase, VehicleState
@@ -34,8 +41,12 @@ copyreg.pickle(struct.Struct, lambda layout: (struct.Struct, (layout.format,))) 
 
 TICK_S = 0.01
 TAKEOFF_LAG_S = 4.0  # PX4 spools up for 1 s and then ramps its take-off speed for 3 s: it arrives behind its setpoint
-ENVELOPE = Envelope((-3.0, -3.0, -0.2), (5.0, 3.0, 2.5), 0.3, 1.0, 2.0, 0.8)
-PATIENCE = Patience(pose_hold_s=0.2, pose_land_s=1.0, intent_hold_s=0.5, intent_land_s=4.0)
+ENVELOPE = Envelope(Fence.box((-3.0, -3.0, -0.2), (5.0, 3.0, 2.5), 0.3), 1.0, 2.0, 0.8)
+PATIENCE = Patience(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0)
+BOUNDS = Bounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4))
+AIRFRAME = Airframe(hull_radius_m=0.2, hull_height_m=0.2, hover_height_m=1.1)
+GRID = GridSpec(np.array([-4.0, -4.0, -1.0]), 0.1, (100, 80, 40))
+BODY_FROM_DEPTH = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
 MODE, ARM = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 
 
@@ -84,10 +95,15 @@ class Rig:
         self.tap = Tap(ours, self.clock)
         self.vehicle = Quadrotor(seed, 0.1, start)
         self.autopilot = self._fly(theirs, seed)
-        self.channels = PilotChannels(MemoryChannel(StampedPose), MemoryChannel(Intent), MemoryChannel(VehicleState))
-        self.guard = Guard(ENVELOPE, PATIENCE)
-        origin = Origin(47.3977, 8.5456, 488.0)
-        self.pilot = make_pilot(self.tap, self.firmware, self.guard, self.channels, self.clock, origin, log=log)
+        self.channels = PilotChannels(
+            MemoryChannel(StampedPose), MemoryChannel(Intent), MemoryChannel(VehicleState), MemoryChannel(FreeSpace),
+            MemoryChannel(Nearby),
+        )  # fmt: skip
+        self.free = np.ones(GRID.shape, dtype=np.bool_)
+        self.publish_free()
+        self.depth = True
+        self.wall_m = 9.0  # what the camera sees, in every cell
+        self.pilot = self.new_pilot(log)
         self.intent: tuple[Goal, Trajectory | None] | None = (Goal.STANDBY, None)
         self.poses = True
         self.turn = 0
@@ -101,6 +117,19 @@ class Rig:
         """The autopilot, where it is PX4."""
         assert isinstance(self.autopilot, Px4)
         return self.autopilot
+
+    def new_pilot(self, log: FrameLog | None = None) -> Pilot:
+        """As a process that starts now."""
+        sight = Sight(10.0, AIRFRAME.hull_radius_m)
+        self.guard = Guard(ENVELOPE, BOUNDS, sight)
+        origin = Origin(47.3977, 8.5456, 488.0)
+        return make_pilot(
+            self.tap, self.firmware, self.guard, sight, PATIENCE, self.channels, self.clock, origin, AIRFRAME, log=log
+        )  # fmt: skip
+
+    def publish_free(self) -> None:
+        """What the mission says is known free."""
+        self.channels.free.publish(FreeSpace(GRID, np.packbits(self.free), 1))
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / TICK_S)):
@@ -122,6 +151,9 @@ class Rig:
         if self.poses and self.turn % 3 == 0:
             pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position))
             self.channels.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity)))
+        if self.depth and self.turn % 7 == 0:
+            ranges = np.full((12, 16), self.wall_m, dtype=np.float32)
+            self.channels.nearby.publish(Nearby(now, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
         if self.intent is not None and self.turn % 5 == 0:
             self.channels.intent.publish(Intent(now, *self.intent))
         self.pilot.step()

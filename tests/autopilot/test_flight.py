@@ -11,10 +11,7 @@ import pytest
 from flight_rig import ARM, ENVELOPE, MODE, TAKEOFF_LAG_S, TICK_S, Rig, Tap
 from pymavlink.dialects.v20 import common as mavlink
 
-from uav_recon.autopilot.pilot import Origin, make_pilot
-from uav_recon.autopilot.px4 import PX4
 from uav_recon.autopilot.tlog import Tlog
-from uav_recon.safety.guard import Guard
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Goal
@@ -153,22 +150,130 @@ def test_a_failsafe_landing_of_the_autopilot_is_accepted(hovering: Rig) -> None:
     assert "lands" in hovering.state.note
 
 
-def test_a_silent_mission_ends_its_trajectory_then_hovers_then_lands(hovering: Rig) -> None:
-    trajectory = hovering.fly((2.0, 0.0, 1.1), identifier=2)
-    hovering.run(1.0)
-    hovering.intent = None
-    hovering.run(trajectory.duration_s - 1.0)
-    if hovering.pilot.phase is FlightPhase.FLYING:
-        assert abs(hovering.px4.truth().position[0] - 2.0) < 0.15
-    hovering.until(FlightPhase.LANDED, 20.0)
-    assert "mission silent" in hovering.state.note
-    assert abs(hovering.px4.truth().position[0] - 2.0) < 0.4
+def silenced(rig: Rig) -> tuple[float, FloatArray]:
+    """The mission falls silent in the middle of a way out along x; when, and where the vehicle was then."""
+    rig.run(rig.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
+    assert rig.px4.truth().velocity[0] > 0.6
+    rig.intent = None
+    return rig.clock.now_s(), np.array(rig.px4.truth().position)
+
+
+def test_a_silent_mission_brakes_holds_retreats_and_lands(hovering: Rig) -> None:
+    silent_s, place = silenced(hovering)
+    hovering.run(2.0)
+    assert np.linalg.norm(np.array(hovering.px4.truth().position) - place) <= 0.6
+    assert np.linalg.norm(hovering.px4.truth().velocity) < 0.05
+    times, places = setpoints(hovering, silent_s)
+    still = times[np.flatnonzero(np.linalg.norm(np.diff(places, axis=0), axis=1) < 1e-9)[0]]
+    assert still - silent_s <= 0.6 + 0.25, "decided within 0.6 s, then v over a"
+    hovering.run(silent_s + 4.9 - hovering.clock.now_s())
+    held = np.array(hovering.px4.truth().position)
+    hovering.run(7.0)
+    assert hovering.px4.truth().position[0] < held[0] - 0.1, "back the way it came"
+    hovering.until(FlightPhase.LANDING, 13.0)
+    assert hovering.clock.now_s() - silent_s <= 20.2
+    assert np.linalg.norm(np.array(hovering.px4.truth().position)[:2]) < 0.25, "over the pad again"
+    hovering.until(FlightPhase.LANDED, 15.0)
     assert hovering.px4.failsafes == []
+
+
+def test_a_mission_that_was_away_for_a_moment_flies_on(hovering: Rig) -> None:
+    silenced(hovering)
+    hovering.run(4.0)
+    hovering.fly((2.5, 0.0, 1.1), identifier=3)
+    begin = hovering.clock.now_s()
+    hovering.run(1.0)
+    assert hovering.state.trajectory_id == 3
+    _, places = setpoints(hovering, begin - 0.1)
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 0.05
+    assert hovering.px4.truth().velocity[0] > 0.1
+
+
+def test_a_mission_that_comes_back_late_is_heard_after_two_seconds(hovering: Rig) -> None:
+    silent_s, _ = silenced(hovering)
+    hovering.run(silent_s + 8.0 - hovering.clock.now_s())
+    assert hovering.px4.truth().velocity[0] < -0.1
+    hovering.intent = (Goal.FLY, None)
+    hovering.run(1.8)
+    assert hovering.px4.truth().velocity[0] < -0.1, "still retreating"
+    hovering.run(1.2)
+    assert np.linalg.norm(hovering.px4.truth().velocity) < 0.1
+    assert hovering.pilot.phase is FlightPhase.FLYING
+
+
+def test_a_retreat_that_is_blocked_lands(hovering: Rig) -> None:
+    silent_s, _ = silenced(hovering)
+    hovering.free[:, :, :] &= np.arange(100)[:, None, None] != 43  # a door closed behind it, at x = 0.3 m
+    hovering.publish_free()
+    hovering.until(FlightPhase.LANDING, 19.0)
+    assert hovering.clock.now_s() - silent_s >= 5.0
+    hovering.run(0.1)
+    assert "blocked" in hovering.state.note
+    assert hovering.px4.truth().position[0] > 0.5
+
+
+def test_no_depth_stops_then_retreats_then_lands(hovering: Rig) -> None:
+    hovering.fly((2.5, 0.0, 1.1), identifier=2)
+    hovering.run(2.5)
+    lost_s, hovering.depth = hovering.clock.now_s(), False
+    hovering.run(1.0)
+    held = np.array(hovering.px4.truth().position)
+    assert np.linalg.norm(hovering.px4.truth().velocity) < 0.1
+    hovering.run(5.0)
+    assert hovering.px4.truth().position[0] < held[0] - 0.1
+    hovering.until(FlightPhase.LANDING, 5.0)
+    assert hovering.clock.now_s() - lost_s <= 10.2
+    hovering.until(FlightPhase.LANDED, 15.0)
+
+
+def test_something_that_appears_ahead_stops_the_vehicle(hovering: Rig) -> None:
+    hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
+    begin, place = hovering.clock.now_s(), hovering.px4.truth().position[0]
+    obstacle_m = place + 1.0  # before the hull's centre; nobody tells the map
+    while hovering.clock.now_s() - begin < 3.0:
+        hovering.wall_m = max(obstacle_m - hovering.px4.truth().position[0] - 0.1, 0.3)
+        hovering.step()
+    assert hovering.state.refusals == 1
+    assert "from something" in hovering.state.note
+    assert obstacle_m - hovering.px4.truth().position[0] - 0.2 >= 0.10
+
+
+def test_a_take_off_wants_its_column_known_free() -> None:
+    rig = Rig()
+    rig.free[40, 40, 15] = False  # a lamp over the pad
+    rig.publish_free()
+    rig.until(FlightPhase.READY, 20.0)
+    rig.intent = (Goal.FLY, None)
+    rig.run(3.0)
+    assert rig.pilot.phase is FlightPhase.READY
+    assert "take-off column is not known free" in rig.state.note
+    assert not any(rig.tap.since(0)[order] for order in ORDERS)
+
+
+def test_a_mission_that_never_stops_proposing_nonsense_is_not_heard(hovering: Rig) -> None:
+    place = np.array(hovering.px4.truth().position)
+    for identifier in range(2, 30):
+        object.__setattr__(hovering.fly((2.0, 0.0, 1.1), identifier=identifier), "map_epoch", 7)
+        hovering.run(0.1)
+    assert "refusals in a second" in hovering.state.note
+    assert np.linalg.norm(np.array(hovering.px4.truth().position) - place) < 0.3
+
+
+def test_a_push_over_the_fence_that_lasts_lands(hovering: Rig) -> None:
+    hovering.poses = False
+    for turn in range(500):
+        if turn % 3 == 0:
+            truth = hovering.px4.truth()
+            pose = Pose(np.array(truth.quat_wxyz), np.array([-3.2, 0.0, 1.1]))
+            hovering.channels.odom.publish(StampedPose(truth.stamp_s, pose, np.zeros(3), reset_counter=1))
+        hovering.step()
+    assert hovering.pilot.phase is FlightPhase.LANDING
+    assert "outside the fence" in hovering.state.note
 
 
 def test_a_mission_that_comes_back_does_not_stop_a_landing(hovering: Rig) -> None:
     hovering.intent = None
-    hovering.until(FlightPhase.LANDING, 6.0)
+    hovering.until(FlightPhase.LANDING, 20.2)
     hovering.fly((1.0, 0.0, 1.1), identifier=5)
     hovering.until(FlightPhase.LANDED, 15.0)
     hovering.run(3.0)
@@ -250,10 +355,7 @@ def test_a_trajectory_of_another_epoch_is_not_flown(hovering: Rig) -> None:
 
 
 def test_a_pilot_started_in_the_air_only_watches(hovering: Rig) -> None:
-    second = make_pilot(
-        hovering.tap, PX4, Guard(ENVELOPE, hovering.guard.patience), hovering.channels, hovering.clock, Origin(47.0, 8.0, 400.0)
-    )
-    hovering.pilot = second
+    hovering.pilot = hovering.new_pilot()
     begin = hovering.clock.now_s()
     hovering.until(FlightPhase.YIELDED, 1.5)
     hovering.run(8.0)

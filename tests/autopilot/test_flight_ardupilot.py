@@ -6,14 +6,12 @@ import copy
 
 import numpy as np
 import pytest
-from flight_rig import ARM, ENVELOPE, MODE, TAKEOFF_LAG_S, TICK_S, Rig, Tap
+from flight_rig import ARM, MODE, TAKEOFF_LAG_S, TICK_S, Rig, Tap
 
 from sitl.ardupilot import ArduCopter
 from sitl.ardupilot_parameters import ArduPilotParameters
 from sitl.transport import ByteEnd
 from uav_recon.autopilot.ardupilot import ARDUPILOT
-from uav_recon.autopilot.pilot import Origin, make_pilot
-from uav_recon.safety.guard import Guard
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -131,10 +129,7 @@ def test_a_failsafe_landing_of_the_autopilot_is_accepted(hovering: CopterRig) ->
 
 def test_a_pilot_restarted_in_the_air_keeps_silent_so_that_the_firmware_lands(hovering: CopterRig) -> None:
     """Its heartbeat would say that the companion lives, and the vehicle would hover in GUIDED for ever."""
-    origin = Origin(47.0, 8.0, 400.0)
-    hovering.pilot = make_pilot(
-        hovering.tap, ARDUPILOT, Guard(ENVELOPE, hovering.guard.patience), hovering.channels, hovering.clock, origin
-    )
+    hovering.pilot = hovering.new_pilot()
     begin = hovering.clock.now_s()
     hovering.until(FlightPhase.YIELDED, 1.5)
     hovering.run(3.0)

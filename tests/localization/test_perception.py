@@ -12,6 +12,7 @@ from uav_recon.localization.filter import FusionFilter
 from uav_recon.localization.mount import FixedMount
 from uav_recon.localization.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
+from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import Pose, StampedPose
 
 MOTION = FigureEight(start_s=200.0)
@@ -73,7 +74,9 @@ class Seen:
 def _run(world: World, duration_s: float = 4.0, frame_wait_s: float = 0.2) -> tuple[Perception, Seen]:
     odom, frames, seen = MemoryChannel(StampedPose), MemoryChannel(PosedFrame), Seen()
     mount = FixedMount(BODY_FROM_DEPTH)
-    perception = Perception(world, world, FusionFilter(), mount, odom, frames, world.clock, frame_wait_s=frame_wait_s)
+    perception = Perception(
+        world, world, FusionFilter(), mount, odom, frames, MemoryChannel(Nearby), world.clock, frame_wait_s=frame_wait_s
+    )
     for step in range(int(duration_s * 100)):
         world.clock.advance_to(MOTION.start_s + step / 100)
         before = odom.sequence(), frames.sequence()
@@ -145,7 +148,9 @@ def test_frames_with_impossible_stamps_are_dropped(world: World) -> None:
 def test_a_step_without_anything_is_quiet() -> None:
     world = World(ManualClock(0.0), poses_until_s=0.0)
     odom, frames = MemoryChannel(StampedPose), MemoryChannel(PosedFrame)
-    perception = Perception(world, world, FusionFilter(), FixedMount(BODY_FROM_DEPTH), odom, frames, world.clock)
+    nearby = MemoryChannel(Nearby)
+    perception = Perception(world, world, FusionFilter(), FixedMount(BODY_FROM_DEPTH), odom, frames, nearby, world.clock)
     perception.step()
     assert odom.latest() is None
     assert frames.latest() is None
+    assert nearby.latest() is None

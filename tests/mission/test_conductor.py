@@ -20,7 +20,7 @@ from uav_recon.motion import MotionPlanner
 from uav_recon.recording.flightlog import FlightLog, read_timeline
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.maps import FREE, GridSpec, SurfaceElements, VoxelMap
+from uav_recon.types.maps import FREE, FreeSpace, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
@@ -141,7 +141,7 @@ class Desk:
         self.wires = MissionWires(
             MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
             MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
-            MemoryChannel(MapCorrection),
+            MemoryChannel(MapCorrection), MemoryChannel(FreeSpace),
         )  # fmt: skip
         self.voxels, self.planner, self.mapper = OpenSpace(), ThreeViews(), Sketchbook()
         motion = MotionPlanner(MotionConfig(), 0.35)

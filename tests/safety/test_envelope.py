@@ -1,94 +1,127 @@
-"""The envelope, densely at its boundary."""
+"""Where a setpoint may stand: tried densely about every border."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from typing import Any
 
-import numpy as np
 import pytest
+from rooms import ENVELOPE
 
-from uav_recon.safety.envelope import Envelope
+from uav_recon.safety.envelope import Envelope, Fence, Vec3
+from uav_recon.types.polygon import Polygon
 
-
-def envelope(inset_m: float = 0.3) -> Envelope:
-    return Envelope((-1.0, -2.0, -0.1), (5.0, 2.0, 2.4), inset_m, 1.0, 2.0, 0.8)
+ELL = Polygon(((-2.0, -2.0), (4.0, -2.0), (4.0, 1.0), (1.0, 1.0), (1.0, 5.0), (-2.0, 5.0)))
+IN_ELL = Envelope(Fence(ELL, -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("side", ["low", "high"])
-def test_the_inset_fence_ends_where_it_says(axis: int, side: str) -> None:
-    fence = envelope()
-    edge = fence.fence_min_m[axis] + 0.3 if side == "low" else fence.fence_max_m[axis] - 0.3
-    outward = -1.0 if side == "low" else 1.0
-    for millimetres in range(-20, 21):
-        point = [2.5, 0.0, 1.0]
-        point[axis] = edge + outward * millimetres * 1e-3
-        x, y, z = point
-        assert fence.in_box((x, y, z)) is (millimetres <= 0), (axis, side, millimetres)
+@pytest.mark.parametrize("millimetres", range(-3, 4))
+def test_the_border_is_where_it_was_written_down(axis: int, millimetres: int) -> None:
+    for sign, border in ((-1, (-0.7, -1.7, 0.2)[axis]), (1, (4.7, 1.7, 2.1)[axis])):
+        place = [2.0, 0.0, 1.0]
+        place[axis] = border + sign * millimetres * 1e-3
+        assert ENVELOPE.contains((place[0], place[1], place[2])) is (millimetres <= 0)
 
 
-def test_only_the_floor_is_relaxed_over_the_pad() -> None:
-    fence = envelope()
-    assert fence.contains((0.0, 0.0, 0.0))
-    assert fence.contains((0.49, 0.0, 0.1))
-    assert not fence.contains((0.51, 0.0, 0.1))
-    assert not fence.contains((0.0, 0.0, -0.21))
-    assert not fence.contains((0.0, 0.0, 2.2)), "no ceiling relaxed"
-    beside_wall = Envelope((-0.4, -2.0, -0.1), (5.0, 2.0, 2.4), 0.3, 1.0, 2.0, 0.8)
-    assert not beside_wall.contains((-0.2, 0.0, 0.1)), "no wall relaxed"
+@pytest.mark.parametrize(
+    ("place", "inside"),
+    [
+        ((0.0, 0.0, 0.0), True),
+        ((0.0, 0.0, -0.2), True),
+        ((0.0, 0.0, -0.201), False),
+        ((0.5, 0.0, 0.1), True),
+        ((0.501, 0.0, 0.1), False),
+        ((0.0, 0.0, 2.1), True),
+        ((0.0, 0.0, 2.101), False),
+        ((math.nan, 0.0, 1.0), False),
+        ((0.0, math.inf, 1.0), False),
+        ((0.0, 0.0, math.nan), False),
+    ],
+)
+def test_over_the_pad_the_floor_is_lower(place: Vec3, inside: bool) -> None:
+    assert ENVELOPE.contains(place) is inside
 
 
-def test_leaving_the_column_sideways_below_the_floor_is_not_admitted() -> None:
-    fence = envelope()
-    low, outside_box = (0.3, 0.0, 0.1), (0.8, 0.0, 0.1)
-    assert fence.contains(low)
-    assert not fence.admits(low, outside_box)
-    assert not fence.admits(low, (0.8, 0.0, 0.4)), "each end is allowed, the way between is not"
-    assert fence.admits((0.3, 0.0, 0.4), (0.8, 0.0, 0.4))
+def test_the_column_does_not_lead_through_the_fence() -> None:
+    near_side = dataclasses.replace(ENVELOPE, pad_m=(-0.5, 0.0, 0.0))
+    assert near_side.contains((-0.7, 0.0, 0.0))
+    assert not near_side.contains((-0.701, 0.0, 0.0))
 
 
-def test_admitted_ways_are_inside_at_every_point_between() -> None:
-    fence, rng = envelope(), np.random.default_rng(1)
-    admitted = 0
-    for _ in range(3000):
-        a, b = rng.uniform([-1.2, -2.2, -0.4], [5.2, 2.2, 2.6]), rng.uniform([-1.2, -2.2, -0.4], [5.2, 2.2, 2.6])
-        if rng.random() < 0.5:
-            a, b = a * 0.2, b * 0.2
-        (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-        if not fence.admits((ax, ay, az), (bx, by, bz)):
-            continue
-        admitted += 1
-        for f in np.linspace(0.0, 1.0, 21):
-            x, y, z = (a + f * (b - a)).tolist()
-            assert fence.contains((x, y, z))
-    assert admitted > 300
+def test_a_straight_way_round_a_corner_is_no_straight_way() -> None:
+    assert IN_ELL.contains((3.0, 0.0, 1.0))
+    assert IN_ELL.contains((0.0, 4.0, 1.0))
+    assert not IN_ELL.contains((3.0, 3.0, 1.0))
+    assert not IN_ELL.admits((3.0, 0.0, 1.0), (0.0, 4.0, 1.0)), "across the inner corner"
+    assert IN_ELL.admits((3.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+    assert not IN_ELL.admits((0.0, 0.0, 0.05), (2.0, 0.0, 1.0)), "out of the column below the floor's inset"
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_not_a_number_is_nowhere(bad: float) -> None:
-    for axis in range(3):
-        point = [0.0, 0.0, 1.0]
-        point[axis] = bad
-        assert not envelope().contains((point[0], point[1], point[2]))
+@pytest.mark.parametrize("tenth", range(-10, 11))
+def test_the_inner_corner_keeps_its_inset_all_round(tenth: int) -> None:
+    angle = math.pi + (tenth + 10) / 20 * math.pi / 2
+    for room_m, inside in ((0.299, False), (0.301, True)):
+        place = (1.0 + room_m * math.cos(angle), 1.0 + room_m * math.sin(angle), 1.0)
+        assert IN_ELL.contains(place) is inside
 
 
-def test_stopping_point_is_reached_by_braking_at_the_limit() -> None:
-    fence = envelope()
-    velocity, position = np.array([0.6, -0.5, 0.3]), np.array([1.0, 0.5, 1.0])
-    p, v, dt = position.copy(), velocity.copy(), 1e-5
-    while (speed := float(np.linalg.norm(v))) > 1e-4:  # integrate a brake: the oracle
-        v = v - v / speed * min(fence.max_acceleration_mps2 * dt, speed)
-        p = p + v * dt
-    vx, vy, vz = velocity.tolist()
-    np.testing.assert_allclose(fence.stopping_point((1.0, 0.5, 1.0), (vx, vy, vz)), p, atol=1e-4)
+@pytest.mark.parametrize(
+    ("place", "nearest"),
+    [
+        ((1.0, 0.0, 1.0), (1.0, 0.0, 1.0)),
+        ((9.0, 0.0, 1.0), (4.7, 0.0, 1.0)),
+        ((9.0, 9.0, 9.0), (4.7, 1.7, 2.1)),
+        ((1.0, 0.0, -5.0), (1.0, 0.0, 0.2)),
+    ],
+)
+def test_what_is_outside_is_drawn_inside(place: Vec3, nearest: Vec3) -> None:
+    assert ENVELOPE.nearest_inside(place) == pytest.approx(nearest)
+    assert ENVELOPE.contains(ENVELOPE.nearest_inside(place))
 
 
-def test_impossible_numbers_are_refused_when_written_down() -> None:
-    with pytest.raises(ValueError, match="leaves no room"):
-        envelope(inset_m=1.3)
-    with pytest.raises(ValueError, match="finite"):
-        Envelope((0, 0, math.nan), (1, 1, 1), 0.1, 1.0, 1.0, 1.0)
-    with pytest.raises(ValueError, match="positive"):
-        Envelope((0, 0, 0), (1, 1, 1), 0.1, 0.0, 1.0, 1.0)
-    with pytest.raises(ValueError, match="not negative"):
-        Envelope((0, 0, 0), (1, 1, 1), -0.1, 1.0, 1.0, 1.0)
+def test_where_no_side_helps_there_is_the_pad() -> None:
+    assert ENVELOPE.nearest_inside((math.nan, 0.0, 1.0)) == ENVELOPE.pad_m
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3, 1.0])
+def test_stopping_takes_v_squared_over_2a(speed: float) -> None:
+    assert ENVELOPE.stopping_point((1.0, 2.0, 3.0), (0.0, -speed, 0.0)) == pytest.approx((1.0, 2.0 - speed**2 / 4.0, 3.0))
+
+
+def test_the_fence_itself_is_without_inset() -> None:
+    fence = ENVELOPE.fence
+    assert fence.holds((4.999, 0.0, 1.0))
+    assert not fence.holds((5.001, 0.0, 1.0))
+    assert fence.holds((0.0, 0.0, -0.1))
+    assert not fence.holds((0.0, 0.0, -0.101))
+    assert fence.holds((0.0, 0.0, 2.4))
+    assert not fence.holds((0.0, 0.0, 2.401))
+    assert not fence.holds((0.0, math.nan, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"max_speed_mps": 0.0}, "positive"),
+        ({"max_acceleration_mps2": -1.0}, "positive"),
+        ({"max_yaw_rate_radps": math.inf}, "finite"),
+        ({"pad_radius_m": 0.0}, "positive"),
+        ({"pad_depth_m": -0.1}, "not negative"),
+        ({"pad_m": (0.0, math.nan, 0.0)}, "finite"),
+        ({"pad_m": (4.8, 0.0, 0.0)}, "take-off place"),
+    ],
+)
+def test_limits_that_are_none_are_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        dataclasses.replace(ENVELOPE, **changes)
+    assert dataclasses.replace(ENVELOPE, pad_depth_m=0.0).pad_depth_m == 0.0
+
+
+@pytest.mark.parametrize(("floor", "ceiling", "inset"), [(0.0, 0.6, 0.3), (0.0, 2.0, -0.1), (math.nan, 2.0, 0.3)])
+def test_a_fence_without_height_is_refused(floor: float, ceiling: float, inset: float) -> None:
+    with pytest.raises(ValueError, match="floor"):
+        Fence(ELL, floor, ceiling, inset)
+    assert Fence(ELL, 0.0, 0.61, 0.3).inset_m == 0.3
+    assert Fence(ELL, 0.0, 0.61, 0.0).inset_m == 0.0

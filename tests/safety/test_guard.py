@@ -10,33 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rooms import BOUNDS, DT, ENVELOPE, HULL_RADIUS_M, everything, frame, guard_of, known_free, proposal, situation
 
-from uav_recon.safety.envelope import Envelope
-from uav_recon.safety.guard import ClearedSetpoint, Guard, Patience, Proposal, Situation, fault_of
+from uav_recon.safety.guard import ClearedSetpoint, Guard, Proposal
+from uav_recon.safety.proximity import Ahead
+from uav_recon.safety.sight import Sight
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.trajectory import Setpoint, Trajectory
-
-DT = 1 / 30
-ENVELOPE = Envelope((-1.0, -2.0, -0.1), (5.0, 2.0, 2.4), 0.3, 1.0, 2.0, 0.8)
-PATIENCE = Patience(pose_hold_s=0.2, pose_land_s=1.0, intent_hold_s=0.5, intent_land_s=20.0)
-
-
-def situation(now_s: float, **changes: Any) -> Situation:
-    usual = Situation(now_s, (0.0, 0.0, 1.0), 0.0, pose_age_s=0.03, intent_age_s=0.05, map_epoch=0)
-    return dataclasses.replace(usual, **changes)
-
-
-def proposal(
-    position: Any = (0.0, 0.0, 1.0),
-    velocity: Any = (0.0, 0.0, 0.0),
-    acceleration: Any = (0.0, 0.0, 0.0),
-    yaw: float = 0.0,
-    yaw_rate: float = 0.0,
-    identifier: int = 1,
-    epoch: int = 0,
-) -> Proposal:
-    p, v, a = (np.array(vector, dtype=np.float64) for vector in (position, velocity, acceleration))
-    return Proposal(Setpoint(p, v, a, yaw, yaw_rate, 0.0), identifier, epoch)
+from uav_recon.types.pose import Pose
+from uav_recon.types.trajectory import Setpoint
 
 
 def along(distance_m: float) -> FloatArray:
@@ -44,14 +25,14 @@ def along(distance_m: float) -> FloatArray:
 
 
 def anchored() -> Guard:
-    guard = Guard(ENVELOPE, PATIENCE)
+    guard = guard_of()
     guard.clear(None, situation(0.0))
     return guard
 
 
 def moving(speed_mps: float = 1.0, start: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> tuple[Guard, float, FloatArray]:
     """A guard that has cleared an acceleration to a speed along x; returns it, the time and the place."""
-    guard = Guard(ENVELOPE, PATIENCE)
+    guard = guard_of()
     guard.clear(None, situation(0.0, position_m=start))
     now, place, v = 0.0, np.array(start), 0.0
     while v < speed_mps - 1e-9:
@@ -70,7 +51,7 @@ def test_nobody_else_makes_a_cleared_setpoint() -> None:
 
 
 def test_the_first_setpoint_holds_the_present_place() -> None:
-    guard = Guard(ENVELOPE, PATIENCE)
+    guard = guard_of()
     cleared, refusal = guard.clear(proposal((3.0, 0.0, 1.0)), situation(5.0, position_m=(0.1, -0.1, 0.0), yaw_rad=0.4))
     np.testing.assert_allclose(cleared.setpoint.position_m, [0.1, -0.1, 0.0])
     assert cleared.setpoint.yaw_rad == 0.4
@@ -78,10 +59,10 @@ def test_the_first_setpoint_holds_the_present_place() -> None:
 
 
 def test_a_first_place_outside_is_drawn_inside() -> None:
-    guard = Guard(ENVELOPE, PATIENCE)
+    guard = guard_of()
     cleared, _ = guard.clear(None, situation(0.0, position_m=(9.0, 0.0, 1.0)))
     np.testing.assert_allclose(cleared.setpoint.position_m, [4.7, 0.0, 1.0])
-    cleared, _ = Guard(ENVELOPE, PATIENCE).clear(None, situation(0.0, position_m=(math.nan, 0.0, 1.0)))
+    cleared, _ = guard_of().clear(None, situation(0.0, position_m=(math.nan, 0.0, 1.0)))
     np.testing.assert_allclose(cleared.setpoint.position_m, [0.0, 0.0, 0.0])
 
 
@@ -152,16 +133,21 @@ def test_speed_towards_the_fence_must_leave_room_to_stop() -> None:
         assert (refusal is None) is (millimetres <= 0), millimetres
 
 
-def test_a_silent_mission_ends_its_trajectory_and_starts_no_other() -> None:
-    guard, now, place = moving(0.5)
-    late = situation(now + DT, intent_age_s=3.0)
-    following = proposal(place + along(0.5 * DT), (0.5, 0, 0))
-    _, refusal = guard.clear(following, late)
-    assert refusal is None, "its end is at rest in free space: play on"
-    other = proposal(place + along(1.0 * DT), (0.5, 0, 0), identifier=2)
-    _, refusal = guard.clear(other, situation(now + 2 * DT, intent_age_s=3.0))
-    assert refusal is not None
-    assert "silent" in refusal.reason
+def test_the_faster_the_sooner_silence_is_noticed() -> None:
+    """v times age plus v squared over 2a stays within half a metre, and no age is beyond half a second."""
+    for speed in (0.2, 0.5, 0.8, 1.0):
+        limit = min((0.5 - speed**2 / 4.0) / speed, 0.5)
+        for beyond in (-0.001, 0.001):
+            guard, now, place = moving(speed)
+            late = situation(now + DT, intent_age_s=limit + beyond)
+            _, refusal = guard.clear(proposal(place + along(speed * DT), (speed, 0, 0)), late)
+            assert (refusal is None) is (beyond < 0), (speed, beyond)
+    guard = anchored()
+    assert guard.clear(proposal(), situation(DT, intent_age_s=0.49))[1] is None
+    for age in (0.51, math.nan, -0.2):
+        _, refusal = guard.clear(proposal(), situation(2 * DT, intent_age_s=age))
+        assert refusal is not None
+        assert refusal.reason == "mission is silent"
 
 
 def test_a_stale_pose_holds() -> None:
@@ -174,15 +160,6 @@ def test_a_stale_pose_holds() -> None:
             assert refusal is not None
             assert refusal.reason == "pose is stale"
             guard, now, place = moving(0.5)
-
-
-@pytest.mark.parametrize(
-    ("pose_age_s", "intent_age_s", "lands"),
-    [(1.0, 20.0, False), (1.001, 0.0, True), (0.0, 20.01, True), (math.inf, 0.0, True), (math.nan, 0.0, True)],
-)
-def test_the_ladder_ends_in_a_landing(pose_age_s: float, intent_age_s: float, lands: bool) -> None:
-    reason = anchored().must_land(situation(9.0, pose_age_s=pose_age_s, intent_age_s=intent_age_s))
-    assert bool(reason) is lands
 
 
 def test_a_reset_of_odom_holds_the_new_place_for_a_second() -> None:
@@ -218,7 +195,7 @@ NUDGE = st.tuples(*[st.floats(-0.06, 0.06)] * 3)
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_nothing_invalid_ever_leaves(data: st.DataObject) -> None:
-    guard = Guard(ENVELOPE, PATIENCE)
+    guard = guard_of()
     now = 0.0
     cleared, _ = guard.clear(None, situation(now, position_m=data.draw(VECTOR), yaw_rad=data.draw(HOSTILE)))
     last = cleared.setpoint
@@ -247,29 +224,117 @@ def test_nothing_invalid_ever_leaves(data: st.DataObject) -> None:
         last = flown
 
 
-def line(**changes: Any) -> Trajectory:
-    n = 5
-    usual = Trajectory(
-        0.0, 0.1, np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(0), 0, 1
-    )
-    return dataclasses.replace(usual, **changes)
+def test_what_is_not_known_free_is_refused() -> None:
+    """A wall from x = 1 m on: the hull may come within its radius of the first voxel's centre, braking included."""
+    free = everything()
+    free[30:] = False
+    wall = known_free(free)
+    guard, now, place = moving(0.5, start=(0.0, 0.0, 1.0))
+    reason = ""
+    for _ in range(90):
+        now, place = now + DT, place + along(0.5 * DT)
+        _, refusal = guard.clear(proposal(place, (0.5, 0, 0)), situation(now, free=wall))
+        if refusal is not None:
+            reason = refusal.reason
+            break
+    assert "not known free" in reason
+    assert 1.05 - 0.2 - 0.0625 - 0.5 * DT <= place[0] <= 1.05 - 0.2 - 0.0625 + 0.5 * DT
 
 
 @pytest.mark.parametrize(
-    ("changes", "fault"),
+    ("free", "reason"), [(None, "no known-free space"), (known_free(everything(), epoch=2), "is of map epoch 2")]
+)
+def test_without_known_free_space_of_this_epoch_nothing_moves(free: Any, reason: str) -> None:
+    _, refusal = anchored().clear(proposal((0.01, 0, 1.0)), situation(DT, free=free))
+    assert refusal is not None
+    assert reason in refusal.reason
+    assert anchored().clear(proposal(), situation(DT, free=free))[1] is None, "a hold goes nowhere"
+
+
+def test_near_things_slow_and_stop() -> None:
+    for wall_m, speed, passes in ((3.0, 1.0, True), (0.9, 1.0, False), (1.0, 1.0, True), (0.9, 0.5, True), (0.3, 0.5, False)):
+        guard, now, place = moving(speed)
+        near = Ahead(frame(wall_m, now), HULL_RADIUS_M)
+        _, refusal = guard.clear(proposal(place + along(speed * DT), (speed, 0, 0)), situation(now + DT, ahead=near))
+        assert (refusal is None) is passes, (wall_m, speed)
+        if refusal is not None:
+            assert "from something" in refusal.reason
+
+
+@pytest.mark.parametrize("stamp_s", [-0.5, 0.5, math.nan, None])
+def test_nothing_moves_without_fresh_depth_but_a_retreat(stamp_s: float | None) -> None:
+    ahead = None if stamp_s is None else Ahead(frame(stamp_s=stamp_s), HULL_RADIUS_M)
+    creep: dict[str, Any] = {"position": (0.005, 0, 1.0), "velocity": (0.05, 0, 0)}
+    _, refusal = anchored().clear(proposal(**creep), situation(DT, ahead=ahead))
+    assert refusal is not None
+    assert refusal.reason == "depth is stale"
+    assert anchored().clear(proposal(**creep, retreating=True), situation(DT, ahead=ahead, intent_age_s=9.0))[1] is None
+    assert anchored().clear(proposal(), situation(DT, ahead=ahead))[1] is None
+
+
+def test_a_retreat_is_slow_and_still_sees() -> None:
+    guard = anchored()
+    fast = proposal((0.01, 0, 1.0), (0.31, 0, 0), retreating=True)
+    _, refusal = guard.clear(fast, situation(0.2))
+    assert refusal is not None
+    assert refusal.reason == "speed 0.31 m/s"
+    near = Ahead(frame(0.25), HULL_RADIUS_M)
+    _, refusal = guard.clear(proposal((0.01, 0, 1.0), (0.2, 0, 0), retreating=True), situation(0.3, ahead=near))
+    assert refusal is not None
+    assert "from something" in refusal.reason
+
+
+def test_where_the_camera_does_not_look_only_what_was_seen_lately_is_entered_and_slowly() -> None:
+    sight = Sight(10.0, HULL_RADIUS_M)
+    guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=0.3), sight=sight)
+    start = (1.0, 0.0, 1.0)
+    guard.clear(None, situation(0.0, position_m=start))
+    back = proposal((0.99, 0, 1.0), (-0.1, 0, 0))
+    _, refusal = guard.clear(back, situation(0.05))
+    assert refusal is not None
+    assert "not seen lately at 0.74" in refusal.reason
+    sight.add(frame(9.0, 0.1), Pose.from_yaw(math.pi, np.array(start)))
+    assert guard.clear(back, situation(0.1))[1] is None
+    _, refusal = guard.clear(proposal((0.98, 0, 1.0), (-0.1, 0, 0)), situation(10.2))
+    assert refusal is not None, "seen ten seconds ago is not lately"
+    sight.add(frame(9.0, 10.3), Pose.from_yaw(math.pi, np.array(start)))
+    fast = proposal((0.98, 0, 1.0), (-0.31, 0, 0))
+    _, refusal = guard.clear(fast, situation(10.6))
+    assert refusal is not None
+    assert "where the camera does not look" in refusal.reason
+    assert guard.clear(proposal((0.98, 0.0, 1.0), (0.5, 0, 0)), situation(11.0))[1] is None, "ahead it may go"
+    guard.rebase(situation(11.1), rest_s=0.0)
+    guard.clear(None, situation(11.2, position_m=start))
+    assert guard.clear(back, situation(11.3))[1] is not None, "nothing was seen in the new odom"
+
+
+def test_who_allows_the_full_speed_everywhere_does_not_ask_what_was_seen() -> None:
+    for blind_mps, cleared in ((1.0, True), (0.999, False)):
+        guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=blind_mps))
+        guard.clear(None, situation(0.0, position_m=(-0.6, 0.0, 1.0)))
+        refusal = guard.clear(proposal((-0.61, 0, 1.0), (-0.1, 0, 0)), situation(0.05))[1]
+        assert (refusal is None) is cleared
+
+
+def test_over_the_pad_the_declared_column_may_be_climbed_unseen() -> None:
+    guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=0.3))
+    guard.clear(None, situation(0.0))
+    assert guard.clear(proposal((0, 0, 1.01), (0, 0, 0.4)), situation(0.2))[1] is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "height_m", "reason"),
     [
-        ({}, ""),
-        ({"position_m": np.zeros((4, 3))}, "malformed"),
-        ({"position_m": np.zeros((5, 2))}, "malformed"),
-        ({"yaw_rad": np.zeros((5, 1))}, "malformed"),
-        ({"yaw_rad": np.zeros(0)}, "malformed"),
-        ({"step_s": 0.0}, "time axis"),
-        ({"start_s": math.nan}, "time axis"),
-        ({"yaw_rate_radps": np.full(5, math.nan)}, "finite"),
-        ({"velocity_mps": np.full((5, 3), 0.2)}, "rest"),
+        ({}, 1.1, ""),
+        ({"free": None}, 1.1, "no depth frame has confirmed"),
+        ({"ahead": None}, 1.1, "no depth frame has confirmed"),
+        ({}, 2.2, "does not lie inside"),
+        ({"position_m": (1.0, 0.0, 0.0)}, 1.1, "does not lie inside"),
+        ({"position_m": (0.0, 0.0, 0.0), "free": known_free(everything() & (np.arange(45) != 18))}, 1.1, "not known free"),
+        ({"position_m": (0.0, 0.0, 0.0), "free": known_free(everything() & (np.arange(45) != 24))}, 1.1, ""),
     ],
 )
-def test_trajectories_that_cannot_be_sampled_are_named(changes: dict[str, Any], fault: str) -> None:
-    found = fault_of(line(**changes))
-    assert fault in found
-    assert bool(found) is bool(fault)
+def test_a_take_off_wants_its_column(changes: dict[str, Any], height_m: float, reason: str) -> None:
+    found = guard_of().fault_of_take_off(situation(0.0, **changes), height_m)
+    assert reason in found
+    assert bool(found) is bool(reason)

@@ -1,4 +1,4 @@
-"""The nearest return in the travel cone, against depth frames whose answer is known by hand."""
+"""The nearest return in the way, and how fast it may be approached."""
 
 from __future__ import annotations
 
@@ -6,48 +6,71 @@ import math
 
 import numpy as np
 import pytest
+from rooms import HULL_RADIUS_M, MOUNT, frame
 
-from uav_recon.safety.proximity import nearest_in_cone
-from uav_recon.types.camera import Intrinsics
-from uav_recon.types.frames import Float32Array
+from uav_recon.safety.proximity import Ahead, Margins, fastest_mps
+from uav_recon.types.nearby import Nearby
 
-CAMERA = Intrinsics.from_fov(85, 49, math.radians(87), math.radians(58))
-AHEAD = np.array([0.0, 0.0, 1.0])
-
-
-def wall(distance_m: float) -> Float32Array:
-    return np.full((49, 85), distance_m, dtype=np.float32)
+AHEAD = np.array([1.0, 0.0, 0.0])
+MARGINS = Margins(0.1, 0.4)
 
 
-def test_a_wall_ahead_is_as_far_as_it_is() -> None:
-    assert nearest_in_cone(wall(2.0), CAMERA, AHEAD, 0.3) == pytest.approx(2.0, rel=1e-3)
+def seen(row: int, column: int, range_m: float) -> Ahead:
+    ranges = np.full((12, 16), np.nan, dtype=np.float32)
+    ranges[row, column] = range_m
+    return Ahead(Nearby(5.0, MOUNT, ranges, (0.95, 0.55), 0.9), HULL_RADIUS_M)
 
 
-def test_a_thin_post_before_the_wall_counts_and_a_speckle_does_not() -> None:
-    depth = wall(3.0)
-    depth[:, 42] = 1.0
-    assert nearest_in_cone(depth, CAMERA, AHEAD, 0.3) == pytest.approx(1.0, rel=2e-2)
-    speckle = wall(3.0)
-    speckle[24, 42] = 0.4
-    assert nearest_in_cone(speckle, CAMERA, AHEAD, 0.3) == pytest.approx(3.0, rel=1e-2)
+def test_room_is_what_is_left_before_the_hull() -> None:
+    assert seen(6, 8, 2.0).room_m(AHEAD) == pytest.approx(0.1 + 2.0 - 0.2, abs=0.02)
+    assert Ahead(frame(2.0), HULL_RADIUS_M).room_m(AHEAD) == pytest.approx(1.9, abs=0.05)
+    assert Ahead(frame(math.nan), HULL_RADIUS_M).room_m(AHEAD) == math.inf
 
 
-def test_what_lies_beside_the_cone_does_not_count() -> None:
-    depth = wall(3.0)
-    depth[:, :10] = 0.5  # far left
-    assert nearest_in_cone(depth, CAMERA, AHEAD, 0.3) == pytest.approx(3.0, rel=1e-2)
-    assert nearest_in_cone(depth, CAMERA, np.array([-0.85, 0.0, 1.0]), 0.3) < 0.8
+def test_only_the_hulls_own_way_counts() -> None:
+    """A return in the outermost column lies 0.89 of its depth to the left: beside the way ahead, in the way to the left."""
+    ahead = seen(6, 0, 1.0)
+    x, y, z = 0.1 + 1.0 / math.sqrt(1 + 0.890625**2 + 0.0458**2), 0.890625 / math.sqrt(1 + 0.890625**2), 0.0
+    towards = np.array([x, y, z]) / math.hypot(x, y)
+    assert ahead.room_m(AHEAD) == math.inf
+    assert ahead.room_m(towards) == pytest.approx(math.hypot(x, y) - 0.2, abs=0.01)
+    assert ahead.room_m(-towards) == math.inf, "behind is not ahead"
+    for off, met in ((0.24, True), (0.26, False)):
+        angle = math.asin(off / math.hypot(x, y))
+        turned = np.array([towards[0] * math.cos(angle) + towards[1] * math.sin(angle), 0.0, 0.0])
+        turned[1] = towards[1] * math.cos(angle) - towards[0] * math.sin(angle)
+        assert math.isfinite(ahead.room_m(turned)) is met
 
 
-@pytest.mark.parametrize("nothing", [math.nan, 0.0, -1.0, math.inf])
-def test_no_return_is_no_distance(nothing: float) -> None:
-    assert nearest_in_cone(wall(nothing), CAMERA, AHEAD, 0.3) == math.inf
-    half = wall(1.5)
-    half[:24] = nothing
-    assert nearest_in_cone(half, CAMERA, AHEAD, 0.3) == pytest.approx(1.5, rel=1e-2)
+@pytest.mark.parametrize(
+    ("direction", "sees"),
+    [
+        ((1, 0, 0), True), ((-1, 0, 0), False), ((0, 1, 0), False), ((0, 0, 1), False),
+        ((1, 0.94, 0), True), ((1, 0.96, 0), False), ((1, -0.96, 0), False), ((1, 0, 0.54), True), ((1, 0, 0.56), False),
+        ((1, 0, -0.56), False),
+    ],
+)  # fmt: skip
+def test_the_camera_looks_inside_its_frustum(direction: tuple[float, float, float], sees: bool) -> None:
+    unit = np.array(direction, dtype=np.float64)
+    assert Ahead(frame(), HULL_RADIUS_M).sees(unit / np.linalg.norm(unit)) is sees
 
 
-def test_no_direction_gives_no_cone_and_a_wrong_shape_is_a_bug() -> None:
-    assert nearest_in_cone(wall(1.0), CAMERA, np.zeros(3), 0.3) == math.inf
-    with pytest.raises(ValueError, match="intrinsics say"):
-        nearest_in_cone(wall(1.0)[1:], CAMERA, AHEAD, 0.3)
+def test_a_nearly_empty_frame_tells_nothing() -> None:
+    assert Ahead.tells(frame(share=0.2))
+    assert not Ahead.tells(frame(share=0.199))
+    assert not Ahead.tells(frame(share=math.nan))
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3, 0.5, 0.8, 1.0])
+@pytest.mark.parametrize("room_m", np.linspace(-0.1, 2.0, 43).tolist())
+def test_what_is_allowed_can_be_stopped_in_time(speed: float, room_m: float) -> None:
+    """Flown out by hand: react, then brake; fast, the hull is down to 0.5 m/s at 0.4 m; slow, at rest at 0.1 m."""
+    allowed = fastest_mps(room_m, 2.0, MARGINS, speed)
+    left = room_m - 0.25 * speed
+    if left <= 0.1:
+        assert allowed == 0.0
+    elif left <= 0.4:
+        assert allowed == pytest.approx(min(math.sqrt(4.0 * (left - 0.1)), 0.5))
+    else:
+        assert allowed**2 - 0.25 == pytest.approx(4.0 * (left - 0.4))
+    assert fastest_mps(math.inf, 2.0, MARGINS, speed) == math.inf

@@ -7,36 +7,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.autopilot.handover import Handover
+from uav_recon.autopilot.authority import IN_THE_AIR, Authority
+from uav_recon.autopilot.briefing import Briefing, Origin
+from uav_recon.autopilot.landing import Landing
 from uav_recon.autopilot.link import Link
+from uav_recon.autopilot.lookout import Lookout
+from uav_recon.autopilot.mandate import Mandate
 from uav_recon.autopilot.personality import ARM, Arming, Outcome, Personality
+from uav_recon.autopilot.posefeed import PoseFeed
+from uav_recon.autopilot.steering import Steering
 from uav_recon.autopilot.tlog import FrameLog, NoLog
 from uav_recon.clock import RateKeeper
 from uav_recon.protocols import ByteLink, Channel, Clock
-from uav_recon.safety.guard import ClearedSetpoint, Guard, Proposal, Situation, fault_of
+from uav_recon.safety.guard import Guard, Situation
+from uav_recon.safety.ladder import Health, Ladder, Patience, Rung
+from uav_recon.safety.posegate import PoseGate
+from uav_recon.safety.sight import Sight
+from uav_recon.types.maps import FreeSpace
+from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import Pose, StampedPose
-from uav_recon.types.trajectory import Goal, Intent, Refusal, Setpoint, Trajectory
+from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
-_POSE_MAX_AGE_S = 0.15  # older odometry is never fed: the estimator would drop it, or take it for new
-_POSE_FUTURE_S = 0.05
-_ASK_AGAIN_S = 2.0
-_LAND_AGAIN_S = 1.5  # longer than the heartbeat's period, so a human's mode is seen before we ask again
-_MODE_FRESH_S, _MODE_WAIT_S = 0.02, 0.25
-_LATE_ARM_S = 5.0
-_LINK_HOLD_S, _LINK_LOST_S = 1.0, 3.0
+_LINK_HOLD_S = 0.5
 _LONGEST_NOTE = 200
-_IN_THE_AIR = (FlightPhase.FLYING, FlightPhase.LANDING)
 _TICK_S = 0.01
-
-
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """The place on the globe that the autopilot is told; indoors any will do."""
-
-    lat_deg: float
-    lon_deg: float
-    alt_m: float
+_RESET_REST_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +42,18 @@ class PilotChannels:
     odom: Channel[StampedPose]
     intent: Channel[Intent]
     vehicle: Channel[VehicleState]
+    free: Channel[FreeSpace]
+    nearby: Channel[Nearby]
+
+
+@dataclass(frozen=True, slots=True)
+class Airframe:
+    """What the pilot must know of the vehicle and its flight: the hull (m), the hover over the pad (m), a gimbal."""
+
+    hull_radius_m: float
+    hull_height_m: float
+    hover_height_m: float
+    gimbal: bool = False
 
 
 class Pilot:
@@ -60,44 +68,37 @@ class Pilot:
         self,
         link: Link,
         guard: Guard,
+        sight: Sight,
+        patience: Patience,
         channels: PilotChannels,
         clock: Clock,
         origin: Origin,
+        airframe: Airframe,
         setpoint_rate_hz: float = 30.0,
-        gimbal: bool = False,
     ) -> None:
-        self._link, self._guard, self._channels, self._clock = link, guard, channels, clock
-        self._firmware = link.firmware
-        self._origin, self._gimbal = origin, gimbal
-        start_s = clock.now_s()
-        self._tick = RateKeeper(setpoint_rate_hz, start_s)
+        self._link, self._guard, self._patience, self._clock = link, guard, patience, clock
+        self._firmware, self._airframe, self._vehicle = link.firmware, airframe, channels.vehicle
+        self._briefing = Briefing(link, origin, airframe.gimbal)
+        self._tick = RateKeeper(setpoint_rate_hz, clock.now_s())
+        self._poses = PoseFeed(channels.odom, link, PoseGate(guard.envelope.max_yaw_rate_radps))
+        self._mandate = Mandate(channels.intent, patience.intent_hold_s)
+        hull = (airframe.hull_radius_m, airframe.hull_height_m)
+        self._lookout = Lookout(channels.free, channels.nearby, sight, *hull)
+        self._authority, self._steering = Authority(link.firmware), Steering(guard, self._mandate, airframe.hover_height_m)
+        self._ladder, self._rung, self._low = Ladder(patience), Rung.FLY, ""  # where it stands, and why no higher
         self.phase = FlightPhase.CONNECTING
         self._note = ""
-        self._pose: StampedPose | None = None  # the newest one fit to be believed
-        self._odom_sequence = -1
-        self._intent: Intent | None = None
-        self._trajectory: Trajectory | None = None
-        self._handover: Handover | None = None
-        self._flown: Setpoint | None = None  # the newest setpoint on the wire
-        self._forsaken: tuple[int, float] | None = None  # malformed, or made in an odom that is no more
-        self._malformed_count = 0
         self._arming: Arming | None = None
+        self._landing: Landing | None = None
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
-        self._arm_asked_s = -math.inf
-        self._land_asked_s = -math.inf
-        self._land_wait_s = math.inf
-        self._land_seen = False
         self._land_wanted = ""
-        self._asked_s = -math.inf
-        self._reboots = 0
 
     def step(self) -> None:
         """One turn: listen, feed, judge, act, stream, tell."""
         now_s = self._clock.now_s()
         self._link.receive(now_s)
-        self._feed_pose(now_s)
-        self._hear_mission(now_s)
-        self._watch_authority(now_s)
+        self._listen(now_s)
+        self._judge(now_s)
         self._advance(now_s)
         if self._tick.due(now_s):
             self._stream(now_s)
@@ -116,105 +117,61 @@ class Pilot:
     @property
     def in_flight(self) -> bool:
         """Whether the vehicle is, or may be, in the air by our doing."""
-        return self.phase in (FlightPhase.ARMING, *_IN_THE_AIR)
+        return self.phase in (FlightPhase.ARMING, *IN_THE_AIR)
 
-    # ---- listen -----------------------------------------------------------------------------------------------
+    # ---- listen and judge -------------------------------------------------------------------------------------
 
-    def _feed_pose(self, now_s: float) -> None:
-        """Hand every new, good and young pose to the autopilot; anything else is silence, never a repetition."""
-        sequence = self._channels.odom.sequence()
-        if sequence == self._odom_sequence:
-            return
-        try:
-            pose = self._channels.odom.latest()
-        except ValueError:
-            pose = None
-        self._odom_sequence = sequence
-        if pose is None or not self._is_good(pose, now_s):
-            return
-        jumped = self._pose is not None and pose.reset_counter != self._pose.reset_counter
-        self._pose = pose
-        if jumped:
+    def _listen(self, now_s: float) -> None:
+        if self._poses.step(now_s):
             self._note = "pose source was reset: holding"
-            self._guard.rebase(self._situation(now_s))
-            self._forsaken, self._trajectory = _key(self._trajectory), None
-        self._link.feed_pose(pose, now_s)
-
-    def _is_good(self, pose: StampedPose, now_s: float) -> bool:
-        newer = self._pose is None or pose.stamp_s > self._pose.stamp_s
-        young = -_POSE_FUTURE_S <= now_s - pose.stamp_s <= _POSE_MAX_AGE_S
-        shaped = pose.velocity_odom_mps.shape == (3,) and pose.covariance.shape == (6, 6)
-        finite = shaped and bool(np.isfinite(pose.velocity_odom_mps).all() and np.isfinite(pose.covariance).all())
-        return newer and young and finite and pose.quality > 0
-
-    def _hear_mission(self, now_s: float) -> None:
-        """Take over the newest intent; a trajectory that cannot be sampled is refused here, once."""
-        try:
-            intent = self._channels.intent.latest()
-        except ValueError:
-            intent = None
-        if intent is None or intent is self._intent or not -0.1 <= now_s - intent.stamp_s <= self._guard.patience.intent_hold_s:
-            return
-        self._intent = intent
-        self._may_arm = self._may_arm or intent.goal is not Goal.FLY
-        trajectory = intent.trajectory if intent.goal is Goal.FLY else None
-        if trajectory is None:
-            self._trajectory = None
-            return
-        if _key(trajectory) in (_key(self._trajectory), self._forsaken):
-            return
-        fault = fault_of(trajectory)
-        self._trajectory, self._handover = None if fault else trajectory, None
+            self._steering.rebase(self._situation(now_s), _RESET_REST_S)
+        self._lookout.step(self._poses.pose, now_s)
+        fault = self._mandate.hear(now_s)
         if fault:
-            self._forsaken, self._note = _key(trajectory), f"refused: {fault}"
-            self._malformed_count += 1
+            self._note = f"refused: {fault}"
+        self._may_arm = self._may_arm or self._mandate.goal(now_s) is not Goal.FLY
 
-    # ---- judge ------------------------------------------------------------------------------------------------
-
-    def _watch_authority(self, now_s: float) -> None:
-        """Whatever we did not ask for is somebody else's will: yield, or accept the autopilot's own landing."""
-        t = self._link.telemetry
-        rebooted, self._reboots = t.reboots != self._reboots, t.reboots
-        if self.phase in (FlightPhase.CONNECTING, FlightPhase.READY) and t.armed:
-            if self._firmware.is_ours(t.custom_mode) and now_s - self._arm_asked_s < _LATE_ARM_S:
-                self.phase = FlightPhase.LANDING  # our own request, withdrawn before it took effect
-            else:
-                self._yield("armed by somebody else")
-                if self._firmware.is_ours(t.custom_mode):  # by us before a restart: nobody flies it now
-                    self._link.stop_heartbeats()
-        elif self.phase in _IN_THE_AIR and rebooted:
-            self._yield("the autopilot restarted in flight")
-        elif self.phase in _IN_THE_AIR and now_s - t.heard_s > _LINK_LOST_S:
-            self._yield("the autopilot is silent")
-            self._link.stop_heartbeats()
-        elif self.phase is FlightPhase.FLYING and not t.armed:
-            self._land_finished("disarmed in flight")
-        elif self.phase is FlightPhase.FLYING and self._firmware.is_landing(t.custom_mode):
-            self.phase, self._land_seen, self._note = FlightPhase.LANDING, True, f"the autopilot lands: {t.warning}"
-        elif self.phase is FlightPhase.FLYING and not self._firmware.is_ours(t.custom_mode):
-            self._yield(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
+    def _judge(self, now_s: float) -> None:
+        loss = self._authority.watch(self.phase, self._link.telemetry, now_s)
+        if loss is not None:
+            self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
+            if loss.abandoned:
+                self._link.stop_heartbeats()
+        if self.phase is FlightPhase.FLYING:
+            before, (self._rung, self._low) = self._rung, self._ladder.step(self._health(now_s))
+            self._note = self._low if self._rung > before else self._note
+            if self._poses.pose is not None and self._rung < Rung.RETREAT:
+                self._steering.was_at(self._poses.pose.odom_from_body)
 
     def _situation(self, now_s: float) -> Situation:
-        pose, intent = self._pose, self._intent
-        intent_age_s = math.inf if intent is None else now_s - intent.stamp_s
+        pose, intent_age_s = self._poses.pose, self._mandate.age_s(now_s)
+        free, ahead = self._lookout.known_free, self._lookout.ahead
         if pose is None:
-            return Situation(now_s, (0.0, 0.0, 0.0), 0.0, math.inf, intent_age_s, 0)
+            return Situation(now_s, (0.0, 0.0, 0.0), 0.0, np.eye(3), math.inf, intent_age_s, 0, free, ahead)
         x, y, z = pose.odom_from_body.translation_m.tolist()
-        yaw_rad, age_s = pose.odom_from_body.yaw_rad(), now_s - pose.stamp_s
-        return Situation(now_s, (x, y, z), yaw_rad, age_s, intent_age_s, pose.map_epoch)
+        body_from_odom, yaw_rad = pose.odom_from_body.rotation().T, pose.odom_from_body.yaw_rad()
+        age_s = now_s - pose.stamp_s
+        return Situation(now_s, (x, y, z), yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead)
 
-    def _goal(self, now_s: float) -> Goal:
-        """What a mission that is not silent wants, STANDBY otherwise."""
-        if self._intent is None or now_s - self._intent.stamp_s > self._guard.patience.intent_hold_s:
-            return Goal.STANDBY
-        return self._intent.goal
+    def _health(self, now_s: float) -> Health:
+        here, refusals = self._situation(now_s), self._guard.refusals + self._mandate.malformed
+        inside = self._guard.envelope.fence.holds(here.position_m)
+        return Health(now_s, here.pose_age_s, here.intent_age_s, self._lookout.depth_age_s(now_s), inside, refusals)
 
     # ---- act --------------------------------------------------------------------------------------------------
+
+    def _enter(self, phase: FlightPhase, why: str, landing_seen: bool = False) -> None:
+        """Every change of phase but those of an undisturbed flight."""
+        self.phase, self._note, self._arming = phase, why or self._note, None
+        self._landing = Landing(landing_seen) if phase is FlightPhase.LANDING else self._landing
+        if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
+            self._mandate.forsake()
 
     def _advance(self, now_s: float) -> None:
         """One step of the sequence for the phase we are in."""
         if self.phase is FlightPhase.CONNECTING:
-            self._connect(now_s)
+            missing = self._briefing.missing(now_s)
+            self.phase, self._note = (FlightPhase.CONNECTING if missing else FlightPhase.READY), missing
         elif self.phase is FlightPhase.READY:
             self._stand_ready(now_s)
         elif self.phase is FlightPhase.ARMING:
@@ -224,120 +181,80 @@ class Pilot:
         elif self.phase is FlightPhase.LANDING:
             self._land(now_s)
 
-    def _connect(self, now_s: float) -> None:
-        t = self._link.telemetry
-        missing = self._firmware.missing_for_arming(t, self._link.time_known, now_s)
-        if not missing:
-            self.phase, self._note = FlightPhase.READY, ""
-            return
-        self._note = t.failure or missing
-        if t.system == 0 or now_s - self._asked_s < _ASK_AGAIN_S:
-            return
-        self._asked_s = now_s
-        self._link.request_streams(now_s, self._firmware.streams_hz, () if t.version else self._firmware.asked_once)
-        if self._gimbal:
-            self._link.claim_gimbal(now_s)
-        if not t.origin_known and not self._firmware.missing_for_origin(t, self._link.time_known, now_s):
-            self._link.send_origin(now_s, self._origin.lat_deg, self._origin.lon_deg, self._origin.alt_m)
-
     def _stand_ready(self, now_s: float) -> None:
         if self._firmware.missing_for_arming(self._link.telemetry, self._link.time_known, now_s):
             self.phase = FlightPhase.CONNECTING
-        elif self._goal(now_s) is Goal.FLY and self._may_arm and not self._land_wanted:
+        elif self._mandate.goal(now_s) is Goal.FLY and self._may_arm and not self._land_wanted:
+            here = self._situation(now_s)
+            blocked = self._guard.fault_of_take_off(here, self._airframe.hover_height_m)
+            if blocked:
+                self._abandon_arming(f"take-off refused: {blocked}")
+                return
             self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
-            self._guard.rebase(self._situation(now_s), rest_s=0.0)
+            self._ladder, self._rung, self._low = Ladder(self._patience), Rung.FLY, ""
+            self._steering.rebase(here, rest_s=0.0)
 
     def _arm(self, now_s: float) -> None:
         arming, t = self._arming, self._link.telemetry
-        if (
-            arming is None
-            or self._land_wanted
-            or self._goal(now_s) is not Goal.FLY
-            or self._guard.must_land(self._situation(now_s))
-        ):
+        unfit = self._ladder.step(self._health(now_s))[0] is Rung.LAND
+        if arming is None or self._land_wanted or self._mandate.goal(now_s) is not Goal.FLY or unfit:
             self._abandon_arming(self._land_wanted or "arming withdrawn")
             return
         outcome, command = arming.step(now_s, t)
         if outcome is Outcome.ARMED:
             self.phase, self._note = FlightPhase.FLYING, ""
             if not arming.streams:
-                self._guard.rebase(self._situation(now_s), rest_s=0.0)
+                self._steering.rebase(self._situation(now_s), rest_s=0.0)
         elif outcome is Outcome.GIVEN_UP:
             self._abandon_arming(arming.reason)
         elif command is not None:
-            self._arm_asked_s = now_s if command == ARM else self._arm_asked_s
+            if command == ARM:
+                self._authority.asked_to_arm(now_s)
             self._link.command(now_s, command[0], *command[1])
 
     def _abandon_arming(self, why: str) -> None:
         """Back on the ground, or into a landing if the motors may have started in between."""
-        self._arming, self._may_arm, self._note = None, False, why
-        self.phase = FlightPhase.LANDING if self._link.telemetry.armed else FlightPhase.READY
+        self._may_arm = False
+        self._enter(FlightPhase.LANDING if self._link.telemetry.armed else FlightPhase.READY, why)
 
     def _fly(self, now_s: float) -> None:
-        wanted = "the mission asks to land" if self._goal(now_s) is Goal.LAND else ""
-        why = self._land_wanted or self._guard.must_land(self._situation(now_s)) or wanted
+        wanted = "the mission asks to land" if self._mandate.goal(now_s) is Goal.LAND else ""
+        ended = f"{self._low}: {self._steering.ended}" if self._steering.ended else ""
+        why = self._land_wanted or (self._low if self._rung is Rung.LAND else "") or ended or wanted
         if why:
-            self.phase, self._note = FlightPhase.LANDING, why
+            self._enter(FlightPhase.LANDING, why)
             self._land(now_s)
 
     def _land(self, now_s: float) -> None:
-        """Ask for LAND until it is seen, then leave it alone until the motors stop. There is no way back up."""
-        t = self._link.telemetry
-        if not t.armed:
-            self._land_finished("")
-        elif self._firmware.is_landing(t.custom_mode):
-            self._land_seen = True
-        elif not self._firmware.is_ours(t.custom_mode):
-            self._yield(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
-        elif now_s - self._land_asked_s >= _LAND_AGAIN_S and self._mode_is_current(now_s):
-            self._land_asked_s = now_s
-            self._link.command(now_s, self._firmware.land[0], *self._firmware.land[1])
-
-    def _mode_is_current(self, now_s: float) -> bool:
-        """Whether no human can have taken over unseen: the mode was told this instant, or is not told often."""
-        self._land_wait_s = min(self._land_wait_s, now_s)
-        heartbeat_s = self._link.telemetry.heartbeat_s
-        waited = now_s - self._land_wait_s >= _MODE_WAIT_S
-        return heartbeat_s > self._land_asked_s and (waited or now_s - heartbeat_s < _MODE_FRESH_S)
-
-    def _land_finished(self, why: str) -> None:
-        self.phase, self._note, self._trajectory = FlightPhase.LANDED, why or self._note, None
-
-    def _yield(self, why: str) -> None:
-        self.phase, self._note, self._trajectory, self._arming = FlightPhase.YIELDED, f"yielded: {why}", None, None
+        landing = self._landing = self._landing or Landing(seen=False)
+        phase = landing.step(self._link, now_s)
+        if phase is FlightPhase.YIELDED:
+            self._enter(phase, f"yielded: mode changed to {self._firmware.mode_name(self._link.telemetry.custom_mode)}")
+        elif phase is FlightPhase.LANDED:
+            self._enter(phase, "")
 
     # ---- stream and tell --------------------------------------------------------------------------------------
 
     def _stream(self, now_s: float) -> None:
         """One setpoint, if the vehicle is ours: the guard's answer to the trajectory, or its hold."""
         arming = self.phase is FlightPhase.ARMING and self._arming is not None and self._arming.streams
-        landing = self.phase is FlightPhase.LANDING and not self._land_seen
+        landing = self.phase is FlightPhase.LANDING and self._landing is not None and not self._landing.seen
         if not (arming or landing or self.phase is FlightPhase.FLYING):
             return
-        cleared, refusal = self._clear(now_s)
+        linked = now_s - self._link.telemetry.heard_s <= _LINK_HOLD_S
+        steered = linked and self.phase is FlightPhase.FLYING
+        cleared, refusal = self._steering.steer(self._rung if steered else Rung.HOLD, self._situation(now_s))
         if refusal is not None:
             self._note = f"refused: {refusal.reason}"
-        self._flown = cleared.setpoint
-        self._link.stream(cleared, now_s, self._gimbal)
-
-    def _clear(self, now_s: float) -> tuple[ClearedSetpoint, Refusal | None]:
-        linked = now_s - self._link.telemetry.heard_s <= _LINK_HOLD_S
-        trajectory = self._trajectory if self.phase is FlightPhase.FLYING and linked else None
-        if trajectory is None:
-            return self._guard.clear(None, self._situation(now_s))
-        if self._handover is None:
-            self._handover = Handover(self._flown, trajectory, now_s) if self._flown else None
-        sample = trajectory.setpoint_at(now_s)
-        wanted = self._handover.apply(sample, now_s) if self._handover else sample
-        return self._guard.clear(Proposal(wanted, trajectory.identifier, trajectory.map_epoch), self._situation(now_s))
+        self._link.stream(cleared, now_s, self._airframe.gimbal)
 
     def _publish(self, now_s: float) -> None:
-        t, pose = self._link.telemetry, self._pose
+        t, pose, trajectory = self._link.telemetry, self._poses.pose, self._mandate.trajectory
         if pose is not None:
             world_from_body, velocity = pose.odom_from_body, pose.velocity_odom_mps
         else:
             world_from_body, velocity = Pose(t.quat_wxyz, t.position_m), t.velocity_mps
-        self._channels.vehicle.publish(
+        self._vehicle.publish(
             VehicleState(
                 stamp_s=now_s,
                 world_from_body=world_from_body,
@@ -347,30 +264,27 @@ class Pilot:
                 phase=self.phase,
                 battery_fraction=t.battery_fraction,
                 human_in_control=self.phase is FlightPhase.YIELDED,
-                camera_pitch_down_rad=t.camera_pitch_down_rad if self._gimbal else math.nan,
-                trajectory_id=-1 if self._trajectory is None else self._trajectory.identifier,
-                refusals=self._guard.refusals + self._malformed_count,
+                camera_pitch_down_rad=t.camera_pitch_down_rad if self._airframe.gimbal else math.nan,
+                trajectory_id=-1 if trajectory is None else trajectory.identifier,
+                refusals=self._guard.refusals + self._mandate.malformed,
                 note=self._note[:_LONGEST_NOTE],
             )
         )
-
-
-def _key(trajectory: Trajectory | None) -> tuple[int, float] | None:
-    """A restarted mission counts from zero again, so the start belongs to a trajectory's name."""
-    return None if trajectory is None else (trajectory.identifier, trajectory.start_s)
 
 
 def make_pilot(
     bytes_link: ByteLink,
     firmware: Personality,
     guard: Guard,
+    sight: Sight,
+    patience: Patience,
     channels: PilotChannels,
     clock: Clock,
     origin: Origin,
+    airframe: Airframe,
     setpoint_rate_hz: float = 30.0,
-    gimbal: bool = False,
     log: FrameLog | None = None,
 ) -> Pilot:
     """Wire a pilot that flies a firmware over the given bytes."""
     link = Link(bytes_link, log or NoLog(), clock.now_s(), firmware)
-    return Pilot(link, guard, channels, clock, origin, setpoint_rate_hz, gimbal)
+    return Pilot(link, guard, sight, patience, channels, clock, origin, airframe, setpoint_rate_hz)

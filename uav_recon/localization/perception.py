@@ -8,8 +8,10 @@ from collections import deque
 from uav_recon.clock import RateKeeper
 from uav_recon.localization.filter import FusionFilter
 from uav_recon.localization.mount import Mount
+from uav_recon.localization.nearness import nearest_in_cells
 from uav_recon.protocols import Camera, Channel, Clock, PoseSource
 from uav_recon.types.camera import Frame, PosedFrame
+from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import StampedPose
 
 _WAITING_FRAMES = 4  # at 15 Hz more than the longest wait
@@ -20,7 +22,8 @@ class Perception:
 
     Odometry is published at rate_hz, stamped now. When no pose came for the filter's pose_lost_s, a last one with quality 0
     is published and then none, until poses come again. A frame waits until a pose at or after its stamp was fused, or
-    frame_wait_s; one whose own pose is not known is dropped. ``published_odom``, ``published_frames`` and
+    frame_wait_s; one whose own pose is not known is dropped. What is near in it is published at once, pose or no pose.
+    ``published_odom``, ``published_frames`` and
     ``dropped_frames`` count.
     """
 
@@ -32,12 +35,14 @@ class Perception:
         mount: Mount,
         odom: Channel[StampedPose],
         frames: Channel[PosedFrame],
+        nearby: Channel[Nearby],
         clock: Clock,
         rate_hz: float = 30.0,
         frame_wait_s: float = 0.2,
     ) -> None:
         self._camera, self._poses, self._fusion, self._mount = camera, poses, fusion, mount
-        self._odom, self._frames, self._clock, self._frame_wait_s = odom, frames, clock, frame_wait_s
+        self._odom, self._frames, self._nearby = odom, frames, nearby
+        self._clock, self._frame_wait_s = clock, frame_wait_s
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._waiting: deque[Frame] = deque()
         self._said_lost = True
@@ -70,6 +75,9 @@ class Perception:
         if not (math.isfinite(frame.stamp_s) and now_s - 1.0 <= frame.stamp_s <= now_s + 0.01):
             self.dropped_frames += 1
             return
+        body_from_depth = self._mount.body_from_depth(frame.stamp_s)
+        if body_from_depth is not None:
+            self._nearby.publish(nearest_in_cells(frame, body_from_depth))
         if len(self._waiting) == _WAITING_FRAMES:
             self._waiting.popleft()
             self.dropped_frames += 1

@@ -16,13 +16,13 @@ from uav_recon.mission.orders import MissionWires, Orders, Stages
 from uav_recon.mission.survey import Survey
 from uav_recon.protocols import Clock, Executor, Journal
 from uav_recon.types.camera import PosedFrame
-from uav_recon.types.maps import VoxelMap
+from uav_recon.types.maps import FreeSpace, VoxelMap
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 FRAME_TIMEOUT_S = 1.0
 VIEW_LATE_S = 0.6  # a view that no frame met for so long is given up
-PROGRESS_PERIOD_S, MAP_PERIOD_S = 0.2, 1.0
+PROGRESS_PERIOD_S, MAP_PERIOD_S, FREE_PERIOD_S = 0.2, 1.0, 0.2
 
 
 class Conductor:
@@ -44,7 +44,8 @@ class Conductor:
         self._map_epoch, self._correction_sequence = 0, wires.correction.sequence()  # what stands there is of another flight
         self._surface_revision, self._refusals = -1, 0
         self._took_off_s = np.inf
-        self._reported_s = self._map_published_s = -np.inf
+        self._reported_s = self._map_published_s = self._free_published_s = -np.inf
+        self._free_revision, self._proposed = -1, self._course.trajectory
         self._start = self._abort = False
         half_m = orders.vehicle_height_m / 2
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, orders.takeoff_height_m + half_m)
@@ -190,6 +191,7 @@ class Conductor:
     def _publish(self, now_s: float) -> None:
         grounded = self.phase in (Phase.IDLE, Phase.READY, Phase.DONE, Phase.YIELDED)
         goal = Goal.STANDBY if grounded else Goal.LAND if self.phase is Phase.LANDING else Goal.FLY
+        self._publish_free(now_s)
         self._wires.intent.publish(Intent(now_s, goal, self._course.trajectory))
         surface = self._stages.mapper.surface()
         if surface is not None and surface.revision != self._surface_revision:
@@ -205,6 +207,14 @@ class Conductor:
                 now_s, self.phase, explored_m3, course.path_length_m, course.position_world, self.finished
             )
             self._wires.progress.publish(progress)
+
+    def _publish_free(self, now_s: float) -> None:
+        """What the guard holds every motion against: never later than a motion that was made of it."""
+        due = now_s - self._free_published_s >= FREE_PERIOD_S or self._course.trajectory is not self._proposed
+        self._proposed = self._course.trajectory
+        if self.map is not None and due and self.map.revision != self._free_revision:
+            self._free_revision, self._free_published_s = self.map.revision, now_s
+            self._wires.free.publish(FreeSpace.of(self.map))
 
     def close(self) -> str:
         """Write the last line of the journal; returns the outcome."""

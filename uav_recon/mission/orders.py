@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from uav_recon.protocols import Channel, Mapper, Motion, Planner, ViewBudget, Voxels
 from uav_recon.types.camera import PosedFrame
-from uav_recon.types.maps import SurfaceElements, VoxelMap
+from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
@@ -37,6 +37,7 @@ class MissionWires:
     surface: Channel[SurfaceElements]
     plan: Channel[ViewPath]
     correction: Channel[MapCorrection]
+    free: Channel[FreeSpace]
 
 
 @dataclass(frozen=True)

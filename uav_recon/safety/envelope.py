@@ -5,23 +5,54 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from uav_recon.types.polygon import Polygon, Vec2
+
 Vec3 = tuple[float, float, float]
 
 _ROUNDING_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
+class Fence:
+    """A floor plan between a floor and a ceiling (odom, m), and how far inside it the body's centre stays.
+
+    Raises ValueError if the inset leaves no height.
+    """
+
+    plan: Polygon
+    floor_m: float
+    ceiling_m: float
+    inset_m: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.floor_m + self.ceiling_m) and self.inset_m >= 0.0):
+            raise ValueError(f"floor {self.floor_m}, ceiling {self.ceiling_m} and inset {self.inset_m} make no fence")
+        if not self.ceiling_m - self.floor_m > 2 * self.inset_m:
+            raise ValueError(
+                f"floor {self.floor_m} and ceiling {self.ceiling_m} m leave no room inside an inset of {self.inset_m} m"
+            )
+
+    @staticmethod
+    def box(low_m: Vec3, high_m: Vec3, inset_m: float) -> Fence:
+        """The simple form."""
+        return Fence(Polygon.box((low_m[0], low_m[1]), (high_m[0], high_m[1])), low_m[2], high_m[2], inset_m)
+
+    def holds(self, position_m: Vec3) -> bool:
+        """Whether a place lies inside the fence itself, the inset not counted. False for what is not a number."""
+        x, y, z = position_m
+        return self.plan.holds((x, y)) and self.floor_m <= z <= self.ceiling_m
+
+
+@dataclass(frozen=True, slots=True)
 class Envelope:
-    """The fence box in odom (m), its inset, and the limits of commanded motion (SI, radians).
+    """The fence and the limits of commanded motion (SI, radians).
 
     The take-off and landing column is the cylinder of ``pad_radius_m`` round the pad, from ``pad_depth_m`` below the
     pad up to the inset ceiling. It relaxes only the floor: sideways and upwards the inset fence holds there too.
-    Raises ValueError if a number is not finite or positive, or the inset leaves no room.
+    Raises ValueError if a number is not finite or positive, or the pad does not lie inside.
     """
 
-    fence_min_m: Vec3
-    fence_max_m: Vec3
-    inset_m: float
+    fence: Fence
     max_speed_mps: float
     max_acceleration_mps2: float
     max_yaw_rate_radps: float
@@ -31,54 +62,52 @@ class Envelope:
 
     def __post_init__(self) -> None:
         limits = (self.max_speed_mps, self.max_acceleration_mps2, self.max_yaw_rate_radps, self.pad_radius_m)
-        numbers = (*self.fence_min_m, *self.fence_max_m, *self.pad_m, *limits, self.inset_m, self.pad_depth_m)
+        numbers = (*self.pad_m, *limits, self.pad_depth_m)
         if not all(math.isfinite(number) for number in numbers):
             raise ValueError(f"an envelope needs finite numbers, got {numbers}")
-        if min(limits) <= 0.0 or self.inset_m < 0.0 or self.pad_depth_m < 0.0:
-            raise ValueError(f"limits {limits} must be positive, inset {self.inset_m} and pad depth not negative")
-        for low, high, axis in zip(self.fence_min_m, self.fence_max_m, "xyz", strict=True):
-            if not high - low > 2 * self.inset_m:
-                raise ValueError(f"fence {axis} from {low} to {high} m leaves no room inside an inset of {self.inset_m} m")
+        if min(limits) <= 0.0 or self.pad_depth_m < 0.0:
+            raise ValueError(f"limits {limits} must be positive, pad depth {self.pad_depth_m} not negative")
+        if not self.in_column(self.pad_m):
+            raise ValueError(f"the take-off place {self.pad_m} is not inside the fence and its inset")
 
-    def in_box(self, position_m: Vec3) -> bool:
-        """Whether a point (odom, m) lies inside the inset fence. False for anything that is not a number."""
-        inset = self.inset_m - _ROUNDING_M
-        return all(
-            low + inset <= value <= high - inset
-            for value, low, high in zip(position_m, self.fence_min_m, self.fence_max_m, strict=True)
-        )
+    def in_band(self, position_m: Vec3) -> bool:
+        """Whether a height lies between inset floor and inset ceiling."""
+        inset_m = self.fence.inset_m - _ROUNDING_M
+        return self.fence.floor_m + inset_m <= position_m[2] <= self.fence.ceiling_m - inset_m
 
     def in_column(self, position_m: Vec3) -> bool:
-        """Whether a point lies in the take-off and landing column. False for anything that is not a number."""
+        """Whether a place lies in the take-off and landing column and the fence's plan. False for what is not a number."""
         x, y, z = position_m
-        inset = self.inset_m - _ROUNDING_M
+        inset_m = self.fence.inset_m - _ROUNDING_M
         return (
             math.hypot(x - self.pad_m[0], y - self.pad_m[1]) <= self.pad_radius_m + _ROUNDING_M
-            and self.fence_min_m[0] + inset <= x <= self.fence_max_m[0] - inset
-            and self.fence_min_m[1] + inset <= y <= self.fence_max_m[1] - inset
-            and self.pad_m[2] - self.pad_depth_m - _ROUNDING_M <= z <= self.fence_max_m[2] - inset
+            and self.pad_m[2] - self.pad_depth_m - _ROUNDING_M <= z <= self.fence.ceiling_m - inset_m
+            and self._in_plan((x, y), (x, y))
         )
 
     def contains(self, position_m: Vec3) -> bool:
-        """Whether a setpoint may stand at this point."""
-        return self.in_box(position_m) or self.in_column(position_m)
+        """Whether a setpoint may stand at this place. False for what is not a number."""
+        return self.admits(position_m, position_m)
 
     def admits(self, position_m: Vec3, stop_m: Vec3) -> bool:
-        """Whether the straight way from a point to its stopping point stays inside.
+        """Whether the straight way from a place to its stopping place stays inside.
 
-        Both parts of the allowed space are convex, so both ends in the same part answer for every point between.
+        Heights and the column are convex, so both ends in the same one answer for every point between; the plan need not
+        be, so the whole way is held against its sides.
         """
-        return (self.in_box(position_m) and self.in_box(stop_m)) or (self.in_column(position_m) and self.in_column(stop_m))
+        in_band = self.in_band(position_m) and self.in_band(stop_m)
+        in_column = self.in_column(position_m) and self.in_column(stop_m)
+        return in_column or (in_band and self._in_plan(position_m[:2], stop_m[:2]))
 
     def nearest_inside(self, position_m: Vec3) -> Vec3:
-        """The point itself if it is inside, otherwise the nearest point of the inset box."""
+        """The place itself if it is inside, otherwise a near one that is; the pad if there is none."""
         if self.contains(position_m):
             return position_m
-        x, y, z = (
-            min(max(value, low + self.inset_m), high - self.inset_m)
-            for value, low, high in zip(position_m, self.fence_min_m, self.fence_max_m, strict=True)
-        )
-        return (x, y, z)
+        x, y, z = position_m
+        inset_m, fence = self.fence.inset_m, self.fence
+        plan = (x, y) if self._in_plan((x, y), (x, y)) else fence.plan.nearest_with_room((x, y), inset_m)
+        height_m = min(max(z, fence.floor_m + inset_m), fence.ceiling_m - inset_m)
+        return self.pad_m if plan is None else (plan[0], plan[1], height_m)
 
     def stopping_point(self, position_m: Vec3, velocity_mps: Vec3) -> Vec3:
         """Where braking with the whole allowed acceleration ends: p + v |v| / 2a."""
@@ -86,3 +115,6 @@ class Envelope:
         vx, vy, vz = velocity_mps
         seconds = math.hypot(vx, vy, vz) / (2.0 * self.max_acceleration_mps2)
         return (x + vx * seconds, y + vy * seconds, z + vz * seconds)
+
+    def _in_plan(self, start_m: Vec2, end_m: Vec2) -> bool:
+        return self.fence.plan.room_m(start_m, end_m) >= self.fence.inset_m - _ROUNDING_M

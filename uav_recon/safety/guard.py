@@ -1,7 +1,7 @@
 """The last hop before the wire: denies by default, and the only maker of a ClearedSetpoint.
 
-Every cleared setpoint keeps one invariant: it lies inside the envelope, and so does the point where braking from it
-would end. So whatever is proposed next, the guard can always answer with a brake that stays inside.
+Every cleared setpoint keeps one invariant: it lies inside the envelope and in known-free space, and so does the place where
+braking from it would end. So whatever is proposed next, the guard can always answer with a brake that stays there.
 """
 
 from __future__ import annotations
@@ -12,15 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.safety.envelope import Envelope, Vec3
+from uav_recon.safety.knownfree import KnownFree
+from uav_recon.safety.proximity import Ahead, Margins, fastest_mps
+from uav_recon.safety.sight import Sight
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
+from uav_recon.types.trajectory import Refusal, Setpoint
 
 _MAKER = object()
 _STEP_SLACK_M = 0.02
 _SPEED_SLACK_MPS = 0.05
 _YAW_SLACK_RAD = 0.03
 _LONGEST_STEP_S = 0.5  # the autopilot gives up on a stream that paused for longer
-_REST_MPS = 0.05
+_STILL_MPS = 0.02  # slower is no motion that wants a free way
 _FUTURE_S = 0.1  # a stamp this far ahead of the clock is another boot's
 
 
@@ -42,33 +45,49 @@ class ClearedSetpoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """A sample of the trajectory numbered ``trajectory_id``, made on the map of ``map_epoch``."""
+    """A sample of a motion made on the map of ``map_epoch``. retreating: the pilot's own way back, slow, along breadcrumbs:
+    it needs neither a mission nor depth.
+    """
 
     setpoint: Setpoint
     trajectory_id: int
     map_epoch: int
+    retreating: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Situation:
-    """What the guard judges by: the clock, the newest good pose, and the ages (s) of pose and mission pulse."""
+    """What the guard judges by: the clock, the newest good pose and its frame, ages (s; infinity for never), the known-free
+    space and the newest depth frame, None before the first.
+    """
 
     now_s: float
     position_m: Vec3
     yaw_rad: float
+    body_from_odom: FloatArray
     pose_age_s: float
     intent_age_s: float
     map_epoch: int
+    free: KnownFree | None
+    ahead: Ahead | None
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
-    """How long (s) silence is borne: pose and mission first hold, then land."""
+class Bounds:
+    """How far an old word carries, and how slow the blind go (SI).
+
+    silence_way_m: flown since the mission's last pulse, with the braking from here. depth_hold_s: oldest depth in motion.
+    blind_mps: fastest motion where the camera does not look, and then only through what it saw lately; the envelope's speed
+    says that neither is asked for. retreat_mps: fastest motion on the retreat.
+    """
 
     pose_hold_s: float
-    pose_land_s: float
     intent_hold_s: float
-    intent_land_s: float
+    silence_way_m: float
+    depth_hold_s: float
+    blind_mps: float
+    retreat_mps: float
+    margins: Margins
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,56 +102,45 @@ class _Motion:
 
 
 class Guard:
-    """Lets a proposal through, or answers with a hold that brakes from the last cleared setpoint."""
+    """Lets a proposal through, or answers with a brake from the last cleared setpoint to rest."""
 
-    def __init__(self, envelope: Envelope, patience: Patience) -> None:
-        self._envelope, self.patience = envelope, patience
+    def __init__(self, envelope: Envelope, bounds: Bounds, sight: Sight) -> None:
+        self.envelope, self.bounds, self._sight = envelope, bounds, sight
         self._last: _Motion | None = None
-        self._trajectory_id = -1
         self._rest_until_s = -math.inf
-        self._refused: tuple[int, str] | None = None
-        self.refusals = 0  # episodes: a trajectory turned down at thirty samples running for one reason counts once
+        self._refused: int | None = None
+        self.refusals = 0  # episodes: a trajectory turned down at thirty samples running counts once
 
     def clear(self, proposal: Proposal | None, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
-        """Judge one sample. No proposal means hold; a Refusal tells why a proposal was not flown. Never raises on numbers.
-
-        The very first setpoint holds the present place (drawn inside the envelope). A proposal from a silent mission
-        passes only if its trajectory was already being flown: it ends at rest, so silence becomes a hover.
+        """Judge one sample. No proposal means brake and hold; a Refusal tells why a proposal was not flown. Never raises
+        on numbers. The very first setpoint holds the present place (drawn inside the envelope).
         """
-        motion = self._motion_of(proposal, situation)
+        motion = None if proposal is None else _motion_of(proposal.setpoint, situation.now_s)
         fault = "" if proposal is None else self._fault(proposal, motion, situation)
         if proposal is None or fault or motion is None:
             motion, setpoint = self._brake(situation)
         else:
             setpoint = proposal.setpoint
-            self._trajectory_id = proposal.trajectory_id
         refusal = self._count(proposal, fault, setpoint)
         self._last = motion
         return ClearedSetpoint(setpoint, _MAKER), refusal
 
     def rebase(self, situation: Situation, rest_s: float = 1.0) -> None:
-        """Odom itself jumped: forget the last setpoint, and hold the present place for a while."""
+        """Odom itself jumped: forget the last setpoint and what was seen, and hold the present place for a while."""
         self._last, self._rest_until_s = None, situation.now_s + rest_s
+        self._sight.forget()
 
-    def must_land(self, situation: Situation) -> str:
-        """Why the flight has to end now, '' if it may go on. The ladder only goes down: the caller latches it."""
-        if not situation.pose_age_s <= self.patience.pose_land_s:
-            return f"no pose for {situation.pose_age_s:.1f} s"
-        if not situation.intent_age_s <= self.patience.intent_land_s:
-            return f"mission silent for {situation.intent_age_s:.1f} s"
-        return ""
-
-    def _motion_of(self, proposal: Proposal | None, situation: Situation) -> _Motion | None:
-        if proposal is None:
-            return None
-        wanted = proposal.setpoint
-        position, velocity = _vector(wanted.position_m), _vector(wanted.velocity_mps)
-        if position is None or velocity is None:
-            return None
-        return _Motion(situation.now_s, position, velocity, wanted.yaw_rad, wanted.camera_pitch_down_rad)
+    def fault_of_take_off(self, situation: Situation, height_m: float) -> str:
+        """Why the vehicle may not climb from where it stands, '' if the declared column is confirmed free that high."""
+        here, top = situation.position_m, (situation.position_m[0], situation.position_m[1], height_m)
+        if situation.free is None or situation.ahead is None:
+            return "no depth frame has confirmed the take-off column"
+        if not (self.envelope.in_column(here) and self.envelope.in_column(top)):
+            return "the take-off column does not lie inside the fence"
+        return "" if situation.free.admits(here, top) else "the take-off column is not known free"
 
     def _fault(self, proposal: Proposal, motion: _Motion | None, situation: Situation) -> str:
-        wanted, envelope = proposal.setpoint, self._envelope
+        wanted, envelope, bounds = proposal.setpoint, self.envelope, self.bounds
         acceleration = _vector(wanted.acceleration_mps2)
         angles = (wanted.yaw_rad, wanted.yaw_rate_radps, wanted.camera_pitch_down_rad)
         if motion is None or acceleration is None or not all(math.isfinite(angle) for angle in angles):
@@ -141,48 +149,93 @@ class Guard:
             return "nothing cleared yet"
         if situation.now_s < self._rest_until_s:
             return "pose was reset"
-        if not -_FUTURE_S <= situation.pose_age_s <= self.patience.pose_hold_s:
+        if not -_FUTURE_S <= situation.pose_age_s <= bounds.pose_hold_s:
             return "pose is stale"
         if proposal.map_epoch != situation.map_epoch:
             return f"trajectory is of map epoch {proposal.map_epoch}, pose of {situation.map_epoch}"
-        fresh = -_FUTURE_S <= situation.intent_age_s <= self.patience.intent_hold_s
-        if not fresh and proposal.trajectory_id != self._trajectory_id:
+        speed_mps = math.hypot(*motion.velocity_mps)
+        if not speed_mps <= (bounds.retreat_mps if proposal.retreating else envelope.max_speed_mps) + 1e-6:
+            return f"speed {speed_mps:.2f} m/s"
+        if not proposal.retreating and self._silent(speed_mps, situation.intent_age_s):
             return "mission is silent"
-        if not math.hypot(*motion.velocity_mps) <= envelope.max_speed_mps + 1e-6:
-            return f"speed {math.hypot(*motion.velocity_mps):.2f} m/s"
         if not math.hypot(*acceleration) <= envelope.max_acceleration_mps2 + 1e-6:
             return f"acceleration {math.hypot(*acceleration):.2f} m/s²"
         if not abs(wanted.yaw_rate_radps) <= envelope.max_yaw_rate_radps + 1e-6:
             return f"yaw rate {wanted.yaw_rate_radps:.2f} rad/s"
-        if not envelope.admits(motion.position_m, envelope.stopping_point(motion.position_m, motion.velocity_mps)):
-            x, y, z = motion.position_m
-            return f"outside the fence at {x:.2f} {y:.2f} {z:.2f} m"
-        return self._step_fault(self._last, motion)
+        stop_m = envelope.stopping_point(motion.position_m, motion.velocity_mps)
+        if not envelope.admits(motion.position_m, stop_m):
+            return f"outside the fence at {_text(motion.position_m)} m"
+        return (
+            self._step_fault(self._last, motion)
+            or self._space_fault(self._last, motion, stop_m, situation)
+            or self._sight_fault(motion, speed_mps, proposal.retreating, situation)
+        )
+
+    def _silent(self, speed_mps: float, intent_age_s: float) -> bool:
+        """The faster, the sooner: what is flown since the last pulse, and the braking, stay within silence_way_m."""
+        braking_m = speed_mps**2 / (2.0 * self.envelope.max_acceleration_mps2)
+        way_m = speed_mps * max(intent_age_s, 0.0) + braking_m if speed_mps > 0.0 else 0.0
+        heard = -_FUTURE_S <= intent_age_s <= self.bounds.intent_hold_s
+        return not (heard and way_m <= max(self.bounds.silence_way_m, braking_m))
 
     def _step_fault(self, last: _Motion, motion: _Motion) -> str:
         """Limits against the last cleared setpoint: place, velocity and heading may not jump."""
         dt_s = min(max(motion.at_s - last.at_s, 0.0), _LONGEST_STEP_S)
         step_m = math.dist(motion.position_m, last.position_m)
-        if not step_m <= self._envelope.max_speed_mps * dt_s + _STEP_SLACK_M:
+        if not step_m <= self.envelope.max_speed_mps * dt_s + _STEP_SLACK_M:
             return f"jump of {step_m:.2f} m"
         change_mps = math.dist(motion.velocity_mps, last.velocity_mps)
-        if not change_mps <= self._envelope.max_acceleration_mps2 * dt_s + _SPEED_SLACK_MPS:
+        if not change_mps <= self.envelope.max_acceleration_mps2 * dt_s + _SPEED_SLACK_MPS:
             return f"velocity jump of {change_mps:.2f} m/s"
         turn_rad = abs(math.remainder(motion.yaw_rad - last.yaw_rad, math.tau))
-        if not turn_rad <= self._envelope.max_yaw_rate_radps * dt_s + _YAW_SLACK_RAD:
+        if not turn_rad <= self.envelope.max_yaw_rate_radps * dt_s + _YAW_SLACK_RAD:
             return f"heading jump of {math.degrees(turn_rad):.0f} degrees"
         return ""
+
+    def _space_fault(self, last: _Motion, motion: _Motion, stop_m: Vec3, situation: Situation) -> str:
+        """The way here and the way to rest, for the whole hull. What is not known free is refused."""
+        if motion.position_m == last.position_m == stop_m:
+            return ""  # a hold: there is nothing to go through
+        if situation.free is None:
+            return "no known-free space was published"
+        if situation.free.map_epoch != situation.map_epoch:
+            return f"known-free space is of map epoch {situation.free.map_epoch}, pose of {situation.map_epoch}"
+        if not situation.free.admits(last.position_m, motion.position_m, stop_m):
+            return f"not known free at {_text(motion.position_m)} m"
+        return ""
+
+    def _sight_fault(self, motion: _Motion, speed_mps: float, retreating: bool, situation: Situation) -> str:
+        """What raw depth says of the way: how fast it may be flown towards what is near, and where nobody looks."""
+        if speed_mps <= _STILL_MPS:
+            return ""
+        ahead, bounds = situation.ahead, self.bounds
+        if not retreating and (ahead is None or not -_FUTURE_S <= situation.now_s - ahead.stamp_s <= bounds.depth_hold_s):
+            return "depth is stale"
+        if ahead is None:
+            return ""
+        direction = np.array(motion.velocity_mps) / speed_mps
+        direction_body = situation.body_from_odom @ direction
+        room_m = ahead.room_m(direction_body)
+        if not speed_mps <= fastest_mps(room_m, self.envelope.max_acceleration_mps2, bounds.margins, speed_mps):
+            return f"{room_m:.2f} m from something at {speed_mps:.2f} m/s"
+        asked = not retreating and bounds.blind_mps < self.envelope.max_speed_mps
+        if not asked or ahead.sees(direction_body) or self.envelope.in_column(motion.position_m):
+            return ""
+        if not speed_mps <= bounds.blind_mps + 1e-6:
+            return f"speed {speed_mps:.2f} m/s where the camera does not look"
+        x, y, z = (np.array(motion.position_m) + direction * self._sight.reach_m).tolist()
+        return "" if self._sight.saw_free((x, y, z), situation.now_s) else f"not seen lately at {_text((x, y, z))} m"
 
     def _brake(self, situation: Situation) -> tuple[_Motion, Setpoint]:
         """Slow down along the last cleared velocity within the acceleration limit, then stay."""
         last = self._last
         if last is None:
             known = all(math.isfinite(value) for value in (*situation.position_m, situation.yaw_rad))
-            place = self._envelope.nearest_inside(situation.position_m if known else self._envelope.pad_m)
+            place = self.envelope.nearest_inside(situation.position_m if known else self.envelope.pad_m)
             yaw_rad = situation.yaw_rad if known else 0.0
             motion = _Motion(situation.now_s, place, (0.0, 0.0, 0.0), yaw_rad, 0.0)
             return motion, Setpoint.hold(np.array(place), yaw_rad)
-        limit = self._envelope.max_acceleration_mps2
+        limit = self.envelope.max_acceleration_mps2
         speed = math.hypot(*last.velocity_mps)
         dt_s = max(situation.now_s - last.at_s, 0.0)
         braking_s = min(dt_s, speed / limit)
@@ -202,10 +255,17 @@ class Guard:
         if proposal is None or not fault:
             self._refused = None
             return None
-        if self._refused is None or self._refused[0] != proposal.trajectory_id:
+        if self._refused != proposal.trajectory_id:
             self.refusals += 1
-        self._refused = (proposal.trajectory_id, fault)
+        self._refused = proposal.trajectory_id
         return Refusal(fault, instead)
+
+
+def _motion_of(wanted: Setpoint, now_s: float) -> _Motion | None:
+    position, velocity = _vector(wanted.position_m), _vector(wanted.velocity_mps)
+    if position is None or velocity is None:
+        return None
+    return _Motion(now_s, position, velocity, wanted.yaw_rad, wanted.camera_pitch_down_rad)
 
 
 def _vector(array: FloatArray) -> Vec3 | None:
@@ -216,17 +276,5 @@ def _vector(array: FloatArray) -> Vec3 | None:
     return (x, y, z) if math.isfinite(x) and math.isfinite(y) and math.isfinite(z) else None
 
 
-def fault_of(trajectory: Trajectory) -> str:
-    """What makes a trajectory unfit to be sampled, '' if it is sound: shapes, finite numbers, rest at its end."""
-    count = len(trajectory.yaw_rad) if trajectory.yaw_rad.ndim == 1 else 0
-    vectors = (trajectory.position_m, trajectory.velocity_mps, trajectory.acceleration_mps2)
-    scalars = (trajectory.yaw_rad, trajectory.yaw_rate_radps, trajectory.camera_pitch_down_rad)
-    if count < 1 or any(v.shape != (count, 3) for v in vectors) or any(s.shape != (count,) for s in scalars):
-        return "trajectory is malformed"
-    if not (math.isfinite(trajectory.start_s) and math.isfinite(trajectory.step_s) and trajectory.step_s > 0.0):
-        return "trajectory has no time axis"
-    if not all(bool(np.isfinite(array).all()) for array in vectors + scalars):
-        return "trajectory is not finite"
-    if not float(np.linalg.norm(trajectory.velocity_mps[-1])) <= _REST_MPS:
-        return "trajectory does not end at rest"
-    return ""
+def _text(place_m: Vec3) -> str:
+    return " ".join(f"{value:.2f}" for value in place_m)

@@ -1,41 +1,68 @@
-"""The nearest thing ahead, straight from a raw depth frame: no pose, no map."""
+"""The nearest thing in the way, straight from raw depth in body axes: no map, and no pose but where the nose points."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.types.camera import Intrinsics
-from uav_recon.types.frames import Float32Array, FloatArray
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.nearby import Nearby
+
+_BESIDE_M = 0.05  # a return this far beside the hull's way still is in it
+_LEAST_SHARE = 0.2  # of the pixels: a frame with fewer returns is as good as none, be it dark, covered or too near
 
 
-def nearest_in_cone(
-    depth_m: Float32Array,
-    intrinsics: Intrinsics,
-    direction_optical: FloatArray,
-    half_angle_rad: float,
-    support_pixels: int = 8,
-) -> float:
-    """Distance (m, along the ray) to the nearest return inside a cone about the direction of travel.
+@dataclass(frozen=True, slots=True)
+class Margins:
+    """What stays free before the hull (m) when it stops, and before it passes at more than ``slow_mps``; reaction (s)."""
 
-    depth_m: (H, W) along the optical axis; NaN, infinity and anything not positive are no return and say nothing.
-    direction_optical: (3,) in the depth imager's optical RDF axes, need not be of unit length.
-    support_pixels: the answer is the distance that this many pixels reach or fall below, so single speckles do not count.
-    Returns infinity if the cone holds fewer returns than that, or there is no direction: absence of returns is NOT
-    free space, the caller has to judge coverage. Raises ValueError if the shape does not fit the intrinsics.
+    stop_m: float
+    fast_m: float
+    slow_mps: float = 0.5
+    reaction_s: float = 0.25
+
+
+class Ahead:
+    """One frame's nearest returns as places about the body's centre."""
+
+    def __init__(self, nearby: Nearby, hull_radius_m: float) -> None:
+        self.stamp_s = nearby.stamp_s
+        self._radius_m, self._half_tan = hull_radius_m, nearby.half_tan
+        self._depth_from_body = nearby.body_from_depth.rotation().T
+        rows, columns = nearby.range_m.shape
+        x = ((np.arange(columns) + 0.5) / columns * 2.0 - 1.0) * nearby.half_tan[0]
+        y = ((np.arange(rows) + 0.5) / rows * 2.0 - 1.0) * nearby.half_tan[1]
+        rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], np.ones((rows, columns))), axis=-1)
+        points = (rays / np.linalg.norm(rays, axis=-1, keepdims=True) * nearby.range_m[..., None]).reshape(-1, 3)
+        self._places = nearby.body_from_depth.apply(points[np.isfinite(points).all(axis=1)])
+
+    @staticmethod
+    def tells(nearby: Nearby) -> bool:
+        """Whether a frame has enough returns to be believed at all."""
+        return nearby.share >= _LEAST_SHARE
+
+    def sees(self, direction_body: FloatArray) -> bool:
+        """Whether the camera looks where a unit vector (3,) in body axes points."""
+        x, y, z = (self._depth_from_body @ direction_body).tolist()
+        return bool(z > 0.0 and abs(x) <= z * self._half_tan[0] and abs(y) <= z * self._half_tan[1])
+
+    def room_m(self, direction_body: FloatArray) -> float:
+        """Metres that the hull may go along a unit vector (3,) in body axes before it meets a return; infinity for none."""
+        along = self._places @ direction_body
+        across = np.linalg.norm(self._places - along[:, None] * direction_body, axis=1)
+        met = along[(along > 0.0) & (across <= self._radius_m + _BESIDE_M)]
+        return float(met.min()) - self._radius_m if met.size else math.inf
+
+
+def fastest_mps(room_m: float, braking_mps2: float, margins: Margins, speed_mps: float) -> float:
+    """The greatest speed at which what the way has left is enough to react in and to brake in.
+
+    room_m: before the hull. Below slow_mps the hull stops stop_m short; above it, it is back to slow_mps fast_m short:
+    v² = v_end² + 2 a (room - reaction - margin), HAZARDS 2.
     """
-    if depth_m.shape != (intrinsics.height, intrinsics.width):
-        raise ValueError(f"depth is {depth_m.shape}, intrinsics say {(intrinsics.height, intrinsics.width)}")
-    length = float(np.linalg.norm(direction_optical))
-    if not math.isfinite(length) or length < 1e-9:
-        return math.inf
-    bearings = intrinsics.bearings()
-    range_per_depth = np.linalg.norm(bearings, axis=-1)
-    cosine = bearings @ (np.asarray(direction_optical, dtype=np.float64) / length) / range_per_depth
-    with np.errstate(invalid="ignore"):
-        seen = (cosine >= math.cos(half_angle_rad)) & np.isfinite(depth_m) & (depth_m > 0.0)
-    distances = (depth_m * range_per_depth)[seen]
-    if distances.size < support_pixels:
-        return math.inf
-    return float(np.partition(distances, support_pixels - 1)[support_pixels - 1])
+    left_m = room_m - speed_mps * margins.reaction_s
+    if left_m > margins.fast_m:
+        return math.sqrt(margins.slow_mps**2 + 2.0 * braking_mps2 * (left_m - margins.fast_m))
+    return min(math.sqrt(2.0 * braking_mps2 * max(left_m - margins.stop_m, 0.0)), margins.slow_mps)

@@ -91,6 +91,27 @@ class VoxelMap:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FreeSpace:
+    """Where nothing is known to be: one bit a voxel, in C order, the first voxel the highest bit of the first byte.
+
+    bits: (ceil(nx ny nz / 8),) uint8. It outlives the mission that published it.
+    """
+
+    grid: GridSpec
+    bits: ByteArray
+    revision: int
+    map_epoch: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bits", frozen(np.asarray(self.bits, dtype=np.uint8)))
+
+    @staticmethod
+    def of(voxels: VoxelMap) -> FreeSpace:
+        """The voxels of a map that are known free."""
+        return FreeSpace(voxels.grid, np.packbits(voxels.state == FREE), voxels.revision, voxels.map_epoch)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SurfaceElements:
     """Points of the learned surface: position_world (N, 3), outward normal_world (N, 3), uncertainty (N,) >= 0."""
 

@@ -1,0 +1,65 @@
+"""What the tests of the guard fly in: an envelope, bounds, a free space of one's own, a camera that sees a wall."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from uav_recon.safety.envelope import Envelope, Fence
+from uav_recon.safety.guard import Bounds, Guard, Proposal, Situation
+from uav_recon.safety.knownfree import KnownFree
+from uav_recon.safety.proximity import Ahead, Margins
+from uav_recon.safety.sight import Sight
+from uav_recon.types.camera import body_from_camera
+from uav_recon.types.frames import BoolArray
+from uav_recon.types.maps import FreeSpace, GridSpec
+from uav_recon.types.nearby import Nearby
+from uav_recon.types.trajectory import Setpoint
+
+DT = 1 / 30
+HULL_RADIUS_M, HULL_HEIGHT_M = 0.2, 0.2
+ENVELOPE = Envelope(Fence.box((-1.0, -2.0, -0.1), (5.0, 2.0, 2.4), 0.3), 1.0, 2.0, 0.8)
+BOUNDS = Bounds(0.2, 0.5, 0.5, 0.3, 1.0, 0.3, Margins(0.1, 0.4))
+GRID = GridSpec(np.array([-2.0, -3.0, -1.0]), 0.1, (80, 60, 45))
+MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.0)
+
+
+def everything() -> BoolArray:
+    return np.ones(GRID.shape, dtype=np.bool_)
+
+
+def known_free(free: BoolArray, epoch: int = 0) -> KnownFree:
+    return KnownFree(FreeSpace(GRID, np.packbits(free), 1, epoch), HULL_RADIUS_M, HULL_HEIGHT_M)
+
+
+def frame(range_m: float = 9.0, stamp_s: float = 0.0, share: float = 0.9) -> Nearby:
+    return Nearby(stamp_s, MOUNT, np.full((12, 16), range_m, dtype=np.float32), (0.95, 0.55), share)
+
+
+OPEN = known_free(everything())
+
+
+def situation(now_s: float, **changes: Any) -> Situation:
+    ahead = Ahead(frame(stamp_s=now_s - 0.1), HULL_RADIUS_M)
+    usual = Situation(now_s, (0.0, 0.0, 1.0), 0.0, np.eye(3), 0.03, 0.05, 0, OPEN, ahead)
+    return dataclasses.replace(usual, **changes)
+
+
+def proposal(
+    position: Any = (0.0, 0.0, 1.0),
+    velocity: Any = (0.0, 0.0, 0.0),
+    acceleration: Any = (0.0, 0.0, 0.0),
+    yaw: float = 0.0,
+    yaw_rate: float = 0.0,
+    identifier: int = 1,
+    epoch: int = 0,
+    retreating: bool = False,
+) -> Proposal:
+    p, v, a = (np.array(vector, dtype=np.float64) for vector in (position, velocity, acceleration))
+    return Proposal(Setpoint(p, v, a, yaw, yaw_rate, 0.0), identifier, epoch, retreating)
+
+
+def guard_of(envelope: Envelope = ENVELOPE, bounds: Bounds = BOUNDS, sight: Sight | None = None) -> Guard:
+    return Guard(envelope, bounds, sight or Sight(10.0, HULL_RADIUS_M))

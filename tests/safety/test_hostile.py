@@ -1,0 +1,45 @@
+"""Hostile proposals: whatever is asked, nothing leaves that is not fit to fly. The script beside it does a million."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hostile import attack, violation
+from rooms import GRID
+
+from uav_recon.types.trajectory import Setpoint
+
+NOTHING = GRID.centre(np.zeros((0, 3), dtype=np.int64))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_nothing_hostile_reaches_the_wire(seed: int) -> None:
+    fates, violations = attack(1200, seed)
+    assert violations == []
+    assert fates["flown"] > 40, "and some of it was fit to fly"
+    assert len(fates) > 12, "refused for many reasons"
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"position_m": np.array([np.nan, 0.0, 1.0])}, "finite"),
+        ({"position_m": np.array([4.8, 0.0, 1.0])}, "fence"),
+        ({"velocity_mps": np.array([1.1, 0.0, 0.0])}, "too fast"),
+        ({"yaw_rate_radps": 0.9}, "turns"),
+        ({"position_m": np.array([0.5, 0.0, 1.0])}, "jumps"),
+        ({"velocity_mps": np.array([0.5, 0.0, 0.0])}, "changes"),
+        ({"yaw_rad": 0.5}, "jerks"),
+    ],
+)
+def test_the_judge_of_the_wire_sees_violations(changes: dict[str, object], word: str) -> None:
+    last = Setpoint.hold(np.array([0.0, 0.0, 1.0]), 0.0)
+    assert violation(last, last, 1 / 30, NOTHING) == ""
+    assert word in violation(dataclasses.replace(last, **changes), last, 1 / 30, NOTHING)  # type: ignore[arg-type]
+
+
+def test_the_judge_knows_what_is_not_known_free() -> None:
+    last = Setpoint.hold(np.array([1.0, 0.0, 1.0]), 0.0)
+    assert "known free" in violation(last, last, 1 / 30, np.array([[1.1, 0.0, 1.05]]))

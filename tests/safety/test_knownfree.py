@@ -1,0 +1,74 @@
+"""Segments through the known-free mask, against a brute force over every voxel and a fine walk."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rooms import GRID, HULL_HEIGHT_M, HULL_RADIUS_M, OPEN, everything, known_free
+
+from uav_recon.types.maps import FREE, FreeSpace, VoxelMap
+
+
+def test_open_space_may_be_flown_and_its_end_may_not() -> None:
+    assert OPEN.admits((0.0, 0.0, 1.0), (3.0, 1.0, 1.5))
+    assert not OPEN.admits((0.0, 0.0, 1.0), (-1.9, 0.0, 1.0)), "beyond the grid nothing is known"
+    assert not OPEN.admits((0.0, 0.0, 1.0), (5.9, 0.0, 1.0))
+    assert not OPEN.admits((0.0, 0.0, 1.0), (0.0, 0.0, 3.45))
+    assert not OPEN.admits((0.0, 0.0, 1.0), (0.0, -2.9, 1.0))
+    assert OPEN.admits((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+
+
+def test_the_mask_says_what_the_map_says() -> None:
+    state = np.random.default_rng(3).integers(0, 3, GRID.shape).astype(np.uint8)
+    space = FreeSpace.of(VoxelMap.whole(GRID, state, np.zeros(GRID.shape, np.uint8), 7, 2))
+    assert (space.revision, space.map_epoch) == (7, 2)
+    assert np.array_equal(np.unpackbits(space.bits)[: state.size].reshape(GRID.shape) == 1, state == FREE)
+
+
+def test_ways_through_a_random_space_are_judged_as_by_brute_force() -> None:
+    rng = np.random.default_rng(4)
+    free = rng.random(GRID.shape) > 0.004
+    space = known_free(free)
+    blocked = GRID.centre(np.argwhere(~free))
+
+    def hull(place: np.ndarray[tuple[int], np.dtype[np.float64]]) -> set[int]:
+        level = np.hypot(*(blocked - place).T[:2]) <= HULL_RADIUS_M + 1e-9
+        return set(np.flatnonzero(level & (np.abs(blocked[:, 2] - place[2]) <= HULL_HEIGHT_M / 2 + 1e-9)).tolist())
+
+    judged = {True: 0, False: 0}
+    for _ in range(200):
+        start = rng.uniform([-1.5, -2.5, -0.5], [5.5, 2.5, 3.0])
+        end = start + rng.uniform(-0.6, 0.6, 3)
+        if hull(start) or not (np.all(end > [-1.75, -2.75, -0.85]) and np.all(end < [5.75, 2.75, 3.35])):
+            continue
+        answer = space.admits(tuple(start.tolist()), tuple(end.tolist()))
+        judged[answer] += 1
+        steps = max(int(np.ceil(2 * np.linalg.norm(end - start) / 0.1)), 1)
+        assert answer is not any(hull(start + (end - start) * n / steps) for n in range(steps + 1))
+    assert min(judged.values()) > 20
+
+
+def test_a_ghost_beside_a_hovering_vehicle_may_be_left_but_not_approached() -> None:
+    free = everything()
+    free[21, 30, 20] = False  # its centre at 0.15, 0.05, 1.05
+    space = known_free(free)
+    here = (0.0, 0.05, 1.05)
+    assert space.admits(here, (-0.3, 0.05, 1.05))
+    assert space.admits(here, (0.0, 0.05, 1.4))
+    assert space.admits(here, here)
+    assert not space.admits(here, (0.01, 0.05, 1.05))
+    assert not space.admits((-0.3, 0.05, 1.05), here)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_hull_comes_as_near_as_its_size(axis: int, side: int) -> None:
+    free = everything()
+    free[30, 30, 20] = False
+    centre = GRID.centre(np.array([30, 30, 20]))
+    space, reach = known_free(free), (HULL_RADIUS_M, HULL_RADIUS_M, HULL_HEIGHT_M / 2)[axis]
+    for beyond, may in ((0.001, True), (-0.001, False)):
+        place, away = centre.copy(), centre.copy()
+        place[axis] += side * (reach + beyond)
+        away[axis] += side * (reach + 0.3)
+        assert space.admits(tuple(away.tolist()), tuple(place.tolist())) is may

@@ -1,0 +1,82 @@
+"""The ladder, rung by rung: when it goes down, and how it comes up again."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import pytest
+
+from uav_recon.safety.ladder import Health, Ladder, Patience, Rung
+
+PATIENCE = Patience(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0)
+
+
+def health(now_s: float, **changes: Any) -> Health:
+    return dataclasses.replace(Health(now_s, 0.03, 0.05, 0.1, True, 0), **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "rung", "why"),
+    [
+        ({}, Rung.FLY, ""),
+        ({"pose_age_s": 0.2}, Rung.FLY, ""),
+        ({"pose_age_s": 0.21}, Rung.HOLD, "no pose for 0.2 s"),
+        ({"pose_age_s": 1.0}, Rung.HOLD, "no pose"),
+        ({"pose_age_s": 1.01}, Rung.LAND, "no pose"),
+        ({"pose_age_s": math.nan}, Rung.LAND, "no pose"),
+        ({"intent_age_s": 0.5}, Rung.FLY, ""),
+        ({"intent_age_s": 0.51}, Rung.HOLD, "mission silent for 0.5 s"),
+        ({"intent_age_s": 5.01}, Rung.RETREAT, "mission silent"),
+        ({"intent_age_s": 20.01}, Rung.LAND, "mission silent"),
+        ({"depth_age_s": 0.3}, Rung.FLY, ""),
+        ({"depth_age_s": 0.31}, Rung.HOLD, "no depth for 0.3 s"),
+        ({"depth_age_s": 3.01}, Rung.RETREAT, "no depth"),
+        ({"depth_age_s": math.inf}, Rung.LAND, "no depth"),
+        ({"depth_age_s": 4.0, "pose_age_s": 0.5}, Rung.RETREAT, "no depth"),
+        ({"depth_age_s": 4.0, "pose_age_s": 2.0}, Rung.LAND, "no pose"),
+    ],
+)
+def test_the_worst_silence_names_the_rung(changes: dict[str, Any], rung: Rung, why: str) -> None:
+    found, reason = Ladder(PATIENCE).step(health(0.0, **changes))
+    assert found is rung
+    assert reason.startswith(why)
+    assert bool(reason) is bool(why)
+
+
+def test_from_holding_it_comes_up_at_once_from_retreating_after_two_healthy_seconds_from_landing_never() -> None:
+    ladder = Ladder(PATIENCE)
+    assert ladder.step(health(0.0, intent_age_s=1.0))[0] is Rung.HOLD
+    assert ladder.step(health(0.1))[0] is Rung.FLY
+    assert ladder.step(health(1.0, intent_age_s=6.0))[0] is Rung.RETREAT
+    assert ladder.step(health(2.0, intent_age_s=1.0))[0] is Rung.RETREAT, "holding is not healthy"
+    assert ladder.step(health(3.0)) == (Rung.RETREAT, "mission silent for 6.0 s")
+    assert ladder.step(health(4.9))[0] is Rung.RETREAT
+    assert ladder.step(health(4.95, pose_age_s=0.3))[0] is Rung.RETREAT
+    assert ladder.step(health(5.0))[0] is Rung.RETREAT, "healthy anew"
+    assert ladder.step(health(6.99))[0] is Rung.RETREAT
+    assert ladder.step(health(7.0)) == (Rung.FLY, "")
+    assert ladder.step(health(8.0, pose_age_s=2.0))[0] is Rung.LAND
+    assert ladder.step(health(99.0)) == (Rung.LAND, "no pose for 2.0 s")
+
+
+def test_a_push_over_the_fence_may_last_three_seconds() -> None:
+    ladder = Ladder(PATIENCE)
+    assert ladder.step(health(0.0, inside=False))[0] is Rung.FLY
+    assert ladder.step(health(2.0, inside=False))[0] is Rung.FLY
+    assert ladder.step(health(2.5))[0] is Rung.FLY
+    assert ladder.step(health(5.5, inside=False))[0] is Rung.FLY
+    assert ladder.step(health(5.51, inside=False)) == (Rung.LAND, "outside the fence for 3 s")
+
+
+def test_three_refusals_in_a_second_are_not_listened_to_for_two() -> None:
+    ladder = Ladder(PATIENCE)
+    assert ladder.step(health(0.0, refusals=40))[0] is Rung.FLY, "those of an earlier flight"
+    assert ladder.step(health(0.1, refusals=41))[0] is Rung.FLY
+    assert ladder.step(health(0.2, refusals=42))[0] is Rung.FLY
+    assert ladder.step(health(1.1, refusals=43)) == (Rung.HOLD, "3 refusals in a second")
+    assert ladder.step(health(2.1, refusals=43))[0] is Rung.HOLD
+    assert ladder.step(health(2.2, refusals=43))[0] is Rung.FLY
+    for n in range(6):
+        assert ladder.step(health(10.0 + 0.6 * n, refusals=44 + n))[0] is Rung.FLY, "slower than that is a mission at work"

@@ -1,0 +1,143 @@
+"""Which poses are believed: spikes, jumps, turns, stamps, and tracks that come back."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_recon.safety.posegate import PoseGate, Verdict
+from uav_recon.types.pose import Pose, StampedPose
+
+STEP_S = 1 / 30
+
+
+def pose(
+    stamp_s: float,
+    place: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    yaw_rad: float = 0.0,
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    **more: Any,
+) -> StampedPose:
+    return StampedPose(stamp_s, Pose.from_yaw(yaw_rad, np.array(place)), np.array(velocity), **more)
+
+
+def settled() -> PoseGate:
+    gate = PoseGate(0.8)
+    assert gate.judge(pose(0.0), 0.02) == Verdict(True)
+    return gate
+
+
+def judge(gate: PoseGate, one: StampedPose) -> Verdict:
+    return gate.judge(one, one.stamp_s + 0.02)
+
+
+def test_a_flight_is_believed() -> None:
+    gate = PoseGate(0.8)
+    for n in range(90):
+        t = n * STEP_S
+        assert judge(gate, pose(t, (math.sin(t), 0.0, 1.0), 0.8 * t, (math.cos(t), 0.0, 0.0))) == Verdict(True)
+
+
+@pytest.mark.parametrize(
+    ("now_s", "good"), [(0.1, True), (0.249, True), (0.251, False), (0.051, True), (0.049, False), (math.nan, False)]
+)
+def test_old_and_future_stamps_are_not(now_s: float, good: bool) -> None:
+    verdict = PoseGate(0.8).judge(pose(0.1), now_s)
+    assert verdict.good is good
+    assert verdict.why.endswith("" if good else "s old")
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"velocity_odom_mps": np.zeros(2)}, "malformed"),
+        ({"covariance": np.eye(3)}, "malformed"),
+        ({"velocity_odom_mps": np.full(3, math.nan)}, "not finite"),
+        ({"covariance": np.full((6, 6), math.inf)}, "not finite"),
+        ({"quality": 0}, "of no quality"),
+    ],
+)
+def test_what_is_unfit_by_itself_is_named(changes: dict[str, Any], why: str) -> None:
+    usual: dict[str, Any] = {"velocity_odom_mps": np.zeros(3)}
+    bad = StampedPose(0.1, Pose.identity(), **{**usual, **changes})
+    assert judge(settled(), bad) == Verdict(False, why=why)
+
+
+def test_a_pose_is_never_taken_twice_or_backwards() -> None:
+    gate = settled()
+    assert judge(gate, pose(0.1)).good
+    assert judge(gate, pose(0.1)).why.startswith("repeated")
+    assert judge(gate, pose(0.05)).why.startswith("repeated")
+    assert judge(gate, pose(0.13)).good
+
+
+@pytest.mark.parametrize("jump_m", [0.09, 0.105])
+def test_a_spike_is_left_out(jump_m: float) -> None:
+    gate = settled()
+    verdict = judge(gate, pose(STEP_S, (jump_m, 0.0, 1.0)))
+    assert verdict.good is (jump_m < 0.1)
+    assert judge(gate, pose(2 * STEP_S)).good, "and what goes on is believed"
+
+
+def test_an_unsure_pose_may_be_farther_off_but_not_far() -> None:
+    for sigma_m, off_m, good in ((0.05, 0.14, True), (0.05, 0.16, False), (1.0, 0.29, True), (1.0, 0.31, False)):
+        unsure = pose(STEP_S, (off_m, 0.0, 1.0), covariance=np.eye(6) * sigma_m**2)
+        assert judge(settled(), unsure).good is good, (sigma_m, off_m)
+
+
+def test_nobody_flies_at_more_than_two_metres_a_second() -> None:
+    for speed, good in ((2.0, True), (3.0, True), (6.0, False)):  # over one step the tolerance of a place covers the rest
+        gate = PoseGate(0.8)
+        assert judge(gate, pose(0.0, velocity=(speed, 0.0, 0.0))).good
+        verdict = judge(gate, pose(STEP_S, (speed * STEP_S, 0.0, 1.0)))
+        assert verdict.good is good
+        assert verdict.why.startswith("" if good else "a way of")
+
+
+@pytest.mark.parametrize(("turn_deg", "good"), [(11.0, True), (11.1, False), (-11.0, True), (-11.1, False), (180.0, False)])
+def test_a_turn_is_eight_degrees_beside_what_can_be_flown(turn_deg: float, good: bool) -> None:
+    verdict = judge(settled(), pose(STEP_S, yaw_rad=math.radians(turn_deg)))
+    assert verdict.good is good  # 8 degrees and 2 * 0.8 rad/s for a thirtieth of a second: 11.06
+    assert verdict.why.startswith("" if good else "turn of")
+
+
+def test_a_source_that_says_so_begins_anew() -> None:
+    gate = settled()
+    assert judge(gate, pose(STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == Verdict(True, anew=True)
+    assert judge(gate, pose(2 * STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == Verdict(True)
+
+
+def test_a_jump_that_stays_is_believed_after_a_second_of_agreement_and_as_a_new_odom() -> None:
+    gate = settled()
+    answers = [judge(gate, pose(n * STEP_S, (0.5, 0.0, 1.0))) for n in range(1, 40)]
+    first = next(n for n, verdict in enumerate(answers) if verdict.good)
+    assert answers[first].anew
+    assert first in (30, 31), "a second after the first"
+    assert all(verdict == Verdict(True) for verdict in answers[first + 1 :])
+
+
+def test_three_bad_ones_in_a_row_put_the_old_track_on_trial_too() -> None:
+    gate = settled()
+    for n in range(1, 3):
+        assert not judge(gate, pose(n * STEP_S, (0.5 * n, 0.0, 1.0))).good
+    assert judge(gate, pose(3 * STEP_S)).good, "two are a glitch"
+    for n in range(4, 7):
+        assert not judge(gate, pose(n * STEP_S, (0.5 * n, 0.0, 1.0))).good
+    assert judge(gate, pose(7 * STEP_S)) == Verdict(False, why="on trial after a loss")
+
+
+def test_a_slow_track_has_to_send_twenty() -> None:
+    gate = settled()
+    answers = [judge(gate, pose(0.2 * n, (0.9, 0.9, 1.0))).good for n in range(1, 30)]
+    assert answers.index(True) == 19
+
+
+def test_a_new_track_that_breaks_begins_again() -> None:
+    gate = settled()
+    for n in range(1, 26):
+        assert not judge(gate, pose(n * STEP_S, (0.5, 0.0, 1.0))).good
+    answers = [judge(gate, pose(n * STEP_S, (1.5, 0.0, 1.0))).good for n in range(26, 70)]
+    assert answers.index(True) == 30

@@ -1,0 +1,96 @@
+"""What was seen free lately, against views worked out by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from rooms import HULL_RADIUS_M, MOUNT, frame
+
+from uav_recon.safety.sight import Sight
+from uav_recon.types.nearby import Nearby
+from uav_recon.types.pose import Pose
+
+HERE = Pose.from_yaw(0.0, np.array([1.0, 0.0, 1.0]))  # the imager at x = 1.1
+
+
+def looked(range_m: float = 3.0, stamp_s: float = 5.0) -> Sight:
+    sight = Sight(10.0, HULL_RADIUS_M)
+    sight.add(frame(range_m, stamp_s), HERE)
+    return sight
+
+
+@pytest.mark.parametrize(
+    ("place", "free"),
+    [
+        ((2.0, 0.0, 1.0), True),
+        ((4.04, 0.0, 1.0), True),
+        ((4.06, 0.0, 1.0), False),
+        ((0.7, 0.0, 1.0), False),
+        ((2.1, 0.94, 1.0), True),
+        ((2.1, 0.96, 1.0), False),
+        ((2.1, -0.94, 1.0), True),
+        ((2.1, -0.96, 1.0), False),
+        ((2.1, 0.0, 1.54), True),
+        ((2.1, 0.0, 1.56), False),
+        ((2.1, 0.0, 0.46), True),
+        ((2.1, 0.0, 0.44), False),
+        ((0.81, 0.0, 1.0), True),
+        ((0.79, 0.0, 1.0), False),
+    ],
+)
+def test_free_is_before_the_nearest_return_and_where_the_hull_was(place: tuple[float, float, float], free: bool) -> None:
+    assert looked().saw_free(place, 6.0) is free
+
+
+def test_it_forgets() -> None:
+    sight = looked()
+    assert sight.saw_free((2.0, 0.0, 1.0), 15.0)
+    assert not sight.saw_free((2.0, 0.0, 1.0), 15.01)
+    sight.add(frame(3.0, 20.0), HERE)
+    sight.forget()
+    assert not sight.saw_free((2.0, 0.0, 1.0), 20.0)
+    assert not sight.saw_free((1.0, 0.0, 1.0), 20.0)
+
+
+def test_no_return_is_not_free() -> None:
+    assert not looked(math.nan).saw_free((2.0, 0.0, 1.0), 6.0)
+
+
+def test_each_cell_speaks_for_itself_and_each_view_counts() -> None:
+    ranges = np.full((12, 16), 3.0, dtype=np.float32)
+    ranges[:, 8:] = 0.5  # a post to the right
+    sight = Sight(10.0, HULL_RADIUS_M)
+    sight.add(Nearby(5.0, MOUNT, ranges, (0.95, 0.55), 0.9), HERE)
+    assert sight.saw_free((2.0, 0.2, 1.0), 6.0)
+    assert not sight.saw_free((2.0, -0.2, 1.0), 6.0)
+    sight.add(frame(3.0, 6.0), HERE)
+    assert sight.saw_free((2.0, -0.2, 1.0), 6.0)
+    assert sight.reach_m == pytest.approx(0.25)
+
+
+def test_more_views_than_it_keeps_push_out_the_oldest() -> None:
+    sight = looked()
+    turned = Pose.from_yaw(math.pi, np.array([-3.0, 0.0, 1.0]))
+    for n in range(1, 160):
+        sight.add(frame(1.0, 5.0 + n * 0.0625), turned)
+    assert sight.saw_free((2.0, 0.0, 1.0), 15.0)
+    sight.add(frame(1.0, 15.0), turned)
+    assert not sight.saw_free((2.0, 0.0, 1.0), 15.0)
+
+
+def test_views_are_spread_over_the_memory_so_that_a_fast_camera_does_not_shorten_it() -> None:
+    sight = looked()
+    turned = Pose.from_yaw(math.pi, np.array([-3.0, 0.0, 1.0]))
+    for n in range(1, 400):
+        sight.add(frame(1.0, 5.0 + n * 0.02), turned)
+    assert sight.saw_free((2.0, 0.0, 1.0), 13.0)
+    assert sight.saw_free((-3.5, 0.0, 1.0), 13.0)
+
+
+def test_a_camera_of_another_size_begins_anew() -> None:
+    sight = looked()
+    sight.add(Nearby(6.0, MOUNT, np.full((3, 4), 2.0, np.float32), (0.95, 0.55), 0.9), HERE)
+    assert sight.saw_free((2.0, 0.0, 1.0), 6.0)
+    assert not sight.saw_free((3.5, 0.0, 1.0), 6.0), "the first view is gone"

@@ -1,0 +1,65 @@
+"""Whose vehicle it is: ours from the mode we asked for until anybody else's will shows, and then never again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from uav_recon.autopilot.personality import Personality
+from uav_recon.autopilot.telemetry import Telemetry
+from uav_recon.types.vehicle import FlightPhase
+
+IN_THE_AIR = (FlightPhase.FLYING, FlightPhase.LANDING)
+
+_LATE_ARM_S = 5.0
+_LINK_LOST_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """The phase that the flight is in because of somebody else, and why. abandoned: nobody flies it now, so the autopilot is
+    to take us for dead and to land by itself.
+    """
+
+    phase: FlightPhase
+    why: str
+    abandoned: bool = False
+
+
+class Authority:
+    """The ownership token. Whatever we did not ask for is somebody else's will: yield, or accept the autopilot's landing."""
+
+    def __init__(self, firmware: Personality) -> None:
+        self._firmware = firmware
+        self._arm_asked_s = -math.inf
+        self._reboots = 0
+
+    def asked_to_arm(self, now_s: float) -> None:
+        """Motors that start within a while are ours."""
+        self._arm_asked_s = now_s
+
+    def watch(self, phase: FlightPhase, t: Telemetry, now_s: float) -> Loss | None:
+        """What the autopilot's state means for the phase we are in, None for nothing."""
+        rebooted, self._reboots = t.reboots != self._reboots, t.reboots
+        if phase in (FlightPhase.CONNECTING, FlightPhase.READY) and t.armed:
+            ours = self._firmware.is_ours(t.custom_mode)
+            if ours and now_s - self._arm_asked_s < _LATE_ARM_S:
+                return Loss(FlightPhase.LANDING, "armed after the request was withdrawn")
+            return _yield("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
+        if phase in IN_THE_AIR and rebooted:
+            return _yield("the autopilot restarted in flight")
+        if phase in IN_THE_AIR and now_s - t.heard_s > _LINK_LOST_S:
+            return _yield("the autopilot is silent", abandoned=True)
+        if phase is not FlightPhase.FLYING:
+            return None
+        if not t.armed:
+            return Loss(FlightPhase.LANDED, "disarmed in flight")
+        if self._firmware.is_landing(t.custom_mode):
+            return Loss(FlightPhase.LANDING, f"the autopilot lands: {t.warning}")
+        if not self._firmware.is_ours(t.custom_mode):
+            return _yield(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
+        return None
+
+
+def _yield(why: str, abandoned: bool = False) -> Loss:
+    return Loss(FlightPhase.YIELDED, f"yielded: {why}", abandoned)

@@ -1,0 +1,40 @@
+"""The last rung that is ours: ask for LAND until it is seen, then leave it alone until the motors stop."""
+
+from __future__ import annotations
+
+import math
+
+from uav_recon.autopilot.link import Link
+from uav_recon.types.vehicle import FlightPhase
+
+_AGAIN_S = 1.5  # longer than the heartbeat's period, so a human's mode is seen before we ask again
+_MODE_FRESH_S, _MODE_WAIT_S = 0.02, 0.25
+
+
+class Landing:
+    """There is no way back up. ``seen``: the autopilot lands, and wants no more setpoints."""
+
+    def __init__(self, seen: bool) -> None:
+        self.seen = seen
+        self._asked_s = -math.inf
+        self._wait_s = math.inf
+
+    def step(self, link: Link, now_s: float) -> FlightPhase:
+        """LANDING while it lasts, LANDED, or YIELDED when somebody chose another mode."""
+        t, firmware = link.telemetry, link.firmware
+        if not t.armed:
+            return FlightPhase.LANDED
+        if firmware.is_landing(t.custom_mode):
+            self.seen = True
+        elif not firmware.is_ours(t.custom_mode):
+            return FlightPhase.YIELDED
+        elif now_s - self._asked_s >= _AGAIN_S and self._mode_is_current(t.heartbeat_s, now_s):
+            self._asked_s = now_s
+            link.command(now_s, firmware.land[0], *firmware.land[1])
+        return FlightPhase.LANDING
+
+    def _mode_is_current(self, heartbeat_s: float, now_s: float) -> bool:
+        """Whether no human can have taken over unseen: the mode was told this instant, or is not told often."""
+        self._wait_s = min(self._wait_s, now_s)
+        waited = now_s - self._wait_s >= _MODE_WAIT_S
+        return heartbeat_s > self._asked_s and (waited or now_s - heartbeat_s < _MODE_FRESH_S)

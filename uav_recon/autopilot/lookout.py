@@ -1,0 +1,60 @@
+"""What the pilot knows of the space around: the mission's known-free space, and raw depth straight from perception."""
+
+from __future__ import annotations
+
+import math
+from typing import TypeVar
+
+from uav_recon.protocols import Channel
+from uav_recon.safety.knownfree import KnownFree
+from uav_recon.safety.proximity import Ahead
+from uav_recon.safety.sight import Sight
+from uav_recon.types.maps import FreeSpace
+from uav_recon.types.nearby import Nearby
+from uav_recon.types.pose import StampedPose
+
+T = TypeVar("T")
+
+_FUTURE_S = 0.1
+
+
+class Lookout:
+    """Keeps the newest of both, ready to be asked. A frame with too few returns, or an old one, is none."""
+
+    def __init__(
+        self, free: Channel[FreeSpace], nearby: Channel[Nearby], sight: Sight, hull_radius_m: float, hull_height_m: float
+    ) -> None:
+        self._free, self._nearby, self._sight = free, nearby, sight
+        self._radius_m, self._height_m = hull_radius_m, hull_height_m
+        self._free_sequence = self._nearby_sequence = -1
+        self.known_free: KnownFree | None = None
+        self.ahead: Ahead | None = None
+
+    def step(self, pose: StampedPose | None, now_s: float) -> None:
+        """Take over what is new. Raises nothing: a record that makes no sense is none."""
+        free = _newest(self._free, self._free_sequence)
+        self._free_sequence = self._free.sequence()
+        if free is not None:
+            self.known_free = KnownFree(free, self._radius_m, self._height_m)
+        nearby = _newest(self._nearby, self._nearby_sequence)
+        self._nearby_sequence = self._nearby.sequence()
+        if nearby is None or not Ahead.tells(nearby) or not nearby.stamp_s <= now_s + _FUTURE_S:
+            return
+        if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
+            self.ahead = Ahead(nearby, self._radius_m)
+            if pose is not None:
+                self._sight.add(nearby, pose.odom_from_body)
+
+    def depth_age_s(self, now_s: float) -> float:
+        """Seconds since the newest frame that says anything, infinity before the first."""
+        return math.inf if self.ahead is None else now_s - self.ahead.stamp_s
+
+
+def _newest(channel: Channel[T], seen: int) -> T | None:
+    """The newest value if it is another than the one seen."""
+    if channel.sequence() == seen:
+        return None
+    try:
+        return channel.latest()
+    except ValueError:
+        return None

@@ -1,0 +1,38 @@
+"""From odometry to the autopilot: every new, good and young pose once; anything else is silence, never a repetition."""
+
+from __future__ import annotations
+
+from uav_recon.autopilot.link import Link
+from uav_recon.protocols import Channel
+from uav_recon.safety.posegate import PoseGate
+from uav_recon.types.pose import StampedPose
+
+
+class PoseFeed:
+    """Holds the newest pose that is fit to be believed. ``refused`` counts those that were not."""
+
+    def __init__(self, odom: Channel[StampedPose], link: Link, gate: PoseGate) -> None:
+        self._odom, self._link, self._gate = odom, link, gate
+        self._sequence = -1
+        self.pose: StampedPose | None = None
+        self.refused = 0
+
+    def step(self, now_s: float) -> bool:
+        """Take over what is new; whether it begins odom anew, so that nothing from before it holds any more."""
+        sequence = self._odom.sequence()
+        if sequence == self._sequence:
+            return False
+        try:
+            pose = self._odom.latest()
+        except ValueError:
+            pose = None
+        self._sequence = sequence
+        if pose is None:
+            return False
+        verdict = self._gate.judge(pose, now_s)
+        if not verdict.good:
+            self.refused += 1
+            return False
+        self.pose = pose
+        self._link.feed_pose(pose, now_s)
+        return verdict.anew

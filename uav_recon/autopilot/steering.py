@@ -1,0 +1,89 @@
+"""Which motion is put before the guard: the mission's, the pilot's own way back, or none, which brakes and holds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.autopilot.handover import Handover
+from uav_recon.autopilot.mandate import Mandate
+from uav_recon.autopilot.retreat import Breadcrumbs
+from uav_recon.safety.guard import ClearedSetpoint, Guard, Proposal, Situation
+from uav_recon.safety.ladder import Rung
+from uav_recon.types.pose import Pose
+from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
+
+_HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
+
+
+class Steering:
+    """Keeps the breadcrumbs. ``ended``: why the retreat is over, '' while it is not."""
+
+    def __init__(self, guard: Guard, mandate: Mandate, hover_height_m: float) -> None:
+        self._guard, self._mandate, self._hover_height_m = guard, mandate, hover_height_m
+        self._crumbs = Breadcrumbs()
+        self._flown: Setpoint | None = None  # the newest setpoint on the wire
+        self._braking = False  # from a refusal to rest: nothing new is taken up on the way
+        self._way_back: Trajectory | None = None
+        self._handed: Trajectory | None = None  # the trajectory that the handover leads to
+        self._handover: Handover | None = None
+        self.ended = ""
+
+    def was_at(self, odom_from_body: Pose) -> None:
+        """In flight, and not on the way back."""
+        self._crumbs.drop(odom_from_body)
+        self._way_back = None
+
+    def rebase(self, situation: Situation, rest_s: float) -> None:
+        """Odom is another, or a flight begins: nothing that was flown counts."""
+        self._guard.rebase(situation, rest_s)
+        self._crumbs.forget()
+        self._mandate.forsake()
+        self._way_back, self.ended = None, ""
+
+    def steer(self, rung: Rung, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+        """The guard's word for this instant. What it turned down is not proposed again."""
+        if rung is Rung.FLY:
+            cleared, refusal = self._fly(situation)
+        elif rung is Rung.RETREAT:
+            cleared, refusal = self._retreat(situation)
+        else:
+            cleared, refusal = self._guard.clear(None, situation)
+        self._flown = cleared.setpoint
+        return cleared, refusal
+
+    def _fly(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+        trajectory = self._mandate.trajectory
+        self._braking = self._braking and self._flown is not None and bool(np.any(self._flown.velocity_mps))
+        if trajectory is None or self._braking:
+            return self._guard.clear(None, situation)
+        cleared, refusal = self._guard.clear(self._proposal(trajectory, situation.now_s, False), situation)
+        if refusal is not None:
+            self._braking = True
+            self._mandate.forsake()
+        return cleared, refusal
+
+    def _retreat(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+        """From rest back along the breadcrumbs; a way that is blocked, or flown, ends the retreat."""
+        way, now_s = self._way_back, situation.now_s
+        if way is None or self.ended:
+            cleared, _ = self._guard.clear(None, situation)
+            rest = cleared.setpoint
+            if not np.any(rest.velocity_mps):
+                seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_hold_s
+                height_m, speed_mps = _HOVER_SHARE * self._hover_height_m, self._guard.bounds.retreat_mps
+                self._way_back = self._crumbs.way_back(rest, height_m, now_s, speed_mps, situation.map_epoch, seeing)
+            return cleared, None
+        cleared, refusal = self._guard.clear(self._proposal(way, now_s, True), situation)
+        if refusal is not None:
+            self.ended = f"retreat blocked: {refusal.reason}"
+        elif now_s > way.start_s + way.duration_s:
+            self.ended = "the retreat is over"
+        return cleared, refusal
+
+    def _proposal(self, trajectory: Trajectory, now_s: float, retreating: bool) -> Proposal:
+        if self._handed is not trajectory:
+            self._handed = trajectory
+            self._handover = Handover(self._flown, trajectory, now_s) if self._flown else None
+        sample = trajectory.setpoint_at(now_s)
+        wanted = self._handover.apply(sample, now_s) if self._handover else sample
+        return Proposal(wanted, trajectory.identifier, trajectory.map_epoch, retreating)

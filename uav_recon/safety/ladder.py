@@ -1,0 +1,99 @@
+"""Which rung a flight stands on. It goes down by itself, up only after a while in health, and never up from landing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+_HEALTH_S = 2.0
+_OUTSIDE_S = 3.0  # a push over the fence itself is brought back within this, or the flight ends
+_REFUSALS, _REFUSALS_S = 3, 1.0  # a mission that is refused so often is not listened to for a while
+
+
+class Rung(IntEnum):
+    """From flying on to the ground. Handing over to the firmware is what the pilot does when its link is gone."""
+
+    FLY = 0
+    HOLD = 1
+    RETREAT = 2
+    LAND = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long (s) silence of pose, mission and depth is borne before each rung."""
+
+    pose_hold_s: float
+    pose_land_s: float
+    intent_hold_s: float
+    intent_retreat_s: float
+    intent_land_s: float
+    depth_hold_s: float
+    depth_retreat_s: float
+    depth_land_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far."""
+
+    now_s: float
+    pose_age_s: float
+    intent_age_s: float
+    depth_age_s: float
+    inside: bool
+    refusals: int
+
+
+class Ladder:
+    """One flight's. step() once a turn; the answer is the rung and why it is not a higher one."""
+
+    def __init__(self, patience: Patience) -> None:
+        self._patience = patience
+        self._rung, self._why = Rung.FLY, ""
+        self._healthy_since_s = math.inf
+        self._inside_s = math.inf
+        self._refused: list[float] = []
+        self._refusals: int | None = None
+
+    def step(self, health: Health) -> tuple[Rung, str]:
+        """Down at once; up to flying from holding at once, from retreating after _HEALTH_S; from landing never."""
+        rung, why = self._wanted(health)
+        self._healthy_since_s = min(self._healthy_since_s, health.now_s) if rung is Rung.FLY else math.inf
+        recovered = self._rung <= Rung.HOLD or (
+            self._rung is Rung.RETREAT and rung is Rung.FLY and health.now_s - self._healthy_since_s >= _HEALTH_S
+        )
+        if rung >= self._rung or recovered:
+            self._rung, self._why = rung, why
+        return self._rung, self._why
+
+    def _wanted(self, health: Health) -> tuple[Rung, str]:
+        p, inside_for_land = self._patience, self._outside_too_long(health)
+        silences = (
+            ("no pose", health.pose_age_s, (p.pose_hold_s, math.inf, p.pose_land_s)),
+            ("mission silent", health.intent_age_s, (p.intent_hold_s, p.intent_retreat_s, p.intent_land_s)),
+            ("no depth", health.depth_age_s, (p.depth_hold_s, p.depth_retreat_s, p.depth_land_s)),
+        )
+        found = [(_rung_of(age_s, limits), f"{name} for {age_s:.1f} s") for name, age_s, limits in silences]
+        found.append((Rung.LAND if inside_for_land else Rung.FLY, f"outside the fence for {_OUTSIDE_S:.0f} s"))
+        found.append((Rung.HOLD if self._refused_too_often(health) else Rung.FLY, f"{_REFUSALS} refusals in a second"))
+        rung, why = max(found, key=lambda pair: pair[0])
+        return rung, why if rung > Rung.FLY else ""
+
+    def _outside_too_long(self, health: Health) -> bool:
+        self._inside_s = health.now_s if health.inside else min(self._inside_s, health.now_s)
+        return health.now_s - self._inside_s > _OUTSIDE_S
+
+    def _refused_too_often(self, health: Health) -> bool:
+        before, self._refusals = self._refusals, health.refusals
+        if before is not None and health.refusals > before:
+            self._refused.append(health.now_s)
+        self._refused = [at_s for at_s in self._refused if health.now_s - at_s <= _HEALTH_S]
+        dense = zip(self._refused, self._refused[_REFUSALS - 1 :], strict=False)
+        return any(last_s - first_s <= _REFUSALS_S for first_s, last_s in dense)
+
+
+def _rung_of(age_s: float, limits_s: tuple[float, float, float]) -> Rung:
+    """The lowest rung whose limit an age is beyond; an age that is not a number is beyond all."""
+    return Rung(max((rung for rung, limit_s in enumerate(limits_s, 1) if not age_s <= limit_s), default=0))

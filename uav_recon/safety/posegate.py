@@ -1,0 +1,99 @@
+"""Which poses are believed: a jump, a turn or a stamp that no flight explains never reaches the autopilot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.types.pose import StampedPose
+
+_MAX_AGE_S = 0.15  # older odometry is never fed: the estimator would drop it, or take it for new
+_FUTURE_S = 0.05
+_JUMP_M, _WIDEST_M = 0.10, 0.30  # beside where the last pose and its velocity lead; three sigma between these bounds
+_TURN_RAD = math.radians(8.0)
+_PUSH_MPS2 = 1.0  # acceleration that the prediction does not know
+_FASTEST_MPS = 2.0
+_PATIENCE = 3  # refused in a row: the track is lost
+_PROOF, _PROOF_S = 20, 1.0  # a track found again is believed after so many that agree, over so long
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether a pose is believed; anew: it does not go on from the last one believed, odom itself has jumped."""
+
+    good: bool
+    anew: bool = False
+    why: str = ""
+
+
+class PoseGate:
+    """Judges each pose once, in the order in which they come. Never raises on numbers."""
+
+    def __init__(self, max_yaw_rate_radps: float) -> None:
+        self._max_yaw_rate_radps = 2.0 * max_yaw_rate_radps  # turning is checked at the setpoint; here it is only plausible
+        self._believed: StampedPose | None = None
+        self._track: StampedPose | None = None  # the newest of a track that is not believed yet
+        self._agreed, self._since_s, self._refused = 0, 0.0, 0
+
+    def judge(self, pose: StampedPose, now_s: float) -> Verdict:
+        """Believe, or say why not."""
+        last = self._believed
+        why = _unfit(pose, now_s)
+        if not why and last is not None and pose.stamp_s <= last.stamp_s:
+            why = "repeated or older than the one before"
+        if why:
+            return self._refuse(Verdict(False, why=why))
+        if last is None or pose.reset_counter != last.reset_counter:
+            return self._believe(pose, anew=last is not None)
+        why = self._leap(last, pose)
+        lost = self._refused >= _PATIENCE
+        if not why and not lost:
+            return self._believe(pose, anew=False)
+        return self._prove(pose, why or "on trial after a loss")
+
+    def _prove(self, pose: StampedPose, why: str) -> Verdict:
+        """A pose off the believed track begins or continues another one, which has to last."""
+        track, self._track = self._track, pose
+        if track is None or pose.stamp_s <= track.stamp_s or self._leap(track, pose):
+            self._agreed, self._since_s = 0, pose.stamp_s
+        self._agreed += 1
+        if self._agreed >= _PROOF and pose.stamp_s - self._since_s >= _PROOF_S:
+            return self._believe(pose, anew=True)
+        return self._refuse(Verdict(False, why=why))
+
+    def _believe(self, pose: StampedPose, anew: bool) -> Verdict:
+        self._believed, self._track, self._refused = pose, None, 0
+        return Verdict(True, anew)
+
+    def _refuse(self, verdict: Verdict) -> Verdict:
+        self._refused += 1
+        return verdict
+
+    def _leap(self, last: StampedPose, pose: StampedPose) -> str:
+        """What no flight explains between two poses, '' for nothing."""
+        dt_s = pose.stamp_s - last.stamp_s
+        way = pose.odom_from_body.translation_m - last.odom_from_body.translation_m
+        off_m = float(np.linalg.norm(way - last.velocity_odom_mps * dt_s))
+        sigma_m = math.sqrt(max(float(np.trace(pose.covariance[:3, :3])) / 3.0, 0.0))
+        allowed_m = min(max(_JUMP_M, 3.0 * sigma_m), _WIDEST_M)
+        if not off_m <= allowed_m + 0.5 * _PUSH_MPS2 * dt_s * dt_s:
+            return f"jump of {off_m:.2f} m"
+        if not float(np.linalg.norm(way)) <= _FASTEST_MPS * dt_s + allowed_m:
+            return f"a way of {float(np.linalg.norm(way)):.2f} m in {dt_s:.2f} s"
+        turn_rad = abs(math.remainder(pose.odom_from_body.yaw_rad() - last.odom_from_body.yaw_rad(), math.tau))
+        if not turn_rad <= _TURN_RAD + self._max_yaw_rate_radps * dt_s:
+            return f"turn of {math.degrees(turn_rad):.0f} degrees"
+        return ""
+
+
+def _unfit(pose: StampedPose, now_s: float) -> str:
+    """What is wrong with a pose by itself, '' for nothing."""
+    if not -_FUTURE_S <= now_s - pose.stamp_s <= _MAX_AGE_S:
+        return f"{now_s - pose.stamp_s:.2f} s old"
+    if pose.velocity_odom_mps.shape != (3,) or pose.covariance.shape != (6, 6):
+        return "malformed"
+    if not (np.isfinite(pose.velocity_odom_mps).all() and np.isfinite(pose.covariance).all()):
+        return "not finite"
+    return "" if pose.quality > 0 else "of no quality"
