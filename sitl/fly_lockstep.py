@@ -201,7 +201,7 @@ def _mapper(options: SimOptions, config: Config) -> Mapper:
 def _neural(config: Config, folder: Path) -> Mapper:
     from uav_recon.mapping.keyframes import KeyframeFolder
     from uav_recon.mapping.neural.process.child import KEYFRAMES
-    from uav_recon.mapping.neural.process.worker import InlineMapper
+    from uav_recon.mapping.neural.process.inline import InlineMapper
 
     trainer = run.make_trainer(config)
     trainer.warm_up()

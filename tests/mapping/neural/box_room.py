@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.frames import ByteArray, FloatArray
-from uav_recon.types.pose import Pose
+from uav_recon.types.pose import MapCorrection, Pose
 
 LOW, HIGH = np.array([0.0, 0.0, 0.0]), np.array([3.0, 2.4, 2.0])
 WALL_RGB = np.array(
@@ -38,6 +40,17 @@ def tour(count: int, sigma_px: float = 0.0) -> list[PosedFrame]:
         position = (1.5 + 0.6 * np.cos(angle), 1.2 + 0.5 * np.sin(angle), 0.8 + 0.4 * (n % 2))
         views.append(look(position, np.rad2deg(angle) + 40.0 * (n % 3), n, sigma_px))
     return views
+
+
+def bent(views: list[PosedFrame]) -> list[PosedFrame]:
+    """As a drifting heading would place them."""
+    turns = [Pose.from_yaw(np.deg2rad(2.0) * n / len(views), np.zeros(3)) for n in range(len(views))]
+    return [dataclasses.replace(v, world_from_depth=turn @ v.world_from_depth) for v, turn in zip(views, turns, strict=True)]
+
+
+def correction(views: list[PosedFrame], epoch: int) -> MapCorrection:
+    """A map whose frame is turned about the room's middle: right again where it was, bent, before."""
+    return MapCorrection(epoch, np.array([v.frame.stamp_s for v in views]), tuple(v.world_from_depth for v in views))
 
 
 def distance_to_walls(points: FloatArray) -> FloatArray:

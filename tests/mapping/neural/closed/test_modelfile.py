@@ -61,6 +61,7 @@ def test_the_glb_opens_with_a_texture_and_a_primitive_for_the_unseen(mesh: Close
     assert len(unseen.faces) == int((~mesh.observed).sum())
     assert unseen.visual.material.name == UNSEEN
     assert unseen.visual.material.baseColorTexture is None
+    assert np.asarray(seen.visual.material.baseColorTexture).any(axis=2).all()  # no black between the charts
     drawn = seen.visual.to_color().vertex_colors[:, :3] / 255.0
     np.testing.assert_allclose(drawn, Rainbow().rgb(np.asarray(seen.vertices, dtype=np.float32)), atol=0.06)
 

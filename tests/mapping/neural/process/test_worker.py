@@ -14,17 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, distance_to_walls, look, tour
+from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, bent, correction, distance_to_walls, look, tour
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.mapping.neural.process.checkpoint import EVERY_VIEWS
 from uav_recon.mapping.neural.process.child import CHECKPOINT, LOG_FILE, NICENESS
-from uav_recon.mapping.neural.process.worker import RESTARTS, InlineMapper, ProcessMapper
-from uav_recon.mapping.neural.trainer import Trainer
+from uav_recon.mapping.neural.process.worker import RESTARTS, ProcessMapper
 from uav_recon.mapping.neural.views.intake import Refusal
-from uav_recon.types.camera import PosedFrame
-from uav_recon.types.pose import MapCorrection, Pose
 
 CONFIG = MapperConfig(steps_per_view=10, idle_steps_hz=5.0, polish_steps=20, mesh_voxel_m=0.05)
 PATIENCE_S = 120.0
@@ -49,22 +46,6 @@ def mapper(tmp_path: Path) -> Iterator[ProcessMapper]:
 def _revision(mapper: ProcessMapper) -> int:
     surface = mapper.surface()
     return 0 if surface is None else surface.revision
-
-
-def test_inline_learns_at_once_saves_and_meshes(tmp_path: Path) -> None:
-    keyframes = KeyframeFolder(tmp_path / "keyframes")
-    mapper = InlineMapper(Trainer(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M), CONFIG, keyframes)
-    assert mapper.surface() is None
-    for view in tour(4):
-        assert mapper.add(view)
-    surface = mapper.surface()
-    assert surface is not None
-    assert len(surface.position_world) > 1000
-    assert mapper.surface() is surface
-    assert len(keyframes) == 4
-    assert mapper.alive()
-    mapper.finish(tmp_path)
-    assert len(trimesh.load(tmp_path / "mesh.ply").faces) > 1000
 
 
 def test_process_learns_outlives_a_kill_and_meshes(mapper: ProcessMapper, tmp_path: Path) -> None:
@@ -163,28 +144,17 @@ def test_a_child_goes_on_from_its_checkpoint_and_tells_of_a_damaged_one(tmp_path
     assert not (tmp_path / CHECKPOINT).exists()
 
 
-def _correction(views: list[PosedFrame], epoch: int) -> MapCorrection:
-    """A map whose frame is turned about the room's middle: right again where it was, bent, before."""
-    return MapCorrection(epoch, np.array([v.frame.stamp_s for v in views]), tuple(v.world_from_depth for v in views))
-
-
-def _bent(views: list[PosedFrame]) -> list[PosedFrame]:
-    """As a drifting heading would place them."""
-    turns = [Pose.from_yaw(np.deg2rad(2.0) * n / len(views), np.zeros(3)) for n in range(len(views))]
-    return [dataclasses.replace(v, world_from_depth=turn @ v.world_from_depth) for v, turn in zip(views, turns, strict=True)]
-
-
 @pytest.mark.parametrize("killed", [False, True])
 def test_on_a_new_map_epoch_the_child_or_its_successor_learns_that_map_from_the_views(
     killed: bool, mapper: ProcessMapper, tmp_path: Path
 ) -> None:
     views = tour(EVERY_VIEWS, NOISE_PX)
-    for view in _bent(views):
+    for view in bent(views):
         assert mapper.add(view)
     _wait(lambda: _revision(mapper) > 0 and (tmp_path / CHECKPOINT / "state").exists(), "a checkpoint of the bent map")
     if killed:
         os.kill(mapper.pid, signal.SIGKILL)
-    mapper.repose(_correction(views[2:], 1))
+    mapper.repose(correction(views[2:], 1))
     assert mapper.surface() is None  # the old map's
     assert not mapper.add(views[0])
     _wait(lambda: _revision(mapper) > 0, "a surface of the new map")
@@ -197,21 +167,6 @@ def test_on_a_new_map_epoch_the_child_or_its_successor_learns_that_map_from_the_
     mapper.finish(tmp_path)
     assert len(KeyframeFolder(tmp_path / "keyframes")) == EVERY_VIEWS + 1
     assert distance_to_walls(np.asarray(trimesh.load(tmp_path / "mesh.ply").vertices)).mean() < 0.02
-
-
-def test_inline_a_new_map_epoch_is_learned_at_once(tmp_path: Path) -> None:
-    keyframes = KeyframeFolder(tmp_path / "keyframes")
-    mapper = InlineMapper(Trainer(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M), CONFIG, keyframes)
-    views = tour(6)
-    for view in _bent(views):
-        assert mapper.add(view)
-    mapper.repose(_correction(views[:5], 2))
-    assert mapper.refusals() == {Refusal.UNPLACED: 1}
-    surface = mapper.surface()
-    assert surface is not None
-    assert surface.map_epoch == 2
-    assert distance_to_walls(surface.position_world).mean() < 0.02
-    assert [keyframes.pose(n) is None for n in range(6)] == 5 * [False] + [True]
 
 
 def _kept(folder: Path) -> int:

@@ -1,4 +1,4 @@
-"""The mapper as the mission sees it: inline for lockstep, or in a process of its own that may die and come back.
+"""The mapper as the mission sees it: in a process of its own, which may die and come back.
 
 The disk is the queue between the processes: a keyframe is written to the flight folder first and its number sent
 after, so a restarted child has everything it needs, and the mission never waits for it.
@@ -20,14 +20,11 @@ from uav_recon.mapping.neural.process.child import (
     CHECKPOINT,
     KEYFRAMES,
     LOG_FILE,
-    MESH_FILE,
     SURFACE_BYTES,
     SURFACE_FILE,
     ChildProcess,
     Message,
 )
-from uav_recon.mapping.neural.surface.meshfile import write_ply
-from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.mapping.neural.views.intake import Refusal, Refusals, in_words, padded, refusal
 from uav_recon.mapping.neural.views.priors import open_prior
 from uav_recon.types.camera import PosedFrame
@@ -41,66 +38,6 @@ BACKLOG = 64  # keyframes that may wait for the disk
 RESTARTS = 3
 FINISH_S, FINISH_STEP_S, FINISH_VIEW_S = 120.0, 0.1, 2.0  # patience with a busy machine: at all, per step, per view
 END_S = 5.0
-
-
-class InlineMapper:
-    """Lockstep: add() trains at once, surface() extracts when asked. The same trainer, no process."""
-
-    def __init__(self, trainer: Trainer, config: MapperConfig, keyframes: KeyframeFolder | None = None) -> None:
-        self._trainer, self._config, self._keyframes = trainer, config, keyframes
-        self._surface: SurfaceElements | None = None
-        self._stale = False
-        self._numbers: dict[float, int] = {}  # of the views taken, by stamp
-
-    def add(self, keyframe: PosedFrame) -> bool:
-        """Train on a view; blocks for steps_per_view steps. Raises OSError if the keyframe cannot be saved."""
-        number = self._trainer.views
-        if not self._trainer.add(keyframe):
-            return False
-        self._numbers[keyframe.frame.stamp_s] = number
-        if self._keyframes is not None:
-            self._keyframes.save(keyframe)
-        self._trainer.train(self._config.steps_per_view)
-        self._stale = True
-        return True
-
-    def repose(self, correction: MapCorrection) -> None:
-        """Begin the map anew in another frame; blocks until all views are learned again. Views that it does not place are
-        forgotten and counted. Raises OSError if the poses cannot be saved.
-        """
-        if self._keyframes is not None:
-            self._keyframes.repose(correction)
-        placed = {self._numbers[stamp_s]: pose for stamp_s, pose in correction.poses() if stamp_s in self._numbers}
-        self._trainer.repose(placed, correction.map_epoch)
-        self._trainer.relearn(self._trainer.waiting)
-        self._stale = True
-
-    def refusals(self) -> Counter[Refusal]:
-        """Views that were not taken, by reason."""
-        return self._trainer.refusals.counts.copy()
-
-    def refused(self) -> dict[str, int]:
-        """The same in words."""
-        return in_words(self.refusals())
-
-    def surface(self) -> SurfaceElements | None:
-        """The surface after the last view."""
-        if self._stale:
-            self._surface, self._stale = self._trainer.surface(), False
-        return self._surface
-
-    def alive(self) -> bool:
-        """Always: there is no process to lose."""
-        return True
-
-    def ready(self) -> bool:
-        """Always; call Trainer.warm_up() before the flight."""
-        return True
-
-    def finish(self, folder: Path) -> None:
-        """Polish and write mesh.ply."""
-        self._trainer.polish(self._config.polish_steps)
-        write_ply(folder / MESH_FILE, self._trainer.mesh(self._config.mesh_voxel_m))
 
 
 class ProcessMapper:
