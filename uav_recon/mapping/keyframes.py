@@ -94,7 +94,8 @@ class KeyframeFolder:
         import cv2
 
         frame, number = keyframe.frame, len(self._entries)
-        millimetres = np.nan_to_num(frame.depth_m * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
+        with np.errstate(over="ignore"):  # what overflows is infinite, and that is no return
+            millimetres = np.nan_to_num(frame.depth_m * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
         depth = np.where(millimetres < 65535.0, np.rint(millimetres), 0.0).astype(np.uint16)
         bgr = np.ascontiguousarray(frame.rgb[:, :, ::-1])
         self._write(f"{number:04d}_rgb.jpg", cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))

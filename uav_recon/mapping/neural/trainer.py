@@ -1,4 +1,4 @@
-"""Learns the field from keyframes: replay, one step, surface, mesh. One thread, repeatable for a seed."""
+"""The mapper: from keyframes to a field, its surface, its mesh. One thread, repeatable for a seed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import numpy as np
 
 from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.mapping.neural.field.field import Field
-from uav_recon.mapping.neural.field.grid import POINTS
-from uav_recon.mapping.neural.field.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
-from uav_recon.mapping.neural.field.optimiser import Optimiser
 from uav_recon.mapping.neural.field.render import render_rays
 from uav_recon.mapping.neural.gathered import Gathered
+from uav_recon.mapping.neural.learner import Learner
 from uav_recon.mapping.neural.surface.livesurface import LiveSurface
 from uav_recon.mapping.neural.surface.surface import Evidence, WholeSurface, surface_elements, triangle_mesh, whole_surface
 from uav_recon.mapping.neural.surface.uncertainty import (
@@ -30,7 +28,6 @@ from uav_recon.mapping.neural.views.exposure import Exposure
 from uav_recon.mapping.neural.views.intake import FEWEST_VIEWS, Doubt, Refusal, Refusals, padded, pose_refusal, refusal
 from uav_recon.mapping.neural.views.patches import Patches
 from uav_recon.mapping.neural.views.rays import in_rows
-from uav_recon.mapping.neural.views.samples import draw, make_batch
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
@@ -56,8 +53,7 @@ class Trainer:
         self._low, self._high = low.astype(np.float32), high.astype(np.float32)
         self._stream = np.array([config.seed], dtype=np.uint64)
         self._album = Album(depth_noise_px, baseline_m, config.prior_model, config.seed)
-        self._replay, self._batch = self._album.replay, make_batch()
-        self._corners = np.zeros((POINTS, 3), dtype=np.float32)
+        self._replay = self._album.replay
         self.align_views = self.learn_gains = True
         self.refusals = Refusals()
         self.steps, self.map_epoch = 0, 0
@@ -67,13 +63,12 @@ class Trainer:
         """A map of nothing, of which no view is part yet."""
         low, high = self._low.astype(np.float64), self._high.astype(np.float64)
         self._taken, self._doubt = 0, Doubt()
-        self.field = Field(low, high, self._config.seed)
-        self._optimiser = Optimiser(self.field)
         self._evidence = Evidence(low, high)
         self._live = LiveSurface(self._evidence, self._config.surface_voxel_m)
         self._patches = Patches(low, high)
         self._alignment, self._exposure = Alignment(self._patches), Exposure(self._patches)
         self._information, self._colour_error = DepthInformation(low, high), ColourError(low, high)
+        self._learner = Learner(self._low, self._high, self._config.seed, self._stream, self._colour_error)
         self._agreement = MeasuredAgreement(low, high)
         self.uncertainties = self._measures()
         self.uncertainty = self.uncertainties[uncertainty]
@@ -86,6 +81,11 @@ class Trainer:
         self.__dict__.update(state)
         self.uncertainties = self._measures()
         self.uncertainty = self.uncertainties[state["uncertainty"]]
+
+    @property
+    def field(self) -> Field:
+        """As it is now; repose() begins another."""
+        return self._learner.field
 
     @property
     def views(self) -> int:
@@ -107,7 +107,7 @@ class Trainer:
     @property
     def skipped(self) -> int:
         """Steps whose gradient was not finite, and which changed nothing."""
-        return self._optimiser.skipped
+        return self._learner.skipped
 
     def view_arrays(self, index: int) -> dict[str, AnyArray]:
         """What the index-th kept view brought along and a checkpoint keeps apart; copies."""
@@ -201,10 +201,7 @@ class Trainer:
         sigma, (rotation, position) = float(replay.views.inverse_depth_sigma[number]), replay.pose(number)
         view = replay.rays(in_rows(replay.records(number)), rotation, position, sigma)
         for points in view.points:
-            while not self.field.cover(points):
-                capacity = 2 * self.field.capacity
-                self._optimiser.grow(capacity)
-                self.field.grow(capacity)
+            self._learner.cover(points)
         self._information.add(view.points[0], view.cosine, view.sigma_m)
         self._agreement.add(view.points[0], view.normal)
         footprint_m = self._album.footprint_m(number, view.sigma_m)
@@ -216,7 +213,8 @@ class Trainer:
         """Run steps; returns the last loss (0 before the first view). rate: share of the full learning rate."""
         loss = 0.0
         for _ in range(steps if self._taken else 0):
-            loss = self._step(rate)
+            loss = self._learner.step(self._replay.views, self._taken, rate)
+            self.steps += 1
         return loss
 
     def polish(self, steps: int) -> None:
@@ -299,19 +297,6 @@ class Trainer:
             "product": ProductUncertainty(self._colour_error, self._information),
             "agreement": self._agreement,
         }
-
-    def _step(self, rate: float) -> float:
-        f, o, b = self.field, self._optimiser, self._batch
-        coloured = int(draw(self._stream, self._replay.views, self._taken, self._low, self._high, b))
-        shared = (f.grid, f.network, o.network_gradient, o.gradient, f.scratch)
-        loss = fit_distance(*shared, b.points, b.target_m, b.weight, b.at_least)
-        loss += fit_shape(*shared, TETRAHEDRON, self._corners, b.surface, b.normal, b.eikonal_weight, b.normal_weight)
-        points, error = b.coloured[:coloured], b.colour_error[:coloured]
-        loss += fit_colour(*shared, points, b.rgb[:coloured], b.at_least_rgb[:coloured], b.colour_weight[:coloured], error)
-        if o.step(rate):
-            self._colour_error.add(points, error)
-        self.steps += 1
-        return float(loss)
 
 
 def _wall() -> PosedFrame:

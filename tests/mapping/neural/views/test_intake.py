@@ -181,6 +181,14 @@ _POSE = st.one_of(
 )
 
 
+def test_a_depth_that_overflows_in_millimetres_is_no_return() -> None:
+    depth = GOOD.frame.depth_m.copy()
+    depth[::2, ::2] = 3e38
+    mapper = _trainer()
+    assert mapper.add(_with_depth(GOOD, depth))
+    assert not mapper.gathered().images.image(0).any()
+
+
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(lens=_LENS, colour=_LENS, depth=_DEPTH, pose=_POSE, beside=_POSE, steps=st.integers(0, 3), poison=st.booleans())
 def test_the_field_stays_finite_whatever_comes(
@@ -192,11 +200,11 @@ def test_the_field_stays_finite_whatever_comes(
     taken = mapper.add(PosedFrame(frame, pose))
     assert (mapper.views, mapper.refusals.total()) == (before + taken, refused + (not taken))
     if poison:  # whatever made it, such a gradient must not reach the field
-        mapper._optimiser.flat_gradient[7] = np.nan
+        mapper._learner._optimiser.flat_gradient[7] = np.nan
         skipped = mapper.skipped
         mapper.train(1)
         assert mapper.skipped == skipped + (mapper.views > 0)
-        mapper._optimiser.flat_gradient[7] = 0.0
+        mapper._learner._optimiser.flat_gradient[7] = 0.0
     assert np.isfinite(mapper.train(steps))
     assert np.isfinite(mapper.field.parameters).all()
     assert np.isfinite(mapper.field.grid.features).all()

@@ -49,7 +49,8 @@ class Testimony:
         self, depth_m: Float32Array, lens: FloatArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float
     ) -> None:
         """Keep a depth image (H, W); lens = fx, fy, cx, cy; pose world_from_depth as rotation (3, 3), position (3,)."""
-        half = np.nan_to_num(depth_m[::2, ::2] * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
+        with np.errstate(over="ignore"):  # what overflows is infinite, and that is no return
+            half = np.nan_to_num(depth_m[::2, ::2] * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
         self._depth_mm.append(np.clip(half, 0, 65535).astype(np.uint16))
         self._lens.append(lens)
         self._depth_from_world.append((rotation.T.copy(), -rotation.T @ position))
