@@ -49,7 +49,7 @@ def test_where_much_is_unknown_views_show_frontiers(camera: CameraGeometry) -> N
         assert len(proposal.promised) >= 4
         assert {int(c) for c in proposal.promised} <= cells
         assert proposal.task.gain >= UNKNOWN_WEIGHT * len(proposal.promised)
-        assert situation.space.reachable.ravel()[proposal.cell] == 1
+        assert situation.holds(proposal.place)
         view = proposal.task.viewpoint
         assert camera.pitch_min_rad <= view.pitch_down_rad <= camera.pitch_max_rad
         bearing = view.yaw_rad
@@ -65,7 +65,7 @@ def test_the_order_of_the_frontiers_does_not_matter() -> None:
     surface = elements_of(MEETING_ROOM)
     one = FieldViews(CONFIG, GIMBAL).propose(situation, frontiers, surface, looks_of(situation))
     other = FieldViews(CONFIG, GIMBAL).propose(situation, frontiers[::-1], surface, looks_of(situation))
-    assert [p.cell for p in one] == [p.cell for p in other]
+    assert [p.place.tolist() for p in one] == [p.place.tolist() for p in other]
     assert [p.task.gain for p in one] == [p.task.gain for p in other]
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -275,6 +276,27 @@ def test_in_motion_the_view_that_is_flown_to_stays_the_next_one() -> None:
         assert onward.viewpoints[0].yaw_rad == goal.yaw_rad
     resting = planner.plan(PlanRequest(asked.voxels, None, on_the_way, world.yaw_rad + 2.0, 50))
     assert isinstance(resting, ViewPath)
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_view_off_its_voxels_centre_is_kept_while_it_is_clear_itself(beside: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = looked_round(MEETING_ROOM)
+    planner = planner_for(world.state)
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath)
+    planner.accept(path)
+    promised = planner.visited.next_promised(path.waypoints_world[0][0], world.yaw_rad)
+    assert promised is not None
+    centre = np.floor(promised.place) + 0.5
+    moved = dataclasses.replace(promised, place=centre + np.array([0.0, 0.0, 0.45]))
+    monkeypatch.setattr(planner.visited, "next_promised", lambda *_: moved)
+    state = world.state.copy()
+    if beside:  # as near above it as the centre may have something: the voxel stays one that can be flown to
+        state[tuple((np.floor(promised.place) - 1.0 + np.array([0.0, 0.0, 4.0])).astype(int))] = OCCUPIED
+    request = PlanRequest(voxel_map(state, 99), None, path.waypoints_world[0][0], world.yaw_rad, 50, np.array([0.3, 0.0, 0.0]))
+    onward = planner.plan(request)
+    assert isinstance(onward, ViewPath)
+    assert (onward.tasks[0] is promised.task) is not beside
 
 
 def test_a_view_that_has_nothing_left_to_show_is_not_kept() -> None:

@@ -68,7 +68,7 @@ def test_gains_are_what_exact_rays_see_and_the_chosen_view_is_nearly_the_best_of
         promised = np.unique(elements.voxel[(cosine > 0) & (elements.voxel >= 0)])
         np.testing.assert_array_equal(proposal.promised, promised)
         np.testing.assert_allclose(proposal.squareness[5], cosine[elements.voxel == promised[5]].max())
-        assert situation.space.reachable.ravel()[proposal.cell] == 1
+        assert situation.holds(proposal.place)
         best = 0.0
         for place in np.unique(np.floor((task.centroid_world + 0.1) / 0.1 + offsets), axis=0) + 0.5:
             cell = place.astype(int) + 1
@@ -139,7 +139,7 @@ def test_no_surface_makes_no_task_and_the_same_surface_the_same_tasks() -> None:
     fresh = SurfaceViews(CONFIG, FIXED).propose(situation, surface, looks, 1.0)
     for one, other in ((first, again), (first, fresh)):
         assert [p.task.gain for p in one] == [p.task.gain for p in other]
-        assert [p.cell for p in one] == [p.cell for p in other]
+        assert [p.place.tolist() for p in one] == [p.place.tolist() for p in other]
     # another surface with the same array sizes is not taken for the last one
     moved = SurfaceElements(surface.position_world, surface.normal_world, surface.uncertainty[::-1].copy(), 2)
     assert [p.task.gain for p in views.propose(situation, moved, looks, 1.0)] != [p.task.gain for p in first]

@@ -16,6 +16,7 @@ from uav_recon.planning.frontier.vantage import ROOM, _ranked, best_view
 from uav_recon.planning.frontier.view_table import MOST_BLOCKERS, targets
 from uav_recon.planning.shell import explore_shell
 from uav_recon.planning.space.space import FlyableSpace
+from uav_recon.planning.space.standing import SIDES2
 from uav_recon.types.maps import FREE, TILE
 
 START = np.array([1.0, 1.0, 1.1])
@@ -40,12 +41,13 @@ def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: Ca
     tan_h, tan_v = (float(np.tan(angle / 2)) * EDGE_MARGIN for angle in (camera.hfov_rad, camera.vfov_rad))
     oracle = view_oracle.Lens(tan_h, tan_v, lens[2], lens[3], camera.pitch_min_rad, camera.pitch_max_rad)
     reachable, shares = space.reachable[1:-1, 1:-1, 1:-1] > 0, []
+    closed, off_centre = np.argwhere(voxels.state != FREE) + 0.5, 0
     asked, blockers = np.zeros(len(shell.offsets) + ROOM, dtype=np.int32), np.zeros(MOST_BLOCKERS, dtype=np.int32)
     for row in frontiers.rows():
         points, first = targets(frontiers.faces, frontiers.flat(int(row)))
         view, seen, asks, hidden, boxes = best_view(
-            voxels.distance2.reshape(-1), world.grid.shape, space.reachable.reshape(-1), lens, shell.offsets, shell.ends,
-            shell.places, frontiers.table.centre[row], points, first, asked, blockers,
+            voxels.distance2.reshape(-1), world.grid.shape, space.reachable.reshape(-1), space.berth, lens, shell.offsets,
+            shell.ends, shell.places, frontiers.table.centre[row], points, first, asked, blockers,
         )  # fmt: skip
         assert asks <= len(asked)
         assert hidden < MOST_BLOCKERS
@@ -59,12 +61,17 @@ def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: Ca
         if best >= 10:
             shares.append(view_oracle.cells_seen(voxels.state, oracle, view, target) / best)
             assert reachable[tuple(view[:3].astype(int))]
+            off_centre += bool((view[:3] % 1.0 != 0.5).any())
+            # no nearer to anything than a centre may be, measured to the nearest side
+            assert ((np.maximum(np.abs(closed - view[:3]) - 0.5, 0.0) ** 2).sum(axis=1) >= space.berth[SIDES2]).all()
+            assert ((view[:3] >= low + 2.5) & (view[:3] <= high - 2.5)).all()
             assert seen.sum() <= view_oracle.cells_seen(voxels.state, oracle, view, target)
             at = np.array(np.unravel_index(np.where(asked[:asks] >= 0, asked[:asks], ~asked[:asks]), space.reachable.shape)) - 1
             for box, places in zip(boxes, (view[:2, None], at[:2]), strict=True):
                 assert (box[:2, None] * TILE <= places).all()
                 assert (places < box[2:, None] * TILE + TILE).all()
     assert len(shares) >= 8
+    assert off_centre
     assert np.mean(np.array(shares) >= 0.95) >= 0.9
     assert min(shares) >= 0.8
 

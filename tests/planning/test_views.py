@@ -19,7 +19,7 @@ from uav_recon.planning.frontier import views as views_module
 from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.frontier.view_table import ViewTable
 from uav_recon.planning.frontier.views import BATCH, COVERED_SHARE, FrontierProposals, FrontierViews
-from uav_recon.planning.proposal import MIN_SEEN
+from uav_recon.planning.proposal import MIN_SEEN, Situation
 from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
@@ -67,7 +67,7 @@ def described(found: FrontierProposals) -> list[tuple[object, ...]]:
             proposal.task.viewpoint.yaw_rad,
             proposal.task.viewpoint.pitch_down_rad,
             proposal.task.gain,
-            proposal.cell,
+            *proposal.place.tolist(),
             tuple(proposal.promised.tolist()),
         )
         for proposal in found.proposals
@@ -112,8 +112,9 @@ def test_a_view_shows_what_it_promises_from_where_one_may_fly(solid: Solid, came
         assert set(table.promised[kept]) <= set(follower.frontiers.flat(int(row)))
         target = view_oracle.Frontier(cells, follower.low, follower.high)
         assert view_oracle.cells_seen(voxels.state, lens, oracle_view(table.view[kept], camera), target) >= 0.98 * len(cells)
+    situation = Situation(voxels, follower.space, np.zeros(0, dtype=np.int64), START)
     for proposal in found.proposals:
-        assert follower.space.reachable.ravel()[proposal.cell]
+        assert situation.holds(proposal.place)
         assert camera.pitch_min_rad <= proposal.task.viewpoint.pitch_down_rad <= camera.pitch_max_rad
 
 

@@ -20,6 +20,7 @@ from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 
 MAPS, BLOCKS = 1000, 10
 BORDER = 1e-6  # voxels: a way may bend on the very border of a flyable voxel
+VIEW_M = 0.3  # d_s: from a view to the nearest side of anything that is not known free
 CLIP = 0.25  # voxels: a line between two waypoints may clip a corner by so much
 MOUNT_M = np.array([0.1, 0.0, 0.0])
 TILT_RAD = np.radians(15.0)
@@ -95,7 +96,22 @@ def judged(
         for view in answer.viewpoints:
             assert camera.pitch_min_rad - 1e-9 <= view.pitch_down_rad <= camera.pitch_max_rad + 1e-9
             assert np.isfinite(view.yaw_rad)
+    for view in answer.viewpoints:
+        assert_clear(view.position_world, request.voxels, world.fence_m, clearance_m)
     return assert_flyable(answer, request, flyable(request.voxels, world, clearance_m))
+
+
+def assert_clear(place: NDArray[np.float64], voxels: VoxelMap, fence_m: NDArray[np.float64], clearance_m: float) -> None:
+    """The very place of a view, and not its voxel's centre, is as far from anything not known free as a centre must be."""
+    resolution_m = voxels.grid.resolution_m
+    at = (place - voxels.grid.origin_world_m) / resolution_m
+    reach = int(np.ceil(clearance_m / resolution_m)) + 2
+    around = np.stack(np.meshgrid(*(np.arange(-reach, reach + 1),) * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = np.floor(at).astype(int) + around
+    away_m = np.abs(cells + 0.5 - at)[~_at(voxels.state == FREE, cells)] * resolution_m
+    assert (np.linalg.norm(away_m, axis=1) >= clearance_m + 0.5 * resolution_m - 1e-3 * resolution_m - 1e-9).all()
+    assert (np.linalg.norm(np.maximum(away_m - 0.5 * resolution_m, 0.0), axis=1) >= VIEW_M - 1e-9).all()
+    assert ((place >= fence_m[0] + clearance_m - 1e-4) & (place <= fence_m[1] - clearance_m + 1e-4)).all()
 
 
 def flyable(voxels: VoxelMap, world: RandomMap, clearance_m: float) -> NDArray[np.bool_]:

@@ -74,5 +74,5 @@ def _planned_m(space: FlyableSpace, ways: Ways, start: IntArray, goal: IntArray)
     exit_cells = space.stand(start_m)
     if exit_cells is None:
         return float(np.inf)
-    ways.update(exit_cells, start_m, np.array([space.flat(goal + 1)], dtype=np.int64))
+    ways.update(exit_cells, start_m, goal[None] + np.float64(1.5))
     return float(ways.lengths_m[0, 1])

@@ -23,7 +23,7 @@ from uav_recon.planning.frontier.views import FrontierViews
 from uav_recon.planning.planner import ViewPlanner
 from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Proposal
-from uav_recon.planning.sources import MOST_FRONTIERS, cells_of
+from uav_recon.planning.sources import MOST_FRONTIERS, places_of
 from uav_recon.planning.space.costs import time_costs
 from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.planning.space.ways import Ways
@@ -181,7 +181,7 @@ class Stages:
     def _tour(self, exit_cells: IntArray, posed: PosedFrame, tasks: list[Proposal], watch: Stopwatch) -> IntArray:
         if not tasks:
             return NOTHING
-        self._ways.update(exit_cells, posed.world_from_depth.translation_m, cells_of(tasks))
+        self._ways.update(exit_cells, posed.world_from_depth.translation_m, places_of(tasks))
         costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._speed_mps, self._yaw_rate_radps)
         watch.lap("ways")
         order = self._choice.order([one.task for one in tasks], costs_s).order

@@ -25,7 +25,8 @@ def proposal_for(situation: Situation, goal: Viewpoint) -> Proposal | None:
     nearest = int(np.argmin(away))
     if away[nearest] > reach:
         return None
-    place = space.world(cells[nearest] + 0.5)
-    task = Task(TaskKind.EXPLORE, place, Viewpoint(place, goal.yaw_rad, goal.pitch_down_rad), 0.0)
+    place = cells[nearest] + 0.5
+    place_world = space.world(place)
+    task = Task(TaskKind.EXPLORE, place_world, Viewpoint(place_world, goal.yaw_rad, goal.pitch_down_rad), 0.0)
     nothing = np.zeros(0, dtype=np.int64)
-    return Proposal(task, space.flat(cells[nearest]), nothing, nothing.astype(np.float64))
+    return Proposal(task, place, nothing, nothing.astype(np.float64))

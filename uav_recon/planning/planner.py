@@ -19,7 +19,7 @@ from uav_recon.planning.frontier.views import FrontierViews
 from uav_recon.planning.homing import proposal_for
 from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Proposal, Situation
-from uav_recon.planning.sources import Clusters, Field, Source, cells_of
+from uav_recon.planning.sources import Clusters, Field, Source, places_of
 from uav_recon.planning.space import costs, lines, space
 from uav_recon.planning.space.costs import time_costs
 from uav_recon.planning.space.space import FlyableSpace
@@ -106,7 +106,7 @@ class ViewPlanner:
         proposal = proposal_for(situation, goal)
         if proposal is None:
             return self._nothing("no known-free way leads there", start_s, start_s)
-        self._ways.update(situation.exit_cells, request.position_world, cells_of([proposal]))
+        self._ways.update(situation.exit_cells, request.position_world, places_of([proposal]))
         return self._path(request, PlanMode.EXPLORE, [proposal], [1], start_s, start_s)
 
     def _look(self, request: PlanRequest) -> Situation | str:
@@ -133,7 +133,7 @@ class ViewPlanner:
         if (
             following is None
             or not request.velocity_world_mps.any()
-            or not situation.space.reachable.ravel()[following.cell]
+            or not situation.holds(following.place)
             or not self.visited.is_worth(situation.voxels, following)
         ):
             return []
@@ -143,7 +143,7 @@ class ViewPlanner:
         self, situation: Situation, request: PlanRequest, tasks: list[Proposal], committed: int
     ) -> tuple[list[int], int]:
         """Nodes to fly to, the ``committed`` (0 or 1) first; and how many surface tasks were not worth their flight."""
-        self._ways.update(situation.exit_cells, request.position_world, cells_of(tasks))
+        self._ways.update(situation.exit_cells, request.position_world, places_of(tasks))
         costs_s = time_costs(
             self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._speed_mps, self._yaw_rate_radps
         )

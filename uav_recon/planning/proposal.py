@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from uav_recon.planning.space.space import FlyableSpace
+from uav_recon.planning.space.standing import CLEAR, voxel_beside
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import Task
@@ -14,21 +17,21 @@ MIN_SEEN = 10  # frontier cells: a view of fewer is not worth a stop
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """task; cell: flat padded index of its viewpoint.
+    """task; place: (3,) where its viewpoint is, padded voxel units of the flyable space.
 
     promised: (M,) flat indices into VoxelMap.state of the frontier cells, or of the voxels of surface, that it should settle.
     squareness: (M,) cosine under which each is seen; 1 for frontier cells.
     """
 
     task: Task
-    cell: int
+    place: FloatArray
     promised: IntArray
     squareness: FloatArray
 
     def gaining(self, gain: float) -> Proposal:
         """The same with another gain."""
         task = Task(self.task.kind, self.task.centroid_world, self.task.viewpoint, float(gain))
-        return Proposal(task, self.cell, self.promised, self.squareness)
+        return Proposal(task, self.place, self.promised, self.squareness)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,3 +42,10 @@ class Situation:
     space: FlyableSpace
     exit_cells: IntArray
     position_world: FloatArray
+
+    def holds(self, place: FloatArray) -> bool:
+        """Whether a place (3,), padded voxel units, is in a voxel that can be flown to, and clear itself."""
+        x, y, z = (place - 1.0).tolist()
+        shape, space = self.voxels.grid.shape, self.space
+        beside = voxel_beside(self.voxels.distance2.reshape(-1), shape, space.berth, x, y, z)
+        return bool(beside == CLEAR and space.reachable.reshape(-1)[space.flat(np.floor(place).astype(np.int64))])

@@ -17,7 +17,7 @@ from uav_recon.planning.space.ways import Ways
 from uav_recon.planning.surface.field import FieldViews
 from uav_recon.planning.surface.surfaces import SurfaceViews
 from uav_recon.planning.variants import Variant
-from uav_recon.types.frames import Float32Array, IntArray
+from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import PlanMode, TaskKind
 
@@ -72,7 +72,7 @@ class Clusters:
     ) -> Harvest:
         """See Source."""
         explore = self._explore(situation, frontiers)
-        ways.update(situation.exit_cells, situation.position_world, cells_of(explore))
+        ways.update(situation.exit_cells, situation.position_world, places_of(explore))
         opening = np.array([one.task.gain >= OPENING for one in explore], dtype=np.bool_)
         mode = self._variant.mode.choose(ways.lengths_m[0, 1:], opening)
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds:
@@ -96,9 +96,9 @@ class Clusters:
         return [one.gaining(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
 
 
-def cells_of(proposals: list[Proposal]) -> IntArray:
-    """Flat padded cells (N,) of their views."""
-    return np.array([proposal.cell for proposal in proposals], dtype=np.int64)
+def places_of(proposals: list[Proposal]) -> FloatArray:
+    """Where their views are: (N, 3), padded voxel units."""
+    return np.array([proposal.place for proposal in proposals], dtype=np.float64).reshape(-1, 3)
 
 
 class Field:

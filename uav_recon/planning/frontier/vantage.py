@@ -6,13 +6,16 @@ cannot show more than the best so far; then the best few are moved step by step 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera import CAM_X, CAM_Y, aim, look_at, sight
 from uav_recon.planning.frontier.aiming import aimed, framed
-from uav_recon.planning.frontier.glimpses import Notes, Scene, confirmed, hoped_for, inside, note_sides, revealed
+from uav_recon.planning.frontier.glimpses import Notes, Scene, confirmed, hoped_for, inside, note_sides, noted, revealed
 from uav_recon.planning.frontier.outlook import BOOK, Int32Array, Targets, cells_with, distinct, outlook
+from uav_recon.planning.space.standing import CLEAR, SIDES2, voxel_beside
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
@@ -22,7 +25,8 @@ CASTS = 64  # places that rays are cast from, those that promise most first
 PEAKS = 4  # of these the best, APART voxels from each other, are moved ...
 APART = 7.0
 WORTH_MOVING = 0.6  # ... if they show such a share of what the best one shows ...
-HOPS = (4, 2, 1)  # ... to places so many voxels away along an axis or a diagonal of space ...
+HOPS = (4.0, 2.0, 1.0, 0.2)  # ... to places so many voxels away along an axis or a diagonal of space ...
+FROM_CENTRE_TO_CENTRE = 1.0  # ... a shorter hop ends off a centre, where it must be clear itself ...
 STEPS = 40  # ... until rays have been cast from so many
 SAME_EYE = 1e-6  # voxels
 ROOM = 512  # places asked on these ways, at most
@@ -36,6 +40,28 @@ Record = tuple[Int32Array, FloatArray, Notes]  # asked, extents and notes: what 
 
 
 @kernel
+def _widen(extent: FloatArray, x: float, y: float) -> None:
+    """Make a box (low x, low y, high x, high y) hold a point."""
+    extent[0], extent[1] = min(extent[0], x), min(extent[1], y)
+    extent[2], extent[3] = max(extent[2], x), max(extent[3], y)
+
+
+@kernel
+def _ask(
+    reachable: ByteArray, shape: tuple[int, int, int], x: float, y: float, z: float, record: Record, asks: int
+) -> tuple[bool, int]:
+    """Whether a place lies inside the map in a voxel that can be reached; how many were asked then."""
+    asked, extents, _ = record
+    if x < 0.0 or y < 0.0 or z < 0.0 or x >= shape[0] or y >= shape[1] or z >= shape[2]:
+        return False, asks
+    at = ((int(x) + 1) * (shape[1] + 2) + int(y) + 1) * (shape[2] + 2) + int(z) + 1
+    within = reachable[np.uint64(at)] != 0
+    asked[asks] = at if within else ~at
+    _widen(extents[1], x, y)
+    return within, asks + 1
+
+
+@kernel
 def _look(
     scene: Scene,
     cluster: Cluster,
@@ -43,7 +69,7 @@ def _look(
     best: int,
     beat: int,
     desk: Desk,
-    notes: Notes,
+    record: Record,
     view: FloatArray,
     count: int,
 ) -> tuple[int, int, int]:
@@ -55,6 +81,7 @@ def _look(
     _, shape, lens = scene
     _, _, targets, centre = cluster
     facing, found, order, ways = desk
+    _, extents, notes = record
     x, y, z = place
     line = look_at(lens, x, y, z, centre[0], centre[1], centre[2])
     if not inside(shape, line):
@@ -68,6 +95,7 @@ def _look(
         most, yaw, pitch = aimed(lens, ways, hoped_for(targets, line, facing, ways), yaw, pitch)
         if most <= best:
             return 0, count, 0
+    _widen(extents[0], x, y)
     visible, count = revealed(scene, targets, line, facing, fitting, beat, order, found, ways, notes, count)
     if visible <= beat:
         return 0, count, 1
@@ -88,20 +116,6 @@ def _look(
         return 0, count, 1
     view[0], view[1], view[2], view[3], view[4] = x, y, z, yaw, pitch
     return total, count, 1
-
-
-@kernel
-def _ask(reachable: ByteArray, shape: tuple[int, int, int], x: float, y: float, z: float) -> int:
-    """Padded flat index of a place inside the map, or its complement if it is not reachable."""
-    at = ((int(x) + 1) * (shape[1] + 2) + int(y) + 1) * (shape[2] + 2) + int(z) + 1
-    return at if reachable[np.uint64(at)] != 0 else ~at
-
-
-@kernel
-def _widen(extent: FloatArray, x: float, y: float) -> None:
-    """Make a box (low x, low y, high x, high y) hold a point."""
-    extent[0], extent[1] = min(extent[0], x), min(extent[1], y)
-    extent[2], extent[3] = max(extent[2], x), max(extent[3], y)
 
 
 @kernel
@@ -131,7 +145,6 @@ def _survey(
     """
     _, shape, lens = scene
     _, first, targets, centre = cluster
-    asked, extents, notes = record
     cells = len(first) - 1
     count, asks, opened, best, cast = 0, 0, 0, 0, 0
     part, left, p = 0, quotas[0], 0
@@ -143,12 +156,8 @@ def _survey(
             continue
         x, y, z = centre[0] + offsets[p, 0], centre[1] + offsets[p, 1], centre[2] + offsets[p, 2]
         p += 1
-        if x < 0.0 or y < 0.0 or z < 0.0 or x >= shape[0] or y >= shape[1] or z >= shape[2]:
-            continue
-        asked[asks] = _ask(reachable, shape, x, y, z)
-        asks += 1
-        _widen(extents[1], x, y)
-        if asked[asks - 1] < 0:
+        within, asks = _ask(reachable, shape, x, y, z, record, asks)
+        if not within:
             continue
         left -= 1
         place = places[opened]
@@ -159,8 +168,7 @@ def _survey(
         opened += 1
         if cast < AT_ONCE and 2 * centred >= cells and cells_with(targets, desk[0])[1] >= ENOUGH * cells:
             promises[opened - 1] = 0
-            _widen(extents[0], x, y)
-            total, count, _ = _look(scene, cluster, place, best, best, desk, notes, view, count)
+            total, count, _ = _look(scene, cluster, place, best, best, desk, record, view, count)
             cast += 1
             best = max(best, total)
     return opened, best, asks, count, cast
@@ -203,6 +211,7 @@ def _enter(view: FloatArray, total: int, peaks: FloatArray, totals: IntArray) ->
 def _climb(
     scene: Scene,
     reachable: ByteArray,
+    berth: FloatArray,
     cluster: Cluster,
     desk: Desk,
     record: Record,
@@ -212,9 +221,9 @@ def _climb(
     count: int,
 ) -> tuple[int, int, int]:
     """Move a view that shows ``total`` cells to places around it as long as one shows more; how many then, asks, blockers."""
-    _, shape, _ = scene
+    distance2, shape, _ = scene
     asked, extents, notes = record
-    cells = len(cluster[1]) - 1
+    cells, beside = len(cluster[1]) - 1, math.sqrt(berth[SIDES2])
     hop, way, steps = 0, 0, 0
     while hop < len(HOPS) and steps < STEPS and total < ENOUGH * cells and asks < len(asked):
         if way == len(_WAYS):
@@ -223,16 +232,18 @@ def _climb(
         place = view[:3] + HOPS[hop] * _WAYS[way]
         x, y, z = place
         way += 1
-        if x < 0.0 or y < 0.0 or z < 0.0 or x >= shape[0] or y >= shape[1] or z >= shape[2]:
+        within, asks = _ask(reachable, shape, x, y, z, record, asks)
+        if not within:
             continue
-        asked[asks] = _ask(reachable, shape, x, y, z)
-        asks += 1
-        _widen(extents[1], x, y)
-        if asked[asks - 1] < 0:
-            continue
-        shown, count, cast = _look(scene, cluster, place, total, total, desk, notes, view, count)
-        if cast:
-            _widen(extents[0], x, y)
+        if HOPS[hop] < FROM_CENTRE_TO_CENTRE:
+            voxel = voxel_beside(distance2, shape, berth, x, y, z)
+            if voxel >= 0:
+                count = noted(voxel, notes, count)
+            if voxel != CLEAR:
+                continue
+            _widen(extents[0], x - beside, y - beside)
+            _widen(extents[0], x + beside, y + beside)
+        shown, count, cast = _look(scene, cluster, place, total, total, desk, record, view, count)
         steps += cast
         if shown > total:
             total, way = shown, 0
@@ -244,6 +255,7 @@ def best_view(
     distance2: ByteArray,
     shape: tuple[int, int, int],
     reachable: ByteArray,
+    berth: FloatArray,
     lens: FloatArray,
     offsets: FloatArray,
     ends: IntArray,
@@ -256,12 +268,12 @@ def best_view(
 ) -> tuple[FloatArray, BoolArray, int, int, IntArray]:
     """Find the view that shows most cells; the first in the shell's order that shows ENOUGH of them is taken at once.
 
-    distance2: raveled, as in VoxelMap; reachable: raveled, padded by one voxel all round. points, first: as of
-    view_table.targets(), fewer points than BOOK. asked (K + ROOM,) for K offsets, blockers (fewer than BOOK): room.
+    distance2: raveled, as in VoxelMap; reachable: raveled, padded by one voxel all round; berth: of the space. points, first:
+    as of view_table.targets(), fewer points than BOOK. asked (K + ROOM,) for K offsets, blockers (fewer than BOOK): room.
     Returns the view (x, y, z, yaw, pitch down), voxels and radians, and which cells it shows: none = no view. Then what the
     answer hangs on: how many of ``asked`` (padded flat index of a place, or its complement if it was not reachable) and of
-    ``blockers`` (voxels that hid something; more than there is room for: too many to tell) were filled, and the first and
-    last tile, i and j of each, of the boxes (2, 4) that all lines and all places asked lie in.
+    ``blockers`` (voxels that hid something, or were too near to a place; more than there is room for: too many to tell) were
+    filled, and the first and last tile, i and j of each, of the boxes (2, 4) that all lines and all places asked lie in.
     """
     cells = len(first) - 1
     scene, notes = (distance2, shape, lens), (np.zeros(BOOK, dtype=np.int32), blockers)
@@ -288,16 +300,14 @@ def best_view(
             if cast == CASTS or promises[p] == 0 or totals[0] >= ENOUGH * cells:
                 break
             beat = max(totals[-1], int(WORTH_MOVING * totals[0]))
-            total, count, asking = _look(scene, cluster, places[p], totals[0], beat, desk, notes, view, count)
+            total, count, asking = _look(scene, cluster, places[p], totals[0], beat, desk, record, view, count)
             cast += asking
-            if asking:
-                _widen(extents[0], places[p, 0], places[p, 1])
             if total > 0:
                 _enter(view, total, peaks, totals)
         for q in range(PEAKS):
             if totals[0] < ENOUGH * cells and totals[q] > WORTH_MOVING * totals[0]:
                 totals[q], asks, count = _climb(
-                    scene, reachable, cluster, desk, record, peaks[q], totals[q], asks, count
+                    scene, reachable, berth, cluster, desk, record, peaks[q], totals[q], asks, count
                 )  # fmt: skip
     best = peaks[np.argmax(totals)]
     count = note_sides(shape, targets, notes, count)

@@ -49,6 +49,7 @@ class ViewTable:
         key: int,
         distance2: ByteArray,
         reachable: ByteArray,
+        berth: FloatArray,
         lens: FloatArray,
         faces: ByteArray,
         flat: IntArray,
@@ -58,7 +59,7 @@ class ViewTable:
     ) -> int:
         """Find the best view of a cluster of cells ``flat`` (N,) around a centre, voxels; its row. Those ``plan`` used stay.
 
-        distance2, faces: of the map; reachable: padded. revisions: of the map and of the space.
+        distance2, faces: of the map; reachable (padded), berth: of the space. revisions: of the map and of the space.
         """
         while self.used[self._next] == plan:
             self._next = (self._next + 1) % ROWS
@@ -66,7 +67,7 @@ class ViewTable:
         if self.row_of.get(self.key[row]) == row:
             del self.row_of[self.key[row]]
         self.promised[row] = _answer(
-            row, distance2.reshape(-1), faces, reachable.reshape(-1), lens, self.shell.offsets, self.shell.ends,
+            row, distance2.reshape(-1), faces, reachable.reshape(-1), berth, lens, self.shell.offsets, self.shell.ends,
             self.shell.places, centre, flat, self.shown, self.view, self.asked, self.blockers,
             self.box, self.counts, self.points, self.first, self.samples,
         )  # fmt: skip
@@ -135,6 +136,7 @@ def _answer(
     distance2: ByteArray,
     faces: ByteArray,
     reachable: ByteArray,
+    berth: FloatArray,
     lens: FloatArray,
     offsets: FloatArray,
     ends: IntArray,
@@ -154,7 +156,7 @@ def _answer(
     """Fill a row; returns the flat indices of the cells that the view shows."""
     own_points, own_first = targets(faces, flat)
     best, seen, asks, hidden, tiles = best_view(
-        distance2, faces.shape, reachable, lens, offsets, ends, quotas, centre, own_points, own_first,
+        distance2, faces.shape, reachable, berth, lens, offsets, ends, quotas, centre, own_points, own_first,
         asked[row], blockers[row],
     )  # fmt: skip
     view[row] = best

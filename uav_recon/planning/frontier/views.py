@@ -32,6 +32,10 @@ class Flyable(Reach, Protocol):
     def mask(self) -> ByteArray:
         """(nx + 2, ny + 2, nz + 2) uint8, padded by zeros: 1 = flyable."""
 
+    @property
+    def berth(self) -> FloatArray:
+        """(7,) what a place off its voxel's centre must keep; see standing.berth_of()."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrontierProposals:
@@ -84,7 +88,7 @@ class FrontierViews:
                 row = held if self.table.is_about(held, int(frontiers.table.key[cluster])) else -1
                 if row < 0 and (searches > 0 or not found):
                     searches -= 1
-                    row = self._search(voxels, space.reachable, space.revision, frontiers, cluster, lens)
+                    row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
                 if row < 0:
                     later += 1
                 elif self._worth(row):
@@ -118,12 +122,12 @@ class FrontierViews:
         return held
 
     def _search(
-        self, voxels: VoxelMap, reachable: ByteArray, space_revision: int, frontiers: Frontiers, cluster: int, lens: FloatArray
+        self, voxels: VoxelMap, space: Flyable, reachable: ByteArray, frontiers: Frontiers, cluster: int, lens: FloatArray
     ) -> int:
-        table, revisions = frontiers.table, (voxels.revision, space_revision)
+        table, revisions = frontiers.table, (voxels.revision, space.revision)
         row = self.table.search(
-            int(table.key[cluster]), voxels.distance2, reachable, lens, frontiers.faces, frontiers.flat(cluster),
-            table.centre[cluster], revisions, self._plans,
+            int(table.key[cluster]), voxels.distance2, reachable, space.berth, lens, frontiers.faces,
+            frontiers.flat(cluster), table.centre[cluster], revisions, self._plans,
         )  # fmt: skip
         self._tasks.pop(row, None)
         self._centre[row] = table.centre[cluster]
@@ -151,18 +155,16 @@ class FrontierViews:
             return kept[1]
         x, y, z, yaw, pitch = self.table.view[rows[0]].tolist()
         place = np.array([x, y, z])
-        _, ny, nz = space.reachable.shape
-        cell = ((int(x) + 1) * ny + int(y) + 1) * nz + int(z) + 1
         viewpoint = Viewpoint(grid.origin_world_m + place * grid.resolution_m, yaw, pitch)
         centroid_world = grid.origin_world_m + self._centre[rows[0]] * grid.resolution_m
         task = Task(TaskKind.EXPLORE, centroid_world, viewpoint, float(self.table.shown[rows[0]]))
         cells = np.concatenate(promised)
-        proposal = Proposal(task, cell, cells, np.ones(len(cells)))
+        proposal = Proposal(task, place + 1.0, cells, np.ones(len(cells)))
         self._tasks[rows[0]] = (promised, proposal)
         return proposal
 
     def _reason(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, cluster: int, lens: FloatArray) -> str | None:
-        row = self._search(voxels, space.reachable, space.revision, frontiers, cluster, lens)
+        row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
         if self._worth(row):
             return None
         asked = self.table.asked[row, : self.table.counts[row, 0]]
@@ -170,7 +172,7 @@ class FrontierViews:
             return "too narrow"
         if self.table.shown[row]:
             return "too few cells in sight"
-        row = self._search(voxels, space.mask, space.revision, frontiers, cluster, lens)
+        row = self._search(voxels, space, space.mask, frontiers, cluster, lens)
         beyond = self._worth(row)
         self.table.forget(row)
         return "not reachable" if beyond else "out of the camera's sight"
@@ -200,8 +202,9 @@ def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
     distance2.setflags(write=False)
     frontiers, views = Frontiers(), FrontierViews(config, camera)
     mask = np.zeros((42, 32, 22), dtype=np.uint8)
+    berth = np.array([0.0, 0.0, 0.0, 40.0, 30.0, 20.0, 9.0])
     for revision, reachable in enumerate((mask + np.uint8(1), mask)):
-        space = _Anywhere(mask + np.uint8(1), reachable, revision, np.full((5, 4), revision, dtype=np.int64))
+        space = _Anywhere(mask + np.uint8(1), reachable, revision, np.full((5, 4), revision, dtype=np.int64), berth)
         voxels = VoxelMap.whole(grid, state, distance2, revision)
         frontiers.update(voxels, np.zeros(3, dtype=np.int64), np.array(grid.shape), np.zeros(grid.shape, dtype=np.uint8))
         views.update(voxels, space, frontiers, np.ones(3))
@@ -219,3 +222,4 @@ class _Anywhere:
     reachable: ByteArray
     revision: int
     reachable_revision: IntArray
+    berth: FloatArray

@@ -171,7 +171,7 @@ def _bend(blocks: Blocks, leap: ByteArray, a: FloatArray, part_a: int, b: FloatA
 
 @kernel
 def _voxel_by_voxel(blocks: Blocks, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray) -> int:
-    """Shortest way (in steps) from a to b inside two touching parts, the voxels between the ends."""
+    """Shortest way (in steps) from a to b inside two touching parts: centres of voxels, but for ends that are centres."""
     cells = np.empty((128, 3))
     count, goal, start = 0, -1, -1
     for part in (part_a, part_b):
@@ -199,12 +199,15 @@ def _voxel_by_voxel(blocks: Blocks, a: FloatArray, part_a: int, b: FloatArray, p
                 after[n] = at
                 queue[queued] = n
                 queued += 1
-    number, at = 0, after[start]
-    while at != goal:
-        found[number] = cells[at] + 0.5
-        number += 1
+    # from an end off its voxel's centre a line to another voxel may clip a third one: it is left and reached by the centre
+    number, at = 0, start
+    while True:
+        if (at != start or np.any(a != cells[at] + 0.5)) and (at != goal or np.any(b != cells[at] + 0.5)):
+            found[number] = cells[at] + 0.5
+            number += 1
+        if at == goal:
+            return number
         at = after[at]
-    return number
 
 
 @kernel

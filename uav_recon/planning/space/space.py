@@ -10,6 +10,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.planning.space.blocks import EDGE
 from uav_recon.planning.space.escape import Escape
 from uav_recon.planning.space.regions import Regions
+from uav_recon.planning.space.standing import berth_of
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
 
@@ -28,6 +29,8 @@ class FlyableSpace:
     leap: the same for lines through the mask, see ``segment_is_open``: 0 where the mask is 0, else 1 + how many samples on are
     open whatever the line's direction, by the distance field. (Lines begin and end in the mask: they never leave the box.)
 
+    berth: (7,) what a place off its voxel's centre must keep, see ``berth_of``.
+
     revision: grows with each change of mask or reachable. mask_revision, reachable_revision: (tiles along x, along y), the
     revision at which anything in a tile of TILE x TILE columns last changed; block_revision: the same for the mask in the
     blocks of ``regions``.
@@ -45,6 +48,7 @@ class FlyableSpace:
         needed = math.sqrt(self._needed2) + math.sqrt(3.0)  # twice from a point to its voxel's centre
         self._leaps2 = np.array([min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MOST_LEAPS)], dtype=np.int64)
         self._box = np.array([np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)], dtype=np.int64)
+        self.berth = berth_of(grid.shape, self._box[0], self._box[1], self._needed2)
         self._escape = Escape(grid.resolution_m)
         self._start()
 

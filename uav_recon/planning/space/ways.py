@@ -21,14 +21,14 @@ _ROOM = 1024  # points of a way before it is pulled taut
 
 
 class Known(NamedTuple):
-    """Ways between remembered places, for kernels. Entry [a, b] is the way from place a to b where cell[a] < cell[b].
+    """Ways between remembered places, for kernels. Entry [a, b] is the way from place a to b, where a comes first.
 
-    cell: (P,) flat padded cells, -1 = nobody's; used: (P,) the plan that last asked for it. kept: (P, P); length: (P, P) in
+    place: (P, 3), NaN = nobody's; used: (P,) the plan that last asked for it. kept: (P, P); length: (P, P) in
     voxels; span: (P, P), see ``find_bends``; number: (P, P) of points; points: (P, P, MOST_POINTS, 3); leaves: (P, P, 2, 3)
     unit directions in which it leaves a, and b.
     """
 
-    cell: IntArray
+    place: FloatArray
     used: IntArray
     kept: BoolArray
     length: FloatArray
@@ -58,7 +58,7 @@ class Ways:
         self._seen = self._space.revision
         self._buffer = np.empty((_ROOM, 3))
         self._known = Known(
-            cell=np.full(places, -1, dtype=np.int64),
+            place=np.full((places, 3), np.nan),
             used=np.zeros(places, dtype=np.int64),
             kept=np.zeros((places, places), dtype=np.bool_),
             length=np.zeros((places, places)),
@@ -68,20 +68,21 @@ class Ways:
             leaves=np.zeros((places, places, 2, 3)),
         )
 
-    def update(self, exit_cells: IntArray, position_world: FloatArray, cells: IntArray) -> None:
+    def update(self, exit_cells: IntArray, position_world: FloatArray, places: FloatArray) -> None:
         """Find the ways for the present map.
 
-        exit_cells: what ``FlyableSpace.stand`` answered for position_world; cells: (N,) flat padded cells of the tasks' views.
+        exit_cells: what ``FlyableSpace.stand`` answered for position_world; places: (N, 3) of the tasks' views, padded
+        voxel units, each in a flyable voxel.
         """
-        if self._space.regions is not self._regions or len(cells) > len(self._known.cell):
-            self._start(max(len(cells), PLACES))
+        if self._space.regions is not self._regions or len(places) > len(self._known.place):
+            self._start(max(len(places), PLACES))
         space, blocks = self._space, self._regions.blocks
         self._plan += 1
         if space.revision != self._seen:
             _forget(self._known, space.leap, blocks, space.mask_revision, space.block_revision, self._seen)
             self._seen = space.revision
-        self._cells = np.ascontiguousarray(cells, dtype=np.int64)
-        self._seats = _seat(self._known, self._cells, self._plan)
+        self._places = np.ascontiguousarray(places, dtype=np.float64)
+        self._seats = _seat(self._known, self._places, self._plan)
         self._head = space.centre(exit_cells)
         self._head[0] = space.padded(position_world)
         lengths, self.departures = _connect(
@@ -97,22 +98,23 @@ class Ways:
 
     def _way(self, i: int, j: int) -> FloatArray:
         if i == j:
-            return self._head[:1] if i == 0 else self._space.centre(self._cells[i - 1 : i])
+            return self._head[:1] if i == 0 else self._places[i - 1 : i]
         if i > 0 and j > 0:
             a, b = int(self._seats[i - 1]), int(self._seats[j - 1])
             if a == b:
-                return self._space.centre(self._cells[i - 1 : i])
-            if self._known.cell[a] > self._known.cell[b]:
+                return self._places[i - 1 : i]
+            if _comes_first(self._known.place, b, a):
                 return self._way(j, i)[::-1]
             if self._known.number[a, b] <= MOST_POINTS:
                 return self._known.points[a, b, : self._known.number[a, b]]
-            start = self._space.centre(self._cells[i - 1 : i])[0]
+            start = self._places[i - 1]
         elif j == 0:
             return self._way(j, i)[::-1]
         else:
             start = self._head[-1]
-        goal = self._space.centre(self._cells[j - 1 : j])[0]
-        count, _, _ = _way_between(self._regions.blocks, self._space.leap, self._memory, start, goal, self._buffer)
+        count, _, _ = _way_between(
+            self._regions.blocks, self._space.leap, self._memory, start, self._places[j - 1], self._buffer
+        )
         way = self._buffer[:count].copy()
         return np.concatenate([self._head[:-1], way]) if i == 0 else way
 
@@ -122,18 +124,16 @@ def _forget(
     known: Known, leap: ByteArray, blocks: Blocks, mask_revision: IntArray, block_revision: IntArray, seen: int
 ) -> None:
     """Forget each way whose span a change of the mask since ``seen`` meets."""
-    away = np.empty(len(known.cell))
+    away = np.empty(len(known.place))
     for tile in np.argwhere(mask_revision > seen):
         low, high = _changed_box(blocks, block_revision, tile[0], tile[1], seen)
-        for a in range(len(known.cell)):
-            if known.cell[a] >= 0:
-                place = _centre(leap, known.cell[a])
-                away2 = 0.0
-                for axis in range(3):
-                    away2 += max(low[axis] - place[axis], place[axis] - high[axis], 0.0) ** 2
-                away[a] = np.sqrt(away2)
-        for a in range(len(known.cell)):
-            for b in range(len(known.cell)):
+        for a in range(len(known.place)):
+            away2 = 0.0
+            for axis in range(3):
+                away2 += max(low[axis] - known.place[a, axis], known.place[a, axis] - high[axis], 0.0) ** 2
+            away[a] = np.sqrt(away2)
+        for a in range(len(known.place)):
+            for b in range(len(known.place)):
                 if known.kept[a, b] and away[a] + away[b] <= known.span[a, b] + 1e-6:
                     known.kept[a, b] = False
 
@@ -156,30 +156,37 @@ def _changed_box(blocks: Blocks, block_revision: IntArray, across: int, along: i
 
 
 @kernel
-def _centre(padded: ByteArray, cell: int) -> FloatArray:
-    rest = cell % (padded.shape[1] * padded.shape[2])
-    return np.array(
-        [cell // (padded.shape[1] * padded.shape[2]) + 0.5, rest // padded.shape[2] + 0.5, rest % padded.shape[2] + 0.5],
-        dtype=np.float64,
-    )
+def _comes_first(places: FloatArray, a: int, b: int) -> bool:
+    """Whether place a (of P, 3) comes before place b: by x, then y, then z. False if they are the same, or nobody's."""
+    for axis in range(3):
+        if places[a, axis] != places[b, axis]:
+            return bool(places[a, axis] < places[b, axis])
+    return False
 
 
 @kernel
-def _seat(known: Known, cells: IntArray, plan: int) -> IntArray:
-    """Give each cell (N,) a place (N,): its own if it is remembered, else the one that was not asked for for longest."""
-    seats = np.full(len(cells), -1)
-    for n in range(len(cells)):
-        for a in range(len(known.cell)):
-            if known.cell[a] == cells[n]:
-                seats[n] = a
-                known.used[a] = plan
-    for n in range(len(cells)):
-        for a in range(len(known.cell)):  # the same cell may stand twice in the list
-            if seats[n] < 0 and known.cell[a] == cells[n]:
-                seats[n] = a
+def _seat_of(known: Known, place: FloatArray) -> int:
+    """The seat of a remembered place (3,), else -1."""
+    for a in range(len(known.place)):
+        if known.place[a, 0] == place[0] and known.place[a, 1] == place[1] and known.place[a, 2] == place[2]:
+            return a
+    return -1
+
+
+@kernel
+def _seat(known: Known, places: FloatArray, plan: int) -> IntArray:
+    """Give each place (N, 3) a seat (N,): its own if it is remembered, else the one that was not asked for for longest."""
+    seats = np.full(len(places), -1)
+    for n in range(len(places)):
+        seats[n] = _seat_of(known, places[n])
+        if seats[n] >= 0:
+            known.used[seats[n]] = plan
+    for n in range(len(places)):
+        if seats[n] < 0:
+            seats[n] = _seat_of(known, places[n])  # the same place may stand twice in the list
         if seats[n] < 0:
             a = int(np.argmin(known.used))
-            seats[n], known.cell[a], known.used[a] = a, cells[n], plan
+            seats[n], known.place[a], known.used[a] = a, places[n], plan
             known.kept[a, :] = False
             known.kept[:, a] = False
     return seats
@@ -217,13 +224,10 @@ def _connect(
     """
     nodes = len(seats) + 1
     lengths, departures = np.full((nodes, nodes), np.inf), np.zeros((nodes, nodes, 3))
-    centres = np.empty((nodes, 3))
-    for n in range(1, nodes):
-        centres[n] = _centre(leap, known.cell[seats[n - 1]])
     for n in range(nodes):
         lengths[n, n] = 0.0
     for n in range(1, nodes):
-        count, length, _ = _way_between(blocks, leap, memory, head[-1], centres[n], points)
+        count, length, _ = _way_between(blocks, leap, memory, head[-1], known.place[seats[n - 1]], points)
         if count == 0:
             continue
         lengths[0, n] = lengths[n, 0] = length + length_of(head)
@@ -232,12 +236,12 @@ def _connect(
     for m in range(1, nodes):
         for n in range(1, nodes):
             a, b = seats[m - 1], seats[n - 1]
-            if known.cell[a] == known.cell[b]:
+            if a == b:
                 lengths[m, n] = 0.0
-            if known.cell[a] >= known.cell[b]:
+            if not _comes_first(known.place, a, b):
                 continue
             if not known.kept[a, b]:
-                count, length, span = _way_between(blocks, leap, memory, centres[m], centres[n], points)
+                count, length, span = _way_between(blocks, leap, memory, known.place[a], known.place[b], points)
                 known.kept[a, b], known.number[a, b], known.length[a, b], known.span[a, b] = count > 0, count, length, span
                 known.leaves[a, b, 0], known.leaves[a, b, 1] = departure(points[:count]), departure(points[:count][::-1])
                 if count <= MOST_POINTS:

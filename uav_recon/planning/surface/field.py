@@ -118,15 +118,14 @@ class FieldViews:
             near = self._camera.lens(grid.resolution_m, min(self._camera.surface_range_m, self._camera.range_m))
             surface_gain, count = seen(state, near, line, elements.position, elements.normal, weight, around, True, cosine)
             surface_gain = surface_gain if count >= self._config.min_visible else 0.0
-        cell = situation.space.flat(np.floor(place).astype(np.int64) + 1)
         if len(flat) >= MIN_SEEN and unknown_gain >= surface_gain:
             task = Task(TaskKind.EXPLORE, view.position_world, view, unknown_gain + surface_gain)
-            return Proposal(task, cell, np.sort(flat), np.ones(len(flat)))
+            return Proposal(task, place + 1.0, np.sort(flat), np.ones(len(flat)))
         if elements is None or surface_gain < self._config.min_visible:
             return None
         task = Task(TaskKind.RECONSTRUCT, view.position_world, view, unknown_gain + surface_gain)
         settled = np.flatnonzero(cosine)
-        return Proposal(task, cell, *squarest(elements.voxel[settled], cosine[settled]))
+        return Proposal(task, place + 1.0, *squarest(elements.voxel[settled], cosine[settled]))
 
 
 def sampled_places(situation: Situation, here: FloatArray, radius: float) -> FloatArray:

@@ -99,8 +99,7 @@ class SurfaceViews:
         grid = situation.voxels.grid
         viewpoint = Viewpoint(grid.origin_world_m + hopeful[best] * grid.resolution_m, yaw, pitch)
         task = Task(TaskKind.RECONSTRUCT, grid.origin_world_m + centre * grid.resolution_m, viewpoint, gain)
-        cell = situation.space.flat(np.floor(hopeful[best]).astype(np.int64) + 1)
-        return Proposal(task, cell, *squarest(elements.voxel[seen], cosine[seen]))
+        return Proposal(task, hopeful[best] + 1.0, *squarest(elements.voxel[seen], cosine[seen]))
 
 
 def _and_bare(elements: Elements, situation: Situation, start: IntArray, reach: float) -> Elements:
