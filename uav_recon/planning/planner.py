@@ -19,7 +19,7 @@ from uav_recon.planning.frontier.views import FrontierViews
 from uav_recon.planning.homing import proposal_for
 from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Proposal, Situation
-from uav_recon.planning.sources import Clusters, Field, Source, places_of
+from uav_recon.planning.sources import Clusters, Field, Question, Source, places_of
 from uav_recon.planning.space import costs, lines, space
 from uav_recon.planning.space.costs import time_costs
 from uav_recon.planning.space.space import FlyableSpace
@@ -75,7 +75,9 @@ class ViewPlanner:
         situation = self._look(request)
         if isinstance(situation, str):
             return self._nothing(situation, start_s, start_s)
-        harvest = self._source.propose(situation, self._frontiers, self._ways, request.surface, self.visited.surface_looks)
+        harvest = self._source.propose(
+            Question(situation, self._frontiers, self._ways, request.surface, self.visited.surface_looks)
+        )
         committed = self._committed(situation, request)
         tasks = _without_what_they_settle(committed, harvest.proposals)
         tasks_made_s = self._timer()

@@ -33,21 +33,25 @@ class Harvest:
     widening: float = 1.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Question:
+    """What a source is asked with: where one plan stands, and what there may be to look at.
+
+    looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel.
+    """
+
+    situation: Situation
+    frontiers: Frontiers
+    ways: Ways
+    surface: SurfaceElements | None
+    looks: Float32Array
+
+
 class Source(Protocol):
     """Makes the tasks of one plan; remembers only what spares it work."""
 
-    def propose(
-        self,
-        situation: Situation,
-        frontiers: Frontiers,
-        ways: Ways,
-        surface: SurfaceElements | None,
-        looks: Float32Array,
-    ) -> Harvest:
-        """Look for tasks.
-
-        looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel.
-        """
+    def propose(self, question: Question) -> Harvest:
+        """Look for tasks."""
         ...
 
     def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
@@ -62,23 +66,18 @@ class Clusters:
         self._variant, self._end_factor = variant, config.end_factor
         self._views, self._surfaces = views, surfaces
 
-    def propose(
-        self,
-        situation: Situation,
-        frontiers: Frontiers,
-        ways: Ways,
-        surface: SurfaceElements | None,
-        looks: Float32Array,
-    ) -> Harvest:
+    def propose(self, question: Question) -> Harvest:
         """See Source."""
-        explore = self._explore(situation, frontiers)
+        situation, ways = question.situation, question.ways
+        explore = self._explore(situation, question.frontiers)
         ways.update(situation.exit_cells, situation.position_world, places_of(explore))
         opening = np.array([one.task.gain >= OPENING for one in explore], dtype=np.bool_)
         mode = self._variant.mode.choose(ways.lengths_m[0, 1:], opening)
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds:
             return Harvest(mode, explore)
         widening = 1.0 if opening.any() else self._end_factor
-        return Harvest(mode, (explore + self._surfaces.propose(situation, surface, looks, widening))[:MOST_TASKS], widening)
+        surface = self._surfaces.propose(situation, question.surface, question.looks, widening)
+        return Harvest(mode, (explore + surface)[:MOST_TASKS], widening)
 
     def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
         """See Source."""
@@ -107,16 +106,10 @@ class Field:
     def __init__(self, views: FieldViews, reasons: FrontierViews) -> None:
         self._views, self._reasons = views, reasons
 
-    def propose(
-        self,
-        situation: Situation,
-        frontiers: Frontiers,
-        ways: Ways,
-        surface: SurfaceElements | None,
-        looks: Float32Array,
-    ) -> Harvest:
+    def propose(self, question: Question) -> Harvest:
         """See Source."""
-        return Harvest(PlanMode.MERGED, self._views.propose(situation, frontiers.clusters(), surface, looks))
+        frontiers = question.frontiers.clusters()
+        return Harvest(PlanMode.MERGED, self._views.propose(question.situation, frontiers, question.surface, question.looks))
 
     def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
         """See Source."""
