@@ -15,7 +15,7 @@ from uav_recon.planning.camera import CAM_X, CAM_Y, aim, look_at, sight
 from uav_recon.planning.frontier.aiming import aimed, framed
 from uav_recon.planning.frontier.glimpses import Notes, Scene, confirmed, hoped_for, inside, note_sides, noted, revealed
 from uav_recon.planning.frontier.outlook import BOOK, Int32Array, Targets, cells_with, distinct, outlook
-from uav_recon.planning.space.standing import CLEAR, SIDES2, voxel_beside
+from uav_recon.planning.space.berth import CLEAR, SIDES2, voxel_beside
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 

@@ -34,7 +34,7 @@ class Flyable(Reach, Protocol):
 
     @property
     def berth(self) -> FloatArray:
-        """(7,) what a place off its voxel's centre must keep; see standing.berth_of()."""
+        """(7,) what a place off its voxel's centre must keep; see berth.berth_of()."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

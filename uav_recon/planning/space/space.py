@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.planning.space.berth import berth_of
 from uav_recon.planning.space.blocks import EDGE
 from uav_recon.planning.space.escape import Escape
 from uav_recon.planning.space.regions import Regions
-from uav_recon.planning.space.standing import berth_of
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
 

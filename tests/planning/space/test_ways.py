@@ -17,7 +17,7 @@ from uav_recon.planning.space.ways import Ways
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, GridSpec, VoxelMap
 
-STREAM = Path(__file__).parents[3] / "shared" / "streams" / "two_room"
+STREAM = Path(__file__).parents[4] / "shared" / "streams" / "two_room"
 RESOLUTION_M = 0.1
 
 

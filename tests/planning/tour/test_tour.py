@@ -10,7 +10,7 @@ from uav_recon.planning.tour.local_search import search_tour
 from uav_recon.planning.tour.tour import EXACT_LIMIT, SEED, best_tour, rounds_for, tour_cost
 from uav_recon.types.frames import FloatArray
 
-ATSP = Path(__file__).parents[3] / "shared" / "streams" / "two_room" / "atsp"
+ATSP = Path(__file__).parents[4] / "shared" / "streams" / "two_room" / "atsp"
 
 
 def random_costs(rng: np.random.Generator, count: int) -> FloatArray:

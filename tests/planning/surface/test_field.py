@@ -108,7 +108,7 @@ def test_frontier_cells_are_gathered_once_each_and_face_out_of_the_unknown() -> 
 PROBE = """
 import sys
 from numba.core.registry import CPUDispatcher as Dispatcher
-sys.path.insert(0, sys.argv[1])
+sys.path[:0] = sys.argv[1:]
 import numpy as np
 from test_field import CONFIG, FIXED, GIMBAL, elements_of, half_seen, looks_of, FieldViews, MEETING_ROOM
 from uav_recon.planning.surface import field, elements
@@ -130,7 +130,8 @@ assert before == after, {k: (before[k], after[k]) for k in before if before[k] !
 
 def test_nothing_is_compiled_after_warm_up() -> None:
     # a fresh process: here, earlier tests have compiled whatever they needed
+    here = Path(__file__).parent
     probe = subprocess.run(
-        [sys.executable, "-c", PROBE, str(Path(__file__).parent)], capture_output=True, text=True, check=False, timeout=240
+        [sys.executable, "-c", PROBE, str(here), str(here.parent)], capture_output=True, text=True, check=False, timeout=240
     )
     assert probe.returncode == 0, probe.stderr

@@ -24,7 +24,7 @@ from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
 
-STREAM = Path(__file__).parents[3] / "shared" / "streams" / "two_room"
+STREAM = Path(__file__).parents[4] / "shared" / "streams" / "two_room"
 START = np.array([1.0, 1.0, 1.1])
 SHELL = (5.0, 42.0)  # voxels
 SENSOR = DepthSensor(depth_min_m=0.1, noise_px=0.03, baseline_m=0.05)  # the recording is free of noise

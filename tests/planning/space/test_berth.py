@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from uav_recon.planning.proposal import Situation
+from uav_recon.planning.space.berth import CLEAR, LOW, OUTSIDE, SIDES2, berth_of, voxel_beside
 from uav_recon.planning.space.space import FlyableSpace
-from uav_recon.planning.space.standing import CLEAR, LOW, OUTSIDE, SIDES2, berth_of, voxel_beside
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 
 CLEARANCE_M = 0.35

@@ -15,8 +15,8 @@ from uav_recon.planning.frontier.outlook import BOOK
 from uav_recon.planning.frontier.vantage import ROOM, _ranked, best_view
 from uav_recon.planning.frontier.view_table import MOST_BLOCKERS, targets
 from uav_recon.planning.shell import explore_shell
+from uav_recon.planning.space.berth import SIDES2
 from uav_recon.planning.space.space import FlyableSpace
-from uav_recon.planning.space.standing import SIDES2
 from uav_recon.types.maps import FREE, TILE
 
 START = np.array([1.0, 1.0, 1.1])
