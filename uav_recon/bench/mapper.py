@@ -116,7 +116,8 @@ def _measured(scene: mapper_scene.MapperScene, wanted: MapperBench, factor_befor
     room = mapper_run.room_extraction(run.trainer)
     mesh = run.trainer.mesh(mapper_run.MESH_VOXEL_M)
     quality = mapper_run.against_truth(Surface(mesh.vertices_world, mesh.faces), scene)
-    psnr_db = mapper_run.picture_psnr_db(run.trainer, scene.pictures)
+    psnr_db = mapper_run.picture_psnr_db(run.trainer, run.trainer.painted(), scene.pictures)
+    unpainted_db = mapper_run.picture_psnr_db(run.trainer, run.trainer.field, scene.pictures)
     looks = mapper_run.RECALL_STEPS // mapper_run.RECALL_EVERY
     recalls = mapper_run.time_to_recall(scene, wanted.seed, ticking(progress, "all views at once", looks))
     factor = math.sqrt(factor_before * calibrate().cpu_factor)
@@ -149,6 +150,7 @@ def _measured(scene: mapper_scene.MapperScene, wanted: MapperBench, factor_befor
                 "extraction_room": room.p95_ms,
                 "extraction_view": run.extraction_view.p95_ms,
             },
+            "psnr_unpainted_db": unpainted_db,
             "tsdf_2cm": asdict(baseline),
         },
     }
@@ -168,7 +170,9 @@ def _compared(
         trainer = mapper_run.learned(shown, steps, seed, False, ticking(progress, "without corrections", views))
         mesh = trainer.mesh(mapper_run.MESH_VOXEL_M)
         quality = mapper_run.against_truth(Surface(mesh.vertices_world, mesh.faces), plain)
-        result["uncorrected"] = asdict(quality) | {"psnr_db": mapper_run.picture_psnr_db(trainer, shown.pictures)}
+        result["uncorrected"] = asdict(quality) | {
+            "psnr_db": mapper_run.picture_psnr_db(trainer, trainer.painted(), shown.pictures)
+        }
     if wanted.exposure:
         sigmas = [
             mapper_run.colour_sigmas(

@@ -19,6 +19,7 @@ from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.evaluation.metrics import PSNR_CAP_DB, share_within
 from uav_recon.evaluation.recall import ElementRecall
 from uav_recon.evaluation.surface import Surface
+from uav_recon.mapping.neural.field.learned import LearnedField
 from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import Float32Array
@@ -170,11 +171,11 @@ def against_truth(model: Surface, scene: MapperScene, seed: int = 0) -> Accuracy
     )
 
 
-def picture_psnr_db(trainer: Trainer, pictures: PictureRays) -> float | None:
-    """Mean over held-out pictures, drawn through the field; a pixel that meets no surface is black."""
+def picture_psnr_db(trainer: Trainer, field: LearnedField, pictures: PictureRays) -> float | None:
+    """Mean over held-out pictures, drawn through a trainer's field, painted or not; a pixel that meets no surface is black."""
     if not len(pictures.rgb):
         return None
-    rgb = trainer.look(pictures.origin, pictures.direction)
+    rgb = trainer.look(field, pictures.origin, pictures.direction)
     square = ((rgb.astype(np.float64) - pictures.rgb / 255.0) ** 2).mean(axis=1)
     pixels = np.bincount(pictures.picture)
     error = np.bincount(pictures.picture, square)[pixels > 0] / pixels[pixels > 0]
@@ -192,7 +193,7 @@ def warm_up(keyframe: PosedFrame) -> None:
     trainer.surface()
     trainer.whole_surface(WHOLE_VOXEL_M)
     ray: Float32Array = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
-    trainer.look(position[None].astype(np.float32), ray)
+    trainer.look(trainer.painted(), position[None].astype(np.float32), ray)
 
 
 def _clocks() -> np.ndarray[tuple[int], np.dtype[np.float64]]:

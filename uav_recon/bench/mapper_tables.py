@@ -20,7 +20,8 @@ def show(console: Console, result: Result) -> None:
     console.print(_quality(result))
     psnr, hallucinated = result["psnr_db"], result["hallucinated_fraction"]
     console.print(
-        f"pictures: {figure(psnr, 1)} dB over {about['held_out_pixels']} held-out pixels that some view saw; "
+        f"pictures: {figure(psnr, 1)} dB ({figure(about['psnr_unpainted_db'], 1)} dB in learned colours alone) over "
+        f"{about['held_out_pixels']} held-out pixels that some view saw; "
         f"hallucinated: {percent(hallucinated)} of the mesh's area is more than 10 cm from truth",
         highlight=False,
     )

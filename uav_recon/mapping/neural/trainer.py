@@ -9,10 +9,12 @@ import numpy as np
 
 from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.mapping.neural.field.field import Field
+from uav_recon.mapping.neural.field.learned import LearnedField
 from uav_recon.mapping.neural.field.render import render_rays
 from uav_recon.mapping.neural.gathered import Gathered
 from uav_recon.mapping.neural.learner import Learner
 from uav_recon.mapping.neural.surface.livesurface import LiveSurface
+from uav_recon.mapping.neural.surface.painted import Painted
 from uav_recon.mapping.neural.surface.surface import Evidence, WholeSurface, surface_elements, triangle_mesh, whole_surface
 from uav_recon.mapping.neural.surface.uncertainty import (
     ColourError,
@@ -251,11 +253,17 @@ class Trainer:
     def mesh(self, voxel_m: float) -> TriangleMesh:
         """Triangles of the surface as it is now."""
         self._album.place_images()
-        return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._album.images)
+        return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._album.images, self.painted())
 
-    def look(self, origin: Float32Array, direction: Float32Array) -> Float32Array:
-        """Colour (N, 3) in 0..1 seen along rays from origin (N, 3) in unit direction (N, 3), drawn through the field."""
-        return render_rays(self.field, self._evidence.holding(), origin, direction)[0]
+    def painted(self) -> Painted:
+        """The field in the colours of the views that are replayed, at the poses and exposures that they have now."""
+        return Painted(self.field, self._replay, self._low, self._high)
+
+    def look(self, field: LearnedField, origin: Float32Array, direction: Float32Array) -> Float32Array:
+        """Colour (N, 3) in 0..1 seen along rays from origin (N, 3) in unit direction (N, 3), drawn through a field: this one
+        as it was learned, or painted().
+        """
+        return render_rays(field, self._evidence.holding(), origin, direction)[0]
 
     def positions(self) -> FloatArray:
         """Where the views' depth imagers are now held to have been, world (V, 3)."""

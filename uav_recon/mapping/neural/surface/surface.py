@@ -13,6 +13,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.neural.field.field import Field
+from uav_recon.mapping.neural.field.learned import LearnedField
 from uav_recon.mapping.neural.surface.isosurface import net_vertices, surface_net, wanted_nodes
 from uav_recon.mapping.neural.surface.nodequery import fill_distances
 from uav_recon.mapping.neural.surface.uncertainty import Lattice, SurfaceUncertainty
@@ -105,9 +106,9 @@ def surface_elements(
 
 
 def triangle_mesh(
-    field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, images: Testimony
+    field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, images: Testimony, painted: LearnedField
 ) -> TriangleMesh:
-    """The whole surface as triangles, without what the depth images refute."""
+    """The whole surface as triangles, without what the depth images refute; painted is asked for the colours."""
     vertices, normals, quads = _extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
     for _ in range(2):  # surface nets round corners off by a fraction of a voxel: slide back onto the level set
         slip = np.clip(field.distance_m(vertices), -0.5 * voxel_m, 0.5 * voxel_m)
@@ -123,7 +124,7 @@ def triangle_mesh(
     return TriangleMesh(
         vertices.astype(np.float64),
         _triangles(vertices, quads),
-        np.clip(np.round(field.rgb(vertices) * 255.0), 0, 255).astype(np.uint8),
+        np.clip(np.round(painted.rgb(vertices) * 255.0), 0, 255).astype(np.uint8),
         uncertainty.at(vertices).astype(np.float32),
     )
 
