@@ -12,12 +12,12 @@ from sitl.d435i import Model, Noise
 from sitl.fly_world import WorldOptions
 from sitl.scene import HULL_HEIGHT_M, Scene
 from uav_recon import run
-from uav_recon.config import Config, ConfigError, VariantName, parse
+from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
 
 NOISES = ("d435i", "paper", "kinect", "none")
 CAMERAS = ("d435i", "wide", "fast")
 MAPPERS = ("neural", "stand-in")
-VARIANTS = get_args(VariantName)
+VARIANTS, UNCERTAINTIES = get_args(VariantName), get_args(UncertaintyName)
 AUTOPILOTS = ("px4", "ardupilot")
 BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
 RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
@@ -54,6 +54,7 @@ class SimOptions:
     lockstep: bool
     live: bool
     port: int
+    uncertainty: str
 
     @staticmethod
     def parse(
@@ -61,12 +62,13 @@ class SimOptions:
         seed: int = 0, out: Path | None = None, autopilot: str = "px4", variant: str = "adaptive",
         mount: str = "fixed:15", depth_noise: str = "d435i", camera: str | None = None, mapper: str = "neural",
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
+        uncertainty: str = "agreement",
     ) -> SimOptions:  # fmt: skip
         """Check the words of the command line. Raises UsageError with one line."""
         chosen = camera or ("d435i" if mapper == "neural" else "fast")
         for name, value, allowed in (
             ("autopilot", autopilot, AUTOPILOTS), ("variant", variant, VARIANTS), ("depth-noise", depth_noise, NOISES),
-            ("camera", chosen, CAMERAS), ("mapper", mapper, MAPPERS),
+            ("camera", chosen, CAMERAS), ("mapper", mapper, MAPPERS), ("uncertainty", uncertainty, UNCERTAINTIES),
         ):  # fmt: skip
             if value not in allowed:
                 raise UsageError(f"--{name} {value}: want one of {', '.join(allowed)}")
@@ -87,7 +89,7 @@ class SimOptions:
             views=views if views is not None else BUILT_IN_VIEWS if scene is None else SCENE_VIEWS,
             seed=seed, out=folder.absolute(), autopilot=autopilot, variant=variant, mount=mount,
             mount_pitch_down_deg=_mount(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
-            radius_m=radius, lockstep=lockstep, live=live, port=port,
+            radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
         )  # fmt: skip
 
     def make_folder(self) -> None:
@@ -147,7 +149,7 @@ class SimOptions:
                 "pitch_down_deg": self.mount_pitch_down_deg or 0.0,
                 "depth_noise_px": noise_px,
             },
-            "mapper": {"seed": self.seed},
+            "mapper": {"seed": self.seed, "uncertainty": self.uncertainty},
             "planner": {
                 "variant": self.variant,
                 "clearance_m": max(SMALLEST_CLEARANCE_M, self.radius_m + HULL_MARGIN_M),

@@ -72,6 +72,12 @@ def sim(
     mapper: Annotated[
         str, typer.Option(help="neural, or stand-in: surface straight from depth, no model, no recording; needs --lockstep.")
     ] = "neural",
+    uncertainty: Annotated[
+        str,
+        typer.Option(
+            help="What says how badly surface is known, to the planner: agreement, paper, colour, information, product."
+        ),
+    ] = "agreement",
     radius: Annotated[
         float, typer.Option(help="Radius of the vehicle in metres; distances to obstacles and fence follow.")
     ] = 0.20,
@@ -92,7 +98,7 @@ def sim(
         lambda: simulate(
             SimOptions.parse(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
-                mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, radius=radius,
+                mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, uncertainty=uncertainty, radius=radius,
                 lockstep=lockstep, live=live, port=port,
             )
         )

@@ -35,6 +35,7 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
         ({"radius": 0.01}, "0.05..0.6"),
         ({"camera": "d415"}, "d435i, wide"),
         ({"autopilot": "inav"}, "px4, ardupilot"),
+        ({"uncertainty": "none"}, "agreement, paper, colour, information, product"),
         ({"variant": "best"}, "adaptive, merged, reconstruct, explore, explore-yaw, explore-then-refine, evpp, vpp"),
         ({"start": "1,2,3"}, "4 numbers"),
         ({"start": "1,2,3,inf"}, "4 numbers"),
@@ -49,10 +50,11 @@ def test_a_word_out_of_range_names_what_is_allowed(words: dict[str, str], named:
 
 
 def test_the_fence_of_the_product_is_the_scenes_box(tmp_path: Path) -> None:
-    config = SimOptions.parse(views=33, seed=5, variant="merged", port=15000).config(SCENE, tmp_path)
+    config = SimOptions.parse(views=33, seed=5, variant="merged", port=15000, uncertainty="paper").config(SCENE, tmp_path)
     assert config.safety.fence_min_m == (-1.0, -1.5, -0.1)
     assert config.safety.fence_max_m == (7.0, 1.5, 2.4)
     assert (config.mission.views, config.mapper.seed, config.planner.variant) == (33, 5, "merged")
+    assert config.mapper.uncertainty == "paper"
     assert config.link.url == "udp:127.0.0.1:15000"
     assert config.camera.pitch_down_deg == 15.0
     assert config.runtime.folder == tmp_path
