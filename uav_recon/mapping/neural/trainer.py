@@ -205,7 +205,7 @@ class Trainer:
         for points in view.points:
             self._learner.cover(points)
         self._information.add(view.points[0], view.cosine, view.sigma_m)
-        self._agreement.add(view.points[0], view.normal)
+        self._agreement.add(view.points[0], view.normal, view.sigma_m)
         footprint_m = self._album.footprint_m(number, view.sigma_m)
         position = replay.pose(number)[1]
         self._evidence.add(position, view.points[0], view.normal, view.sigma_m, footprint_m)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from uav_recon.mapping.neural.surface import painted
 from uav_recon.mapping.neural.surface.painted import CELL_M, FIELD_WORTH, Painted
@@ -30,7 +31,7 @@ class Plain:
         return np.full((len(points), 3), self._level, dtype=np.float32)
 
 
-def rays(points: FloatArray, rgb: AnyArray, coloured: int = 1) -> AnyArray:
+def rays(points: FloatArray, rgb: ArrayLike, coloured: int = 1) -> AnyArray:
     """Records of a camera at the origin that looks along z."""
     found = np.zeros((len(points), COLUMNS), dtype=np.int16)
     found[:, :2] = np.round(points[:, :2] / points[:, 2:] / BEARING_UNIT)

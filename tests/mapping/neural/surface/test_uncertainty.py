@@ -9,6 +9,7 @@ from uav_recon.mapping.neural.surface.uncertainty import (
     MOST_PAST_M,
     PRIOR_COLOUR_SIGMA,
     PRIOR_SIGMA_M,
+    SHARP_SIGMA_M,
     ColourError,
     DepthInformation,
     MeasuredAgreement,
@@ -19,6 +20,7 @@ from uav_recon.mapping.neural.surface.uncertainty import (
 LOW, HIGH = np.zeros(3), np.ones(3)
 NODE = np.array([[0.48, 0.48, 0.48]], dtype=np.float32)  # a node of the 8 cm lattice
 ONE = np.ones(1, dtype=np.float32)
+SHARP = np.zeros(1, dtype=np.float32)
 
 
 def test_information_adds_up_as_inverse_variances() -> None:
@@ -60,18 +62,27 @@ def test_the_product_ranks_badly_known_higher() -> None:
 def test_agreement_falls_with_the_root_of_the_count() -> None:
     once, often = MeasuredAgreement(LOW, HIGH), MeasuredAgreement(LOW, HIGH)
     node, up = np.array([[0.5, 0.5, 0.5]], dtype=np.float32), np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
-    once.add(node, up)
+    once.add(node, up, SHARP)
     for _ in range(100):
-        often.add(node, up)
+        often.add(node, up, SHARP)
     on_the_plane = LEAST_PAST_M / MOST_PAST_M
     assert once.at(node)[0] == pytest.approx(on_the_plane * 0.05 / np.sqrt(1.1), rel=1e-2)
     assert often.at(node)[0] == pytest.approx(on_the_plane * 0.05 / np.sqrt(100.1), rel=1e-2)
 
 
+def test_ten_vague_measurements_count_as_one_that_is_sharp() -> None:
+    sharp, vague = MeasuredAgreement(LOW, HIGH), MeasuredAgreement(LOW, HIGH)
+    node, up = np.array([[0.5, 0.5, 0.5]], dtype=np.float32), np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
+    sharp.add(node, up, SHARP)
+    for _ in range(10):
+        vague.add(node, up, SHARP + np.float32(3.0 * SHARP_SIGMA_M))
+    assert vague.at(node)[0] == pytest.approx(sharp.at(node)[0], rel=1e-3)  # ten of a tenth
+
+
 def test_a_surface_beside_its_measurements_is_uncertain_by_how_far_it_is() -> None:
     measure, random = MeasuredAgreement(LOW, HIGH), np.random.default_rng(0)
     floor = np.column_stack([random.uniform(0.1, 0.9, (8000, 2)), np.full(8000, 0.42)]).astype(np.float32)
-    measure.add(floor, np.tile(np.array([[0.0, 0.0, 1.0]], dtype=np.float32), (8000, 1)))
+    measure.add(floor, np.tile(np.array([[0.0, 0.0, 1.0]], dtype=np.float32), (8000, 1)), np.zeros(8000, dtype=np.float32))
     past = np.array([0.0, 0.004, 0.01, 0.02, 0.03])
     beside = np.column_stack([np.full((5, 2), 0.5), 0.42 + past]).astype(np.float32)
     expected = np.hypot(past, LEAST_PAST_M)  # both distances are this one, and so is their geometric mean
@@ -82,8 +93,8 @@ def test_a_corner_is_less_certain_than_a_wall_and_what_was_never_measured_least(
     measure = MeasuredAgreement(LOW, HIGH)
     wall, corner, nowhere = (np.array([[x, 0.5, 0.5]], dtype=np.float32) for x in (0.2, 0.5, 0.8))
     for normal in np.eye(3, dtype=np.float32):
-        measure.add(wall, np.eye(3, dtype=np.float32)[:1])
-        measure.add(corner, normal[None])
+        measure.add(wall, np.eye(3, dtype=np.float32)[:1], SHARP)
+        measure.add(corner, normal[None], SHARP)
     assert measure.at(corner)[0] == pytest.approx(LEAST_PAST_M / MOST_PAST_M * (1.05 - 1 / np.sqrt(3)) / np.sqrt(3.1), rel=2e-2)
     assert 0 < measure.at(wall)[0] < measure.at(corner)[0] < measure.at(nowhere)[0]
     assert measure.at(nowhere)[0] == pytest.approx(1.05 / np.sqrt(0.1), rel=1e-2)

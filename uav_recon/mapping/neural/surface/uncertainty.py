@@ -18,8 +18,9 @@ from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 INFORMATION_CELL_M, COLOUR_CELL_M = 0.08, 0.10
 END_CELL_M, PLANE_CELL_M = 0.05, 0.10
 COUNT_BELIEF, LEAST_DISAGREEMENT = 0.1, 0.05  # measurements that are held against none; disagreement of equal normals
-LEAST_PAST_M, MOST_PAST_M = 0.002, 0.10  # of a surface beside its measurements: to tell apart; where there are none
+LEAST_PAST_M, MOST_PAST_M = 0.001, 0.10  # of a surface beside its measurements: to tell apart; where there are none
 LEAST_COUNT = 0.05  # of measurements, below which there are none
+SHARP_SIGMA_M = 0.015  # a measurement of this depth sigma counts half of one without error
 PRIOR_SIGMA_M = 1.0  # of a surface that was never measured
 PRIOR_COLOUR_SIGMA, PRIOR_COUNT = 0.3, 8.0  # of a colour that was never seen, and how many samples that belief is worth
 COLOUR_MEMORY = 400.0  # samples: older errors, of a field that knew less, fade
@@ -99,22 +100,23 @@ class MeasuredAgreement:
     """How few measurements say where a surface is, times how much they disagree on which way it faces, times how far the
     learned surface runs past them.
 
-    1 / sqrt(count) on a 5 cm lattice; 1.05 less the mean resultant length of the measured normals on a 10 cm one (1 less that
-    is the spherical variance: Mardia and Jupp 2000, section 9.2); and the geometric mean of two distances, from the plane
-    through the mean of the end points, and on average from the planes of all. Edges, corners and clutter are where a field
-    errs.
+    A measurement counts by its sharpness. 1 / sqrt(count) on a 5 cm lattice; 1.05 less the mean resultant length of the
+    measured normals on a 10 cm one (1 less that is the spherical variance: Mardia and Jupp 2000, section 9.2); and the
+    geometric mean of two distances, from the plane through the mean of the end points, and on average from the planes of all.
+    Edges, corners and clutter are where a field errs.
     """
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
         self._ends = Lattice(box_min_m, box_max_m, END_CELL_M, 4)  # sum of end points, number
         self._planes = Lattice(box_min_m, box_max_m, PLANE_CELL_M, 5)  # sum of normals, of their planes' offsets, number
 
-    def add(self, points: Float32Array, normal: Float32Array) -> None:
-        """Count end points (N, 3) with unit normals (N, 3), zero where not known, which agrees with none."""
-        one, place = np.ones((len(points), 1), dtype=np.float32), points - self._ends.origin_m
+    def add(self, points: Float32Array, normal: Float32Array, sigma_m: Float32Array) -> None:
+        """Count end points (N, 3) with unit normals (N, 3), zero where not known, which agrees with none; depth sigma (N,)."""
+        count = (np.float32(1.0) / (np.float32(1.0) + np.square(sigma_m / np.float32(SHARP_SIGMA_M))))[:, None]
+        place = points - self._ends.origin_m
         offset = np.einsum("nc,nc->n", normal, place)[:, None]
-        self._ends.splat(points, np.concatenate([place, one], axis=1))
-        self._planes.splat(points, np.concatenate([normal, offset, one], axis=1))
+        self._ends.splat(points, count * np.concatenate([place, np.ones_like(count)], axis=1))
+        self._planes.splat(points, count * np.concatenate([normal, offset, np.ones_like(count)], axis=1))
 
     def at(self, points: Float32Array) -> Float32Array:
         """Positive (N,), largest where nothing was measured."""
