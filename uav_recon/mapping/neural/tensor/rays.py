@@ -88,7 +88,7 @@ def draw(state: Tensor, views: Replayed, low: Tensor, high: Tensor, rays: int, r
     has_normal = seen_normal.square().sum(dim=1) > 0.5
     cosine = torch.where(has_normal, (direction * normal).sum(dim=1).abs().clamp(min=float(samples.LEAST_COSINE)), 0.7)
     variance = float(samples.POSE_SIGMA_M) ** 2
-    trust = variance / (variance + sigma.square())
+    trust = (variance / (variance + sigma.square())).clamp(min=float(samples.LEAST_TRUST))
 
     before, behind = float(samples.NEAR_BEFORE_M), float(samples.NEAR_BEHIND_M)
     truncation_m, nearest_m = float(TRUNCATION_M), float(samples.NEAREST_FREE_M)

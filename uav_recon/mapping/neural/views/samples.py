@@ -21,7 +21,8 @@ JITTER_M = np.float32(0.015)
 LEAST_COSINE = np.float32(0.15)
 TOE = np.float32(0.055)  # sRGB (IEC 61966-2-1) is a power law on (value + this): another exposure is a factor there
 WHITE = 254  # a channel that may have been brighter than it says
-POSE_SIGMA_M = np.float32(0.01)  # what poses add to every measurement: weights are inverse variances down to it
+POSE_SIGMA_M = np.float32(0.01)  # what poses add to every measurement: weights are inverse variances down to it ...
+LEAST_TRUST = np.float32(0.15)  # ... but never less: a wall that was only seen from afar is a wall
 
 DISTANCE_FACTOR, FREE_FACTOR, COLOUR_FACTOR = np.float32(10.0), np.float32(2.0), np.float32(5.0)
 EIKONAL_FACTOR, NORMAL_FACTOR = np.float32(0.1), np.float32(0.1)
@@ -117,7 +118,7 @@ def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high
         nz = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
         has_normal = a * a + b * b + c * c > np.float32(0.5)
         cosine = max(abs(dx * nx + dy * ny + dz * nz), LEAST_COSINE) if has_normal else np.float32(0.7)
-        trust = POSE_SIGMA_M * POSE_SIGMA_M / (POSE_SIGMA_M * POSE_SIGMA_M + sigma * sigma)
+        trust = max(POSE_SIGMA_M * POSE_SIGMA_M / (POSE_SIGMA_M * POSE_SIGMA_M + sigma * sigma), LEAST_TRUST)
         for n in range(per_ray):
             at = r * per_ray + n
             if n < NEAR:
