@@ -14,7 +14,7 @@ import numpy as np
 from uav_recon.mapping.neural.field.learned import LearnedField
 from uav_recon.mapping.neural.gathered import Gathered
 from uav_recon.mapping.neural.surface.isosurface import ABSENT, EDGE, node_points, wanted_nodes
-from uav_recon.mapping.neural.surface.surface import EVIDENCE_CELL_M, FEWEST_ENDS, SHEET_M
+from uav_recon.mapping.neural.surface.surface import EVIDENCE_CELL_M, FEWEST_ENDS, SHEET_M, borne_out
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TriangleMesh
 
@@ -68,16 +68,15 @@ def closed_mesh(field: LearnedField, gathered: Gathered, voxel_m: float) -> Clos
     vertices, faces = _level_set(values, gathered.evidence.origin_m, voxel_m)
     normals = vertex_normals(vertices, faces)
     at, facing = vertices.astype(np.float32), normals.astype(np.float32)
-    borne_out: BoolArray = np.abs(field.distance_m(at)) < SHEET_M
-    borne_out &= gathered.evidence.holding()(at) & ~gathered.evidence.contradicts(at, facing)
-    borne_out &= ~gathered.images.refute(at, facing)
+    seen: BoolArray = np.abs(field.distance_m(at)) < SHEET_M
+    seen &= gathered.evidence.holding()(at) & borne_out(gathered.evidence, gathered.images, at, facing)
     return ClosedMesh(
         vertices,
         faces,
         facing,
         np.clip(np.round(field.rgb(at) * 255.0), 0, 255).astype(np.uint8),
         gathered.uncertainty.at(at).astype(np.float32),
-        np.asarray(borne_out[faces].all(axis=1), dtype=np.bool_),
+        np.asarray(seen[faces].all(axis=1), dtype=np.bool_),
     )
 
 

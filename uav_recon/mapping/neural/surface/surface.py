@@ -1,7 +1,8 @@
 """From the field to a surface, only where the camera measured one.
 
 Gates keep imagined surface out: nodes are evaluated only near measured end points; what comes out must agree with the
-measured normals; and no more depth images may look through it than see it. So small holes close and sheets do not grow.
+measured normals; and no more depth images may look through it than see it, one at least must see it where no end point lies.
+So small holes close and sheets do not grow.
 """
 
 from __future__ import annotations
@@ -64,16 +65,16 @@ class Evidence:
         _spread(self.count, least, cells, out)
         return out
 
+    def counted(self, points: Float32Array) -> BoolArray:
+        """Whether an end point lies in the cell of each of some points (N, 3)."""
+        return _within(self.count > 0, self.origin_m, points)
+
     def holding(self) -> Callable[[Float32Array], BoolArray]:
         """As it is now: which of some points (N, 3) lie where surface was measured (N,)."""
         near = self.near(FEWEST_ENDS)
 
         def holds(points: Float32Array) -> BoolArray:
-            cell = np.floor((points - self.origin_m) / EVIDENCE_CELL_M).astype(np.int64)
-            inside = ((cell >= 0) & (cell < near.shape)).all(axis=1)
-            held = np.zeros(len(points), dtype=np.bool_)
-            held[inside] = near[tuple(cell[inside].T)]
-            return held
+            return _within(near, self.origin_m, points)
 
         return holds
 
@@ -83,10 +84,28 @@ class Evidence:
         return self._facing.dot(points, for_it - np.float32(LEAST_SUPPORT) * against_it) < 0.0
 
 
+def _within(cells: BoolArray, origin_m: FloatArray, points: Float32Array) -> BoolArray:
+    """Which of some points (N, 3) lie in marked cells (nx, ny, nz)."""
+    cell = np.floor((points - origin_m) / EVIDENCE_CELL_M).astype(np.int64)
+    inside = ((cell >= 0) & (cell < cells.shape)).all(axis=1)
+    held = np.zeros(len(points), dtype=np.bool_)
+    held[inside] = cells[tuple(cell[inside].T)]
+    return held
+
+
 def _halves(normal: Float32Array) -> Float32Array:
     """What normals (N, 3) have along +x, +y, +z, -x, -y, -z: (N, 6), none negative."""
     halves: Float32Array = np.maximum(np.concatenate([normal, -normal], axis=1), np.float32(0.0))
     return halves
+
+
+def borne_out(evidence: Evidence, images: Testimony, points: Float32Array, normal: Float32Array) -> BoolArray:
+    """Whether surface at points (N, 3) with normals (N, 3) faces as measured, and more images saw it than looked through it;
+    as many are enough where an end point lies in its cell.
+    """  # fmt: skip
+    seen = images.votes(points, normal)
+    borne: BoolArray = (seen > 0.0) | ((seen == 0.0) & evidence.counted(points))
+    return borne & ~evidence.contradicts(points, normal)
 
 
 def surface_elements(
@@ -108,14 +127,13 @@ def surface_elements(
 def triangle_mesh(
     field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, images: Testimony, painted: LearnedField
 ) -> TriangleMesh:
-    """The whole surface as triangles, without what the depth images refute; painted is asked for the colours."""
+    """The whole surface as triangles, as far as it is borne_out(); painted is asked for the colours."""
     vertices, normals, quads = _extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
     for _ in range(2):  # surface nets round corners off by a fraction of a voxel: slide back onto the level set
         slip = np.clip(field.distance_m(vertices), -0.5 * voxel_m, 0.5 * voxel_m)
         vertices = (vertices - slip[:, None] * normals).astype(np.float32)
     keep = np.abs(field.distance_m(vertices)) < SHEET_M
-    keep &= ~evidence.contradicts(vertices, normals)
-    keep &= ~images.refute(vertices, normals)
+    keep &= borne_out(evidence, images, vertices, normals)
     quads = quads[keep[quads].all(axis=1)]
     quads = quads[_in_large_parts(quads, len(vertices))]
     used, quads = np.unique(quads, return_inverse=True)

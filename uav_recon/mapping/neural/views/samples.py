@@ -22,7 +22,7 @@ LEAST_COSINE = np.float32(0.15)
 TOE = np.float32(0.055)  # sRGB (IEC 61966-2-1) is a power law on (value + this): another exposure is a factor there
 WHITE = 254  # a channel that may have been brighter than it says
 POSE_SIGMA_M = np.float32(0.01)  # what poses add to every measurement: weights are inverse variances down to it ...
-LEAST_TRUST = np.float32(0.15)  # ... but never less: a wall that was only seen from afar is a wall
+LEAST_TRUST = np.float32(0.3)  # ... but never less: a wall that was only seen from afar is a wall
 
 DISTANCE_FACTOR, FREE_FACTOR, COLOUR_FACTOR = np.float32(10.0), np.float32(2.0), np.float32(5.0)
 EIKONAL_FACTOR, NORMAL_FACTOR = np.float32(0.1), np.float32(0.1)

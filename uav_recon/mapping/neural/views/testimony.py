@@ -60,10 +60,6 @@ class Testimony:
         """Hold an image to have been taken elsewhere: world_from_depth as in add()."""
         self._depth_from_world[view] = (rotation.T.copy(), -rotation.T @ position)
 
-    def refute(self, points: Float32Array, normals: Float32Array) -> BoolArray:
-        """Whether more images looked through a place than saw a surface there: points (N, 3), normals (N, 3)."""
-        return self.votes(points, normals) < 0.0
-
     def votes(self, points: Float32Array, normals: Float32Array, most: int = 1 << 30) -> Float32Array:
         """For each place (N,): 1 for each image that saw a surface there, less 1/2 for each that looked through.
 
