@@ -58,9 +58,8 @@ class Painted:
 
     def _shown(self, level: AnyArray, gain: Float32Array, points: Float32Array) -> Float32Array:
         """Colours (N, 3) of levels 0..255 (N, 3) at a mean exposure. White may have been brighter, as the field says."""
-        rgb: Float32Array = np.clip((level.astype(np.float32) / np.float32(255.0) + TOE) * gain - TOE, 0.0, 1.0).astype(
-            np.float32
-        )
+        share = level.astype(np.float32) / np.float32(255.0)
+        rgb: Float32Array = np.clip((share + TOE) * gain - TOE, np.float32(0.0), np.float32(1.0))
         dimmed = (level >= WHITE) & (rgb < 1.0)
         some = np.flatnonzero(dimmed.any(axis=1))
         rgb[some] = np.where(dimmed[some], np.maximum(rgb[some], self._field.rgb(points[some])), rgb[some])
