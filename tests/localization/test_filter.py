@@ -221,25 +221,6 @@ def test_a_short_gap_is_bridged_by_the_imu() -> None:
     assert np.linalg.norm(odom.odom_from_body.translation_m - MOTION.position(gap_end_s)) < 0.06
 
 
-def test_a_jumped_source_is_shut_out_and_only_taken_back_as_a_declared_reset() -> None:
-    fusion, rest = _warm()
-    counters = []
-    for event in rest:
-        if event.pose:
-            shifted = Pose(event.pose.odom_from_body.quat_wxyz, event.pose.odom_from_body.translation_m + np.array([0, 1, 0]))
-            event.pose = replace(event.pose, odom_from_body=shifted)
-        _feed(fusion, event)
-        odom = fusion.odom_at(event.arrival_s)
-        assert odom
-        age_s = event.arrival_s - NOW_S
-        counters.append((odom.reset_counter, age_s))
-        if odom.reset_counter == 0:
-            assert odom.quality == 0 or age_s < 0.5
-    taken_back_s = next(age_s for counter, age_s in counters if counter == 1)
-    assert 1.9 < taken_back_s < 2.3
-    assert counters[-1][0] == 1
-
-
 def test_scattered_poses_are_never_taken_back() -> None:
     """Nonsense that does not even agree with itself stays out, however long it lasts."""
     fusion, rest = _warm()
@@ -250,14 +231,6 @@ def test_scattered_poses_are_never_taken_back() -> None:
             event.pose = replace(event.pose, odom_from_body=Pose(event.pose.odom_from_body.quat_wxyz, scattered))
         assert _feed(fusion, event) == (event.imu is not None)
     assert fusion.newest_pose_s < NOW_S < rest[-1].arrival_s - 3.0
-
-
-def test_a_reset_of_the_source_is_passed_on() -> None:
-    fusion, _ = _warm()
-    assert fusion.add_pose(replace(_pose(NOW_S - 0.05, offset_m=2.0), reset_counter=1), NOW_S)
-    odom = fusion.odom_at(NOW_S)
-    assert odom
-    assert odom.reset_counter == 1
 
 
 def test_a_dead_imu_leaves_a_working_filter() -> None:

@@ -11,7 +11,8 @@ Strapdown Inertial Navigation Technology, ch. 3):
     v(b) = v(a) + R (V(b) - V(a)) + g (b - a)
     p(b) = p(a) + v(a) (b - a) + R (X(b) - X(a) - V(a) (b - a)) + g (b - a)^2 / 2
 
-A late pose therefore costs no second pass over the samples.
+A late pose therefore costs no second pass over the samples. The gyro's bias is taken off as it is known when a sample comes;
+B(t), the integral of what was taken off, lets whoever knows better afterwards put the difference right.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ Quaternion = tuple[float, float, float, float]  # wxyz
 Vector = tuple[float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+_ZERO: Vector = (0.0, 0.0, 0.0)
 GRAVITY_MPS2 = 9.80665
 _CAPACITY = 4096  # 20 s at 200 Hz, between two halvings
 
@@ -85,12 +87,13 @@ def logarithm(q: Quaternion) -> Vector:
 
 @dataclass(frozen=True, slots=True)
 class InertialState:
-    """The track at one instant: gyro_from_body, and V (m/s) and X (m) in the gyro frame."""
+    """The track at one instant: gyro_from_body, V (m/s) and X (m) in the gyro frame, B (rad, body axes)."""
 
     stamp_s: float
     gyro_from_body: Quaternion
     velocity_integral: Vector
     position_integral: Vector
+    bias_integral: Vector
 
 
 class InertialTrack:
@@ -105,9 +108,9 @@ class InertialTrack:
         self._gap_s = gap_s
         self._count = 0
         self._stamp = np.empty(_CAPACITY)
-        self._state = np.empty((_CAPACITY, 10))  # q, V, X at the sample
-        self._step = np.zeros((_CAPACITY, 6))  # rate (body) and force (gyro frame) from this sample to the next
-        self._last: tuple[Vector, Vector] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # newest measured rate and force
+        self._state = np.empty((_CAPACITY, 13))  # q, V, X, B at the sample
+        self._step = np.zeros((_CAPACITY, 9))  # rate (body), force (gyro frame) and bias from this sample to the next
+        self._last: tuple[Vector, Vector] = (_ZERO, _ZERO)  # newest rate without bias, and force
         self._measured = False  # whether the newest sample came from an IMU
 
     def __len__(self) -> int:
@@ -123,14 +126,15 @@ class InertialTrack:
         """Stamp of the oldest sample still kept; inf for an empty track."""
         return float(self._stamp[0]) if self._count else math.inf
 
-    def push(self, stamp_s: float, rate_radps: Vector, force_mps2: Vector) -> None:
-        """Append a sample: body rate (bias already taken off) and body specific force. Stamps must increase."""
+    def push(self, stamp_s: float, rate_radps: Vector, force_mps2: Vector, bias_radps: Vector = _ZERO) -> None:
+        """Append a sample: body rate, body specific force, and the gyro's bias as known now. Stamps must increase."""
         self._make_room()
         i = self._count - 1
+        rate_radps = (rate_radps[0] - bias_radps[0], rate_radps[1] - bias_radps[1], rate_radps[2] - bias_radps[2])
         if i >= 0:
             dt = stamp_s - float(self._stamp[i])
             if self._measured and dt > self._gap_s:
-                self._step[i] = (0.0, 0.0, 0.0, *self.hover_force_gyro)
+                self._step[i] = (*_ZERO, *self.hover_force_gyro, *bias_radps)
             elif self._measured:
                 (px, py, pz), (fx, fy, fz) = self._last
                 rate = (0.5 * (px + rate_radps[0]), 0.5 * (py + rate_radps[1]), 0.5 * (pz + rate_radps[2]))
@@ -138,31 +142,31 @@ class InertialTrack:
                 middle = multiply(
                     self._quaternion(i), exponential((0.5 * dt * rate[0], 0.5 * dt * rate[1], 0.5 * dt * rate[2]))
                 )
-                self._step[i] = (*rate, *rotate(middle, force))
+                self._step[i] = (*rate, *rotate(middle, force), *bias_radps)
             self._append(self._advance(i, stamp_s))
         else:
-            self._append(InertialState(stamp_s, IDENTITY, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+            self._append(InertialState(stamp_s, IDENTITY, _ZERO, _ZERO, _ZERO))
         self._last, self._measured = (rate_radps, force_mps2), True
         newest = self._count - 1
-        self._step[newest] = (*rate_radps, *rotate(self._quaternion(newest), force_mps2))
+        self._step[newest] = (*rate_radps, *rotate(self._quaternion(newest), force_mps2), *bias_radps)
 
     def coast(self, stamp_s: float, rate_radps: Vector) -> None:
-        """Append a sample without an IMU: turning at ``rate_radps``, not accelerating."""
+        """Append a sample without an IMU: turning at ``rate_radps``, not accelerating.
+
+        It counts as a gyro that reads nothing and has the opposite bias.
+        """
         self._make_room()
-        step = (*rate_radps, *self.hover_force_gyro)
+        rx, ry, rz = rate_radps
+        step = (rx, ry, rz, *self.hover_force_gyro, -rx, -ry, -rz)
         if self._count:
             i = self._count - 1
             if self._measured and stamp_s - float(self._stamp[i]) > self._gap_s:
                 self._step[i] = step
             self._append(self._advance(i, stamp_s))
         else:
-            self._append(InertialState(stamp_s, IDENTITY, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+            self._append(InertialState(stamp_s, IDENTITY, _ZERO, _ZERO, _ZERO))
         self._step[self._count - 1] = step
         self._measured = False
-
-    def turn(self, rate_radps: Vector) -> None:
-        """Change the rate at which the newest sample, a coasted one, goes on."""
-        self._step[self._count - 1, :3] = rate_radps
 
     def at(self, stamp_s: float) -> InertialState | None:
         """The track at an instant, extrapolated after its end; None before its beginning."""
@@ -170,7 +174,7 @@ class InertialTrack:
             return None
         i = int(np.searchsorted(self._stamp[: self._count], stamp_s, side="right")) - 1
         if i == self._count - 1 and self._measured and stamp_s - self._stamp[i] > self._gap_s:
-            return self._advance(i, stamp_s, (0.0, 0.0, 0.0, *self.hover_force_gyro))
+            return self._advance(i, stamp_s, (*_ZERO, *self.hover_force_gyro, *self._step[i, 6:].tolist()))
         return self._advance(i, stamp_s)
 
     def _quaternion(self, i: int) -> Quaternion:
@@ -180,19 +184,22 @@ class InertialTrack:
     def _advance(self, i: int, stamp_s: float, step: tuple[float, ...] | None = None) -> InertialState:
         """Sample i carried along its own step, or another one, to ``stamp_s``."""
         dt = stamp_s - float(self._stamp[i])
-        w, x, y, z, vx, vy, vz, px, py, pz = self._state[i].tolist()
-        rx, ry, rz, ax, ay, az = self._step[i].tolist() if step is None else step
+        w, x, y, z, vx, vy, vz, px, py, pz, bx, by, bz = self._state[i].tolist()
+        rx, ry, rz, ax, ay, az, gx, gy, gz = self._step[i].tolist() if step is None else step
         half = 0.5 * dt * dt
         return InertialState(
             stamp_s,
             normalised(multiply((w, x, y, z), exponential((rx * dt, ry * dt, rz * dt)))),
             (vx + ax * dt, vy + ay * dt, vz + az * dt),
             (px + vx * dt + ax * half, py + vy * dt + ay * half, pz + vz * dt + az * half),
+            (bx + gx * dt, by + gy * dt, bz + gz * dt),
         )
 
     def _append(self, state: InertialState) -> None:
         self._stamp[self._count] = state.stamp_s
-        self._state[self._count] = (*state.gyro_from_body, *state.velocity_integral, *state.position_integral)
+        self._state[self._count] = (
+            *state.gyro_from_body, *state.velocity_integral, *state.position_integral, *state.bias_integral,
+        )  # fmt: skip
         self._count += 1
 
     def _make_room(self) -> None:
@@ -207,4 +214,5 @@ class InertialTrack:
         since: FloatArray = self._stamp[:k] - self._stamp[0]
         self._state[:k, 7:10] -= x0 + np.outer(since, v0)
         self._state[:k, 4:7] -= v0
+        self._state[:k, 10:13] -= self._state[0, 10:13].copy()
         self._count = k

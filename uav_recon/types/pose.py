@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
 
@@ -116,12 +117,34 @@ class Pose:
         return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
+class PoseHealth(Enum):
+    """How far odometry may be flown on."""
+
+    GOOD = "good"  # fly
+    DEGRADED = "degraded"  # fly slowly
+    LOST = "lost"  # stand still, and land if it lasts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorldFromOdom:
+    """What the pose source has corrected since the start (REP-105): odom never jumps, this does, and epoch counts how often."""
+
+    world_from_odom: Pose
+    epoch: int = 0
+
+    @staticmethod
+    def start() -> WorldFromOdom:
+        """Before the first correction world and odom are one."""
+        return WorldFromOdom(Pose.identity())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StampedPose:
     """Odometry: where the body is, how fast, and how far to trust it.
 
     velocity_odom_mps: (3,). covariance: (6, 6), position then rotation vector, m² and rad².
-    quality: 0 (lost) to 100. reset_counter: +1 (mod 256) whenever odom itself jumps.
+    quality: 0 (lost) to 100. reset_counter: +1 (mod 256) whenever odom itself jumps. map_epoch: of the maps that go with it.
+    health, and why it is no better ('' for GOOD). correction: odom's place in the world at this stamp.
     """
 
     stamp_s: float
@@ -131,6 +154,9 @@ class StampedPose:
     quality: int = 100
     reset_counter: int = 0
     map_epoch: int = 0
+    health: PoseHealth = PoseHealth.GOOD
+    why: str = ""
+    correction: WorldFromOdom = field(default_factory=WorldFromOdom.start)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity_odom_mps", frozen(np.asarray(self.velocity_odom_mps, dtype=np.float64)))

@@ -1,0 +1,242 @@
+"""The rows of the hazard table about poses, on the filter alone: what it says, and what it never says."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from troubled_flight import MOTION, ONSET_S, Trouble, fly, shifted
+
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+
+GOOD, DEGRADED, LOST = PoseHealth.GOOD, PoseHealth.DEGRADED, PoseHealth.LOST
+
+
+def once(trouble: Trouble, at_s: float = 0.5) -> Trouble:
+    done: list[float] = []
+
+    def change(pose: StampedPose, since_s: float) -> StampedPose | None:
+        if since_s < at_s or done:
+            return pose
+        done.append(since_s)
+        return trouble(pose, since_s)
+
+    return change
+
+
+def silent(from_s: float, to_s: float, then: Trouble | None = None) -> Trouble:
+    def change(pose: StampedPose, since_s: float) -> StampedPose | None:
+        if from_s <= since_s < to_s:
+            return None
+        return then(pose, since_s) if then and since_s >= to_s else pose
+
+    return change
+
+
+def undisturbed(pose: StampedPose, since_s: float) -> StampedPose:
+    return pose
+
+
+def test_a_calm_flight_is_good_throughout() -> None:
+    told = fly(undisturbed)
+    assert told.healths(0.0) == {GOOD}
+    assert {odom.why for odom in told.odom} == {""}
+    assert told.fusion.correction.epoch == told.resets() == 0
+    assert not told.fusion.rejected
+
+
+def test_b1_a_silent_source_is_lost_within_a_quarter_second() -> None:
+    told = fly(silent(0.0, 1e9))
+    assert told.first(LOST) <= 0.3
+    lost = told.odom[told.since(0.3)]
+    assert lost.why.startswith("no pose for 0.")
+    assert told.odom[told.since(0.6)].quality == 0
+    assert told.error_m(0.0, 0.5) < 0.05  # what the autopilot is fed meanwhile
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("gone_s", [0.5, 2.0, 10.0])
+def test_b2_a_source_that_comes_back_has_to_prove_itself_for_a_second(gone_s: float, offset_m: float) -> None:
+    told = fly(silent(0.0, gone_s, shifted(y=offset_m)), seconds=gone_s + 2.5)
+    quiet = told.odom[told.since(gone_s) : told.since(gone_s + 0.99)]
+    assert {odom.quality for odom in quiet[2:]} == {0}
+    assert told.healths(gone_s + 1.4) == {GOOD}
+    if gone_s < 1.0:  # the track held: no step in odom, whatever the offset
+        assert told.step_m() < 0.05
+        assert told.resets() == 0
+        assert told.fusion.correction.epoch == (offset_m > 0.2)
+    if gone_s > 5.0:
+        assert told.resets() == 1  # odom jumped, once, and says so
+
+
+@pytest.mark.parametrize("trouble", [shifted(x=0.5), shifted(y=-0.12), shifted(z=0.3), shifted(x=40.0)])
+def test_b3_a_spike_is_not_seen_in_odometry(trouble: Trouble) -> None:
+    told, calm = fly(once(trouble)), fly(undisturbed)
+    differences = [
+        np.linalg.norm(a.odom_from_body.translation_m - b.odom_from_body.translation_m)
+        for a, b in zip(told.odom, calm.odom, strict=True)
+    ]
+    assert max(differences) < 0.01
+    assert told.fusion.rejected.total() == 1
+    assert told.fusion.correction.epoch == told.resets() == 0
+
+
+@pytest.mark.parametrize("turn_deg", [180.0, 90.0, 15.0, -9.0])
+def test_b9_a_flipped_heading_is_not_seen_once(turn_deg: float) -> None:
+    told = fly(once(shifted(yaw_deg=turn_deg, about_origin=False)))
+    assert told.fusion.rejected == {"turn": 1}
+    assert math.degrees(max(told.turns_rad[told.since(0.0) :])) < 0.6
+
+
+@pytest.mark.parametrize("trouble", [shifted(x=0.5), shifted(y=2.0), shifted(yaw_deg=10.0), shifted(x=-1.0, yaw_deg=-10.0)])
+def test_b4_a_closed_loop_moves_the_world_and_never_odom(trouble: Trouble) -> None:
+    told = fly(trouble)
+    assert told.step_m() < 0.02  # 0.05 is allowed
+    assert told.error_m(0.0) < 0.05
+    assert told.resets() == 0
+    correction = told.odom[-1].correction
+    assert correction.epoch == 1
+    moved = trouble(StampedPose(ONSET_S, Pose.identity(), np.zeros(3)), 0.0)
+    assert moved
+    apart = correction.world_from_odom @ moved.odom_from_body.inverse()
+    assert np.linalg.norm(apart.translation_m) < 0.03
+    assert math.degrees(abs(apart.yaw_rad())) < 0.7
+    assert DEGRADED in told.healths(0.0, 0.6)
+    assert told.healths(0.6) == {GOOD}
+
+
+def test_b4_two_closed_loops_are_two_epochs() -> None:
+    first, second = shifted(x=0.6), shifted(x=0.6, y=-0.7)
+    told = fly(lambda pose, since_s: (second if since_s > 2.0 else first)(pose, since_s), seconds=4.0)
+    assert told.odom[-1].correction.epoch == 2
+    np.testing.assert_allclose(told.odom[-1].correction.world_from_odom.translation_m, [0.6, -0.7, 0.0], atol=0.03)
+    assert told.step_m() < 0.02
+
+
+def test_b4_a_tracker_that_begins_anew_is_believed_once_it_has_proven_itself() -> None:
+    anew = shifted(x=-3.0, y=1.0, yaw_deg=140.0)
+
+    def reset(pose: StampedPose, since_s: float) -> StampedPose | None:
+        changed = anew(pose, since_s)
+        assert changed
+        return replace(changed, reset_counter=7)
+
+    told = fly(reset)
+    assert told.fusion.rejected["reset"] == 3  # poses until four agreed
+    assert told.odom[-1].correction.epoch == 1
+    assert told.step_m() < 0.02
+    assert told.resets() == 0
+    assert told.healths(0.6) == {GOOD}
+
+
+@pytest.mark.parametrize("turn_deg", [180.0, 90.0, 15.0])
+def test_b9_a_heading_lost_for_good_is_never_flown_on(turn_deg: float) -> None:
+    told = fly(shifted(yaw_deg=turn_deg, about_origin=False), seconds=1.5)
+    assert told.first(LOST) <= 0.3
+    assert told.healths(0.3) == {LOST}
+    assert told.odom[told.since(0.6)].quality == 0
+    assert "disagree" in told.odom[-1].why
+    assert math.degrees(max(told.turns_rad)) < 1.5
+
+
+def test_b5_a_slow_drift_is_followed_without_a_step() -> None:
+    """0.05 m/s is nothing that an IMU can tell from flight; depth against the map is the witness (guard, mapper)."""
+    told = fly(lambda pose, since_s: shifted(x=0.05 * since_s)(pose, since_s), seconds=10.0)
+    assert told.step_m() < 0.01
+    assert told.odom[-1].correction.epoch == told.resets() == 0
+    assert told.odom[-1].quality == 100
+    lag_m = told.errors_m[-1][0] - 0.5
+    assert abs(lag_m) < 0.03
+
+
+def test_b6_a_wrong_scale_is_followed_without_a_step() -> None:
+    def grown(pose: StampedPose, _: float) -> StampedPose:
+        return replace(pose, odom_from_body=Pose(pose.odom_from_body.quat_wxyz, 1.1 * pose.odom_from_body.translation_m))
+
+    told = fly(grown, seconds=8.0)
+    assert told.step_m() < 0.03
+    assert told.resets() == 0
+
+
+def test_b7_a_broken_source_is_a_silent_one() -> None:
+    told = fly(lambda pose, _: replace(pose, covariance=np.full((6, 6), np.nan)), seconds=1.5)
+    assert told.first(LOST) <= 0.3
+    assert told.fusion.rejected["not finite"] > 10
+    assert np.isfinite(told.errors_m).all()
+
+
+def test_b8_a_frozen_source_is_a_silent_one() -> None:
+    frozen: list[StampedPose] = []
+
+    def change(pose: StampedPose, _: float) -> StampedPose:
+        frozen.append(frozen[0] if frozen else pose)
+        return frozen[0]
+
+    told = fly(change, seconds=1.5)
+    assert told.first(LOST) <= 0.4  # the first one was good
+    assert told.fusion.rejected["duplicate"] > 10
+
+
+def test_b8_a_picture_that_stands_still_is_not_believed() -> None:
+    """The stamp goes on, the pose does not: at 0.8 m/s the IMU knows better within a few poses."""
+    frozen: list[StampedPose] = []
+
+    def change(pose: StampedPose, _: float) -> StampedPose:
+        frozen.append(pose)
+        return replace(pose, odom_from_body=frozen[0].odom_from_body)
+
+    told = fly(change, seconds=1.5)
+    assert told.first(LOST) <= 0.6
+    assert told.error_m(0.0, 0.6) < 0.12
+    assert told.odom[-1].quality == 0
+
+
+@pytest.mark.parametrize("late_s", [0.1, 0.2])
+def test_b8_poses_that_come_later_still_count_at_their_own_stamp(late_s: float) -> None:
+    """The row's 0.1 s, and 0.2 s: 260 ms in all."""
+    told = fly(undisturbed, late_s=late_s)
+    assert told.error_m(1.0) < 0.03
+    assert told.step_m() < 0.02
+    assert not told.fusion.rejected
+    assert told.odom[-1].quality > 0
+
+
+def test_b8_a_second_late_is_a_silent_source() -> None:
+    told = fly(undisturbed, late_s=1.0, seconds=1.9)
+    assert told.first(LOST) <= 0.3
+    assert told.odom[told.since(0.9)].quality == 0
+    assert told.fusion.rejected["stamp"] > 5
+
+
+def test_b8_stamps_of_the_future_are_a_silent_source() -> None:
+    told = fly(lambda pose, _: replace(pose, stamp_s=pose.stamp_s + 5.0), seconds=1.5)
+    assert told.first(LOST) <= 0.3
+    assert told.fusion.rejected["stamp"] > 10
+
+
+@pytest.mark.parametrize(("rate_hz", "health"), [(6.0, DEGRADED), (3.0, LOST)])
+def test_b10_few_poses_are_told_within_a_second_and_odometry_goes_on(rate_hz: float, health: PoseHealth) -> None:
+    next_s = [0.0]
+
+    def thinned(pose: StampedPose, since_s: float) -> StampedPose | None:
+        if since_s < next_s[0]:
+            return None
+        next_s[0] = since_s + 1.0 / rate_hz
+        return pose
+
+    told = fly(thinned, seconds=4.0)
+    assert told.first(DEGRADED) <= 1.2
+    assert told.healths(1.5) <= {health, LOST}
+    assert health in told.healths(1.5)
+    assert min(odom.quality for odom in told.odom) > 0
+    assert told.error_m(0.0) < 0.06
+    assert told.step_m() < 0.03
+
+
+def test_without_inertial_samples_there_is_no_witness_and_it_says_so() -> None:
+    told = fly(undisturbed, imu=False)
+    assert told.healths(0.0) == {DEGRADED}
+    assert told.odom[-1].why == "no inertial samples"
+    assert MOTION.start_s < told.stamps_s[0]

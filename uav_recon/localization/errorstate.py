@@ -1,0 +1,240 @@
+"""The state that is estimated, and the two steps of its error-state Kalman filter: carried by the track, corrected by a pose.
+
+    position, velocity              odom, m and m/s
+    attitude                        odom_from_gyro, with the track's gyro_from_body
+    gyro bias                       body, rad/s
+    acceleration offset             odom, m/s²: tilt error and accelerometer bias together
+
+The error (15,) is position, velocity, a small rotation in odom axes (R_true = exp(error) R), gyro bias, offset. Its dynamics
+over an interval dt with the rotated force integrals dv, dp (first order: Sola, Quaternion kinematics for the error-state
+Kalman filter, 2017, section 7, with the global angular error):
+
+    p' = p + v dt - [dp] a + [dp] R b dt / 3 + c dt^2 / 2        a' = a - R b dt
+    v' = v - [dv] a + [dv] R b dt / 2 + c dt                      b' = b,  c' = c
+
+Without inertial samples the same state is a constant-velocity model of its own: the gyro reads nothing and its "bias" is the
+turning of the body, the offset is its acceleration.
+
+A pose source errs in two ways: white noise, and a slow drift that nobody can know. The state follows the drift, as a random
+walk of position and attitude, so what is estimated is the body in the source's own frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from filterpy.kalman import predict, update
+
+from uav_recon.localization.attitude import (
+    GRAVITY_MPS2,
+    InertialState,
+    Quaternion,
+    Vector,
+    conjugate,
+    exponential,
+    logarithm,
+    multiply,
+    normalised,
+    rotate,
+)
+from uav_recon.types.frames import FloatArray
+
+WHITE_SHARE = 0.15  # of a claimed variance; the rest is drift
+DRIFT_TIME_S = 20.0  # in which a source's drift forgets itself
+_SMALLEST_M2, _LARGEST_M2 = 0.002**2, 0.08**2
+_SMALLEST_RAD2, _LARGEST_RAD2 = 0.0005**2, 0.1**2
+_POSITION, _VELOCITY, _ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
+_BIAS, _OFFSET = slice(9, 12), slice(12, 15)
+_I = np.eye(3)
+_EYE, _NOTHING = np.eye(15), np.zeros(15)
+_H = np.zeros((6, 15))
+_H[:3, _POSITION] = _H[3:, _ATTITUDE] = _I
+
+
+@dataclass(frozen=True, slots=True)
+class Carrier:
+    """How far to trust what carries the state between poses: densities of white noise, and of random walks (_walk)."""
+
+    acceleration: float  # m/s² per root Hz
+    offset_walk: float  # m/s² per root second
+    rate: float  # rad/s per root Hz
+    bias_walk: float  # rad/s per root second
+    bias_start: float  # rad/s, what is known of the bias at first
+    offset_start: float  # m/s²
+
+
+WITH_IMU = Carrier(0.01, 0.03, 3e-4, 1e-4, 0.02, 0.2)
+WITHOUT_IMU = Carrier(0.1, 1.2, 0.02, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseNoise:
+    """Variances per axis of a source: white (m², rad²), and of its drift's random walk (m²/s, rad²/s)."""
+
+    position_m2: float
+    attitude_rad2: float
+    position_walk: float
+    attitude_walk: float
+
+    @staticmethod
+    def claimed(covariance: FloatArray) -> PoseNoise:
+        """From what a source says (6, 6), within reason."""
+        diagonal = np.diagonal(covariance)
+        place = min(max(float(diagonal[:3].mean()), _SMALLEST_M2 / WHITE_SHARE), _LARGEST_M2)
+        turn = min(max(float(diagonal[3:].mean()), _SMALLEST_RAD2 / WHITE_SHARE), _LARGEST_RAD2)
+        drift = 2.0 * (1.0 - WHITE_SHARE) / DRIFT_TIME_S
+        return PoseNoise(WHITE_SHARE * place, WHITE_SHARE * turn, drift * place, drift * turn)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The state at a stamp. covariance: (15, 15) of the error. inertial: whether an IMU carries it."""
+
+    stamp_s: float
+    position_m: Vector
+    velocity_mps: Vector
+    odom_from_gyro: Quaternion
+    gyro_bias_radps: Vector
+    offset_mps2: Vector
+    covariance: FloatArray
+    inertial: bool
+
+    @staticmethod
+    def at_rest(
+        base: InertialState, position_m: Vector, odom_from_body: Quaternion, noise: PoseNoise, inertial: bool
+    ) -> Estimate:
+        """Where a first pose puts the body; nothing is known of its motion."""
+        carrier = WITH_IMU if inertial else WITHOUT_IMU
+        variances = (noise.position_m2, 1.0, noise.attitude_rad2, carrier.bias_start**2, carrier.offset_start**2)
+        odom_from_gyro = multiply(odom_from_body, conjugate(base.gyro_from_body))
+        zero = (0.0, 0.0, 0.0)
+        return Estimate(base.stamp_s, position_m, zero, odom_from_gyro, zero, zero, np.diag(np.repeat(variances, 3)), inertial)
+
+    def carried_on(self, inertial: bool) -> Estimate:
+        """The same, but from now on with or without an IMU: bias and offset mean something else then."""
+        if inertial is self.inertial:
+            return self
+        carrier, covariance = WITH_IMU if inertial else WITHOUT_IMU, self.covariance.copy()
+        covariance[9:, :] = covariance[:, 9:] = 0.0
+        covariance[9:, 9:] = np.diag(np.repeat((carrier.bias_start**2, carrier.offset_start**2), 3))
+        zero = (0.0, 0.0, 0.0)
+        return replace(self, gyro_bias_radps=zero, offset_mps2=zero, covariance=covariance, inertial=inertial)
+
+    def odom_from_body(self, here: InertialState) -> Quaternion:
+        """Attitude, by the track at this stamp."""
+        return multiply(self.odom_from_gyro, here.gyro_from_body)
+
+
+def carry_mean(state: Estimate, base: InertialState, here: InertialState) -> Estimate:
+    """The state carried from ``base`` (the track at its stamp) to ``here``; the covariance stays behind. Microseconds."""
+    return _carry_mean(state, base, here)[0]
+
+
+def carry(state: Estimate, base: InertialState, here: InertialState, noise: PoseNoise) -> Estimate:
+    """The state and its covariance carried from ``base`` to ``here``."""
+    dt_s = here.stamp_s - base.stamp_s
+    carried, dp, dv = _carry_mean(state, base, here)
+    carrier = WITH_IMU if state.inertial else WITHOUT_IMU
+    turned = _matrix(state.odom_from_body(base))
+    transition = _EYE.copy()
+    transition[_POSITION, _VELOCITY] = transition[_VELOCITY, _OFFSET] = dt_s * _I
+    transition[_POSITION, _OFFSET] = 0.5 * dt_s * dt_s * _I
+    transition[_ATTITUDE, _BIAS] = -dt_s * turned
+    if state.inertial:  # else the force of hovering is known in odom, whatever the attitude
+        way, push = _cross(dp), _cross(dv)
+        transition[_POSITION, _ATTITUDE], transition[_VELOCITY, _ATTITUDE] = -way, -push
+        transition[_POSITION, _BIAS], transition[_VELOCITY, _BIAS] = dt_s / 3.0 * way @ turned, dt_s / 2.0 * push @ turned
+    _, covariance = predict(_NOTHING, state.covariance, transition, _walk(dt_s, turned, carrier, noise))
+    return replace(carried, covariance=covariance)
+
+
+def innovation(state: Estimate, here: InertialState, position_m: Vector, odom_from_body: Quaternion) -> FloatArray:
+    """What a pose says beyond the state at its stamp: (6,) position, then the rotation vector between the attitudes."""
+    error = logarithm(multiply(odom_from_body, conjugate(state.odom_from_body(here))))
+    px, py, pz = state.position_m
+    return np.array([position_m[0] - px, position_m[1] - py, position_m[2] - pz, *error])
+
+
+def spread(state: Estimate, noise: PoseNoise) -> FloatArray:
+    """Covariance (6, 6) of the innovation."""
+    out: FloatArray = state.covariance[np.ix_(_SEEN, _SEEN)] + _measured(noise)
+    return out
+
+
+def correct(state: Estimate, residual: FloatArray, noise: PoseNoise, doubt: float = 1.0) -> Estimate:
+    """The state after a pose with this innovation (6,), whose white noise counts ``doubt`` times."""
+    error, covariance = update(_NOTHING, state.covariance, residual, doubt * _measured(noise), _H)
+    e = error.tolist()
+    (px, py, pz), (vx, vy, vz) = state.position_m, state.velocity_mps
+    (bx, by, bz), (cx, cy, cz) = state.gyro_bias_radps, state.offset_mps2
+    return replace(
+        state,
+        position_m=(px + e[0], py + e[1], pz + e[2]),
+        velocity_mps=(vx + e[3], vy + e[4], vz + e[5]),
+        odom_from_gyro=normalised(multiply(exponential((e[6], e[7], e[8])), state.odom_from_gyro)),
+        gyro_bias_radps=(bx + e[9], by + e[10], bz + e[11]),
+        offset_mps2=(cx + e[12], cy + e[13], cz + e[14]),
+        covariance=covariance,
+    )
+
+
+_SEEN = [0, 1, 2, 6, 7, 8]
+
+
+def _measured(noise: PoseNoise) -> FloatArray:
+    return np.diag((noise.position_m2,) * 3 + (noise.attitude_rad2,) * 3)
+
+
+def _carry_mean(state: Estimate, base: InertialState, here: InertialState) -> tuple[Estimate, Vector, Vector]:
+    """The mean at ``here``, and the force integrals of position and velocity in odom (gravity not among them)."""
+    dt = here.stamp_s - base.stamp_s
+    bias, taken0, taken1 = state.gyro_bias_radps, base.bias_integral, here.bias_integral
+    untaken = (
+        bias[0] * dt - (taken1[0] - taken0[0]),
+        bias[1] * dt - (taken1[1] - taken0[1]),
+        bias[2] * dt - (taken1[2] - taken0[2]),
+    )
+    tx, ty, tz = rotate(here.gyro_from_body, untaken)
+    halfway = multiply(state.odom_from_gyro, exponential((-0.5 * tx, -0.5 * ty, -0.5 * tz)))
+    odom_from_gyro = normalised(multiply(state.odom_from_gyro, exponential((-tx, -ty, -tz))))
+    v0, v1, x0, x1 = base.velocity_integral, here.velocity_integral, base.position_integral, here.position_integral
+    dv = rotate(halfway, (v1[0] - v0[0], v1[1] - v0[1], v1[2] - v0[2]))
+    dp = rotate(halfway, (x1[0] - x0[0] - v0[0] * dt, x1[1] - x0[1] - v0[1] * dt, x1[2] - x0[2] - v0[2] * dt))
+    (px, py, pz), (vx, vy, vz), (cx, cy, cz) = state.position_m, state.velocity_mps, state.offset_mps2
+    cz, half = cz - GRAVITY_MPS2, 0.5 * dt * dt
+    carried = replace(
+        state,
+        stamp_s=here.stamp_s,
+        position_m=(px + vx * dt + cx * half + dp[0], py + vy * dt + cy * half + dp[1], pz + vz * dt + cz * half + dp[2]),
+        velocity_mps=(vx + cx * dt + dv[0], vy + cy * dt + dv[1], vz + cz * dt + dv[2]),
+        odom_from_gyro=odom_from_gyro,
+    )
+    return carried, dp, dv
+
+
+def _walk(dt: float, turned: FloatArray, carrier: Carrier, noise: PoseNoise) -> FloatArray:
+    """Process noise (15, 15): white acceleration and rate, random walks of offset, bias and of the source's drift."""
+    a, c, g, b = carrier.acceleration**2, carrier.offset_walk**2, carrier.rate**2, carrier.bias_walk**2
+    out = np.zeros((15, 15))
+    out[_POSITION, _POSITION] = (a * dt**3 / 3 + c * dt**5 / 20 + noise.position_walk * dt) * _I
+    out[_POSITION, _VELOCITY] = out[_VELOCITY, _POSITION] = (a * dt**2 / 2 + c * dt**4 / 8) * _I
+    out[_POSITION, _OFFSET] = out[_OFFSET, _POSITION] = c * dt**3 / 6 * _I
+    out[_VELOCITY, _VELOCITY] = (a * dt + c * dt**3 / 3) * _I
+    out[_VELOCITY, _OFFSET] = out[_OFFSET, _VELOCITY] = c * dt**2 / 2 * _I
+    out[_OFFSET, _OFFSET] = c * dt * _I
+    out[_ATTITUDE, _ATTITUDE] = (g * dt + b * dt**3 / 3 + noise.attitude_walk * dt) * _I
+    out[_ATTITUDE, _BIAS] = -b * dt**2 / 2 * turned
+    out[_BIAS, _ATTITUDE] = out[_ATTITUDE, _BIAS].T
+    out[_BIAS, _BIAS] = b * dt * _I
+    return out
+
+
+def _cross(v: Vector) -> FloatArray:
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _matrix(q: Quaternion) -> FloatArray:
+    """Rotation matrix (3, 3) of a unit quaternion."""
+    return np.array([rotate(q, (1.0, 0.0, 0.0)), rotate(q, (0.0, 1.0, 0.0)), rotate(q, (0.0, 0.0, 1.0))]).T

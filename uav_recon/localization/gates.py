@@ -1,0 +1,93 @@
+"""Which poses may enter the filter. Each answer is a word for the count of what was turned down, '' for a pose that may."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.localization.attitude import Quaternion, Vector
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import StampedPose
+
+_OLDEST_S, _FUTURE_S = 1.0, 0.01
+_SAME_STAMP_S = 1e-4
+_STEP_M = 0.03  # a vehicle follows a step of its odometry at once
+_PLAUSIBLE_NIS = 22.46  # 99.9 % of the innovations of six numbers (chi-square)
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """A pose of the source as plain numbers: odom_from_body as the filter's odom goes, and the value that it came in."""
+
+    stamp_s: float
+    position_m: Vector
+    odom_from_body: Quaternion
+    source: StampedPose
+
+
+@dataclass(frozen=True, slots=True)
+class Gates:
+    """How far a pose may lie from where the track leads (HAZARDS, J_pos and J_yaw).
+
+    Beyond jump_m AND ``sigmas`` standard deviations of the innovation it is refused, beyond farthest_m whatever these say; the
+    same for the angle between the attitudes. speed_mps: implied by the way from the pose before.
+    """
+
+    jump_m: float = 0.10
+    farthest_m: float = 0.5
+    turn_rad: float = math.radians(8.0)
+    farthest_rad: float = math.radians(30.0)
+    sigmas: float = 3.0
+    speed_mps: float = 2.0
+
+    def leap(self, residual: FloatArray, spread: FloatArray) -> str:
+        """residual: (6,) position, rotation vector. spread: (6, 6), its covariance."""
+        place_m, place_sigma = _length_and_sigma(residual[:3], spread[:3, :3])
+        if not place_m <= min(max(self.jump_m, self.sigmas * place_sigma), self.farthest_m):
+            return "jump"
+        turn_rad, turn_sigma = _length_and_sigma(residual[3:], spread[3:, 3:])
+        return "" if turn_rad <= min(max(self.turn_rad, self.sigmas * turn_sigma), self.farthest_rad) else "turn"
+
+    def haste(self, before: Sighting, after: Sighting) -> str:
+        """Between two poses of the source, in either order."""
+        way_m = math.dist(before.position_m, after.position_m)
+        return "" if way_m <= self.jump_m + self.speed_mps * abs(after.stamp_s - before.stamp_s) else "speed"
+
+
+def unfit(pose: StampedPose, now_s: float) -> str:
+    """What is wrong with a pose by itself."""
+    if pose.covariance.shape != (6, 6) or not (math.isfinite(pose.stamp_s) and np.isfinite(pose.covariance).all()):
+        return "not finite"
+    if pose.quality <= 0:
+        return "quality"
+    return "" if now_s - _OLDEST_S <= pose.stamp_s <= now_s + _FUTURE_S else "stamp"
+
+
+def same_stamp(a_s: float, b_s: float) -> bool:
+    """Whether two stamps are one: the same pose again, or another one that claims its place."""
+    return abs(a_s - b_s) < _SAME_STAMP_S
+
+
+def surprise(residual: FloatArray, spread: FloatArray) -> float:
+    """Normalised innovation squared (NIS): chi-square of six where the filter knows how far to trust itself."""
+    return float(residual @ np.linalg.solve(spread, residual))
+
+
+def doubt(nis: float) -> float:
+    """How many times the white noise of an implausible but possible pose counts: it pulls, it does not tear."""
+    return max(1.0, nis / _PLAUSIBLE_NIS)
+
+
+def tether(residual: FloatArray, track_m2: float, white_m2: float) -> float:
+    """How many times the white noise counts so that a pose moves odometry by at most _STEP_M; variances of track and pose."""
+    share = track_m2 / (track_m2 + white_m2)
+    steps = float(np.linalg.norm(residual[:3])) / _STEP_M
+    return track_m2 * (steps - 1.0) / white_m2 if share * steps > 1.0 else 1.0
+
+
+def _length_and_sigma(vector: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """Length of a vector, and the standard deviation along it."""
+    length = float(np.linalg.norm(vector))
+    return length, math.sqrt(max(float(vector @ covariance @ vector), 0.0)) / length if length > 0.0 else 0.0

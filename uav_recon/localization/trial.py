@@ -1,0 +1,72 @@
+"""Poses that do not go on from where the track is: believed once they have agreed among themselves for long enough."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from uav_recon.localization.attitude import conjugate, logarithm, multiply, rotate
+from uav_recon.localization.gates import Sighting
+
+_SLIP_M, _SLIP_RAD = 0.05, math.radians(3.0)  # between two poses, beyond what the track says of the way between them
+_WIDER_M, _WIDER_RAD = 0.10, math.radians(8.0)  # the same where no inertial samples tell the way
+_SPEED_MPS, _TURN_RADPS = 2.0, math.radians(90.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """So many poses over so long (s) that agree."""
+
+    poses: int
+    over_s: float
+
+
+STEP = Proof(4, 0.2)  # the track was never lost: a step of the source's map
+RETURN = Proof(12, 1.0)  # it was lost: a fooled relocalisation is worse than none (HAZARDS, B2)
+
+
+class Trial:
+    """One run of such poses; one that does not agree with the one before it begins a new run."""
+
+    def __init__(self) -> None:
+        self._run: list[tuple[Sighting, Sighting]] = []  # what the source said, and where the track was
+
+    def __len__(self) -> int:
+        return len(self._run)
+
+    def clear(self) -> None:
+        """Nothing is on trial."""
+        self._run.clear()
+
+    def hear(self, said: Sighting, track: Sighting, inertial: bool) -> None:
+        """Add a pose and the place where the track alone leads at its stamp."""
+        if self._run and said.stamp_s <= self._run[-1][0].stamp_s:
+            return
+        if self._run and not _agree(self._run[-1], (said, track), inertial):
+            self._run.clear()
+        self._run.append((said, track))
+
+    def stands(self, proof: Proof) -> bool:
+        """Whether the run is proof enough."""
+        return len(self._run) >= proof.poses and self._run[-1][0].stamp_s - self._run[0][0].stamp_s >= proof.over_s
+
+
+def _agree(before: tuple[Sighting, Sighting], after: tuple[Sighting, Sighting], inertial: bool) -> bool:
+    """Whether the source moved between two poses as the track did or, without an IMU, as a vehicle can."""
+    (said0, track0), (said1, track1) = before, after
+    dt_s = said1.stamp_s - said0.stamp_s
+    turn = multiply(conjugate(said0.odom_from_body), said1.odom_from_body)
+    if not inertial:
+        way_m = math.dist(said0.position_m, said1.position_m)
+        near = math.hypot(*logarithm(turn)) <= _WIDER_RAD + _TURN_RADPS * dt_s
+        return near and way_m <= _WIDER_M + _SPEED_MPS * dt_s
+    moved = multiply(conjugate(track0.odom_from_body), track1.odom_from_body)
+    slip_rad = math.hypot(*logarithm(multiply(conjugate(turn), moved)))
+    way = rotate(conjugate(said0.odom_from_body), _difference(said1, said0))
+    expected = rotate(conjugate(track0.odom_from_body), _difference(track1, track0))
+    return slip_rad <= _SLIP_RAD and math.dist(way, expected) <= _SLIP_M
+
+
+def _difference(a: Sighting, b: Sighting) -> tuple[float, float, float]:
+    (ax, ay, az), (bx, by, bz) = a.position_m, b.position_m
+    return (ax - bx, ay - by, az - bz)

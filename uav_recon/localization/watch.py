@@ -1,0 +1,72 @@
+"""How far the odometry may be trusted: by the age of the newest pose, how many come, and whether the IMU bears them out."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from uav_recon.types.pose import PoseHealth
+
+_USUAL_S = 1.0 / 15.0  # between poses
+_SLOWER_S = 0.2  # so much longer a silence is borne where fewer poses come than usually
+_LATE_S, _SILENT_S = 0.20, 0.25  # age of the newest pose: fly slowly, stand still
+_WINDOW_S = 1.0
+_FEW_HZ, _TOO_FEW_HZ = 8.0, 4.0  # EKF2 diverges at 2 to 5 poses a second (HAZARDS, B10)
+_SURPRISE = 15.0  # mean over the newest poses of what should be six
+_SURPRISES = 10
+_DEGRADED_QUALITY, _LOST_QUALITY = 60, 20  # the autopilot refuses below 20 (EKF2_EV_QMIN, VISO_QUAL_MIN)
+
+
+class Watch:
+    """One filter's. fused() for each pose that entered; health() and quality() at any instant."""
+
+    def __init__(self, pose_lost_s: float) -> None:
+        self._lost_s = pose_lost_s
+        self._stamps_s: deque[float] = deque()
+        self._surprises: deque[float] = deque(maxlen=_SURPRISES)
+        self._since_s = math.inf
+
+    def begin(self, stamp_s: float) -> None:
+        """The filter stands anew."""
+        self._stamps_s.clear()
+        self._surprises.clear()
+        self._since_s = stamp_s
+
+    def fused(self, stamp_s: float, nis: float) -> None:
+        """A pose entered, with its normalised innovation squared."""
+        self._stamps_s.append(stamp_s)
+        self._surprises.append(min(nis, 10.0 * _SURPRISE))
+        while self._stamps_s[0] <= stamp_s - _WINDOW_S:
+            self._stamps_s.popleft()
+
+    def health(self, age_s: float, inertial: bool, on_trial: bool) -> tuple[PoseHealth, str]:
+        """age_s: of the newest pose. inertial: an IMU carries the state. on_trial: poses come, and are not believed."""
+        rate_hz = self._rate_hz()
+        slower_s = min(max(1.0 / rate_hz - _USUAL_S, 0.0), _SLOWER_S)
+        whose = "poses disagree" if on_trial else "no pose"
+        if age_s > min(_SILENT_S + slower_s, self._lost_s):
+            return PoseHealth.LOST, f"{whose} for {age_s:.1f} s"
+        if rate_hz < _TOO_FEW_HZ:
+            return PoseHealth.LOST, f"{rate_hz:.0f} poses a second"
+        if on_trial or age_s > _LATE_S + slower_s:
+            return PoseHealth.DEGRADED, f"{whose} for {age_s:.1f} s"
+        if rate_hz < _FEW_HZ:
+            return PoseHealth.DEGRADED, f"{rate_hz:.0f} poses a second"
+        if not inertial:
+            return PoseHealth.DEGRADED, "no inertial samples"
+        mean = sum(self._surprises) / max(len(self._surprises), 1)
+        if len(self._surprises) == _SURPRISES and mean > _SURPRISE:
+            return PoseHealth.DEGRADED, f"poses and IMU disagree ({mean:.0f} for 6)"
+        return PoseHealth.GOOD, ""
+
+    def quality(self, health: PoseHealth, age_s: float, source: int) -> int:
+        """0 to 100: the source's and the health's, falling to 0 between 40 % and all of the time to lost."""
+        most = {PoseHealth.GOOD: 100, PoseHealth.DEGRADED: _DEGRADED_QUALITY, PoseHealth.LOST: _LOST_QUALITY}[health]
+        share = min(1.0, max(0.0, (self._lost_s - age_s) / (0.6 * self._lost_s)))
+        return min(most, math.ceil(source * share))
+
+    def _rate_hz(self) -> float:
+        """Poses in the newest second of poses; plenty before there was a second."""
+        if not self._stamps_s or self._stamps_s[-1] - self._since_s < _WINDOW_S:
+            return 1.0 / _USUAL_S
+        return len(self._stamps_s) / _WINDOW_S
