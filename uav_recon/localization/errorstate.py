@@ -136,7 +136,7 @@ def carry(state: Estimate, base: InertialState, here: InertialState, noise: Pose
     dt_s = here.stamp_s - base.stamp_s
     carried, dp, dv = _carry_mean(state, base, here)
     carrier = WITH_IMU if state.inertial else WITHOUT_IMU
-    turned = _matrix(state.odom_from_body(base))
+    turned = 0.5 * (_matrix(state.odom_from_body(base)) + _matrix(state.odom_from_body(here)))  # on the average
     transition = _EYE.copy()
     transition[_POSITION, _VELOCITY] = transition[_VELOCITY, _OFFSET] = dt_s * _I
     transition[_POSITION, _OFFSET] = 0.5 * dt_s * dt_s * _I
@@ -195,12 +195,16 @@ def _carry_mean(state: Estimate, base: InertialState, here: InertialState) -> tu
         bias[1] * dt - (taken1[1] - taken0[1]),
         bias[2] * dt - (taken1[2] - taken0[2]),
     )
-    tx, ty, tz = rotate(here.gyro_from_body, untaken)
-    halfway = multiply(state.odom_from_gyro, exponential((-0.5 * tx, -0.5 * ty, -0.5 * tz)))
-    odom_from_gyro = normalised(multiply(state.odom_from_gyro, exponential((-tx, -ty, -tz))))
+    (ax, ay, az), (bx, by, bz) = rotate(base.gyro_from_body, untaken), rotate(here.gyro_from_body, untaken)
+    turn = (-0.5 * (ax + bx), -0.5 * (ay + by), -0.5 * (az + bz))  # on the average, in the gyro frame
+    odom_from_gyro = normalised(multiply(state.odom_from_gyro, _part(turn, 1.0)))
+    while_faster, while_farther = (
+        multiply(state.odom_from_gyro, _part(turn, 1 / 2)),
+        multiply(state.odom_from_gyro, _part(turn, 1 / 3)),
+    )
     v0, v1, x0, x1 = base.velocity_integral, here.velocity_integral, base.position_integral, here.position_integral
-    dv = rotate(halfway, (v1[0] - v0[0], v1[1] - v0[1], v1[2] - v0[2]))
-    dp = rotate(halfway, (x1[0] - x0[0] - v0[0] * dt, x1[1] - x0[1] - v0[1] * dt, x1[2] - x0[2] - v0[2] * dt))
+    dv = rotate(while_faster, (v1[0] - v0[0], v1[1] - v0[1], v1[2] - v0[2]))
+    dp = rotate(while_farther, (x1[0] - x0[0] - v0[0] * dt, x1[1] - x0[1] - v0[1] * dt, x1[2] - x0[2] - v0[2] * dt))
     (px, py, pz), (vx, vy, vz), (cx, cy, cz) = state.position_m, state.velocity_mps, state.offset_mps2
     cz, half = cz - GRAVITY_MPS2, 0.5 * dt * dt
     carried = replace(
@@ -228,6 +232,10 @@ def _walk(dt: float, turned: FloatArray, carrier: Carrier, noise: PoseNoise) -> 
     out[_BIAS, _ATTITUDE] = out[_ATTITUDE, _BIAS].T
     out[_BIAS, _BIAS] = b * dt * _I
     return out
+
+
+def _part(turn: Vector, share: float) -> Quaternion:
+    return exponential((share * turn[0], share * turn[1], share * turn[2]))
 
 
 def _cross(v: Vector) -> FloatArray:

@@ -66,7 +66,8 @@ class Watch:
         return min(most, math.ceil(source * share))
 
     def _rate_hz(self) -> float:
-        """Poses in the newest second of poses; plenty before there was a second."""
+        """Of the poses of the newest second; plenty before there was a second."""
         if not self._stamps_s or self._stamps_s[-1] - self._since_s < _WINDOW_S:
             return 1.0 / _USUAL_S
-        return len(self._stamps_s) / _WINDOW_S
+        intervals, span_s = len(self._stamps_s) - 1, self._stamps_s[-1] - self._stamps_s[0]
+        return intervals / span_s if intervals else 1.0 / _WINDOW_S

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from uav_recon.localization.gates import Gates, Sighting, doubt, surprise, tether, unfit
+from uav_recon.types.pose import Pose, StampedPose
+
+GATES = Gates()
+POSE = StampedPose(10.0, Pose.identity(), np.zeros(3))
+
+
+def _residual(way_m: float = 0.0, turn_rad: float = 0.0) -> np.ndarray:
+    return np.array([0.0, way_m, 0.0, 0.0, 0.0, turn_rad])
+
+
+def _spread(sigma_m: float = 0.01, sigma_rad: float = 0.005) -> np.ndarray:
+    return np.diag([sigma_m**2] * 3 + [sigma_rad**2] * 3)
+
+
+@pytest.mark.parametrize(
+    ("way_m", "sigma_m", "word"),
+    [
+        (0.0999, 0.001, ""),  # below 0.10 m whatever the standard deviation
+        (0.1001, 0.001, "jump"),
+        (0.1001, 0.0333, "jump"),
+        (0.1499, 0.05, ""),  # within three standard deviations
+        (0.1501, 0.05, "jump"),
+        (0.4999, 1.0, ""),
+        (0.5001, 1.0, "jump"),  # whatever the standard deviation
+        (math.nan, 0.01, "jump"),
+    ],
+)
+def test_a_jump_is_absolute_and_by_standard_deviations(way_m: float, sigma_m: float, word: str) -> None:
+    assert GATES.leap(_residual(way_m), _spread(sigma_m=sigma_m)) == word
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "sigma_deg", "word"),
+    [(7.99, 0.1, ""), (8.01, 0.1, "turn"), (14.9, 5.0, ""), (15.1, 5.0, "turn"), (29.9, 60.0, ""), (30.1, 60.0, "turn")],
+)
+def test_a_turn_likewise(turn_deg: float, sigma_deg: float, word: str) -> None:
+    spread = _spread(sigma_rad=math.radians(sigma_deg))
+    assert GATES.leap(_residual(turn_rad=math.radians(turn_deg)), spread) == word
+
+
+def test_the_standard_deviation_counts_along_the_jump() -> None:
+    spread = np.diag([1.0, 1e-6, 1.0, 1e-6, 1e-6, 1e-6])
+    assert GATES.leap(_residual(0.3), spread) == "jump"
+    assert GATES.leap(np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]), spread) == ""
+
+
+@pytest.mark.parametrize(("way_m", "word"), [(0.299, ""), (0.301, "speed")])
+def test_two_metres_a_second_is_the_fastest_way(way_m: float, word: str) -> None:
+    before = Sighting(10.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), POSE)
+    after = Sighting(10.1, (way_m, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), POSE)
+    assert GATES.haste(before, after) == GATES.haste(after, before) == word
+
+
+@pytest.mark.parametrize(
+    ("pose", "word"),
+    [
+        (POSE, ""),
+        (replace(POSE, stamp_s=math.nan), "not finite"),
+        (replace(POSE, covariance=np.full((6, 6), math.inf)), "not finite"),
+        (replace(POSE, covariance=np.eye(3)), "not finite"),
+        (replace(POSE, quality=0), "quality"),
+        (replace(POSE, stamp_s=9.06), ""),
+        (replace(POSE, stamp_s=9.04), "stamp"),
+        (replace(POSE, stamp_s=10.059), ""),
+        (replace(POSE, stamp_s=10.061), "stamp"),
+    ],
+)
+def test_what_is_wrong_with_a_pose_by_itself(pose: StampedPose, word: str) -> None:
+    assert unfit(pose, now_s=10.05) == word
+
+
+def test_the_surprise_is_the_squared_distance_in_standard_deviations() -> None:
+    residual = np.array([0.02, 0.0, 0.0, 0.0, 0.01, 0.0])
+    assert surprise(residual, _spread()) == pytest.approx(4.0 + 4.0)
+
+
+def test_an_implausible_pose_counts_for_less_a_plausible_one_in_full() -> None:
+    assert doubt(6.0) == doubt(22.4) == 1.0
+    assert doubt(224.6) == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(("way_m", "track_m2"), [(0.01, 1e-4), (0.1, 1e-4), (0.4, 0.04), (0.05, 1.0)])
+def test_no_pose_moves_odometry_by_more_than_three_centimetres(way_m: float, track_m2: float) -> None:
+    white_m2 = 1.5e-5
+    times = tether(_residual(way_m), track_m2, white_m2)
+    step_m = way_m * track_m2 / (track_m2 + times * white_m2)
+    assert times >= 1.0
+    assert step_m <= 0.03 + 1e-12
+    if times > 1.0:
+        assert step_m == pytest.approx(0.03)

@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import pytest
+
+from uav_recon.localization.watch import Watch
+from uav_recon.types.pose import PoseHealth
+
+GOOD, DEGRADED, LOST = PoseHealth.GOOD, PoseHealth.DEGRADED, PoseHealth.LOST
+
+
+def _watch(rate_hz: float = 15.0, nis: float = 6.0, seconds: float = 3.0) -> Watch:
+    watch = Watch(pose_lost_s=0.5)
+    watch.begin(0.0)
+    for k in range(int(rate_hz * seconds)):
+        watch.fused(k / rate_hz, nis)
+    return watch
+
+
+@pytest.mark.parametrize(
+    ("age_s", "health", "why"),
+    [
+        (0.19, GOOD, ""),
+        (0.21, DEGRADED, "no pose for 0.2 s"),
+        (0.26, LOST, "no pose for 0.3 s"),
+        (5.0, LOST, "no pose for 5.0 s"),
+    ],
+)
+def test_silence_is_told_by_its_length(age_s: float, health: PoseHealth, why: str) -> None:
+    assert _watch().health(age_s, inertial=True, on_trial=False) == (health, why)
+
+
+@pytest.mark.parametrize(("rate_hz", "health"), [(30.0, GOOD), (8.5, GOOD), (7.0, DEGRADED), (4.5, DEGRADED), (3.0, LOST)])
+def test_few_poses_are_told_by_their_number(rate_hz: float, health: PoseHealth) -> None:
+    said, why = _watch(rate_hz).health(0.05, inertial=True, on_trial=False)
+    assert said is health
+    assert why == ("" if health is GOOD else why)
+    assert said is GOOD or why.endswith("poses a second")
+
+
+def test_the_usual_pause_between_few_poses_is_no_silence() -> None:
+    watch = _watch(5.0)
+    assert watch.health(0.30, inertial=True, on_trial=False)[1] == "5 poses a second"
+    assert watch.health(0.46, inertial=True, on_trial=False)[0] is LOST
+
+
+def test_the_first_second_is_not_held_against_the_source() -> None:
+    watch = _watch(15.0, seconds=0.2)
+    assert watch.health(0.05, inertial=True, on_trial=False) == (GOOD, "")
+
+
+def test_what_the_imu_does_not_bear_out_is_degraded() -> None:
+    assert _watch(nis=14.0).health(0.05, inertial=True, on_trial=False)[0] is GOOD
+    health, why = _watch(nis=40.0).health(0.05, inertial=True, on_trial=False)
+    assert (health, why) == (DEGRADED, "poses and IMU disagree (40 for 6)")
+
+
+def test_refused_poses_are_told_as_such() -> None:
+    assert _watch().health(0.1, inertial=True, on_trial=True) == (DEGRADED, "poses disagree for 0.1 s")
+    assert _watch().health(0.4, inertial=True, on_trial=True) == (LOST, "poses disagree for 0.4 s")
+
+
+def test_no_imu_is_no_witness() -> None:
+    assert _watch().health(0.1, inertial=False, on_trial=False) == (DEGRADED, "no inertial samples")
+
+
+@pytest.mark.parametrize(
+    ("health", "age_s", "source", "quality"),
+    [
+        (GOOD, 0.1, 100, 100),
+        (GOOD, 0.1, 30, 30),
+        (DEGRADED, 0.1, 100, 60),
+        (LOST, 0.3, 100, 20),
+        (LOST, 0.5, 100, 0),
+        (LOST, 9.0, 100, 0),
+    ],
+)
+def test_quality_is_the_least_of_source_health_and_age(health: PoseHealth, age_s: float, source: int, quality: int) -> None:
+    assert _watch().quality(health, age_s, source) == quality
