@@ -27,6 +27,7 @@ class World:
     clock: ManualClock
     late_s: float = 0.06
     poses_until_s: float = 1e9
+    moved_from_s: float = 1e9  # from then on the source's map is half a metre off
     frame_stamp_shift_s: float = 0.0
     _frame: int = 0
     _pose: int = 0
@@ -59,7 +60,8 @@ class World:
             stamp_s = MOTION.start_s + self._pose / 15
             self._pose += 1
             if stamp_s < self.poses_until_s:
-                out.append(StampedPose(stamp_s, MOTION.pose(stamp_s), np.zeros(3)))
+                moved = Pose.from_yaw(0.0, np.array([0.5 * (stamp_s >= self.moved_from_s), 0.0, 0.0]))
+                out.append(StampedPose(stamp_s, moved @ MOTION.pose(stamp_s), np.zeros(3)))
         return out
 
     def close(self) -> None: ...
@@ -136,6 +138,22 @@ def test_without_poses_quality_falls_and_then_nothing_is_said(world: World) -> N
     assert qualities[-1][1] == 0
     assert 0.5 < qualities[-1][0] < 0.54
     assert max(at_s for at_s, _ in seen.frames) < last_pose_s + 0.75
+
+
+def test_a_source_that_moves_its_map_is_felt_by_no_map_and_no_autopilot(world: World) -> None:
+    world.moved_from_s = MOTION.start_s + 2.0
+    _perception, seen = _run(world)
+    assert [odom.correction.epoch for odom in seen.odom][-1] == 1
+    np.testing.assert_allclose(seen.odom[-1].correction.world_from_odom.translation_m, [0.5, 0.0, 0.0], atol=0.02)
+    assert {odom.reset_counter for odom in seen.odom} == {0}
+    assert {posed.map_epoch for _, posed in seen.frames} == {0}
+    late = [(odom.stamp_s, odom.odom_from_body) for odom in seen.odom if odom.stamp_s > MOTION.start_s + 1.0]
+    assert max(float(np.linalg.norm(pose.translation_m - MOTION.position(t))) for t, pose in late) < 0.03
+    frames = [posed for at_s, posed in seen.frames if at_s > world.moved_from_s + 0.5]
+    assert len(frames) > 15
+    for posed in frames:
+        truth = MOTION.pose(posed.frame.stamp_s) @ BODY_FROM_DEPTH
+        np.testing.assert_allclose(posed.world_from_depth.matrix(), truth.matrix(), atol=0.02)
 
 
 def test_frames_with_impossible_stamps_are_dropped(world: World) -> None:

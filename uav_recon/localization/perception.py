@@ -20,7 +20,7 @@ _WAITING_FRAMES = 4  # at 15 Hz more than the longest wait
 class Perception:
     """Holds the order of things; call step() at about 100 Hz. One step costs about 1 ms and never blocks.
 
-    Odometry is published at rate_hz, stamped now. When no pose came for the filter's pose_lost_s, a last one with quality 0
+    Odometry is published at rate_hz, stamped now, with its health and odom's place in the world. When no pose came for the filter's pose_lost_s, a last one with quality 0
     is published and then none, until poses come again. A frame waits until a pose at or after its stamp was fused, or
     frame_wait_s; one whose own pose is not known is dropped. What is near in it is published at once, pose or no pose.
     ``published_odom``, ``published_frames`` and
@@ -96,6 +96,7 @@ class Perception:
         if estimate is None or estimate.quality == 0 or body_from_depth is None:
             self.dropped_frames += 1
             return
-        world_from_depth = estimate.odom_from_body @ body_from_depth  # world_from_odom is identity: map epoch 0
-        self._frames.publish(PosedFrame(frame, world_from_depth, estimate.map_epoch))
+        # maps live in odom, which never jumps: what is near fits what was mapped a moment ago, whatever the source corrects.
+        # The mission would have to re-pose its keyframes by estimate.correction before it could map in the world.
+        self._frames.publish(PosedFrame(frame, estimate.odom_from_body @ body_from_depth, estimate.map_epoch))
         self.published_frames += 1
