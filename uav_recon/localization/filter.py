@@ -30,7 +30,7 @@ from uav_recon.localization.attitude import (
     normalised,
     rotate,
 )
-from uav_recon.localization.errorstate import Estimate, PoseNoise, carry, carry_mean, correct, innovation, spread
+from uav_recon.localization.errorstate import WHITE_SHARE, Estimate, PoseNoise, carry, carry_mean, correct, innovation, spread
 from uav_recon.localization.gates import Gates, Sighting, doubt, same_stamp, surprise, tether, unfit
 from uav_recon.localization.trial import RETURN, STEP, Trial
 from uav_recon.localization.watch import Watch
@@ -313,5 +313,5 @@ def _towards(here: Vector, end: Vector, goal: Vector, share: float) -> Vector:
 def _with_drift(covariance: FloatArray, claimed: FloatArray) -> FloatArray:
     """Covariance (6, 6) of position and rotation vector: the filter's own, and what the source may have drifted."""
     seen = [0, 1, 2, 6, 7, 8]
-    out: FloatArray = covariance[np.ix_(seen, seen)] + np.diag(np.diagonal(claimed))
+    out: FloatArray = covariance[np.ix_(seen, seen)] + (1.0 - WHITE_SHARE) * np.diag(np.diagonal(claimed))
     return out
