@@ -22,8 +22,8 @@ class Perception:
 
     Odometry is published at rate_hz, stamped now, with its health and odom's place in the world. When no pose came for the
     filter's pose_lost_s, a last one with quality 0 is published and then none, until poses come again. A frame waits until a
-    pose at or after its stamp was fused, or frame_wait_s; one whose own pose is not known is dropped. What is near in it is published
-    at once, pose or no pose. ``published_odom``, ``published_frames`` and ``dropped_frames`` count.
+    pose at or after its stamp was fused, or frame_wait_s; one whose own pose is not known is dropped. What is near in it
+    is published at once, pose or no pose. ``published_odom``, ``published_frames`` and ``dropped_frames`` count.
     """
 
     def __init__(
