@@ -1,0 +1,149 @@
+"""The processes of a flight in real time: started, watched, asked to land, ended, and never left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from sitl.fly_progress import Screen
+from sitl.leash import leashed
+from uav_recon import run
+from uav_recon.types.vehicle import FlightPhase
+
+READY_TIMEOUT_S = 240.0
+LANDING_S = 300.0  # from the first Ctrl-C to the mission's end, model and report included; as its service has it
+NICENESS = {"world": -5, "pilot": -10, "perception": -5, "mission": 0}
+GRACE_S = {"mission": 90.0, "pilot": 20.0, "perception": 5.0, "world": 20.0}  # to land, to save; in this order
+EXIT_INTERRUPTED = 130
+NOT_FLOWN = "ended before the take-off"
+_ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY)
+
+
+@dataclass
+class _Child:
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def last_words(self) -> str:
+        """Why it ended: the signal, or the last line it left on stderr."""
+        code = self.process.returncode
+        if code is not None and code < 0:
+            return f"killed by {signal.Signals(-code).name}"
+        lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
+        return lines[-1].strip() if lines else f"exit code {code} and no message"
+
+
+class Children:
+    """World, pilot, perception and mission of one flight, by their command lines.
+
+    Each leads a session of its own, so Ctrl-C reaches only this launcher; and each is on a leash, so none outlives it. What
+    a child starts itself ends with that child.
+    """
+
+    def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path, console: Console) -> None:
+        self._commands, self._logs, self._runtime, self._console = commands, logs, runtime, console
+        self._wires = run.file_wires(runtime)
+        self._children: list[_Child] = []
+        self._interrupts, self._given_up = 0, False
+        self._patience_s = float("inf")  # until this instant, once it was interrupted
+
+    def fly(self) -> str | None:
+        """Fly; returns the fault in one line, None for none. SIGINT and SIGTERM land, a second one ends all at once; before
+        the take-off the first one does, and raises run.Failure.
+        """
+        before = signal.signal(signal.SIGINT, self._interrupt), signal.signal(signal.SIGTERM, self._interrupt)
+        try:
+            for name, command in self._commands.items():
+                self._start(name, command)
+            fault = self._watch()
+            self._land_remaining()
+            return fault
+        finally:
+            self._end_all()
+            signal.signal(signal.SIGINT, before[0])
+            signal.signal(signal.SIGTERM, before[1])
+
+    def _start(self, name: str, command: list[str]) -> None:
+        log = self._logs / f"{name}.log"
+        with log.open("wb") as out:
+            process = subprocess.Popen(  # noqa: S603 - our own programs
+                leashed(command), stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, start_new_session=True
+            )
+        with contextlib.suppress(PermissionError):  # as the services have it, and as a flight controller is: if we may
+            os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS[name])
+        with contextlib.suppress(OSError):  # where the kernel weighs whole sessions and not processes: sched(7), autogroup
+            Path(f"/proc/{process.pid}/autogroup").write_text(str(NICENESS[name]), encoding="ascii")
+        self._children.append(_Child(name, process, log))
+
+    def _watch(self) -> str | None:
+        deadline_s = time.monotonic() + READY_TIMEOUT_S
+        with Screen(self._console, self._wires) as screen:
+            while True:
+                mission = self._child("mission")
+                if mission.process.poll() is not None:
+                    return None if mission.process.returncode == 0 else f"mission died: {mission.last_words()}"
+                for child in self._children:
+                    if child.process.poll() is not None:
+                        return f"{child.name} died: {child.last_words()}"
+                if self._given_up:
+                    raise run.Failure(NOT_FLOWN, EXIT_INTERRUPTED)
+                if time.monotonic() > self._patience_s:
+                    return f"the mission did not end within {LANDING_S:.0f} s"
+                if not screen.show() and time.monotonic() > deadline_s:
+                    return f"not ready after {READY_TIMEOUT_S:.0f} s; see {self._logs}"
+                time.sleep(0.2)
+
+    def _grounded(self) -> bool:
+        """Whether it has not flown yet: nothing to land, nothing to save."""
+        vehicle = self._wires.vehicle.latest()
+        return vehicle is None or vehicle.phase in _ON_THE_GROUND
+
+    def _child(self, name: str) -> _Child:
+        return next(child for child in self._children if child.name == name)
+
+    def _interrupt(self, number: int, _: object) -> None:
+        self._interrupts += 1
+        if self._interrupts > 1:
+            self._kill_all()
+            shutil.rmtree(self._runtime, ignore_errors=True)
+            os._exit(EXIT_INTERRUPTED)
+        if self._grounded():
+            self._given_up = True
+            return
+        self._patience_s = time.monotonic() + LANDING_S
+        for child in self._children:
+            if child.name == "mission" and child.process.poll() is None:
+                child.process.send_signal(signal.SIGTERM)
+        self._console.print("[yellow]landing; press Ctrl-C again to end everything at once[/]")
+
+    def _land_remaining(self) -> None:
+        """Whatever ended the watch, the vehicle comes down, the mission saves its model and the world its truth."""
+        for name, grace_s in GRACE_S.items():
+            child = self._child(name)
+            if child.process.poll() is None:
+                child.process.terminate()
+            try:
+                child.process.wait(grace_s)
+            except subprocess.TimeoutExpired:
+                self._console.print(f"[red]{name} did not end within {grace_s:.0f} s[/]")
+
+    def _end_all(self) -> None:
+        self._kill_all()
+        for child in self._children:
+            child.process.wait()
+
+    def _kill_all(self) -> None:
+        for child in self._children:  # a child leads its session: its own children go with it
+            try:
+                os.killpg(child.process.pid, signal.SIGKILL)
+            except ProcessLookupError:
+                continue

@@ -1,0 +1,167 @@
+"""The launcher of a flight in real time, with short programs in place of world, pilot, perception and mission."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uav_recon.run import file_wires
+from uav_recon.types.pose import Pose
+from uav_recon.types.vehicle import FlightPhase, VehicleState
+
+PATIENCE_S = 30.0
+
+# Says its pid and its child's, and minds neither SIGTERM nor SIGINT.
+STUBBORN = """
+    import os, signal, subprocess, sys
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    child = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE)
+    os.write(int(sys.argv[1]), f"{os.getpid()} {child.pid}\\n".encode())
+    child.wait()
+"""
+
+# As the mission: SIGTERM ends it in order.
+ORDERLY = """
+    import os, signal, sys
+    def end(number, frame):
+        os.write(int(sys.argv[1]), b"landed\\n")
+        sys.exit(0)
+    signal.signal(signal.SIGTERM, end)
+    os.write(int(sys.argv[1]), f"{os.getpid()}\\n".encode())
+    while True:
+        signal.pause()
+"""
+
+LAUNCHER = """
+    import sys
+    from pathlib import Path
+    from rich.console import Console
+    from sitl import fly_children
+    from sitl.leash import leashed
+    from uav_recon import run
+
+    def through(command):  # the launcher keeps no pipe open but these programs tell us of themselves
+        return ["/bin/sh", "-c", 'exec "$@" ' + sys.argv[2] + '> ' + sys.argv[3], "sh", *command, sys.argv[2]]
+
+    folder, stubborn, orderly = Path(sys.argv[1]), sys.argv[4], sys.argv[5]
+    commands = {name: through([sys.executable, "-c", stubborn]) for name in ("world", "pilot", "perception")}
+    commands["mission"] = through([sys.executable, "-c", orderly])
+    fly_children.GRACE_S = dict.fromkeys(fly_children.GRACE_S, 0.2)
+    try:
+        fault = fly_children.Children(commands, folder, folder, Console()).fly()
+    except run.Failure as failure:
+        print(failure)
+        sys.exit(failure.code)
+    print(f"fault: {fault}")
+"""
+
+
+class Flight:
+    """A launcher with its four children running."""
+
+    def __init__(self, folder: Path) -> None:
+        fifo = folder / "words"
+        os.mkfifo(fifo)
+        self._words = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
+        sources = [textwrap.dedent(source) for source in (LAUNCHER, STUBBORN, ORDERLY)]
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", sources[0], str(folder), "9", str(fifo), *sources[1:]], stdout=subprocess.PIPE, text=True
+        )
+        self._heard = ""
+        self.pids = {int(pid) for line in self.lines(4) for pid in line.split()}
+        assert len(self.pids) == 7
+
+    def lines(self, count: int) -> list[str]:
+        """What the children have said, once it is so many lines."""
+        while self._heard.count("\n") < count:
+            assert select.select([self._words], [], [], PATIENCE_S)[0], self._heard
+            self._heard += os.read(self._words, 4096).decode()
+        return self._heard.splitlines()
+
+    def end(self) -> str:
+        return self.process.communicate(timeout=PATIENCE_S)[0]
+
+    def left(self) -> set[int]:
+        """The children that are still there after a while: the pipe into which they speak ends with the last of them."""
+        while select.select([self._words], [], [], 2.0)[0] and (data := os.read(self._words, 4096)):
+            self._heard += data.decode()
+        return {pid for pid in self.pids if _alive(pid)}
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+        for pid in filter(_alive, self.pids):
+            os.kill(pid, signal.SIGKILL)
+        os.close(self._words)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.fixture()
+def launch(tmp_path: Path) -> Iterator[Callable[[], Flight]]:
+    flights: list[Flight] = []
+
+    def start() -> Flight:
+        flights.append(Flight(tmp_path))
+        return flights[-1]
+
+    yield start
+    for flight in flights:
+        flight.close()
+
+
+def say(folder: Path, phase: FlightPhase) -> None:
+    """As the pilot does."""
+    state = VehicleState(1.0, Pose.identity(), np.zeros(3), True, "OFFBOARD", phase, 0.9, False, float("nan"), -1, 0, "")
+    file_wires(folder).vehicle.publish(state)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_before_the_take_off_a_signal_ends_everything(launch: Callable[[], Flight], number: signal.Signals) -> None:
+    flight = launch()
+    flight.process.send_signal(number)
+    assert flight.end().splitlines()[-1] == "ended before the take-off"
+    assert flight.process.returncode == 130
+    assert flight.left() == set()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_in_flight_a_signal_lands_and_then_ends_everything(
+    launch: Callable[[], Flight], tmp_path: Path, number: signal.Signals
+) -> None:
+    say(tmp_path, FlightPhase.FLYING)
+    flight = launch()
+    flight.process.send_signal(number)
+    said = flight.end()
+    assert "landing; press Ctrl-C again" in said
+    assert said.splitlines()[-1] == "fault: None"
+    assert flight.lines(5)[4] == "landed"
+    assert flight.left() == set()
+
+
+def test_a_launcher_that_is_killed_leaves_nothing(launch: Callable[[], Flight], tmp_path: Path) -> None:
+    say(tmp_path, FlightPhase.FLYING)
+    flight = launch()
+    flight.process.kill()
+    flight.end()
+    assert flight.left() == set()
+
+
+def test_a_program_whose_parent_is_gone_does_not_start() -> None:
+    alone = subprocess.run([sys.executable, "-m", "sitl.leash", "1", "echo", "here"], capture_output=True, check=False)
+    assert (alone.returncode, alone.stdout) == (1, b"")
