@@ -76,3 +76,14 @@ def test_a_port_in_use_is_one_line(config: Path) -> None:
     assert process.returncode == 1
     assert len(said.splitlines()) == 1
     assert str(port) in said
+
+
+def test_the_recorder_ends_with_the_mission_that_started_it_even_if_that_was_before_it_looked(config: Path) -> None:
+    command = [sys.executable, "-m", "uav_recon.cli", "record", "--config", str(config), "--flight", str(config.parent / "f")]
+    recorder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert recorder.stdin is not None
+    recorder.stdin.close()
+    assert recorder.wait(60) == 0
+    assert recorder.stderr is not None
+    assert recorder.stderr.read() == ""
+    recorder.stderr.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -163,9 +164,8 @@ def record(config_path: Path, flight: Path | None) -> int:
     """Subscribe to the channels and write down what they say until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires = run.file_wires(config.runtime.folder)
-    parent = os.getppid()
     recorder = run.make_recorder(config, wires, flight_folder(config, flight), clock)
-    _loop(recorder.step, RECORDER_RATE_HZ, clock, lambda: stop.asked or os.getppid() != parent)
+    _loop(recorder.step, RECORDER_RATE_HZ, clock, lambda: stop.asked or _hung_up(sys.stdin.fileno()))
     recorder.close()
     return 0
 
@@ -193,7 +193,14 @@ def _loop(step: Callable[[], None], rate_hz: float, clock: MonotonicClock, done:
 
 def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "uav_recon.cli", "record", "--config", str(config_path), "--flight", str(folder)]
-    return subprocess.Popen(["nice", "-n", "10", *command], stdin=subprocess.DEVNULL)  # noqa: S603, S607 - our own program
+    return subprocess.Popen(["nice", "-n", "10", *command], stdin=subprocess.PIPE)  # noqa: S603, S607 - our own program
+
+
+def _hung_up(pipe: int) -> bool:
+    """Whether nobody holds the other end any more: whoever started us is gone. Never of a terminal or /dev/null."""
+    poll = select.poll()
+    poll.register(pipe, 0)  # a hang-up is told in any case
+    return bool(poll.poll(0))
 
 
 def _stop_recorder(recorder: subprocess.Popen[bytes]) -> None:
