@@ -23,9 +23,12 @@ ALLOWED = {
     "evaluation": {"types", "geometry", "evaluation"},
     "notify": set(),
 }
-ROOTS = {"run", "processes", "refine", "bench", "cli"}
+ROOTS = {"run", "processes", "refine", "params", "bench", "cli", "cli_exit", "cli_params"}
 ROOT_IMPORTS = {
-    "cli": {"run", "processes", "refine", "bench"},
+    "cli": {"run", "processes", "refine", "bench", "cli_exit", "cli_params"},
+    "cli_exit": {"run"},
+    "cli_params": {"params", "cli_exit"},
+    "params": {*ALLOWED, "run"},
     "run": set(ALLOWED),
     "refine": {*ALLOWED, "run", "processes"},
     "bench": {*ALLOWED, "run", "bench"},

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from uav_recon import processes, run
+from uav_recon import processes
+from uav_recon.cli_exit import exit_with
+from uav_recon.cli_params import params
 
 app = typer.Typer(
     add_completion=False,
@@ -21,6 +21,7 @@ app = typer.Typer(
 
 bench = typer.Typer(no_args_is_help=True, help="Measure this software on this machine.")
 app.add_typer(bench, name="bench")
+app.add_typer(params, name="params")
 
 ConfigOption = Annotated[Path, typer.Option("--config", help="TOML config; see systemd/config.toml for every key.")]
 FlightOption = Annotated[
@@ -94,7 +95,7 @@ def sim(
     """
     from sitl.fly import SimOptions, simulate
 
-    _exit(
+    exit_with(
         lambda: simulate(
             SimOptions.parse(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
@@ -133,7 +134,7 @@ def sweep(
     from sitl.fly_sweep import SweepOptions
     from sitl.fly_sweep import sweep as fly_all
 
-    _exit(
+    exit_with(
         lambda: fly_all(
             SweepOptions.parse(
                 flights=flights, seed0=seed0, scenes=scenes, radii=radii, variants=variants, mount=mount, camera=camera,
@@ -163,37 +164,37 @@ def faults(
     from sitl.fly_faults import FaultOptions
     from sitl.fly_faults import faults as fly_all
 
-    _exit(lambda: fly_all(FaultOptions.parse(only=only, autopilot=autopilot, seeds=seeds, jobs=jobs, json=json, out=out)))
+    exit_with(lambda: fly_all(FaultOptions.parse(only=only, autopilot=autopilot, seeds=seeds, jobs=jobs, json=json, out=out)))
 
 
 @app.command()
 def pilot(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
     """The process next to the autopilot: the only MAVLink link, the guard, the setpoint stream."""
-    _exit(lambda: processes.pilot(config, flight))
+    exit_with(lambda: processes.pilot(config, flight))
 
 
 @app.command()
 def perception(config: ConfigOption = Path("/etc/uav_recon/config.toml")) -> None:
     """The process next to the camera: frames, poses, steady odometry."""
-    _exit(lambda: processes.perception(config))
+    exit_with(lambda: processes.perception(config))
 
 
 @app.command()
 def mission(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
     """The process that decides: voxels, planner, state machine, with the mapper and the recorder as children."""
-    _exit(lambda: processes.mission(config, flight))
+    exit_with(lambda: processes.mission(config, flight))
 
 
 @app.command(hidden=True)
 def record(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: FlightOption = None) -> None:
     """The recorder, started by the mission: reads the channels, writes flight.rrd."""
-    _exit(lambda: processes.record(config, flight))
+    exit_with(lambda: processes.record(config, flight))
 
 
 @app.command()
 def review(flight: Annotated[Path, typer.Argument(help="A flight folder.")]) -> None:
     """Open a flight in the rerun viewer: map, path, model, camera and figures on one timeline."""
-    _exit(lambda: processes.review(flight))
+    exit_with(lambda: processes.review(flight))
 
 
 @app.command()
@@ -215,7 +216,7 @@ def refine(
     from uav_recon import refine as refinement
 
     wanted = refinement.RefineOptions(flight, steps, voxel, device, processes, save_every)
-    _exit(lambda: refinement.refine(wanted))
+    exit_with(lambda: refinement.refine(wanted))
 
 
 @bench.command("planner")
@@ -232,7 +233,7 @@ def bench_planner(
     """What a frame costs from fusion to tour, and how good the answers are; all on one thread."""
     from uav_recon.bench import planner as bench_of_planner
 
-    _exit(lambda: bench_of_planner.bench_planner(stream, size, stride, scale, json))
+    exit_with(lambda: bench_of_planner.bench_planner(stream, size, stride, scale, json))
 
 
 @bench.command("tasks")
@@ -243,7 +244,7 @@ def bench_tasks(
     """What it costs to find views of the learned surface, along a flight that was flown; all on one thread."""
     from uav_recon.bench import tasks
 
-    _exit(lambda: tasks.bench_tasks(flight, json))
+    exit_with(lambda: tasks.bench_tasks(flight, json))
 
 
 @bench.command("mapper")
@@ -280,7 +281,7 @@ def bench_mapper(
     """
     from uav_recon.bench import mapper as bench_of_mapper
 
-    _exit(
+    exit_with(
         lambda: bench_of_mapper.bench_mapper(
             bench_of_mapper.MapperBench(
                 scene, views, camera, depth_noise, mount, pose_noise, steps_per_view, seed, device, json, exposure
@@ -313,7 +314,7 @@ def bench_endurance(
     wanted = bench_of_mapper.MapperBench(
         scene, views, camera, depth_noise, "fixed:15", "0,0", steps_per_view, seed, "cpu", json
     )
-    _exit(lambda: bench_of_endurance.bench_endurance(wanted, hours, period_s))
+    exit_with(lambda: bench_of_endurance.bench_endurance(wanted, hours, period_s))
 
 
 @bench.command("uncertainty")
@@ -353,16 +354,7 @@ def bench_uncertainty(
         )
         return bench_of_uncertainty.bench_uncertainty(wanted, views)
 
-    _exit(measure)
-
-
-def _exit(work: Callable[[], Any]) -> None:
-    try:
-        code = work()
-    except run.Failure as failure:
-        print(f"uav-recon: {failure}", file=sys.stderr)
-        raise typer.Exit(failure.code) from None
-    raise typer.Exit(code or 0)
+    exit_with(measure)
 
 
 def main() -> None:

@@ -111,6 +111,7 @@ class LinkConfig(Section):
 
     autopilot: Literal["px4", "ardupilot"] = "px4"  # firmware personality
     url: str = "udp:127.0.0.1:14540"  # udp:HOST:PORT (listens there) or serial:DEVICE:BAUD
+    parameters: Path | None = None  # file of what the vehicle must have; unset: that of firmware_params/ for this autopilot
     setpoint_rate_hz: Annotated[float, Field(ge=10.0, le=100.0)] = 30.0  # setpoints on the wire
     origin_lat_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.3977  # origin handed to the autopilot
     origin_lon_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 8.5456  # any place will do indoors

@@ -23,6 +23,9 @@ from uav_recon.types.trajectory import Intent
 from uav_recon.types.vehicle import MissionProgress, VehicleState
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
+    from uav_recon.autopilot.parameter_check import ParameterCheck
+    from uav_recon.autopilot.parameters import NumberForm
+    from uav_recon.autopilot.personality import Personality
     from uav_recon.autopilot.pilot import Pilot
     from uav_recon.autopilot.tlog import FrameLog
     from uav_recon.localization.perception import Perception
@@ -117,11 +120,9 @@ def load_config(path: Path) -> Config:
 
 def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, clock: Clock) -> Pilot:
     """The loop next to the autopilot."""
-    from uav_recon.autopilot.ardupilot import ARDUPILOT
     from uav_recon.autopilot.briefing import Origin
     from uav_recon.autopilot.pilot import Airframe, PilotChannels
     from uav_recon.autopilot.pilot import make_pilot as wire_pilot
-    from uav_recon.autopilot.px4 import PX4
     from uav_recon.safety.guard import Bounds, Guard
     from uav_recon.safety.ladder import Patience
     from uav_recon.safety.proximity import Margins
@@ -143,8 +144,32 @@ def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, cloc
     origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
     gimbal = config.camera.mount == "gimbal"
     airframe = Airframe(safety.vehicle_radius_m, safety.vehicle_height_m, config.mission.takeoff_height_m, gimbal)
-    firmware, rate_hz = {"px4": PX4, "ardupilot": ARDUPILOT}[config.link.autopilot], config.link.setpoint_rate_hz
-    return wire_pilot(link, firmware, guard, sight, patience, channels, clock, origin, airframe, rate_hz, log)
+    (personality, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
+    parameters = make_parameter_check(config)
+    return wire_pilot(
+        link, personality, guard, sight, patience, channels, clock, origin, airframe, rate_hz, log, parameters
+    )  # fmt: skip
+
+
+def firmware(name: str) -> tuple[Personality, NumberForm]:
+    """What px4 or ardupilot is: its rules, and how it tells its parameters."""
+    from uav_recon.autopilot.ardupilot import ARDUPILOT
+    from uav_recon.autopilot.parameters import BYTEWISE, NUMERIC
+    from uav_recon.autopilot.px4 import PX4
+
+    return {"px4": (PX4, BYTEWISE), "ardupilot": (ARDUPILOT, NUMERIC)}[name]
+
+
+def make_parameter_check(config: Config) -> ParameterCheck:
+    """What the vehicle must have before it is armed. Raises Failure with exit code 78 for a file that cannot be used."""
+    from uav_recon.autopilot.parameter_check import ParameterCheck
+    from uav_recon.autopilot.parameter_file import PARAMETER_FILES, ParameterFileError, load
+
+    try:
+        wanted = load(config.link.parameters or PARAMETER_FILES[config.link.autopilot])
+    except ParameterFileError as error:
+        raise Failure(f"link.parameters: {error}", EXIT_CONFIG) from None
+    return ParameterCheck(wanted, firmware(config.link.autopilot)[1])
 
 
 def _envelope(config: Config) -> Envelope:

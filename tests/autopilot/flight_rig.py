@@ -17,6 +17,7 @@ from sitl.px4 import Px4
 from sitl.transport import ByteEnd, pipe
 from sitl.vehicle import Quadrotor
 from uav_recon.autopilot.briefing import Origin
+from uav_recon.autopilot.parameter_check import ParameterCheck
 from uav_recon.autopilot.personality import Personality
 from uav_recon.autopilot.pilot import Airframe, Pilot, PilotChannels, make_pilot
 from uav_recon.autopilot.px4 import PX4
@@ -47,6 +48,7 @@ BOUNDS = Bounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4))
 AIRFRAME = Airframe(hull_radius_m=0.2, hull_height_m=0.2, hover_height_m=1.1)
 GRID = GridSpec(np.array([-4.0, -4.0, -1.0]), 0.1, (100, 80, 40))
 BODY_FROM_DEPTH = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
+ORIGIN = Origin(47.3977, 8.5456, 488.0)
 MODE, ARM = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 
 
@@ -88,6 +90,7 @@ class Rig:
     """One flight. The mission is whoever calls fly(), land() and silent()."""
 
     firmware: Personality = PX4
+    parameters: ParameterCheck | None = None
 
     def __init__(self, seed: int = 1, start: tuple[float, float, float] = (0.0, 0.0, 0.0), log: FrameLog | None = None) -> None:
         self.clock = ManualClock(100.0)
@@ -122,9 +125,9 @@ class Rig:
         """As a process that starts now."""
         sight = Sight(10.0, AIRFRAME.hull_radius_m)
         self.guard = Guard(ENVELOPE, BOUNDS, sight)
-        origin = Origin(47.3977, 8.5456, 488.0)
         return make_pilot(
-            self.tap, self.firmware, self.guard, sight, PATIENCE, self.channels, self.clock, origin, AIRFRAME, log=log
+            self.tap, self.firmware, self.guard, sight, PATIENCE, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,
+            parameters=self.parameters,
         )  # fmt: skip
 
     def publish_free(self) -> None:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from uav_recon.autopilot.link import Link
+from uav_recon.autopilot.parameter_check import NoParameterCheck, ParameterCheck
 
 _AGAIN_S = 2.0
 
@@ -22,18 +23,18 @@ class Origin:
 class Briefing:
     """Asks again every two seconds for as long as something is missing."""
 
-    def __init__(self, link: Link, origin: Origin, gimbal: bool) -> None:
-        self._link, self._origin, self._gimbal = link, origin, gimbal
+    def __init__(self, link: Link, origin: Origin, gimbal: bool, parameters: ParameterCheck | NoParameterCheck) -> None:
+        self._link, self._origin, self._gimbal, self._parameters = link, origin, gimbal, parameters
         self._asked_s = -math.inf
 
     def missing(self, now_s: float) -> str:
-        """What is still missing before arming, '' for nothing."""
-        t = self._link.telemetry
+        """What is still missing before arming, '' for nothing. Parameters are read back beside everything else."""
+        t, parameters = self._link.telemetry, self._parameters.missing(now_s, self._link)
         missing = self._link.firmware.missing_for_arming(t, self._link.time_known, now_s)
         if missing and t.system != 0 and now_s - self._asked_s >= _AGAIN_S:
             self._asked_s = now_s
             self._ask(now_s)
-        return (t.failure or missing) if missing else ""
+        return (t.failure or missing) if missing else parameters
 
     def _ask(self, now_s: float) -> None:
         t, firmware = self._link.telemetry, self._link.firmware

@@ -15,6 +15,7 @@ from uav_recon.autopilot.messages import (
     LocalPosition,
     Message,
     OriginSet,
+    ParameterValue,
     Received,
     StatusText,
     SystemStatus,
@@ -59,6 +60,7 @@ class Link:
         self._decoder, self._encoder = Decoder(), Encoder(system, component)
         self._timesync = TimeSyncFilter()
         self._heartbeat, self._sync, self._gimbal = (RateKeeper(rate, start_s) for rate in _CHATTER_S)
+        self._asked_parameters: set[str] = set()
         self.telemetry = Telemetry()
 
     @property
@@ -123,6 +125,15 @@ class Link:
         """Hand the autopilot a geographic origin."""
         self._send(self._encoder.origin(self.telemetry.system, lat_deg, lon_deg, alt_m), now_s)
 
+    def ask_parameter(self, now_s: float, name: str) -> None:
+        """PARAM_REQUEST_READ; from now on telemetry holds the newest value that is told of this parameter."""
+        self._asked_parameters.add(name)
+        self._send(self._encoder.parameter_request(self.telemetry.system, name), now_s)
+
+    def set_parameter(self, now_s: float, value: ParameterValue) -> None:
+        """PARAM_SET. Nobody but a person's own command may ask for it."""
+        self._send(self._encoder.parameter_set(self.telemetry.system, value), now_s)
+
     def wait(self, timeout_s: float) -> None:
         """Block until bytes are there or the time is over."""
         self._bytes.wait(timeout_s)
@@ -176,6 +187,9 @@ class Link:
                 t.warning = message.text if message.severity <= _WARNING else t.warning
             case GimbalAttitude():
                 t.camera_pitch_down_rad = message.pitch_down_rad
+            case ParameterValue():
+                if message.name in self._asked_parameters:
+                    t.parameters[message.name] = message
             case Ack():
                 t.refused_command = message.command if message.result not in (0, 5) else t.refused_command
 
@@ -193,3 +207,4 @@ class Link:
         if self._timesync.restarts > self.telemetry.reboots:
             self.telemetry.reboots = self._timesync.restarts
             self.telemetry.origin_known = self.telemetry.estimator_good = self.telemetry.prearm_good = False
+            self.telemetry.parameters.clear()

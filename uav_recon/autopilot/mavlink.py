@@ -23,6 +23,7 @@ from uav_recon.autopilot.messages import (
     LocalPosition,
     Message,
     OriginSet,
+    ParameterValue,
     Received,
     StatusText,
     SystemStatus,
@@ -154,6 +155,16 @@ class Encoder:
             )
         )
 
+    def parameter_request(self, target: int, name: str) -> bytes:
+        """PARAM_REQUEST_READ by name."""
+        return self._pack(wire.MAVLink_param_request_read_message(target, wire.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1))
+
+    def parameter_set(self, target: int, value: ParameterValue) -> bytes:
+        """PARAM_SET."""
+        return self._pack(
+            wire.MAVLink_param_set_message(target, wire.MAV_COMP_ID_AUTOPILOT1, value.name.encode(), value.number, value.kind)
+        )
+
     def _pack(self, message: Any) -> bytes:
         frame = bytes(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
@@ -215,6 +226,10 @@ def _ekf(flags: int, horizontal: float) -> Message:
     return EstimatorStatus(flags & (_EKF_FOLLOWS | _EKF_DOES_NOT) == _EKF_FOLLOWS and horizontal < 1.0)
 
 
+def _parameter(name: bytes, number: float, kind: int) -> Message:
+    return ParameterValue(name.split(b"\0")[0].decode(errors="replace"), number, kind)
+
+
 def _origin() -> Message:
     return OriginSet()
 
@@ -244,5 +259,6 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
     (wire.MAVLink_autopilot_version_message, ("flight_sw_version",), _firmware),
     (wire.MAVLink_statustext_message, ("severity", "text"), _status_text),
     (wire.MAVLink_gimbal_device_attitude_status_message, ("q",), _gimbal),
+    (wire.MAVLink_param_value_message, ("param_id", "param_value", "param_type"), _parameter),
 )
 _READERS = {kind.id: (Layout(kind, *names), make) for kind, names, make in _READ}

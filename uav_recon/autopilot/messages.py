@@ -90,6 +90,17 @@ class GimbalAttitude:
     pitch_down_rad: float
 
 
+@dataclass(frozen=True, slots=True)
+class ParameterValue:
+    """One of the firmware's parameters. number: the float of the wire, which holds the value in the firmware's own way
+    (see parameters.py). kind: MAV_PARAM_TYPE.
+    """
+
+    name: str
+    number: float
+    kind: int
+
+
 Message = (
     Heartbeat
     | Ack
@@ -102,6 +113,7 @@ Message = (
     | Firmware
     | StatusText
     | GimbalAttitude
+    | ParameterValue
 )
 
 

@@ -13,6 +13,7 @@ from uav_recon.autopilot.landing import Landing
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.lookout import Lookout
 from uav_recon.autopilot.mandate import Mandate
+from uav_recon.autopilot.parameter_check import NoParameterCheck, ParameterCheck
 from uav_recon.autopilot.personality import ARM, Arming, Outcome, Personality
 from uav_recon.autopilot.posefeed import PoseFeed
 from uav_recon.autopilot.steering import Steering
@@ -75,10 +76,11 @@ class Pilot:
         origin: Origin,
         airframe: Airframe,
         setpoint_rate_hz: float = 30.0,
+        parameters: ParameterCheck | None = None,
     ) -> None:
         self._link, self._guard, self._patience, self._clock = link, guard, patience, clock
         self._firmware, self._airframe, self._vehicle = link.firmware, airframe, channels.vehicle
-        self._briefing = Briefing(link, origin, airframe.gimbal)
+        self._briefing = Briefing(link, origin, airframe.gimbal, parameters or NoParameterCheck())
         self._tick = RateKeeper(setpoint_rate_hz, clock.now_s())
         self._poses = PoseFeed(channels.odom, link, PoseGate(guard.envelope.max_yaw_rate_radps))
         self._mandate = Mandate(channels.intent, patience.intent_hold_s)
@@ -182,7 +184,7 @@ class Pilot:
             self._land(now_s)
 
     def _stand_ready(self, now_s: float) -> None:
-        if self._firmware.missing_for_arming(self._link.telemetry, self._link.time_known, now_s):
+        if self._briefing.missing(now_s):
             self.phase = FlightPhase.CONNECTING
         elif self._mandate.goal(now_s) is Goal.FLY and self._may_arm and not self._land_wanted:
             here = self._situation(now_s)
@@ -284,7 +286,8 @@ def make_pilot(
     airframe: Airframe,
     setpoint_rate_hz: float = 30.0,
     log: FrameLog | None = None,
+    parameters: ParameterCheck | None = None,
 ) -> Pilot:
     """Wire a pilot that flies a firmware over the given bytes."""
     link = Link(bytes_link, log or NoLog(), clock.now_s(), firmware)
-    return Pilot(link, guard, sight, patience, channels, clock, origin, airframe, setpoint_rate_hz)
+    return Pilot(link, guard, sight, patience, channels, clock, origin, airframe, setpoint_rate_hz, parameters)

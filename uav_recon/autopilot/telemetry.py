@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from uav_recon.autopilot.messages import ParameterValue
 from uav_recon.types.frames import FloatArray
 
 
@@ -34,4 +35,5 @@ class Telemetry:
     pose_fed_s: float = -math.inf
     twin_heard: bool = False  # somebody else speaks with our own id
     reboots: int = 0
+    parameters: dict[str, ParameterValue] = field(default_factory=dict)  # those that were asked for, by name
     failure: str = ""  # why the byte link failed last

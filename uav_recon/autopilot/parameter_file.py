@@ -1,0 +1,126 @@
+"""The parameters that a vehicle is to have: a file in its ground station's own format, and the reasons in the README.
+
+`.params` is QGroundControl's (vehicle, component, name, value and MAV_PARAM_TYPE between tabs), `.param` Mission Planner's
+(name and value with a comma between them).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parents[2] / "firmware_params"
+REASONS = FOLDER / "README.md"
+PARAMETER_FILES = {"px4": FOLDER / "px4_indoor.params", "ardupilot": FOLDER / "ardupilot_indoor.param"}
+_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
+_REAL32 = 9
+_INTEGERS = range(1, 7)  # MAV_PARAM_TYPE
+_COLUMNS = ("parameter", "value", "default", "unit", "why", "who relies on it", "arming", "a change needs")
+
+
+class ParameterFileError(Exception):
+    """A file that cannot be used; its text is one line that names file, line and fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """A row of the README. refused: nothing is armed while the vehicle has another value. reboot: a change needs one."""
+
+    value: str
+    unit: str
+    why: str
+    refused: bool
+    reboot: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A parameter and the value it is to have."""
+
+    name: str
+    value: float
+    reason: Reason
+
+
+def load(path: Path) -> tuple[Wanted, ...]:
+    """Every parameter of a file, in its order. Raises ParameterFileError.
+
+    A name without a row in the README is somebody's own: it is to be met before arming too.
+    """
+    read_line = {".params": _qgroundcontrol, ".param": _mission_planner}.get(path.suffix)
+    if read_line is None:
+        raise ParameterFileError(f"{path}: a parameter file ends in .params (QGroundControl) or .param (Mission Planner)")
+    values = _values(path, read_line)
+    reasons, own = load_reasons(), Reason("", "", "", refused=True, reboot=False)
+    return tuple(Wanted(name, value, reasons.get(name, own)) for name, value in values.items())
+
+
+def load_reasons(path: Path = REASONS) -> dict[str, Reason]:
+    """The rows of the README by name. Raises ParameterFileError."""
+    rows: dict[str, Reason] = {}
+    for number, line in enumerate(_lines(path), start=1):
+        cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
+        if not line.startswith("|") or cells[0] == _COLUMNS[0] or set(cells[0]) <= set("-: "):
+            continue
+        if len(cells) != len(_COLUMNS) or cells[6] not in ("refused", "-") or cells[7] not in ("reboot", "-"):
+            raise ParameterFileError(f"{path}:{number}: a row is {' | '.join(_COLUMNS)}")
+        name, value, _, unit, why, _, arming, change = cells
+        rows[name] = Reason(value, unit.strip("-"), why, arming == "refused", change == "reboot")
+    return rows
+
+
+def _values(path: Path, read_line: Callable[[str], tuple[str, float]]) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for number, line in enumerate(_lines(path), start=1):
+        if line.startswith("#") or not line.strip():
+            continue
+        try:
+            name, value = read_line(line)
+            if not _NAME.fullmatch(name):
+                raise ValueError(f"{name!r} is no name of a parameter")
+            if name in values:
+                raise ValueError(f"{name} stands here twice")
+            if not math.isfinite(value):
+                raise ValueError(f"{name} is to be a finite number, not {value}")
+        except ValueError as error:
+            raise ParameterFileError(f"{path}:{number}: {error}") from None
+        values[name] = value
+    if not values:
+        raise ParameterFileError(f"{path}: no parameter stands in it")
+    return values
+
+
+def _qgroundcontrol(line: str) -> tuple[str, float]:
+    fields = line.split("\t")
+    if len(fields) != 5:
+        raise ValueError(f"expected five fields with tabs between them, got {len(fields)}")
+    _, _, name, value, kind = (field.strip() for field in fields)
+    if kind != str(_REAL32) and kind not in map(str, _INTEGERS):
+        raise ValueError(f"{name} has type {kind!r}, want 1 to 6 for an integer or 9 for a float")
+    return name, _number(name, value, whole=kind != str(_REAL32))
+
+
+def _mission_planner(line: str) -> tuple[str, float]:
+    name, comma, value = line.partition(",")
+    if not comma:
+        raise ValueError("expected a name and a value with a comma between them")
+    return name.strip(), _number(name, value, whole=False)
+
+
+def _number(name: str, text: str, whole: bool) -> float:
+    try:
+        return float(int(text)) if whole else float(text)
+    except ValueError:
+        raise ValueError(f"{name} is to be {'an integer' if whole else 'a number'}, not {text.strip()!r}") from None
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise ParameterFileError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise ParameterFileError(f"{path}: not text") from None

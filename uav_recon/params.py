@@ -1,0 +1,216 @@
+"""`uav-recon params`: the vehicle's parameters against a file, and the file's values written to the vehicle."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from rich.console import Console
+from rich.table import Table
+
+from uav_recon import run
+from uav_recon.autopilot.link import Link
+from uav_recon.autopilot.messages import ParameterValue
+from uav_recon.autopilot.parameter_file import PARAMETER_FILES, ParameterFileError, Wanted, load
+from uav_recon.autopilot.parameters import Inquiry, equal
+from uav_recon.autopilot.tlog import NoLog
+from uav_recon.autopilot.transport import LinkError, open_link
+from uav_recon.clock import MonotonicClock
+from uav_recon.protocols import ByteLink, Clock
+
+T = TypeVar("T")
+
+EXIT_DIFFERENT, EXIT_SILENT = 1, 69
+HEARTBEAT_S, FRESH_S, TURN_S = 10.0, 3.0, 0.02
+WRITE_TRIES = 3  # for one parameter
+_HEARTBEAT = 0  # message id
+_IN_USE = re.compile("in use|busy", re.IGNORECASE)
+_FAMILIES = {3: "ArduPilot", 12: "PX4"}  # MAV_AUTOPILOT
+_FAMILY_OF = {"px4": 12, "ardupilot": 3}
+
+
+@dataclass(frozen=True)
+class ParamsOptions:
+    """What the command line says. file None: the one that comes with this package."""
+
+    autopilot: str
+    link: str
+    file: Path | None
+
+    @staticmethod
+    def of(autopilot: str | None, link: str | None, file: Path | None, config: Path) -> ParamsOptions:
+        """What is not given is the config's, which is read only then. Raises run.Failure."""
+        if autopilot is not None and autopilot not in _FAMILY_OF:
+            raise run.Failure(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", run.EXIT_CONFIG)
+        if autopilot is not None and link is not None:
+            return ParamsOptions(autopilot, link, file)
+        if not config.exists():
+            raise run.Failure(
+                f"give --autopilot and --link, or a --config that says them ({config} is not there)", run.EXIT_CONFIG
+            )
+        says = run.load_config(config).link
+        return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A parameter as it is wanted and as it was told; told None: the firmware does not know it, or is silent."""
+
+    wanted: Wanted
+    told: ParameterValue | None
+    value: float
+
+    @property
+    def same(self) -> bool:
+        """Whether the vehicle has what is wanted."""
+        return equal(self.value, self.wanted.value)
+
+
+class Vehicle:
+    """The vehicle on the other end, on the ground. Raises run.Failure where it does not answer or is another one."""
+
+    def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock) -> None:
+        self._clock, self._options = clock, options
+        self._firmware, self._form = run.firmware(options.autopilot)
+        self._link = Link(bytes_link, NoLog(), clock.now_s(), self._firmware)
+        self._await_heartbeat()
+
+    def compare(self, wanted: tuple[Wanted, ...]) -> list[Compared]:
+        """Read all of them back, in their order."""
+        inquiry = Inquiry(one.name for one in wanted)
+        while not inquiry.done:
+            inquiry.step(self._turn(), self._link)
+        if len(inquiry.silent) == len(wanted):
+            raise run.Failure(f"{self._options.link}: the autopilot tells no parameter", EXIT_SILENT)
+        return [self._compared(one) for one in wanted]
+
+    def write(self, one: Compared) -> bool:
+        """Set a parameter that was told before; whether it reads back. Raises run.Failure while the motors are armed."""
+        if one.told is None:
+            return False
+        try:
+            number = self._form.number_of(one.wanted.value, one.told.kind)
+        except ValueError as error:
+            raise run.Failure(f"{one.wanted.name}: {error}, and the vehicle has an integer there", run.EXIT_CONFIG) from None
+        for _ in range(WRITE_TRIES):
+            self.need_disarmed()
+            self._link.set_parameter(self._clock.now_s(), ParameterValue(one.wanted.name, number, one.told.kind))
+            inquiry = Inquiry([one.wanted.name])
+            while not inquiry.done:
+                inquiry.step(self._turn(), self._link)
+            if self._compared(one.wanted).same:
+                return True
+        return False
+
+    def need_disarmed(self) -> None:
+        """Wait for the next heartbeat. Raises run.Failure unless it comes and says disarmed."""
+        t, asked_s = self._link.telemetry, self._clock.now_s()
+        while t.heartbeat_s <= asked_s:
+            if self._turn() - asked_s > FRESH_S:
+                raise run.Failure(f"{self._options.link}: the autopilot fell silent; nothing more is written", EXIT_SILENT)
+        if t.armed:
+            raise run.Failure("the motors are armed: parameters are written on the ground, disarmed", run.EXIT_CONFIG)
+
+    def _compared(self, one: Wanted) -> Compared:
+        told = self._link.telemetry.parameters.get(one.name)
+        return Compared(one, told, math.nan if told is None else self._form.value_of(told))
+
+    def _await_heartbeat(self) -> None:
+        t, start_s = self._link.telemetry, self._clock.now_s()
+        while t.system == 0:
+            if self._turn() - start_s > HEARTBEAT_S:
+                raise run.Failure(f"{self._options.link}: no autopilot heard within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
+        if t.firmware_family != _FAMILY_OF[self._options.autopilot]:
+            name = _FAMILIES.get(t.firmware_family, f"MAV_AUTOPILOT {t.firmware_family}")
+            raise run.Failure(f"--autopilot {self._options.autopilot}: the vehicle is {name}", run.EXIT_CONFIG)
+        self._link.request_streams(self._clock.now_s(), ((_HEARTBEAT, 5.0),), ())  # each write waits for one
+
+    def _turn(self) -> float:
+        """Wait a little, hear what came; the instant."""
+        self._link.wait(TURN_S)
+        now_s = self._clock.now_s()
+        self._link.receive(now_s)
+        if self._link.telemetry.failure:
+            raise run.Failure(f"{self._options.link}: {self._link.telemetry.failure}", EXIT_SILENT)
+        return now_s
+
+
+def check(options: ParamsOptions, every_row: bool) -> int:
+    """Print how the vehicle compares, every row or those that differ; the exit code."""
+    wanted = _wanted(options)
+    compared = _on_link(options, lambda vehicle: vehicle.compare(wanted))
+    return show(compared, every_row, Console())
+
+
+def write(options: ParamsOptions, confirm: Callable[[str], bool]) -> int:
+    """Write what differs, after confirm() says yes to the question, and read it back; the exit code."""
+    wanted = _wanted(options)
+    return _on_link(options, lambda vehicle: write_to(vehicle, wanted, confirm, Console()))
+
+
+def show(compared: list[Compared], every_row: bool, console: Console) -> int:
+    """The table, and a last line that sums it up; exit code 1 if anything differs."""
+    different = [one for one in compared if not one.same]
+    shown = compared if every_row else different
+    if shown:
+        table = Table("", "parameter", "on the vehicle", "wanted", "unit", "why", box=None, pad_edge=False)
+        for one in shown:
+            name, reason = one.wanted.name, one.wanted.reason
+            mark = "" if one.same else "!" if reason.refused else "~"
+            has = "not told" if one.told is None else f"{one.value:.7g}"
+            style = None if one.same else "bold red" if reason.refused else "yellow"
+            table.add_row(mark, name, has, f"{one.wanted.value:.7g}", reason.unit, reason.why, style=style)
+        console.print(table)
+    if not different:
+        console.print(f"all {len(compared)} parameters are as wanted")
+        return 0
+    serious = sum(one.wanted.reason.refused for one in different)
+    console.print(f"{len(different)} of {len(compared)} parameters differ; {serious} of them (!) keep it from arming")
+    return EXIT_DIFFERENT
+
+
+def write_to(vehicle: Vehicle, wanted: tuple[Wanted, ...], confirm: Callable[[str], bool], console: Console) -> int:
+    """Read, ask, write, read back; exit code 1 if anything differs in the end."""
+    compared = vehicle.compare(wanted)
+    code = show(compared, False, console)
+    if code == 0:
+        return 0
+    vehicle.need_disarmed()
+    to_write = [one for one in compared if not one.same and one.told is not None]
+    if not to_write or not confirm(f"write {len(to_write)} of them to the vehicle?"):
+        console.print("nothing is written")
+        return EXIT_DIFFERENT
+    for one in to_write:
+        done = vehicle.write(one)
+        console.print(f"{one.wanted.name} {one.value:.7g} -> {one.wanted.value:.7g}{'' if done else ': NOT taken'}")
+    boot = [one.wanted.name for one in to_write if one.wanted.reason.reboot]
+    code = show(vehicle.compare(wanted), False, console)
+    console.print(f"reboot the autopilot: {', '.join(boot)} count from its next start" if boot else "no reboot is needed")
+    return code
+
+
+def _wanted(options: ParamsOptions) -> tuple[Wanted, ...]:
+    try:
+        return load(options.file or PARAMETER_FILES[options.autopilot])
+    except ParameterFileError as error:
+        raise run.Failure(str(error), run.EXIT_CONFIG) from None
+
+
+def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
+    try:
+        link = open_link(options.link)
+    except LinkError as error:
+        held = " (a pilot that runs holds its line: stop it first)" if _IN_USE.search(str(error)) else ""
+        raise run.Failure(f"{error}{held}", run.EXIT_CONFIG) from None
+    try:
+        return work(Vehicle(link, options, MonotonicClock()))
+    except KeyboardInterrupt:
+        print(file=sys.stderr)
+        raise run.Failure("interrupted", 130) from None
+    finally:
+        link.close()
