@@ -20,12 +20,14 @@ ALLOWED = {
     "safety": {"types", "safety"},
     "autopilot": {"types", "protocols", "clock", "channels", "config", "safety", "autopilot"},
     "mission": {"types", "protocols", "clock", "mission"},
+    "operator": {"types", "protocols", "operator"},
     "evaluation": {"types", "geometry", "evaluation"},
     "notify": set(),
 }
-ROOTS = {"run", "processes", "refine", "params", "bench", "cli", "cli_exit", "cli_params"}
+ROOTS = {"run", "processes", "refine", "params", "bench", "cli", "cli_exit", "cli_params", "cli_operator"}
 ROOT_IMPORTS = {
-    "cli": {"run", "processes", "refine", "bench", "cli_exit", "cli_params"},
+    "cli": {"run", "processes", "refine", "bench", "cli_exit", "cli_params", "cli_operator"},
+    "cli_operator": {"run", "cli_exit", "operator"},
     "cli_exit": {"run"},
     "cli_params": {"params", "cli_exit"},
     "params": {*ALLOWED, "run"},

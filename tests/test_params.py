@@ -121,7 +121,7 @@ def test_writing_mends_it_and_says_what_counts_from_the_next_start(name: str, lo
         assert bench.value(one.name) == pytest.approx(one.value), one.name
     assert "NOT taken" not in paper.text
     boot = {"px4": "SYS_HAS_GPS", "ardupilot": "VISO_TYPE"}[name]
-    assert paper.text.splitlines()[-1] == f"reboot the autopilot: {boot} count from its next start"
+    assert paper.text.splitlines()[-1] == f"reboot the autopilot: only then it obeys {boot}"
 
 
 def test_nothing_is_written_without_a_yes() -> None:

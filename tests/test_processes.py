@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import socket
 import subprocess
@@ -87,3 +88,28 @@ def test_the_recorder_ends_with_the_mission_that_started_it_even_if_that_was_bef
     assert recorder.stderr is not None
     assert recorder.stderr.read() == ""
     recorder.stderr.close()
+
+
+def say(word: str, config: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "uav_recon.cli", *word.split(), "--config", str(config)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_an_operator_is_told_how_it_stands_and_what_is_missing(pilot: subprocess.Popen[str], config: Path) -> None:
+    told = say("status", config)
+    assert told.returncode == 0, told.stderr
+    assert told.stdout.splitlines()[:2] == ["pilot     connecting", "mission   silent"]
+    assert json.loads(say("status --json", config).stdout)["pilot"] == "connecting"
+    for word, why in (
+        ("start", "not ready: no heartbeat from the autopilot"),
+        ("land", "it is on the ground (connecting): nothing to land"),
+    ):
+        refused = say(word, config)
+        assert (refused.returncode, refused.stderr) == (1, f"uav-recon: {word} refused: {why}\n")
+    assert pilot.poll() is None
+
+
+def test_without_a_pilot_an_operator_is_told_so(config: Path) -> None:
+    told = say("hold", config)
+    assert told.returncode == 69
+    assert told.stderr == f"uav-recon: {config.parent / 'run' / 'operator.socket'}: no pilot is running there\n"

@@ -9,6 +9,7 @@ import typer
 
 from uav_recon import processes
 from uav_recon.cli_exit import exit_with
+from uav_recon.cli_operator import register
 from uav_recon.cli_params import params
 
 app = typer.Typer(
@@ -22,6 +23,7 @@ app = typer.Typer(
 bench = typer.Typer(no_args_is_help=True, help="Measure this software on this machine.")
 app.add_typer(bench, name="bench")
 app.add_typer(params, name="params")
+register(app)
 
 ConfigOption = Annotated[Path, typer.Option("--config", help="TOML config; see systemd/config.toml for every key.")]
 FlightOption = Annotated[

@@ -55,6 +55,9 @@ def write(
     from uav_recon import params as parameters
 
     def confirm(question: str) -> bool:
-        return yes or (sys.stdin.isatty() and typer.confirm(question))
+        if not yes and not sys.stdin.isatty():
+            print("uav-recon: nobody can be asked here: --yes writes without a question", file=sys.stderr)
+            return False
+        return yes or typer.confirm(question)
 
     exit_with(lambda: parameters.write(parameters.ParamsOptions.of(autopilot, link, file, config), confirm))

@@ -233,6 +233,7 @@ class RuntimeConfig(Section):
     """Where processes meet."""
 
     folder: Path = Path("/run/uav_recon")  # channels and stream files
+    operator: Path = Path("operator.socket")  # where the pilot hears the operator, inside the folder unless absolute
 
 
 class Config(Section):

@@ -190,7 +190,7 @@ def write_to(vehicle: Vehicle, wanted: tuple[Wanted, ...], confirm: Callable[[st
         console.print(f"{one.wanted.name} {one.value:.7g} -> {one.wanted.value:.7g}{'' if done else ': NOT taken'}")
     boot = [one.wanted.name for one in to_write if one.wanted.reason.reboot]
     code = show(vehicle.compare(wanted), False, console)
-    console.print(f"reboot the autopilot: {', '.join(boot)} count from its next start" if boot else "no reboot is needed")
+    console.print(f"reboot the autopilot: only then it obeys {', '.join(boot)}" if boot else "no reboot is needed")
     return code
 
 

@@ -85,13 +85,16 @@ def pilot(config_path: Path, flight: Path | None) -> int:
         raise run.Failure(str(error)) from None
     log = Tlog(flight_folder(config, flight) / "flight.tlog", time.time() - clock.now_s())
     the_pilot = run.make_pilot(config, wires, link, log, clock)
+    desk = run.make_desk(config, wires, the_pilot, clock)
     notify.ready()
     while not (stop.asked and not the_pilot.in_flight):
         if stop.asked:
             the_pilot.request_land()
+        desk.poll()
         the_pilot.step()
         notify.watchdog()
         the_pilot.wait()
+    desk.close()
     log.close()
     link.close()
     return 0
@@ -112,12 +115,14 @@ def mission(config_path: Path, flight: Path | None) -> int:
     """Fly one mission and write its folder; SIGTERM lands. Exit code 0 if the mission was completed or landed on request."""
     from uav_recon.mapping.neural.process.worker import ProcessMapper
     from uav_recon.mapping.neural.views.priors import PriorError
+    from uav_recon.mission.standing import StandingOrders
     from uav_recon.recording.debrief import FlightCard, account, publish
     from uav_recon.recording.flightlog import FlightLog
     from uav_recon.recording.mapfile import save_map
 
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires, begun_s = run.file_wires(config.runtime.folder), clock.now_s()
+    orders = StandingOrders(run.operator_orders(config.runtime.folder), begun_s)
     claim("mission", config)
     folder = flight_folder(config, flight)
     configuration.save(config, folder / "config.toml")
@@ -137,8 +142,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
         while not conductor.finished:
             if stop.asked:
                 conductor.request_abort("the operator asked to land")
-            if config.mission.autostart and mapper.ready():
-                conductor.request_start()
+            orders.pass_on(conductor, mapper.ready(), config.mission.autostart)
             conductor.step()
             notify.watchdog()
             rate.due(clock.now_s())

@@ -376,3 +376,69 @@ def test_a_plan_that_comes_too_late_is_not_flown(desk: Desk, monkeypatch: pytest
     timeline = read_timeline(desk.folder)
     assert len(desk.planner.accepted) > asked
     assert all(plan.hover_wait_s > 0.0 for plan in timeline.plans)  # each was asked again at rest
+
+
+def test_a_hold_stops_it_and_a_start_lets_it_go_on(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.run(6.0)
+    desk.conductor.request_hold()
+    desk.run(0.1, until=Phase.HOLD)
+    desk.run(40.0)
+    assert desk.conductor.phase is Phase.HOLD
+    assert desk.speed_mps() < 1e-9
+    desk.conductor.resume()
+    desk.run(0.2, until=Phase.SURVEY)
+    desk.run(120.0, until=Phase.DONE)
+    assert desk.conductor.close() == "completed"
+
+
+def test_a_hold_outlasts_the_end_of_the_flight_time_but_not_a_human(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.conductor.request_hold()
+    desk.run(310.0)
+    assert desk.conductor.phase is Phase.HOLD
+    desk.human = True
+    desk.run(0.2, until=Phase.YIELDED)
+
+
+def test_a_hold_on_the_way_home_is_no_arrival(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(120.0, until=Phase.RETURN)
+    desk.run(1.0)
+    desk.conductor.request_hold()
+    desk.run(30.0)
+    assert desk.conductor.phase is Phase.HOLD
+    desk.conductor.resume()
+    desk.run(60.0, until=Phase.DONE)
+    assert desk.conductor.close() == "completed"
+
+
+def test_a_take_off_that_was_held_begins_again_where_it_is(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.TAKEOFF)
+    desk.run(0.5)
+    first = desk.intent.trajectory
+    assert first is not None
+    desk.conductor.request_hold()
+    desk.run(20.0)
+    assert desk.conductor.phase is Phase.TAKEOFF
+    desk.conductor.resume()
+    desk.run(0.1)
+    again = desk.intent.trajectory
+    assert again is not None and again.identifier > first.identifier
+    assert again.start_s == pytest.approx(desk.clock.now_s(), abs=0.2)
+    desk.run(30.0, until=Phase.SURVEY)
+
+
+def test_the_operator_calls_it_home(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.conductor.request_hold()
+    desk.run(1.0, until=Phase.HOLD)
+    desk.conductor.request_return()
+    desk.run(0.2, until=Phase.RETURN)
+    desk.run(60.0, until=Phase.DONE)
+    assert desk.conductor.close() == "completed"
+    assert read_timeline(desk.folder).outcomes[-1].stop_reason.startswith("the operator asked to return")

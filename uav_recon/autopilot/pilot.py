@@ -93,7 +93,7 @@ class Pilot:
         self._arming: Arming | None = None
         self._landing: Landing | None = None
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
-        self._land_wanted = ""
+        self._land_wanted, self._held = "", False
 
     def step(self) -> None:
         """One turn: listen, feed, judge, act, stream, tell."""
@@ -115,6 +115,10 @@ class Pilot:
     def request_land(self, why: str = "asked to end") -> None:
         """End the flight here and now, whatever the mission says. On the ground: no flight is begun any more."""
         self._land_wanted = self._land_wanted or why
+
+    def request_hold(self, hold: bool) -> None:
+        """Stay here, whatever the mission says; or follow it again. Whatever ends a flight still ends it."""
+        self._held = hold
 
     @property
     def in_flight(self) -> bool:
@@ -244,7 +248,7 @@ class Pilot:
         if not (arming or landing or self.phase is FlightPhase.FLYING):
             return
         linked = now_s - self._link.telemetry.heard_s <= _LINK_HOLD_S
-        steered = linked and self.phase is FlightPhase.FLYING
+        steered = linked and not self._held and self.phase is FlightPhase.FLYING
         cleared, refusal = self._steering.steer(self._rung if steered else Rung.HOLD, self._situation(now_s))
         if refusal is not None:
             self._note = f"refused: {refusal.reason}"

@@ -46,7 +46,7 @@ class Conductor:
         self._took_off_s = np.inf
         self._reported_s = self._map_published_s = self._free_published_s = -np.inf
         self._free_revision, self._proposed = -1, self._course.trajectory
-        self._start = self._abort = False
+        self._start = self._abort = self._hold = self._go_home = self._released = False
         half_m = orders.vehicle_height_m / 2
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, orders.takeoff_height_m + half_m)
 
@@ -58,6 +58,19 @@ class Conductor:
     def request_start(self) -> None:
         """The operator's go, or autostart's."""
         self._start = True
+
+    def request_hold(self) -> None:
+        """Stay here until resume() or request_return(); the mission's own wishes wait."""
+        self._hold = True
+
+    def request_return(self) -> None:
+        """Fly home and land; never taken back."""
+        self._go_home = True
+        self.resume()
+
+    def resume(self) -> None:
+        """Go on after a hold; without one nothing changes."""
+        self._released, self._hold = self._released or self._hold, False
 
     def request_abort(self, reason: str) -> None:
         """Land now; never taken back."""
@@ -72,6 +85,7 @@ class Conductor:
         if vehicle is not None:
             self._course.follow(vehicle)
             self._hear_guard(now_s, vehicle)
+            self._hear_release(now_s, vehicle)
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
         self._publish(now_s)
@@ -126,6 +140,14 @@ class Conductor:
             self._helm.hold(now_s, vehicle)
         self._refusals = vehicle.refusals
 
+    def _hear_release(self, now_s: float, vehicle: VehicleState) -> None:
+        """The pilot held it where it was, which is not where the course led: go on, or up, from where it is."""
+        if self._released and self.phase is Phase.HOLD:
+            self._helm.hold(now_s, vehicle)
+        elif self._released and self.phase is Phase.TAKEOFF:
+            self._course.trajectory = None
+        self._released = False
+
     def _facts(self, now_s: float, vehicle: VehicleState) -> Facts:
         return Facts(
             vehicle=vehicle,
@@ -141,6 +163,8 @@ class Conductor:
             max_flight_s=self._orders.max_flight_s,
             homing=self._homeward.under_way,
             no_way_home=self._homeward.no_way,
+            hold=self._hold,
+            go_home=self._go_home,
         )
 
     def _change_phase(self, phase: Phase, now_s: float) -> None:
@@ -161,7 +185,7 @@ class Conductor:
             return f"view budget of {self._orders.views} spent, {left}"
         if now_s - self._took_off_s > self._orders.max_flight_s:
             return f"flight time of {self._orders.max_flight_s:.0f} s spent, {left}"
-        return f"battery low, {left}"
+        return f"{'the operator asked to return' if self._go_home else 'battery low'}, {left}"
 
     # -- act ----------------------------------------------------------------------------------------------------------
 

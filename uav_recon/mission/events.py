@@ -23,6 +23,8 @@ class Event(Enum):
     AT_HOME = "over the pad"
     NO_WAY_HOME = "no way home is known"
     ABORTED = "the operator asked to land"
+    HELD = "the operator asked to hold"
+    CALLED_HOME = "the operator asked to return"
     PILOT_LANDS = "the pilot process or the autopilot is landing"
     TOUCHED_DOWN = "disarmed after the flight"
     REFUSED = "the autopilot refuses to arm"
@@ -54,6 +56,8 @@ EFFECTS: dict[Event, Effect] = {
     Event.VIEWS_SPENT: Effect.RETURN,
     Event.TIME_SPENT: Effect.RETURN,
     Event.BATTERY_LOW: Effect.RETURN,
+    Event.CALLED_HOME: Effect.RETURN,
+    Event.HELD: Effect.HOLD,
     Event.FRAMES_LOST: Effect.HOLD,
     Event.FRAMES_BACK: Effect.RESUME,
     Event.VEHICLE_READY: Effect.ADVANCE,
@@ -79,7 +83,17 @@ class Facts:
     max_flight_s: float
     homing: bool  # a way home was handed out
     no_way_home: bool
+    hold: bool = False  # the operator's word stands
+    go_home: bool = False
 
+
+# What the mission would do by itself. It waits while the operator holds the vehicle; humans, landings and faults do not.
+OWN_WISHES = frozenset(
+    {
+        Event.AIRBORNE, Event.FRAMES_BACK, Event.NOTHING_LEFT, Event.VIEWS_SPENT, Event.TIME_SPENT, Event.BATTERY_LOW,
+        Event.AT_HOME, Event.NO_WAY_HOME, Event.CALLED_HOME,
+    }
+)  # fmt: skip
 
 LOW_BATTERY = 0.25
 
@@ -103,9 +117,12 @@ def observe(facts: Facts) -> frozenset[Event]:
         Event.AT_HOME: facts.homing and facts.at_rest,
         Event.NO_WAY_HOME: facts.no_way_home,
         Event.ABORTED: facts.abort,
+        Event.HELD: facts.hold,
+        Event.CALLED_HOME: facts.go_home,
         Event.PILOT_LANDS: phase is FlightPhase.LANDING,
         Event.TOUCHED_DOWN: phase is FlightPhase.LANDED,
         Event.REFUSED: phase is FlightPhase.READY and bool(vehicle.note),  # back on the ground with a reason
         Event.HUMAN: vehicle.human_in_control or phase is FlightPhase.YIELDED,
     }
-    return frozenset(event for event, holds in shown.items() if holds)
+    events = frozenset(event for event, holds in shown.items() if holds)
+    return events - OWN_WISHES if facts.hold else events

@@ -30,10 +30,20 @@ _HEARD: dict[Phase, frozenset[Event]] = {
     Phase.TAKEOFF: frozenset({Event.AIRBORNE, Event.ABORTED, Event.PILOT_LANDS, Event.REFUSED, Event.TOUCHED_DOWN}),
     Phase.SURVEY: frozenset(Event) - {Event.VEHICLE_READY, Event.START, Event.AIRBORNE, Event.AT_HOME, Event.NO_WAY_HOME},
     Phase.HOLD: frozenset(
-        {Event.FRAMES_BACK, Event.ABORTED, Event.PILOT_LANDS, Event.BATTERY_LOW, Event.TIME_SPENT, Event.TOUCHED_DOWN}
+        {
+            Event.FRAMES_BACK,
+            Event.ABORTED,
+            Event.PILOT_LANDS,
+            Event.BATTERY_LOW,
+            Event.TIME_SPENT,
+            Event.TOUCHED_DOWN,
+            Event.CALLED_HOME,
+        }
     ),
-    Phase.RETURN: frozenset({Event.AT_HOME, Event.NO_WAY_HOME, Event.ABORTED, Event.PILOT_LANDS, Event.TOUCHED_DOWN}),
-    Phase.RETREAT: frozenset({Event.AT_HOME, Event.ABORTED, Event.PILOT_LANDS, Event.TOUCHED_DOWN}),
+    Phase.RETURN: frozenset(
+        {Event.AT_HOME, Event.NO_WAY_HOME, Event.ABORTED, Event.PILOT_LANDS, Event.TOUCHED_DOWN, Event.HELD}
+    ),
+    Phase.RETREAT: frozenset({Event.AT_HOME, Event.ABORTED, Event.PILOT_LANDS, Event.TOUCHED_DOWN, Event.HELD}),
     Phase.LANDING: frozenset({Event.TOUCHED_DOWN}),
     Phase.DONE: frozenset(),
     Phase.YIELDED: frozenset(),

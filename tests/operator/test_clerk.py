@@ -1,0 +1,162 @@
+"""What becomes of each order in each phase, with and without a mission that listens."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from uav_recon.channels import MemoryChannel
+from uav_recon.clock import ManualClock
+from uav_recon.operator.clerk import SILENT_S, Clerk
+from uav_recon.operator.status import Status
+from uav_recon.types.operator import GivenOrder, Order
+from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.trajectory import Goal, Intent
+from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
+
+GROUND = (FlightPhase.CONNECTING, FlightPhase.READY, FlightPhase.LANDED)
+
+
+class Vehicle:
+    """A pilot that only notes what is asked of it, and its channels."""
+
+    def __init__(self, phase: FlightPhase, mission: bool = True, note: str = "") -> None:
+        self.phase, self.asked = phase, list[str]()
+        self.clock = ManualClock(100.0)
+        self.intent, self.orders = MemoryChannel(Intent), MemoryChannel(GivenOrder)
+        vehicle, progress, odom = MemoryChannel(VehicleState), MemoryChannel(MissionProgress), MemoryChannel(StampedPose)
+        at = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 2.0, 1.1]))
+        vehicle.publish(VehicleState(99.9, at, np.zeros(3), True, "OFFBOARD", phase, 0.83, False, float("nan"), 1, 2, note))
+        odom.publish(StampedPose(99.96, at, np.zeros(3), quality=97))
+        progress.publish(MissionProgress(99.9, "survey", "explore", 31, 120, 42.7, 18.4, 5, 7, 40, 0.2, "", False))
+        if mission:
+            self.intent.publish(Intent(99.9, Goal.FLY))
+        self.clerk = Clerk(self, vehicle, self.intent, progress, odom, self.orders, self.clock)
+
+    def request_land(self, why: str) -> None:
+        self.asked.append(f"land: {why}")
+
+    def request_hold(self, hold: bool) -> None:
+        self.asked.append("hold" if hold else "go on")
+
+    def order(self, word: str) -> tuple[bool, str]:
+        answer = self.clerk.serve(word)
+        return answer["ok"], answer["said"]
+
+    @property
+    def passed_on(self) -> Order | None:
+        given = self.orders.latest()
+        return None if given is None else given.order
+
+
+@pytest.mark.parametrize("mission", [True, False])
+def test_hold_and_land_work_whether_or_not_the_mission_lives(mission: bool) -> None:
+    flying = Vehicle(FlightPhase.FLYING, mission)
+    assert flying.order("hold") == (True, "holding")
+    assert flying.order("land") == (True, "landing")
+    assert flying.asked == ["hold", "land: the operator asked to land"]
+    assert flying.passed_on is Order.LAND
+
+
+def test_a_human_with_the_sticks_wins() -> None:
+    yielded = Vehicle(FlightPhase.YIELDED)
+    for order in Order:
+        done, why = yielded.order(order.value)
+        assert not done
+        assert "a human has the vehicle" in why
+    assert (yielded.asked, yielded.passed_on) == ([], None)
+
+
+@pytest.mark.parametrize("phase", GROUND)
+def test_on_the_ground_there_is_nothing_to_stop(phase: FlightPhase) -> None:
+    grounded = Vehicle(phase)
+    for word in ("hold", "return", "land"):
+        done, why = grounded.order(word)
+        assert not done
+        assert "on the ground" in why
+    assert (grounded.asked, grounded.passed_on) == ([], None)
+
+
+def test_start_goes_to_the_mission() -> None:
+    ready = Vehicle(FlightPhase.READY)
+    assert ready.order("start") == (True, "it takes off as soon as the mission is warm")
+    assert ready.passed_on is Order.START
+
+
+def test_start_says_what_is_missing() -> None:
+    note = "parameter GF_ACTION is 2, wanted 5: see uav-recon params diff"
+    assert Vehicle(FlightPhase.CONNECTING, note=note).order("start") == (False, f"not ready: {note}")
+    assert "mission is silent" in Vehicle(FlightPhase.READY, mission=False).order("start")[1]
+    for phase in (FlightPhase.LANDING, FlightPhase.LANDED):
+        assert "this flight is over" in Vehicle(phase).order("start")[1]
+
+
+def test_start_in_the_air_ends_a_hold() -> None:
+    flying = Vehicle(FlightPhase.FLYING)
+    flying.order("hold")
+    assert flying.order("start") == (True, "it goes on")
+    assert flying.asked == ["hold", "go on"]
+
+
+def test_return_needs_a_mission_and_ends_a_hold() -> None:
+    assert Vehicle(FlightPhase.FLYING).order("return") == (True, "returning")
+    alone = Vehicle(FlightPhase.FLYING, mission=False)
+    done, why = alone.order("return")
+    assert not done
+    assert "hold or land" in why
+    assert (alone.asked, alone.passed_on) == ([], None)
+
+
+def test_a_landing_is_not_taken_back() -> None:
+    landing = Vehicle(FlightPhase.LANDING)
+    for word in ("hold", "return", "start"):
+        assert not landing.order(word)[0]
+    assert landing.order("land")[0]
+
+
+def test_before_it_flies_it_can_only_be_landed() -> None:
+    arming = Vehicle(FlightPhase.ARMING)
+    assert not arming.order("hold")[0]
+    assert arming.order("land") == (True, "landing")
+
+
+def test_a_mission_that_died_a_moment_ago_is_silent() -> None:
+    flying = Vehicle(FlightPhase.FLYING)
+    flying.clock.advance_to(100.0 + SILENT_S)
+    assert not flying.order("return")[0]
+    assert flying.clerk.status().mission == "silent"
+
+
+def test_an_unknown_word_is_told_the_known_ones() -> None:
+    assert Vehicle(FlightPhase.FLYING).order("jump")[1] == "'jump': want one of start, hold, return, land, status"
+
+
+def test_status_reads_like_an_instrument_panel() -> None:
+    answer = Vehicle(FlightPhase.FLYING, note="refused: too fast").clerk.serve("status")
+    told = Status(**json.loads(json.dumps(answer["status"], allow_nan=False)))
+    assert told.lines() == [
+        "pilot     flying",
+        "mission   survey",
+        "mode      OFFBOARD, ARMED",
+        "battery   83%",
+        "position  x 1.00  y 2.00  z 1.10 m",
+        "pose      quality 97, 0.04 s old",
+        "views     31 of 120",
+        "explored  42.7 m³ on 18.4 m",
+        "refused   2 by the guard",
+        "note      refused: too fast",
+    ]
+
+
+def test_what_is_not_known_is_a_dash() -> None:
+    clerk = Vehicle(FlightPhase.CONNECTING).clerk
+    for channel in ("_vehicle", "_odom", "_progress", "_intent"):
+        setattr(clerk, channel, MemoryChannel(VehicleState))
+    lines = clerk.status().lines()
+    assert lines[:3] == ["pilot     starting", "mission   silent", "mode      -"]
+    battery = VehicleState(
+        1.0, Pose.identity(), np.zeros(3), False, "LAND", FlightPhase.LANDED, float("nan"), False, 0.0, -1, 0, ""
+    )
+    assert Status.of(1.0, battery, None, None, False).battery is None

@@ -1,0 +1,66 @@
+"""The operator's orders on their way from the pilot's desk to the conductor."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from uav_recon.protocols import Channel
+from uav_recon.types.operator import GivenOrder, Order
+
+
+class Obedient(Protocol):
+    """The conductor, as far as orders reach it. Nothing blocks."""
+
+    def request_start(self) -> None:
+        """Take off and begin."""
+        ...
+
+    def request_hold(self) -> None:
+        """Stay here."""
+        ...
+
+    def request_return(self) -> None:
+        """Fly home and land."""
+        ...
+
+    def request_abort(self, reason: str) -> None:
+        """Land here."""
+        ...
+
+    def resume(self) -> None:
+        """Go on."""
+        ...
+
+
+class StandingOrders:
+    """Passes each order on once. What was said before this mission began was not said to it."""
+
+    def __init__(self, channel: Channel[GivenOrder], begun_s: float) -> None:
+        self._channel, self._heard_s = channel, begun_s
+        self._start = False
+
+    def pass_on(self, conductor: Obedient, warm: bool, autostart: bool) -> None:
+        """Hear the newest order; a start waits until everything is warm, and is not needed where it starts by itself."""
+        given = self._newest()
+        if given is not None and given.stamp_s > self._heard_s:
+            self._heard_s = given.stamp_s
+            self._obey(given.order, conductor)
+        if (self._start or autostart) and warm:
+            conductor.request_start()
+
+    def _newest(self) -> GivenOrder | None:
+        try:
+            return self._channel.latest()
+        except ValueError:
+            return None
+
+    def _obey(self, order: Order, conductor: Obedient) -> None:
+        if order is Order.START:
+            self._start = True
+            conductor.resume()
+        elif order is Order.HOLD:
+            conductor.request_hold()
+        elif order is Order.RETURN:
+            conductor.request_return()
+        else:
+            conductor.request_abort("the operator asked to land")

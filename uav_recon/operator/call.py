@@ -1,0 +1,45 @@
+"""The other end of the desk: says one word, hears one answer."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+from typing import Any
+
+ANSWER_S = 3.0
+_LONGEST_ANSWER = 1 << 16
+
+
+class CallError(Exception):
+    """Nobody can be asked; its text is one line that says why and what to do."""
+
+
+def call(path: Path, word: str) -> dict[str, Any]:
+    """The pilot's answer: {"ok", "said"}, and "status" for status. Blocks up to a few seconds. Raises CallError."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as pipe:
+        pipe.settimeout(ANSWER_S)
+        try:
+            pipe.connect(str(path))
+            pipe.sendall(json.dumps({"do": word}).encode() + b"\n")
+            heard = bytearray()
+            while not heard.endswith(b"\n") and len(heard) < _LONGEST_ANSWER:
+                data = pipe.recv(4096)
+                if not data:
+                    break
+                heard += data
+        except PermissionError:
+            raise CallError(f"{path}: not allowed: be root, the pilot's user, or in its group") from None
+        except TimeoutError:
+            raise CallError(f"{path}: the pilot did not answer within {ANSWER_S:.0f} s") from None
+        except (FileNotFoundError, ConnectionRefusedError):
+            raise CallError(f"{path}: no pilot is running there") from None
+        except OSError as error:
+            raise CallError(f"{path}: {error.strerror or error}") from None
+    try:
+        answer = json.loads(heard)
+    except ValueError:
+        raise CallError(f"{path}: the pilot hung up") from None
+    if not isinstance(answer, dict) or not isinstance(answer.get("ok"), bool):
+        raise CallError(f"{path}: whoever answers there is not the pilot")
+    return answer

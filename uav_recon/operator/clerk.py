@@ -1,0 +1,117 @@
+"""What becomes of an order: what the pilot does itself, what it hands to the mission, and what it refuses with a reason."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol, TypeVar
+
+from uav_recon.operator.desk import Answer
+from uav_recon.operator.status import Status
+from uav_recon.protocols import Channel, Clock
+from uav_recon.types.operator import GivenOrder, Order
+from uav_recon.types.pose import StampedPose
+from uav_recon.types.trajectory import Intent
+from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
+
+T = TypeVar("T")
+
+SILENT_S = 2.0  # a mission whose newest intent is older does not hear orders
+_ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY, FlightPhase.LANDED)
+
+
+class Helmsman(Protocol):
+    """The pilot, as far as an operator reaches it. Nothing blocks."""
+
+    @property
+    def phase(self) -> FlightPhase:
+        """Where it stands."""
+        ...
+
+    def request_land(self, why: str) -> None:
+        """Land here and now, whatever the mission says."""
+        ...
+
+    def request_hold(self, hold: bool) -> None:
+        """Stay here, whatever the mission says; or follow it again."""
+        ...
+
+
+class Clerk:
+    """Serves the desk. orders: where the mission hears; the other channels are only read."""
+
+    def __init__(
+        self,
+        pilot: Helmsman,
+        vehicle: Channel[VehicleState],
+        intent: Channel[Intent],
+        progress: Channel[MissionProgress],
+        odom: Channel[StampedPose],
+        orders: Channel[GivenOrder],
+        clock: Clock,
+    ) -> None:
+        self._pilot, self._orders, self._clock = pilot, orders, clock
+        self._vehicle, self._intent, self._progress, self._odom = vehicle, intent, progress, odom
+
+    def serve(self, word: str) -> Answer:
+        """The answer to a word: status, or an order. An order is carried out before it is answered."""
+        if word == "status":
+            return {"ok": True, "said": "", "status": self.status().as_json()}
+        try:
+            order = Order(word)
+        except ValueError:
+            words = ", ".join(order.value for order in Order)
+            return {"ok": False, "said": f"{word[:20]!r}: want one of {words}, status"}
+        refused = self._refusal(order)
+        return {"ok": not refused, "said": refused or self._carry_out(order)}
+
+    def status(self) -> Status:
+        """What is known now."""
+        return Status.of(
+            self._clock.now_s(), _newest(self._vehicle), _newest(self._odom), _newest(self._progress), self._mission_hears()
+        )
+
+    def _refusal(self, order: Order) -> str:
+        phase = self._pilot.phase
+        if phase is FlightPhase.YIELDED:
+            return "a human has the vehicle: nothing is sent to it until the pilot is started anew"
+        if order is Order.START:
+            return self._refusal_of_start(phase)
+        if phase in _ON_THE_GROUND:
+            return f"it is on the ground ({phase.value}): nothing to {order.value}"
+        if phase is FlightPhase.ARMING and order is not Order.LAND:
+            return "it is about to take off: land, or ask again once it flies"
+        if phase is FlightPhase.LANDING and order is not Order.LAND:
+            return "it is landing: that is not taken back"
+        if order is Order.RETURN and not self._mission_hears():
+            return "the mission is silent, and only it knows the way home: hold or land"
+        return ""
+
+    def _refusal_of_start(self, phase: FlightPhase) -> str:
+        if phase in (FlightPhase.LANDING, FlightPhase.LANDED):
+            return "this flight is over: restart the services for another one"
+        if phase is FlightPhase.CONNECTING:
+            vehicle = _newest(self._vehicle)
+            return f"not ready: {vehicle.note if vehicle is not None else 'starting'}"
+        return "" if self._mission_hears() else "the mission is silent: is uav-recon-mission running, and has it finished?"
+
+    def _carry_out(self, order: Order) -> str:
+        if order is Order.LAND:
+            self._pilot.request_land("the operator asked to land")
+        else:
+            self._pilot.request_hold(order is Order.HOLD)
+        self._orders.publish(GivenOrder(self._clock.now_s(), order))
+        grounded = self._pilot.phase in _ON_THE_GROUND
+        going = "it takes off as soon as the mission is warm" if grounded else "it goes on"
+        return {Order.LAND: "landing", Order.HOLD: "holding", Order.RETURN: "returning", Order.START: going}[order]
+
+    def _mission_hears(self) -> bool:
+        intent = _newest(self._intent)
+        age_s = math.inf if intent is None else self._clock.now_s() - intent.stamp_s
+        return -0.1 <= age_s <= SILENT_S
+
+
+def _newest(channel: Channel[T]) -> T | None:
+    try:
+        return channel.latest()
+    except ValueError:
+        return None

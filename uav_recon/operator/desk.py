@@ -1,0 +1,143 @@
+"""The operator's socket at the pilot: a line of JSON each way, from whoever the kernel says may.
+
+It belongs to the pilot, because hold and land must work while the mission is dead. Nothing here blocks or raises on what a
+client does: clients are few, slow ones are dropped, long or malformed lines are answered once and dropped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from uav_recon.protocols import Clock
+
+Answer = dict[str, Any]
+
+MOST_CLIENTS, LONGEST_LINE, PATIENCE_S = 4, 1024, 2.0
+_SO_PEERGROUPS, _GROUPS_BYTES = 59, 1024  # unix(7); the socket module does not name it
+_CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
+_LONGEST_PATH = 107
+
+
+class DeskError(Exception):
+    """A socket that cannot be opened; its text is one line that names the path."""
+
+
+@dataclass(slots=True)
+class _Client:
+    socket: socket.socket
+    since_s: float
+    line: bytearray = field(default_factory=bytearray)
+
+
+class Desk:
+    """Listens on a Unix socket of mode 0660. Whoever calls poll() every turn answers; serve(word) gives the answer.
+
+    Only this user, root and members of this process's group are heard. The caller holds a lock that makes it the only one
+    with this path: a socket left behind by another is replaced.
+    """
+
+    def __init__(self, path: Path, serve: Callable[[str], Answer], clock: Clock) -> None:
+        self._path, self._serve, self._clock = path, serve, clock
+        self._clients: list[_Client] = []
+        if len(os.fsencode(path)) > _LONGEST_PATH:
+            raise DeskError(f"{path}: longer than the {_LONGEST_PATH} bytes that a socket's path may have")
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
+        try:
+            path.unlink(missing_ok=True)
+            self._socket.bind(str(path))
+            path.chmod(0o660)
+            self._socket.listen(MOST_CLIENTS)
+        except OSError as error:
+            self._socket.close()
+            raise DeskError(f"{path}: {error.strerror}") from None
+
+    def poll(self) -> None:
+        """Take in a client and what the others have said, answer what is complete, drop who takes too long."""
+        now_s = self._clock.now_s()
+        self._accept(now_s)
+        for client in list(self._clients):
+            if self._hear(client) or now_s - client.since_s > PATIENCE_S:
+                client.socket.close()
+                self._clients.remove(client)
+
+    def close(self) -> None:
+        """End all talks and take the socket away."""
+        for client in self._clients:
+            client.socket.close()
+        self._clients.clear()
+        self._socket.close()
+        with contextlib.suppress(OSError):
+            self._path.unlink(missing_ok=True)
+
+    def _accept(self, now_s: float) -> None:
+        if len(self._clients) >= MOST_CLIENTS:
+            return
+        try:
+            connection, _ = self._socket.accept()
+        except OSError:  # nobody there, gone again, or no descriptor left
+            return
+        connection.setblocking(False)
+        if _may_speak(connection):
+            self._clients.append(_Client(connection, now_s))
+        else:
+            _say(connection, {"ok": False, "said": "not allowed"})
+            connection.close()
+
+    def _hear(self, client: _Client) -> bool:
+        """Take in what the client sent; whether the talk is over."""
+        try:
+            data = client.socket.recv(LONGEST_LINE + 1)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+        client.line += data
+        line, end, _ = client.line.partition(b"\n")
+        if not end and data and len(client.line) <= LONGEST_LINE:
+            return False
+        _say(client.socket, self._answer(bytes(line)) if end and len(line) <= LONGEST_LINE else _NOT_A_LINE)
+        return True
+
+    def _answer(self, line: bytes) -> Answer:
+        try:
+            asked = json.loads(line)
+        except (ValueError, RecursionError):
+            return _NOT_A_LINE
+        word = asked.get("do") if isinstance(asked, dict) else None
+        return self._serve(word) if isinstance(word, str) else _NOT_A_LINE
+
+
+_NOT_A_LINE: Answer = {"ok": False, "said": 'say one line: {"do": "start|hold|return|land|status"}'}
+
+
+def _may_speak(connection: socket.socket) -> bool:
+    """Whether the kernel says that this user, root or one of this process's group is on the other end."""
+    try:
+        raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    except OSError:
+        return False
+    try:
+        groups = connection.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _GROUPS_BYTES)
+    except OSError:  # more groups than fit, or a kernel that does not tell them: the main one counts
+        groups = b""
+    _, user, group = _CREDENTIALS.unpack(raw)
+    return allowed(user, group, struct.unpack(f"{len(groups) // 4}I", groups))
+
+
+def allowed(user: int, group: int, groups: tuple[int, ...]) -> bool:
+    """Whether one of this user, main group and further groups may give orders to this process."""
+    return user in (0, os.geteuid()) or os.getegid() in (group, *groups)
+
+
+def _say(connection: socket.socket, answer: Answer) -> None:
+    """One line, whole or not at all: who does not listen is not waited for."""
+    with contextlib.suppress(OSError):
+        connection.send(json.dumps(answer).encode() + b"\n")

@@ -1,0 +1,92 @@
+"""How the flight stands, as an operator wants to read it: a few lines, or JSON."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from uav_recon.types.pose import StampedPose
+from uav_recon.types.vehicle import MissionProgress, VehicleState
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """None: not known. Ages in seconds; position in the world frame, metres.
+
+    pilot: its phase; mission: its phase, or "silent". note: the pilot's newest reason in words; refusals: what the guard
+    turned down so far.
+    """
+
+    pilot: str
+    mission: str
+    mode: str | None = None
+    armed: bool | None = None
+    battery: float | None = None
+    position_m: tuple[float, float, float] | None = None
+    pose_quality: int | None = None
+    pose_age_s: float | None = None
+    views: int | None = None
+    views_budget: int | None = None
+    explored_m3: float | None = None
+    path_m: float | None = None
+    refusals: int | None = None
+    note: str = ""
+
+    @staticmethod
+    def of(
+        now_s: float,
+        vehicle: VehicleState | None,
+        pose: StampedPose | None,
+        progress: MissionProgress | None,
+        mission_hears: bool,
+    ) -> Status:
+        """From the newest value of each channel; numbers that are not finite are not known."""
+        if vehicle is None:
+            return Status("starting", "silent")
+        x, y, z = (_finite(v, 2) for v in vehicle.world_from_body.translation_m.tolist())
+        told = progress if mission_hears else None
+        return Status(
+            pilot=vehicle.phase.value,
+            mission=told.phase if told is not None else "starting" if mission_hears else "silent",
+            mode=vehicle.mode,
+            armed=vehicle.armed,
+            battery=_finite(vehicle.battery_fraction, 2),
+            position_m=None if x is None or y is None or z is None else (x, y, z),
+            pose_quality=None if pose is None else pose.quality,
+            pose_age_s=None if pose is None else _finite(now_s - pose.stamp_s, 2),
+            views=None if told is None else told.views,
+            views_budget=None if told is None else told.views_budget,
+            explored_m3=None if told is None else _finite(told.explored_m3, 1),
+            path_m=None if told is None else _finite(told.path_length_m, 1),
+            refusals=vehicle.refusals,
+            note=vehicle.note,
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """For a line of JSON."""
+        return asdict(self)
+
+    def lines(self) -> list[str]:
+        """For a person."""
+        known = {
+            "pilot": self.pilot,
+            "mission": self.mission,
+            "mode": None if self.mode is None else f"{self.mode}, {'ARMED' if self.armed else 'disarmed'}",
+            "battery": None if self.battery is None else f"{self.battery:.0%}",
+            "position": None if self.position_m is None else "x {:.2f}  y {:.2f}  z {:.2f} m".format(*self.position_m),
+            "pose": None if self.pose_quality is None else f"quality {self.pose_quality}, {_age(self.pose_age_s)} old",
+            "views": None if self.views is None else f"{self.views} of {self.views_budget}",
+            "explored": None if self.explored_m3 is None else f"{self.explored_m3:.1f} m³ on {self.path_m or 0.0:.1f} m",
+            "refused": f"{self.refusals} by the guard" if self.refusals else None,
+            "note": self.note or None,
+        }
+        return [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]
+
+
+def _age(age_s: float | None) -> str:
+    return "?" if age_s is None else f"{age_s:.2f} s"
+
+
+def _finite(value: float, digits: int) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None
