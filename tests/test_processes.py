@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -113,3 +114,38 @@ def test_without_a_pilot_an_operator_is_told_so(config: Path) -> None:
     told = say("hold", config)
     assert told.returncode == 69
     assert told.stderr == f"uav-recon: {config.parent / 'run' / 'operator.socket'}: no pilot is running there\n"
+
+
+def test_readiness_and_then_the_turns_of_the_loop_are_told_to_systemd(config: Path, tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(60.0)
+        command = [sys.executable, "-m", "uav_recon.cli", "pilot", "--config", str(config)]
+        environment = os.environ | {"NOTIFY_SOCKET": str(tmp_path / "notify")}
+        process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE)
+        try:
+            assert systemd.recv(100) == b"READY=1"
+            assert [systemd.recv(100) for _ in range(20)] == [b"WATCHDOG=1"] * 20
+            process.send_signal(signal.SIGSTOP)  # a pilot that stalls is not reported alive by anything else
+            systemd.settimeout(1.0)
+            with pytest.raises(TimeoutError):
+                while systemd.recv(100) == b"WATCHDOG=1":
+                    pass
+        finally:
+            process.kill()
+            process.communicate()
+
+
+def test_after_a_kill_the_next_pilot_finds_its_place_free(pilot: subprocess.Popen[str], config: Path) -> None:
+    while say("status", config).returncode != 0:
+        assert pilot.poll() is None
+    pilot.kill()
+    pilot.communicate()
+    folder = config.parent / "run"
+    assert (folder / "operator.socket").is_socket()
+    again = start("pilot", config)
+    while say("status", config).returncode != 0:
+        assert again.poll() is None, again.communicate()[1]
+    again.terminate()
+    assert again.communicate(timeout=20) == ("", "")
+    assert not (folder / "operator.socket").exists()

@@ -118,3 +118,31 @@ def test_installation_names_every_unit_and_group() -> None:
     for service in SERVICES:
         for group in _options(service).get("SupplementaryGroups", [""])[0].split():
             assert group in text
+
+
+def test_the_pilot_goes_before_perception_and_both_before_the_mission() -> None:
+    """Each service is a control group of its own, and between groups a nice value does not count."""
+    weights = [int(_options(service)["CPUWeight"][0]) for service in SERVICES]
+    assert weights == sorted(weights, reverse=True)
+    assert weights[1] >= 10 * weights[2]
+    scores = [int(_options(service)["OOMScoreAdjust"][0]) for service in SERVICES]
+    assert scores == sorted(scores)
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_each_service_has_its_limits(service: str) -> None:
+    options = _options(service)
+    assert int(options["TasksMax"][0]) <= 512
+    assert service == "pilot" or "MemoryMax" in options
+    assert float(options["TimeoutStopSec"][0]) >= {"pilot": 60, "perception": 5, "mission": 300}[service]
+
+
+def test_an_operator_of_the_group_reaches_the_pilots_socket() -> None:
+    """It lies in the runtime directory, which the group may enter; and the pilot sees users as they are (SO_PEERCRED)."""
+    options = _options("pilot")
+    runtime = config.load(FOLDER / "config.toml").runtime
+    assert str(runtime.folder / runtime.operator) == f"/run/{options['RuntimeDirectory'][0]}/operator.socket"
+    assert int(options["RuntimeDirectoryMode"][0], 8) & 0o050 == 0o050
+    assert options.get("PrivateUsers", ["no"]) == ["no"]
+    assert any("AF_UNIX" in value for value in options["RestrictAddressFamilies"])
+    assert options["Group"] == ["uav"]
