@@ -1,7 +1,7 @@
 # Short names for the commands of every day; the README and .ci/run do not need them.
 PYTHON ?= .venv/bin/python
 
-.PHONY: install test lint safety sim clean
+.PHONY: install test lint safety hostile sim clean
 
 install:
 	python3 -m venv .venv
@@ -24,6 +24,11 @@ safety:
 	$(PYTHON) -m cosmic_ray.cli init tests/safety/mutation.toml mutation.sqlite
 	$(PYTHON) -m cosmic_ray.cli exec tests/safety/mutation.toml mutation.sqlite
 	$(PYTHON) -m cosmic_ray.tools.survival_rate mutation.sqlite
+
+# A million hostile proposals to the guard; fails for one that reaches the wire.
+hostile: export PYTHONPATH = .:tests/safety
+hostile:
+	$(PYTHON) tests/safety/hostile.py 1000000
 
 sim:
 	$(PYTHON) -m uav_recon.cli sim
