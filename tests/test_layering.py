@@ -24,10 +24,12 @@ ALLOWED = {
     "evaluation": {"types", "geometry", "evaluation"},
     "notify": set(),
 }
-ROOTS = {"run", "processes", "refine", "params", "bench", "cli", "cli_exit", "cli_params", "cli_operator"}
+ROOTS = {"run", "run_desk", "processes", "refine", "params", "bench", "cli", "cli_exit", "cli_params", "cli_operator"}
 ROOT_IMPORTS = {
     "cli": {"run", "processes", "refine", "bench", "cli_exit", "cli_params", "cli_operator"},
-    "cli_operator": {"run", "cli_exit", "operator"},
+    "cli_operator": {"run", "run_desk", "cli_exit", "operator"},
+    "run_desk": {*ALLOWED, "run"},
+    "processes": {*ALLOWED, "run", "run_desk"},
     "cli_exit": {"run"},
     "cli_params": {"params", "cli_exit"},
     "params": {*ALLOWED, "run"},

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from uav_recon import run
+from uav_recon import run, run_desk
 from uav_recon.cli_exit import exit_with
 
 EXIT_NOBODY, FLOWN = 69, Path("/etc/uav_recon/config.toml")
@@ -73,7 +73,7 @@ def _status(config: Path, socket: Path | None, as_json: bool) -> int:
 def _call(word: str, config: Path, socket: Path | None) -> dict[str, Any]:
     from uav_recon.operator.call import CallError, call
 
-    path = socket or run.operator_socket(run.load_config(config))
+    path = socket or run_desk.operator_socket(run.load_config(config))
     try:
         return call(path, word)
     except CallError as error:

@@ -17,7 +17,7 @@ from types import FrameType
 import numpy as np
 
 from uav_recon import config as configuration
-from uav_recon import notify, run
+from uav_recon import notify, run, run_desk
 from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
 from uav_recon.config import Config
 
@@ -85,7 +85,7 @@ def pilot(config_path: Path, flight: Path | None) -> int:
         raise run.Failure(str(error)) from None
     log = Tlog(flight_folder(config, flight) / "flight.tlog", time.time() - clock.now_s())
     the_pilot = run.make_pilot(config, wires, link, log, clock)
-    desk = run.make_desk(config, wires, the_pilot, clock)
+    desk = run_desk.make_desk(config, wires, the_pilot, clock)
     notify.ready()
     while not (stop.asked and not the_pilot.in_flight):
         if stop.asked:
@@ -122,7 +122,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires, begun_s = run.file_wires(config.runtime.folder), clock.now_s()
-    orders = StandingOrders(run.operator_orders(config.runtime.folder), begun_s)
+    orders = StandingOrders(run_desk.operator_orders(config.runtime.folder), begun_s)
     claim("mission", config)
     folder = flight_folder(config, flight)
     configuration.save(config, folder / "config.toml")

@@ -17,7 +17,6 @@ from uav_recon.protocols import ByteLink, Camera, Channel, Clock, Executor, Jour
 from uav_recon.types.camera import PosedFrame, body_from_camera
 from uav_recon.types.maps import FreeSpace, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.nearby import Nearby
-from uav_recon.types.operator import GivenOrder
 from uav_recon.types.pose import MapCorrection, StampedPose
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
@@ -35,7 +34,6 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.voxels import Voxels
     from uav_recon.mission.conductor import Conductor
     from uav_recon.motion.planner import MotionPlanner
-    from uav_recon.operator.desk import Desk
     from uav_recon.planning.camera import CameraGeometry
     from uav_recon.planning.planner import ViewPlanner
     from uav_recon.recording.recorder import Recorder
@@ -109,19 +107,6 @@ def file_wires(folder: Path) -> Wires:
         raise Failure(f"runtime.folder {folder}: cannot be written ({error.strerror})", EXIT_CONFIG) from None
 
 
-def operator_orders(folder: Path) -> Channel[GivenOrder]:
-    """From the pilot, which hears the operator, to the mission. Raises Failure as file_wires does."""
-    try:
-        return FileChannel(folder / "operator.channel", GivenOrder)
-    except OSError as error:
-        raise Failure(f"runtime.folder {folder}: cannot be written ({error.strerror})", EXIT_CONFIG) from None
-
-
-def operator_socket(config: Config) -> Path:
-    """Where the pilot hears the operator."""
-    return config.runtime.folder / config.runtime.operator
-
-
 def load_config(path: Path) -> Config:
     """Read a config. Raises Failure with exit code 78."""
     try:
@@ -173,19 +158,6 @@ def firmware(name: str) -> tuple[Personality, NumberForm]:
     from uav_recon.autopilot.px4 import PX4
 
     return {"px4": (PX4, BYTEWISE), "ardupilot": (ARDUPILOT, NUMERIC)}[name]
-
-
-def make_desk(config: Config, wires: Wires, pilot: Pilot, clock: Clock) -> Desk:
-    """Where the pilot hears the operator. Raises Failure if the socket cannot be opened."""
-    from uav_recon.operator.clerk import Clerk
-    from uav_recon.operator.desk import Desk, DeskError
-
-    orders = operator_orders(config.runtime.folder)
-    clerk = Clerk(pilot, wires.vehicle, wires.intent, wires.progress, wires.odom, orders, clock)
-    try:
-        return Desk(operator_socket(config), clerk.serve, clock)
-    except DeskError as error:
-        raise Failure(f"runtime.operator: {error}", EXIT_CONFIG) from None
 
 
 def make_parameter_check(config: Config) -> ParameterCheck:
