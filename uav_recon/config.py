@@ -150,7 +150,7 @@ class VoxelConfig(Section):
     resolution_m: Annotated[float, Field(ge=0.05, le=0.3)] = 0.1  # voxel edge
     max_range_m: Positive = 5.0  # depth beyond it frees up to it, but marks nothing
     distance_cap_m: Positive = 1.1  # the distance field saturates here
-    takeoff_radius_m: Positive = 0.6  # operator's word: this cylinder over the pad is free
+    takeoff_radius_m: Positive = 0.6  # operator's word: free from the pad to the clearance above take-off height
     margin_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3  # map beyond the fence, to see its walls
 
 

@@ -261,6 +261,13 @@ def test_an_abort_lands_at_once(desk: Desk) -> None:
     assert desk.conductor.close() == "aborted: the operator asked to land"
 
 
+def test_home_is_clear_above_as_well_as_beside(desk: Desk) -> None:
+    radius_m, bottom_m, top_m = desk.voxels.declared
+    assert radius_m == 0.6
+    assert bottom_m == pytest.approx(-0.1)  # half the vehicle's height below the body on its pad
+    assert top_m == pytest.approx(1.1 + 0.3)  # else what nobody looked at above the pad closes the way home
+
+
 def test_a_new_map_epoch_holds_maps_anew_and_goes_on(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(30.0, until=Phase.SURVEY)

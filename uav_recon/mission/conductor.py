@@ -47,8 +47,8 @@ class Conductor:
         self._reported_s = self._map_published_s = self._free_published_s = -np.inf
         self._free_revision, self._proposed = -1, self._course.trajectory
         self._start = self._abort = self._hold = self._go_home = self._released = False
-        half_m = orders.vehicle_height_m / 2
-        stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, orders.takeoff_height_m + half_m)
+        half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
+        stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, top_m)
 
     @property
     def finished(self) -> bool:
