@@ -93,16 +93,18 @@ class World:
 
     def step(self, now_s: float) -> None:
         """Fly to now_s, publish what the sensors saw on the way, keep the truth."""
+        while (stamp_s := self._start_s + self._imu_count / self._imu_hz) <= now_s + 1e-9:
+            self._publish_imu(stamp_s)
         self.autopilot.step(now_s)
-        self._publish_imu(now_s)
         self._publish_poses(now_s)
         self._keep_truth(now_s)
 
-    def _publish_imu(self, now_s: float) -> None:
+    def _publish_imu(self, stamp_s: float) -> None:
+        """A sample of its own instant, however late this call comes: a computer that stalls does not stall gyros."""
+        self.autopilot.step(stamp_s)
         truth = self.autopilot.truth()
-        while (stamp_s := self._start_s + self._imu_count / self._imu_hz) <= now_s + 1e-9:
-            self.stream.write_imu(stamp_s, np.asarray(truth.gyro), np.asarray(truth.specific_force))
-            self._imu_count += 1
+        self.stream.write_imu(stamp_s, np.asarray(truth.gyro), np.asarray(truth.specific_force))
+        self._imu_count += 1
 
     def _publish_poses(self, now_s: float) -> None:
         if not self._poses.due(now_s):

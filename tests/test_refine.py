@@ -41,7 +41,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     flight = tmp_path_factory.mktemp("flown")
     tree = configuration.load(FLOWN).model_dump(mode="json", exclude_none=True)
-    tree["safety"] |= {"fence_min_m": LOW.tolist(), "fence_max_m": HIGH.tolist(), "fence_inset_m": 0.2}
+    low, high = LOW - 0.3, HIGH + 0.3  # the corner of the room is where it took off, and the fence's inset is about it
+    tree["safety"] |= {"fence_min_m": low.tolist(), "fence_max_m": high.tolist(), "fence_inset_m": 0.2}
     tree["camera"] |= {"depth_noise_px": NOISE_PX, "baseline_m": BASELINE_M}
     configuration.save(configuration.parse(tree, "test"), flight / "config.toml")
     keyframes = KeyframeFolder(flight / "keyframes")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from troubled_flight import MOTION, ONSET_S, Trouble, fly, shifted
 
+from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
 GOOD, DEGRADED, LOST = PoseHealth.GOOD, PoseHealth.DEGRADED, PoseHealth.LOST
@@ -233,6 +234,21 @@ def test_b10_few_poses_are_told_within_a_second_and_odometry_goes_on(rate_hz: fl
     assert min(odom.quality for odom in told.odom) > 0
     assert told.error_m(0.0) < 0.06
     assert told.step_m() < 0.03
+
+
+@pytest.mark.parametrize("tilt_deg", [6.0, 10.0, 20.0])
+def test_a_track_that_lost_where_down_is_does_not_stand_against_the_poses(tilt_deg: float) -> None:
+    """Inertial samples that repeat while a computer stalls: what follows is gravity, taken for a push to the side."""
+
+    def stalled(sample: ImuSample, since_s: float) -> ImuSample:
+        turned = np.array([math.radians(tilt_deg) / 0.14, 0.0, 0.0]) if 0.0 <= since_s < 0.14 else np.zeros(3)
+        return replace(sample, gyro_radps=sample.gyro_radps + turned)
+
+    told = fly(undisturbed, inertial=stalled)
+    assert told.error_m(0.0) < 0.15
+    assert told.error_m(0.6) < 0.05
+    assert told.healths(0.8) == {GOOD}
+    assert told.fusion.correction.epoch == 0  # no map turns about the horizon
 
 
 def test_without_inertial_samples_there_is_no_witness_and_it_says_so() -> None:

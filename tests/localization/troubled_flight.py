@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from uav_recon.localization.filter import FusionFilter
+from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
 MOTION = FigureEight()
@@ -68,8 +69,18 @@ class Told:
         return self.odom[-1].reset_counter
 
 
-def fly(trouble: Trouble, seconds: float = 3.0, seed: int = 5, late_s: float = 0.0, *, imu: bool = True) -> Told:
-    """trouble: what becomes of each pose stamped after the onset, which comes ``late_s`` later than it would."""
+def fly(
+    trouble: Trouble,
+    seconds: float = 3.0,
+    seed: int = 5,
+    late_s: float = 0.0,
+    *,
+    imu: bool = True,
+    inertial: Callable[[ImuSample, float], ImuSample] = lambda sample, _: sample,
+) -> Told:
+    """trouble: what becomes of each pose stamped after the onset, which comes ``late_s`` later than it would; inertial: the
+    same of each inertial sample.
+    """
     told, due_s, drift = Told(), MOTION.start_s + 2.0, np.zeros(6)
     stream = [_meddled(event, trouble, late_s) for event in events(MOTION, 4.0 + seconds, seed, imu=imu)]
     for event in sorted((event for event in stream if event is not None), key=lambda event: event.arrival_s):
@@ -84,7 +95,7 @@ def fly(trouble: Trouble, seconds: float = 3.0, seed: int = 5, late_s: float = 0
             told.turns_rad.append((said * truth.inv()).magnitude())
             due_s += 1 / 30
         if event.imu:
-            told.fusion.add_imu([event.imu])
+            told.fusion.add_imu([inertial(event.imu, event.imu.stamp_s - ONSET_S)])
         elif event.pose:
             told.fusion.add_pose(event.pose, event.arrival_s)
             drift = drift if event.drift is None else event.drift

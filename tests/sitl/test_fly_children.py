@@ -92,10 +92,8 @@ class Flight:
         return self.process.communicate(timeout=PATIENCE_S)[0]
 
     def left(self) -> set[int]:
-        """The children that are still there after a while: the pipe into which they speak ends with the last of them."""
-        while select.select([self._words], [], [], 2.0)[0] and (data := os.read(self._words, 4096)):
-            self._heard += data.decode()
-        return {pid for pid in self.pids if _alive(pid)}
+        """The children that do not end."""
+        return {pid for pid in self.pids if not _ends(pid)}
 
     def close(self) -> None:
         self.process.kill()
@@ -103,6 +101,17 @@ class Flight:
         for pid in filter(_alive, self.pids):
             os.kill(pid, signal.SIGKILL)
         os.close(self._words)
+
+
+def _ends(pid: int) -> bool:
+    try:
+        process = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return True
+    try:
+        return bool(select.select([process], [], [], PATIENCE_S)[0])
+    finally:
+        os.close(process)
 
 
 def _alive(pid: int) -> bool:

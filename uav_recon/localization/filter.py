@@ -31,7 +31,7 @@ from uav_recon.localization.attitude import (
     rotate,
 )
 from uav_recon.localization.errorstate import WHITE_SHARE, Estimate, PoseNoise, carry, carry_mean, correct, innovation, spread
-from uav_recon.localization.gates import Gates, Sighting, doubt, same_stamp, surprise, tether, unfit
+from uav_recon.localization.gates import CONTRADICTIONS, Gates, Sighting, doubt, same_stamp, surprise, tether, unfit
 from uav_recon.localization.trial import RETURN, STEP, Trial
 from uav_recon.localization.watch import Watch
 from uav_recon.types.camera import ImuSample
@@ -42,6 +42,7 @@ _HISTORY_S = 2.0  # nodes kept for late poses and frames
 _IMU_GAP_S = 0.05
 _CREDIBLE_M = 0.1  # standard deviation of a track that may stand against a pose source
 _TURN_OF_MAP_RAD = math.radians(12.0)  # more is no correction of a map, but a tracker that has lost its heading
+_OVERTURNED_RAD = math.radians(30.0)  # no gyro loses so much
 _FASTEST_RADPS = 35.0  # any gyro is saturated there
 
 
@@ -75,6 +76,7 @@ class FusionFilter:
         self._nodes: deque[_Node] = deque()
         self._imu_since_s, self._imu_s = math.inf, -math.inf  # the newest unbroken run of inertial samples
         self._reset_counter, self._source_resets = 0, 0
+        self._disputed = False  # poses came since the newest that entered, and contradicted the track
 
     @property
     def newest_pose_s(self) -> float:
@@ -120,9 +122,11 @@ class FusionFilter:
         reason = self._doubtful(said, self._nodes[k], residual, spread(carried, noise))
         if reason and not self._proven(said, carried, here, noise):
             self.rejected[reason] += 1
+            self._disputed |= reason in CONTRADICTIONS
             return False
         if not reason:
             self._trial.clear()
+            self._disputed = False
             later = [self._nodes.pop() for _ in range(len(self._nodes) - 1 - k)]
             self._append(said, noise, carried, here)
             for node in reversed(later):
@@ -184,19 +188,23 @@ class FusionFilter:
             return False
         track = Sighting(said.stamp_s, carried.position_m, carried.odom_from_body(here), said.source)
         credible = max(np.diagonal(carried.covariance)[:3]) <= _CREDIBLE_M**2
-        self._trial.hear(said, track, carried.inertial and credible)
+        residual = innovation(carried, here, said.position_m, said.odom_from_body)
+        tilt_rad = math.hypot(residual[3], residual[4])
+        tilted = self._gates.tilt_rad < tilt_rad < _OVERTURNED_RAD  # the track takes gravity for a push; no map corrects that
+        contradicted = lost and self._disputed  # not by a step: they never agreed on how the body moves
+        self._trial.hear(said, track, carried.inertial and credible and not (tilted or contradicted))
         if not self._trial.stands(RETURN if lost else STEP):
             return False
-        residual = innovation(carried, here, said.position_m, said.odom_from_body)
         declared = said.source.reset_counter != self._source_resets
-        if not credible:
-            return self._begin(said, noise)
-        if not declared and math.hypot(*residual[3:].tolist()) > _TURN_OF_MAP_RAD:
+        if credible and not declared and abs(residual[5]) > _TURN_OF_MAP_RAD:
             return False
+        if not credible or contradicted or tilted:
+            return self._begin(said, noise, self._trial.velocity_mps())
         if declared or self._gates.leap(residual, spread(carried, noise)):
             self._move_world(said.source, track)
             said = replace(said, position_m=track.position_m, odom_from_body=track.odom_from_body)
         self._trial.clear()
+        self._disputed = False
         if lost:
             self._watch.begin(said.stamp_s)
         self._append(said, noise, carried, here)
@@ -219,8 +227,8 @@ class FusionFilter:
 
     # -- the estimate -------------------------------------------------------------------------------------------------
 
-    def _begin(self, said: Sighting, noise: PoseNoise) -> bool:
-        """Forget the past and stand at this pose; after the first time odom jumps there."""
+    def _begin(self, said: Sighting, noise: PoseNoise, velocity_mps: Vector = (0.0, 0.0, 0.0)) -> bool:
+        """Forget the past and go on from this pose; after the first time odom jumps there."""
         inertial = self._inertial(said.stamp_s, said.stamp_s)
         if not inertial:
             self._coast_to(said.stamp_s)
@@ -234,9 +242,11 @@ class FusionFilter:
             self.correction = replace(self.correction, epoch=self.correction.epoch + anew)
         self._nodes.clear()
         self._trial.clear()
+        self._disputed = False
         self._watch.begin(said.stamp_s)
         self._source_resets = said.source.reset_counter
-        self._keep(_Node(said, noise, Estimate.at_rest(base, said.position_m, said.odom_from_body, noise, inertial), 0.0))
+        estimate = Estimate.at_rest(base, said.position_m, said.odom_from_body, noise, inertial)
+        self._keep(_Node(said, noise, replace(estimate, velocity_mps=velocity_mps), 0.0))
         return True
 
     def _reach(self, node: _Node, stamp_s: float) -> tuple[Estimate, InertialState]:

@@ -14,6 +14,7 @@ from uav_recon.types.pose import StampedPose
 _OLDEST_S, _FUTURE_S = 1.0, 0.01
 _SAME_STAMP_S = 1e-4
 _STEP_M = 0.03  # a vehicle follows a step of its odometry at once
+CONTRADICTIONS = ("jump", "turn", "speed")  # what a source says against the track, or against itself
 _PLAUSIBLE_NIS = 22.46  # 99.9 % of the innovations of six numbers (chi-square)
 
 
@@ -32,12 +33,14 @@ class Gates:
     """How far a pose may lie from where the track leads (HAZARDS, J_pos and J_yaw).
 
     Beyond jump_m AND ``sigmas`` standard deviations of the innovation it is refused, beyond farthest_m whatever these say; the
-    same for the angle between the attitudes. speed_mps: implied by the way from the pose before.
+    same for the angle between the attitudes, and for its part that tilts the horizon, which both know. speed_mps: implied by
+    the way from the pose before.
     """
 
     jump_m: float = 0.10
     farthest_m: float = 0.5
     turn_rad: float = math.radians(8.0)
+    tilt_rad: float = math.radians(3.0)
     farthest_rad: float = math.radians(30.0)
     sigmas: float = 3.0
     speed_mps: float = 2.0
@@ -47,6 +50,9 @@ class Gates:
         place_m, place_sigma = _length_and_sigma(residual[:3], spread[:3, :3])
         if not place_m <= min(max(self.jump_m, self.sigmas * place_sigma), self.farthest_m):
             return "jump"
+        tilt_rad, tilt_sigma = _length_and_sigma(residual[3:5], spread[3:5, 3:5])
+        if not tilt_rad <= max(self.tilt_rad, self.sigmas * tilt_sigma):
+            return "turn"
         turn_rad, turn_sigma = _length_and_sigma(residual[3:], spread[3:, 3:])
         return "" if turn_rad <= min(max(self.turn_rad, self.sigmas * turn_sigma), self.farthest_rad) else "turn"
 

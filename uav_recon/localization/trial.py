@@ -50,6 +50,15 @@ class Trial:
         """Whether the run is proof enough."""
         return len(self._run) >= proof.poses and self._run[-1][0].stamp_s - self._run[0][0].stamp_s >= proof.over_s
 
+    def velocity_mps(self) -> tuple[float, float, float]:
+        """Mean over the run, by the source; zero for less than two poses."""
+        if len(self._run) < 2:
+            return (0.0, 0.0, 0.0)
+        (first, _), (last, _) = self._run[0], self._run[-1]
+        x, y, z = _difference(last, first)
+        dt_s = last.stamp_s - first.stamp_s
+        return (x / dt_s, y / dt_s, z / dt_s)
+
 
 def _agree(before: tuple[Sighting, Sighting], after: tuple[Sighting, Sighting], inertial: bool) -> bool:
     """Whether the source moved between two poses as the track did or, without an IMU, as a vehicle can."""
