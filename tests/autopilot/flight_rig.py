@@ -34,7 +34,7 @@ from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.nearby import Nearby
-from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
@@ -108,7 +108,7 @@ class Rig:
         self.wall_m = 9.0  # what the camera sees, in every cell
         self.pilot = self.new_pilot(log)
         self.intent: tuple[Goal, Trajectory | None] | None = (Goal.STANDBY, None)
-        self.poses = True
+        self.poses, self.health = True, PoseHealth.GOOD
         self.turn = 0
         self.track: list[tuple[float, FloatArray]] = []
 
@@ -153,7 +153,9 @@ class Rig:
         truth = self.autopilot.truth()
         if self.poses and self.turn % 3 == 0:
             pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position))
-            self.channels.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity)))
+            why = "" if self.health is PoseHealth.GOOD else "poses disagree"
+            velocity = np.array(truth.velocity)
+            self.channels.odom.publish(StampedPose(truth.stamp_s, pose, velocity, health=self.health, why=why))
         if self.depth and self.turn % 7 == 0:
             ranges = np.full((12, 16), self.wall_m, dtype=np.float32)
             self.channels.nearby.publish(Nearby(now, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from uav_recon.autopilot.tlog import Tlog
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -296,6 +296,28 @@ def test_lost_poses_hold_then_land(hovering: Rig) -> None:
     assert hovering.tap.since(lost_s + 0.05)["ODOMETRY"] == 0, "an old pose is never repeated"
     hovering.until(FlightPhase.LANDED, 25.0)
     assert "no pose" in hovering.state.note
+
+
+def test_a_pose_that_is_lost_but_told_holds_at_once_and_lands(hovering: Rig) -> None:
+    """Odometry goes on, carried by the IMU: the autopilot is fed, nobody flies on it."""
+    hovering.fly((2.5, 0.0, 1.1), identifier=2)
+    hovering.run(2.5)
+    lost_s, hovering.health = hovering.clock.now_s(), PoseHealth.LOST
+    hovering.until(FlightPhase.LANDING, 1.2)
+    assert hovering.tap.since(lost_s + 0.1)["ODOMETRY"] > 10
+    times, places = setpoints(hovering, lost_s + 0.7)
+    assert len(times) > 5
+    assert np.ptp(places, axis=0).max() < 1e-6, "held"
+
+
+def test_with_a_degraded_pose_nothing_fast_is_flown(hovering: Rig) -> None:
+    hovering.fly((2.5, 0.0, 1.1), identifier=2)
+    hovering.run(2.5)
+    slow_s, hovering.health = hovering.clock.now_s(), PoseHealth.DEGRADED
+    hovering.run(2.0)
+    assert hovering.pilot.phase is FlightPhase.FLYING
+    times, places = setpoints(hovering, slow_s + 1.0)
+    assert (np.linalg.norm(np.diff(places, axis=0), axis=1) <= 0.3 * np.diff(times) + 1e-3).all()
 
 
 def test_poses_that_come_back_do_not_stop_a_landing(hovering: Rig) -> None:

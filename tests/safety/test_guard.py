@@ -101,6 +101,14 @@ def test_each_fault_is_refused_by_name(bad: Proposal, reason: str) -> None:
     np.testing.assert_allclose(cleared.setpoint.position_m, [0.0, 0.0, 1.0])
 
 
+@pytest.mark.parametrize(("speed_mps", "passes"), [(0.3, True), (0.31, False)])
+def test_with_a_degraded_pose_only_what_is_slow_passes(speed_mps: float, passes: bool) -> None:
+    guard, now, place = moving(speed_mps)
+    guard.bounds = dataclasses.replace(guard.bounds, retreat_mps=0.3)
+    wanted = proposal(place + along(speed_mps * DT), (speed_mps, 0.0, 0.0))
+    assert (guard.clear(wanted, situation(now + DT, slow=True))[1] is None) is passes
+
+
 def test_a_refusal_brakes_within_the_limit_from_where_it_was_told_to_be() -> None:
     guard, now, place = moving(1.0)
     velocity, position, positions = np.array([1.0, 0, 0]), place, []

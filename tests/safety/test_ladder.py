@@ -36,6 +36,8 @@ def health(now_s: float, **changes: Any) -> Health:
         ({"depth_age_s": math.inf}, Rung.LAND, "no depth"),
         ({"depth_age_s": 4.0, "pose_age_s": 0.5}, Rung.RETREAT, "no depth"),
         ({"depth_age_s": 4.0, "pose_age_s": 2.0}, Rung.LAND, "no pose"),
+        ({"lost": "poses disagree for 0.3 s"}, Rung.HOLD, "poses disagree"),
+        ({"lost": "poses disagree for 1.2 s", "pose_age_s": 1.01}, Rung.LAND, "no pose"),
     ],
 )
 def test_the_worst_silence_names_the_rung(changes: dict[str, Any], rung: Rung, why: str) -> None:

@@ -26,7 +26,7 @@ from uav_recon.safety.posegate import PoseGate
 from uav_recon.safety.sight import Sight
 from uav_recon.types.maps import FreeSpace
 from uav_recon.types.nearby import Nearby
-from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
@@ -157,12 +157,14 @@ class Pilot:
         x, y, z = pose.odom_from_body.translation_m.tolist()
         body_from_odom, yaw_rad = pose.odom_from_body.rotation().T, pose.odom_from_body.yaw_rad()
         age_s = now_s - pose.stamp_s
-        return Situation(now_s, (x, y, z), yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead)
+        slow = pose.health is not PoseHealth.GOOD
+        return Situation(now_s, (x, y, z), yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow)
 
     def _health(self, now_s: float) -> Health:
         here, refusals = self._situation(now_s), self._guard.refusals + self._mandate.malformed
         inside = self._guard.envelope.fence.holds(here.position_m)
-        return Health(now_s, here.pose_age_s, here.intent_age_s, self._lookout.depth_age_s(now_s), inside, refusals)
+        sound_age_s, depth_age_s = now_s - self._poses.sound_s, self._lookout.depth_age_s(now_s)
+        return Health(now_s, sound_age_s, here.intent_age_s, depth_age_s, inside, refusals, self._poses.lost)
 
     # ---- act --------------------------------------------------------------------------------------------------
 

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import math
+
 from uav_recon.autopilot.link import Link
 from uav_recon.protocols import Channel
 from uav_recon.safety.posegate import PoseGate
-from uav_recon.types.pose import StampedPose
+from uav_recon.types.pose import PoseHealth, StampedPose
 
 
 class PoseFeed:
-    """Holds the newest pose that is fit to be believed. ``refused`` counts those that were not."""
+    """Holds the newest pose that is fit to be believed; sound_s is the stamp of the newest one that was not lost.
+
+    ``refused`` counts those that were not fit.
+    """
 
     def __init__(self, odom: Channel[StampedPose], link: Link, gate: PoseGate) -> None:
         self._odom, self._link, self._gate = odom, link, gate
         self._sequence = -1
         self.pose: StampedPose | None = None
-        self.refused = 0
+        self.refused, self.sound_s = 0, -math.inf
+
+    @property
+    def lost(self) -> str:
+        """Why the newest pose is lost, '' if it is not."""
+        return self.pose.why if self.pose is not None and self.pose.health is PoseHealth.LOST else ""
 
     def step(self, now_s: float) -> bool:
         """Take over what is new; whether it begins odom anew, so that nothing from before it holds any more."""
@@ -34,5 +44,6 @@ class PoseFeed:
             self.refused += 1
             return False
         self.pose = pose
+        self.sound_s = self.sound_s if pose.health is PoseHealth.LOST else pose.stamp_s
         self._link.feed_pose(pose, now_s)
         return verdict.anew

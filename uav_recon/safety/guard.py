@@ -70,6 +70,7 @@ class Situation:
     map_epoch: int
     free: KnownFree | None
     ahead: Ahead | None
+    slow: bool = False  # the pose is degraded
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ class Bounds:
 
     silence_way_m: flown since the mission's last pulse, with the braking from here. depth_hold_s: oldest depth in motion.
     blind_mps: fastest motion where the camera does not look, and then only through what it saw lately; the envelope's speed
-    says that neither is asked for. retreat_mps: fastest motion on the retreat.
+    says that neither is asked for. retreat_mps: fastest motion on the retreat and with a degraded pose.
     """
 
     pose_hold_s: float
@@ -154,7 +155,7 @@ class Guard:
         if proposal.map_epoch != situation.map_epoch:
             return f"trajectory is of map epoch {proposal.map_epoch}, pose of {situation.map_epoch}"
         speed_mps = math.hypot(*motion.velocity_mps)
-        if not speed_mps <= (bounds.retreat_mps if proposal.retreating else envelope.max_speed_mps) + 1e-6:
+        if not speed_mps <= (bounds.retreat_mps if proposal.retreating or situation.slow else envelope.max_speed_mps) + 1e-6:
             return f"speed {speed_mps:.2f} m/s"
         if not proposal.retreating and self._silent(speed_mps, situation.intent_age_s):
             return "mission is silent"

@@ -36,7 +36,10 @@ class Patience:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far."""
+    """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far.
+
+    pose_age_s: of the newest pose that was not lost. lost: why the pose is lost, '' while it is not.
+    """
 
     now_s: float
     pose_age_s: float
@@ -44,6 +47,7 @@ class Health:
     depth_age_s: float
     inside: bool
     refusals: int
+    lost: str = ""
 
 
 class Ladder:
@@ -76,6 +80,7 @@ class Ladder:
             ("no depth", health.depth_age_s, (p.depth_hold_s, p.depth_retreat_s, p.depth_land_s)),
         )
         found = [(_rung_of(age_s, limits), f"{name} for {age_s:.1f} s") for name, age_s, limits in silences]
+        found.append((Rung.HOLD if health.lost else Rung.FLY, health.lost))
         found.append((Rung.LAND if inside_for_land else Rung.FLY, f"outside the fence for {_OUTSIDE_S:.0f} s"))
         found.append((Rung.HOLD if self._refused_too_often(health) else Rung.FLY, f"{_REFUSALS} refusals in a second"))
         rung, why = max(found, key=lambda pair: pair[0])
