@@ -116,14 +116,10 @@ class Guard:
         """Judge one sample. No proposal means brake and hold; a Refusal tells why a proposal was not flown. Never raises
         on numbers. The very first setpoint holds the present place (drawn inside the envelope).
         """
-        motion = None if proposal is None else _motion_of(proposal.setpoint, situation.now_s)
-        fault = "" if proposal is None else self._fault(proposal, motion, situation)
-        if proposal is None or fault or motion is None:
-            motion, setpoint = self._brake(situation)
-        else:
-            setpoint = proposal.setpoint
+        fault = "" if proposal is None else self._fault(proposal, situation)
+        setpoint = self._brake(situation) if proposal is None or fault else proposal.setpoint
         refusal = self._count(proposal, fault, setpoint)
-        self._last = motion
+        self._last = _motion_of(setpoint, situation.now_s)
         return ClearedSetpoint(setpoint, _MAKER), refusal
 
     def rebase(self, situation: Situation, rest_s: float = 1.0) -> None:
@@ -140,11 +136,9 @@ class Guard:
             return "the take-off column does not lie inside the fence"
         return "" if situation.free.admits(here, top) else "the take-off column is not known free"
 
-    def _fault(self, proposal: Proposal, motion: _Motion | None, situation: Situation) -> str:
+    def _fault(self, proposal: Proposal, situation: Situation) -> str:
         wanted, envelope, bounds = proposal.setpoint, self.envelope, self.bounds
-        acceleration = _vector(wanted.acceleration_mps2)
-        angles = (wanted.yaw_rad, wanted.yaw_rate_radps, wanted.camera_pitch_down_rad)
-        if motion is None or acceleration is None or not all(math.isfinite(angle) for angle in angles):
+        if not _is_finite(wanted):
             return "setpoint is not finite"
         if self._last is None:
             return "nothing cleared yet"
@@ -154,13 +148,14 @@ class Guard:
             return "pose is stale"
         if proposal.map_epoch != situation.map_epoch:
             return f"trajectory is of map epoch {proposal.map_epoch}, pose of {situation.map_epoch}"
-        speed_mps = math.hypot(*motion.velocity_mps)
+        motion = _motion_of(wanted, situation.now_s)
+        speed_mps, push_mps2 = math.hypot(*motion.velocity_mps), math.hypot(*_floats(wanted.acceleration_mps2))
         if not speed_mps <= (bounds.retreat_mps if proposal.retreating or situation.slow else envelope.max_speed_mps) + 1e-6:
             return f"speed {speed_mps:.2f} m/s"
         if not proposal.retreating and self._silent(speed_mps, situation.intent_age_s):
             return "mission is silent"
-        if not math.hypot(*acceleration) <= envelope.max_acceleration_mps2 + 1e-6:
-            return f"acceleration {math.hypot(*acceleration):.2f} m/s²"
+        if not push_mps2 <= envelope.max_acceleration_mps2 + 1e-6:
+            return f"acceleration {push_mps2:.2f} m/s²"
         if not abs(wanted.yaw_rate_radps) <= envelope.max_yaw_rate_radps + 1e-6:
             return f"yaw rate {wanted.yaw_rate_radps:.2f} rad/s"
         stop_m = envelope.stopping_point(motion.position_m, motion.velocity_mps)
@@ -227,30 +222,19 @@ class Guard:
         x, y, z = (np.array(motion.position_m) + direction * self._sight.reach_m).tolist()
         return "" if self._sight.saw_free((x, y, z), situation.now_s) else f"not seen lately at {_text((x, y, z))} m"
 
-    def _brake(self, situation: Situation) -> tuple[_Motion, Setpoint]:
+    def _brake(self, situation: Situation) -> Setpoint:
         """Slow down along the last cleared velocity within the acceleration limit, then stay."""
-        last = self._last
+        last, limit_mps2 = self._last, self.envelope.max_acceleration_mps2
         if last is None:
             known = all(math.isfinite(value) for value in (*situation.position_m, situation.yaw_rad))
             place = self.envelope.nearest_inside(situation.position_m if known else self.envelope.pad_m)
-            yaw_rad = situation.yaw_rad if known else 0.0
-            motion = _Motion(situation.now_s, place, (0.0, 0.0, 0.0), yaw_rad, 0.0)
-            return motion, Setpoint.hold(np.array(place), yaw_rad)
-        limit = self.envelope.max_acceleration_mps2
-        speed = math.hypot(*last.velocity_mps)
-        dt_s = max(situation.now_s - last.at_s, 0.0)
-        braking_s = min(dt_s, speed / limit)
-        left = 0.0 if speed <= limit * dt_s else 1.0 - limit * dt_s / speed
-        mean = braking_s * (1.0 - 0.5 * limit * braking_s / speed) if speed > 0.0 else 0.0
-        x, y, z = last.position_m
-        vx, vy, vz = last.velocity_mps
-        position = (x + vx * mean, y + vy * mean, z + vz * mean)
-        velocity = (vx * left, vy * left, vz * left)
-        slope = -limit / speed if left > 0.0 else 0.0
-        setpoint = Setpoint(
-            np.array(position), np.array(velocity), np.array([vx, vy, vz]) * slope, last.yaw_rad, 0.0, last.pitch_down_rad
-        )
-        return _Motion(situation.now_s, position, velocity, last.yaw_rad, last.pitch_down_rad), setpoint
+            return Setpoint.hold(np.array(place), situation.yaw_rad if known else 0.0)
+        speed_mps = math.hypot(*last.velocity_mps)
+        left_mps = max(speed_mps - limit_mps2 * max(situation.now_s - last.at_s, 0.0), 0.0)
+        along = np.array(last.velocity_mps) / speed_mps if speed_mps > 0.0 else np.zeros(3)
+        position = np.array(last.position_m) + along * (speed_mps**2 - left_mps**2) / (2.0 * limit_mps2)
+        push = along * -limit_mps2 if left_mps > 0.0 else np.zeros(3)
+        return Setpoint(position, along * left_mps, push, last.yaw_rad, 0.0, last.pitch_down_rad)
 
     def _count(self, proposal: Proposal | None, fault: str, instead: Setpoint) -> Refusal | None:
         if proposal is None or not fault:
@@ -262,19 +246,20 @@ class Guard:
         return Refusal(fault, instead)
 
 
-def _motion_of(wanted: Setpoint, now_s: float) -> _Motion | None:
-    position, velocity = _vector(wanted.position_m), _vector(wanted.velocity_mps)
-    if position is None or velocity is None:
-        return None
-    return _Motion(now_s, position, velocity, wanted.yaw_rad, wanted.camera_pitch_down_rad)
+def _is_finite(wanted: Setpoint) -> bool:
+    vectors = (wanted.position_m, wanted.velocity_mps, wanted.acceleration_mps2)
+    angles = (wanted.yaw_rad, wanted.yaw_rate_radps, wanted.camera_pitch_down_rad)
+    return all(v.shape == (3,) and bool(np.isfinite(v).all()) for v in vectors) and all(map(math.isfinite, angles))
 
 
-def _vector(array: FloatArray) -> Vec3 | None:
-    """Three finite floats, or None for any other shape or number."""
-    if array.shape != (3,):
-        return None
-    x, y, z = (float(value) for value in array.tolist())
-    return (x, y, z) if math.isfinite(x) and math.isfinite(y) and math.isfinite(z) else None
+def _motion_of(setpoint: Setpoint, now_s: float) -> _Motion:
+    place, velocity = _floats(setpoint.position_m), _floats(setpoint.velocity_mps)
+    return _Motion(now_s, place, velocity, setpoint.yaw_rad, setpoint.camera_pitch_down_rad)
+
+
+def _floats(vector: FloatArray) -> Vec3:
+    x, y, z = vector.tolist()
+    return x, y, z
 
 
 def _text(place_m: Vec3) -> str:
