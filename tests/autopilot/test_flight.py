@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flight_rig import ARM, ENVELOPE, MODE, TAKEOFF_LAG_S, TICK_S, Rig, Tap
+from flight_rig import ARM, BODY_FROM_DEPTH, ENVELOPE, MODE, TAKEOFF_LAG_S, TICK_S, Rig, Tap, smooth_way
 from pymavlink.dialects.v20 import common as mavlink
 
 from uav_recon.autopilot.tlog import Tlog
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
@@ -236,6 +237,24 @@ def test_something_that_appears_ahead_stops_the_vehicle(hovering: Rig) -> None:
     assert hovering.state.refusals == 1
     assert "from something" in hovering.state.note
     assert obstacle_m - hovering.px4.truth().position[0] - 0.2 >= 0.10
+
+
+@pytest.mark.parametrize("frame_ticks", [7, 17])
+def test_a_person_a_metre_ahead_at_full_speed_is_braked_for_in_time(hovering: Rig, frame_ticks: int) -> None:
+    hovering.depth, wall_m, begin_s, braked_s = False, math.inf, math.inf, math.inf
+    way = smooth_way(hovering.clock.now_s() + 0.1, [hovering.autopilot.truth().position, (3.5, 0.0, 1.1)], 2, mean_mps=0.53)
+    hovering.intent = (Goal.FLY, way)
+    for tick in range(800):
+        truth, now_s = hovering.autopilot.truth(), hovering.clock.now_s()
+        if wall_m == math.inf and truth.velocity[0] >= 0.9:
+            wall_m, begin_s = truth.position[0] + 0.2 + 1.0, now_s
+        if tick % frame_ticks == 0:
+            ranges = np.full((12, 16), min(max(wall_m - truth.position[0] - 0.1, 0.3), 9.0), dtype=np.float32)
+            hovering.channels.nearby.publish(Nearby(now_s, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
+        hovering.step()
+        braked_s = min(braked_s, now_s if "from something" in hovering.state.note else math.inf)
+    assert braked_s - begin_s <= 0.25
+    assert wall_m - 0.2 - max(place[0] for _, place in hovering.track) >= 0.40
 
 
 def test_a_take_off_wants_its_column_known_free() -> None:

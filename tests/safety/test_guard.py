@@ -269,6 +269,14 @@ def test_near_things_slow_and_stop() -> None:
             assert "from something" in refusal.reason
 
 
+@pytest.mark.parametrize(("age_s", "passes"), [(0.0, True), (0.05, True), (0.25, False)])
+def test_what_was_flown_since_a_frame_is_room_no_more(age_s: float, passes: bool) -> None:
+    guard, now, place = moving(1.0)
+    near = Ahead(frame(1.1, now + DT - age_s), HULL_RADIUS_M)
+    _, refusal = guard.clear(proposal(place + along(DT), (1.0, 0, 0)), situation(now + DT, ahead=near))
+    assert (refusal is None) is passes
+
+
 @pytest.mark.parametrize("stamp_s", [-0.5, 0.5, math.nan, None])
 def test_nothing_moves_without_fresh_depth_but_a_retreat(stamp_s: float | None) -> None:
     ahead = None if stamp_s is None else Ahead(frame(stamp_s=stamp_s), HULL_RADIUS_M)

@@ -211,7 +211,8 @@ class Guard:
             return ""
         direction = np.array(motion.velocity_mps) / speed_mps
         direction_body = situation.body_from_odom @ direction
-        room_m = ahead.room_m(direction_body)
+        since_s = min(max(0.0, situation.now_s - ahead.stamp_s), bounds.depth_hold_s)  # a retreat asks an older one too
+        room_m = ahead.room_m(direction_body) - speed_mps * since_s
         if not speed_mps <= fastest_mps(room_m, self.envelope.max_acceleration_mps2, bounds.margins, speed_mps):
             return f"{room_m:.2f} m from something at {speed_mps:.2f} m/s"
         asked = not retreating and bounds.blind_mps < self.envelope.max_speed_mps
