@@ -82,3 +82,18 @@ def test_three_refusals_in_a_second_are_not_listened_to_for_two() -> None:
     assert ladder.step(health(2.2, refusals=43))[0] is Rung.FLY
     for n in range(6):
         assert ladder.step(health(10.0 + 0.6 * n, refusals=44 + n))[0] is Rung.FLY, "slower than that is a mission at work"
+
+
+def test_holding_for_long_is_nobody_flying_and_lands() -> None:
+    ladder = Ladder(PATIENCE)
+    for n in range(40):
+        assert ladder.step(health(0.5 * n, depth_age_s=0.5))[0] is Rung.HOLD, "late frames, that is no silence to land for"
+    assert ladder.step(health(20.0, depth_age_s=0.5))[0] is Rung.HOLD
+    assert ladder.step(health(20.1, depth_age_s=0.5)) == (Rung.LAND, "no depth for 0.5 s, holding for 20 s")
+
+
+def test_a_moment_of_flight_is_a_new_patience() -> None:
+    ladder = Ladder(PATIENCE)
+    for now_s in (0.0, 19.0, 30.0, 49.0):
+        assert ladder.step(health(now_s, depth_age_s=0.5))[0] is Rung.HOLD
+        assert ladder.step(health(now_s + 0.5))[0] is Rung.FLY

@@ -56,14 +56,20 @@ class Ladder:
     def __init__(self, patience: Patience) -> None:
         self._patience = patience
         self._rung, self._why = Rung.FLY, ""
-        self._healthy_since_s = math.inf
+        self._healthy_since_s = self._kept_since_s = math.inf
         self._inside_s = math.inf
         self._refused: list[float] = []
         self._refusals: int | None = None
 
     def step(self, health: Health) -> tuple[Rung, str]:
-        """Down at once; up to flying from holding at once, from retreating after _HEALTH_S; from landing never."""
+        """Down at once; up to flying from holding at once, from retreating after _HEALTH_S; from landing never.
+
+        Kept from flying for as long as a silent mission is borne, whatever keeps it: nobody comes, so it lands.
+        """
         rung, why = self._wanted(health)
+        self._kept_since_s = math.inf if rung is Rung.FLY else min(self._kept_since_s, health.now_s)
+        if health.now_s - self._kept_since_s > self._patience.intent_land_s:
+            rung, why = Rung.LAND, f"{why}, holding for {self._patience.intent_land_s:.0f} s"
         self._healthy_since_s = min(self._healthy_since_s, health.now_s) if rung is Rung.FLY else math.inf
         recovered = self._rung <= Rung.HOLD or (
             self._rung is Rung.RETREAT and rung is Rung.FLY and health.now_s - self._healthy_since_s >= _HEALTH_S
