@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.link import Bytes, Late, Proxy
 from sitl.poses import PoseRecord
+from sitl.rotation import yaw_of
 from sitl.world import Outlet, World
 
 T = TypeVar("T")
@@ -23,17 +24,20 @@ OURS = ("OFFBOARD", "GUIDED")
 AIRBORNE_M = 0.9
 _REST_S = 2.0  # watched for so long after the motors stopped
 _LONGEST_WAIT_S = 120.0  # for a trouble's moment
+_SEEN_RAD = math.radians(25.0)  # off the nose, 1 m away a person still is in a picture that is 43 degrees wide each way
 
 
 @dataclass(frozen=True)
 class Onset:
     """When a trouble begins: at a random instant between these seconds after the climb is over, and then as soon as the
-    vehicle is flown at speed_mps or more. at_boot: at once. after_s counts from the boot where at_boot is set.
+    vehicle is flown at speed_mps or more. at_boot: at once. after_s counts from the boot where at_boot is set. seeing: where
+    the camera looks, which sees what stands in the hull's way only if that way leads ahead.
     """
 
     after_s: tuple[float, float] = (2.0, 8.0)
     speed_mps: float = 0.4
     at_boot: bool = False
+    seeing: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +49,7 @@ class Moment:
     velocity_mps: tuple[float, float, float]
     armed: bool
     mode: str
+    off_nose_rad: float = 0.0  # between the level course and where the nose points
 
 
 class Meddler:
@@ -78,7 +83,11 @@ class Meddler:
         """Before anything else moves in a turn."""
         at, truth = self.theatre, self.theatre.world.autopilot.truth()
         at.now_s = now_s
-        self.ledger.append(Moment(now_s, truth.position, truth.velocity, truth.armed, truth.mode))
+        self.ledger.append(
+            Moment(
+                now_s, truth.position, truth.velocity, truth.armed, truth.mode, off_nose_rad(truth.velocity, truth.quat_wxyz)
+            )
+        )
         self._watch(self.ledger[-1])
         if self.onset_s < math.inf:
             for injector in self._injectors:
@@ -121,7 +130,8 @@ class Meddler:
             self._airborne_s = min(self._airborne_s, now.stamp_s)
         since_s = self._begun_s if self._onset.at_boot else self._airborne_s
         fast = self._onset.at_boot or (flown and math.hypot(*now.velocity_mps[:2]) >= self._onset.speed_mps)
-        if fast and now.stamp_s >= since_s + self._wait_s:
+        seen = not self._onset.seeing or now.off_nose_rad <= _SEEN_RAD
+        if fast and seen and now.stamp_s >= since_s + self._wait_s:
             self.onset_s = now.stamp_s
             for injector in self._injectors:
                 injector.begin(self.theatre)
@@ -188,3 +198,8 @@ class FaultyStream:
                 self._writer.write_pose(
                     item.stamp_s, item.position_m, item.quat_wxyz, item.variance, item.quality, item.reset_counter
                 )
+
+
+def off_nose_rad(velocity: tuple[float, float, float], quat_wxyz: tuple[float, float, float, float]) -> float:
+    """Angle, 0 to pi, between the level course of a vehicle and its heading."""
+    return abs(math.remainder(math.atan2(velocity[1], velocity[0]) - yaw_of(quat_wxyz), math.tau))

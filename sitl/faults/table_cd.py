@@ -103,7 +103,7 @@ TABLE_C = (
         "a box stands 1.0 m ahead of the hull, at speed",
         lambda n: [Appears(1.0)],
         (holds(0.25), clear(0.40)),
-        onset=FAST,
+        onset=Onset(speed_mps=0.6, seeing=True),
     ),
     Row(
         "C9",

@@ -11,6 +11,7 @@ from sitl.d435i import FAST_DEPTH_SPEC
 from sitl.faults import eye, tracker
 from sitl.faults.host import Crash, Stall
 from sitl.faults.injector import Depth, Injector
+from sitl.faults.meddler import off_nose_rad
 from sitl.faults.obstacle import Furnished, Obstacle
 from sitl.faults.table import ROWS, TABLE
 from sitl.mesh import joined
@@ -130,3 +131,12 @@ def test_every_row_can_be_flown_or_says_why() -> None:
         assert bool(row.why) != bool(row.bars), row.id
         for number in range(9):
             list(row.injectors(number))
+
+
+def test_what_appears_ahead_appears_where_the_camera_looks() -> None:
+    half = math.sqrt(0.5)
+    assert off_nose_rad((1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)) == pytest.approx(0.0)
+    assert off_nose_rad((0.0, 1.0, 0.0), (half, 0.0, 0.0, half)) == pytest.approx(0.0)
+    assert off_nose_rad((1.0, 0.0, 0.0), (half, 0.0, 0.0, half)) == pytest.approx(math.pi / 2)
+    assert off_nose_rad((-1.0, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0)) == pytest.approx(math.pi)
+    assert ROWS["C8"].onset.seeing
