@@ -21,7 +21,10 @@ _CHECK = struct.Struct("<H")
 
 
 def frame_length(buffer: bytearray, at: int) -> int:
-    """Length of the frame that starts here, 0 if none can, -1 if its end has not arrived."""
+    """Length of the frame that starts here, 0 if none can, -1 if its end has not arrived.
+
+    Nothing is waited for that no known kind can become: after garbage the next true frame must not wait for a false one.
+    """
     magic, left = buffer[at], len(buffer) - at
     if magic not in (MAGIC_1, MAGIC_2):
         return 0
@@ -33,10 +36,14 @@ def frame_length(buffer: bytearray, at: int) -> int:
         return 0
     else:
         length = _HEADER_2 + buffer[at + 1] + _CHECKSUM + (_SIGNATURE if buffer[at + 2] else 0)
-    return length if left >= length else -1
+    if left >= length:
+        return length
+    whole_header = left >= (_HEADER_1 if magic == MAGIC_1 else _HEADER_2)
+    kind = wire.mavlink_map.get(kind_of(buffer[at : at + _HEADER_2])) if whole_header else None
+    return 0 if whole_header and (kind is None or buffer[at + 1] > kind.unpacker.size) else -1
 
 
-def kind_of(frame: bytes) -> int:
+def kind_of(frame: bytes | bytearray) -> int:
     """Message id of a whole frame."""
     return frame[5] if frame[0] == MAGIC_1 else frame[7] | frame[8] << 8 | frame[9] << 16
 
