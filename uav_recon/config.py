@@ -20,7 +20,9 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-Vec3 = tuple[float, float, float]
+Coordinate = Annotated[float, Field(ge=-500.0, le=500.0)]  # m
+Vec3 = tuple[Coordinate, Coordinate, Coordinate]
+LinkUrl = Annotated[str, Field(pattern=r"^(udp|serial):.+:\d+$")]
 VariantName = Literal["adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp"]
 UncertaintyName = Literal["agreement", "paper", "colour", "information", "product"]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -110,12 +112,12 @@ class LinkConfig(Section):
     """The way to the autopilot."""
 
     autopilot: Literal["px4", "ardupilot"] = "px4"  # firmware personality
-    url: str = "udp:127.0.0.1:14540"  # udp:HOST:PORT (listens there) or serial:DEVICE:BAUD
+    url: LinkUrl = "udp:127.0.0.1:14540"  # udp:HOST:PORT (listens there) or serial:DEVICE:BAUD
     parameters: Path | None = None  # file of what the vehicle must have; unset: that of firmware_params/ for this autopilot
     setpoint_rate_hz: Annotated[float, Field(ge=10.0, le=100.0)] = 30.0  # setpoints on the wire
     origin_lat_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.3977  # origin handed to the autopilot
     origin_lon_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 8.5456  # any place will do indoors
-    origin_alt_m: float = 488.0  # height above the ellipsoid
+    origin_alt_m: Annotated[float, Field(ge=-500.0, le=9000.0)] = 488.0  # height above the ellipsoid
 
 
 class CameraConfig(Section):
