@@ -1,0 +1,163 @@
+"""Broken configs: `python tests/mutated_configs.py [N]`. Starts the pilot on N of them; exit 1 where one ends as it must not.
+
+Each is the flown config with one thing wrong: a bound passed by the least that a float can tell, a number that is none, a word
+for a number and a number for a word, a key missing or misspelt, two numbers the wrong way round.
+"""
+
+from __future__ import annotations
+
+import math
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from annotated_types import Ge, Gt, Le, Lt
+
+from uav_recon.config import Config, load
+
+FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
+LONGEST_S = 1.0
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A tree that must be refused, by words that name the key and what is allowed of it."""
+
+    tree: dict[str, Any]
+    words: tuple[str, ...]
+
+
+def mutants() -> list[Mutant]:
+    """All of them, always the same."""
+    return [*wrong_numbers(), *wrong_kinds(), *missing_and_misspelt(), *contradictions()]
+
+
+def flown(section: str, key: str, value: Any) -> dict[str, Any]:
+    """The flown config with one value of it changed."""
+    tree = load(FLOWN).model_dump(mode="json", exclude_none=True)
+    return {**tree, section: {**tree[section], key: value}}
+
+
+def fields() -> Iterator[tuple[str, str, Any]]:
+    """Section, key and field of everything that can be written."""
+    for section, kind in Config.model_fields.items():
+        for key, field in kind.annotation.model_fields.items():  # type: ignore[union-attr]
+            yield section, key, field
+
+
+def wrong_numbers() -> Iterator[Mutant]:
+    """Past each bound by the least there is, far past it, and no number at all."""
+    for section, key, field in fields():
+        whole = field.annotation is int
+        for bound in field.metadata:
+            for limit, away, outside in (
+                ("ge", -math.inf, False),
+                ("gt", -math.inf, True),
+                ("le", math.inf, False),
+                ("lt", math.inf, True),
+            ):
+                if not isinstance(bound, {"ge": Ge, "gt": Gt, "le": Le, "lt": Lt}[limit]):
+                    continue
+                border = getattr(bound, limit)
+                step = int(math.copysign(1, away))
+                first = border if outside else border + step if whole else math.nextafter(border, away)
+                for value in (first, border + 1000 * step):
+                    yield Mutant(flown(section, key, value), (f"{section}.{key}", f"{border:g}"))
+            yield Mutant(flown(section, key, math.nan), (f"{section}.{key}",))
+
+
+def wrong_kinds() -> Iterator[Mutant]:
+    """A word for a number, a table for anything else."""
+    for section, key, field in fields():
+        if field.annotation in (int, float):
+            yield Mutant(
+                flown(section, key, "much"), (f"{section}.{key}", "number" if field.annotation is float else "integer")
+            )
+        else:
+            yield Mutant(flown(section, key, {"a": 1}), (f"{section}.{key}",))
+
+
+def missing_and_misspelt() -> Iterator[Mutant]:
+    """No protective number has a default, and no key is passed over."""
+    tree = load(FLOWN).model_dump(mode="json", exclude_none=True)
+    for key in tree["safety"]:
+        less = {name: value for name, value in tree["safety"].items() if name != key}
+        yield Mutant({**tree, "safety": less}, (f"safety.{key}", "required"))
+    for section in Config.model_fields:
+        yield Mutant(flown(section, "no_such_key", 1), (f"{section}.no_such_key", "not permitted"))
+
+
+def contradictions() -> Iterator[Mutant]:
+    """Numbers that are allowed one by one and not together."""
+    for low, high in (
+        ("intent_timeout_s", "retreat_timeout_s"),
+        ("retreat_timeout_s", "land_timeout_s"),
+        ("depth_timeout_s", "depth_retreat_s"),
+        ("depth_retreat_s", "depth_land_s"),
+        ("pose_timeout_s", "pose_land_s"),
+    ):
+        yield Mutant(flown("safety", high, load(FLOWN).model_dump()["safety"][low] - 0.01), (low, "<="))
+    for key, limit in (
+        ("speed_mps", "max_speed_mps"),
+        ("acceleration_mps2", "max_acceleration_mps2"),
+        ("yaw_rate_degps", "max_yaw_rate_degps"),
+    ):
+        yield Mutant(flown("motion", key, 999.0), (f"motion.{key}", f"safety.{limit}"))
+    for axis in range(3):
+        low = list(load(FLOWN).safety.fence_min_m)
+        low[axis] = load(FLOWN).safety.fence_max_m[axis] - 0.5
+        yield Mutant(flown("safety", "fence_min_m", low), ("fence_min_m", "inset"))
+    for corners in (
+        [[-3, -3], [3, 3], [3, -3], [-3, 3]],
+        [[-3, -3], [3, 3]],
+        [[1, -3], [3, -3], [3, 3]],
+        [[-3, -3], [9, -3], [0, 3]],
+    ):
+        yield Mutant(flown("safety", "fence_corners_m", corners), ("fence",))
+    for section, key in (("safety", "fence_min_m"), ("safety", "fence_max_m"), ("camera", "position_body_m")):
+        for value in (math.nan, math.inf, 500.1, -500.1):
+            yield Mutant(flown(section, key, [0.1, value, 0.1]), (f"{section}.{key}.1", "500"))
+    for url in ("", "tcp:127.0.0.1:5760", "udp:127.0.0.1", "serial:/dev/fc", "udp:127.0.0.1:ten", "/dev/ttyACM0"):
+        yield Mutant(flown("link", "url", url), ("link.url", "pattern"))
+
+
+def fault_of(mutant: Mutant, folder: Path) -> tuple[str, float]:
+    """What was wrong with how the pilot ended, '' for nothing, and the processor time it took (s)."""
+    path = folder / "config.toml"
+    path.write_text(tomli_w.dumps({**mutant.tree, "runtime": {**mutant.tree["runtime"], "folder": str(folder / "run")}}))
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-m", "uav_recon.cli", "pilot", "--config", str(path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    took_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    lines = done.stderr.splitlines()
+    if done.returncode != 78 or len(lines) != 1 or done.stdout:
+        return f"exit {done.returncode}, said {done.stdout + done.stderr!r}", took_s
+    if (folder / "run").exists():
+        return "it began to run", took_s
+    missing = [word for word in mutant.words if word not in lines[0]]
+    return f"{lines[0]!r} does not name {missing}" if missing else "", took_s
+
+
+if __name__ == "__main__":
+    everything, count = mutants(), int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    with tempfile.TemporaryDirectory() as home:
+        ends = [(one, *fault_of(one, Path(home))) for one in everything[:: max(len(everything) // count, 1)][:count]]
+    bad = [(one, fault) for one, fault, _ in ends if fault]
+    took = sorted(took_s for *_, took_s in ends)
+    print(f"{len(ends)} broken configs, {len(bad)} not refused as they must be")
+    print(f"processor time to the end: {took[len(took) // 2]:.2f} s, {took[-1]:.2f} s at most")
+    for one, fault in bad:
+        print(f"{one.words}: {fault}")
+    sys.exit(bool(bad) or took[-1] > LONGEST_S)

@@ -1,0 +1,41 @@
+"""Broken configs are refused before anything begins. The script beside it starts a pilot on each of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import tomli_w
+from mutated_configs import FLOWN, fault_of, mutants
+
+from uav_recon import processes
+from uav_recon.cli_exit import exit_with
+from uav_recon.config import load
+
+ALL = mutants()
+
+
+def test_each_of_two_hundred_is_refused_by_one_line_that_names_key_and_range_before_anything_begins(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uav_recon.run.file_wires", lambda folder: pytest.fail("it began to run"))
+    path = tmp_path / "config.toml"
+    assert len(ALL) >= 200
+    for mutant in ALL:
+        path.write_text(tomli_w.dumps(mutant.tree))
+        with pytest.raises(BaseException) as ended:
+            exit_with(lambda: processes.pilot(path, None))
+        said = capsys.readouterr()
+        assert getattr(ended.value, "exit_code", None) == 78, (mutant.words, ended.value)
+        assert len(said.err.splitlines()) == 1, said.err
+        assert said.out == ""
+        for word in mutant.words:
+            assert word in said.err
+
+
+def test_a_process_of_its_own_ends_so_too(tmp_path: Path) -> None:
+    assert fault_of(ALL[len(ALL) // 2], tmp_path)[0] == ""
+
+
+def test_what_is_broken_was_whole() -> None:
+    assert load(FLOWN).safety.max_speed_mps == 1.0
