@@ -19,6 +19,7 @@ class Mandate:
     def __init__(self, intent: Channel[Intent], fresh_s: float) -> None:
         self._channel, self._fresh_s = intent, fresh_s
         self._intent: Intent | None = None
+        self._wanted_s = -math.inf  # stamp of its last wish
         self._forsaken: Key | None = None  # malformed, turned down, or made in an odom that is no more
         self.trajectory: Trajectory | None = None
         self.malformed = 0
@@ -32,6 +33,7 @@ class Mandate:
         if intent is None or intent is self._intent or not -_FUTURE_S <= now_s - intent.stamp_s <= self._fresh_s:
             return ""
         self._intent = intent
+        self._wanted_s = self._wanted_s if intent.goal is Goal.STANDBY else intent.stamp_s
         trajectory = intent.trajectory if intent.goal is Goal.FLY else None
         if trajectory is None:
             self.trajectory = None
@@ -50,8 +52,11 @@ class Mandate:
         self._forsaken, self.trajectory = _key(self.trajectory), None
 
     def age_s(self, now_s: float) -> float:
-        """Seconds since the mission's pulse, infinity before the first."""
-        return math.inf if self._intent is None else now_s - self._intent.stamp_s
+        """Seconds since the mission last wanted anything, infinity before the first.
+
+        One that stands by is silent: in flight it has been started anew, and knows nothing of the flight that it is in.
+        """
+        return now_s - self._wanted_s
 
     def goal(self, now_s: float) -> Goal:
         """What a mission that is not silent wants, STANDBY otherwise."""

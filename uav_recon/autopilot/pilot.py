@@ -227,8 +227,8 @@ class Pilot:
 
     def _fly(self, now_s: float) -> None:
         wanted = "the mission asks to land" if self._mandate.goal(now_s) is Goal.LAND else ""
-        ended = f"{self._low}: {self._steering.ended}" if self._steering.ended else ""
-        why = self._land_wanted or (self._low if self._rung is Rung.LAND else "") or ended or wanted
+        blocked = f"{self._low}: {self._steering.blocked}" if self._steering.blocked else ""
+        why = self._land_wanted or (self._low if self._rung is Rung.LAND else "") or blocked or wanted
         if why:
             self._enter(FlightPhase.LANDING, why)
             self._land(now_s)

@@ -16,7 +16,7 @@ _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends t
 
 
 class Steering:
-    """Keeps the breadcrumbs. ``ended``: why the retreat is over, '' while it is not."""
+    """Keeps the breadcrumbs. ``blocked``: why there is no way back any more, '' while there is one."""
 
     def __init__(self, guard: Guard, mandate: Mandate, hover_height_m: float) -> None:
         self._guard, self._mandate, self._hover_height_m = guard, mandate, hover_height_m
@@ -26,7 +26,7 @@ class Steering:
         self._way_back: Trajectory | None = None
         self._handed: Trajectory | None = None  # the trajectory that the handover leads to
         self._handover: Handover | None = None
-        self.ended = ""
+        self.blocked = ""
 
     def was_at(self, odom_from_body: Pose) -> None:
         """In flight, and not on the way back."""
@@ -38,7 +38,7 @@ class Steering:
         self._guard.rebase(situation, rest_s)
         self._crumbs.forget()
         self._mandate.forsake()
-        self._way_back, self.ended = None, ""
+        self._way_back, self.blocked = None, ""
 
     def steer(self, rung: Rung, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
         """The guard's word for this instant. What it turned down is not proposed again."""
@@ -63,9 +63,9 @@ class Steering:
         return cleared, refusal
 
     def _retreat(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
-        """From rest back along the breadcrumbs; a way that is blocked, or flown, ends the retreat."""
+        """From rest back along the breadcrumbs, and a hold where they begin; a way that is blocked ends it."""
         way, now_s = self._way_back, situation.now_s
-        if way is None or self.ended:
+        if way is None or self.blocked:
             cleared, _ = self._guard.clear(None, situation)
             rest = cleared.setpoint
             if not np.any(rest.velocity_mps):
@@ -75,9 +75,7 @@ class Steering:
             return cleared, None
         cleared, refusal = self._guard.clear(self._proposal(way, now_s, True), situation)
         if refusal is not None:
-            self.ended = f"retreat blocked: {refusal.reason}"
-        elif now_s > way.start_s + way.duration_s:
-            self.ended = "the retreat is over"
+            self.blocked = f"retreat blocked: {refusal.reason}"
         return cleared, refusal
 
     def _proposal(self, trajectory: Trajectory, now_s: float, retreating: bool) -> Proposal:
