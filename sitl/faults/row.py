@@ -60,7 +60,7 @@ class Row:
     onset: Onset = ON_THE_WAY
     arena: Arena = "hall"
     longest_s: float = 60.0
-    views: int = 14
+    views: int = 40
     tier: str = "T0"
     why: str = ""
 
