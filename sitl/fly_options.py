@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast, get_args
 
 from sitl.d435i import Model, Noise
+from sitl.firmware.px4 import COMPANION_PORT as PX4_PORT
 from sitl.fly_world import WorldOptions
 from sitl.scene import HULL_HEIGHT_M, Scene
 from uav_recon import run
@@ -55,6 +57,7 @@ class SimOptions:
     live: bool
     port: int
     uncertainty: str
+    firmware: Path | None  # a real one, in the simulated autopilot's place
 
     @staticmethod
     def parse(
@@ -62,7 +65,7 @@ class SimOptions:
         seed: int = 0, out: Path | None = None, autopilot: str = "px4", variant: str = "adaptive",
         mount: str = "fixed:15", depth_noise: str = "d435i", camera: str | None = None, mapper: str = "neural",
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
-        uncertainty: str = "agreement",
+        uncertainty: str = "agreement", firmware: Path | None = None,
     ) -> SimOptions:  # fmt: skip
         """Check the words of the command line. Raises UsageError with one line."""
         chosen = camera or ("d435i" if mapper == "neural" else "fast")
@@ -76,6 +79,8 @@ class SimOptions:
             raise UsageError("--mapper stand-in: flies in --lockstep only")
         if not RADII_M[0] <= radius <= RADII_M[1]:
             raise UsageError(f"--radius {radius}: want {RADII_M[0]}..{RADII_M[1]} metres")
+        if firmware is not None:
+            _check_firmware(firmware, autopilot, mount, port, lockstep)
         s = _numbers("start", start, 4)
         f = _numbers("fence", fence, 6)
         if f is not None and any(f[i] >= f[i + 3] for i in range(3)):
@@ -90,6 +95,7 @@ class SimOptions:
             seed=seed, out=folder.absolute(), autopilot=autopilot, variant=variant, mount=mount,
             mount_pitch_down_deg=_mount(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
             radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
+            firmware=None if firmware is None else firmware.absolute(),
         )  # fmt: skip
 
     def make_folder(self) -> None:
@@ -109,7 +115,7 @@ class SimOptions:
             mount_pitch_down_deg=self.mount_pitch_down_deg, radius_m=self.radius_m,
             depth_noise=cast("Noise", self.depth_noise), camera=cast("Model", self.camera), port=self.port,
             stream=str(runtime / "camera.stream"),
-            truth=str(self.out / "truth.npz"),
+            truth=str(self.out / "truth.npz"), firmware=None if self.firmware is None else str(self.firmware),
         )  # fmt: skip
 
     def config(self, scene: Scene, runtime: Path) -> Config:
@@ -162,6 +168,20 @@ class SimOptions:
             return parse(tree, "sim")
         except ConfigError as error:
             raise run.Failure(str(error), run.EXIT_CONFIG) from None
+
+
+def _check_firmware(firmware: Path, autopilot: str, mount: str, port: int, lockstep: bool) -> None:
+    """Raises UsageError for a firmware that cannot be started, or cannot be flown as asked."""
+    if not firmware.is_file():
+        raise UsageError(f"--firmware {firmware}: no such file")
+    if not os.access(firmware, os.X_OK):
+        raise UsageError(f"--firmware {firmware}: not executable")
+    if lockstep:
+        raise UsageError("--firmware: flies in real time, not in --lockstep")
+    if mount == "gimbal":
+        raise UsageError("--firmware: wants --mount fixed:DEG, for its simulation has no gimbal")
+    if autopilot == "px4" and port != PX4_PORT:
+        raise UsageError(f"--port {port}: with a PX4 --firmware it is {PX4_PORT}, where its start script sends")
 
 
 def _numbers(name: str, text: str | None, count: int) -> tuple[float, ...] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
@@ -19,6 +20,10 @@ from sitl.ardupilot import ArduCopter
 from sitl.ardupilot_parameters import ArduPilotParameters
 from sitl.autopilot import Autopilot
 from sitl.clearance import Clearance
+from sitl.firmware.ardupilot import ArduPilotBinary
+from sitl.firmware.process import FirmwareError
+from sitl.firmware.px4 import Px4Binary
+from sitl.firmware.vehicle import FirmwareVehicle
 from sitl.merged import merged
 from sitl.pace import REAL, Pace
 from sitl.parameters import Parameters
@@ -28,7 +33,7 @@ from sitl.raster import Renderer
 from sitl.scene import Scene, load_scene
 from sitl.transport import ByteEnd, UdpPeer
 from sitl.vehicle import Quadrotor
-from sitl.world import Darkroom, World
+from sitl.world import Darkroom, Flyer, World
 from uav_recon.sensors.wire import StreamWriter
 
 STEP_S = 0.004
@@ -50,6 +55,7 @@ class WorldOptions:
     port: int
     stream: str
     truth: str
+    firmware: str | None = None  # the path of a real one; it flies in real time
 
     def save(self, path: Path) -> None:
         """Write as JSON."""
@@ -66,20 +72,25 @@ class WorldOptions:
 
 
 def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float], pace: Pace = REAL) -> World:
-    """Put the world together, compile its kernels, and only then read the clock: its time begins there."""
+    """Put the world together with a simulated autopilot; its time begins only when the kernels are compiled."""
+    return _assemble(options, scene, lambda: _autopilot(options, scene, link, pace), now_s, pace)
+
+
+def _assemble(options: WorldOptions, scene: Scene, boot: Callable[[], Flyer], now_s: Callable[[], float], pace: Pace) -> World:
+    """Compile the kernels, put the vehicle on its pad, and only then read the clock: the world's time begins there."""
     renderer, clearance = _renderer(scene, options.camera), Clearance(scene, options.radius_m)
     d435i.warm_up()
     clearance.hull_m(np.zeros(3))
     camera = d435i.Camera(renderer, options.camera, options.depth_noise, seed=options.seed)
-    vehicle = Quadrotor(seed=options.seed, yaw_rad=scene.start_yaw_rad)
-    autopilot = _autopilot(options, vehicle, link, pace)
+    flyer = boot()
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
-    return World(autopilot, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad, pace)
+    return World(flyer, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad, pace)
 
 
-def _autopilot(options: WorldOptions, vehicle: Quadrotor, link: ByteEnd, pace: Pace) -> Autopilot:
+def _autopilot(options: WorldOptions, scene: Scene, link: ByteEnd, pace: Pace) -> Autopilot:
     """With the parameters that are to be flown."""
+    vehicle = Quadrotor(seed=options.seed, yaw_rad=scene.start_yaw_rad)
     if options.autopilot == "ardupilot":
         return ArduCopter(vehicle, link, ArduPilotParameters.load(), options.seed, pace.physics_s)
     return Px4(vehicle, link, Parameters.load(), options.seed, pace.physics_s)
@@ -92,13 +103,40 @@ def _renderer(scene: Scene, camera: d435i.Model) -> Renderer:
     return Renderer(vertices, faces, np.zeros(vertices.shape, np.uint8))
 
 
+def _firmware(options: WorldOptions, firmware: Path, scene: Scene) -> FirmwareVehicle:
+    """Its own files go where the stream is; what it prints, beside the other logs. Raises FirmwareError."""
+    binary = ArduPilotBinary(firmware) if options.autopilot == "ardupilot" else Px4Binary(firmware)
+    folder, log = Path(options.stream).with_name("firmware"), Path(options.truth).parent / "logs" / "firmware.log"
+    return FirmwareVehicle(binary, options.port, scene.start_yaw_rad, folder, log)
+
+
 def fly(options: WorldOptions) -> None:
-    """Run in real time until SIGTERM, then write the truth."""
+    """Run in real time until SIGTERM, then write the truth. Raises FirmwareError."""
     stopping: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: stopping.append(number))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    link = UdpPeer(remote=("127.0.0.1", options.port))
-    world = make_world(options, options.scene_of(), link, time.monotonic)
+    with contextlib.ExitStack() as ends:
+        world = _outside(options, options.scene_of(), ends)
+        try:
+            _run(world, stopping)
+        finally:
+            world.truth_log.save(Path(options.truth), world)
+
+
+def _outside(options: WorldOptions, scene: Scene, ends: contextlib.ExitStack) -> World:
+    """The world with whatever flies in it; ends closes its link, or its firmware."""
+    if options.firmware is None:
+        link = ends.enter_context(contextlib.closing(UdpPeer(remote=("127.0.0.1", options.port))))
+        return make_world(options, scene, link, time.monotonic)
+    firmware = Path(options.firmware)
+
+    def boot() -> Flyer:
+        return ends.enter_context(contextlib.closing(_firmware(options, firmware, scene)))
+
+    return _assemble(options, scene, boot, time.monotonic, REAL)
+
+
+def _run(world: World, stopping: list[int]) -> None:
     darkroom = Darkroom(world)
     next_s = time.monotonic()
     while not stopping:
@@ -109,10 +147,11 @@ def fly(options: WorldOptions) -> None:
         next_s = max(next_s + STEP_S, now_s)
         time.sleep(max(next_s - time.monotonic(), 0.0))
     darkroom.close()
-    world.truth_log.save(Path(options.truth), world)
-    link.close()
 
 
 if __name__ == "__main__":
     sys.setswitchinterval(0.001)
-    fly(WorldOptions.load(Path(sys.argv[1])))
+    try:
+        fly(WorldOptions.load(Path(sys.argv[1])))
+    except FirmwareError as error:
+        sys.exit(str(error))

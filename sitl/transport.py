@@ -81,11 +81,12 @@ def pipe(depth: int = 20000) -> tuple[PipeEnd, PipeEnd]:
 class UdpPeer:
     """A loopback UDP socket that talks to one address; PX4's onboard link sends first, to the companion's 14540.
 
-    Raises ValueError for a remote address that is not loopback, OSError if local_port is in use.
+    A remote of None is whoever speaks first. Raises ValueError for an address that is not loopback, OSError if local_port is
+    in use.
     """
 
-    def __init__(self, local_port: int = 0, remote: tuple[str, int] = ("127.0.0.1", 14540)) -> None:
-        if not remote[0].startswith("127."):
+    def __init__(self, local_port: int = 0, remote: tuple[str, int] | None = ("127.0.0.1", 14540)) -> None:
+        if remote is not None and not remote[0].startswith("127."):
             raise ValueError(f"the simulated autopilot speaks on loopback only, not to {remote[0]}")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -118,6 +119,8 @@ class UdpPeer:
                 return b""
             except ConnectionRefusedError:
                 continue  # the remote is not up yet
+            if self._remote is None:
+                self._remote = sender
             if sender != self._remote:
                 continue
             self._arrival_s = time.monotonic()
@@ -130,6 +133,8 @@ class UdpPeer:
 
     def write(self, data: bytes) -> None:
         """Send; lost silently while the remote is not there. Raises OSError if the socket is closed."""
+        if self._remote is None:
+            return
         try:
             self._socket.sendto(data, self._remote)
         except (BlockingIOError, ConnectionRefusedError):

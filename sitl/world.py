@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.autopilot import Autopilot
+from sitl.autopilot import Autopilot, Truth
 from sitl.clearance import Clearance
 from sitl.d435i import Camera
 from sitl.pace import REAL, Pace
@@ -21,6 +21,28 @@ from sitl.transform import rigid, rotation_from_quat
 F64 = NDArray[np.float64]
 PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # taking off and landing so low over the ground, nearness to it is no fault
 BODY_ABOVE_FLOOR_M = 0.10
+
+
+class Flyer(Protocol):
+    """What flies the vehicle: a simulated autopilot with its physics, or a real firmware with its own."""
+
+    @property
+    def setpoint_arrivals_s(self) -> list[float]:
+        """World-clock arrivals of setpoints while armed and flying by them, where they can be seen."""
+        ...
+
+    @property
+    def failsafes(self) -> list[str]:
+        """What went wrong and what was done about it, in order."""
+        ...
+
+    def step(self, now_s: float) -> None:
+        """Advance to now_s on the world's clock."""
+        ...
+
+    def truth(self) -> Truth:
+        """The vehicle as it really is at the last step."""
+        ...
 
 
 class Outlet(Protocol):
@@ -64,8 +86,8 @@ class TruthLog:
             hull_m=hull_m,
             armed=table[:, 9] > 0,
             landing=table[:, 10] > 0,
-            setpoint_arrivals_s=np.array(world.autopilot.setpoint_arrivals_s, dtype=np.float64),
-            failsafes=np.array(world.autopilot.failsafes, dtype=np.str_),
+            setpoint_arrivals_s=np.array(world.flyer.setpoint_arrivals_s, dtype=np.float64),
+            failsafes=np.array(world.flyer.failsafes, dtype=np.str_),
         )
         temporary.replace(path)
 
@@ -75,7 +97,7 @@ class World:
 
     def __init__(
         self,
-        autopilot: Autopilot,
+        flyer: Flyer,
         camera: Camera,
         poses: NoisyPoses,
         clearance: Clearance,
@@ -84,32 +106,39 @@ class World:
         mount_pitch_down_rad: float | None,
         pace: Pace = REAL,
     ) -> None:
-        """A mount_pitch_down_rad of None is a gimbal: its angle is the autopilot's."""
+        """A mount_pitch_down_rad of None is a gimbal: its angle is the flyer's."""
         self._imu_hz, self._truth_hz = pace.imu_hz, pace.truth_hz
-        self.autopilot, self.camera, self._poses, self.clearance = autopilot, camera, poses, clearance
+        self.flyer, self.camera, self._poses, self.clearance = flyer, camera, poses, clearance
         self.stream, self._start_s, self._mount_pitch_down_rad = stream, start_s, mount_pitch_down_rad
         self._imu_count = self._truth_count = self._frame_count = 0
         self.truth_log = TruthLog([])
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """The simulated autopilot, for those who meddle with it. Raises TypeError where a real firmware flies."""
+        if not isinstance(self.flyer, Autopilot):
+            raise TypeError("a real firmware flies")
+        return self.flyer
 
     def step(self, now_s: float) -> None:
         """Fly to now_s, publish what the sensors saw on the way, keep the truth."""
         while (stamp_s := self._start_s + self._imu_count / self._imu_hz) <= now_s + 1e-9:
             self._publish_imu(stamp_s)
-        self.autopilot.step(now_s)
+        self.flyer.step(now_s)
         self._publish_poses(now_s)
         self._keep_truth(now_s)
 
     def _publish_imu(self, stamp_s: float) -> None:
         """A sample of its own instant, however late this call comes: a computer that stalls does not stall gyros."""
-        self.autopilot.step(stamp_s)
-        truth = self.autopilot.truth()
+        self.flyer.step(stamp_s)
+        truth = self.flyer.truth()
         self.stream.write_imu(stamp_s, np.asarray(truth.gyro), np.asarray(truth.specific_force))
         self._imu_count += 1
 
     def _publish_poses(self, now_s: float) -> None:
         if not self._poses.due(now_s):
             return
-        truth = self.autopilot.truth()
+        truth = self.flyer.truth()
         for record in self._poses.step(now_s, truth.position, truth.quat_wxyz):
             self.stream.write_pose(
                 record.stamp_s, record.position_m, record.quat_wxyz, record.variance, record.quality, record.reset_counter
@@ -119,7 +148,7 @@ class World:
         if self._start_s + self._truth_count / self._truth_hz > now_s + 1e-9:
             return
         self._truth_count = int((now_s - self._start_s) * self._truth_hz + 1e-9) + 1
-        truth = self.autopilot.truth()
+        truth = self.flyer.truth()
         x, y, z = truth.position
         landing = "LAND" in truth.mode
         over_pad = landing or math.hypot(x, y) < PAD_RADIUS_M
@@ -127,7 +156,7 @@ class World:
         self.truth_log.rows.append((now_s, x, y, z, *truth.quat_wxyz, float(measured), float(truth.armed), float(landing)))
 
     def _world_from_body(self) -> NDArray[np.float64]:
-        truth = self.autopilot.truth()
+        truth = self.flyer.truth()
         return rigid(rotation_from_quat(truth.quat_wxyz), truth.position)
 
     def frame_due(self, now_s: float) -> bool:
@@ -141,7 +170,7 @@ class World:
         """What the shutter caught: take it in the stepping thread, develop it anywhere."""
         pitch_rad = self._mount_pitch_down_rad
         if pitch_rad is None:
-            pitch_rad = self.autopilot.truth().gimbal_pitch_down_rad
+            pitch_rad = self.flyer.truth().gimbal_pitch_down_rad
         return Exposure(now_s, self._world_from_body(), pitch_rad)
 
     def develop(self, exposure: Exposure) -> None:

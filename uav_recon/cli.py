@@ -89,6 +89,13 @@ def sim(
     ] = False,
     live: Annotated[bool, typer.Option("--live", help="Open the rerun viewer and watch while it flies.")] = False,
     port: Annotated[int, typer.Option(min=1024, max=65535, help="Loopback UDP port of the MAVLink link.")] = 14540,
+    firmware: Annotated[
+        Path | None,
+        typer.Option(
+            help="A real firmware's simulation binary in the simulated autopilot's place: ArduCopter SITL, or bin/px4 of a "
+            "build with SIH. Its vehicle flies in its own physics, and the camera follows."
+        ),
+    ] = None,
 ) -> None:
     """Fly a whole mission in simulation and write a flight folder with model, report and recording.
 
@@ -102,7 +109,7 @@ def sim(
             SimOptions.parse(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
                 mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, uncertainty=uncertainty, radius=radius,
-                lockstep=lockstep, live=live, port=port,
+                lockstep=lockstep, live=live, port=port, firmware=firmware,
             )
         )
     )  # fmt: skip

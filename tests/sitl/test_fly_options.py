@@ -49,6 +49,32 @@ def test_a_word_out_of_range_names_what_is_allowed(words: dict[str, str], named:
     assert "\n" not in str(failure.value)
 
 
+def test_a_firmware_that_cannot_be_flown_is_said_so_in_one_line(tmp_path: Path) -> None:
+    plain, program = tmp_path / "readme", tmp_path / "arducopter"
+    plain.write_text("", encoding="ascii")
+    program.write_text("", encoding="ascii")
+    program.chmod(0o755)
+    for words, named in (
+        ({"firmware": tmp_path / "none"}, "none: no such file"),
+        ({"firmware": plain}, "readme: not executable"),
+        ({"firmware": program, "lockstep": True}, "real time"),
+        ({"firmware": program, "mount": "gimbal"}, "fixed:DEG"),
+        ({"firmware": program, "port": 15000}, "14540"),
+    ):
+        with pytest.raises(UsageError, match=named) as failure:
+            SimOptions.parse(**words)
+        assert "\n" not in str(failure.value)
+
+
+def test_a_firmware_goes_to_the_world_with_its_whole_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arducopter").write_text("", encoding="ascii")
+    Path("arducopter").chmod(0o755)
+    options = SimOptions.parse(firmware=Path("arducopter"), autopilot="ardupilot", port=15000)
+    assert options.world(tmp_path).firmware == str(tmp_path / "arducopter")
+    assert SimOptions.parse().world(tmp_path).firmware is None
+
+
 def test_the_fence_of_the_product_is_the_scenes_box(tmp_path: Path) -> None:
     config = SimOptions.parse(views=33, seed=5, variant="merged", port=15000, uncertainty="paper").config(SCENE, tmp_path)
     assert config.safety.fence_min_m == (-1.0, -1.5, -0.1)

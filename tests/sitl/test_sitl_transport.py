@@ -96,3 +96,20 @@ def test_udp_refuses_addresses_off_this_machine() -> None:
 def test_udp_says_when_its_port_is_taken(companion: socket.socket) -> None:
     with pytest.raises(OSError, match="in use"):
         UdpPeer(local_port=companion.getsockname()[1])
+
+
+def test_a_peer_that_knows_no_remote_answers_whoever_spoke_first(companion: socket.socket) -> None:
+    peer = UdpPeer(remote=None)
+    try:
+        peer.write(b"to nobody")
+        companion.sendto(b"here", ("127.0.0.1", peer.local_port))
+        peer.wait(5.0)
+        assert peer.read() == b"here"
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            stranger.sendto(b"me too", ("127.0.0.1", peer.local_port))
+            peer.wait(5.0)
+            assert peer.read() == b""
+        peer.write(b"hello")
+        assert companion.recvfrom(100)[0] == b"hello"
+    finally:
+        peer.close()

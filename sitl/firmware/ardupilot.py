@@ -1,0 +1,75 @@
+"""ArduCopter's own simulation: how its binary is started, and how it says where its vehicle really is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.ardupilot_parameters import DEFAULT_FILE
+from sitl.firmware.path import Grain, Inertial, Reading, TruePath
+from sitl.mavlink_wire import Heard
+
+_HOME = "47.397742,8.545594,0,0"  # latitude, longitude, height, heading: any place will do
+_SERIAL_PORTS = 9
+# What a bench would have set up on the airframe of its `quad` model, before anybody flies: frame, calibration, battery, sticks.
+_AIRFRAME: dict[str, float] = {
+    "FRAME_CLASS": 1, "FRAME_TYPE": 0,
+    **{f"INS_ACC{n}OFFS_{axis}": 0.001 for n in ("", "2") for axis in "XYZ"},
+    **{f"INS_ACC{n}SCAL_{axis}": 1.001 for n in ("", "2") for axis in "XYZ"},
+    "MOT_THST_EXPO": 0.65, "MOT_THST_HOVER": 0.39, "MOT_BAT_VOLT_MIN": 9.6, "MOT_BAT_VOLT_MAX": 12.8,
+    "ATC_RAT_YAW_P": 0.3, "ATC_RAT_YAW_I": 0.02,
+    "BATT_MONITOR": 4,
+    **{f"RC{n}_{end}": pulse for n in range(1, 9) for end, pulse in (("MIN", 1000), ("TRIM", 1500), ("MAX", 2000))},
+}  # fmt: skip
+# No gimbal answers in its simulation, and a mount that is configured but silent keeps it from arming.
+_BENCH: dict[str, float] = {"MNT1_TYPE": 0}
+_LAND = 9
+
+
+class ArduPilotBinary:
+    """`--autopilot ardupilot --firmware PATH`: ArduCopter for SITL, 4.5.2 or newer, its `quad` model in real time.
+
+    It sends to the companion as a UDP client on SERIAL0, and the truth (SIM_STATE) to whoever listens on SERIAL1. Everything
+    else is off but its stick input, which it opens on every network itself.
+    """
+
+    grain = Grain(metres_per_e7=0.011131884502145034, height_step_m=0.01)
+    streams_hz = ((mavlink.MAVLINK_MSG_ID_SIM_STATE, 100.0), (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 5.0))
+    truth_port = 0  # any
+
+    def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE) -> None:
+        self._binary, self._parameters = binary, parameters
+
+    def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
+        """What starts it in a folder that is empty."""
+        airframe, bench = folder / "airframe.parm", folder / "bench.parm"
+        airframe.write_text(_lines(_AIRFRAME), encoding="ascii")
+        bench.write_text(_lines(_BENCH), encoding="ascii")
+        serial = {0: f"udpclient:127.0.0.1:{companion_port}", 1: f"udpclient:127.0.0.1:{truth_port}"}
+        ports = [f"--serial{n}={serial.get(n, 'none')}" for n in range(_SERIAL_PORTS)]
+        return [
+            str(self._binary), "--model", "quad", "--speedup", "1", "--home", _HOME, "--wipe",
+            "--defaults", f"{airframe},{self._parameters},{bench}", "--rc-in-port", str(truth_port), *ports,
+        ]  # fmt: skip
+
+    def environment(self) -> dict[str, str]:
+        """Nothing of ours."""
+        return {}
+
+    def follow(self, message: Heard, stamp_s: float, path: TruePath) -> None:
+        """Take the truth out of a message, if there is any in it."""
+        if message.kind != mavlink.MAVLINK_MSG_ID_SIM_STATE:
+            return
+        path.feel(Inertial((message.xgyro, message.ygyro, message.zgyro), (message.xacc, message.yacc, message.zacc)))
+        attitude = (message.q1, message.q2, message.q3, message.q4)
+        velocity = (message.vn, message.ve, message.vd)
+        path.take(stamp_s, Reading(message.lat_int, message.lon_int, message.alt, velocity, attitude))
+
+    def lands(self, custom_mode: int) -> bool:
+        """Whether this mode of the heartbeat is LAND."""
+        return custom_mode == _LAND
+
+
+def _lines(values: dict[str, float]) -> str:
+    return "".join(f"{name},{value:g}\n" for name, value in values.items())

@@ -1,0 +1,121 @@
+"""Where a firmware's vehicle really is: its own report of the truth, carried into the world's frame and to any instant."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sitl.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from sitl.rotation import IDENTITY, Quat, Vec3, from_small_rotation, from_yaw, multiply, normalised, rotate, yaw_of
+
+_LONGEST_S = 0.1  # no reading is carried further than this
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One report of the truth, as it came: latitude and longitude in 1e-7 degrees, height in metres, velocity NED in m/s."""
+
+    latitude_e7: int
+    longitude_e7: int
+    height_m: float
+    velocity_ned: Vec3
+    ned_from_frd: Quat
+
+
+@dataclass(frozen=True, slots=True)
+class Inertial:
+    """What an inertial sensor in the body's middle feels: rad/s and m/s^2, FRD as it came."""
+
+    gyro_frd: Vec3
+    specific_force_frd: Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class Grain:
+    """How coarse a firmware's places are, and how long its degrees: metres of latitude in 1e-7 degrees, step of its heights."""
+
+    metres_per_e7: float
+    height_step_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Position and velocity in the world, world_from_body, and what the body feels (FLU)."""
+
+    position: Vec3
+    velocity: Vec3
+    quat_wxyz: Quat
+    gyro: Vec3
+    specific_force: Vec3
+
+
+class TruePath:
+    """Readings are a centimetre coarse; velocities are not. So the place goes on by velocity, and stays within a step of what
+    was read last.
+
+    The first reading is the pad: it becomes the world's origin, and its heading the scene's.
+    """
+
+    def __init__(self, grain: Grain, start_yaw_rad: float) -> None:
+        """start_yaw_rad: heading on the pad in the world, counter-clockwise from its first axis."""
+        self._grain, self._start_yaw_rad = grain, start_yaw_rad
+        self._pad: Reading | None = None
+        self._turn: Quat = IDENTITY  # world_from_enu
+        self._stamp_s = -math.inf
+        self._position: Vec3 = (0.0, 0.0, 0.0)
+        self._velocity: Vec3 = (0.0, 0.0, 0.0)
+        self._quat: Quat = IDENTITY
+        self._felt = Inertial((0.0, 0.0, 0.0), (0.0, 0.0, -9.80665))
+
+    @property
+    def begun(self) -> bool:
+        """Whether anything was read."""
+        return self._pad is not None
+
+    def feel(self, felt: Inertial) -> None:
+        """Take what the body feels now."""
+        self._felt = felt
+
+    def take(self, stamp_s: float, reading: Reading) -> None:
+        """A reading of stamp_s; one that is older than the last is left out. Raises ZeroDivisionError for no attitude."""
+        if stamp_s < self._stamp_s:
+            return
+        enu_from_flu = normalised(ned_frd_from_enu_flu(reading.ned_from_frd))  # the exchange is its own inverse
+        if self._pad is None:
+            self._pad = reading
+            self._turn = from_yaw(self._start_yaw_rad - yaw_of(enu_from_flu))
+        velocity = rotate(self._turn, ned_from_enu(reading.velocity_ned))
+        carried = self._carried(stamp_s, velocity)
+        self._position = self._near(carried, self._pad, reading)
+        self._stamp_s, self._velocity, self._quat = stamp_s, velocity, multiply(self._turn, enu_from_flu)
+
+    def at(self, now_s: float) -> Motion:
+        """The vehicle at now_s, carried on from the last reading for 0.1 s at most."""
+        ahead_s = min(max(now_s - self._stamp_s, 0.0), _LONGEST_S)
+        gyro = frd_from_flu(self._felt.gyro_frd)
+        p, v = self._position, self._velocity
+        return Motion(
+            (p[0] + v[0] * ahead_s, p[1] + v[1] * ahead_s, p[2] + v[2] * ahead_s), v,
+            multiply(self._quat, from_small_rotation(gyro[0] * ahead_s, gyro[1] * ahead_s, gyro[2] * ahead_s)),
+            gyro, frd_from_flu(self._felt.specific_force_frd),
+        )  # fmt: skip
+
+    def _carried(self, stamp_s: float, velocity: Vec3) -> Vec3:
+        dt_s = stamp_s - self._stamp_s if math.isfinite(self._stamp_s) else 0.0
+        p, v, w = self._position, self._velocity, velocity
+        half_s = 0.5 * dt_s
+        return (p[0] + (v[0] + w[0]) * half_s, p[1] + (v[1] + w[1]) * half_s, p[2] + (v[2] + w[2]) * half_s)
+
+    def _near(self, carried: Vec3, pad: Reading, reading: Reading) -> Vec3:
+        """carried, or what is nearest to it within one step of the reading, along the firmware's own axes."""
+        north_step = self._grain.metres_per_e7
+        east_step = north_step * math.cos(math.radians(pad.latitude_e7 * 1e-7))
+        read = (
+            (reading.longitude_e7 - pad.longitude_e7) * east_step,
+            (reading.latitude_e7 - pad.latitude_e7) * north_step,
+            reading.height_m - pad.height_m,
+        )
+        steps = (east_step, north_step, self._grain.height_step_m)
+        back = rotate((self._turn[0], -self._turn[1], -self._turn[2], -self._turn[3]), carried)
+        held = [min(max(b, r - s), r + s) for b, r, s in zip(back, read, steps, strict=True)]
+        return rotate(self._turn, (held[0], held[1], held[2]))

@@ -1,0 +1,53 @@
+"""A firmware's program as a child process: what it prints goes to a file, and it never outlives this process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+
+from sitl.leash import leashed
+
+_ROOT = Path(__file__).resolve().parents[2]
+_GRACE_S = 3.0
+
+
+class FirmwareError(Exception):
+    """What keeps a firmware from flying, in one line."""
+
+
+class FirmwareProcess:
+    """Starts the program in a folder of its own. To be made in the main thread, see sitl/leash.py."""
+
+    def __init__(self, command: list[str], environment: Mapping[str, str], folder: Path, log: Path) -> None:
+        self._program, self._log = Path(command[0]), log
+        search = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))  # the leash is found from there too
+        with log.open("wb") as out:
+            self._process = subprocess.Popen(  # noqa: S603 - the binary that the user named
+                leashed(command), cwd=folder, env={**os.environ, **environment, "PYTHONPATH": search},
+                stdin=subprocess.DEVNULL, stdout=out, stderr=out,
+            )  # fmt: skip
+
+    def check(self) -> None:
+        """Raises FirmwareError with its last words once it is gone."""
+        code = self._process.poll()
+        if code is None:
+            return
+        ended = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        raise FirmwareError(f"{self._program.name} {ended}; it said last: {self.last_line()}")
+
+    def last_line(self) -> str:
+        """The last line that it printed, 'nothing' if none."""
+        lines = [line.strip() for line in self._log.read_text(errors="replace").splitlines()]
+        return next((line for line in reversed(lines) if line), "nothing")
+
+    def close(self) -> None:
+        """End it; by force if it does not listen."""
+        self._process.terminate()
+        try:
+            self._process.wait(_GRACE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

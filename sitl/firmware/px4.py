@@ -1,0 +1,64 @@
+"""PX4's simulation in hardware, SIH: how its binary is started, and how it says where its vehicle really is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.firmware.path import Grain, Inertial, Reading, TruePath
+from sitl.mavlink_wire import Heard
+from sitl.parameters import DEFAULT_FILE
+
+COMPANION_PORT = 14540  # where its first instance sends, as system 1
+_TRUTH_PORT = 19410  # where its start script sends SIH's display
+_MODEL = "sihsim_quadx"
+_AUTO_LAND = 4 << 16 | 6 << 24
+
+
+class Px4Binary:
+    """`--autopilot px4 --firmware PATH`: PATH is BUILD/bin/px4 of a px4_sitl build with SIH, 1.15.4 or newer; BUILD/etc is
+    used with it.
+
+    Its start script sends to the companion on 14540 and the truth (HIL_STATE_QUATERNION) to 19410; both are fixed there.
+    What an inertial sensor feels is its own simulated one (HIGHRES_IMU): the truth's accelerations are cut to whole m/s^2.
+    """
+
+    grain = Grain(metres_per_e7=0.011119492664455873, height_step_m=0.001)
+    streams_hz = (
+        (mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, 100.0),
+        (mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 100.0),
+        (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 5.0),
+    )
+    truth_port = _TRUTH_PORT
+
+    def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE) -> None:
+        self._binary, self._parameters = binary, parameters
+
+    def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
+        """What starts it in a folder that is empty; the ports are its own. Raises ValueError for others."""
+        if (companion_port, truth_port) != (COMPANION_PORT, _TRUTH_PORT):
+            raise ValueError(f"PX4 sends to {COMPANION_PORT} and {_TRUTH_PORT}, not to {companion_port} and {truth_port}")
+        return [str(self._binary), "-i", "0", "-d", str(self._binary.parent.parent / "etc"), "-w", str(folder)]
+
+    def environment(self) -> dict[str, str]:
+        """The model, and the parameters: its start script sets what is called PX4_PARAM_NAME."""
+        chosen = {"PX4_SIM_MODEL": _MODEL, "PX4_SIMULATOR": "sihsim"}
+        for line in self._parameters.read_text(encoding="utf-8").splitlines():
+            fields = line.split("\t")
+            if len(fields) == 5 and not line.startswith("#"):
+                chosen[f"PX4_PARAM_{fields[2]}"] = fields[3]
+        return chosen
+
+    def follow(self, message: Heard, stamp_s: float, path: TruePath) -> None:
+        """Take the truth out of a message, if there is any in it."""
+        if message.kind == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU:
+            path.feel(Inertial((message.xgyro, message.ygyro, message.zgyro), (message.xacc, message.yacc, message.zacc)))
+        elif message.kind == mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION:
+            w, x, y, z = message.attitude_quaternion
+            velocity = (message.vx * 0.01, message.vy * 0.01, message.vz * 0.01)
+            path.take(stamp_s, Reading(message.lat, message.lon, message.alt * 1e-3, velocity, (w, x, y, z)))
+
+    def lands(self, custom_mode: int) -> bool:
+        """Whether this mode of the heartbeat is AUTO.LAND."""
+        return custom_mode == _AUTO_LAND

@@ -1,0 +1,161 @@
+"""A vehicle that a real firmware flies, in its own physics: the world follows its true path and hears what it says."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Protocol
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.autopilot import Truth
+from sitl.firmware.path import Grain, TruePath
+from sitl.firmware.process import FirmwareError, FirmwareProcess
+from sitl.mavlink_wire import Heard, Listener, Speaker, packet
+from sitl.transport import UdpPeer
+
+_SYSTEM, _COMPONENT = 1, 1
+_OURS = (251, 1)  # neither the vehicle's nor the companion's: it is told nothing but what to send
+_BOOT_S, _SILENT_S, _ASK_S = 60.0, 5.0, 1.0
+_ARMED = 128
+_WARNING = 4
+_FAILSAFE_WORDS = ("failsafe", "breach", "crash")
+
+
+class Binary(Protocol):
+    """A kind of firmware: how it is started, and how it tells the truth."""
+
+    @property
+    def grain(self) -> Grain:
+        """How coarse its places are."""
+        ...
+
+    @property
+    def streams_hz(self) -> tuple[tuple[int, float], ...]:
+        """The messages to ask for, and how often."""
+        ...
+
+    @property
+    def truth_port(self) -> int:
+        """Where it sends the truth; 0 for wherever it is told."""
+        ...
+
+    def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
+        """What starts it in a folder that is empty."""
+        ...
+
+    def environment(self) -> dict[str, str]:
+        """What its environment has besides ours."""
+        ...
+
+    def follow(self, message: Heard, stamp_s: float, path: TruePath) -> None:
+        """Take the truth out of a message, if there is any in it."""
+        ...
+
+    def lands(self, custom_mode: int) -> bool:
+        """Whether this mode of the heartbeat is its landing."""
+        ...
+
+
+class FirmwareVehicle:
+    """In the simulated autopilot's place. The companion speaks with the binary itself; this only listens, on a second link.
+
+    setpoint_arrivals_s stays empty: they arrive elsewhere. failsafes: warnings in the firmware's own words. version: as it
+    says, '' until it did.
+    """
+
+    def __init__(self, binary: Binary, companion_port: int, start_yaw_rad: float, folder: Path, log: Path) -> None:
+        """Start it in folder and wait until it says where it is. Raises FirmwareError with one line."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self._binary, self._path = binary, TruePath(binary.grain, start_yaw_rad)
+        try:
+            self._link = UdpPeer(local_port=binary.truth_port, remote=None)
+        except OSError as error:
+            raise FirmwareError(f"port {binary.truth_port}, where the firmware sends the truth: {error.strerror}") from None
+        self._listener, self._speaker = Listener(), Speaker(*_OURS)
+        self._now_s = self._heard_s = time.monotonic()
+        self._asked_s = 0.0
+        self._armed, self._mode = False, ""
+        self.setpoint_arrivals_s: list[float] = []
+        self.failsafes: list[str] = []
+        self.version = ""
+        command = binary.command(folder, companion_port, self._link.local_port)
+        self._process = FirmwareProcess(command, binary.environment(), folder, log)
+        self._wait()
+
+    def step(self, now_s: float) -> None:
+        """Hear all that came by now_s. Raises FirmwareError once it is gone or silent."""
+        self._now_s = now_s
+        while data := self._link.read():
+            stamp_s = self._link.arrival_s or now_s
+            for message in self._listener.feed(data):
+                if message.sender == (_SYSTEM, _COMPONENT):
+                    self._take(message, stamp_s)
+        if now_s - self._asked_s >= _ASK_S:
+            self._asked_s = now_s
+            self._process.check()
+            self._ask()
+        if self._path.begun and now_s - self._heard_s > _SILENT_S:
+            self._process.check()
+            raise FirmwareError(f"the firmware says no more where it is; it said last: {self._process.last_line()}")
+
+    def truth(self) -> Truth:
+        """The vehicle as it really is at the last step. The camera's mount is fixed."""
+        m = self._path.at(self._now_s)
+        return Truth(self._now_s, m.position, m.velocity, m.quat_wxyz, m.gyro, m.specific_force, 0.0, self._armed, self._mode)
+
+    def close(self) -> None:
+        """End the firmware."""
+        self._process.close()
+        self._link.close()
+
+    def _wait(self) -> None:
+        end_s = time.monotonic() + _BOOT_S
+        try:
+            while not self._path.begun:
+                self._link.wait(0.1)
+                self.step(time.monotonic())
+                if self._now_s > end_s:
+                    last = self._process.last_line()
+                    raise FirmwareError(f"the firmware did not say where it is within {_BOOT_S:.0f} s; it said last: {last}")
+        except FirmwareError:
+            self.close()
+            raise
+
+    def _ask(self) -> None:
+        """Once a second, for what is asked before it listens is lost; what it does already costs nothing."""
+        for message_id, rate_hz in self._binary.streams_hz:
+            self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
+        if not self.version:
+            self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0)
+
+    def _command(self, command: int, first: float, second: float) -> None:
+        numbers = (first, second, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._link.write(
+            self._speaker.frame(packet(mavlink.MAVLink_command_long_message, _SYSTEM, _COMPONENT, command, 0, *numbers))
+        )
+
+    def _take(self, message: Heard, stamp_s: float) -> None:
+        self._binary.follow(message, stamp_s, self._path)
+        if message.kind in (mavlink.MAVLINK_MSG_ID_SIM_STATE, mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION):
+            self._heard_s = stamp_s
+        elif message.kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self._armed = bool(message.base_mode & _ARMED)
+            self._mode = "LAND" if self._binary.lands(message.custom_mode) else str(message.custom_mode)
+        elif message.kind == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+            self.version = _version(message)
+        elif message.kind == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
+            self._hear(message.severity, message.text)
+
+    def _hear(self, severity: int, text: str) -> None:
+        said = text.lower()
+        print(f"{self._now_s:.3f} {text}", flush=True)
+        if severity <= _WARNING and any(word in said for word in _FAILSAFE_WORDS) and "clear" not in said:
+            self.failsafes.append(text)
+
+
+def _version(message: Heard) -> str:
+    """Major, minor, patch and the commit, as AUTOPILOT_VERSION has them."""
+    number = message.flight_sw_version
+    commit = bytes(message.flight_custom_version).split(b"\0")[0].decode("ascii", "replace")
+    return f"{number >> 24 & 0xFF}.{number >> 16 & 0xFF}.{number >> 8 & 0xFF} ({commit})"

@@ -1,0 +1,164 @@
+"""A firmware's binary is started, followed and ended; what is wrong with it is said in one line. The binary is a stand-in."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.firmware.ardupilot import ArduPilotBinary
+from sitl.firmware.path import TruePath
+from sitl.firmware.process import FirmwareError
+from sitl.firmware.px4 import COMPANION_PORT, Px4Binary
+from sitl.firmware.vehicle import FirmwareVehicle
+from sitl.mavlink_wire import Listener, Speaker, packet
+
+HALF = math.sqrt(0.5)
+EAST = (HALF, 0.0, 0.0, HALF)  # ned_from_frd of a level body whose nose points east
+STAND_IN = """#!{python}
+import socket, sys, time
+from pymavlink.dialects.v20 import common as mavlink
+from sitl.mavlink_wire import Listener, Speaker, packet
+
+port = int(next(a for a in sys.argv if a.startswith("--serial1=")).rpartition(":")[2])
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+    link.connect(("127.0.0.1", port))
+    link.settimeout(0.01)
+    vehicle, other, heard, asked = Speaker(1, 1), Speaker(7, 1), Listener(), set()
+    print("hello", flush=True)
+    {first}
+    for tick in range(6000):
+        fly = tick >= 20
+        link.send(other.frame(packet(mavlink.MAVLink_sim_state_message, *[9.0] * 21, 5, 5)))
+        link.send(vehicle.frame(packet(mavlink.MAVLink_heartbeat_message, 2, 3, 128 * fly, 9 * fly, 4, 3)))
+        state = [{q}, 0, 0, 0, 0, 0, -9.8, 0, 0, 0, 0, 0, 7.0 + fly, 0, 0, 0, 0, 0, 470000000 + 100 * fly, 80000000]
+        link.send(vehicle.frame(packet(mavlink.MAVLink_sim_state_message, *state)))
+        try:
+            for message in heard.feed(link.recv(2048)):
+                if message.command == 512:
+                    commit = list(b"8f898471")
+                    fields = [0, (4 << 24) | (8 << 16), 0, 0, 0, commit, [0] * 8, [0] * 8, 0, 0, 0, [0] * 18]
+                    link.send(vehicle.frame(packet(mavlink.MAVLink_autopilot_version_message, *fields)))
+                    text = packet(mavlink.MAVLink_statustext_message, 4, b"EKF Failsafe: changed to LAND Mode")
+                    link.send(vehicle.frame(text))
+        except OSError:
+            continue
+"""
+
+
+def stand_in(folder: Path, first: str = "pass") -> Path:
+    path = folder / "arducopter"
+    path.write_text(STAND_IN.format(python=sys.executable, first=first, q=", ".join(map(repr, EAST))), encoding="ascii")
+    path.chmod(0o755)
+    return path
+
+
+def started(tmp_path: Path, first: str = "pass") -> FirmwareVehicle:
+    binary = ArduPilotBinary(stand_in(tmp_path, first))
+    return FirmwareVehicle(binary, 24571, 0.5, tmp_path / "scratch", tmp_path / "firmware.log")
+
+
+@pytest.fixture
+def vehicle(tmp_path: Path) -> Iterator[FirmwareVehicle]:
+    with closing(started(tmp_path)) as flying:
+        yield flying
+
+
+def test_the_world_follows_what_the_firmware_says_of_itself(vehicle: FirmwareVehicle) -> None:
+    truth = vehicle.truth()
+    assert truth.position == (0.0, 0.0, 0.0)
+    assert truth.quat_wxyz == pytest.approx((math.cos(0.25), 0.0, 0.0, math.sin(0.25)))
+    assert truth.specific_force == pytest.approx((0.0, 0.0, 9.8))
+    end_s = time.monotonic() + 20.0
+    while not (vehicle.version and vehicle.truth().position[2] > 0.5) and time.monotonic() < end_s:
+        vehicle.step(time.monotonic())
+    truth, north_m = vehicle.truth(), 100 * 0.011131884502145034
+    turn = 0.5  # the nose was east, and is the scene's heading: north is to its left
+    assert truth.position == pytest.approx((-math.sin(turn) * north_m, math.cos(turn) * north_m, 1.0), abs=0.03)
+    assert (truth.armed, truth.mode, vehicle.version) == (True, "LAND", "4.8.0 (8f898471)")
+    assert vehicle.failsafes == ["EKF Failsafe: changed to LAND Mode"]
+    assert vehicle.setpoint_arrivals_s == []
+
+
+def test_a_firmware_that_ends_is_named_with_its_last_words(tmp_path: Path) -> None:
+    with pytest.raises(FirmwareError, match=r"^arducopter ended with exit code 3; it said last: no such model$") as failure:
+        started(tmp_path, "print('no such model', flush=True); sys.exit(3)")
+    assert "\n" not in str(failure.value)
+
+
+def test_a_firmware_that_dies_in_flight_is_noticed(tmp_path: Path) -> None:
+    with closing(
+        started(tmp_path, "import os, threading; threading.Timer(1.0, lambda: os.kill(os.getpid(), 11)).start()")
+    ) as v:
+        end_s = time.monotonic() + 20.0
+        with pytest.raises(FirmwareError, match="arducopter was killed by SIGSEGV; it said last: hello"):
+            while time.monotonic() < end_s:
+                v.step(time.monotonic())
+
+
+def test_a_file_that_is_no_program_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "arducopter"
+    path.write_bytes(b"\x7fELF not really")
+    path.chmod(0o755)
+    with pytest.raises(FirmwareError, match="Exec format error"):
+        FirmwareVehicle(ArduPilotBinary(path), 24571, 0.0, tmp_path / "scratch", tmp_path / "firmware.log")
+
+
+def test_arducopter_is_told_its_ports_and_its_parameters(tmp_path: Path) -> None:
+    command = ArduPilotBinary(Path("/x/arducopter")).command(tmp_path, 24571, 40000)
+    assert command[0] == "/x/arducopter"
+    assert "--serial0=udpclient:127.0.0.1:24571" in command
+    assert "--serial1=udpclient:127.0.0.1:40000" in command
+    assert [word for word in command if word.endswith("=none")] == [f"--serial{n}=none" for n in range(2, 9)]
+    airframe, indoor, bench = command[command.index("--defaults") + 1].split(",")
+    assert "FRAME_CLASS,1\n" in Path(airframe).read_text(encoding="ascii")
+    assert Path(indoor).name == "ardupilot_indoor.param"
+    assert Path(bench).exists()
+
+
+def test_px4_is_told_its_model_and_its_parameters(tmp_path: Path) -> None:
+    px4 = Px4Binary(Path("/b/bin/px4"))
+    assert px4.command(tmp_path, COMPANION_PORT, px4.truth_port) == [
+        "/b/bin/px4",
+        "-i",
+        "0",
+        "-d",
+        "/b/etc",
+        "-w",
+        str(tmp_path),
+    ]
+    with pytest.raises(ValueError, match="14540 and 19410, not to 24571"):
+        px4.command(tmp_path, 24571, px4.truth_port)
+    environment = px4.environment()
+    assert environment["PX4_SIM_MODEL"] == "sihsim_quadx"
+    assert environment["PX4_PARAM_COM_OBL_RC_ACT"] == "4"
+
+
+def test_px4s_truth_is_read_in_its_own_units() -> None:
+    px4, path, speaker, listener = (
+        Px4Binary(Path("/b/bin/px4")),
+        TruePath(Px4Binary.grain, math.pi / 2.0),
+        Speaker(1, 1),
+        Listener(),
+    )
+
+    def say(stamp_s: float, kind: object, *fields: object) -> None:
+        for message in listener.feed(speaker.frame(packet(kind, *fields))):
+            px4.follow(message, stamp_s, path)
+
+    state = mavlink.MAVLink_hil_state_quaternion_message
+    say(1.0, state, 0, [1, 0, 0, 0], 0, 0, 0, 473977420, 85455940, 488000, 0, 0, 0, 0, 0, 0, 0, 0)
+    say(1.0, mavlink.MAVLink_highres_imu_message, 0, 0.5, 0, -9.75, 0, 0.25, 0, *[0] * 6, 63, 0)
+    say(3.0, state, 0, [1, 0, 0, 0], 0, 0, 0, 473977420 + 90, 85455940, 489500, 50, 0, -25, 0, 0, 0, 0, 0)
+    motion = path.at(3.0)
+    assert motion.position == pytest.approx((0.0, 1.0, 1.5), abs=0.02)
+    assert motion.velocity == pytest.approx((0.0, 0.5, 0.25))
+    assert motion.specific_force == pytest.approx((0.5, 0.0, 9.75))
+    assert motion.gyro == pytest.approx((0.0, -0.25, 0.0))
+    assert (px4.lands(4 << 16 | 6 << 24), px4.lands(6 << 16)) == (True, False)
