@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from pathlib import Path
 from typing import Protocol
 
@@ -17,6 +18,7 @@ from sitl.transport import UdpPeer
 _SYSTEM, _COMPONENT = 1, 1
 _OURS = (251, 1)  # neither the vehicle's nor the companion's: it is told nothing but what to send
 _BOOT_S, _SILENT_S, _ASK_S = 60.0, 5.0, 1.0
+_LATER = (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_IN_PROGRESS)
 _ARMED = 128
 _WARNING = 4
 _FAILSAFE_WORDS = ("failsafe", "breach", "crash")
@@ -75,6 +77,8 @@ class FirmwareVehicle:
         self._listener, self._speaker = Listener(), Speaker(*_OURS)
         self._now_s = self._heard_s = time.monotonic()
         self._asked_s = 0.0
+        self._wishes = deque([(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / hz) for kind, hz in binary.streams_hz])
+        self._wishes.append((mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0))
         self._armed, self._mode = False, ""
         self.setpoint_arrivals_s: list[float] = []
         self.failsafes: list[str] = []
@@ -123,17 +127,16 @@ class FirmwareVehicle:
             raise
 
     def _ask(self) -> None:
-        """Once a second, for what is asked before it listens is lost; what it does already costs nothing."""
-        for message_id, rate_hz in self._binary.streams_hz:
-            self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
-        if not self.version:
-            self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0)
+        """For one thing at a time, again until it is answered: what is asked before the firmware listens is lost."""
+        if self._wishes:
+            numbers = (*self._wishes[0][1:], 0.0, 0.0, 0.0, 0.0, 0.0)
+            order = packet(mavlink.MAVLink_command_long_message, _SYSTEM, _COMPONENT, self._wishes[0][0], 0, *numbers)
+            self._link.write(self._speaker.frame(order))
 
-    def _command(self, command: int, first: float, second: float) -> None:
-        numbers = (first, second, 0.0, 0.0, 0.0, 0.0, 0.0)
-        self._link.write(
-            self._speaker.frame(packet(mavlink.MAVLink_command_long_message, _SYSTEM, _COMPONENT, command, 0, *numbers))
-        )
+    def _answered(self, command: int, result: int) -> None:
+        if self._wishes and command == self._wishes[0][0] and result not in _LATER:
+            self._wishes.popleft()
+            self._ask()
 
     def _take(self, message: Heard, stamp_s: float) -> None:
         self._binary.follow(message, stamp_s, self._path)
@@ -142,8 +145,11 @@ class FirmwareVehicle:
         elif message.kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._armed = bool(message.base_mode & _ARMED)
             self._mode = "LAND" if self._binary.lands(message.custom_mode) else str(message.custom_mode)
+        elif message.kind == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
+            self._answered(message.command, message.result)
         elif message.kind == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
             self.version = _version(message)
+            print(f"firmware {self.version}", flush=True)
         elif message.kind == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
             self._hear(message.severity, message.text)
 

@@ -41,7 +41,12 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.send(vehicle.frame(packet(mavlink.MAVLink_sim_state_message, *state)))
         try:
             for message in heard.feed(link.recv(2048)):
-                if message.command == 512:
+                if tick < 5:
+                    continue  # it boots
+                asked.add((message.command, message.param1, message.param2))
+                ack = packet(mavlink.MAVLink_command_ack_message, message.command, 0, 0, 0, 251, 1)
+                link.send(vehicle.frame(ack))
+                if message.command == 512 and asked >= {{(511, 108.0, 10000.0), (511, 0.0, 200000.0)}}:
                     commit = list(b"8f898471")
                     fields = [0, (4 << 24) | (8 << 16), 0, 0, 0, commit, [0] * 8, [0] * 8, 0, 0, 0, [0] * 18]
                     link.send(vehicle.frame(packet(mavlink.MAVLink_autopilot_version_message, *fields)))
