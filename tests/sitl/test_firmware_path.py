@@ -76,11 +76,11 @@ def test_nose_up_is_up_and_a_dropped_right_side_is_down() -> None:
 
 
 def test_velocity_and_what_the_body_feels_come_in_the_worlds_and_the_bodys_axes() -> None:
-    path = TruePath(GRAIN, math.pi / 2.0)  # north of the firmware is the world's second axis
+    path = TruePath(GRAIN, 0.0)  # the firmware's north is the world's first axis
     path.feel(Inertial((0.1, 0.2, 0.3), (1.0, 2.0, -9.8)))
     path.take(1.0, reading(ned_mps=(0.6, 0.2, -0.1)))
     motion = path.at(1.0)
-    np.testing.assert_allclose(motion.velocity, [0.2, 0.6, 0.1], atol=1e-12)
+    np.testing.assert_allclose(motion.velocity, [0.6, -0.2, 0.1], atol=1e-12)
     assert motion.gyro == (0.1, -0.2, -0.3)
     assert motion.specific_force == (1.0, -2.0, 9.8)
 
