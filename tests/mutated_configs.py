@@ -110,9 +110,9 @@ def contradictions() -> Iterator[Mutant]:
     ):
         yield Mutant(flown("motion", key, 999.0), (f"motion.{key}", f"safety.{limit}"))
     for axis in range(3):
-        low = list(load(FLOWN).safety.fence_min_m)
-        low[axis] = load(FLOWN).safety.fence_max_m[axis] - 0.5
-        yield Mutant(flown("safety", "fence_min_m", low), ("fence_min_m", "inset"))
+        corner_m = list(load(FLOWN).safety.fence_min_m)
+        corner_m[axis] = load(FLOWN).safety.fence_max_m[axis] - 0.5
+        yield Mutant(flown("safety", "fence_min_m", corner_m), ("fence_min_m", "inset"))
     for corners in (
         [[-3, -3], [3, 3], [3, -3], [-3, 3]],
         [[-3, -3], [3, 3]],
