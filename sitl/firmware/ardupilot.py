@@ -30,8 +30,8 @@ _LAND = 9
 class ArduPilotBinary:
     """`--autopilot ardupilot --firmware PATH`: ArduCopter for SITL, 4.5.2 or newer, its `quad` model in real time.
 
-    It sends to the companion as a UDP client on SERIAL0, and the truth (SIM_STATE) to whoever listens on SERIAL1. Everything
-    else is off but its stick input, which it opens on every network itself.
+    It sends to the companion as a UDP client on SERIAL0, and the truth (SIM_STATE) to whoever listens on SERIAL1. Every other
+    port is off but that of its sticks, which it opens on all networks whatever it is told: at least nobody knows its number.
     """
 
     grain = Grain(metres_per_e7=0.011131884502145034, height_step_m=0.01)
@@ -50,7 +50,7 @@ class ArduPilotBinary:
         ports = [f"--serial{n}={serial.get(n, 'none')}" for n in range(_SERIAL_PORTS)]
         return [
             str(self._binary), "--model", "quad", "--speedup", "1", "--home", _HOME, "--wipe",
-            "--defaults", f"{airframe},{self._parameters},{bench}", "--rc-in-port", str(truth_port), *ports,
+            "--defaults", f"{airframe},{self._parameters},{bench}", "--rc-in-port", "0", *ports,
         ]  # fmt: skip
 
     def environment(self) -> dict[str, str]:

@@ -111,3 +111,9 @@ def test_a_file_that_is_not_there_or_not_text_is_one_line(tmp_path: Path) -> Non
 def test_a_row_that_is_short_is_named(tmp_path: Path) -> None:
     with pytest.raises(ParameterFileError, match=r"R\.md:1: a row is parameter"):
         load_reasons(written(tmp_path, "R.md", "| A_B | 1 | 0 | s | why | who | maybe | - |\n"))
+
+
+def test_no_line_is_longer_than_ardupilots_own_reader_takes() -> None:
+    """What is over becomes a line of its own there, and its first word a parameter."""
+    lines = PARAMETER_FILES["ardupilot"].read_text(encoding="ascii").splitlines(keepends=True)
+    assert max(map(len, lines)) <= 98
