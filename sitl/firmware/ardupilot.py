@@ -43,15 +43,23 @@ class ArduPilotBinary:
 
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
         """What starts it in a folder that is empty."""
-        airframe, bench = folder / "airframe.parm", folder / "bench.parm"
-        airframe.write_text(_lines(_AIRFRAME), encoding="ascii")
-        bench.write_text(_lines(_BENCH), encoding="ascii")
+        settings = folder / "settings.parm"
+        settings.write_text("".join(f"{name},{value:.9g}\n" for name, value in self._settings().items()), encoding="ascii")
         serial = {0: f"udpclient:127.0.0.1:{companion_port}", 1: f"udpclient:127.0.0.1:{truth_port}"}
         ports = [f"--serial{n}={serial.get(n, 'none')}" for n in range(_SERIAL_PORTS)]
         return [
             str(self._binary), "--model", "quad", "--speedup", "1", "--home", _HOME, "--wipe",
-            "--defaults", f"{airframe},{self._parameters},{bench}", "--rc-in-port", "0", *ports,
+            "--defaults", str(settings), "--rc-in-port", "0", *ports,
         ]  # fmt: skip
+
+    def _settings(self) -> dict[str, float]:
+        """One value for each name: of two, its parts disagree which they take."""
+        flown = {}
+        for line in self._parameters.read_text(encoding="ascii").splitlines():
+            name, comma, value = line.partition(",")
+            if comma and not line.startswith("#"):
+                flown[name] = float(value)
+        return {**_AIRFRAME, **flown, **_BENCH}
 
     def environment(self) -> dict[str, str]:
         """Nothing of ours."""
@@ -69,7 +77,3 @@ class ArduPilotBinary:
     def lands(self, custom_mode: int) -> bool:
         """Whether this mode of the heartbeat is LAND."""
         return custom_mode == _LAND
-
-
-def _lines(values: dict[str, float]) -> str:
-    return "".join(f"{name},{value:g}\n" for name, value in values.items())
