@@ -142,7 +142,7 @@ class SimOptions:
                 "intent_timeout_s": 0.5,
                 "retreat_timeout_s": 5.0,
                 "pose_timeout_s": 0.25,
-                "pose_land_s": 1.0,
+                "pose_land_s": 0.7,
                 "land_timeout_s": 20.0,
                 "depth_timeout_s": 0.3,
                 "depth_retreat_s": 3.0,

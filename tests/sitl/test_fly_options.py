@@ -86,6 +86,11 @@ def test_the_fence_of_the_product_is_the_scenes_box(tmp_path: Path) -> None:
     assert config.runtime.folder == tmp_path
 
 
+def test_poses_that_stop_are_landed_on_within_the_bar(tmp_path: Path) -> None:
+    called_lost_s, mode_is_known_s, bar_s = 0.25, 0.25, 1.2
+    assert called_lost_s + SimOptions.parse().config(SCENE, tmp_path).safety.pose_land_s + mode_is_known_s <= bar_s
+
+
 def test_a_gimbal_reaches_world_and_product_alike(tmp_path: Path) -> None:
     options = SimOptions.parse(mount="gimbal")
     assert options.world(tmp_path).mount_pitch_down_deg is None
