@@ -301,6 +301,19 @@ def test_a_push_over_the_fence_that_lasts_lands(hovering: Rig) -> None:
     assert "outside the fence" in hovering.state.note
 
 
+def test_a_landing_that_does_not_end_is_told_and_never_disarmed(hovering: Rig) -> None:
+    hovering.px4.parameters.set("COM_DISARM_LAND", 0.0)
+    begin_s = hovering.clock.now_s()
+    hovering.intent = (Goal.LAND, None)
+    hovering.run(18.0)
+    assert hovering.pilot.phase is FlightPhase.LANDING
+    texts = [(at - begin_s, m.text) for at, m in hovering.tap.sent if at >= begin_s and m.get_type() == "STATUSTEXT"]
+    assert [text for _, text in texts] == ["the mission asks to land", "landing does not end: switch the motors off"]
+    assert texts[0][0] < 1.0
+    assert 10.0 < texts[1][0] < 18.0
+    assert hovering.tap.since(begin_s)[f"COMMAND_LONG {ARM}"] == 0
+
+
 def test_a_mission_that_comes_back_does_not_stop_a_landing(hovering: Rig) -> None:
     hovering.intent = None
     hovering.until(FlightPhase.LANDING, 20.2)

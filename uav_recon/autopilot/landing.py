@@ -9,15 +9,20 @@ from uav_recon.types.vehicle import FlightPhase
 
 _AGAIN_S = 1.5  # longer than the heartbeat's period, so a human's mode is seen before we ask again
 _MODE_FRESH_S, _MODE_WAIT_S = 0.02, 0.25
+_STUCK_S, _STILL_M = 10.0, 0.05
 
 
 class Landing:
-    """There is no way back up. ``seen``: the autopilot lands, and wants no more setpoints."""
+    """There is no way back up. ``seen``: the autopilot lands, and wants no more setpoints. ``alert``: what a human has to
+    see to: the motors are never stopped from here.
+    """
 
     def __init__(self, seen: bool) -> None:
         self.seen = seen
         self._asked_s = -math.inf
         self._wait_s = math.inf
+        self._height_m, self._still_s = math.nan, math.inf
+        self.alert = ""
 
     def step(self, link: Link, now_s: float) -> FlightPhase:
         """LANDING while it lasts, LANDED, or YIELDED when somebody chose another mode."""
@@ -26,12 +31,20 @@ class Landing:
             return FlightPhase.LANDED
         if firmware.is_landing(t.custom_mode):
             self.seen = True
+            self._watch_descent(float(t.position_m[2]), now_s)
         elif not firmware.is_ours(t.custom_mode):
             return FlightPhase.YIELDED
         elif now_s - self._asked_s >= _AGAIN_S and self._mode_is_current(t.heartbeat_s, now_s):
             self._asked_s = now_s
             link.command(now_s, firmware.land[0], *firmware.land[1])
         return FlightPhase.LANDING
+
+    def _watch_descent(self, height_m: float, now_s: float) -> None:
+        """A landing that does not come down any more, and is not over."""
+        if not abs(height_m - self._height_m) <= _STILL_M:
+            self._height_m, self._still_s = height_m, now_s
+        if now_s - self._still_s >= _STUCK_S:
+            self.alert = "landing does not end: switch the motors off"
 
     def _mode_is_current(self, heartbeat_s: float, now_s: float) -> bool:
         """Whether no human can have taken over unseen: the mode was told this instant, or is not told often."""

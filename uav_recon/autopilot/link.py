@@ -110,6 +110,10 @@ class Link:
         """COMMAND_LONG to the autopilot."""
         self._send(self._encoder.command(self.telemetry.system, command, *parameters), now_s)
 
+    def say(self, now_s: float, text: str) -> None:
+        """STATUSTEXT for the people at a ground station."""
+        self._send(self._encoder.text(text), now_s)
+
     def request_streams(self, now_s: float, rates_hz: tuple[tuple[int, float], ...], once: tuple[int, ...]) -> None:
         """Ask for messages (id, rate) to be sent steadily, and for others to be sent once."""
         for identifier, rate_hz in rates_hz:

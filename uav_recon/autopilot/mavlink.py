@@ -155,6 +155,10 @@ class Encoder:
             )
         )
 
+    def text(self, text: str) -> bytes:
+        """STATUSTEXT, a warning: its first fifty characters, what is not ASCII as a question mark."""
+        return self._pack(wire.MAVLink_statustext_message(wire.MAV_SEVERITY_WARNING, text.encode("ascii", "replace")[:50]))
+
     def parameter_request(self, target: int, name: str) -> bytes:
         """PARAM_REQUEST_READ by name."""
         return self._pack(wire.MAVLink_param_request_read_message(target, wire.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1))

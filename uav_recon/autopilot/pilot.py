@@ -9,6 +9,7 @@ import numpy as np
 
 from uav_recon.autopilot.authority import IN_THE_AIR, Authority
 from uav_recon.autopilot.briefing import Briefing, Origin
+from uav_recon.autopilot.herald import Herald
 from uav_recon.autopilot.landing import Landing
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.lookout import Lookout
@@ -89,7 +90,7 @@ class Pilot:
         self._authority, self._steering = Authority(link.firmware), Steering(guard, self._mandate, airframe.hover_height_m)
         self._ladder, self._rung, self._low = Ladder(patience), Rung.FLY, ""  # where it stands, and why no higher
         self.phase = FlightPhase.CONNECTING
-        self._note = ""
+        self._note, self._herald = "", Herald(link)
         self._arming: Arming | None = None
         self._landing: Landing | None = None
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
@@ -105,6 +106,8 @@ class Pilot:
         if self._tick.due(now_s):
             self._stream(now_s)
             self._publish(now_s)
+        if self.phase not in (FlightPhase.CONNECTING, FlightPhase.READY):
+            self._herald.step(self._note, now_s)
         self._link.keep_alive(now_s)
 
     def wait(self) -> None:
@@ -236,6 +239,7 @@ class Pilot:
     def _land(self, now_s: float) -> None:
         landing = self._landing = self._landing or Landing(seen=False)
         phase = landing.step(self._link, now_s)
+        self._note = landing.alert or self._note
         if phase is FlightPhase.YIELDED:
             self._enter(phase, f"yielded: mode changed to {self._firmware.mode_name(self._link.telemetry.custom_mode)}")
         elif phase is FlightPhase.LANDED:
