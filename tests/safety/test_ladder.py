@@ -97,3 +97,13 @@ def test_a_moment_of_flight_is_a_new_patience() -> None:
     for now_s in (0.0, 19.0, 30.0, 49.0):
         assert ladder.step(health(now_s, depth_age_s=0.5))[0] is Rung.HOLD
         assert ladder.step(health(now_s + 0.5))[0] is Rung.FLY
+
+
+def test_a_retreat_that_has_barely_begun_is_left_at_once() -> None:
+    ladder = Ladder(PATIENCE)
+    assert ladder.step(health(5.01, intent_age_s=5.01))[0] is Rung.RETREAT
+    assert ladder.step(health(5.11, intent_age_s=1.0))[0] is Rung.RETREAT, "holding is not healthy"
+    assert ladder.step(health(5.20)) == (Rung.FLY, "")
+    assert ladder.step(health(15.0, intent_age_s=5.01))[0] is Rung.RETREAT
+    assert ladder.step(health(15.15, intent_age_s=5.16))[0] is Rung.RETREAT
+    assert ladder.step(health(15.25))[0] is Rung.RETREAT, "the age of the retreat counts, not of its last reason"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 _HEALTH_S = 2.0
+_BARELY_S = 0.2  # a retreat so young has not left its place: a mission back after the five seconds it may take flies on
 _OUTSIDE_S = 3.0  # a push over the fence itself is brought back within this, or the flight ends
 _REFUSALS, _REFUSALS_S = 3, 1.0  # a mission that is refused so often is not listened to for a while
 
@@ -57,12 +58,13 @@ class Ladder:
         self._patience = patience
         self._rung, self._why = Rung.FLY, ""
         self._healthy_since_s = self._kept_since_s = math.inf
-        self._inside_s = math.inf
+        self._inside_s = self._retreat_s = math.inf
         self._refused: list[float] = []
         self._refusals: int | None = None
 
     def step(self, health: Health) -> tuple[Rung, str]:
-        """Down at once; up to flying from holding at once, from retreating after _HEALTH_S; from landing never.
+        """Down at once; up to flying from holding at once, from retreating after _HEALTH_S (at once if it has barely
+        begun); from landing never.
 
         Kept from flying for as long as a silent mission is borne, whatever keeps it: nobody comes, so it lands.
         """
@@ -71,10 +73,12 @@ class Ladder:
         if health.now_s - self._kept_since_s > self._patience.intent_land_s:
             rung, why = Rung.LAND, f"{why}, holding for {self._patience.intent_land_s:.0f} s"
         self._healthy_since_s = min(self._healthy_since_s, health.now_s) if rung is Rung.FLY else math.inf
+        wait_s = _HEALTH_S if health.now_s - self._retreat_s > _BARELY_S else 0.0
         recovered = self._rung <= Rung.HOLD or (
-            self._rung is Rung.RETREAT and rung is Rung.FLY and health.now_s - self._healthy_since_s >= _HEALTH_S
+            self._rung is Rung.RETREAT and rung is Rung.FLY and health.now_s - self._healthy_since_s >= wait_s
         )
         if rung >= self._rung or recovered:
+            self._retreat_s = self._retreat_s if self._rung is Rung.RETREAT else health.now_s
             self._rung, self._why = rung, why
         return self._rung, self._why
 
