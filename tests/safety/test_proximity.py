@@ -59,6 +59,7 @@ def test_a_nearly_empty_frame_tells_nothing() -> None:
     assert Ahead.tells(frame(share=0.2))
     assert not Ahead.tells(frame(share=0.199))
     assert not Ahead.tells(frame(share=math.nan))
+    assert seen(6, 8, 2.0).tells(frame(share=0.2))
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.3, 0.5, 0.8, 1.0])

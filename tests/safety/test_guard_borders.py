@@ -1,0 +1,142 @@
+"""Each limit of the guard tried on both sides of its border, and its brake against the mechanics of a constant force."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from rooms import BOUNDS, HULL_RADIUS_M, frame, guard_of, proposal, situation
+
+from uav_recon.safety.guard import Guard, Proposal
+from uav_recon.safety.proximity import Ahead
+from uav_recon.types.trajectory import Setpoint
+
+HERE = np.array([1.0, 0.2, 1.1])
+OBLIQUE = np.array([0.6, -0.48, 0.64])
+NEAR = 1e-5
+
+
+def resting(yaw_rad: float = 0.0, at_s: float = 10.0) -> Guard:
+    guard = guard_of()
+    guard.clear(None, situation(at_s, position_m=tuple(HERE.tolist()), yaw_rad=yaw_rad))
+    return guard
+
+
+def refusal(guard: Guard, wanted: Proposal, now_s: float, **changes: Any) -> str:
+    """Why it is refused, '' for cleared."""
+    found = guard.clear(wanted, situation(now_s, position_m=tuple(HERE.tolist()), **changes))[1]
+    return "" if found is None else found.reason
+
+
+@pytest.mark.parametrize("step_s", [0.01, 0.1, 0.44, 0.46, 3.0])
+def test_a_brake_is_a_constant_force_against_the_way_in_any_direction(step_s: float) -> None:
+    guard, start, velocity = resting(), HERE + 0.2 * OBLIQUE, 0.9 * OBLIQUE
+    wanted = Proposal(Setpoint(start, velocity, np.zeros(3), 0.3, 0.1, 0.25), 1, 0)
+    assert refusal(guard, wanted, 10.45) == ""
+    flown = guard.clear(None, situation(10.45 + step_s))[0].setpoint
+    braking_s = min(step_s, 0.9 / 2.0)
+    np.testing.assert_allclose(flown.position_m, start + OBLIQUE * (0.9 * braking_s - braking_s**2), atol=1e-9)
+    np.testing.assert_allclose(flown.velocity_mps, OBLIQUE * (0.9 - 2.0 * braking_s), atol=1e-9)
+    np.testing.assert_allclose(flown.acceleration_mps2, OBLIQUE * (-2.0 if step_s < 0.45 else 0.0), atol=1e-9)
+    assert (flown.yaw_rad, flown.yaw_rate_radps, flown.camera_pitch_down_rad) == (0.3, 0.0, 0.25)
+
+
+def test_a_brake_goes_on_from_the_brake_before() -> None:
+    guard = resting()
+    assert refusal(guard, proposal(HERE + 0.2 * OBLIQUE, 0.9 * OBLIQUE), 10.45) == ""
+    for now_s in (10.5, 10.6, 10.55, 10.9, 11.5):
+        flown = guard.clear(None, situation(now_s))[0].setpoint
+    np.testing.assert_allclose(flown.position_m, HERE + OBLIQUE * (0.2 + 0.9**2 / 4.0), atol=1e-9)
+    assert not flown.velocity_mps.any()
+
+
+@pytest.mark.parametrize(("step_s", "counted_s"), [(0.1, 0.1), (0.4, 0.4), (0.0, 0.0), (-3.0, 0.0), (9.0, 0.5)])
+def test_place_velocity_and_heading_may_change_by_so_much(step_s: float, counted_s: float) -> None:
+    for beyond, may in ((-NEAR, True), (NEAR, False)):
+        way = OBLIQUE * (1.0 * counted_s + 0.02 + beyond)
+        push = OBLIQUE * (2.0 * min(counted_s, 0.4) + 0.05 + beyond)
+        turn = 0.8 * counted_s + 0.03 + beyond
+        assert (refusal(resting(), proposal(HERE + way), 10.0 + step_s) == "") is may
+        assert (refusal(resting(), proposal(HERE - way), 10.0 + step_s) == "") is may
+        if counted_s <= 0.4:
+            assert (refusal(resting(), proposal(HERE, push), 10.0 + step_s) == "") is may
+        for yaw in (0.0, 3.1, -3.1):
+            for sign in (1.0, -1.0):
+                wanted = proposal(HERE, yaw=math.remainder(yaw + sign * turn, math.tau))
+                assert (refusal(resting(yaw), wanted, 10.0 + step_s) == "") is may
+
+
+@pytest.mark.parametrize(
+    ("changes", "limit"),
+    [({"velocity": 1.0}, "speed"), ({"acceleration": 2.0}, "acceleration"), ({"yaw_rate": 0.8}, "yaw rate")],
+)
+def test_the_limits_themselves_are_flown_and_no_more(changes: dict[str, float], limit: str) -> None:
+    (name, most), *_ = changes.items()
+    for sign in (1.0, -1.0):
+        for factor, may in ((1.0, True), (1.0 + NEAR, False)):
+            value = sign * most * factor
+            asked: dict[str, Any] = {name: value if name == "yaw_rate" else OBLIQUE * value}
+            found = refusal(resting(), proposal(HERE, **asked), 10.5)
+            assert (found == "") is may, found
+            assert may or found.startswith(f"{limit} ")
+            assert may or f"{most:.2f} " in found
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"pose_age_s": 0.2}, ""),
+        ({"pose_age_s": -0.1}, ""),
+        ({"pose_age_s": -0.1001}, "pose is stale"),
+        ({"intent_age_s": 0.5}, ""),
+        ({"intent_age_s": -0.1}, ""),
+        ({"intent_age_s": -0.1001}, "mission is silent"),
+        ({"map_epoch": 1}, "trajectory is of map epoch 0, pose of 1"),
+    ],
+)
+def test_how_old_a_word_may_be_and_of_which_map(changes: dict[str, Any], reason: str) -> None:
+    assert refusal(resting(), proposal(HERE), 10.1, **changes) == reason
+
+
+def test_depth_may_be_as_old_as_agreed_and_a_little_ahead_of_the_clock() -> None:
+    for age_s, may in ((0.25, True), (0.2501, False), (-0.09, True), (-0.11, False)):
+        guard = guard_of(bounds=dataclasses.replace(BOUNDS, depth_hold_s=0.25))
+        guard.clear(None, situation(10.0, position_m=tuple(HERE.tolist())))
+        ahead = Ahead(frame(stamp_s=10.5 - age_s), HULL_RADIUS_M)
+        assert (refusal(guard, proposal(HERE, (0.3, 0.0, 0.0)), 10.5, ahead=ahead) == "") is may, age_s
+
+
+def test_two_centimetres_a_second_want_no_free_way() -> None:
+    assert refusal(resting(), proposal(HERE, (0.02, 0.0, 0.0)), 10.1, ahead=None) == ""
+    assert refusal(resting(), proposal(HERE, (0.0201, 0.0, 0.0)), 10.1, ahead=None) == "depth is stale"
+
+
+def test_what_is_ahead_is_ahead_of_the_nose_wherever_that_points() -> None:
+    """The nose to +y in odom, so that a wall before it is in the way of +y alone."""
+    body_from_odom = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    wall = {"body_from_odom": body_from_odom, "ahead": Ahead(frame(0.5, 10.4), HULL_RADIUS_M)}
+    assert refusal(resting(), proposal(HERE, (0.0, 0.9, 0.0)), 10.5, **wall).endswith(" m from something at 0.90 m/s")
+    assert refusal(resting(), proposal(HERE, (0.9, 0.0, 0.0)), 10.5, **wall) == ""
+    assert refusal(resting(), proposal(HERE, (0.0, -0.9, 0.0)), 10.5, **wall) == ""
+
+
+def test_a_rest_after_a_new_odom_ends_when_it_was_said_to() -> None:
+    guard = resting()
+    guard.rebase(situation(10.0), rest_s=2.0)
+    guard.clear(None, situation(11.0, position_m=tuple(HERE.tolist())))
+    assert refusal(guard, proposal(HERE), 11.99) == "pose was reset"
+    assert refusal(guard, proposal(HERE), 12.0) == ""
+
+
+def test_before_anything_was_cleared_nothing_is_flown() -> None:
+    assert refusal(guard_of(), proposal(HERE), 10.0) == "nothing cleared yet"
+
+
+def test_reasons_hold_figures_that_a_person_can_use() -> None:
+    assert refusal(resting(), proposal((9.0, -0.5, 1.25)), 10.1) == "outside the fence at 9.00 -0.50 1.25 m"
+    assert refusal(resting(), proposal(HERE, yaw=math.pi / 2), 10.1) == "heading jump of 90 degrees"
+    assert refusal(resting(), proposal(HERE + OBLIQUE), 10.1) == "jump of 1.00 m"
+    assert refusal(resting(), proposal(HERE, OBLIQUE * 0.5), 10.1) == "velocity jump of 0.50 m/s"
