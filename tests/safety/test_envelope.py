@@ -44,6 +44,16 @@ def test_over_the_pad_the_floor_is_lower(place: Vec3, inside: bool) -> None:
     assert ENVELOPE.contains(place) is inside
 
 
+def test_the_column_stands_where_the_pad_is() -> None:
+    aside = dataclasses.replace(ENVELOPE, pad_m=(2.0, -0.6, 0.1), pad_radius_m=0.4, pad_depth_m=0.15)
+    for twelfth in range(12):
+        x, y = math.cos(twelfth * math.pi / 6), math.sin(twelfth * math.pi / 6)
+        for way_m, inside in ((0.399, True), (0.401, False)):
+            assert aside.in_column((2.0 + way_m * x, -0.6 + way_m * y, 0.0)) is inside
+    assert aside.in_column((2.0, -0.6, -0.0499))
+    assert not aside.in_column((2.0, -0.6, -0.0501))
+
+
 def test_the_column_does_not_lead_through_the_fence() -> None:
     near_side = dataclasses.replace(ENVELOPE, pad_m=(-0.5, 0.0, 0.0))
     assert near_side.contains((-0.7, 0.0, 0.0))
