@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import random
 
+import pytest
+
 from uav_recon.autopilot.timesync import TimeSyncFilter
 
 MS = 1_000_000
@@ -48,6 +50,20 @@ def test_a_lie_is_ignored_and_a_reboot_is_not() -> None:
         exchange(sync, 3000.0 + i, 1.0, 1.0, offset_ns=-2_000 * MS)
     assert sync.restarts == 1
     assert not sync.converged
+
+
+@pytest.mark.parametrize("stood_still_ms", [160, 900])
+def test_a_clock_that_stood_still_for_a_while_is_no_reboot(stood_still_ms: int) -> None:
+    """As that of a firmware in simulation does, where its computer stalls."""
+    sync = TimeSyncFilter()
+    for i in range(100):
+        exchange(sync, 100.0 * i, 1.0, 1.0)
+    for i in range(5):
+        assert abs(sync.autopilot_ns(10.0) - (10_000 * MS + OFFSET_NS)) < MS
+        exchange(sync, 12_000.0 + 100.0 * i, 1.0, 1.0, offset_ns=OFFSET_NS - stood_still_ms * MS)
+    assert sync.converged
+    assert sync.restarts == 0
+    assert abs(sync.autopilot_ns(13.0) - (13_000 * MS + OFFSET_NS - stood_still_ms * MS)) < MS
 
 
 def test_instants_before_the_autopilots_boot_are_its_zero() -> None:
