@@ -32,14 +32,22 @@ from sitl.faults.eye import (
 from sitl.faults.host import Crash
 from sitl.faults.injector import Injector
 from sitl.faults.meddler import Onset
-from sitl.faults.row import Bar, Row
+from sitl.faults.row import SHORT_VIEWS, Bar, Row
 from sitl.faults.wires import Corrupted, Garbage, Jitter, Loss, Repeated
 
 FAST = Onset(speed_mps=0.6)
 STILL = Onset(speed_mps=0.0)
 
 TABLE_C = (
-    Row("C1", "frames lost for 0.3 s", "no frame for 0.3 s", lambda n: [Dark(0.3)], (COMPLETES, NO_FAILSAFE), onset=FAST),
+    Row(
+        "C1",
+        "frames lost for 0.3 s",
+        "no frame for 0.3 s",
+        lambda n: [Dark(0.3)],
+        (COMPLETES, NO_FAILSAFE),
+        onset=FAST,
+        longest_s=180.0,
+    ),
     Row(
         "C1b",
         "frames lost for 3 s",
@@ -47,6 +55,7 @@ TABLE_C = (
         lambda n: [Dark(3.0)],
         (holds(0.4), STREAMS, COMPLETES),
         onset=FAST,
+        longest_s=180.0,
     ),
     Row(
         "C1c",
@@ -96,6 +105,7 @@ TABLE_C = (
         "each twice, every third behind the next",
         lambda n: [Shuffled()],
         (COMPLETES,),
+        views=SHORT_VIEWS,
     ),
     Row(
         "C8",
@@ -152,6 +162,7 @@ TABLE_D = (
         "20 % lost both ways; up to 0.3 s late; 0.3 s holes",
         lambda n: [(Loss("both", share=0.2, seed=n), Jitter(0.3, n), Loss("both", 0.3))[n % 3]],
         (NO_FAILSAFE, STEADY, COMPLETES),
+        views=SHORT_VIEWS,
     ),
     Row(
         "D4",
@@ -161,6 +172,7 @@ TABLE_D = (
         (Bar("arm commands", m.arm_tries, 1.0, ""), NO_FAILSAFE, COMPLETES),
         onset=Onset((0.0, 0.0), at_boot=True),
         longest_s=150.0,
+        views=SHORT_VIEWS,
     ),
     Row(
         "D5",
@@ -168,6 +180,7 @@ TABLE_D = (
         "1 MB/s of random bytes for 10 s, then a fifth of the frames spoilt",
         lambda n: [Garbage(1_000_000, 10.0), Corrupted(0.2, n)],
         (NO_FAILSAFE, STEADY, COMPLETES),
+        views=SHORT_VIEWS,
     ),
     Row(
         "D6",

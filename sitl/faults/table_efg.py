@@ -17,7 +17,7 @@ from sitl.faults.body import Battery, HeldDown, Parameter, Push, Takeover, Trans
 from sitl.faults.eye import Stands
 from sitl.faults.host import Abort, DiskFull
 from sitl.faults.meddler import Onset
-from sitl.faults.row import Bar, Row
+from sitl.faults.row import SHORT_VIEWS, Bar, Row
 from sitl.faults.wires import Forger, Loss, Refused, Rewritten, version
 
 AT_BOOT = Onset((0.0, 0.0), at_boot=True)
@@ -89,6 +89,7 @@ TABLE_E = (
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
         lambda n: [Forger(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
         (NO_FAILSAFE, COMPLETES),
+        views=SHORT_VIEWS,
     ),
     Row(
         "E5",
@@ -217,6 +218,7 @@ TABLE_G = (
         lambda n: [DiskFull()],
         (NO_FAILSAFE, STREAMS, COMPLETES),
         longest_s=120.0,
+        views=SHORT_VIEWS,
     ),
     Row("G3", "viewer slow or dead", "viewer stopped", why="needs a screen; the recorder is a process of its own"),
     Row("G4", "bad config", "changed, missing, unknown and doubled keys", why="no flight: tests of the config hold it"),
@@ -247,6 +249,7 @@ TABLE_G = (
         (Bar("first arm command", m.first_arm, 60.0, "s"), COMPLETES),
         onset=AT_BOOT,
         longest_s=300.0,
+        views=SHORT_VIEWS,
     ),
     Row("G9", "soak", "two hours", why="run apart"),
     Row("G10", "combinations", "pairs of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2", why="run apart"),
