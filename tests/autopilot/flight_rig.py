@@ -50,6 +50,7 @@ GRID = GridSpec(np.array([-4.0, -4.0, -1.0]), 0.1, (100, 80, 40))
 BODY_FROM_DEPTH = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
 ORIGIN = Origin(47.3977, 8.5456, 488.0)
 MODE, ARM = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+SETPOINT = "SET_POSITION_TARGET_LOCAL_NED"
 
 
 class Tap:
@@ -209,3 +210,9 @@ def smooth_way(start_s: float, points: list[tuple[float, float, float]], identif
     p, v, a3 = (np.vstack([part[i] for part in parts]) for i in range(3))
     flat = np.zeros(len(p))
     return Trajectory(start_s, step, p, v, a3, flat, flat, flat, np.zeros(0), 0, identifier)
+
+
+def setpoints(rig: Rig, since_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """Times (N,) and ENU places (N, 3) of the setpoints on the wire, turned by this test's own hand."""
+    found = [(at, m) for at, m in rig.tap.sent if Tap.name(m) == SETPOINT and at >= since_s]
+    return np.array([at for at, _ in found]), np.array([[m.y, m.x, -m.z] for _, m in found])

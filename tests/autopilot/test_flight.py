@@ -2,42 +2,20 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from flight_rig import ARM, BODY_FROM_DEPTH, ENVELOPE, MODE, TAKEOFF_LAG_S, TICK_S, Rig, Tap, smooth_way
+from flight_rig import ARM, ENVELOPE, MODE, SETPOINT, TAKEOFF_LAG_S, TICK_S, Rig, Tap, setpoints
 from pymavlink.dialects.v20 import common as mavlink
 
 from uav_recon.autopilot.tlog import Tlog
-from uav_recon.types.frames import FloatArray
-from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
-SETPOINT = "SET_POSITION_TARGET_LOCAL_NED"
 ORDERS = (SETPOINT, f"COMMAND_LONG {MODE}", f"COMMAND_LONG {ARM}")
-
-
-@pytest.fixture(scope="module")
-def flown_up() -> Rig:
-    rig = Rig()
-    rig.airborne()
-    return rig
-
-
-@pytest.fixture
-def hovering(flown_up: Rig) -> Rig:
-    return copy.deepcopy(flown_up)
-
-
-def setpoints(rig: Rig, since_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Times (N,) and ENU places (N, 3) of the setpoints on the wire, turned by this test's own hand."""
-    found = [(at, m) for at, m in rig.tap.sent if Tap.name(m) == SETPOINT and at >= since_s]
-    return np.array([at for at, _ in found]), np.array([[m.y, m.x, -m.z] for _, m in found])
 
 
 def test_a_whole_flight_from_boot_to_disarmed() -> None:
@@ -149,123 +127,6 @@ def test_a_failsafe_landing_of_the_autopilot_is_accepted(hovering: Rig) -> None:
     hovering.until(FlightPhase.LANDED, 15.0)
     assert hovering.tap.since(landing_s)[f"COMMAND_LONG {MODE}"] == 0
     assert "lands" in hovering.state.note
-
-
-def silenced(rig: Rig) -> tuple[float, FloatArray]:
-    """The mission falls silent in the middle of a way out along x; when, and where the vehicle was then."""
-    rig.run(rig.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
-    assert rig.px4.truth().velocity[0] > 0.6
-    rig.intent = None
-    return rig.clock.now_s(), np.array(rig.px4.truth().position)
-
-
-def test_a_silent_mission_brakes_holds_retreats_and_lands(hovering: Rig) -> None:
-    silent_s, place = silenced(hovering)
-    hovering.run(2.0)
-    assert np.linalg.norm(np.array(hovering.px4.truth().position) - place) <= 0.6
-    assert np.linalg.norm(hovering.px4.truth().velocity) < 0.05
-    times, places = setpoints(hovering, silent_s)
-    still = times[np.flatnonzero(np.linalg.norm(np.diff(places, axis=0), axis=1) < 1e-9)[0]]
-    assert still - silent_s <= 0.6 + 0.25, "decided within 0.6 s, then v over a"
-    hovering.run(silent_s + 4.9 - hovering.clock.now_s())
-    held = np.array(hovering.px4.truth().position)
-    hovering.run(7.0)
-    assert hovering.px4.truth().position[0] < held[0] - 0.1, "back the way it came"
-    hovering.until(FlightPhase.LANDING, 13.0)
-    assert 19.0 <= hovering.clock.now_s() - silent_s <= 20.2, "back before its time, it waits for the mission there"
-    assert np.linalg.norm(np.array(hovering.px4.truth().position)[:2]) < 0.25, "over the pad again"
-    hovering.until(FlightPhase.LANDED, 15.0)
-    assert hovering.px4.failsafes == []
-
-
-def test_a_mission_that_was_away_for_a_moment_flies_on(hovering: Rig) -> None:
-    silenced(hovering)
-    hovering.run(4.0)
-    hovering.fly((2.5, 0.0, 1.1), identifier=3)
-    begin = hovering.clock.now_s()
-    hovering.run(1.0)
-    assert hovering.state.trajectory_id == 3
-    _, places = setpoints(hovering, begin - 0.1)
-    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 0.05
-    assert hovering.px4.truth().velocity[0] > 0.1
-
-
-def test_a_mission_that_comes_back_late_is_heard_after_two_seconds(hovering: Rig) -> None:
-    silent_s, _ = silenced(hovering)
-    hovering.run(silent_s + 8.0 - hovering.clock.now_s())
-    assert hovering.px4.truth().velocity[0] < -0.1
-    hovering.intent = (Goal.FLY, None)
-    hovering.run(1.8)
-    assert hovering.px4.truth().velocity[0] < -0.1, "still retreating"
-    hovering.run(1.2)
-    assert np.linalg.norm(hovering.px4.truth().velocity) < 0.1
-    assert hovering.pilot.phase is FlightPhase.FLYING
-
-
-def test_a_mission_started_anew_in_the_air_is_not_waited_for(hovering: Rig) -> None:
-    silent_s, _ = silenced(hovering)
-    hovering.run(silent_s + 4.0 - hovering.clock.now_s())
-    hovering.intent = (Goal.STANDBY, None)
-    hovering.run(8.0)
-    assert hovering.state.note.startswith("mission silent")
-    hovering.until(FlightPhase.LANDING, 9.0)
-    assert 19.0 <= hovering.clock.now_s() - silent_s <= 20.2
-    hovering.until(FlightPhase.LANDED, 15.0)
-
-
-def test_a_retreat_that_is_blocked_lands(hovering: Rig) -> None:
-    silent_s, _ = silenced(hovering)
-    hovering.free[:, :, :] &= np.arange(100)[:, None, None] != 43  # a door closed behind it, at x = 0.3 m
-    hovering.publish_free()
-    hovering.until(FlightPhase.LANDING, 19.0)
-    assert hovering.clock.now_s() - silent_s >= 5.0
-    hovering.run(0.1)
-    assert "blocked" in hovering.state.note
-    assert hovering.px4.truth().position[0] > 0.5
-
-
-def test_no_depth_stops_then_retreats_then_lands(hovering: Rig) -> None:
-    hovering.fly((2.5, 0.0, 1.1), identifier=2)
-    hovering.run(2.5)
-    lost_s, hovering.depth = hovering.clock.now_s(), False
-    hovering.run(1.0)
-    held = np.array(hovering.px4.truth().position)
-    assert np.linalg.norm(hovering.px4.truth().velocity) < 0.1
-    hovering.run(5.0)
-    assert hovering.px4.truth().position[0] < held[0] - 0.1
-    hovering.until(FlightPhase.LANDING, 5.0)
-    assert hovering.clock.now_s() - lost_s <= 10.2
-    hovering.until(FlightPhase.LANDED, 15.0)
-
-
-def test_something_that_appears_ahead_stops_the_vehicle(hovering: Rig) -> None:
-    hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
-    begin, place = hovering.clock.now_s(), hovering.px4.truth().position[0]
-    obstacle_m = place + 1.0  # before the hull's centre; nobody tells the map
-    while hovering.clock.now_s() - begin < 3.0:
-        hovering.wall_m = max(obstacle_m - hovering.px4.truth().position[0] - 0.1, 0.3)
-        hovering.step()
-    assert hovering.state.refusals == 1
-    assert "from something" in hovering.state.note
-    assert obstacle_m - hovering.px4.truth().position[0] - 0.2 >= 0.10
-
-
-@pytest.mark.parametrize("frame_ticks", [7, 17])
-def test_a_person_a_metre_ahead_at_full_speed_is_braked_for_in_time(hovering: Rig, frame_ticks: int) -> None:
-    hovering.depth, wall_m, begin_s, braked_s = False, math.inf, math.inf, math.inf
-    way = smooth_way(hovering.clock.now_s() + 0.1, [hovering.autopilot.truth().position, (3.5, 0.0, 1.1)], 2, mean_mps=0.53)
-    hovering.intent = (Goal.FLY, way)
-    for tick in range(800):
-        truth, now_s = hovering.autopilot.truth(), hovering.clock.now_s()
-        if wall_m == math.inf and truth.velocity[0] >= 0.9:
-            wall_m, begin_s = truth.position[0] + 0.2 + 1.0, now_s
-        if tick % frame_ticks == 0:
-            ranges = np.full((12, 16), min(max(wall_m - truth.position[0] - 0.1, 0.3), 9.0), dtype=np.float32)
-            hovering.channels.nearby.publish(Nearby(now_s, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
-        hovering.step()
-        braked_s = min(braked_s, now_s if "from something" in hovering.state.note else math.inf)
-    assert braked_s - begin_s <= 0.25
-    assert wall_m - 0.2 - max(place[0] for _, place in hovering.track) >= 0.40
 
 
 def test_a_take_off_wants_its_column_known_free() -> None:

@@ -1,0 +1,198 @@
+"""A conductor on a table: what a mission stands on, in memory, and a vehicle that is wherever it was sent."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+
+from uav_recon.channels import MemoryChannel
+from uav_recon.clock import InlineExecutor, ManualClock
+from uav_recon.config import MotionConfig
+from uav_recon.mission.conductor import Conductor
+from uav_recon.mission.machine import Phase
+from uav_recon.mission.orders import MissionWires, Orders, Stages
+from uav_recon.motion import MotionPlanner
+from uav_recon.recording.flightlog import FlightLog
+from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import FREE, FreeSpace, GridSpec, SurfaceElements, VoxelMap
+from uav_recon.types.pose import MapCorrection, Pose
+from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
+from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
+from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
+
+GRID = GridSpec(np.array([-3.0, -3.0, -1.0]), 0.1, (60, 60, 40))
+LENS = Intrinsics(10.0, 10.0, 1.5, 1.5, 4, 4)
+
+
+class OpenSpace:
+    """Voxels that are free everywhere, or nowhere once `closed`."""
+
+    closed = False
+    revision = epoch = 0
+
+    def integrate(self, posed: PosedFrame) -> int:
+        assert posed.map_epoch == self.epoch
+        self.revision += 1
+        return 1
+
+    def reset(self, map_epoch: int) -> None:
+        self.epoch = map_epoch
+
+    def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:
+        self.declared = (radius_m, z_min_m, z_max_m)
+
+    def snapshot(self) -> VoxelMap:
+        state = np.full(GRID.shape, 0 if self.closed else FREE, np.uint8)
+        return VoxelMap.whole(GRID, state, np.where(state == FREE, 100, 0).astype(np.uint8), self.revision, self.epoch)
+
+    def explored_m3(self) -> float:
+        return 0.001 * self.revision
+
+
+class ThreeViews:
+    """A planner that knows three views, the next two at a time, and forgets each once the vehicle was there."""
+
+    def __init__(self) -> None:
+        self.left = [np.array([1.5, 0.0, 1.1]), np.array([1.5, 1.5, 1.1]), np.array([0.0, 1.5, 1.1])]
+        self.no_way_home = self.settled = False
+        self.accepted: list[ViewPath] = []
+
+    def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
+        if not self.left:
+            return NothingLeft("2 frontiers left: 2 too narrow", 0.01, 0.02)
+        return self._to(request, *(Viewpoint(place, 0.5, 0.26) for place in self.left[:2]))
+
+    def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
+        return NothingLeft("no known-free way leads there", 0.0, 0.0) if self.no_way_home else self._to(request, goal)
+
+    def was_at(self, position_world: FloatArray) -> None:
+        self.left = [place for place in self.left if np.linalg.norm(place - position_world) > 0.15]
+
+    def accept(self, path: ViewPath) -> None:
+        self.accepted.append(path)
+
+    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
+        return not self.settled
+
+    @staticmethod
+    def _to(request: PlanRequest, *views: Viewpoint) -> ViewPath:
+        places = [request.position_world, *(view.position_world for view in views)]
+        ways = tuple(np.array(leg) for leg in itertools.pairwise(places))
+        tasks = tuple(Task(TaskKind.EXPLORE, view.position_world, view, 9.0) for view in views)
+        return ViewPath(views, ways, PlanMode.EXPLORE, request.voxels.revision, request.voxels.map_epoch, tasks, 0.01, 0.02)
+
+
+class Sketchbook:
+    def __init__(self) -> None:
+        self.stamps: list[float] = []
+        self.corrections: list[MapCorrection] = []
+
+    def refused(self) -> dict[str, int]:
+        return {}
+
+    def repose(self, correction: MapCorrection) -> None:
+        self.corrections.append(correction)
+
+    def add(self, keyframe: PosedFrame) -> bool:
+        self.stamps.append(keyframe.frame.stamp_s)
+        return True
+
+    def surface(self) -> SurfaceElements | None:
+        return None
+
+    def alive(self) -> bool:
+        return True
+
+    def finish(self, folder: Path) -> None:
+        raise AssertionError("the process finishes the mapper, not the conductor")
+
+
+class NoExtraViews:
+    def worth(self, posed: PosedFrame, views_left: int) -> bool:
+        return False
+
+    def keep(self, posed: PosedFrame) -> None:
+        pass
+
+
+class Asked(MotionPlanner):
+    """Counts the ways that it is asked for."""
+
+    ways = 0
+
+    def through(
+        self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
+    ) -> Trajectory | str:
+        self.ways += 1
+        return super().through(path, voxels, start, start_s, views_at_spacing_m, identifier)
+
+
+class Desk:
+    """A conductor on a table: the vehicle is wherever its trajectory says, frames come at 10 Hz."""
+
+    def __init__(self, folder: Path, views: int = 50) -> None:
+        self.clock = ManualClock(100.0)
+        self.wires = MissionWires(
+            MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
+            MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
+            MemoryChannel(MapCorrection), MemoryChannel(FreeSpace),
+        )  # fmt: skip
+        self.voxels, self.planner, self.mapper = OpenSpace(), ThreeViews(), Sketchbook()
+        motion = MotionPlanner(MotionConfig(), 0.35)
+        orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1)
+        self.retreat = Asked(MotionConfig(), 0.30)
+        stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, motion, self.retreat)
+        self.folder, self.journal = folder, FlightLog(folder)
+        self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
+        self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
+        self.seen: list[Phase] = []
+        self.epoch = 0
+
+    def run(self, seconds: float, until: Phase | None = None) -> None:
+        for _ in range(int(seconds * 30)):
+            self.clock.advance_to(self.clock.now_s() + 1 / 30)
+            self._vehicle()
+            if self.frames and int(self.clock.now_s() * 30) % 3 == 0:
+                self._frame()
+            self.conductor.step()
+            if not self.seen or self.seen[-1] is not self.conductor.phase:
+                self.seen.append(self.conductor.phase)
+            if self.conductor.phase is until:
+                return
+        assert until is None, f"never came to {until}, was in {self.seen}"
+
+    @property
+    def intent(self) -> Intent:
+        intent = self.wires.intent.latest()
+        assert intent is not None
+        return intent
+
+    def speed_mps(self) -> float:
+        trajectory = self.intent.trajectory
+        return 0.0 if trajectory is None else float(np.linalg.norm(trajectory.setpoint_at(self.clock.now_s()).velocity_mps))
+
+    def _vehicle(self) -> None:
+        intent = self.wires.intent.latest()
+        position, yaw = np.zeros(3), 0.0
+        if intent is not None:
+            if intent.goal is Goal.FLY and self.phase is FlightPhase.READY:
+                self.phase = FlightPhase.FLYING
+            elif intent.goal is Goal.LAND:
+                self.phase = FlightPhase.LANDED
+            if intent.trajectory is not None:
+                setpoint = intent.trajectory.setpoint_at(self.clock.now_s())
+                position, yaw = setpoint.position_m, setpoint.yaw_rad
+        self.planner.was_at(position)
+        armed = self.phase is FlightPhase.FLYING
+        self.wires.vehicle.publish(
+            VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase, 0.9,
+                         self.human, float("nan"), 1, self.refusals, "")
+        )  # fmt: skip
+
+    def _frame(self) -> None:
+        depth = np.full((4, 4), 2.0, np.float32)
+        frame = Frame(self.clock.now_s() - 0.1, 1, depth, LENS, np.zeros((4, 4, 3), np.uint8), LENS, Pose.identity())
+        self.wires.frames.publish(PosedFrame(frame, Pose.identity(), self.epoch))
