@@ -1,4 +1,4 @@
-"""One flight of the fault campaign: a row's trouble in lockstep, and the verdict."""
+"""One flight of the fault campaign: a row's trouble in lockstep or in real time, and the verdict."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from sitl.faults.arena import arena
 from sitl.faults.everywhere import violations
-from sitl.faults.evidence import Evidence, Limits, gather
+from sitl.faults.evidence import Evidence
 from sitl.faults.meddler import Meddler
 from sitl.faults.row import Row, Verdict, judge
 from sitl.faults.table import ROWS
+from sitl.fly_evidence import evidence_of
 
 
 @dataclass(frozen=True)
 class FaultCase:
-    """A flight: number is its seed, and which of the row's cases is flown."""
+    """A flight: number is its seed, and which of the row's cases is flown. live: in real time, with processes."""
 
     row: str
     autopilot: str
     number: int
     out: Path | None = None
+    live: bool = False
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def fly_fault(case: FaultCase) -> FaultRecord:
     row = ROWS[case.row]
     try:
         with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
-            evidence = flight(row, case, Path(folder))
+            evidence = (flight_live if case.live else flight)(row, case, Path(folder))
         return FaultRecord(case, judge(row, evidence, violations(evidence)), float(evidence.end_s - evidence.stamp_s[0]))
     except Exception as error:  # a campaign goes on: what broke is in its record
         said = f"{type(error).__name__}: {error}".splitlines()[0]
@@ -69,12 +69,16 @@ def flight(row: Row, case: FaultCase, folder: Path) -> Evidence:
     injectors = [*row.injectors(case.number), *hostile(row.id, config)]
     meddler = Meddler(injectors, row.onset, case.number, row.longest_s)
     fly_in_lockstep(options, config, scene, Console(quiet=True), meddler.lands, timelapse=False, meddler=meddler)
-    safety = config.safety
-    limits = Limits(
-        safety.fence_min_m, safety.fence_max_m, safety.fence_inset_m, safety.max_speed_mps, safety.max_acceleration_mps2,
-        float(np.radians(safety.max_yaw_rate_degps)),
-    )  # fmt: skip
-    with np.load(options.out / "truth.npz") as truth:
-        measured = np.isfinite(truth["hull_m"])
-        hull_s, hull_m = truth["stamp_s"][measured], truth["hull_m"][measured]
-    return gather(meddler, limits, hull_s, hull_m, options.radius_m, "")
+    return evidence_of(meddler, config, options.out / "truth.npz", options.radius_m)
+
+
+def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:
+    """The same in real time, with the mapper that learns. Raises run.Failure."""
+    from sitl.fly_fault_live import flight_in_real_time, free_port
+    from sitl.fly_options import SimOptions
+
+    options = SimOptions.parse(
+        seed=case.number, views=row.views, autopilot=case.autopilot, port=free_port(), out=case.out or folder / "flight"
+    )
+    options.make_folder()
+    return flight_in_real_time(row, options, folder, case.number)

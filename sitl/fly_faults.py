@@ -1,4 +1,4 @@
-"""`uav-recon faults`: each hazard's scenario in lockstep, a line a row with the figure beside its bar, and a report."""
+"""`uav-recon faults`: each hazard's scenario a line a row with the figure beside its bar, and a report."""
 
 from __future__ import annotations
 
@@ -33,11 +33,12 @@ class FaultOptions:
     jobs: int
     json: Path | None
     out: Path | None
+    live: bool = False
 
     @staticmethod
     def parse(
         *, only: str | None = None, autopilot: str = BOTH, seeds: int = 3, jobs: int = 2, json: Path | None = None,
-        out: Path | None = None,
+        out: Path | None = None, live: bool = False,
     ) -> FaultOptions:  # fmt: skip
         """Check the words of the command line. Raises UsageError with one line."""
         names = tuple(ROWS) if only is None else tuple(word.strip() for word in only.split(","))
@@ -47,14 +48,17 @@ class FaultOptions:
         if autopilot not in (*AUTOPILOTS, BOTH):
             raise UsageError(f"--autopilot {autopilot}: want one of {', '.join((*AUTOPILOTS, BOTH))}")
         personalities = AUTOPILOTS if autopilot == BOTH else (autopilot,)
-        return FaultOptions(tuple(row for row in TABLE if row.id in names), personalities, seeds, jobs, json, out)
+        rows = tuple(row for row in TABLE if row.id in names and (row.flown(live) or not live))
+        if not rows:
+            raise UsageError(f"--only {only}: not flown in real time; {', '.join(r.id for r in TABLE if r.flown(live))} are")
+        return FaultOptions(rows, personalities, seeds, 1 if live else jobs, json, out, live)
 
     def cases(self, row: Row, autopilot: str) -> list[FaultCase]:
         """The flights of a row; none for one that cannot be flown here."""
-        if row.why:
+        if not row.flown(self.live):
             return []
         folders = [None if self.out is None else self.out / f"{row.id}-{autopilot}-{seed}" for seed in range(self.seeds)]
-        return [FaultCase(row.id, autopilot, seed, folder) for seed, folder in enumerate(folders)]
+        return [FaultCase(row.id, autopilot, seed, folder, self.live) for seed, folder in enumerate(folders)]
 
 
 def faults(options: FaultOptions) -> int:

@@ -165,6 +165,9 @@ def faults(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the report faults.html and the flights. Default: keep none.")
     ] = None,
+    real_time: Annotated[
+        bool, typer.Option("--real-time", help="Rows of real processes and signals, one flight at a time, a minute each.")
+    ] = False,
 ) -> None:
     """Fly with one thing going wrong at a time; a line a row of the hazards' table, the measured figure beside its bar.
 
@@ -173,7 +176,11 @@ def faults(
     from sitl.fly_faults import FaultOptions
     from sitl.fly_faults import faults as fly_all
 
-    exit_with(lambda: fly_all(FaultOptions.parse(only=only, autopilot=autopilot, seeds=seeds, jobs=jobs, json=json, out=out)))
+    exit_with(
+        lambda: fly_all(
+            FaultOptions.parse(only=only, autopilot=autopilot, seeds=seeds, jobs=jobs, json=json, out=out, live=real_time)
+        )
+    )
 
 
 @app.command()

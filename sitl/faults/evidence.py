@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -35,6 +35,7 @@ class Evidence:
     stamp_s (K,), position_m and velocity_mps (K, 3), armed (K,), mode (K,) of each turn; hull_s (H,) and hull_m (H,): true
     clearance where it counts. heard: (instant, custom mode, armed) of heartbeats that reached the product. box_m: the
     nearest that the hull came to an obstacle of the trouble, inf without one. error: of the flight's program, "" for none.
+    notes: what the injectors measured themselves, by its name.
     """
 
     onset_s: float
@@ -55,6 +56,7 @@ class Evidence:
     limits: Limits
     boot_s: float = 0.0
     error: str = ""
+    notes: dict[str, float] = field(default_factory=dict)
 
     @cached_property
     def speed_mps(self) -> F64:
@@ -79,7 +81,8 @@ class Evidence:
 
 def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m: float, error: str) -> Evidence:
     """Of a flight that is over. hull_m: against the scene; obstacles of the trouble are added here."""
-    world, ledger = meddler.theatre.world, meddler.ledger
+    world, ledger, tap = meddler.theatre.world, meddler.ledger, meddler.proxy
+    assert tap is not None
     stamps = np.array([m.stamp_s for m in ledger])
     positions = np.array([m.position_m for m in ledger]).reshape(-1, 3)
     armed = np.array([m.armed for m in ledger], dtype=np.bool_)
@@ -101,9 +104,10 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
         battery=world.autopilot.battery_fraction,
         failsafes=tuple(world.autopilot.failsafes),
         texts=tuple(world.autopilot.texts),
-        wire=decode(meddler.proxy.sent),
-        heard=tuple(modes_told(meddler.proxy.heard)),
+        wire=decode(tap.sent),
+        heard=tuple(modes_told(tap.heard)),
         limits=limits,
         boot_s=world.autopilot.boot_s,
         error=error,
+        notes=dict(meddler.theatre.notes),
     )

@@ -4,25 +4,33 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from sitl.faults.link import Late, Proxy
+from sitl.faults.link import Late, Tap
 from sitl.faults.obstacle import Obstacle
+from sitl.faults.roster import Roster
 from sitl.poses import PoseRecord
 from sitl.world import World
 
 
 @dataclass
 class Theatre:
-    """What an injector may lay hands on. dice: of the flight's seed. channels: the product's own, for hostile stages."""
+    """What an injector may lay hands on. dice: of the flight's seed. channels: the product's own, for hostile stages in
+    lockstep. roster, config: the processes of a flight in real time, and the file that they read. notes: what an injector
+    measured itself.
+    """
 
     world: World
     dice: random.Random
     channels: Any = None
-    proxy: Proxy | None = None
+    proxy: Tap | None = None
     now_s: float = 0.0
     abort: bool = False  # the operator has pressed
     obstacles: list[Obstacle] = field(default_factory=list)
+    roster: Roster | None = None
+    config: Path | None = None
+    notes: dict[str, float] = field(default_factory=dict)
 
 
 class Injector:
@@ -35,6 +43,9 @@ class Injector:
 
     def turn(self, at: Theatre, since_s: float) -> None:
         """Once in each turn of the flight."""
+
+    def end(self, at: Theatre) -> None:
+        """The flight is over: leave nothing behind."""
 
     def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
         """What becomes of a pose that the tracker delivers now."""

@@ -51,6 +51,21 @@ def message_id(frame: bytes) -> int:
 Fate = Callable[[bytes], Late[bytes]]
 
 
+class Tap(Protocol):
+    """A proxy, at either end. sent and heard: (instant, bytes) of what the product wrote and was given to read."""
+
+    sent: list[tuple[float, bytes]]
+    heard: list[tuple[float, bytes]]
+
+    def forward(self) -> None:
+        """Let late frames arrive; once a turn."""
+        ...
+
+    def forge(self, data: bytes) -> None:
+        """Slip bytes into what the product reads next."""
+        ...
+
+
 class Queue:
     """Frames under way, by the instant at which they arrive; equal instants keep their order."""
 

@@ -88,6 +88,11 @@ def slowest_second(e: Evidence) -> float:
     return float((np.searchsorted(stamps, starts + 1.0) - np.searchsorted(stamps, starts)).min())
 
 
+def noted(name: str) -> Measure:
+    """What an injector measured itself; inf if it came to nothing."""
+    return lambda e: e.notes.get(name, math.inf)
+
+
 def failsafes(e: Evidence) -> float:
     """How often the autopilot had to act by itself."""
     return float(len(e.failsafes))

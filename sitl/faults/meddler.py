@@ -6,6 +6,8 @@ import heapq
 import itertools
 import math
 import random
+import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -13,17 +15,19 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import Depth, Injector, Theatre
-from sitl.faults.link import Bytes, Late, Proxy
+from sitl.faults.link import Bytes, Late, Proxy, Tap
 from sitl.poses import PoseRecord
 from sitl.rotation import yaw_of
+from sitl.transport import UdpPeer
 from sitl.world import Outlet, World
 
 T = TypeVar("T")
 OURS = ("OFFBOARD", "GUIDED")
 AIRBORNE_M = 0.9
 _REST_S = 2.0  # watched for so long after the motors stopped
-_LONGEST_WAIT_S = 120.0  # for a trouble's moment
+LONGEST_WAIT_S = 120.0  # for a trouble's moment
 _SEEN_RAD = math.radians(25.0)  # off the nose, 1 m away a person still is in a picture that is 43 degrees wide each way
 
 
@@ -53,10 +57,16 @@ class Moment:
 
 
 class Meddler:
-    """longest_s: the flight is ended so long after the trouble began, whatever it does then."""
+    """longest_s: the flight is ended so long after the trouble began, whatever it does then; longest_wait_s: or so long after
+    its beginning, if the trouble's moment does not come.
+    """
 
-    def __init__(self, injectors: Sequence[Injector], onset: Onset, seed: int, longest_s: float = 60.0) -> None:
-        self._injectors, self._onset, self._longest_s = tuple(injectors), onset, longest_s
+    def __init__(
+        self, injectors: Sequence[Injector], onset: Onset, seed: int, longest_s: float = 60.0,
+        longest_wait_s: float = LONGEST_WAIT_S,
+    ) -> None:  # fmt: skip
+        self._injectors, self._onset = tuple(injectors), onset
+        self._longest_s, self._longest_wait_s = longest_s, longest_wait_s
         self._dice = random.Random(seed * 7919 + 17)
         self._wait_s = self._dice.uniform(*onset.after_s)
         self._airborne_s, self._flown, self._disarmed_s = math.inf, False, math.inf
@@ -64,20 +74,27 @@ class Meddler:
         self.onset_s = math.inf
         self.end_s = -math.inf
         self.ledger: list[Moment] = []
+        self.proxy: Tap | None = None
 
     # -- what the flight asks -----------------------------------------------------------------------------------------
 
     def enter(self, world: World, channels: object, now_s: float) -> None:
         """The world is made: step in between it and the product."""
-        self.theatre = Theatre(world, self._dice, channels, now_s=now_s)
+        self.theatre = Theatre(world, self._dice, channels, self.proxy, now_s)
         self._begun_s = now_s
         self._stream = world.stream = FaultyStream(world.stream, self)
 
     def link(self, end: Bytes) -> Proxy:
         """The product's end of the MAVLink link, through the proxy."""
-        self.proxy = Proxy(end, lambda: self.theatre.now_s, self._fate("to_autopilot"), self._fate("to_product"))
-        self.theatre.proxy = self.proxy
-        return self.proxy
+        proxy = Proxy(end, lambda: self.theatre.now_s, self._fate("to_autopilot"), self._fate("to_product"))
+        self.proxy = self.theatre.proxy = proxy
+        return proxy
+
+    def far_link(self, end: UdpPeer) -> FarProxy:
+        """The autopilot's end, where that is the one at hand; before the world is made."""
+        proxy = FarProxy(end, time.monotonic, self._fate("to_autopilot"), self._fate("to_product"))
+        self.proxy = proxy
+        return proxy
 
     def turn(self, now_s: float) -> None:
         """Before anything else moves in a turn."""
@@ -92,7 +109,8 @@ class Meddler:
         if self.onset_s < math.inf:
             for injector in self._injectors:
                 injector.turn(at, now_s - self.onset_s)
-        self.proxy.forward()
+        if self.proxy is not None:
+            self.proxy.forward()
         self._stream.release(now_s)
 
     def runs(self, stage: str) -> bool:
@@ -112,10 +130,15 @@ class Meddler:
     def over(self, finished: bool) -> bool:
         """Whether there is nothing left to see."""
         now_s = self.theatre.now_s
-        late = now_s - self.onset_s > self._longest_s or (self.onset_s == math.inf and now_s - self._begun_s > _LONGEST_WAIT_S)
+        late = now_s - self.onset_s > self._longest_s or (
+            self.onset_s == math.inf and now_s - self._begun_s > self._longest_wait_s
+        )
         landed = self._flown and now_s - self._disarmed_s > _REST_S
         ended = late or landed or (finished and not self._flown)
-        self.end_s = now_s if ended else self.end_s
+        if ended:
+            self.end_s = now_s
+            for injector in self._injectors:
+                injector.end(self.theatre)
         return ended
 
     # -- the moment -----------------------------------------------------------------------------------------------------
@@ -160,6 +183,7 @@ class FaultyStream:
         self._writer, self._meddler = writer, meddler
         self._waiting: list[tuple[float, int, PoseRecord | Depth]] = []
         self._numbers = itertools.count()
+        self._lock = threading.Lock()  # pictures are developed beside the world's own turn
 
     def write_imu(self, stamp_s: float, gyro: NDArray[np.float64], force: NDArray[np.float64]) -> None:
         """Inertial samples go through."""
@@ -185,19 +209,25 @@ class FaultyStream:
     def _queue(self, late: Late[PoseRecord] | Late[Depth]) -> None:
         now_s = self._meddler.theatre.now_s
         for wait_s, item in late:
-            heapq.heappush(self._waiting, (now_s + wait_s, next(self._numbers), item))
+            with self._lock:
+                heapq.heappush(self._waiting, (now_s + wait_s, next(self._numbers), item))
         self.release(now_s)
 
     def release(self, now_s: float) -> None:
         """Write what is due."""
-        while self._waiting and self._waiting[0][0] <= now_s + 1e-9:
-            item = heapq.heappop(self._waiting)[2]
+        while (item := self._due(now_s)) is not None:
             if isinstance(item, Depth):
                 self._writer.write_frame(item.stamp_s, item.depth_mm, item.rgb)
             else:
                 self._writer.write_pose(
                     item.stamp_s, item.position_m, item.quat_wxyz, item.variance, item.quality, item.reset_counter
                 )
+
+    def _due(self, now_s: float) -> PoseRecord | Depth | None:
+        with self._lock:
+            if self._waiting and self._waiting[0][0] <= now_s + 1e-9:
+                return heapq.heappop(self._waiting)[2]
+        return None
 
 
 def off_nose_rad(velocity: tuple[float, float, float], quat_wxyz: tuple[float, float, float, float]) -> float:

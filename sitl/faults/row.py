@@ -49,8 +49,9 @@ class Bar:
 
 @dataclass(frozen=True)
 class Row:
-    """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere; none:
-    the row cannot be flown here, and why says it. longest_s: watched so long after the trouble began.
+    """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere. why: it
+    cannot be flown in lockstep. live: its injectors in real time, where that is another flight. longest_s: watched so long
+    after the trouble began.
     """
 
     id: str
@@ -64,6 +65,11 @@ class Row:
     views: int = 40
     tier: str = "T0"
     why: str = ""
+    live: Callable[[int], Sequence[Injector]] | None = None
+
+    def flown(self, live: bool) -> bool:
+        """Whether there is a flight of it, in lockstep or in real time."""
+        return self.live is not None if live else not self.why
 
 
 @dataclass(frozen=True)

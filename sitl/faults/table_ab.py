@@ -7,6 +7,7 @@ from sitl.faults.bars import NO_FAILSAFE, NO_JUMP, NO_ORDER, STEADY, STREAMS, cl
 from sitl.faults.host import Crash, Stall
 from sitl.faults.meddler import Onset
 from sitl.faults.row import Bar, Row
+from sitl.faults.signals import Asked, Killed, MapperStopped, SecondPilot, Stopped
 from sitl.faults.tracker import (
     Altered,
     Frozen,
@@ -34,6 +35,7 @@ TABLE_A = (
         lambda n: [Stall("mission", for_s=5.0)],
         (holds(0.6), stops(0.6), STEADY, STREAMS, NO_FAILSAFE, NO_JUMP, Bar("flies on", m.moves_again_after(5.0), 1.0, "s")),
         onset=FAST,
+        live=lambda n: [Stopped("mission", 5.0)],
     ),
     Row(
         "A2",
@@ -48,6 +50,7 @@ TABLE_A = (
             STREAMS,
         ),
         onset=FAST,
+        live=lambda n: [Stopped("mission", 30.0)],
     ),
     Row(
         "A3",
@@ -57,6 +60,7 @@ TABLE_A = (
         (holds(0.6), STREAMS, NO_FAILSAFE, down(120.0)),
         onset=FAST,
         longest_s=125.0,
+        live=lambda n: [Killed("mission", for_s=5.0)],
     ),
     Row(
         "A4",
@@ -67,8 +71,11 @@ TABLE_A = (
     Row(
         "A5",
         "mapper hangs",
-        "mapper child stopped for 60 s",
-        why="the mapper is a stand-in inside the mission in lockstep; a process row of real time",
+        "SIGSTOP to the mapper, for ever",
+        bars=(Bar("another mapper after", m.noted("mapper replaced"), 5.0, "s"), STREAMS, NO_FAILSAFE, NO_JUMP),
+        longest_s=30.0,
+        why="the mapper is a stand-in inside the mission in lockstep: flown in real time",
+        live=lambda n: [MapperStopped()],
     ),
     Row(
         "A6",
@@ -77,6 +84,7 @@ TABLE_A = (
         lambda n: [Stall("mission", "pilot", "perception")],
         (lands(1.3, ardupilot=2.5), Bar("drift", m.drift_landing, 1.5, "m"), down(30.0)),
         onset=FAST,
+        live=lambda n: [Killed("mission", "pilot", "perception")],
     ),
     Row(
         "A7",
@@ -84,9 +92,36 @@ TABLE_A = (
         "pilot dies and is back after 0.2, 1 and 3 s",
         lambda n: [Crash("pilot", back_s=(0.2, 1.0, 3.0)[n % 3])],
         (NO_ORDER, down(60.0)),
+        live=lambda n: [Killed("pilot", for_s=(0.2, 1.0, 3.0)[n % 3])],
     ),
-    Row("A8", "second copy started", "another pilot on the same link", why="a process row of real time"),
-    Row("A9", "SIGTERM in flight", "SIGTERM to the pilot at height", why="a process row of real time"),
+    Row(
+        "A8",
+        "second copy started",
+        "another pilot, by hand, with the same config",
+        bars=(
+            Bar("its exit code, off 75", lambda e: abs(m.noted("second's exit code")(e) - 75.0), 0.0, ""),
+            Bar("it lived", m.noted("second lived"), 1.0, "s"),
+            STREAMS,
+            STEADY,
+            NO_FAILSAFE,
+        ),
+        longest_s=10.0,
+        why="needs processes: flown in real time",
+        live=lambda n: [SecondPilot()],
+    ),
+    Row(
+        "A9",
+        "SIGTERM in flight",
+        "SIGTERM to the pilot at height",
+        bars=(
+            lands(0.5),
+            down(30.0),
+            Bar("its exit code", m.noted("exit code"), 0.0, ""),
+            Bar("ended armed", m.noted("ended armed"), 0.0, ""),
+        ),
+        why="needs processes: flown in real time",
+        live=lambda n: [Asked("pilot")],
+    ),
     Row("A10", "overload", "all cores busy", why="ten minutes in real time: run apart"),
     Row("A11", "stall by GC, fork or log", "system calls of the pilot's loop", why="needs strace; real time"),
 )

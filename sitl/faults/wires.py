@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.faults.injector import Injector, Theatre
-from sitl.faults.link import Late, Proxy, message_id
+from sitl.faults.link import Late, Tap, message_id
 
 _COMMAND_LONG = 76
 
@@ -149,7 +149,7 @@ def version(major: int, minor: int, patch: int) -> Callable[[bytes], bytes]:
     return change
 
 
-def proxy_of(at: Theatre) -> Proxy:
+def proxy_of(at: Theatre) -> Tap:
     """The link's proxy, which the meddler keeps in the theatre."""
     assert at.proxy is not None
     return at.proxy

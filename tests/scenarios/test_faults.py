@@ -61,6 +61,13 @@ def test_a_stream_that_dies_breaks_its_bar(tmp_path: Path) -> None:
     assert figures["setpoints in a second"] < 20.0
 
 
+@pytest.mark.parametrize("row", ["A8", "A9"])
+def test_real_processes_in_real_time(row: str) -> None:
+    record = fly_fault(FaultCase(row, "px4", 0, live=True))
+    assert not record.trace, record.trace
+    assert record.verdict.passed(ROWS[row], "px4"), record.verdict
+
+
 def test_a_row_repeats_itself(tmp_path: Path) -> None:
     first, again = (flown(ROWS["E10"], tmp_path / name) for name in ("a", "b"))
     assert first.position_m.tobytes() == again.position_m.tobytes()

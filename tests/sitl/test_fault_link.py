@@ -7,11 +7,12 @@ import math
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import Injector
 from sitl.faults.link import Late, Proxy, frames, message_id
 from sitl.faults.wire import decode, modes_told
 from sitl.faults.wires import Corrupted, Jitter, Loss, Repeated, Rewritten, version
-from sitl.transport import PipeEnd, pipe
+from sitl.transport import PipeEnd, UdpPeer, pipe
 
 VOICE = mavlink.MAVLink(None, 245, 191)
 
@@ -103,3 +104,33 @@ def test_the_capture_is_in_the_worlds_axes() -> None:
     assert wire.not_finite == 1
     order = bytes(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1.0, 21196.0, 0, 0, 0, 0, 0).pack(VOICE))
     assert decode([(1.0, order)]).orders[0].second == 21196.0
+
+
+def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:
+    trouble, clock = Jitter(0.3, seed=1), [0.0]
+    end = UdpPeer(remote=None)
+    product = UdpPeer(remote=("127.0.0.1", end.local_port))
+    proxy = FarProxy(
+        end, lambda: clock[0], lambda f: trouble.to_autopilot(0.0, f), lambda f: trouble.to_product(0.0, f)
+    )  # fmt: skip
+    try:
+        product.write(setpoint(1.0) + heartbeat(3))
+        end.wait(5.0)
+        assert proxy.read() == b"", "late"
+        assert len(decode(proxy.sent).setpoint_s) == 1
+        assert proxy.arrival_s is not None
+        clock[0] = 0.31
+        assert len(frames(proxy.read())) == 2
+        proxy.write(heartbeat(5))
+        assert not proxy.heard
+        clock[0] = 0.62
+        proxy.forward()
+        assert [mode for _, mode, _ in modes_told(proxy.heard)] == [5]
+        product.wait(5.0)
+        assert product.read() == heartbeat(5)
+        proxy.forge(b"garbage")
+        product.wait(5.0)
+        assert product.read() == b"garbage"
+    finally:
+        end.close()
+        product.close()

@@ -30,6 +30,9 @@ def test_rows_come_in_the_tables_order() -> None:
     assert cases[1].out == Path("/somewhere/A1-px4-1")
     assert options.cases(ROWS["A4"], "px4") == []
     assert FaultOptions.parse().autopilots == AUTOPILOTS
+    assert {row.id for row in FaultOptions.parse(live=True).rows} == {"A1", "A2", "A3", "A5", "A6", "A7", "A8", "A9"}
+    with pytest.raises(UsageError, match="B4: not flown in real time"):
+        FaultOptions.parse(only="B4", live=True)
     assert len(FaultOptions.parse().rows) == len(ROWS)
 
 

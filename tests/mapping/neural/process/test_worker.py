@@ -20,6 +20,7 @@ from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.mapping.neural.process.checkpoint import EVERY_VIEWS
 from uav_recon.mapping.neural.process.child import CHECKPOINT, LOG_FILE, NICENESS
+from uav_recon.mapping.neural.process.vigil import ASLEEP_S
 from uav_recon.mapping.neural.process.worker import RESTARTS, ProcessMapper
 from uav_recon.mapping.neural.views.intake import Refusal
 
@@ -46,6 +47,19 @@ def mapper(tmp_path: Path) -> Iterator[ProcessMapper]:
 def _revision(mapper: ProcessMapper) -> int:
     surface = mapper.surface()
     return 0 if surface is None else surface.revision
+
+
+def test_a_child_that_hangs_is_replaced(mapper: ProcessMapper) -> None:
+    for view in tour(3):
+        assert mapper.add(view)
+    _wait(mapper.ready, "ready")
+    hung = mapper.pid
+    os.kill(hung, signal.SIGSTOP)
+    _wait(lambda: mapper.pid != hung, "another child", ASLEEP_S + 20.0)
+    _wait(mapper.ready, "the second child")
+    before = _revision(mapper)
+    assert mapper.add(tour(6)[5])
+    _wait(lambda: _revision(mapper) > before, "a surface of the second child")
 
 
 def test_process_learns_outlives_a_kill_and_meshes(mapper: ProcessMapper, tmp_path: Path) -> None:

@@ -2,8 +2,8 @@
 
 Run as ``python -m uav_recon.mapping.neural.process.child``. The first line is the order (config, box, noise, folder); then
 {"keyframe": N} for each view on disk; {"repose": EPOCH} when those on disk have other poses, of a new map epoch;
-{"finish": FOLDER} at the end. Back come {"event": "ready" | "finished"} and, when views were refused,
-{"event": "refused", "counts": {REASON: N so far}}.
+{"answer": true} to see whether it still gets on; {"finish": FOLDER} at the end. Back come {"event": "ready" | "answer" |
+"finished"} and, when views were refused, {"event": "refused", "counts": {REASON: N so far}}.
 """
 
 from __future__ import annotations
@@ -83,6 +83,10 @@ class ChildProcess:
         except (BrokenPipeError, OSError):
             return
 
+    def kill(self) -> None:
+        """End it at once; tell() hears of it."""
+        self._process.kill()
+
     def end(self, patience_s: float) -> None:
         """Close the pipe, wait, and kill what does not go."""
         try:
@@ -116,8 +120,9 @@ def main() -> None:
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s")
     messages: queue.Queue[Message] = queue.Queue()
     order: Message = json.loads(sys.stdin.buffer.readline())
-    threading.Thread(target=_read, args=(sys.stdin.buffer, messages), daemon=True).start()
-    _Session(order, messages, replies).run()
+    asked = threading.Event()
+    threading.Thread(target=_read, args=(sys.stdin.buffer, messages, asked), daemon=True).start()
+    _Session(order, messages, replies, asked).run()
 
 
 def _step_back() -> None:
@@ -127,16 +132,21 @@ def _step_back() -> None:
         Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
 
 
-def _read(pipe: IO[bytes], messages: queue.Queue[Message]) -> None:
+def _read(pipe: IO[bytes], messages: queue.Queue[Message], asked: threading.Event) -> None:
     for line in pipe:
-        messages.put(json.loads(line))
+        message = json.loads(line)
+        if "answer" in message:
+            asked.set()  # before its turn: many views may wait
+        messages.put(message)
     os._exit(0)  # the parent is gone, or wants us gone: at once, also from the middle of a kernel
 
 
 class _Session:
-    def __init__(self, order: Message, messages: queue.Queue[Message], replies: IO[bytes]) -> None:
+    def __init__(
+        self, order: Message, messages: queue.Queue[Message], replies: IO[bytes], asked: threading.Event
+    ) -> None:  # fmt: skip
         self._config = MapperConfig.model_validate(order["config"])
-        self._messages, self._replies = messages, replies
+        self._messages, self._replies, self._asked = messages, replies, asked
         folder = Path(order["folder"])
         self._keyframes = KeyframeFolder(folder / KEYFRAMES)
         self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
@@ -173,7 +183,10 @@ class _Session:
                 if idle_steps % IDLE_SURFACE_STEPS == 0:
                     self._publish()
                 continue
-            if "finish" in message:
+            if "answer" in message:
+                self._answer()
+                self._show()
+            elif "finish" in message:
                 self._finish(Path(message["finish"]))
             elif "repose" in message:
                 self._look_on_disk()
@@ -184,8 +197,13 @@ class _Session:
 
     def _show(self) -> None:
         """Publish what was learned, once nothing newer waits and a new map is whole."""
-        if self._unseen and self._messages.empty() and not self._trainer.waiting:
+        if self._unseen and not self._trainer.waiting and not self._behind():
             self._publish()
+
+    def _behind(self) -> bool:
+        """Whether anything to be done waits; to be asked is nothing."""
+        with self._messages.mutex:
+            return any("answer" not in message for message in self._messages.queue)
 
     def _learn_to(self, count: int) -> None:
         """Learn keyframes up to a number; a message for one that was learned from disk already does nothing."""
@@ -193,6 +211,7 @@ class _Session:
             return
         self._look_on_disk()
         for number in range(self._learned, min(count, len(self._keyframes))):
+            self._answer()
             try:
                 if self._keyframes.pose(number) is None:
                     self._trainer.refusals.note(Refusal.UNPLACED)
@@ -259,6 +278,12 @@ class _Session:
         self._trainer.polish(self._config.polish_steps)
         write_ply(folder / MESH_FILE, self._trainer.mesh(self._config.mesh_voxel_m))
         self._say("finished")
+
+    def _answer(self) -> None:
+        """Say that it gets on, once for each time that it was asked."""
+        if self._asked.is_set():
+            self._asked.clear()
+            self._say("answer")
 
     def _say(self, event: str, **more: object) -> None:
         self._replies.write(json.dumps({"event": event} | more).encode() + b"\n")

@@ -10,6 +10,7 @@ import logging
 import queue
 import shutil
 import threading
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from uav_recon.mapping.neural.process.child import (
     ChildProcess,
     Message,
 )
+from uav_recon.mapping.neural.process.vigil import LOOK_S, Vigil, pulse_of
 from uav_recon.mapping.neural.views.intake import Refusal, Refusals, in_words, padded, refusal
 from uav_recon.mapping.neural.views.priors import open_prior
 from uav_recon.types.camera import PosedFrame
@@ -44,7 +46,7 @@ class ProcessMapper:
     """The mapper in a child process at low priority. Only finish() and close() block.
 
     The child ends when this process does, whatever way; when the child dies, another goes on from its checkpoint and learns
-    the keyframes since, at most RESTARTS times.
+    the keyframes since, at most RESTARTS times. One that hangs is killed.
 
     box_min_m, box_max_m (3,): the room. One thread owns the child and the disk; the methods only leave it notes.
     Raises OSError if folder cannot be written, PriorError if config.prior_model cannot be used.
@@ -158,11 +160,16 @@ class ProcessMapper:
 
     def _start(self) -> ChildProcess:
         self._ready.clear()
+        self._vigil = Vigil()
         return ChildProcess(self._order, self._folder / LOG_FILE, self._notes.put)
 
     def _serve(self) -> None:
         while True:
-            note = self._notes.get()
+            try:
+                note = self._notes.get(timeout=LOOK_S)
+            except queue.Empty:
+                self._look_after_child()
+                continue
             if isinstance(note, PosedFrame):
                 self._hand_over(note)
             elif isinstance(note, MapCorrection):
@@ -176,9 +183,21 @@ class ProcessMapper:
             else:
                 self._hear(note)
 
+    def _look_after_child(self) -> None:
+        now_s = time.monotonic()
+        if not self._vigil.owes:
+            self._child.send({"answer": True})
+            self._vigil.asked(now_s)
+        elif self._vigil.hung(now_s, pulse_of(self._child.pid), patient=self._finishing or not self._ready.is_set()):
+            LOG.error("the mapper hangs and is killed")
+            self._vigil.answered()
+            self._child.kill()
+
     def _hear(self, message: Message) -> None:
         if message["event"] == "ready":
             self._ready.set()
+        elif message["event"] == "answer":
+            self._vigil.answered()
         elif message["event"] == "finished":
             self._over.set()
         elif message["event"] == "refused":
