@@ -13,7 +13,9 @@ from sitl.ardupilot_state import State
 from sitl.ardupilot_tuning import estimator_tuning
 from sitl.autopilot import Autopilot
 from sitl.estimator import Estimator
+from sitl.eyes import Eyes
 from sitl.gimbal import Gimbal
+from sitl.jitter import JitterCorrection
 from sitl.mavlink_server import MavlinkServer
 from sitl.pace import REAL
 from sitl.rotation import Vec3
@@ -52,10 +54,12 @@ class ArduCopter(Autopilot):
         """The kill switch: motors stop, wherever the vehicle is."""
         self._state.commander.request_arming(arm=False, force=True, c=self._state.condition())
 
-    def reboot(self) -> None:
-        """It starts anew where it is: its clock and its mode, while the motors happen to run on."""
-        self._state.boot_s = self._state.now_s
-        self._state.commander.takeover(Mode.STABILIZE)
+    def _forget(self) -> None:
+        s = self._state
+        s.estimator, s.jitter = Estimator(estimator_tuning(self._parameters)), JitterCorrection()
+        s.home_follows, s.flight.home = False, None
+        s.commander.gcs_heard_s = math.inf
+        s.commander.takeover(Mode.STABILIZE)
 
     @property
     def _landed(self) -> bool:
@@ -74,6 +78,6 @@ class ArduCopter(Autopilot):
         s.settle_home()
         s.commander.step(s.condition())
 
-    def _fly(self, dt_s: float) -> tuple[Vec3, float]:
+    def _fly(self, dt_s: float, seen: Estimator | Eyes) -> tuple[Vec3, float]:
         s = self._state
-        return s.flight.step(dt_s, s.commander.armed, s.commander.mode, s.estimator)
+        return s.flight.step(dt_s, s.commander.armed, s.commander.mode, seen)

@@ -14,6 +14,7 @@ from sitl.ardupilot_parameters import ArduPilotParameters
 from sitl.ardupilot_tuning import control_gains, shaping_limits
 from sitl.control import Controller, ControlSetpoint
 from sitl.estimator import Estimator
+from sitl.eyes import Eyes
 from sitl.landing import LandDetector
 from sitl.rotation import Vec3
 from sitl.shaper import Shaper
@@ -106,7 +107,7 @@ class Flight:
         """GUIDED holds where it is: a target that says nothing usable."""
         self._target, self._top, self._hold, self._hold_yaw = None, None, position, yaw
 
-    def step(self, dt_s: float, armed: bool, mode: Mode, estimator: Estimator) -> tuple[Vec3, float]:
+    def step(self, dt_s: float, armed: bool, mode: Mode, estimator: Estimator | Eyes) -> tuple[Vec3, float]:
         """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s)."""
         position, velocity = estimator.position, estimator.velocity
         self._motion = position, velocity

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from sitl.board import Board
 from sitl.estimator import Estimator
+from sitl.eyes import Eyes
 from sitl.frames import frd_from_flu
 from sitl.imu import Imu
 from sitl.mavlink_server import MavlinkServer
@@ -77,6 +78,7 @@ class Autopilot(ABC):
         self._steps = 0
         self._revision = parameters.revision
         self._start_s = 0.0
+        self._eyes: Eyes | None = None  # of a pilot who flies it without the estimator
 
     @property
     def setpoint_arrivals_s(self) -> list[float]:
@@ -120,9 +122,16 @@ class Autopilot(ABC):
     def pilot_disarms(self) -> None:
         """The kill switch: motors stop, wherever the vehicle is."""
 
-    @abstractmethod
     def reboot(self) -> None:
-        """It starts anew where it is: its clock and its mode, while the motors happen to run on."""
+        """It starts anew where it is, and knows nothing of before: no clock, estimator, origin, home or message rates.
+
+        The motors run on, as no real one's do: there would be nothing left to judge. A pilot flies it from then on, by eye.
+        """
+        b = self._board
+        b.boot_s, b.origin, b.home = b.now_s, None, None
+        self._server.restart()
+        self._forget()
+        self._eyes = Eyes(self.vehicle)
 
     def transmitter(self, heard: bool) -> None:
         """Switch the pilot's transmitter off or on."""
@@ -181,8 +190,9 @@ class Autopilot(ABC):
     def _act(self) -> None:
         """Carry the wanted force from the estimated attitude into the true one: estimation errors really fly."""
         v, b = self.vehicle, self._board
-        force, turn = self._fly(self._step_s)
-        in_body = frd_from_flu(rotate(conjugate(b.estimator.quat_wxyz), force))
+        seen = self._eyes or b.estimator
+        force, turn = self._fly(self._step_s, seen)
+        in_body = frd_from_flu(rotate(conjugate(seen.quat_wxyz), force))
         v.step(self._step_s, rotate(v.quat_wxyz, in_body), -turn, self._commander.armed)
 
     def _sense_slowly(self, dt_s: float) -> None:
@@ -207,5 +217,9 @@ class Autopilot(ABC):
         """Decide, 50 times a second."""
 
     @abstractmethod
-    def _fly(self, dt_s: float) -> tuple[Vec3, float]:
-        """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s)."""
+    def _forget(self) -> None:
+        """A new estimator, nothing learned of foreign clocks, and the mode of a pilot on the sticks."""
+
+    @abstractmethod
+    def _fly(self, dt_s: float, seen: Estimator | Eyes) -> tuple[Vec3, float]:
+        """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s), by what is seen of the vehicle."""

@@ -34,7 +34,8 @@ class MavlinkServer:
     def __init__(self, link: ByteEnd, parameters: ParameterTable, system: int = 1, component: int = 1) -> None:
         self._link = link
         self._parameters = parameters
-        self._system, self._speaker, self._listener = system, Speaker(system, component), Listener()
+        self._system, self._component = system, component
+        self._speaker, self._listener = Speaker(system, component), Listener()
         self._streams: dict[int, Stream] = {}
         self._due_s = 0.0
         self._out = bytearray()
@@ -42,6 +43,13 @@ class MavlinkServer:
         self._list_next = len(parameters)
         self._texts = 0
         self.texts: list[str] = []
+
+    def restart(self) -> None:
+        """Sequence numbers and message rates are those of the boot again."""
+        self._speaker = Speaker(self._system, self._component)
+        for stream in self._streams.values():
+            stream.interval_s, stream.next_s = stream.default_s, 0.0
+        self._due_s = 0.0
 
     # -- sending --------------------------------------------------------------------------------------------------
 

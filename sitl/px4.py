@@ -6,6 +6,7 @@ import math
 
 from sitl.autopilot import Autopilot, Truth
 from sitl.estimator import Estimator
+from sitl.eyes import Eyes
 from sitl.gimbal import Gimbal
 from sitl.mavlink_server import MavlinkServer
 from sitl.pace import REAL
@@ -17,6 +18,7 @@ from sitl.px4_modes import Commander, Mode
 from sitl.px4_state import State
 from sitl.px4_tuning import estimator_tuning
 from sitl.rotation import Vec3
+from sitl.timesync import TimeSync
 from sitl.transport import ByteEnd
 from sitl.vehicle import Quadrotor
 
@@ -67,10 +69,11 @@ class Px4(Autopilot):
         s.flight.configure(p)
         s.commander.configure(p)
 
-    def reboot(self) -> None:
-        """It starts anew where it is: its clock and its mode, while the motors happen to run on."""
-        self._state.boot_s = self._state.now_s
-        self._state.commander.takeover(Mode.ALTCTL)
+    def _forget(self) -> None:
+        s = self._state
+        s.estimator, s.timesync = Estimator(estimator_tuning(self._parameters)), TimeSync()
+        s.commander.origin_at_s = math.inf
+        s.commander.takeover(Mode.ALTCTL)
 
     def _think(self, dt_s: float) -> None:
         s = self._state
@@ -81,6 +84,6 @@ class Px4(Autopilot):
         if s.flight.takeoff_complete:
             s.commander.request_mode(Mode.LOITER, s.condition())
 
-    def _fly(self, dt_s: float) -> tuple[Vec3, float]:
+    def _fly(self, dt_s: float, seen: Estimator | Eyes) -> tuple[Vec3, float]:
         s = self._state
-        return s.flight.step(dt_s, s.commander.armed, s.commander.mode, s.estimator)
+        return s.flight.step(dt_s, s.commander.armed, s.commander.mode, seen)

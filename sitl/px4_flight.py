@@ -6,6 +6,7 @@ import math
 
 from sitl.control import Controller, ControlSetpoint
 from sitl.estimator import Estimator
+from sitl.eyes import Eyes
 from sitl.landing import LandDetector
 from sitl.parameters import Parameters
 from sitl.px4_modes import Mode
@@ -62,7 +63,7 @@ class Flight:
         """Whether take-off mode reached its height."""
         return self._mode is Mode.TAKEOFF and not self.landed and self._arrived
 
-    def step(self, dt_s: float, armed: bool, mode: Mode, estimator: Estimator) -> tuple[Vec3, float]:
+    def step(self, dt_s: float, armed: bool, mode: Mode, estimator: Estimator | Eyes) -> tuple[Vec3, float]:
         """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s)."""
         position, velocity = estimator.position, estimator.velocity
         if mode is not self._mode:

@@ -7,13 +7,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sitl.faults.evidence import Evidence
+from sitl.faults.evidence import F64, Bools, Evidence
 from sitl.faults.wire import MODE_OR_ARM, Order
 
 Measure = Callable[[Evidence], float]
 _STILL_MPS = 0.02  # of a setpoint
 _BRAKING_MPS2 = 0.8  # what slows down more gently than this, on the mean, is flying on
 _RESTING_MPS = 0.12  # of the vehicle, gusts included
+_OLDEST_POSE_S = 0.15
 _ARM, _SET_MODE = 400, 176
 
 
@@ -209,6 +210,26 @@ def pose_age(e: Evidence) -> float:
     """Oldest stamp (s) of any ODOMETRY when it was sent."""
     w = e.wire
     return float(np.abs(w.odometry_s - e.boot_s - w.odometry_stamp_us * 1e-6).max()) if len(w.odometry_s) else 0.0
+
+
+def misdated_for(e: Evidence) -> float:
+    """Seconds from the trouble to the last ODOMETRY whose stamp is off the autopilot's clock of then; 0 for none."""
+    stamps, off = _dated(e)
+    return float(stamps[off][-1]) - e.onset_s if off.any() else 0.0
+
+
+def dated_after(e: Evidence) -> float:
+    """Seconds from the trouble to the first ODOMETRY whose stamp is right."""
+    stamps, off = _dated(e)
+    return float(stamps[~off][0]) - e.onset_s if not off.all() else math.inf
+
+
+def _dated(e: Evidence) -> tuple[F64, Bools]:
+    """ODOMETRY since the trouble: when it was sent (N,), and whether its stamp was older or newer than a pose may be (N,)."""
+    w = e.wire
+    after = w.odometry_s >= e.onset_s
+    age_s = w.odometry_s[after] - e.boot_s - w.odometry_stamp_us[after] * 1e-6
+    return w.odometry_s[after], np.abs(age_s) > _OLDEST_POSE_S
 
 
 def speed_from(late_s: float) -> Measure:

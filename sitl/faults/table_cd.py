@@ -188,6 +188,18 @@ TABLE_D = (
         "device gone and back",
         why="needs a serial device: bench, or a pseudo terminal in real time",
     ),
-    Row("D7", "autopilot restarts in the air", "its clock begins anew", lambda n: [Reboot()], (NO_ORDER,), longest_s=20.0),
+    Row(
+        "D7",
+        "autopilot restarts in the air",
+        "it begins anew, clock and all, and a pilot catches it",
+        lambda n: [Reboot()],
+        (
+            NO_ORDER,
+            Bar("stream ends", m.streams_after, 1.2, "s"),
+            Bar("poses dated wrongly", m.misdated_for, 0.15, "s"),
+            Bar("poses dated rightly", m.dated_after, 1.0, "s"),
+        ),
+        longest_s=20.0,
+    ),
     Row("D8", "ground station lost", "its heartbeats stop", why="the product has no link to a ground station"),
 )

@@ -111,7 +111,7 @@ def test_we_speak_once_a_second_and_ask_for_the_clock(pair: tuple[Link, Wire]) -
     link.receive(10.0)
     for i in range(1000, 2000):
         link.keep_alive(i / 100)
-    assert sum(m.get_type() == "TIMESYNC" for m in far.sent) == 50
+    assert sum(m.get_type() == "TIMESYNC" for m in far.sent) == 100
 
 
 def test_no_pose_before_the_clock_is_known_and_then_on_its_clock(pair: tuple[Link, Wire]) -> None:
@@ -150,6 +150,28 @@ def test_a_reboot_forgets_the_origin(pair: tuple[Link, Wire]) -> None:
     assert link.telemetry.reboots == 1
     assert (known_before, link.telemetry.origin_known) == (True, False)
     assert not link.time_known
+
+
+def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[Link, Wire]) -> None:
+    """An autopilot that begins anew in the air: the first answer of its new clock ends the feed, and we ask more often."""
+    link, far = pair
+    converge(link, far)
+    pose, sent = StampedPose(4.0, Pose.identity(), np.zeros(3)), []
+
+    def fed(now: float) -> int:
+        far.sent.clear()
+        link.feed_pose(pose, now)
+        return len(far.sent)
+
+    for i in range(12):
+        now = 4.0 + 0.02 * i
+        sent.append(fed(now))
+        far.hear(wire.MAVLink_timesync_message(int((now - 3.0) * 1e9), int(now * 1e9)))
+        link.receive(now + 0.001)
+        link.keep_alive(now + 0.001)
+        assert far.sent[-1].get_type() == "TIMESYNC" or link.time_known
+    assert sent == [1] + [0] * 9 + [1, 1]
+    assert far.sent[0].time_usec == pytest.approx(1e6, abs=2e3)
 
 
 def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[Link, Wire]) -> None:

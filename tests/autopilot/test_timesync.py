@@ -52,6 +52,37 @@ def test_a_lie_is_ignored_and_a_reboot_is_not() -> None:
     assert not sync.converged
 
 
+def test_one_contradiction_makes_it_doubtful_and_one_agreement_clears_it() -> None:
+    sync = TimeSyncFilter()
+    for i in range(10):
+        exchange(sync, 100.0 * i, 1.0, 1.0)
+    exchange(sync, 2000.0, 1.0, 1.0, offset_ns=0)
+    assert (sync.converged, sync.lost) == (False, True)
+    exchange(sync, 2020.0, 1.0, 1.0)
+    assert (sync.converged, sync.lost) == (True, False)
+
+
+def test_lies_that_differ_are_never_believed() -> None:
+    sync = TimeSyncFilter()
+    for i in range(10):
+        exchange(sync, 100.0 * i, 1.0, 1.0)
+    for i in range(20):
+        exchange(sync, 2000.0 + i, 1.0, 1.0, offset_ns=-2_000 * MS * (i % 2 + 2))
+    assert sync.restarts == 0
+    assert not sync.converged
+
+
+def test_what_spoke_for_the_new_clock_is_kept() -> None:
+    sync = TimeSyncFilter()
+    for i in range(20):
+        exchange(sync, 100.0 * i, 1.0, 1.0)
+    for i in range(10):
+        assert not (i and sync.converged)
+        exchange(sync, 3000.0 + 20.0 * i, 1.0, 1.0, offset_ns=-2_500 * MS)
+    assert sync.converged
+    assert sync.autopilot_ns(3.2) == pytest.approx(700 * MS, abs=MS)
+
+
 @pytest.mark.parametrize("stood_still_ms", [160, 900])
 def test_a_clock_that_stood_still_for_a_while_is_no_reboot(stood_still_ms: int) -> None:
     """As that of a firmware in simulation does, where its computer stalls."""

@@ -78,6 +78,10 @@ def test_poses_on_the_wire() -> None:
     assert m.pose_step(told) < 0.02
     assert m.resets(told) == 1
     assert m.pose_age(rewired(e, odometry_stamp_us=(e.wire.odometry_s - BOOT_S - 0.4) * 1e6)) == pytest.approx(0.4)
+    assert (m.misdated_for(e), m.dated_after(e)) == (0.0, 0.0)
+    anew = np.where((e.wire.odometry_s > 6.0) & (e.wire.odometry_s < 6.5), 30e6, 0.0)
+    assert m.misdated_for(rewired(e, odometry_stamp_us=e.wire.odometry_stamp_us + anew)) == pytest.approx(1.5, abs=0.05)
+    assert m.dated_after(rewired(e, odometry_stamp_us=e.wire.odometry_stamp_us - 1e6)) == math.inf
     few = rewired(e, odometry_s=e.wire.odometry_s[::6], odometry_m=e.wire.odometry_m[::6])
     assert m.pose_rate(few) <= 6
 

@@ -35,7 +35,7 @@ _NOT_AN_AUTOPILOT = 8
 _WARNING = 4
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _NS = 1_000_000_000
-_CHATTER_S = (1.0, 5.0, 10.0)  # Hz: heartbeat, TIMESYNC, gimbal at most
+_CHATTER_HZ = (1.0, 10.0, 50.0, 10.0)  # heartbeat; TIMESYNC, and while its clock is lost; gimbal at most
 
 
 class Link:
@@ -59,7 +59,7 @@ class Link:
         self._own = (system, component)
         self._decoder, self._encoder = Decoder(), Encoder(system, component)
         self._timesync = TimeSyncFilter()
-        self._heartbeat, self._sync, self._gimbal = (RateKeeper(rate, start_s) for rate in _CHATTER_S)
+        self._heartbeat, self._sync, self._resync, self._gimbal = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
         self._asked_parameters: set[str] = set()
         self.telemetry = Telemetry()
 
@@ -83,7 +83,7 @@ class Link:
         """Our heartbeat, and the question for the autopilot's clock."""
         if self._heartbeat.due(now_s) and not self._mute:
             self._send(self._encoder.heartbeat(), now_s)
-        if self.telemetry.system and self._sync.due(now_s):
+        if self.telemetry.system and (self._resync if self._timesync.lost else self._sync).due(now_s):
             self._send(self._encoder.timesync(0, int(now_s * _NS)), now_s)
 
     def stop_heartbeats(self) -> None:
@@ -91,7 +91,7 @@ class Link:
         self._mute = True
 
     def feed_pose(self, pose: StampedPose, now_s: float) -> None:
-        """ODOMETRY on the autopilot's clock; nothing before that clock is known."""
+        """ODOMETRY on the autopilot's clock; nothing before that clock is known, and nothing while it is in doubt."""
         if not self.time_known:
             return
         time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000

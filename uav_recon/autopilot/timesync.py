@@ -5,26 +5,35 @@ from __future__ import annotations
 from collections import deque
 
 _NS = 1_000_000_000
+_CONTRADICTS_NS = _NS // 10
+_ENOUGH = 5  # exchanges running that say the same against the estimate
 
 
 class TimeSyncFilter:
     """Offset of the autopilot's boot clock against ours.
 
     Converged after ``samples_needed`` exchanges faster than ``round_trip_s``. A longer exchange than that is ignored.
-    Five exchanges running that contradict the estimate by more than 0.1 s are believed. A clock that went back belongs to an
-    autopilot that rebooted: start again. One that was only set, or stood still for a while, takes what was learned with it.
+    One that contradicts the estimate by more than 0.1 s makes it doubtful: it may not be used until an exchange agrees with it
+    again, or until five running agree with one another and are believed. A clock that went back belongs to an autopilot that
+    rebooted: start again with these five. One that was only set, or stood still for a while, takes what was learned with it.
     """
 
     def __init__(self, samples_needed: int = 10, round_trip_s: float = 0.025, window: int = 64) -> None:
         self._needed, self._round_trip_ns = samples_needed, int(round_trip_s * _NS)
         self._samples: deque[tuple[int, int]] = deque(maxlen=window)  # (round trip, offset), ns
-        self._contradictions, self._newest_ns = 0, 0
+        self._against: list[tuple[int, int]] = []  # exchanges running that contradict them
+        self._newest_ns = 0
         self.restarts = 0
 
     @property
     def converged(self) -> bool:
         """Whether the offset may be used."""
-        return len(self._samples) >= self._needed
+        return len(self._samples) >= self._needed and not self._against
+
+    @property
+    def lost(self) -> bool:
+        """Whether it could be used once and cannot now: every exchange counts."""
+        return bool(self._against) or (self.restarts > 0 and not self.converged)
 
     def observe(self, sent_ns: int, autopilot_ns: int, now_ns: int) -> None:
         """One answer: what we sent, what the autopilot's clock said, and when it came back."""
@@ -32,19 +41,26 @@ class TimeSyncFilter:
         if not 0 <= round_trip <= self._round_trip_ns:
             return
         offset = autopilot_ns - (sent_ns + now_ns) // 2
-        if self._samples and abs(offset - self._offset_ns()) > _NS // 10:
-            self._contradictions += 1
-            if self._contradictions < 5:
-                return
-            if autopilot_ns < self._newest_ns:
-                self._samples.clear()
-                self._contradictions, self._newest_ns = 0, 0
-                self.restarts += 1
-                return
-            step_ns = offset - self._offset_ns()
-            self._samples = deque(((trip, before + step_ns) for trip, before in self._samples), self._samples.maxlen)
-        self._contradictions, self._newest_ns = 0, autopilot_ns
+        if self._samples and abs(offset - self._offset_ns()) > _CONTRADICTS_NS:
+            self._contradict(round_trip, offset, autopilot_ns)
+            return
+        self._against, self._newest_ns = [], autopilot_ns
         self._samples.append((round_trip, offset))
+
+    def _contradict(self, round_trip: int, offset: int, autopilot_ns: int) -> None:
+        if self._against and abs(offset - self._against[-1][1]) > _CONTRADICTS_NS:
+            self._against.clear()
+        self._against.append((round_trip, offset))
+        if len(self._against) < _ENOUGH:
+            return
+        if autopilot_ns < self._newest_ns:
+            self._samples = deque(self._against, self._samples.maxlen)
+            self.restarts += 1
+        else:
+            step_ns = offset - self._offset_ns()
+            moved = ((trip, before + step_ns) for trip, before in self._samples)
+            self._samples = deque((*moved, (round_trip, offset)), self._samples.maxlen)
+        self._against, self._newest_ns = [], autopilot_ns
 
     def autopilot_ns(self, ours_s: float) -> int:
         """Our instant on the autopilot's clock, never negative. Meaningless before convergence."""
