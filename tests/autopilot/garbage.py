@@ -78,8 +78,10 @@ class Wire:
         pass
 
 
-def frame_of(message: wire.MAVLink_message, sender: tuple[int, int] = TRUE, mavlink1: bool = False) -> bytes:
-    return bytes(message.pack(wire.MAVLink(None, *sender), force_mavlink1=mavlink1))
+def frame_of(message: wire.MAVLink_message, sender: tuple[int, int] = TRUE, mavlink1: bool = False, number: int = 0) -> bytes:
+    voice = wire.MAVLink(None, *sender)
+    voice.seq = number % 256
+    return bytes(message.pack(voice, force_mavlink1=mavlink1))
 
 
 def forgeries() -> list[bytes]:
@@ -89,10 +91,11 @@ def forgeries() -> list[bytes]:
     return told + [frame_of(order, sender) for order in ORDERS for sender in (TRUE, *STRANGERS)]
 
 
-def truth(count: int) -> tuple[bytes, bytes]:
-    """What the autopilot itself says: a position that tells one burst from the next, and an attitude."""
+def truth(count: int, turn: int) -> bytes:
+    """What the autopilot itself says in turn: a position that tells one burst from the next, and an attitude."""
     place = wire.MAVLink_local_position_ned_message(count, float(count % 5000), 0.5, -1.0, 0.1, 0.0, 0.0)
-    return frame_of(place), frame_of(wire.MAVLink_attitude_quaternion_message(count, 0.8, 0.0, 0.0, 0.6, 0.0, 0.0, 0.0))
+    attitude = wire.MAVLink_attitude_quaternion_message(count, 0.8, 0.0, 0.0, 0.6, 0.0, 0.0, 0.0)
+    return frame_of((place, attitude)[turn % 2], number=16 * count + turn)
 
 
 def held_true(link: Link) -> dict[str, str]:
@@ -116,7 +119,7 @@ def flying() -> tuple[Link, Wire]:
     ):
         far.inbox += frame_of(well)
     for n in range(12):
-        far.inbox += frame_of(wire.MAVLink_timesync_message(int(37e9 + n * 2e8), int(n * 2e8)))
+        far.inbox += frame_of(wire.MAVLink_timesync_message(int(37e9 + n * 2e8), int(n * 2e8)), number=n)
         link.receive(n * 0.2 + 0.002)
     assert link.time_known
     far.sent = b""
@@ -126,7 +129,7 @@ def flying() -> tuple[Link, Wire]:
 def heard_after_s(link: Link, far: Wire, count: int, now_s: float) -> float:
     """Feed the true telemetry, frame by frame, until its position is taken; infinity if it never is."""
     for turn in range(600):
-        far.inbox += truth(count)[turn % 2]
+        far.inbox += truth(count, turn)
         link.receive(now_s + turn / TELEMETRY_HZ)
         if link.telemetry.position_m[1] == count % 5000:
             return turn / TELEMETRY_HZ

@@ -24,6 +24,7 @@ class Wire:
     def __init__(self) -> None:
         self.inbox, self.error = b"", ""
         self.sent: list[Any] = []
+        self._voices: dict[tuple[int, int], Any] = {}
 
     def read(self) -> bytes:
         if self.error:
@@ -43,7 +44,9 @@ class Wire:
         pass
 
     def hear(self, message: Any, system: int = 1, component: int = 1) -> None:
-        self.inbox += bytes(message.pack(wire.MAVLink(None, system, component)))
+        voice = self._voices.setdefault((system, component), wire.MAVLink(None, system, component))
+        self.inbox += bytes(message.pack(voice))
+        voice.seq = (voice.seq + 1) % 256
 
 
 def heartbeat(mode: int = 6 << 16, armed: bool = False, autopilot: int = 12) -> Any:
@@ -135,6 +138,19 @@ def test_its_questions_are_answered_on_its_own_clock(pair: tuple[Link, Wire]) ->
     link.receive(5.0)
     assert far.sent[-1].ts1 == 778
     assert far.sent[-1].tc1 == pytest.approx(42.5e9, abs=2e6)
+
+
+def test_what_comes_late_or_twice_undoes_nothing(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.hear(heartbeat(mode=3 << 16))
+    old = far.inbox
+    link.receive(0.0)
+    far.hear(heartbeat(mode=6 << 16, armed=True))
+    link.receive(0.1)
+    far.inbox = old
+    link.receive(0.2)
+    assert (link.telemetry.custom_mode, link.telemetry.armed, link.telemetry.heard_s) == (6 << 16, True, 0.1)
+    assert link.telemetry.stale_frames == 1
 
 
 def test_a_reboot_forgets_the_origin(pair: tuple[Link, Wire]) -> None:

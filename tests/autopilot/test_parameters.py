@@ -30,6 +30,7 @@ class Far:
 
     def say(self, message: Any) -> None:
         self._inbox += bytes(message.pack(self._voice))
+        self._voice.seq = (self._voice.seq + 1) % 256
 
     def read(self) -> bytes:
         data, self._inbox = self._inbox, b""

@@ -56,6 +56,9 @@ def test_modes_as_measured() -> None:
         ({"pose_fed_s": -math.inf}, "no pose"),
         ({"estimator_good": False}, "estimator"),
         ({"origin_known": False}, "no origin"),
+        ({"stale_frames": 1, "clock_answers": 499}, "late or twice"),
+        ({"stale_frames": 1, "clock_answers": 500}, ""),
+        ({"stale_frames": 0, "clock_answers": 0}, ""),
         ({"prearm_good": False, "warning": "Battery low"}, "pre-arm checks fail: Battery low"),
     ],
 )

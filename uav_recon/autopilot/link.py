@@ -22,6 +22,7 @@ from uav_recon.autopilot.messages import (
     TimeSync,
 )
 from uav_recon.autopilot.personality import Personality
+from uav_recon.autopilot.succession import Succession
 from uav_recon.autopilot.telemetry import Telemetry
 from uav_recon.autopilot.timesync import TimeSyncFilter
 from uav_recon.autopilot.tlog import FrameLog
@@ -58,7 +59,7 @@ class Link:
         self._mute = False
         self._own = (system, component)
         self._decoder, self._encoder = Decoder(), Encoder(system, component)
-        self._timesync = TimeSyncFilter()
+        self._timesync, self._succession = TimeSyncFilter(), Succession()
         self._heartbeat, self._sync, self._resync, self._gimbal = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
         self._asked_parameters: set[str] = set()
         self.telemetry = Telemetry()
@@ -151,7 +152,7 @@ class Link:
         self._log.record(now_s, frame)
 
     def _hear(self, received: Received, now_s: float) -> None:
-        """Only the autopilot of the first vehicle heard counts; a gimbal may sit on a component of its own."""
+        """Only the autopilot of the first vehicle heard counts, with what is news; a gimbal may sit on another component."""
         t, message = self.telemetry, received.message
         if (received.system, received.component) == self._own:
             t.twin_heard = True
@@ -162,6 +163,9 @@ class Link:
         if received.system != t.system or message is None:
             return
         if from_autopilot:
+            if not self._succession.is_news(received.frame, now_s):
+                t.stale_frames += 1
+                return
             t.heard_s = now_s
             self._take(message, now_s)
         elif isinstance(message, GimbalAttitude):
@@ -206,6 +210,7 @@ class Link:
         if message.tc1_ns == 0:
             if self.time_known:
                 self._send(self._encoder.timesync(self._timesync.autopilot_ns(now_s), message.ts1_ns), now_s)
+                self.telemetry.clock_answers += 1
             return
         self._timesync.observe(message.ts1_ns, message.tc1_ns, int(now_s * _NS))
         if self._timesync.restarts > self.telemetry.reboots:

@@ -29,6 +29,7 @@ _AUTO_MODES = {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6:
 FLY: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _OFFBOARD))
 LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _AUTO_LAND))
 
+CLOCK_ANSWERS = 500  # until PX4 believes stamps: fifty seconds
 MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
 
 STREAMS_HZ = (
@@ -66,8 +67,15 @@ def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> str:
 
 
 def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
-    """What is missing before arming may be asked for, '' for nothing."""
-    return missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
+    """What is missing before arming may be asked for, '' for nothing.
+
+    Until its TIMESYNC has converged PX4 takes a pose for as old as its arrival (HAZARDS 0.8): on a link that repeats frames or
+    lets some come late, old poses would pass for new ones.
+    """
+    missing = missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
+    if not missing and t.stale_frames and t.clock_answers < CLOCK_ANSWERS:
+        return f"frames come late or twice: PX4 must know our clock first ({t.clock_answers} of {CLOCK_ANSWERS} answers)"
+    return missing
 
 
 class Arming:
