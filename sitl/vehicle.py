@@ -59,6 +59,7 @@ class Quadrotor:
         self._step_s = 0.0
         self._gains = (0.0, 0.0, 0.0, 0.0, 0.0)
         self._highest = 0.0
+        self._share = 1.0  # of the wanted thrust that it has
         self.position: Vec3 = start
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
         self.quat_wxyz: Quat = multiply(IDENTITY, from_yaw(yaw_rad))
@@ -66,6 +67,10 @@ class Quadrotor:
         self.specific_force: Vec3 = (0.0, 0.0, GRAVITY_MPS2)
         self.on_ground = True
         self.touchdowns: list[float] = []
+
+    def weaken(self, share: float) -> None:
+        """From now on the rotors lift it by this share of what is wanted: too heavy, or a motor that does not turn."""
+        self._share = share
 
     def push(self, velocity_change: Vec3) -> None:
         """Hit the vehicle: add to its velocity (ENU, m/s). For tests of disturbances."""
@@ -83,7 +88,7 @@ class Quadrotor:
         wanted_up, wanted_thrust = self._command(specific_thrust_world, motors_on)
         self._turn(dt_s, wanted_up, yaw_rate_radps if motors_on else 0.0)
         up = self._up
-        self._thrust += self._gains[2] * (wanted_thrust - self._thrust)
+        self._thrust += self._gains[2] * (self._share * wanted_thrust - self._thrust)
         wind = self._blow()
         drag = 0.0 if self.on_ground else self._frame.drag_per_s
         v = self.velocity

@@ -29,15 +29,11 @@ class Push(Injector):
 
 
 class HeldDown(Injector):
-    """The rotors cannot lift it: three times too heavy, or a motor that does not turn."""
+    """The rotors cannot lift it: three times too heavy."""
 
-    def __init__(self, weight_mps2: float = 25.0) -> None:
-        self._weight, self._before_s = weight_mps2, 0.0
-
-    def turn(self, at: Theatre, since_s: float) -> None:
-        """Pulled down all the time."""
-        at.world.autopilot.vehicle.push((0.0, 0.0, -self._weight * (since_s - self._before_s)))
-        self._before_s = since_s
+    def begin(self, at: Theatre) -> None:
+        """For good."""
+        at.world.autopilot.vehicle.weaken(1.0 / 3.0)
 
 
 class Takeover(Injector):

@@ -251,6 +251,31 @@ def test_sigterm_on_the_ground_begins_no_flight() -> None:
     assert not any(rig.tap.since(0)[order] for order in ORDERS)
 
 
+def test_a_vehicle_that_cannot_lift_itself_is_switched_off_where_it_stands() -> None:
+    rig = Rig()
+    rig.until(FlightPhase.READY, 20.0)
+    rig.vehicle.weaken(1.0 / 3.0)
+    rig.intent = (Goal.FLY, None)
+    rig.until(FlightPhase.FLYING, 8.0)
+    begin_s = rig.clock.now_s()
+    rig.fly((0.0, 0.0, 1.1))
+    rig.until(FlightPhase.LANDED, 8.0)
+    assert rig.clock.now_s() - begin_s < 3.7
+    assert rig.state.note == "take-off given up: it climbed 0.00 m in 3 s"
+    assert not rig.px4.truth().armed
+    disarms = [m for _, m in rig.tap.sent if Tap.name(m) == f"COMMAND_LONG {ARM}" and m.param1 == 0.0]
+    assert [m.param2 for m in disarms] == [0.0], "asked once, and never forced"
+    rig.run(5.0)
+    assert rig.pilot.phase is FlightPhase.LANDED
+
+
+def test_a_landing_from_the_air_never_asks_for_the_motors(hovering: Rig) -> None:
+    mark = len(hovering.tap.sent)
+    hovering.intent = (Goal.LAND, None)
+    hovering.until(FlightPhase.LANDED, 15.0)
+    assert hovering.tap.since(mark)[f"COMMAND_LONG {ARM}"] == 0
+
+
 def test_a_trajectory_through_the_fence_ends_in_a_hover_inside(hovering: Rig) -> None:
     trajectory = hovering.fly((4.95, 0.0, 1.1), identifier=2)
     hovering.run(trajectory.duration_s + 2.0)

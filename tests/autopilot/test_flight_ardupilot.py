@@ -149,6 +149,20 @@ def test_a_silent_autopilot_is_left_to_its_own_failsafe(hovering: CopterRig) -> 
     assert mode_of(hovering) == "LAND", "the answer to a heartbeat that ends"
 
 
+def test_a_vehicle_that_cannot_lift_itself_is_switched_off_where_it_stands() -> None:
+    rig = CopterRig()
+    rig.until(FlightPhase.READY, 30.0)
+    rig.vehicle.weaken(1.0 / 3.0)
+    rig.intent = (Goal.FLY, None)
+    while not rig.autopilot.truth().armed:
+        rig.step()
+    begin_s = rig.clock.now_s()
+    while rig.autopilot.truth().armed:
+        rig.step()
+        assert rig.turn < 4000
+    assert 3.0 < rig.clock.now_s() - begin_s < 4.0
+
+
 def test_a_take_off_that_is_withdrawn_lands() -> None:
     rig = CopterRig()
     rig.until(FlightPhase.READY, 30.0)

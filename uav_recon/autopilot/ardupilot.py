@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from uav_recon.autopilot.liftoff import LiftOff
 from uav_recon.autopilot.personality import (
     ARM,
     DO_SET_MODE,
@@ -49,6 +50,7 @@ STREAMS_HZ = (
     (32, 30.0),  # LOCAL_POSITION_NED
     (49, 1.0),  # GPS_GLOBAL_ORIGIN
     (193, 5.0),  # EKF_STATUS_REPORT
+    (245, 5.0),  # EXTENDED_SYS_STATE
     (285, 10.0),  # GIMBAL_DEVICE_ATTITUDE_STATUS
 )
 ASKED_ONCE = (148,)  # AUTOPILOT_VERSION
@@ -82,7 +84,7 @@ def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
 class TakeOff:
     """GUIDED, motors, and a climb by command; each is believed when it is seen. The climb is asked for once."""
 
-    LIFTED_M, LIFT_S = 0.15, 6.0  # the motors alone take two seconds and a half
+    LIFT_S = 3.3  # of which the motors alone take two seconds and a half
     ARRIVED_M, CLIMB_S = 0.10, 12.0
 
     def __init__(self, now_s: float) -> None:
@@ -90,7 +92,7 @@ class TakeOff:
         self._start_s = now_s
         self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
         self._mode_seen, self._ground_m = False, math.nan
-        self._climb_s = math.inf
+        self._climb_s, self._lift_off = math.inf, LiftOff(math.nan)
 
     def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
         """What has been reached, and the command to send now. No setpoint may be sent before it is ARMED."""
@@ -104,16 +106,21 @@ class TakeOff:
             if self._climb_s < math.inf:
                 return self._give_up(f"disarmed before it flew{': ' + t.warning if t.warning else ''}")
             return self._ask(self._arm, now_s, "motors stay off", t)
-        return self._climb(now_s, float(t.position_m[2]))
+        return self._climb(now_s, t)
 
-    def _climb(self, now_s: float, height_m: float) -> tuple[Outcome, Command | None]:
+    def _climb(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+        height_m = float(t.position_m[2])
         if self._climb_s == math.inf:
-            self._climb_s, self._ground_m = now_s, height_m
+            self._climb_s, self._ground_m, self._lift_off = now_s, height_m, LiftOff(height_m, self.LIFT_S)
+            self._lift_off.begin(now_s)
             return Outcome.PENDING, CLIMB
+        fault = self._lift_off.fault(now_s, t)
+        if fault:
+            return self._give_up(fault)
         climbed_m, took_s = height_m - self._ground_m, now_s - self._climb_s
         if climbed_m >= CLIMB_M - self.ARRIVED_M:
             return Outcome.ARMED, None
-        if took_s > self.CLIMB_S or (took_s > self.LIFT_S and climbed_m < self.LIFTED_M):
+        if took_s > self.CLIMB_S:
             return self._give_up(f"it climbed {climbed_m:.2f} m in {took_s:.0f} s")
         return Outcome.PENDING, None
 

@@ -5,20 +5,23 @@ from __future__ import annotations
 import math
 
 from uav_recon.autopilot.link import Link
+from uav_recon.autopilot.personality import DISARM
 from uav_recon.types.vehicle import FlightPhase
 
 _AGAIN_S = 1.5  # longer than the heartbeat's period, so a human's mode is seen before we ask again
 _MODE_FRESH_S, _MODE_WAIT_S = 0.02, 0.25
+_GROUND_FRESH_S = 0.5
 _STUCK_S, _STILL_M = 10.0, 0.05
 
 
 class Landing:
     """There is no way back up. ``seen``: the autopilot lands, and wants no more setpoints. ``alert``: what a human has to
-    see to: the motors are never stopped from here.
+    see to: the motors are never stopped from here, but of a vehicle that has not ``lifted`` and whose autopilot says so too.
     """
 
-    def __init__(self, seen: bool) -> None:
-        self.seen = seen
+    def __init__(self, seen: bool, lifted: bool = True) -> None:
+        self.seen, self._lifted = seen, lifted
+        self._disarm_asked_s = -math.inf
         self._asked_s = -math.inf
         self._wait_s = math.inf
         self._height_m, self._still_s = math.nan, math.inf
@@ -29,6 +32,10 @@ class Landing:
         t, firmware = link.telemetry, link.firmware
         if not t.armed:
             return FlightPhase.LANDED
+        stands = not self._lifted and now_s - t.on_ground_s <= _GROUND_FRESH_S
+        if stands and now_s - self._disarm_asked_s >= _AGAIN_S:
+            self._disarm_asked_s = now_s
+            link.command(now_s, DISARM[0], *DISARM[1])
         if firmware.is_landing(t.custom_mode):
             self.seen = True
             self._watch_descent(float(t.position_m[2]), now_s)

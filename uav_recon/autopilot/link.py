@@ -12,6 +12,7 @@ from uav_recon.autopilot.messages import (
     Firmware,
     GimbalAttitude,
     Heartbeat,
+    LandedState,
     LocalPosition,
     Message,
     OriginSet,
@@ -181,6 +182,8 @@ class Link:
                 self._synchronise(message, now_s)
             case EstimatorStatus():
                 t.estimator_good = message.position_good
+            case LandedState():
+                t.on_ground_s = now_s if message.on_ground else -math.inf
             case SystemStatus():
                 t.prearm_good, t.battery_fraction = message.prearm_good, message.battery_fraction
             case LocalPosition():

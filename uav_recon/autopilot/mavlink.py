@@ -20,6 +20,7 @@ from uav_recon.autopilot.messages import (
     Firmware,
     GimbalAttitude,
     Heartbeat,
+    LandedState,
     LocalPosition,
     Message,
     OriginSet,
@@ -249,6 +250,11 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
         wire.MAVLink_estimator_status_message,
         ("flags",),
         lambda flags: EstimatorStatus(bool(flags & wire.ESTIMATOR_POS_HORIZ_REL)),
+    ),
+    (
+        wire.MAVLink_extended_sys_state_message,
+        ("landed_state",),
+        lambda state: LandedState(state == wire.MAV_LANDED_STATE_ON_GROUND),
     ),
     (wire.MAVLink_ekf_status_report_message, ("flags", "pos_horiz_variance"), _ekf),
     (

@@ -41,6 +41,13 @@ class EstimatorStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class LandedState:
+    """Whether the autopilot's land detector says that it stands on the ground."""
+
+    on_ground: bool
+
+
+@dataclass(frozen=True, slots=True)
 class SystemStatus:
     """prearm_good: the autopilot's own checks pass. battery_fraction: NaN if unknown."""
 
@@ -106,6 +113,7 @@ Message = (
     | Ack
     | TimeSync
     | EstimatorStatus
+    | LandedState
     | SystemStatus
     | LocalPosition
     | Attitude

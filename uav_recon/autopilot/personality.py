@@ -20,6 +20,7 @@ Command = tuple[int, tuple[float, ...]]
 Version = tuple[int, int, int]
 
 ARM: Command = (ARM_DISARM, (1.0,))  # the second parameter stays 0: the autopilot's own checks are never forced
+DISARM: Command = (ARM_DISARM, (0.0,))  # likewise: in the air the autopilot refuses it
 
 
 class Outcome(Enum):

@@ -11,6 +11,7 @@ from uav_recon.autopilot.authority import IN_THE_AIR, Authority
 from uav_recon.autopilot.briefing import Briefing, Origin
 from uav_recon.autopilot.herald import Herald
 from uav_recon.autopilot.landing import Landing
+from uav_recon.autopilot.liftoff import LiftOff
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.lookout import Lookout
 from uav_recon.autopilot.mandate import Mandate
@@ -93,6 +94,8 @@ class Pilot:
         self._note, self._herald = "", Herald(link)
         self._arming: Arming | None = None
         self._landing: Landing | None = None
+        self._lift_off: LiftOff | None = None
+        self._grounded = ""  # why the take-off is no good
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
         self._land_wanted, self._held = "", False
 
@@ -146,6 +149,8 @@ class Pilot:
             self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
             if loss.abandoned:
                 self._link.stop_heartbeats()
+        if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
+            self._grounded = self._lift_off.fault(now_s, self._link.telemetry)
         if self.phase is FlightPhase.FLYING:
             before, (self._rung, self._low) = self._rung, self._ladder.step(self._health(now_s))
             self._note = self._low if self._rung > before else self._note
@@ -174,7 +179,8 @@ class Pilot:
     def _enter(self, phase: FlightPhase, why: str, landing_seen: bool = False) -> None:
         """Every change of phase but those of an undisturbed flight."""
         self.phase, self._note, self._arming = phase, why or self._note, None
-        self._landing = Landing(landing_seen) if phase is FlightPhase.LANDING else self._landing
+        if phase is FlightPhase.LANDING:
+            self._landing = Landing(landing_seen, lifted=self._lift_off is None or self._lift_off.lifted)
         if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
             self._mandate.forsake()
 
@@ -202,6 +208,7 @@ class Pilot:
                 self._abandon_arming(f"take-off refused: {blocked}")
                 return
             self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
+            self._lift_off = LiftOff(float(self._link.telemetry.position_m[2]))
             self._ladder, self._rung, self._low = Ladder(self._patience), Rung.FLY, ""
             self._steering.rebase(here, rest_s=0.0)
 
@@ -230,6 +237,7 @@ class Pilot:
 
     def _fly(self, now_s: float) -> None:
         wanted = "the mission asks to land" if self._mandate.goal(now_s) is Goal.LAND else ""
+        wanted = f"take-off given up: {self._grounded}" if self._grounded else wanted
         blocked = f"{self._low}: {self._steering.blocked}" if self._steering.blocked else ""
         why = self._land_wanted or (self._low if self._rung is Rung.LAND else "") or blocked or wanted
         if why:
@@ -258,6 +266,8 @@ class Pilot:
         cleared, refusal = self._steering.steer(self._rung if steered else Rung.HOLD, self._situation(now_s))
         if refusal is not None:
             self._note = f"refused: {refusal.reason}"
+        if self._lift_off is not None and self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:
+            self._lift_off.begin(now_s)
         self._link.stream(cleared, now_s, self._airframe.gimbal)
 
     def _publish(self, now_s: float) -> None:

@@ -21,6 +21,7 @@ class Telemetry:
     firmware_family: int = 0  # MAV_AUTOPILOT
     armed: bool = False
     custom_mode: int = 0
+    on_ground_s: float = -math.inf  # when its land detector said so last, unless it has said otherwise since
     version: tuple[int, int, int] | None = None
     estimator_good: bool = False
     prearm_good: bool = False
