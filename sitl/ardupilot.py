@@ -61,6 +61,10 @@ class ArduCopter(Autopilot):
         s.commander.gcs_heard_s = math.inf
         s.commander.takeover(Mode.STABILIZE)
 
+    def lose_land_detector(self) -> None:
+        """From now on no landing is noticed."""
+        self._state.flight.lose_land_detector()
+
     @property
     def _landed(self) -> bool:
         return self._state.flight.landed

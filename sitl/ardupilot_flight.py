@@ -72,6 +72,10 @@ class Flight:
         avoiding = p.integer("AVOID_ENABLE") & _STOP_AT_FENCE and p.integer("FENCE_ENABLE") and p.integer("FENCE_TYPE") & 2
         self._keep_within_m = p["FENCE_RADIUS"] - p["FENCE_MARGIN"] if avoiding else math.inf
 
+    def lose_land_detector(self) -> None:
+        """From now on no landing is noticed."""
+        self._ground.blind = True
+
     @property
     def landed(self) -> bool:
         """The land detector's word."""

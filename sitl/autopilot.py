@@ -122,6 +122,10 @@ class Autopilot(ABC):
     def pilot_disarms(self) -> None:
         """The kill switch: motors stop, wherever the vehicle is."""
 
+    @abstractmethod
+    def lose_land_detector(self) -> None:
+        """From now on no landing is noticed."""
+
     def reboot(self) -> None:
         """It starts anew where it is, and knows nothing of before: no clock, estimator, origin, home or message rates.
 

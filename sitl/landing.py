@@ -9,12 +9,12 @@ from sitl.vehicle import GRAVITY_MPS2
 
 
 class LandDetector:
-    """landed: from the start, and again when the vehicle has rested for after_s."""
+    """landed: from the start, and again when the vehicle has rested for after_s; never again once it is blind."""
 
     def __init__(self, after_s: float) -> None:
         self._after_s = after_s
         self._resting_s = 0.0
-        self.landed = True
+        self.landed, self.blind = True, False
 
     def touched_down(self, dt_s: float, force: Vec3, velocity: Vec3) -> bool:
         """Whether it landed in this step. force: wanted specific force, local NED, m/s^2; velocity: local NED, m/s."""
@@ -23,7 +23,7 @@ class LandDetector:
         pressed = force[2] + GRAVITY_MPS2 > 0.8
         still = abs(velocity[2]) < 0.15 and math.hypot(velocity[0], velocity[1]) < 0.5
         self._resting_s = self._resting_s + dt_s if pressed and still else 0.0
-        self.landed = self._resting_s >= self._after_s
+        self.landed = self._resting_s >= self._after_s and not self.blind
         return self.landed
 
     def lifted(self) -> None:

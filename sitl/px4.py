@@ -59,6 +59,10 @@ class Px4(Autopilot):
         """The kill switch: motors stop, wherever the vehicle is."""
         self._state.commander.request_arming(arm=False, force=True, condition=self._state.condition())
 
+    def lose_land_detector(self) -> None:
+        """From now on no landing is noticed."""
+        self._state.flight.lose_land_detector()
+
     @property
     def _landed(self) -> bool:
         return self._state.flight.landed

@@ -53,6 +53,10 @@ class Flight:
         self._hold_yaw += turn_rad
         self._ground_down += delta[2]
 
+    def lose_land_detector(self) -> None:
+        """From now on no landing is noticed."""
+        self._ground.blind = True
+
     @property
     def landed(self) -> bool:
         """The land detector's word."""

@@ -57,6 +57,14 @@ class Reboot(Injector):
         at.world.autopilot.reboot()
 
 
+class Unnoticed(Injector):
+    """The landing is not noticed: a slope, a rug, a land detector that fails."""
+
+    def begin(self, at: Theatre) -> None:
+        """For good."""
+        at.world.autopilot.lose_land_detector()
+
+
 class TransmitterLost(Injector):
     """The pilot's transmitter is no longer heard."""
 

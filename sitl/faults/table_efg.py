@@ -13,7 +13,7 @@ from sitl.faults.bars import (
     down,
     lands,
 )  # fmt: skip
-from sitl.faults.body import Battery, HeldDown, Parameter, Push, Takeover, TransmitterLost
+from sitl.faults.body import Battery, HeldDown, Parameter, Push, Takeover, TransmitterLost, Unnoticed
 from sitl.faults.eye import Stands
 from sitl.faults.host import Abort, DiskFull
 from sitl.faults.meddler import Onset
@@ -139,7 +139,7 @@ TABLE_E = (
         "E9",
         "landing never noticed",
         "motors do not stop on the floor",
-        lambda n: [Parameter(("COM_DISARM_LAND", 0.0), ("DISARM_DELAY", 0)), Abort()],
+        lambda n: [Unnoticed(), Abort()],
         (Bar("alert", m.told_after(4.0), 15.0, "s"), NO_FORCE),
         longest_s=40.0,
     ),

@@ -140,6 +140,27 @@ def test_its_questions_are_answered_on_its_own_clock(pair: tuple[Link, Wire]) ->
     assert far.sent[-1].tc1 == pytest.approx(42.5e9, abs=2e6)
 
 
+def test_no_heartbeat_pretends_that_we_hear(pair: tuple[Link, Wire]) -> None:
+    """ArduPilot lands two seconds after the last one: within 4.5 s of the link's end, and never before its third second."""
+    link, far = pair
+    for phase_s in (10.0, 20.3, 30.6, 40.9):
+        for n in range(100):
+            link.keep_alive(phase_s - 1.0 + 0.01 * n)
+        far.hear(heartbeat())
+        link.receive(phase_s)
+        last_s = 0.0
+        for n in range(800):
+            far.sent.clear()
+            link.keep_alive(phase_s + 0.01 * n)
+            last_s = 0.01 * n if any(m.get_type() == "HEARTBEAT" for m in far.sent) else last_s
+        assert 1.0 <= last_s <= 2.0
+    far.hear(heartbeat())
+    link.receive(50.0)
+    far.sent.clear()
+    link.keep_alive(50.0)
+    assert any(m.get_type() == "HEARTBEAT" for m in far.sent)
+
+
 def test_what_comes_late_or_twice_undoes_nothing(pair: tuple[Link, Wire]) -> None:
     link, far = pair
     far.hear(heartbeat(mode=3 << 16))

@@ -44,7 +44,7 @@ CLIMB: Command = (TAKE_OFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, CLIMB_M))
 ALL_BUT_YAW_RATE = 2048
 
 STREAMS_HZ = (
-    (0, 5.0),  # HEARTBEAT: a human's mode is to be seen at once
+    (0, 10.0),  # HEARTBEAT: a human's mode is to be seen at once
     (1, 2.0),  # SYS_STATUS
     (31, 30.0),  # ATTITUDE_QUATERNION
     (32, 30.0),  # LOCAL_POSITION_NED

@@ -9,7 +9,7 @@ from uav_recon.autopilot.personality import DISARM
 from uav_recon.types.vehicle import FlightPhase
 
 _AGAIN_S = 1.5  # longer than the heartbeat's period, so a human's mode is seen before we ask again
-_MODE_FRESH_S, _MODE_WAIT_S = 0.02, 0.25
+_MODE_FRESH_S, _MODE_WAIT_S = 0.05, 0.1  # an operator who asks to land waits for no more than 0.15 s
 _GROUND_FRESH_S = 0.5
 _STUCK_S, _STILL_M = 10.0, 0.05
 

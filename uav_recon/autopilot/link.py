@@ -35,6 +35,7 @@ from uav_recon.types.pose import StampedPose
 AUTOPILOT_COMPONENT = 1
 _NOT_AN_AUTOPILOT = 8
 _WARNING = 4
+_DEAF_S = 2.0
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _NS = 1_000_000_000
 _CHATTER_HZ = (1.0, 10.0, 50.0, 10.0)  # heartbeat; TIMESYNC, and while its clock is lost; gimbal at most
@@ -82,8 +83,11 @@ class Link:
             self._hear(received, now_s)
 
     def keep_alive(self, now_s: float) -> None:
-        """Our heartbeat, and the question for the autopilot's clock."""
-        if self._heartbeat.due(now_s) and not self._mute:
+        """Our heartbeat, and the question for the autopilot's clock. No heartbeat while we are deaf: one that lands only when
+        it takes us for dead (ArduPilot, two seconds later) is to land before the vehicle is given up for lost.
+        """
+        deaf = -math.inf < self.telemetry.heard_s < now_s - _DEAF_S
+        if self._heartbeat.due(now_s) and not (self._mute or deaf):
             self._send(self._encoder.heartbeat(), now_s)
         if self.telemetry.system and (self._resync if self._timesync.lost else self._sync).due(now_s):
             self._send(self._encoder.timesync(0, int(now_s * _NS)), now_s)

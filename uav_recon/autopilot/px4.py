@@ -33,7 +33,7 @@ CLOCK_ANSWERS = 500  # until PX4 believes stamps: fifty seconds
 MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
 
 STREAMS_HZ = (
-    (0, 5.0),  # HEARTBEAT: a human's mode is to be seen at once
+    (0, 10.0),  # HEARTBEAT: a human's mode is to be seen at once
     (1, 2.0),  # SYS_STATUS
     (31, 30.0),  # ATTITUDE_QUATERNION
     (32, 30.0),  # LOCAL_POSITION_NED

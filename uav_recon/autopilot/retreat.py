@@ -15,8 +15,9 @@ IDENTIFIER = -2  # of the pilot's own trajectory; a mission counts from one
 _APART_M = 0.2
 _MOST = 5000  # a kilometre
 _STEP_S = 0.05
-_SMOOTH_S = 0.6  # width of each of two box averages: speed over width bounds the acceleration
+_SMOOTH_S = 0.4  # width of each of two box averages: speed over width bounds the acceleration
 _SHARE = 0.9  # of the speed allowed: what sampling adds
+_TURNING = 2  # times slower until the nose points where it goes: over where it came from a moment ago
 _TURN_RADPS = 0.7
 
 
@@ -62,14 +63,20 @@ class Breadcrumbs:
 def _flown(
     corners: FloatArray, rest: Setpoint, start_s: float, speed_mps: float, map_epoch: int, nose_first: bool
 ) -> Trajectory:
-    """Corners (N, 3) at constant speed, after a turn towards the first leg, smoothed."""
+    """Corners (N, 3) at constant speed, slower while it turns towards the first leg, smoothed. It goes at once: who waits for
+    the turn begins late.
+    """
     along_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     samples_m = np.append(np.arange(0.0, along_m[-1], speed_mps * _STEP_S), along_m[-1])
     line = np.column_stack([np.interp(samples_m, along_m, corners[:, n]) for n in range(3)])
     bearings = _bearings(line, rest.yaw_rad) if nose_first else [rest.yaw_rad] * len(line)
     turning = int(abs(math.remainder(bearings[0] - rest.yaw_rad, math.tau)) / (_TURN_RADPS * _STEP_S))
-    line = np.vstack([np.repeat(line[:1], turning, axis=0), line])
-    rows = np.column_stack([line, _followed([bearings[0]] * turning + bearings, rest.yaw_rad)])
+    slow_m = np.arange(0.0, along_m[-1], speed_mps * _STEP_S / _TURNING)[:turning]
+    if len(slow_m):
+        samples_m = np.concatenate([slow_m, samples_m[samples_m > slow_m[-1]]])
+        line = np.column_stack([np.interp(samples_m, along_m, corners[:, n]) for n in range(3)])
+        bearings = _bearings(line, rest.yaw_rad)
+    rows = np.column_stack([line, _followed(bearings, rest.yaw_rad)])
     box = round(_SMOOTH_S / _STEP_S)
     padded = np.vstack([np.repeat(rows[:1], 2 * box, axis=0), rows, np.repeat(rows[-1:], 2 * box, axis=0)])
     weights = np.convolve(np.ones(box) / box, np.ones(box) / box)
