@@ -68,3 +68,15 @@ def test_in_another_odom_they_are_forgotten() -> None:
     crumbs = flown(*OUT)
     crumbs.forget()
     assert np.ptp(back(crumbs, OUT[-1]).position_m, axis=0).max() < 1e-9
+
+
+@pytest.mark.parametrize("nose_first", [True, False])
+def test_it_begins_at_once_and_slower_while_it_turns(nose_first: bool) -> None:
+    crumbs = flown((0.0, 0.0, 1.1), (3.0, 0.0, 1.1))
+    way = back(crumbs, (3.0, 0.0, 1.1), nose_first)
+    speed = np.linalg.norm(way.velocity_mps, axis=1)
+    assert np.argmax(speed > 0.05) * way.step_s <= 0.4
+    off = np.abs(np.angle(np.exp(1j * (way.yaw_rad - np.pi))))
+    if nose_first:
+        assert speed[off > 0.5].max() <= 0.14
+    assert speed.max() > 0.26
