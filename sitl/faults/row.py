@@ -14,7 +14,7 @@ from sitl.faults.meddler import Onset
 
 Arena = Literal["hall", "pen", "corridor"]
 ON_THE_WAY = Onset()
-SHORT_VIEWS = 14  # of a flight that is to end by itself while it is watched
+SHORT_VIEWS = 22  # of a flight that is to end by itself while it is watched
 
 
 @dataclass(frozen=True)
