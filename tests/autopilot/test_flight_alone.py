@@ -89,6 +89,18 @@ def test_a_retreat_that_is_blocked_lands(hovering: Rig) -> None:
     assert hovering.px4.truth().position[0] > 0.5
 
 
+def test_a_retreat_outlives_a_moment_without_poses(hovering: Rig) -> None:
+    silent_s, _ = silenced(hovering)
+    hovering.run(silent_s + 6.5 - hovering.clock.now_s())
+    assert hovering.px4.truth().velocity[0] < -0.1
+    hovering.poses = False
+    hovering.run(0.3)  # longer than a hold waits, shorter than a landing does
+    hovering.poses = True
+    hovering.run(2.0)
+    assert hovering.pilot.phase is FlightPhase.FLYING
+    assert hovering.px4.truth().velocity[0] < -0.1, "on the way back again"
+
+
 def test_no_depth_stops_then_retreats_then_lands(hovering: Rig) -> None:
     hovering.fly((2.5, 0.0, 1.1), identifier=2)
     hovering.run(2.5)

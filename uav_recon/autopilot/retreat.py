@@ -42,15 +42,15 @@ class Breadcrumbs:
     ) -> Trajectory:
         """From rest back to the first crumb at a height or above it, at rest there; just a hold if there is none.
 
-        nose_first: turned to where it goes, so that depth sees the way; otherwise the heading is kept. Loops are cut out.
+        nose_first: turned to where it goes, so that depth sees the way; otherwise the heading is kept. Loops are cut out, and so is
+        the part that an earlier way back has flown.
         Corners are rounded by two box averages, so place, velocity and heading stay continuous.
         """
-        crumbs = self._from_the_pad(height_m)
-        corners = [rest.position_m]
-        i = 0
-        while i < len(crumbs):
-            corners.append(crumbs[i])
-            near = [j for j in range(i + 1, len(crumbs)) if np.linalg.norm(crumbs[j] - crumbs[i]) <= 1.5 * _APART_M]
+        places = [rest.position_m, *self._from_the_pad(height_m)]
+        corners, i = [], 0
+        while i < len(places):
+            corners.append(places[i])
+            near = [j for j in range(i + 1, len(places)) if np.linalg.norm(places[j] - places[i]) <= 1.5 * _APART_M]
             i = near[-1] if near else i + 1
         return _flown(np.array(corners), rest, start_s, _SHARE * speed_mps, map_epoch, nose_first)
 

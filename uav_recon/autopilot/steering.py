@@ -12,6 +12,7 @@ from uav_recon.safety.ladder import Rung
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
+_WAYS = 3  # ways back that are tried, each from rest: what refused the last may have passed, a late pose or a late turn of ours
 _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
 
 
@@ -24,6 +25,7 @@ class Steering:
         self._flown: Setpoint | None = None  # the newest setpoint on the wire
         self._braking = False  # from a refusal to rest: nothing new is taken up on the way
         self._way_back: Trajectory | None = None
+        self._refused_ways = 0
         self._handed: Trajectory | None = None  # the trajectory that the handover leads to
         self._handover: Handover | None = None
         self.blocked = ""
@@ -31,14 +33,14 @@ class Steering:
     def was_at(self, odom_from_body: Pose) -> None:
         """In flight, and not on the way back."""
         self._crumbs.drop(odom_from_body)
-        self._way_back = None
+        self._way_back, self._refused_ways = None, 0
 
     def rebase(self, situation: Situation, rest_s: float) -> None:
         """Odom is another, or a flight begins: nothing that was flown counts."""
         self._guard.rebase(situation, rest_s)
         self._crumbs.forget()
         self._mandate.forsake()
-        self._way_back, self.blocked = None, ""
+        self._way_back, self._refused_ways, self.blocked = None, 0, ""
 
     def steer(self, rung: Rung, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
         """The guard's word for this instant. What it turned down is not proposed again."""
@@ -63,7 +65,7 @@ class Steering:
         return cleared, refusal
 
     def _retreat(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
-        """From rest back along the breadcrumbs, and a hold where they begin; a way that is blocked ends it."""
+        """From rest back along the breadcrumbs, and a hold where they begin; it ends where ways are refused again and again."""
         way, now_s = self._way_back, situation.now_s
         if way is None or self.blocked:
             cleared, _ = self._guard.clear(None, situation)
@@ -75,7 +77,8 @@ class Steering:
             return cleared, None
         cleared, refusal = self._guard.clear(self._proposal(way, now_s, True), situation)
         if refusal is not None:
-            self.blocked = f"retreat blocked: {refusal.reason}"
+            self._way_back, self._refused_ways = None, self._refused_ways + 1
+            self.blocked = f"retreat blocked: {refusal.reason}" if self._refused_ways == _WAYS else ""
         return cleared, refusal
 
     def _proposal(self, trajectory: Trajectory, now_s: float, retreating: bool) -> Proposal:
