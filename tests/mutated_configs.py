@@ -125,6 +125,8 @@ def contradictions() -> Iterator[Mutant]:
             yield Mutant(flown(section, key, [0.1, value, 0.1]), (f"{section}.{key}.1", "500"))
     for url in ("", "tcp:127.0.0.1:5760", "udp:127.0.0.1", "serial:/dev/fc", "udp:127.0.0.1:ten", "/dev/ttyACM0"):
         yield Mutant(flown("link", "url", url), ("link.url", "pattern"))
+    for host in ("", "anybody", "10.41.1", "0.0.0.0/0"):
+        yield Mutant(flown("link", "peer_host", host), ("link.peer_host", "pattern"))
 
 
 def fault_of(mutant: Mutant, folder: Path) -> tuple[str, float]:

@@ -18,9 +18,11 @@ from sitl.px4 import Px4
 from sitl.transport import pipe
 from sitl.vehicle import Quadrotor
 from uav_recon import run
+from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.parameter_file import PARAMETER_FILES, Wanted, load
 from uav_recon.cli import app
 from uav_recon.clock import ManualClock
+from uav_recon.config import load as load_config
 from uav_recon.params import ParamsOptions, Vehicle, show, write_to
 
 FIRMWARES = ["px4", "ardupilot"]
@@ -59,7 +61,7 @@ class Bench:
         self._ours.close()
 
     def vehicle(self) -> Vehicle:
-        return Vehicle(self, self.options, self.clock)
+        return Vehicle(self, self.options, self.clock, Gate())
 
     def spoil(self, name: str) -> None:
         for parameter, value in WRONG[name].items():
@@ -226,7 +228,7 @@ def test_bad_input_is_one_line_and_78(arguments: list[str], words: str) -> None:
 def test_the_config_says_what_is_not_given(tmp_path: Path) -> None:
     flown = Path(__file__).parents[1] / "systemd" / "config.toml"
     options = ParamsOptions.of(None, None, None, flown)
-    assert options == ParamsOptions("px4", "serial:/dev/fc:921600", None)
+    assert options == ParamsOptions("px4", "serial:/dev/fc:921600", None, load_config(flown).link)
     assert ParamsOptions.of("ardupilot", "udp:127.0.0.1:14540", None, tmp_path / "none") == ParamsOptions(
         "ardupilot", "udp:127.0.0.1:14540", None
     )

@@ -23,6 +23,7 @@ else:
 Coordinate = Annotated[float, Field(ge=-500.0, le=500.0)]  # m
 Vec3 = tuple[Coordinate, Coordinate, Coordinate]
 LinkUrl = Annotated[str, Field(pattern=r"^(udp|serial):.+:\d+$")]
+Host = Annotated[str, Field(pattern=r"^\d{1,3}(\.\d{1,3}){3}$")]
 VariantName = Literal["adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp"]
 UncertaintyName = Literal["agreement", "paper", "colour", "information", "product"]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -113,6 +114,10 @@ class LinkConfig(Section):
 
     autopilot: Literal["px4", "ardupilot"] = "px4"  # firmware personality
     url: LinkUrl = "udp:127.0.0.1:14540"  # udp:HOST:PORT (listens there) or serial:DEVICE:BAUD
+    peer_host: Host | None = None  # who may be at the other end of udp; unset: this machine alone
+    vehicle_system: Annotated[int, Field(ge=1, le=244)] = 1  # MAVLink system id of the vehicle; 245 is ours; no other is heard
+    vehicle_component: Annotated[int, Field(ge=1, le=255)] = 1  # of its autopilot
+    gimbal_component: Annotated[int, Field(ge=1, le=255)] = 154  # of its gimbal: heard about its own angle
     parameters: Path | None = None  # file of what the vehicle must have; unset: that of firmware_params/ for this autopilot
     setpoint_rate_hz: Annotated[float, Field(ge=10.0, le=100.0)] = 30.0  # setpoints on the wire
     origin_lat_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.3977  # origin handed to the autopilot

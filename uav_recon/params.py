@@ -6,7 +6,7 @@ import math
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from uav_recon import run
+from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.messages import ParameterValue
 from uav_recon.autopilot.parameter_file import PARAMETER_FILES, ParameterFileError, Wanted, load
@@ -21,6 +22,7 @@ from uav_recon.autopilot.parameters import Inquiry, equal
 from uav_recon.autopilot.tlog import NoLog
 from uav_recon.autopilot.transport import LinkError, open_link
 from uav_recon.clock import MonotonicClock
+from uav_recon.config import LinkConfig
 from uav_recon.protocols import ByteLink, Clock
 
 T = TypeVar("T")
@@ -36,11 +38,14 @@ _FAMILY_OF = {"px4": 12, "ardupilot": 3}
 
 @dataclass(frozen=True)
 class ParamsOptions:
-    """What the command line says. file None: the one that comes with this package."""
+    """What the command line says. file None: the one that comes with this package. says: the config's word on who is at the
+    other end.
+    """
 
     autopilot: str
     link: str
     file: Path | None
+    says: LinkConfig = field(default_factory=LinkConfig)
 
     @staticmethod
     def of(autopilot: str | None, link: str | None, file: Path | None, config: Path) -> ParamsOptions:
@@ -54,7 +59,7 @@ class ParamsOptions:
                 f"give --autopilot and --link, or a --config that says them ({config} is not there)", run.EXIT_CONFIG
             )
         says = run.load_config(config).link
-        return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters)
+        return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters, says)
 
 
 @dataclass(frozen=True)
@@ -74,10 +79,10 @@ class Compared:
 class Vehicle:
     """The vehicle on the other end, on the ground. Raises run.Failure where it does not answer or is another one."""
 
-    def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock) -> None:
+    def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: Gate) -> None:
         self._clock, self._options = clock, options
         self._firmware, self._form = run.firmware(options.autopilot)
-        self._link = Link(bytes_link, NoLog(), clock.now_s(), self._firmware)
+        self._link = Link(bytes_link, NoLog(), clock.now_s(), self._firmware, gate)
         self._await_heartbeat()
 
     def compare(self, wanted: tuple[Wanted, ...]) -> list[Compared]:
@@ -202,13 +207,14 @@ def _wanted(options: ParamsOptions) -> tuple[Wanted, ...]:
 
 
 def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
+    clock, gate = MonotonicClock(), run.make_gate(options.says)
     try:
-        link = open_link(options.link)
+        link = open_link(options.link, gate, clock, options.says.peer_host)
     except LinkError as error:
         held = " (a pilot that runs holds its line: stop it first)" if _IN_USE.search(str(error)) else ""
         raise run.Failure(f"{error}{held}", run.EXIT_CONFIG) from None
     try:
-        return work(Vehicle(link, options, MonotonicClock()))
+        return work(Vehicle(link, options, clock, gate))
     except KeyboardInterrupt:
         print(file=sys.stderr)
         raise run.Failure("interrupted", 130) from None

@@ -79,12 +79,13 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires = run.file_wires(config.runtime.folder)
     claim("pilot", config)
+    gate = run.make_gate(config.link)
     try:
-        link = open_link(config.link.url)
+        link = open_link(config.link.url, gate, clock, config.link.peer_host)
     except LinkError as error:
         raise run.Failure(str(error)) from None
     log = Tlog(flight_folder(config, flight) / "flight.tlog", time.time() - clock.now_s())
-    the_pilot = run.make_pilot(config, wires, link, log, clock)
+    the_pilot = run.make_pilot(config, wires, link, log, clock, gate)
     desk = run_desk.make_desk(config, wires, the_pilot, clock)
     notify.ready()
     while not (stop.asked and not the_pilot.in_flight):

@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_recon import config as configuration
 from uav_recon.channels import FileChannel, MemoryChannel
-from uav_recon.config import Config
+from uav_recon.config import Config, LinkConfig
 from uav_recon.protocols import ByteLink, Camera, Channel, Clock, Executor, Journal, Mapper, PoseSource
 from uav_recon.types.camera import PosedFrame, body_from_camera
 from uav_recon.types.maps import FreeSpace, GridSpec, SurfaceElements, VoxelMap
@@ -23,6 +23,7 @@ from uav_recon.types.trajectory import Intent
 from uav_recon.types.vehicle import MissionProgress, VehicleState
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
+    from uav_recon.autopilot.gate import Gate
     from uav_recon.autopilot.parameter_check import ParameterCheck
     from uav_recon.autopilot.parameters import NumberForm
     from uav_recon.autopilot.personality import Personality
@@ -118,8 +119,15 @@ def load_config(path: Path) -> Config:
 # -- the pilot ----------------------------------------------------------------------------------------------------------
 
 
-def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, clock: Clock) -> Pilot:
-    """The loop next to the autopilot."""
+def make_gate(config: LinkConfig) -> Gate:
+    """Who may speak on the link."""
+    from uav_recon.autopilot.gate import AllowList, Gate
+
+    return Gate(AllowList(config.vehicle_system, config.vehicle_component, config.gimbal_component))
+
+
+def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, clock: Clock, gate: Gate | None = None) -> Pilot:
+    """The loop next to the autopilot. gate: the one that its link knows already, where there is one."""
     from uav_recon.autopilot.briefing import Origin
     from uav_recon.autopilot.pilot import Airframe, PilotChannels
     from uav_recon.autopilot.pilot import make_pilot as wire_pilot
@@ -147,7 +155,8 @@ def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, cloc
     (personality, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
     parameters = make_parameter_check(config)
     return wire_pilot(
-        link, personality, guard, sight, patience, channels, clock, origin, airframe, rate_hz, log, parameters
+        link, personality, guard, sight, patience, channels, clock, origin, airframe, rate_hz, log, parameters,
+        gate or make_gate(config.link),
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from pymavlink.dialects.v20 import common as wire
 
+from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.px4 import PX4
 from uav_recon.autopilot.tlog import NoLog
@@ -109,7 +110,7 @@ def held_true(link: Link) -> dict[str, str]:
 def flying() -> tuple[Link, Wire]:
     """A link whose autopilot has said that all is well, and whose clock is known."""
     far = Wire()
-    link = Link(far, NoLog(), 0.0, PX4)
+    link = Link(far, NoLog(), 0.0, PX4, Gate())
     link.ask_parameter(0.0, "COM_OF_LOSS_T")
     bit = wire.MAV_SYS_STATUS_PREARM_CHECK
     for well in (

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as wire
 
+from uav_recon.autopilot.gate import AllowList, Gate
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.px4 import PX4
 from uav_recon.autopilot.tlog import NoLog
@@ -54,9 +55,13 @@ def heartbeat(mode: int = 6 << 16, armed: bool = False, autopilot: int = 12) -> 
 
 
 @pytest.fixture
-def pair() -> tuple[Link, Wire]:
-    far = Wire()
-    return Link(far, NoLog(), 0.0, PX4), far
+def far() -> Wire:
+    return Wire()
+
+
+@pytest.fixture
+def pair(far: Wire) -> tuple[Link, Wire]:
+    return Link(far, NoLog(), 0.0, PX4, Gate()), far
 
 
 def converge(link: Link, far: Wire, offset_s: float = 37.5) -> None:
@@ -69,21 +74,64 @@ def converge(link: Link, far: Wire, offset_s: float = 37.5) -> None:
     assert link.time_known
 
 
-def test_only_the_autopilot_of_the_first_vehicle_counts(pair: tuple[Link, Wire]) -> None:
-    link, far = pair
+def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
+    gate = Gate(AllowList(system=7, autopilot=1, gimbal=154))
+    link = Link(far, NoLog(), 0.0, PX4, gate)
     far.hear(heartbeat(autopilot=8), 255, 190)  # a ground station
-    far.hear(heartbeat(autopilot=8), 1, 154)  # a gimbal
+    far.hear(heartbeat(mode=4 << 16, armed=True), 9, 1)  # another vehicle, and earlier than ours
+    far.hear(heartbeat(autopilot=8), 7, 154)  # a gimbal
     link.receive(0.0)
-    assert link.telemetry.system == 0
+    system_before = link.telemetry.system
     far.hear(heartbeat(mode=3 << 16), 7, 1)
-    far.hear(heartbeat(mode=4 << 16, armed=True), 9, 1)
-    far.hear(heartbeat(mode=4 << 16, armed=True), 7, 2)
+    for _ in range(5):
+        far.hear(heartbeat(mode=4 << 16, armed=True), 9, 1)
+        far.hear(heartbeat(mode=4 << 16, armed=True), 7, 2)
     link.receive(0.1)
-    assert (link.telemetry.system, link.telemetry.custom_mode, link.telemetry.armed) == (7, 3 << 16, False)
-    assert not link.telemetry.twin_heard
+    assert (system_before, link.telemetry.system) == (0, 7)
+    assert (link.telemetry.custom_mode, link.telemetry.armed) == (3 << 16, False)
+    twin_before = link.telemetry.twin_heard
     far.hear(heartbeat(), 245, 191)
     link.receive(0.2)
-    assert link.telemetry.twin_heard
+    assert (twin_before, link.telemetry.twin_heard) == (False, True)
+    assert gate.refused == 12
+    named = [record.getMessage() for record in caplog.records]
+    assert [
+        sum(f"system {one}" in text for text in named) for one in ("255, component 190", "9, component 1", "7, component 2")
+    ]
+    assert len(named) == 3, "each is named once"
+
+
+def test_mavlink_1_is_counted_and_named_and_says_nothing(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
+    gate = Gate()
+    link = Link(far, NoLog(), 0.0, PX4, gate)
+    for _ in range(3):
+        far.inbox += bytes(heartbeat(armed=True).pack(wire.MAVLink(None, 1, 1), force_mavlink1=True))
+    link.receive(0.0)
+    assert (link.telemetry.system, link.telemetry.armed, gate.refused) == (0, False, 3)
+    assert [record.getMessage() for record in caplog.records] == [
+        "link: MAVLink 1 is not the vehicle that is flown: not listened to"
+    ]
+
+
+def test_a_forger_with_a_thousand_names_fills_no_log(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
+    gate = Gate()
+    link = Link(far, NoLog(), 0.0, PX4, gate)
+    for system in range(2, 245):
+        for component in (1, 2, 3, 4):
+            far.hear(heartbeat(), system, component)
+    link.receive(0.0)
+    assert gate.refused == 4 * 243
+    assert len(caplog.records) == 32
+
+
+@pytest.mark.parametrize("stranger", [100, 1])
+def test_only_the_vehicles_own_gimbal_tells_its_angle(pair: tuple[Link, Wire], stranger: int) -> None:
+    link, far = pair
+    far.hear(heartbeat())
+    tilted = wire.MAVLink_gimbal_device_attitude_status_message(0, 0, 0, 0, [math.cos(0.1), 0, -math.sin(0.1), 0], 0, 0, 0, 0)
+    far.hear(tilted, 1 if stranger == 100 else 2, stranger if stranger == 100 else 154)
+    link.receive(0.0)
+    assert math.isnan(link.telemetry.camera_pitch_down_rad)
 
 
 def test_a_gimbal_may_speak_for_itself(pair: tuple[Link, Wire]) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as wire
 
+from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.messages import ParameterValue
 from uav_recon.autopilot.parameters import BYTEWISE, NUMERIC, PATIENCE_S, TRIES, WINDOW, Inquiry
@@ -53,7 +54,7 @@ class Far:
 
 
 def linked(far: Far) -> Link:
-    link = Link(far, NoLog(), 0.0, PX4)
+    link = Link(far, NoLog(), 0.0, PX4, Gate())
     link.receive(0.0)
     return link
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from uav_recon.autopilot.gate import NOT_AN_AUTOPILOT, Gate
 from uav_recon.autopilot.mavlink import Decoder, Encoder
 from uav_recon.autopilot.messages import (
     Ack,
@@ -32,8 +33,6 @@ from uav_recon.protocols import ByteLink
 from uav_recon.safety.guard import ClearedSetpoint
 from uav_recon.types.pose import StampedPose
 
-AUTOPILOT_COMPONENT = 1
-_NOT_AN_AUTOPILOT = 8
 _WARNING = 4
 _DEAF_S = 2.0
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
@@ -44,7 +43,7 @@ _CHATTER_HZ = (1.0, 10.0, 50.0, 10.0)  # heartbeat; TIMESYNC, and while its cloc
 class Link:
     """Speaks MAVLink with one autopilot over one byte link. Methods never block and never raise on what arrives.
 
-    firmware: whose rules hold on the other end.
+    firmware: whose rules hold on the other end. gate: who may speak there.
     """
 
     def __init__(
@@ -53,10 +52,11 @@ class Link:
         log: FrameLog,
         start_s: float,
         firmware: Personality,
+        gate: Gate,
         system: int = 245,
         component: int = 191,
     ) -> None:
-        self._bytes, self._log = bytes_link, log
+        self._bytes, self._log, self._gate = bytes_link, log, gate
         self.firmware = firmware
         self._mute = False
         self._own = (system, component)
@@ -78,9 +78,11 @@ class Link:
         except OSError as error:
             self.telemetry.failure = f"link: {error.strerror or error}"
             return
+        old_frames = self._decoder.mavlink1_frames
         for received in self._decoder.feed(data):
             self._log.record(now_s, received.frame)
             self._hear(received, now_s)
+        self._gate.refuse("MAVLink 1", self._decoder.mavlink1_frames - old_frames)
 
     def keep_alive(self, now_s: float) -> None:
         """Our heartbeat, and the question for the autopilot's clock. No heartbeat while we are deaf: one that lands only when
@@ -157,15 +159,17 @@ class Link:
         self._log.record(now_s, frame)
 
     def _hear(self, received: Received, now_s: float) -> None:
-        """Only the autopilot of the first vehicle heard counts, with what is news; a gimbal may sit on another component."""
+        """Only whom the gate admits is heard, nobody before the vehicle's first heartbeat, and of the autopilot what is news."""
         t, message = self.telemetry, received.message
         if (received.system, received.component) == self._own:
             t.twin_heard = True
             return
-        from_autopilot = received.component == AUTOPILOT_COMPONENT
-        if isinstance(message, Heartbeat) and from_autopilot and t.system == 0 and message.autopilot != _NOT_AN_AUTOPILOT:
+        if not self._gate.admits(received):
+            return
+        from_autopilot = self._gate.is_autopilot(received)
+        if isinstance(message, Heartbeat) and from_autopilot and message.autopilot != NOT_AN_AUTOPILOT:
             t.system = received.system
-        if received.system != t.system or message is None:
+        if t.system == 0 or message is None:
             return
         if from_autopilot:
             if not self._succession.is_news(received.frame, now_s):

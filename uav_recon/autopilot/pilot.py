@@ -9,6 +9,7 @@ import numpy as np
 
 from uav_recon.autopilot.authority import IN_THE_AIR, Authority
 from uav_recon.autopilot.briefing import Briefing, Origin
+from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.herald import Herald
 from uav_recon.autopilot.landing import Landing
 from uav_recon.autopilot.liftoff import LiftOff
@@ -307,7 +308,8 @@ def make_pilot(
     setpoint_rate_hz: float = 30.0,
     log: FrameLog | None = None,
     parameters: ParameterCheck | None = None,
+    gate: Gate | None = None,
 ) -> Pilot:
-    """Wire a pilot that flies a firmware over the given bytes."""
-    link = Link(bytes_link, log or NoLog(), clock.now_s(), firmware)
+    """Wire a pilot that flies a firmware over the given bytes. gate: who may speak there; None: system 1."""
+    link = Link(bytes_link, log or NoLog(), clock.now_s(), firmware, gate or Gate())
     return Pilot(link, guard, sight, patience, channels, clock, origin, airframe, setpoint_rate_hz, parameters)

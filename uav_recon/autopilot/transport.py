@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import select
 import socket
 import termios
 from typing import Any
 
-from uav_recon.protocols import ByteLink
+from uav_recon.autopilot.gate import Gate
+from uav_recon.protocols import ByteLink, Clock
 
+PEER_SILENT_S = 3.0  # by then the pilot has given up a flight: only now may the vehicle speak from another address
 _READ_BUDGET = 1 << 16
 _BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 921600, 1000000, 1500000, 2000000, 3000000)
 
@@ -19,26 +22,36 @@ class LinkError(Exception):
     """A link that cannot be opened; its text is one line that names the port."""
 
 
-def open_link(url: str) -> ByteLink:
-    """Open ``udp:HOST:PORT`` (listens there) or ``serial:DEVICE:BAUD``. Raises LinkError with one line."""
+def open_link(url: str, gate: Gate, clock: Clock, peer_host: str | None = None) -> ByteLink:
+    """Open ``udp:HOST:PORT`` (listens there) or ``serial:DEVICE:BAUD``. Raises LinkError with one line.
+
+    gate: whose first heartbeat makes its sender the peer of a UDP link. peer_host: the only host that may become it; None is
+    this machine. A serial line has one other end.
+    """
     kind, _, rest = url.partition(":")
     place, _, number = rest.rpartition(":")
     if kind not in ("udp", "serial") or not place or not number.isdigit():
         raise LinkError(f"link {url!r}: write udp:HOST:PORT or serial:DEVICE:BAUD")
-    return UdpLink(place, int(number)) if kind == "udp" else SerialLink(place, int(number))
+    return SerialLink(place, int(number)) if kind == "serial" else UdpLink(place, int(number), gate, clock, peer_host)
 
 
 class UdpLink:
-    """Listens on one address and answers whoever spoke last. Before anybody did, what is written goes nowhere."""
+    """Listens on one address and speaks with one peer: whoever sent the first datagram that the gate knows as the vehicle's.
 
-    def __init__(self, host: str, port: int) -> None:
+    Another takes its place only after the peer was silent for PEER_SILENT_S. What others send is dropped and told to the gate.
+    Before there is a peer, what is written goes nowhere.
+    """
+
+    def __init__(self, host: str, port: int, gate: Gate, clock: Clock, peer_host: str | None = None) -> None:
         if host in ("0.0.0.0", "::", "*", ""):  # noqa: S104  (refused, not used)
             raise LinkError(f"link udp:{host}:{port}: name one address; listening on every network would let anybody fly")
         if not 0 < port < 65536:
             raise LinkError(f"link udp:{host}:{port}: a port is 1 to 65535")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        self._gate, self._clock, self._peer_host = gate, clock, peer_host
         self._peer: Any = None
+        self._spoke_s = -math.inf
         self.dropped_writes = 0
         try:
             self._socket.bind((host, port))
@@ -47,19 +60,36 @@ class UdpLink:
             raise LinkError(f"link udp:{host}:{port}: {error.strerror or error}") from None
 
     def read(self) -> bytes:
-        """Datagrams that arrived, at most 64 KiB a call. Raises OSError if the socket is closed."""
+        """The peer's datagrams, of at most 64 KiB that arrived a call. Raises OSError if the socket is closed."""
         parts, size = [], 0
         while size < _READ_BUDGET:
             try:
-                data, self._peer = self._socket.recvfrom(2048)
+                data, sender = self._socket.recvfrom(2048)
             except (BlockingIOError, ConnectionRefusedError):  # a peer that ended is silence, not a broken link
                 break
-            parts.append(data)
             size += len(data)
+            if self._is_peer(sender, data):
+                parts.append(data)
         return b"".join(parts)
 
+    def _is_peer(self, sender: tuple[str, int], data: bytes) -> bool:
+        now_s = self._clock.now_s()
+        if sender != self._peer:
+            taken = self._peer is not None and now_s - self._spoke_s <= PEER_SILENT_S
+            if taken or not self._may_be_peer(sender[0]):
+                self._gate.refuse(f"{sender[0]}:{sender[1]}")
+                return False
+            if not self._gate.greets(data):  # the vehicle's other messages may come before its heartbeat
+                return False
+            self._peer = sender
+        self._spoke_s = now_s
+        return True
+
+    def _may_be_peer(self, host: str) -> bool:
+        return host.startswith("127.") if self._peer_host is None else host == self._peer_host
+
     def write(self, data: bytes) -> None:
-        """Send to the last peer; what the kernel cannot take at once is dropped and counted."""
+        """Send to the peer; what the kernel cannot take at once is dropped and counted."""
         if self._peer is None:
             return
         try:
