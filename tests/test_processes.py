@@ -80,6 +80,37 @@ def test_a_port_in_use_is_one_line(config: Path) -> None:
     assert str(port) in said
 
 
+def signed(config: Path, mode: int) -> tuple[int, str, Path]:
+    """The pilot with a key of these permissions, ended as soon as it has opened its link: exit code, words, and its stamps."""
+    key, stamps = config.parent / "signing.key", config.parent / "signing.json"
+    key.write_text("correct horse battery\n")
+    key.chmod(mode)
+    tree = configuration.load(config).model_dump(mode="json", exclude_none=True)
+    tree["link"] |= {"autopilot": "ardupilot", "signing_key": str(key), "signing_stamps": str(stamps)}
+    configuration.save(configuration.parse(tree, "test"), config)
+    process = start("pilot", config)
+    while process.poll() is None and not list((config.parent / "flights").glob("*/flight.tlog")):
+        pass
+    process.terminate()
+    said = process.communicate(timeout=30)[1]
+    return process.returncode, said, stamps
+
+
+def test_a_pilot_with_a_key_keeps_its_stamps(config: Path) -> None:
+    code, said, stamps = signed(config, 0o600)
+    assert (code, said) == (0, "")
+    assert json.loads(stamps.read_text())["own"] > 1e13
+
+
+def test_a_key_that_others_can_read_ends_the_pilot_before_a_byte_is_sent(config: Path) -> None:
+    code, said, stamps = signed(config, 0o644)
+    assert code == 78
+    assert said.splitlines() == [
+        f"uav-recon: link.signing_key {config.parent}/signing.key: permissions 0644, want 0600: others may read or change the key"
+    ]
+    assert not stamps.exists()
+
+
 def test_the_recorder_ends_with_the_mission_that_started_it_even_if_that_was_before_it_looked(config: Path) -> None:
     command = [sys.executable, "-m", "uav_recon.cli", "record", "--config", str(config), "--flight", str(config.parent / "f")]
     recorder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

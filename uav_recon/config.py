@@ -118,6 +118,9 @@ class LinkConfig(Section):
     vehicle_system: Annotated[int, Field(ge=1, le=244)] = 1  # MAVLink system id of the vehicle; 245 is ours; no other is heard
     vehicle_component: Annotated[int, Field(ge=1, le=255)] = 1  # of its autopilot
     gimbal_component: Annotated[int, Field(ge=1, le=255)] = 154  # of its gimbal: heard about its own angle
+    signing_key: Path | None = None  # file, 0600: 32 bytes or a passphrase; signed frames alone count then. ArduPilot only
+    signing_link_id: Annotated[int, Field(ge=0, le=255)] = 1  # of our frames; each link that shares the key has its own
+    signing_stamps: Path = Path("/var/lib/uav_recon/signing.json")  # what was signed when: no restart makes a frame good again
     parameters: Path | None = None  # file of what the vehicle must have; unset: that of firmware_params/ for this autopilot
     setpoint_rate_hz: Annotated[float, Field(ge=10.0, le=100.0)] = 30.0  # setpoints on the wire
     origin_lat_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.3977  # origin handed to the autopilot

@@ -207,7 +207,8 @@ def _wanted(options: ParamsOptions) -> tuple[Wanted, ...]:
 
 
 def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
-    clock, gate = MonotonicClock(), run.make_gate(options.says)
+    clock = MonotonicClock()
+    gate = run.make_gate(options.says, clock)
     try:
         link = open_link(options.link, gate, clock, options.says.peer_host)
     except LinkError as error:
@@ -220,3 +221,4 @@ def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
         raise run.Failure("interrupted", 130) from None
     finally:
         link.close()
+        gate.close()

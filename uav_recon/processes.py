@@ -79,7 +79,7 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires = run.file_wires(config.runtime.folder)
     claim("pilot", config)
-    gate = run.make_gate(config.link)
+    gate = run.make_gate(config.link, clock)
     try:
         link = open_link(config.link.url, gate, clock, config.link.peer_host)
     except LinkError as error:
@@ -98,6 +98,7 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     desk.close()
     log.close()
     link.close()
+    gate.close()
     return 0
 
 

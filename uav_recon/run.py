@@ -119,11 +119,17 @@ def load_config(path: Path) -> Config:
 # -- the pilot ----------------------------------------------------------------------------------------------------------
 
 
-def make_gate(config: LinkConfig) -> Gate:
-    """Who may speak on the link."""
+def make_gate(config: LinkConfig, clock: Clock) -> Gate:
+    """Who may speak on the link. Raises Failure with exit code 78 for a key or stamps that cannot be used."""
     from uav_recon.autopilot.gate import AllowList, Gate
+    from uav_recon.autopilot.signing import KeyFileError, open_signature
+    from uav_recon.autopilot.stamps import StampsError
 
-    return Gate(AllowList(config.vehicle_system, config.vehicle_component, config.gimbal_component))
+    allowed, key = AllowList(config.vehicle_system, config.vehicle_component, config.gimbal_component), config.signing_key
+    try:
+        return Gate(allowed, open_signature(key, config.signing_link_id, config.signing_stamps, clock) if key else None)
+    except (KeyFileError, StampsError) as error:
+        raise Failure(f"link.{error}", EXIT_CONFIG) from None
 
 
 def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, clock: Clock, gate: Gate | None = None) -> Pilot:
@@ -156,7 +162,7 @@ def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, cloc
     parameters = make_parameter_check(config)
     return wire_pilot(
         link, personality, guard, sight, patience, channels, clock, origin, airframe, rate_hz, log, parameters,
-        gate or make_gate(config.link),
+        gate or make_gate(config.link, clock),
     )  # fmt: skip
 
 

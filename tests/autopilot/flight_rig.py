@@ -17,6 +17,7 @@ from sitl.px4 import Px4
 from sitl.transport import ByteEnd, pipe
 from sitl.vehicle import Quadrotor
 from uav_recon.autopilot.briefing import Origin
+from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.parameter_check import ParameterCheck
 from uav_recon.autopilot.personality import Personality
 from uav_recon.autopilot.pilot import Airframe, Pilot, PilotChannels, make_pilot
@@ -122,13 +123,17 @@ class Rig:
         assert isinstance(self.autopilot, Px4)
         return self.autopilot
 
+    def gate(self) -> Gate:
+        """Whom the pilot hears."""
+        return Gate()
+
     def new_pilot(self, log: FrameLog | None = None) -> Pilot:
         """As a process that starts now."""
         sight = Sight(10.0, AIRFRAME.hull_radius_m)
         self.guard = Guard(ENVELOPE, BOUNDS, sight)
         return make_pilot(
             self.tap, self.firmware, self.guard, sight, PATIENCE, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,
-            parameters=self.parameters,
+            parameters=self.parameters, gate=self.gate(),
         )  # fmt: skip
 
     def publish_free(self) -> None:

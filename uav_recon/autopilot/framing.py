@@ -12,7 +12,10 @@ from typing import Any
 os.environ["MAVLINK20"] = "1"
 from pymavlink.dialects.v20 import ardupilotmega as wire  # the common messages, and EKF_STATUS_REPORT
 
-__all__ = ["MAGIC_1", "MAGIC_2", "Layout", "frame_length", "framed", "is_intact", "kind_of", "sender_of", "wire"]
+__all__ = [
+    "MAGIC_1", "MAGIC_2", "Layout", "frame_length", "framed", "is_intact", "is_signed", "kind_of", "marked_signed", "sender_of",
+    "wire",
+]  # fmt: skip
 
 MAGIC_1, MAGIC_2 = 0xFE, 0xFD
 _HEADER_1, _HEADER_2, _CHECKSUM, _SIGNATURE = 6, 10, 2, 13
@@ -51,6 +54,18 @@ def kind_of(frame: bytes | bytearray) -> int:
 def sender_of(frame: bytes) -> tuple[int, int]:
     """System and component of a whole MAVLink 2 frame."""
     return frame[5], frame[6]
+
+
+def is_signed(frame: bytes) -> bool:
+    """Whether a signature ends a whole MAVLink 2 frame."""
+    return bool(frame[2])
+
+
+def marked_signed(frame: bytes) -> bytes:
+    """An unsigned frame of a known kind as it stands before its signature: with the flag, and a checksum that knows of it."""
+    body = frame[1:2] + b"\1" + frame[3:-_CHECKSUM]
+    seed: int = wire.mavlink_map[kind_of(frame)].crc_extra
+    return frame[:1] + body + _CHECK.pack(wire.x25crc(body + bytes((seed,))).crc)
 
 
 def is_intact(frame: bytes, kind: Any) -> bool:

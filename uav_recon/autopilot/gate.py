@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from uav_recon.autopilot.mavlink import Decoder
 from uav_recon.autopilot.messages import Heartbeat, Received
+from uav_recon.autopilot.signing import NoSeal, Seal
 
 NOT_AN_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
 _MOST_NAMES = 32
@@ -22,10 +23,10 @@ class AllowList:
 
 
 class Gate:
-    """The allow-list of one link. refused: how many frames and datagrams were not let in so far."""
+    """The allow-list of one link. refused: how many frames and datagrams were not let in so far. seal: what frames bear."""
 
-    def __init__(self, allowed: AllowList | None = None) -> None:
-        self._allowed = allowed or AllowList()
+    def __init__(self, allowed: AllowList | None = None, seal: Seal | None = None) -> None:
+        self._allowed, self.seal = allowed or AllowList(), seal or NoSeal()
         self._named: set[str] = set()
         self.refused = 0
 
@@ -35,12 +36,15 @@ class Gate:
 
     def admits(self, received: Received) -> bool:
         """Whether a frame may say anything about the vehicle; who may not is named."""
-        known = received.system == self._allowed.system and (
-            self.is_autopilot(received) or received.component == self._allowed.gimbal
-        )
-        if not known:
-            self.refuse(f"system {received.system}, component {received.component}")
-        return known
+        ours = (self._allowed.autopilot, self._allowed.gimbal)
+        who = f"system {received.system}, component {received.component}"
+        if received.system != self._allowed.system or received.component not in ours:
+            self.refuse(who)
+            return False
+        if not self.seal.accept(received.frame):
+            self.refuse(f"{who} without a true and new signature")
+            return False
+        return True
 
     def is_autopilot(self, received: Received) -> bool:
         """Whether the vehicle's autopilot says so of itself."""
@@ -51,8 +55,15 @@ class Gate:
         self.refused += times
         if times and who not in self._named and len(self._named) < _MOST_NAMES:
             self._named.add(who)
-            logging.getLogger(__name__).warning("link: %s is not the vehicle that is flown: not listened to", who)
+            logging.getLogger(__name__).warning("link: %s: not listened to", who)
+
+    def close(self) -> None:
+        """Keep what a restart must know."""
+        self.seal.close()
 
     def _is_greeting(self, received: Received) -> bool:
         message = received.message
-        return isinstance(message, Heartbeat) and message.autopilot != NOT_AN_AUTOPILOT and self.is_autopilot(received)
+        from_autopilot = (
+            isinstance(message, Heartbeat) and message.autopilot != NOT_AN_AUTOPILOT and self.is_autopilot(received)
+        )
+        return from_autopilot and self.seal.trusts(received.frame)

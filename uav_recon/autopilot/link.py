@@ -151,6 +151,7 @@ class Link:
         self._bytes.wait(timeout_s)
 
     def _send(self, frame: bytes, now_s: float) -> None:
+        frame = self._gate.seal.put(frame, now_s)
         try:
             self._bytes.write(frame)
         except OSError as error:

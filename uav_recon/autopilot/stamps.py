@@ -1,0 +1,97 @@
+"""When signed frames were made, ours and the vehicle's: kept in a file, so that no restart makes an old one good again."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from uav_recon.protocols import Executor
+
+UNITS_PER_S = 100_000  # MAVLink counts tens of microseconds since 2015-01-01
+AHEAD_S = 10.0  # what the file says of ours has not been used yet; less than the minute by which a frame may be late
+LATE_S = 60.0  # a sender not heard before may be so far behind us (mavlink.io, Message Signing)
+_EPOCH_S = 1420070400.0
+_END = 1 << 48
+
+Stream = tuple[int, int, int]  # link id, system, component
+
+
+class StampsError(Exception):
+    """A file that cannot be used; its text is one line that names it."""
+
+
+class Stamps:
+    """Ours grow with the injected clock and never go back: not over restarts, crashes, or a wall clock that was set.
+
+    The file is written ahead of what is used, at the start and then about every five seconds on the executor. A sender's newest
+    stamp is written with it: after a crash what it said in the last seconds could be told again, after close() nothing.
+    """
+
+    def __init__(self, path: Path, wall_s: float, now_s: float, executor: Executor) -> None:
+        """wall_s: seconds since 1970, asked once. Raises StampsError if the file cannot be read or written."""
+        self._path, self._executor, self._start_s = path, executor, now_s
+        stored, self._newest = _read(path)
+        self._first = max(int((wall_s - _EPOCH_S) * UNITS_PER_S), stored, 1)
+        self._last = self._first - 1
+        self._promised = self._first + int(AHEAD_S * UNITS_PER_S)
+        try:
+            self._write(self._promised, dict(self._newest))
+        except OSError as error:
+            raise StampsError(f"signing_stamps {path}: cannot be written ({error.strerror})") from None
+
+    def next(self, now_s: float) -> int:
+        """A stamp for a frame of ours, greater than every one before."""
+        self._last = max(self._first + int((now_s - self._start_s) * UNITS_PER_S), self._last + 1)
+        if self._last > self._promised - AHEAD_S / 2 * UNITS_PER_S:
+            self._promised = promised = self._last + int(AHEAD_S * UNITS_PER_S)
+            newest = dict(self._newest)
+            self._executor.submit(lambda: self._keep(promised, newest), 0.0)
+        return self._last
+
+    def is_new(self, stream: Stream, stamp: int) -> bool:
+        """Whether a frame comes after all that its sender said before; of a sender not heard yet: whether it is not too old."""
+        newest = self._newest.get(stream)
+        return stamp > newest if newest is not None else stamp + LATE_S * UNITS_PER_S >= self._last
+
+    def note(self, stream: Stream, stamp: int) -> None:
+        """A frame was found true: nothing older counts any more, and ours come after it."""
+        self._newest[stream] = stamp
+        self._last = max(self._last, stamp)
+
+    def close(self) -> None:
+        """Write what was used, not ahead of it."""
+        self._executor.close()
+        self._keep(self._last + 1, dict(self._newest))
+
+    def _keep(self, own: int, newest: Mapping[Stream, int]) -> None:
+        try:
+            self._write(own, newest)
+        except OSError as error:  # the flight goes on: only a crash and a wall clock set back would now make an old stamp good
+            logging.getLogger(__name__).warning("%s: cannot be written (%s)", self._path, error.strerror)
+
+    def _write(self, own: int, newest: Mapping[Stream, int]) -> None:
+        new = self._path.with_suffix(".new")
+        with new.open("w", encoding="ascii") as file:
+            json.dump({"own": own, "heard": [[*stream, stamp] for stream, stamp in newest.items()]}, file)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(self._path)
+
+
+def _read(path: Path) -> tuple[int, dict[Stream, int]]:
+    """Our first unused stamp, and the newest of each sender."""
+    if not path.exists():
+        return 0, {}
+    try:
+        tree = json.loads(path.read_text(encoding="ascii"))
+        own, heard = int(tree["own"]), {(int(a), int(b), int(c)): int(stamp) for a, b, c, stamp in tree["heard"]}
+    except OSError as error:
+        raise StampsError(f"signing_stamps {path}: cannot be read ({error.strerror})") from None
+    except (ValueError, KeyError, TypeError):
+        raise StampsError(f"signing_stamps {path}: not the stamps of signed frames") from None
+    if not all(0 <= stamp < _END for stamp in (own, *heard.values())):
+        raise StampsError(f"signing_stamps {path}: a stamp is 0 to 2**48 - 1")
+    return own, heard
