@@ -105,10 +105,29 @@ def contradictions() -> Iterator[Mutant]:
         yield Mutant(flown("safety", high, load(FLOWN).model_dump()["safety"][low] - 0.01), (low, "<="))
     for key, limit in (
         ("speed_mps", "max_speed_mps"),
+        ("tight_speed_mps", "max_speed_mps"),
+        ("climb_mps", "max_speed_mps"),
+        ("descent_mps", "max_speed_mps"),
         ("acceleration_mps2", "max_acceleration_mps2"),
         ("yaw_rate_degps", "max_yaw_rate_degps"),
     ):
         yield Mutant(flown("motion", key, 999.0), (f"motion.{key}", f"safety.{limit}"))
+    for section, key, value, limit in (
+        ("camera", "depth_min_m", 6.0, "camera.depth_max_m"),
+        ("camera", "depth_max_m", 0.1, "camera.depth_max_m"),
+        ("voxels", "max_range_m", 0.2, "voxels.max_range_m"),
+        ("voxels", "distance_cap_m", 0.3, "planner.clearance_m"),
+        ("voxels", "takeoff_radius_m", 0.1, "safety.vehicle_radius_m"),
+        ("planner", "clearance_m", 0.3 - 1e-6, "safety.vehicle_radius_m + safety.stop_clearance_m"),
+        ("mission", "takeoff_height_m", 2.0, "safety.fence_max_m.2 - safety.fence_inset_m"),
+        ("safety", "vehicle_radius_m", 0.31, "safety.fence_inset_m"),
+        ("safety", "pose_timeout_s", 0.03, "safety.pose_timeout_s"),
+        ("safety", "depth_timeout_s", 0.2, "safety.depth_timeout_s"),
+        ("camera", "source", "recorded", "camera.recording"),
+        ("link", "signing_key", "/etc/uav_recon/signing.key", "link.autopilot"),
+        ("link", "url", "udp:10.41.1.1:14540", "link.peer_host"),
+    ):
+        yield Mutant(flown(section, key, value), (limit,))
     for axis in range(3):
         corner_m = list(load(FLOWN).safety.fence_min_m)
         corner_m[axis] = load(FLOWN).safety.fence_max_m[axis] - 0.5

@@ -12,7 +12,8 @@ BASE = {"types", "protocols", "config", "clock", "channels", "geometry"}
 ALLOWED = {
     "types": {"types"},
     "protocols": {"types", "protocols"},
-    "config": {"types", "config"},
+    "config": {"types", "config", "relations"},
+    "relations": set(),
     "clock": {"types", "protocols", "clock"},
     "channels": {"types", "protocols", "channels"},
     "geometry": {"types", "geometry"},

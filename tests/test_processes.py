@@ -104,9 +104,10 @@ def test_a_pilot_with_a_key_keeps_its_stamps(config: Path) -> None:
 
 def test_a_key_that_others_can_read_ends_the_pilot_before_a_byte_is_sent(config: Path) -> None:
     code, said, stamps = signed(config, 0o644)
+    key = config.parent / "signing.key"
     assert code == 78
     assert said.splitlines() == [
-        f"uav-recon: link.signing_key {config.parent}/signing.key: permissions 0644, want 0600: others may read or change the key"
+        f"uav-recon: link.signing_key {key}: permissions 0644, want 0600: others may read or change the key"
     ]
     assert not stamps.exists()
 

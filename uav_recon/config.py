@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from uav_recon import relations
 from uav_recon.types.polygon import Polygon
 
 if sys.version_info >= (3, 11):
@@ -262,15 +263,10 @@ class Config(Section):
     runtime: RuntimeConfig = RuntimeConfig()
 
     @model_validator(mode="after")
-    def _motion_inside_the_guard(self) -> Config:
-        if self.motion.speed_mps > self.safety.max_speed_mps:
-            raise ValueError(
-                f"motion.speed_mps {self.motion.speed_mps} exceeds safety.max_speed_mps {self.safety.max_speed_mps}"
-            )
-        if self.motion.acceleration_mps2 > self.safety.max_acceleration_mps2:
-            raise ValueError("motion.acceleration_mps2 exceeds safety.max_acceleration_mps2")
-        if self.motion.yaw_rate_degps > self.safety.max_yaw_rate_degps:
-            raise ValueError("motion.yaw_rate_degps exceeds safety.max_yaw_rate_degps")
+    def _everything_fits_together(self) -> Config:
+        fault = relations.fault_of(self)
+        if fault:
+            raise ValueError(fault)
         return self
 
 
@@ -291,10 +287,11 @@ def parse(tree: dict[str, Any], source: str) -> Config:
         return Config.model_validate(tree)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "config"
+        where = ".".join(str(part) for part in first["loc"])
         value = first.get("input")
         shown = "" if isinstance(value, dict) or value is None else f" (got {value!r})"
-        raise ConfigError(f"{source}: {key}: {first['msg'][0].lower()}{first['msg'][1:]}{shown}") from None
+        fault = first["msg"].removeprefix("Value error, ")
+        raise ConfigError(f"{source}: {where}{where and ': '}{fault[0].lower()}{fault[1:]}{shown}") from None
 
 
 def save(config: Config, path: Path) -> None:

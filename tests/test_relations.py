@@ -1,0 +1,98 @@
+"""Numbers that are allowed one by one and not together: at the border they pass, beyond it they are one line."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from uav_recon.config import ConfigError, load, parse
+from uav_recon.relations import RELATIONS, WRITTEN_RELATIONS
+
+FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
+BORDERS: tuple[tuple[str, str, float, float, str], ...] = (  # section, key, last that passes, first that does not, of what
+    ("motion", "speed_mps", 1.0, 1.01, "at most safety.max_speed_mps, which is 1"),
+    ("motion", "tight_speed_mps", 1.0, 1.01, "at most safety.max_speed_mps, which is 1"),
+    ("motion", "climb_mps", 1.0, 1.01, "at most safety.max_speed_mps, which is 1"),
+    ("motion", "descent_mps", 1.0, 1.01, "at most safety.max_speed_mps, which is 1"),
+    ("motion", "acceleration_mps2", 2.0, 2.01, "at most safety.max_acceleration_mps2, which is 2"),
+    ("motion", "yaw_rate_degps", 60.0, 60.1, "at most safety.max_yaw_rate_degps, which is 60"),
+    ("safety", "vehicle_radius_m", 0.3, 0.301, "at most safety.fence_inset_m, which is 0.3"),
+    ("voxels", "takeoff_radius_m", 0.2, 0.199, "at least safety.vehicle_radius_m, which is 0.2"),
+    ("planner", "clearance_m", 0.35, 0.3499, "at least safety.vehicle_radius_m + safety.stop_clearance_m, which is 0.35"),
+    ("voxels", "distance_cap_m", 0.4, 0.399, "at least planner.clearance_m, which is 0.4"),
+    ("mission", "takeoff_height_m", 1.9, 1.91, "at most safety.fence_max_m.2 - safety.fence_inset_m, which is 1.9"),
+    ("mission", "takeoff_height_m", 0.9, 0.89, "at least safety.fence_min_m.2 + safety.fence_inset_m, which is 0.9"),
+    ("camera", "depth_min_m", 5.99, 6.0, "less than camera.depth_max_m, which is 6"),
+    ("camera", "depth_min_m", 4.99, 5.0, "less than voxels.max_range_m, which is 5"),
+    ("localization", "frame_wait_s", 0.299, 0.3, "less than safety.depth_timeout_s, which is 0.3"),
+    ("localization", "rate_hz", 25.0, 24.9, "at least 1 / safety.pose_timeout_s, which is 25"),
+    ("planner", "shell_min_m", 1.49, 1.5, "less than planner.shell_max_m, which is 1.5"),
+)
+AROUND: dict[str, dict[str, dict[str, Any]]] = {
+    "at least safety.vehicle_radius_m + safety.stop_clearance_m, which is 0.35": {
+        "safety": {"stop_clearance_m": 0.15}
+    },  # what else must change for the border to be the one that is meant
+    "vehicle_radius_m": {"planner": {"clearance_m": 0.5}},
+    "less than camera.depth_max_m, which is 6": {"voxels": {"max_range_m": 9.0}},
+    "at least safety.fence_min_m.2 + safety.fence_inset_m, which is 0.9": {"safety": {"fence_min_m": [-3.5, -3.5, 0.6]}},
+    "at least 1 / safety.pose_timeout_s, which is 25": {"safety": {"pose_timeout_s": 0.04}},
+    "less than planner.shell_max_m, which is 1.5": {"planner": {"shell_max_m": 1.5}},
+}
+
+
+def tree(*around: str) -> dict[str, Any]:
+    made = load(FLOWN).model_dump(mode="json", exclude_none=True)
+    for name in around:
+        for section, keys in AROUND.get(name, {}).items():
+            made[section] |= keys
+    return made
+
+
+@pytest.mark.parametrize(("section", "key", "last", "first", "limit"), BORDERS)
+def test_each_relation_at_its_border(section: str, key: str, last: float, first: float, limit: str) -> None:
+    made = tree(key, limit)
+    made[section][key] = last
+    parse(made, "c")
+    made[section][key] = first
+    with pytest.raises(ConfigError) as caught:
+        parse(made, "c")
+    assert str(caught.value) == f"c: {section}.{key} {first:g} must be {limit}"
+
+
+def test_every_relation_has_its_border_here() -> None:
+    told = {(f"{section}.{key}", limit.partition(", which")[0]) for section, key, _, _, limit in BORDERS}
+    assert told == {(one.key, f"{one.must_be} {one.limit}") for one in (*RELATIONS, *WRITTEN_RELATIONS)}
+
+
+def test_a_shell_of_which_the_preset_gives_one_end_is_the_presets_business() -> None:
+    made = {"safety": tree()["safety"], "planner": {"shell_max_m": 0.7, "clearance_m": 0.4}}
+    assert math.isclose(parse(made, "c").planner.shell_max_m, 0.7)
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "words"),
+    [
+        ("link", "signing_key", "/etc/key", "link.signing_key: signs with link.autopilot ardupilot; PX4 has no signing before"),
+        ("link", "url", "udp:10.41.1.1:14540", "link.peer_host: must name who may speak where link.url listens on a network"),
+        ("camera", "source", "recorded", "camera.recording: must name a flight folder where camera.source is recorded"),
+        ("recording", "live", True, "recording.live: true wants recording.rerun true"),
+    ],
+)
+def test_what_one_setting_asks_of_another(section: str, key: str, value: Any, words: str) -> None:
+    made = tree()
+    made["recording"]["rerun"] = False
+    made[section][key] = value
+    with pytest.raises(ConfigError, match=f"^c: {words}"):
+        parse(made, "c")
+    met: dict[str, dict[str, Any]] = {
+        "signing_key": {"link": {"autopilot": "ardupilot"}},
+        "url": {"link": {"peer_host": "10.41.1.2"}},
+        "source": {"camera": {"recording": "/flight"}},
+        "live": {"recording": {"rerun": True}},
+    }
+    for name, keys in met[key].items():
+        made[name] |= keys
+    parse(made, "c")
