@@ -118,7 +118,7 @@ def contradictions() -> Iterator[Mutant]:
         ("voxels", "max_range_m", 0.2, "voxels.max_range_m"),
         ("voxels", "distance_cap_m", 0.3, "planner.clearance_m"),
         ("voxels", "takeoff_radius_m", 0.1, "safety.vehicle_radius_m"),
-        ("planner", "clearance_m", 0.3 - 1e-6, "safety.vehicle_radius_m + safety.stop_clearance_m"),
+        ("safety", "stop_clearance_m", 0.21, "safety.vehicle_radius_m + safety.stop_clearance_m"),
         ("mission", "takeoff_height_m", 2.0, "safety.fence_max_m.2 - safety.fence_inset_m"),
         ("safety", "vehicle_radius_m", 0.31, "safety.fence_inset_m"),
         ("safety", "pose_timeout_s", 0.03, "safety.pose_timeout_s"),

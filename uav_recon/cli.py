@@ -333,6 +333,24 @@ def bench_endurance(
     exit_with(lambda: bench_of_endurance.bench_endurance(wanted, hours, period_s))
 
 
+@bench.command("setpoints")
+def bench_setpoints(
+    minutes: Annotated[float, typer.Option(help="So long the vehicle hovers, 0.1 to 120.")] = 10.0,
+    negative: Annotated[
+        bool, typer.Option("--negative", help="The control: the pilot as a thread of the load. It must miss the bars.")
+    ] = False,
+    autopilot: Annotated[str, typer.Option(help="px4 or ardupilot.")] = "px4",
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+) -> None:
+    """How steadily setpoints arrive beside training, four busy threads, a disk that is written, and the recorder.
+
+    Stamped by the kernel at a simulated autopilot. Bars: p99 50 ms, p99.9 75 ms, max 250 ms between two.
+    """
+    from uav_recon.bench import setpoints
+
+    exit_with(lambda: setpoints.bench_setpoints(minutes, negative, autopilot, json))
+
+
 @bench.command("uncertainty")
 def bench_uncertainty(
     scene: Annotated[

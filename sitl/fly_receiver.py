@@ -1,0 +1,106 @@
+"""The far end of `uav-recon bench setpoints`: a simulated autopilot, and a perception and a mission that want to hover.
+
+A process of its own: `python -m sitl.fly_receiver CONFIG SECONDS AUTOPILOT OUT`. So long after the first setpoint that it flew
+it writes OUT (arrivals_s, begin_s, end_s), as the kernel stamped what came; exit code 1 if it never flew.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from sitl.ardupilot import ArduCopter
+from sitl.ardupilot_parameters import ArduPilotParameters
+from sitl.autopilot import Autopilot
+from sitl.fly_world import STEP_S
+from sitl.parameters import Parameters
+from sitl.px4 import Px4
+from sitl.transport import ByteEnd, UdpPeer
+from sitl.vehicle import Quadrotor
+from uav_recon import config as configuration
+from uav_recon import run
+from uav_recon.clock import RateKeeper
+from uav_recon.config import Config
+from uav_recon.types.camera import body_from_camera
+from uav_recon.types.maps import FreeSpace, GridSpec
+from uav_recon.types.nearby import Nearby
+from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
+from uav_recon.types.vehicle import FlightPhase
+
+GIVE_UP_S = 180.0  # not flying by then
+SETTLE_S = 1.0  # from the first setpoint that is flown to those that count
+_POSES_HZ, _DEPTH_HZ, _INTENT_HZ = 30.0, 15.0, 20.0
+
+
+class Hover:
+    """What perception and mission say of a flight in an empty hall: up to the take-off height, and stay there."""
+
+    def __init__(self, config: Config, autopilot: Autopilot, start_s: float) -> None:
+        self._config, self._autopilot = config, autopilot
+        self._wires = run.file_wires(config.runtime.folder)
+        self._motion = run.make_motion(config, config.planner.clearance_m)
+        self._motion.warm_up()
+        self._poses, self._depth, self._intents = (RateKeeper(hz, start_s) for hz in (_POSES_HZ, _DEPTH_HZ, _INTENT_HZ))
+        self._ranges = np.full((12, 16), 9.0, dtype=np.float32)
+        self._body_from_depth = body_from_camera(np.array(config.camera.position_body_m), math.radians(15.0))
+        self._intent: tuple[Goal, Trajectory | None] = (Goal.STANDBY, None)
+        safety = config.safety
+        grid = GridSpec.covering(np.array(safety.fence_min_m), np.array(safety.fence_max_m), 0.1)
+        self._wires.free.publish(FreeSpace(grid, np.packbits(np.ones(grid.shape, dtype=np.bool_)), 1))
+
+    def step(self, now_s: float) -> None:
+        """Publish what is due."""
+        truth = self._autopilot.truth()
+        if self._poses.due(now_s):
+            pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position))
+            self._wires.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity)))
+        if self._depth.due(now_s):
+            self._wires.nearby.publish(Nearby(now_s, self._body_from_depth, self._ranges, (0.95, 0.55), 0.9))
+        if self._intents.due(now_s):
+            self._wires.intent.publish(self._wanted(now_s))
+
+    def _wanted(self, now_s: float) -> Intent:
+        vehicle = self._wires.vehicle.latest()
+        phase = FlightPhase.CONNECTING if vehicle is None else vehicle.phase
+        goal, trajectory = self._intent
+        if phase is FlightPhase.READY:
+            goal = Goal.FLY
+        elif phase is FlightPhase.FLYING and trajectory is None:
+            up = np.array([0.0, 0.0, self._config.mission.takeoff_height_m])
+            trajectory = self._motion.line(Setpoint.hold(np.zeros(3), 0.0), up, 0.0, now_s + 0.3, 1)
+        self._intent = (goal, trajectory)
+        return Intent(now_s, *self._intent)
+
+
+def receive(config: Config, seconds: float, name: str, out: Path) -> int:
+    """Fly, and note when setpoints come."""
+    link = UdpPeer(remote=("127.0.0.1", int(config.link.url.rpartition(":")[2])))
+    autopilot = _autopilot(name, link)
+    hover, start_s = Hover(config, autopilot, time.monotonic()), time.monotonic()
+    begin_s, next_s = math.inf, start_s
+    while (now_s := time.monotonic()) < begin_s + seconds:
+        autopilot.step(now_s)
+        hover.step(now_s)
+        if begin_s == math.inf and autopilot.setpoint_arrivals_s:
+            begin_s = now_s + SETTLE_S
+        if begin_s == math.inf and now_s - start_s > GIVE_UP_S:
+            return 1
+        next_s = max(next_s + STEP_S, now_s)
+        time.sleep(max(next_s - time.monotonic(), 0.0))
+    np.savez(out, arrivals_s=np.array(autopilot.setpoint_arrivals_s), begin_s=begin_s, end_s=begin_s + seconds)
+    return 0
+
+
+def _autopilot(name: str, link: ByteEnd) -> Autopilot:
+    if name == "ardupilot":
+        return ArduCopter(Quadrotor(1, 0.0), link, ArduPilotParameters.load(), 1)
+    return Px4(Quadrotor(1, 0.0), link, Parameters.load(), 1)
+
+
+if __name__ == "__main__":
+    sys.exit(receive(configuration.load(Path(sys.argv[1])), float(sys.argv[2]), sys.argv[3], Path(sys.argv[4])))
