@@ -36,7 +36,7 @@ ROOT_IMPORTS = {
     "params": {*ALLOWED, "run"},
     "run": set(ALLOWED),
     "refine": {*ALLOWED, "run", "processes"},
-    "bench": {*ALLOWED, "run", "bench"},
+    "bench": {*ALLOWED, "run", "processes", "bench"},
 }
 HEAVY = {
     "torch": {"uav_recon/mapping/neural/tensor"},

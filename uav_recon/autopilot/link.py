@@ -160,7 +160,7 @@ class Link:
         self._log.record(now_s, frame)
 
     def _hear(self, received: Received, now_s: float) -> None:
-        """Only whom the gate admits is heard, nobody before the vehicle's first heartbeat, and of the autopilot what is news."""
+        """Whom the gate admits is heard, after the vehicle's first heartbeat, and of the autopilot what is news."""
         t, message = self.telemetry, received.message
         if (received.system, received.component) == self._own:
             t.twin_heard = True

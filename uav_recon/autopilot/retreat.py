@@ -42,9 +42,9 @@ class Breadcrumbs:
     ) -> Trajectory:
         """From rest back to the first crumb at a height or above it, at rest there; just a hold if there is none.
 
-        nose_first: turned to where it goes, so that depth sees the way; otherwise the heading is kept. Loops are cut out, and so is
-        the part that an earlier way back has flown.
-        Corners are rounded by two box averages, so place, velocity and heading stay continuous.
+        nose_first: turned to where it goes, so that depth sees the way; otherwise the heading is kept. Loops are cut out, and
+        so is the part that an earlier way back has flown. Corners are rounded by two box averages, so place, velocity and
+        heading stay continuous.
         """
         places = [rest.position_m, *self._from_the_pad(height_m)]
         corners, i = [], 0
