@@ -35,6 +35,7 @@ def test_a_steady_stream_keeps_the_bars() -> None:
     ((249.0,), True), ((251.0,), False),
     ((74.0,) * 9, True), ((76.0,) * 9, False),
     ((49.0,) * 60, True), ((51.0,) * 60, False),
+    ((51.0,) * 29, True), ((51.0,) * 30, False),
 ])  # fmt: skip
 def test_each_bar_at_its_border(gaps_ms: tuple[float, ...], kept: bool) -> None:
     assert steadiness(late(*gaps_ms), 100.0, 200.0).kept is kept
