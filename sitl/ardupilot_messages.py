@@ -22,6 +22,7 @@ _CAPABILITIES = (
 _VERSION_4_8_0_DEV = 4 << 24 | 8 << 16
 _UID = 0x5349544C41500801
 _UNINITIALISED, _CONSTANT, _BLIND, _FOLLOWING = 0x400, 0xA5, 0x25, 0x33F  # EKF_STATUS_REPORT, the last two measured
+_VISION_HEALTHY_S = 0.3  # after the last pose
 
 
 class Messages(Telling):
@@ -65,8 +66,11 @@ class Messages(Telling):
         return packet(mavlink.MAVLink_timesync_message, 0, self._s.boot_us * 1000)
 
     def sys_status(self) -> Packet:
-        """Sensors, battery and the PREARM bit."""
-        return self._health(not self._s.commander.arming_refusal(self._s.condition()))
+        """Sensors, battery and the PREARM bit; the camera is healthy while poses come (read)."""
+        c, s = self._s.commander, self._s
+        vision = mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
+        heard = vision if s.estimator.pose_age_s <= _VISION_HEALTHY_S else 0
+        return self._health(c.armed or not c.arming_refusal(s.condition()), vision, heard)
 
     def position_target(self) -> Packet | None:
         """What the controller follows now."""

@@ -95,6 +95,11 @@ class Estimator:
         self._baro_zero = math.nan
         self._on_ground = True
 
+    @property
+    def pose_age_s(self) -> float:
+        """How old the newest pose that came is; inf before the first."""
+        return self._now_s - self._last_pose_s
+
     def configure(self, tuning: Tuning) -> None:
         """Take over a changed tuning."""
         self._tuning = tuning

@@ -87,14 +87,14 @@ class Telling:
             [math.cos(half), 0.0, math.sin(half), 0.0], 0.0, g.pitch_rate, 0.0, 0, 0.0, 0.0, 1,
         )  # fmt: skip
 
-    def _health(self, ready: bool) -> Packet:
-        """SYS_STATUS: sensors, battery and the PREARM bit."""
+    def _health(self, ready: bool, more: int = 0, healthy: int = 0) -> Packet:
+        """SYS_STATUS: sensors, battery and the PREARM bit. more: sensors of this firmware, and which of them are healthy."""
         battery, prearm = self._board.battery, mavlink.MAV_SYS_STATUS_PREARM_CHECK
         return packet(
             mavlink.MAVLink_sys_status_message,
-            SENSORS | prearm,
-            SENSORS | prearm,
-            SENSORS | (prearm if ready else 0),
+            SENSORS | prearm | more,
+            SENSORS | prearm | more,
+            SENSORS | (prearm if ready else 0) | healthy,
             300,
             round(battery.voltage * 1000),
             round(battery.current_a * 100),

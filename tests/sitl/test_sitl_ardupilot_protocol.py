@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from ardupilot_rig import ARM, INTERVAL, SET_MODE, copter, flying
+from ardupilot_rig import ARM, INTERVAL, SET_MODE, copter, flying, ready
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl.ardupilot_parameters import DEFAULT_FILE, ArduPilotParameters
@@ -32,6 +32,25 @@ def test_message_rates_can_be_asked_for() -> None:
     c.run(1.0)
     assert len(c.messages) == pytest.approx(50, abs=6)
     assert c.ask(INTERVAL, 9999, 10_000.0) == 2
+
+
+def test_the_camera_is_healthy_while_poses_come() -> None:
+    c = ready()
+    vision = mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
+    told = c.last["SYS_STATUS"]
+    assert all(bits & vision for bits in (told.onboard_control_sensors_present, told.onboard_control_sensors_enabled))
+    assert told.onboard_control_sensors_health & vision
+    c.pose_on = False
+    c.run(0.9)
+    told = c.last["SYS_STATUS"]
+    assert told.onboard_control_sensors_present & vision
+    assert not told.onboard_control_sensors_health & vision
+
+
+def test_prearm_stays_healthy_once_it_is_armed() -> None:
+    c = flying(BATT_ARM_MAH=5000.0)  # on the ground it would be refused now
+    c.run(1.0)
+    assert c.prearm
 
 
 def test_parameters_travel_as_the_numbers_they_are() -> None:
