@@ -16,7 +16,8 @@ from uav_recon.geometry.jit import fast_kernel
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 
 INFORMATION_CELL_M, COLOUR_CELL_M = 0.08, 0.10
-END_CELL_M, PLANE_CELL_M = 0.05, 0.10
+END_CELL_M, PLANE_CELL_M, ROUND_CELL_M = 0.05, 0.10, 0.15
+ROUND_STRIDE = 4  # of the measurements, one in so many says where they lie farther round: many fall into one cell
 COUNT_BELIEF, LEAST_DISAGREEMENT = 0.1, 0.05  # measurements that are held against none; disagreement of equal normals
 LEAST_PAST_M, MOST_PAST_M = 0.001, 0.10  # of a surface beside its measurements: to tell apart; where there are none
 LEAST_COUNT = 0.05  # of measurements, below which there are none
@@ -97,31 +98,36 @@ class ColourError:
 
 
 class MeasuredAgreement:
-    """How few measurements say where a surface is, times how much they disagree on which way it faces, times how far the
-    learned surface runs past them.
+    """How few measurements say where a surface is, times how much they disagree on which way it faces, times the square of how
+    far the learned surface runs past them.
 
     A measurement counts by its sharpness. 1 / sqrt(count) on a 5 cm lattice; 1.05 less the mean resultant length of the
     measured normals on a 10 cm one (1 less that is the spherical variance: Mardia and Jupp 2000, section 9.2); and the
-    geometric mean of two distances, from the plane through the mean of the end points, and on average from the planes of all.
-    Edges, corners and clutter are where a field errs.
+    geometric mean of three distances along the mean normal: from the mean of the end points in 5 cm and in 15 cm round about,
+    and on average from the planes of all. Noise moves what is near, shape what is farther round: a surface that is past all
+    three errs. Edges, corners and clutter are where a field errs.
     """
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
         self._ends = Lattice(box_min_m, box_max_m, END_CELL_M, 4)  # sum of end points, number
         self._planes = Lattice(box_min_m, box_max_m, PLANE_CELL_M, 5)  # sum of normals, of their planes' offsets, number
+        self._round = Lattice(box_min_m, box_max_m, ROUND_CELL_M, 4)  # as ends, of some
 
     def add(self, points: Float32Array, normal: Float32Array, sigma_m: Float32Array) -> None:
         """Count end points (N, 3) with unit normals (N, 3), zero where not known, which agrees with none; depth sigma (N,)."""
         count = (np.float32(1.0) / (np.float32(1.0) + np.square(sigma_m / np.float32(SHARP_SIGMA_M))))[:, None]
         place = points - self._ends.origin_m
         offset = np.einsum("nc,nc->n", normal, place)[:, None]
-        self._ends.splat(points, count * np.concatenate([place, np.ones_like(count)], axis=1))
+        ends = count * np.concatenate([place, np.ones_like(count)], axis=1)
+        self._ends.splat(points, ends)
+        self._round.splat(points[::ROUND_STRIDE].copy(), ends[::ROUND_STRIDE].copy())  # one layout, one kernel
         self._planes.splat(points, count * np.concatenate([normal, offset, np.ones_like(count)], axis=1))
 
     def at(self, points: Float32Array) -> Float32Array:
         """Positive (N,), largest where nothing was measured."""
         out = np.empty(len(points), dtype=np.float32)
-        _disagree(self._ends.at(points), self._planes.at(points), points - self._ends.origin_m, out)
+        place = points - self._ends.origin_m
+        _disagree(self._ends.at(points), self._round.at(points), self._planes.at(points), place, out)
         return out
 
 
@@ -214,22 +220,24 @@ def _dot(
 
 
 @fast_kernel
-def _disagree(ends: Float32Array, planes: Float32Array, place: Float32Array, out: Float32Array) -> None:
+def _disagree(ends: Float32Array, farther: Float32Array, planes: Float32Array, place: Float32Array, out: Float32Array) -> None:
     """See MeasuredAgreement: from its lattices' values at points, and the points from the box's corner."""
     for n in range(place.shape[0]):
         x, y, z = place[n, 0], place[n, 1], place[n, 2]
         nx, ny, nz, count = planes[n, 0], planes[n, 1], planes[n, 2], planes[n, 4]
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        together, past_mean, past_each = 0.0, MOST_PAST_M, MOST_PAST_M
+        together, past_each = 0.0, MOST_PAST_M
         if count > LEAST_COUNT:
             together = length / count
             past_each = min(abs(nx * x + ny * y + nz * z - planes[n, 3]) / count, MOST_PAST_M)
-        known = ends[n, 3]
-        if known > LEAST_COUNT and length > 0.0:
-            along = nx * (x - ends[n, 0] / known) + ny * (y - ends[n, 1] / known) + nz * (z - ends[n, 2] / known)
-            past_mean = min(abs(along) / length, MOST_PAST_M)
-        past = ((past_mean**2 + LEAST_PAST_M**2) * (past_each**2 + LEAST_PAST_M**2)) ** 0.25 / MOST_PAST_M
-        out[n] = past * (1.0 + LEAST_DISAGREEMENT - together) / np.sqrt(known + COUNT_BELIEF)
+        past = past_each**2 + LEAST_PAST_M**2
+        for mean in (ends[n], farther[n]):
+            past_mean = MOST_PAST_M
+            if mean[3] > LEAST_COUNT and length > 0.0:
+                along = nx * (x - mean[0] / mean[3]) + ny * (y - mean[1] / mean[3]) + nz * (z - mean[2] / mean[3])
+                past_mean = min(abs(along) / length, MOST_PAST_M)
+            past *= past_mean**2 + LEAST_PAST_M**2
+        out[n] = np.cbrt(past) / MOST_PAST_M**2 * (1.0 + LEAST_DISAGREEMENT - together) / np.sqrt(ends[n, 3] + COUNT_BELIEF)
 
 
 @fast_kernel
