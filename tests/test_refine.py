@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, tour
+from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, WALL_RGB, tour
 from typer.testing import CliRunner
 
 from uav_recon import config as configuration
@@ -26,6 +26,7 @@ from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.mapping.neural.tensor.checkpoint import BEFORE, LAST
 from uav_recon.processes import claim_file
 from uav_recon.recording.meshfile import load_mesh
+from uav_recon.types.frames import ByteArray
 
 FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
 SMALL = ("--steps", "150", "--voxel", "0.05", "--device", "cpu")
@@ -74,6 +75,22 @@ def test_writes_a_watertight_ply_a_textured_glb_and_pictures(flight: Path) -> No
     assert len(model.faces) == len(scene.geometry["observed"].faces)
     assert {path.name for path in folder.glob("*.png")} == {"mesh_colour.png", "mesh_uncertainty.png", "mesh_top.png"}
     assert f"{folder / 'mesh.ply'}, mesh.glb:" in said.replace("\n", "")
+
+
+def test_what_pictures_saw_wears_the_colours_that_they_saw(flight: Path) -> None:
+    """A field learns colours for minutes; in the ply and in the texture they are right at once, where a ray met the wall."""
+    assert call(flight)[0] == 0
+    model = load_mesh(flight / "refined")
+    assert model is not None
+    assert share_in_wall_colours(model.rgb[np.unique(model.faces)]) > 0.2
+    seen = trimesh.load(flight / "refined" / "mesh.glb").geometry["observed"]
+    assert share_in_wall_colours(np.asarray(seen.visual.material.baseColorTexture)) > 0.05
+
+
+def share_in_wall_colours(rgb: ByteArray) -> float:
+    """Of pixels or vertices (..., 3), those that show a wall as it is."""
+    error = np.abs(rgb.reshape(-1, 1, 3).astype(int) - WALL_RGB).max(axis=2).min(axis=1)
+    return float(np.mean(error < 10))
 
 
 def test_a_second_call_goes_on_and_a_changed_one_is_refused(flight: Path) -> None:

@@ -27,6 +27,7 @@ from uav_recon.run import EXIT_USAGE, Failure
 if TYPE_CHECKING:
     from uav_recon.config import Config
     from uav_recon.mapping.neural.closed.shell import ClosedMesh
+    from uav_recon.mapping.neural.field.learned import LearnedField
     from uav_recon.mapping.neural.gathered import Gathered
     from uav_recon.mapping.neural.tensor.checkpoint import Checkpoints, State
     from uav_recon.mapping.neural.tensor.refiner import RefinePlan, Refiner
@@ -141,6 +142,7 @@ class _Work:
 
     def _run(self) -> None:
         from uav_recon.mapping.neural.closed.shell import closed_mesh
+        from uav_recon.mapping.neural.surface.painted import Painted
 
         gathered, refiner, checkpoints = self._prepare()
         done = self._learn(refiner, checkpoints)
@@ -150,8 +152,9 @@ class _Work:
             self._say(f"stopped after {refiner.steps} of {self._wanted.steps} steps; the same command goes on from there")
         elif self._team.leads:
             with self._console.status("closing the surface ..."):
-                mesh = closed_mesh(refiner.field, gathered, self._wanted.voxel_m)
-            self._write(mesh, refiner, gathered)
+                painted = Painted(refiner.field, gathered.replay, gathered.low_m, gathered.high_m)
+                mesh = closed_mesh(painted, gathered, self._wanted.voxel_m)
+            self._write(mesh, painted, gathered)
 
     def _claim(self) -> int:
         try:
@@ -201,13 +204,13 @@ class _Work:
     def _asked(self) -> bool:
         return self._stop.asked or (WORKER in os.environ and (self._folder / STOP_FILE).exists())
 
-    def _write(self, mesh: ClosedMesh, refiner: Refiner, gathered: Gathered) -> None:
+    def _write(self, mesh: ClosedMesh, field: LearnedField, gathered: Gathered) -> None:
         from uav_recon.mapping.neural.closed.modelfile import write_closed_ply, write_textured_glb
         from uav_recon.recording.mesh_pictures import mesh_pictures
 
         write_closed_ply(self._folder / MESH_PLY, mesh)
         with self._console.status("drawing the texture ..."):
-            write_textured_glb(self._folder / MESH_GLB, mesh, refiner.field, TEXEL_VOXELS * self._wanted.voxel_m)
+            write_textured_glb(self._folder / MESH_GLB, mesh, field, TEXEL_VOXELS * self._wanted.voxel_m)
             mesh_pictures(self._folder, mesh.seen(), gathered.replay.views.position[0].astype(np.float64))
         self._say(f"{self._folder / MESH_PLY}, {MESH_GLB}: {len(mesh.faces)} faces, {100 * mesh.seen_share():.0f} % of the "
                   "area observed, the rest closes the room")  # fmt: skip
