@@ -230,14 +230,22 @@ def _disagree(ends: Float32Array, farther: Float32Array, planes: Float32Array, p
         if count > LEAST_COUNT:
             together = length / count
             past_each = min(abs(nx * x + ny * y + nz * z - planes[n, 3]) / count, MOST_PAST_M)
-        past = past_each**2 + LEAST_PAST_M**2
-        for mean in (ends[n], farther[n]):
-            past_mean = MOST_PAST_M
-            if mean[3] > LEAST_COUNT and length > 0.0:
-                along = nx * (x - mean[0] / mean[3]) + ny * (y - mean[1] / mean[3]) + nz * (z - mean[2] / mean[3])
-                past_mean = min(abs(along) / length, MOST_PAST_M)
-            past *= past_mean**2 + LEAST_PAST_M**2
-        out[n] = np.cbrt(past) / MOST_PAST_M**2 * (1.0 + LEAST_DISAGREEMENT - together) / np.sqrt(ends[n, 3] + COUNT_BELIEF)
+        near = _past_mean(ends[n, 0], ends[n, 1], ends[n, 2], ends[n, 3], x, y, z, nx, ny, nz, length)
+        far = _past_mean(farther[n, 0], farther[n, 1], farther[n, 2], farther[n, 3], x, y, z, nx, ny, nz, length)
+        past = np.cbrt((past_each**2 + LEAST_PAST_M**2) * (near**2 + LEAST_PAST_M**2) * (far**2 + LEAST_PAST_M**2))
+        out[n] = past / MOST_PAST_M**2 * (1.0 + LEAST_DISAGREEMENT - together) / np.sqrt(ends[n, 3] + COUNT_BELIEF)
+
+
+@fast_kernel
+def _past_mean(
+    sum_x: float, sum_y: float, sum_z: float, known: float,
+    x: float, y: float, z: float, nx: float, ny: float, nz: float, length: float,
+) -> float:  # fmt: skip
+    """Distance of a place along a normal of some length from the mean of known end points with this sum."""
+    if known <= LEAST_COUNT or length <= 0.0:
+        return MOST_PAST_M
+    along = nx * (x - sum_x / known) + ny * (y - sum_y / known) + nz * (z - sum_z / known)
+    return min(abs(along) / length, MOST_PAST_M)
 
 
 @fast_kernel
