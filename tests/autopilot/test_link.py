@@ -151,11 +151,11 @@ def test_nothing_but_a_cleared_setpoint_is_streamed(pair: tuple[Link, Wire]) -> 
     assert far.sent == []
 
 
-def test_we_speak_once_a_second_and_ask_for_the_clock(pair: tuple[Link, Wire]) -> None:
+def test_we_speak_five_times_a_second_and_ask_for_the_clock(pair: tuple[Link, Wire]) -> None:
     link, far = pair
     for i in range(1000):
         link.keep_alive(i / 100)
-    assert [m.get_type() for m in far.sent] == ["HEARTBEAT"] * 10
+    assert [m.get_type() for m in far.sent] == ["HEARTBEAT"] * 50
     far.hear(heartbeat())
     link.receive(10.0)
     for i in range(1000, 2000):
@@ -199,7 +199,7 @@ def test_no_heartbeat_pretends_that_we_hear(pair: tuple[Link, Wire]) -> None:
             far.sent.clear()
             link.keep_alive(phase_s + 0.01 * n)
             last_s = 0.01 * n if any(m.get_type() == "HEARTBEAT" for m in far.sent) else last_s
-        assert 1.0 <= last_s <= 2.0
+        assert 1.7 <= last_s <= 2.0
     far.hear(heartbeat())
     link.receive(50.0)
     far.sent.clear()
