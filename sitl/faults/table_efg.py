@@ -89,6 +89,7 @@ TABLE_E = (
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
         lambda n: [Forger(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
         (NO_FAILSAFE, COMPLETES),
+        longest_s=90.0,
         views=SHORT_VIEWS,
     ),
     Row(

@@ -37,12 +37,8 @@ _WARNING = 4
 _DEAF_S = 2.0
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _NS = 1_000_000_000
-_CHATTER_HZ = (
-    5.0,
-    10.0,
-    50.0,
-    10.0,
-)  # heartbeat (a lost one ends no flight); TIMESYNC, while its clock is lost; gimbal at most
+# Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most.
+_CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
 
 
 class Link:
