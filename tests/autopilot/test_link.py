@@ -44,6 +44,9 @@ class Wire:
     def close(self) -> None:
         pass
 
+    def restart(self) -> None:
+        self._voices.clear()
+
     def hear(self, message: Any, system: int = 1, component: int = 1) -> None:
         voice = self._voices.setdefault((system, component), wire.MAVLink(None, system, component))
         self.inbox += bytes(message.pack(voice))
@@ -255,6 +258,22 @@ def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[Link, Wire]) -> None:
         assert far.sent[-1].get_type() == "TIMESYNC" or link.time_known
     assert sent == [1] + [0] * 9 + [1, 1]
     assert far.sent[0].time_usec == pytest.approx(1e6, abs=2e3)
+
+
+def test_an_autopilot_that_counts_anew_is_understood_at_once(pair: tuple[Link, Wire]) -> None:
+    """Its first answer is numbered like one of before; by its round trip it is new."""
+    link, far = pair
+    converge(link, far)
+    for n in range(5):
+        far.restart()
+        now = 2.4 + 0.02 * n
+        far.hear(wire.MAVLink_timesync_message(int((now - 2.0) * 1e9), int(now * 1e9)))
+        link.receive(now + 0.001)
+        assert not link.time_known
+    assert link.telemetry.reboots == 1
+    far.hear(heartbeat(mode=2 << 16))
+    link.receive(2.6)
+    assert link.telemetry.custom_mode == 2 << 16
 
 
 def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[Link, Wire]) -> None:

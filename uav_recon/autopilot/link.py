@@ -174,7 +174,8 @@ class Link:
         if t.system == 0 or message is None:
             return
         if from_autopilot:
-            if not self._succession.is_news(received.frame, now_s):
+            dated = isinstance(message, TimeSync) and message.tc1_ns != 0  # its round trip tells how late it is
+            if not self._succession.is_news(received.frame, now_s) and not dated:
                 t.stale_frames += 1
                 return
             t.heard_s = now_s
@@ -227,6 +228,6 @@ class Link:
             return
         self._timesync.observe(message.ts1_ns, message.tc1_ns, int(now_s * _NS))
         if self._timesync.restarts > self.telemetry.reboots:
-            self.telemetry.reboots = self._timesync.restarts
+            self.telemetry.reboots, self._succession = self._timesync.restarts, Succession()
             self.telemetry.origin_known = self.telemetry.estimator_good = self.telemetry.prearm_good = False
             self.telemetry.parameters.clear()
