@@ -16,7 +16,7 @@ from uav_recon.geometry.jit import fast_kernel
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 
 INFORMATION_CELL_M, COLOUR_CELL_M = 0.08, 0.10
-END_CELL_M, PLANE_CELL_M, ROUND_CELL_M = 0.05, 0.10, 0.15
+END_CELL_M, PLANE_CELL_M, ROUND_CELL_M = 0.05, 0.10, 0.10  # at most half of what a live surface renews about an end
 ROUND_STRIDE = 4  # of the measurements, one in so many says where they lie farther round: many fall into one cell
 COUNT_BELIEF, LEAST_DISAGREEMENT = 0.1, 0.05  # measurements that are held against none; disagreement of equal normals
 LEAST_PAST_M, MOST_PAST_M = 0.001, 0.10  # of a surface beside its measurements: to tell apart; where there are none
@@ -103,7 +103,7 @@ class MeasuredAgreement:
 
     A measurement counts by its sharpness. 1 / sqrt(count) on a 5 cm lattice; 1.05 less the mean resultant length of the
     measured normals on a 10 cm one (1 less that is the spherical variance: Mardia and Jupp 2000, section 9.2); and the
-    geometric mean of three distances along the mean normal: from the mean of the end points in 5 cm and in 15 cm round about,
+    geometric mean of three distances along the mean normal: from the mean of the end points in 5 cm and in 10 cm round about,
     and on average from the planes of all. Noise moves what is near, shape what is farther round: a surface that is past all
     three errs. Edges, corners and clutter are where a field errs.
     """
