@@ -44,7 +44,13 @@ class World:
         self._frame += 1
         self.given.append(stamp_s)
         return Frame(
-            stamp_s, self._frame, np.ones((6, 8), np.float32), OPTICS, np.zeros((6, 8, 3), np.uint8), OPTICS, Pose.identity()
+            stamp_s,
+            self._frame,
+            np.full((6, 8), 1.0 + 1e-4 * self._frame, np.float32),
+            OPTICS,
+            np.zeros((6, 8, 3), np.uint8),
+            OPTICS,
+            Pose.identity(),
         )
 
     def imu(self) -> list[ImuSample]:

@@ -19,7 +19,10 @@ _FUTURE_S = 0.1
 
 
 class Lookout:
-    """Keeps the newest of both, ready to be asked. A frame with too few returns, or an old one, is none."""
+    """Keeps the newest of both, ready to be asked. A frame with too few returns, or an old one, is none.
+
+    One that is not believed keeps the vehicle off what it shows as near, and is none for anything else.
+    """
 
     def __init__(
         self, free: Channel[FreeSpace], nearby: Channel[Nearby], sight: Sight, hull_radius_m: float, hull_height_m: float
@@ -29,6 +32,7 @@ class Lookout:
         self._free_sequence = self._nearby_sequence = -1
         self.known_free: KnownFree | None = None
         self.ahead: Ahead | None = None
+        self._believed_s = -math.inf
 
     def step(self, pose: StampedPose | None, now_s: float) -> None:
         """Take over what is new. Raises nothing: a record that makes no sense is none."""
@@ -42,12 +46,13 @@ class Lookout:
             return
         if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
             self.ahead = Ahead(nearby, self._radius_m)
-            if pose is not None:
+            self._believed_s = nearby.stamp_s if nearby.believed else self._believed_s
+            if pose is not None and nearby.believed:
                 self._sight.add(nearby, pose.odom_from_body)
 
     def depth_age_s(self, now_s: float) -> float:
-        """Seconds since the newest frame that says anything, infinity before the first."""
-        return math.inf if self.ahead is None else now_s - self.ahead.stamp_s
+        """Seconds since the newest frame that says anything and is believed, infinity before the first."""
+        return now_s - self._believed_s
 
 
 def _newest(channel: Channel[T], seen: int) -> T | None:

@@ -13,7 +13,7 @@ _SUPPORT = 4  # returns that a cell's distance needs, so that a single speckle d
 _WIDEST_PX = 320  # of the depth that is looked at; more pixels would only cost time
 
 
-def nearest_in_cells(frame: Frame, body_from_depth: Pose) -> Nearby:
+def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True) -> Nearby:
     """Cut a depth frame into cells and keep each one's nearest return (m, along the ray): about 1 ms.
 
     NaN, infinity and anything not positive are no return and say nothing: neither near nor free.
@@ -34,6 +34,5 @@ def nearest_in_cells(frame: Frame, body_from_depth: Pose) -> Nearby:
     kth = min(_SUPPORT, high * wide) - 1
     nearest = np.partition(cells, kth, axis=-1)[..., kth]
     half_tan = (columns * wide * stride / 2 / lens.fx, rows * high * stride / 2 / lens.fy)
-    return Nearby(
-        frame.stamp_s, body_from_depth, np.where(np.isfinite(nearest), nearest, np.nan), half_tan, float(there.mean())
-    )
+    range_m = np.where(np.isfinite(nearest), nearest, np.nan)
+    return Nearby(frame.stamp_s, body_from_depth, range_m, half_tan, float(there.mean()), believed)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
+from uav_recon.localization.credence import Credence
 from uav_recon.localization.filter import FusionFilter
 from uav_recon.localization.mount import Mount
 from uav_recon.localization.nearness import nearest_in_cells
 from uav_recon.protocols import Camera, Channel, Clock, PoseSource
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.nearby import Nearby
-from uav_recon.types.pose import StampedPose
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
 _WAITING_FRAMES = 4  # at 15 Hz more than the longest wait
 
@@ -22,8 +24,10 @@ class Perception:
 
     Odometry is published at rate_hz, stamped now, with its health and odom's place in the world. When no pose came for the
     filter's pose_lost_s, a last one with quality 0 is published and then none, until poses come again. A frame waits until a
-    pose at or after its stamp was fused, or frame_wait_s; one whose own pose is not known is dropped. What is near in it
-    is published at once, pose or no pose. ``published_odom``, ``published_frames`` and ``dropped_frames`` count.
+    pose at or after its stamp was fused, or frame_wait_s; one whose own pose is not known is dropped, and so is one that is
+    not believed. What is near in it is published at once, pose or no pose, believed or not. Odometry that depth contradicts
+    is lost: the quality stays, for it is better than none. ``published_odom``, ``published_frames`` and ``dropped_frames``
+    count.
     """
 
     def __init__(
@@ -42,6 +46,8 @@ class Perception:
         self._camera, self._poses, self._fusion, self._mount = camera, poses, fusion, mount
         self._odom, self._frames, self._nearby = odom, frames, nearby
         self._clock, self._frame_wait_s = clock, frame_wait_s
+        self._credence = Credence()
+        self._credence.warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._waiting: deque[Frame] = deque()
         self._said_lost = True
@@ -63,6 +69,9 @@ class Perception:
         estimate = self._fusion.odom_at(now_s)
         if estimate is None or (estimate.quality == 0 and self._said_lost):
             return
+        drift = self._credence.drift(now_s)
+        if drift and estimate.health is not PoseHealth.LOST:
+            estimate = replace(estimate, health=PoseHealth.LOST, why=drift)
         self._odom.publish(estimate)
         self.published_odom += 1
         self._said_lost = estimate.quality == 0
@@ -76,11 +85,22 @@ class Perception:
             return
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if body_from_depth is not None:
-            self._nearby.publish(nearest_in_cells(frame, body_from_depth))
+            believed = self._believes(frame, body_from_depth)
+            self._nearby.publish(nearest_in_cells(frame, body_from_depth, believed))
+            if not believed:
+                self.dropped_frames += 1
+                return
         if len(self._waiting) == _WAITING_FRAMES:
             self._waiting.popleft()
             self.dropped_frames += 1
         self._waiting.append(frame)
+
+    def _believes(self, frame: Frame, body_from_depth: Pose) -> bool:
+        """As far as it can be told: with the pose carried on to the frame, for its own comes later."""
+        estimate = self._fusion.odom_at(frame.stamp_s)
+        if estimate is None or estimate.quality == 0:
+            return True
+        return self._credence.believes(frame, estimate.odom_from_body @ body_from_depth, estimate.reset_counter)
 
     def _publish_frame(self, now_s: float) -> None:
         """At most one frame a step: a reader of a last-value channel would miss the first of two."""

@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.autopilot.lookout import Lookout
+from uav_recon.channels import MemoryChannel
+from uav_recon.safety.sight import Sight
+from uav_recon.types.camera import body_from_camera
+from uav_recon.types.maps import FreeSpace
+from uav_recon.types.nearby import Nearby
+from uav_recon.types.pose import Pose, StampedPose
+
+MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.0)
+FORWARD = np.array([1.0, 0.0, 0.0])
+
+
+def _nearby(stamp_s: float, range_m: float, believed: bool = True) -> Nearby:
+    return Nearby(stamp_s, MOUNT, np.full((12, 16), range_m, np.float32), (0.95, 0.55), 0.9, believed)
+
+
+def test_a_picture_that_is_not_believed_is_none_but_for_what_is_near_in_it() -> None:
+    channel, sight = MemoryChannel(Nearby), Sight(10.0, 0.2)
+    lookout = Lookout(MemoryChannel(FreeSpace), channel, sight, 0.2, 0.2)
+    pose = StampedPose(5.0, Pose.identity(), np.zeros(3))
+    assert lookout.depth_age_s(5.0) == math.inf
+    channel.publish(_nearby(5.0, 2.0))
+    lookout.step(pose, 5.0)
+    channel.publish(_nearby(5.2, 4.0, believed=False))
+    lookout.step(pose, 5.2)
+    assert math.isclose(lookout.depth_age_s(5.2), 0.2)
+    assert lookout.ahead is not None
+    assert lookout.ahead.room_m(FORWARD) > 3.0
+    assert not sight.saw_free((3.0, 0.0, 0.0), 5.2)
+    channel.publish(_nearby(5.4, 4.0))
+    lookout.step(pose, 5.4)
+    assert lookout.depth_age_s(5.4) == 0.0
+    assert sight.saw_free((3.0, 0.0, 0.0), 5.4)

@@ -1,0 +1,125 @@
+"""A room with a pillar and a table, seen from poses that are right, drift, or with pictures that are wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_recon.localization.credence import Credence
+from uav_recon.types.camera import Frame, Intrinsics, body_from_camera
+from uav_recon.types.frames import Float32Array, FloatArray
+from uav_recon.types.pose import Pose
+
+LENS = Intrinsics.from_fov(106, 60, 1.5, 1.0)
+ROOM_M = np.array([[-3.0, -2.0, 0.0], [3.0, 2.5, 2.6]])
+PILLARS_M = (np.array([[1.5, 0.7, 0.0], [2.0, 1.2, 2.6]]), np.array([[1.0, -1.6, 0.0], [2.5, -1.0, 0.9]]))
+PERSON_M = np.array([[1.2, -0.25, 0.0], [1.6, 0.25, 2.0]])
+BODY_FROM_DEPTH = body_from_camera(np.zeros(3), 0.26)
+PERIOD_S = 1.0 / 6.0
+
+
+def _depth(world_from_depth: Pose, *boxes_m: FloatArray) -> Float32Array:
+    """By slabs: out of the room, and into boxes (2, 3)."""
+    rays = LENS.bearings() @ world_from_depth.rotation().T
+    start = world_from_depth.translation_m
+    with np.errstate(divide="ignore"):
+        depth = np.where(rays > 0, (ROOM_M[1] - start) / rays, (ROOM_M[0] - start) / rays).min(axis=-1)
+        for box_m in (*PILLARS_M, *boxes_m):
+            near = np.minimum((box_m[0] - start) / rays, (box_m[1] - start) / rays).max(axis=-1)
+            far = np.maximum((box_m[0] - start) / rays, (box_m[1] - start) / rays).min(axis=-1)
+            depth = np.where((near <= far) & (near > 0), np.minimum(near, depth), depth)
+    found: Float32Array = depth.astype(np.float32)
+    return found
+
+
+def _body(n: int) -> Pose:
+    """A turn on the spot to and fro, with a little motion."""
+    return Pose.from_yaw(0.5 * np.sin(0.1 * n), np.array([0.3 * np.sin(0.07 * n), 0.2 * np.sin(0.05 * n), 1.2]))
+
+
+class Flight:
+    """Frames at 6 Hz with noise of depth and pose."""
+
+    def __init__(self) -> None:
+        self.credence, self.n, self._dice = Credence(), 0, np.random.default_rng(3)
+
+    def see(self, change: object = None, off_m: tuple[float, float, float] = (0.0, 0.0, 0.0), box: bool = False) -> bool:
+        here = _body(self.n) @ BODY_FROM_DEPTH
+        depth_m = _depth(here, PERSON_M) if box else _depth(here)
+        depth_m += self._dice.standard_normal(depth_m.shape).astype(np.float32) * 0.004 * depth_m**2
+        depth_m = change(depth_m) if callable(change) else depth_m
+        said = Pose(here.quat_wxyz, here.translation_m + off_m + self._dice.standard_normal(3) * 0.01)
+        colour = np.zeros((2, 2, 3), np.uint8)
+        frame = Frame(self.n * PERIOD_S, self.n, depth_m.astype(np.float32), LENS, colour, LENS, Pose.identity())
+        self.n += 1
+        return self.credence.believes(frame, said, 0)
+
+    @property
+    def drift(self) -> str:
+        return self.credence.drift(self.n * PERIOD_S)
+
+
+@pytest.fixture
+def flight() -> Flight:
+    made = Flight()
+    assert all(made.see() for _ in range(120))
+    assert made.drift == ""
+    return made
+
+
+def _salted(depth_m: Float32Array) -> Float32Array:
+    dice = np.random.default_rng(5)
+    return np.where(dice.random(depth_m.shape) < 0.3, dice.uniform(0.3, 6.0, depth_m.shape), depth_m).astype(np.float32)
+
+
+def _bits(depth_m: Float32Array) -> Float32Array:
+    dice, mm = np.random.default_rng(6), (depth_m * 1000).astype(np.int64)
+    flipped = mm ^ (1 << dice.integers(0, 13, mm.shape))
+    return (np.where(dice.random(mm.shape) < 0.33, flipped, mm) * 1e-3).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    "change", [_salted, _bits, lambda d: np.roll(d, 16, axis=1), lambda d: 0.5 * d, lambda d: 2.0 * d],
+    ids=["salt", "bits", "shifted", "half", "twice"],
+)  # fmt: skip
+def test_a_wrong_picture_is_not_believed_and_right_ones_are_again(flight: Flight, change: object) -> None:
+    assert not any(flight.see(change) for _ in range(12))
+    assert all(flight.see() for _ in range(12))
+
+
+def test_a_frozen_picture_is_not_believed_once_the_camera_has_moved(flight: Flight) -> None:
+    kept = _depth(_body(flight.n) @ BODY_FROM_DEPTH)
+    believed = [flight.see(lambda _: kept) for _ in range(6)]
+    assert believed[0]
+    assert not any(believed[2:])
+
+
+def test_a_person_that_stands_there_now_is_believed(flight: Flight) -> None:
+    assert all(flight.see(box=True) for _ in range(12))
+    assert flight.drift == ""
+    assert all(flight.see() for _ in range(3))
+
+
+@pytest.mark.parametrize("way", [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.05)])
+def test_a_pose_that_drifts_is_told_of_before_it_is_half_a_metre_off(flight: Flight, way: tuple[float, float, float]) -> None:
+    for n in range(60):
+        x, y, z = (n * PERIOD_S * speed for speed in way)
+        assert flight.see(off_m=(x, y, z))
+        if flight.drift:
+            break
+    assert 0.10 <= np.linalg.norm((x, y, z)) <= 0.5
+    assert flight.drift
+
+
+def test_what_was_said_of_a_drift_is_kept_for_a_while(flight: Flight) -> None:
+    for n in range(40):
+        flight.see(off_m=(0.01 * n, 0.0, 0.0))
+    assert flight.drift
+    assert flight.credence.drift(flight.n * PERIOD_S + 3.0) == ""
+
+
+def test_a_jump_of_odom_itself_begins_anew(flight: Flight) -> None:
+    here = Pose.from_yaw(0.0, np.array([2.0, 1.0, 1.0])) @ BODY_FROM_DEPTH
+    frame = Frame(flight.n * PERIOD_S, flight.n, 0.5 * _depth(here), LENS, np.zeros((2, 2, 3), np.uint8), LENS, here)
+    assert not flight.see(lambda depth_m: 0.5 * depth_m)
+    assert flight.credence.believes(frame, here, 1)

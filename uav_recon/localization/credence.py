@@ -1,0 +1,107 @@
+"""Whether a depth picture is to be believed, and whether depth says that the pose has drifted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.localization.grain import lone_share
+from uav_recon.localization.witness import ALIKE, OVERLAPPING, Agreement, Witness
+from uav_recon.types.camera import Frame, Intrinsics
+from uav_recon.types.frames import Float32Array
+from uav_recon.types.pose import Pose
+
+_ALONE = 0.05  # of the pixels; honest pictures have 0.004
+_MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
+_HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
+_DRIFT_M, _EXPLAINED = 0.15, 0.7  # odom's shift against half a minute ago, and the share that it explains; honest: 0.09 m
+_SEEN_THROUGH = (
+    0.2  # of the points of an older picture are not where they were; honest pictures: 0.10, what comes into view hides
+)
+_RUNNING = 3  # pictures in a row that say so
+_KEPT_S = 2.0  # what was said holds for so long
+_FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # the camera moved so, and its picture is the same to the bit
+
+
+class Credence:
+    """Hears every picture once, with the pose that goes with it. About 0.3 ms each; warm_up() compiles its kernels.
+
+    A picture that fits neither itself nor what was seen before is not believed, and none after it is before one fits
+    a view that is remembered.
+    """
+
+    def __init__(self) -> None:
+        self._witness = Witness()
+        self._reset_counter = 0
+        self._believed, self._running = True, 0
+        self._drift, self._drift_s = "", -math.inf
+        self._same: tuple[Float32Array, Pose] | None = None
+
+    def believes(self, frame: Frame, odom_from_depth: Pose, reset_counter: int) -> bool:
+        """Whether the picture may be mapped and flown by."""
+        if reset_counter != self._reset_counter:
+            self._reset_counter = reset_counter
+            self._witness.forget()
+        seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
+        newest = self._witness.of_newest(*seen)
+        sound = lone_share(frame.depth_m) <= _ALONE and not self._frozen(frame.depth_m, odom_from_depth)
+        fits = _follows(newest) or _follows(self._witness.of_oldest(*seen, OVERLAPPING))  # what stood before it has gone
+        unasked = newest is None and (self._believed or not self._witness.remembers)
+        self._believed = sound and (fits or unasked)
+        if self._believed:
+            alike, wide = self._witness.of_oldest(*seen, ALIKE), self._witness.of_oldest(*seen, OVERLAPPING)
+            self._hear(frame.stamp_s, _moved(alike) or _seen_through(wide))
+            self._witness.remember(*seen)
+        return self._believed
+
+    def drift(self, now_s: float) -> str:
+        """What depth says against the pose, '' for nothing."""
+        return self._drift if now_s - self._drift_s <= _KEPT_S else ""
+
+    @staticmethod
+    def warm_up() -> None:
+        """Compile every kernel."""
+        lens = Intrinsics.from_fov(32, 24, 1.5, 1.2)
+        wall = np.full((24, 32), 2.0, dtype=np.float32)
+        wall.setflags(write=False)
+        colour = np.zeros((2, 2, 3), dtype=np.uint8)
+        other, here = Credence(), Pose.identity()
+        for n in range(3):
+            other.believes(Frame(0.1 * n, n, wall, lens, colour, lens, here), here, 0)
+
+    def _hear(self, stamp_s: float, said: str) -> None:
+        self._running = self._running + 1 if said else 0
+        if self._running >= _RUNNING:
+            self._drift, self._drift_s = said, stamp_s
+
+    def _frozen(self, depth_m: Float32Array, odom_from_depth: Pose) -> bool:
+        """Whether the camera has moved since it first gave this very picture."""
+        if self._same is None or not np.array_equal(self._same[0], depth_m, equal_nan=True):
+            self._same = depth_m, odom_from_depth
+            return False
+        first = self._same[1]
+        moved_m = math.dist(first.translation_m.tolist(), odom_from_depth.translation_m.tolist())
+        return moved_m > _FROZEN_M or float(first.rotation()[:, 2] @ odom_from_depth.rotation()[:, 2]) < _FROZEN_COS
+
+
+def _follows(then: Agreement | None) -> bool:
+    """What comes into view stands before something; a wrong picture also lacks what was there."""
+    if then is None:
+        return False
+    return then.nearer <= _HIDDEN and (then.nearer + then.farther <= _MISFIT or then.farther <= _SOME)
+
+
+def _moved(then: Agreement | None) -> str:
+    """What surfaces that were seen from nearly the same place say of the pose, '' for nothing."""
+    moved_m = 0.0 if then is None else float(np.linalg.norm(then.shift_m))
+    if then is None or moved_m < _DRIFT_M or then.explained < _EXPLAINED:
+        return ""
+    return f"surfaces stand {moved_m:.2f} m off where they stood {then.age_s:.0f} s ago"
+
+
+def _seen_through(then: Agreement | None) -> str:
+    """Whether the camera looks through what was seen."""
+    if then is None or then.farther < _SEEN_THROUGH:
+        return ""
+    return f"{then.farther:.0%} of what was seen {then.age_s:.0f} s ago is not there"

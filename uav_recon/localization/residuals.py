@@ -1,0 +1,126 @@
+"""How far the surfaces of one depth picture lie off those of another: point to plane, along the rays of the second."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.frames import AnyArray, FloatArray
+
+FEWEST = 60  # points that both see, for a verdict
+_ROWS, _COLUMNS = 18, 24  # points of a picture
+_SPAN_PX = 2  # from a point to those that its normal is taken from
+_FIT_M, _FIT_SHARE = 0.06, 0.03  # a residual of so much, and so much of the range, is none: noise and pose together
+_PRIOR = 0.03  # of the points: what a direction must have for its share of the shift to count
+_ROUNDS = 4
+
+
+@kernel
+def surface(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> AnyArray:
+    """Points on surfaces and their normals, (N, 6), in the frame in which the camera has this rotation and place.
+
+    depth_m (H, W), NaN = no return; camera fx, fy, cx, cy.
+    """
+    height, width = depth_m.shape
+    out, number = np.empty((_ROWS * _COLUMNS, 6)), 0
+    rows, columns = min(_ROWS, height - 2 * _SPAN_PX), min(_COLUMNS, width - 2 * _SPAN_PX)
+    corners = np.empty((4, 3))
+    for row in range(rows):
+        v = _SPAN_PX + row * (height - 1 - 2 * _SPAN_PX) // max(rows - 1, 1)
+        for column in range(columns):
+            u = _SPAN_PX + column * (width - 1 - 2 * _SPAN_PX) // max(columns - 1, 1)
+            for n in range(4):
+                across = _SPAN_PX * (1 - 2 * n) if n < 2 else 0
+                down = _SPAN_PX * (5 - 2 * n) if n >= 2 else 0
+                z = float(depth_m[v + down, u + across])
+                corners[n, 0] = (u + across - camera[2]) / camera[0] * z
+                corners[n, 1] = (v + down - camera[3]) / camera[1] * z
+                corners[n, 2] = z
+            a, b = corners[0] - corners[1], corners[2] - corners[3]
+            nx, ny, nz = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+            length, z = np.sqrt(nx * nx + ny * ny + nz * nz), float(depth_m[v, u])
+            if not (np.isfinite(z) and np.isfinite(length) and length > 0.0):
+                continue
+            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+            for i in range(3):
+                out[number, i] = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
+                out[number, 3 + i] = (rotation[i, 0] * nx + rotation[i, 1] * ny + rotation[i, 2] * nz) / length
+            number += 1
+    return out[:number]
+
+
+@kernel
+def residuals(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> AnyArray:
+    """Of the points (N, 6) of another picture that this one sees, (M, 6): residual (m), what of it is none (m), how much
+    farther than the point the return is (m), normal.
+    """
+    height, width = depth_m.shape
+    out, number = np.empty((points.shape[0], 6)), 0
+    for n in range(points.shape[0]):
+        dx, dy, dz = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
+        deep = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+        if deep < 0.1:
+            continue
+        u = int(np.rint((rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / deep * camera[0] + camera[2]))
+        v = int(np.rint((rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / deep * camera[1] + camera[3]))
+        if not (0 <= u < width and 0 <= v < height and np.isfinite(depth_m[v, u])):
+            continue
+        z = float(depth_m[v, u])
+        x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+        off_m = 0.0
+        for i in range(3):
+            there = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
+            off_m += (there - points[n, i]) * points[n, 3 + i]
+        out[number, 0], out[number, 1], out[number, 2] = off_m, _FIT_M + _FIT_SHARE * z, z - deep
+        out[number, 3:] = points[n, 3:]
+        number += 1
+    return out[:number]
+
+
+@kernel
+def shift_of(found: AnyArray) -> AnyArray:
+    """The translation (3,) that explains most of the residuals (M, 6): least squares, each time without what lies farther off.
+
+    A direction in which few surfaces look is held to none by a prior.
+    """
+    shift = np.zeros(3)
+    for n in range(_ROUNDS):
+        reach = 2.0 ** (_ROUNDS - 1 - n)
+        normal, wanted = _PRIOR * len(found) * np.eye(3), np.zeros(3)
+        for m in range(len(found)):
+            a = found[m, 3:]
+            if abs(found[m, 0] - (a[0] * shift[0] + a[1] * shift[1] + a[2] * shift[2])) > reach * found[m, 1]:
+                continue
+            for i in range(3):
+                wanted[i] += a[i] * found[m, 0]
+                for j in range(3):
+                    normal[i, j] += a[i] * a[j]
+        shift = _solved(normal, wanted)
+    return shift
+
+
+@kernel
+def shares(found: AnyArray, shift: AnyArray) -> tuple[float, float, float]:
+    """Of the residuals (M, 6), the shares that are none, that stand nearer than they should, and that a shift (3,) explains."""
+    fitting, nearer, explained = 0, 0, 0
+    for m in range(len(found)):
+        left = found[m, 0] - (found[m, 3] * shift[0] + found[m, 4] * shift[1] + found[m, 5] * shift[2])
+        fits = abs(found[m, 0]) <= found[m, 1]
+        fitting += int(fits)
+        nearer += int(not fits and found[m, 2] < 0.0)
+        explained += int(abs(left) <= found[m, 1])
+    return fitting / len(found), nearer / len(found), explained / len(found)
+
+
+@kernel
+def _solved(m: FloatArray, b: FloatArray) -> FloatArray:
+    """Of a positive definite (3, 3) by its cofactors."""
+    x = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
+    y = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
+    z = m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]
+    out = np.empty(3)
+    out[0] = b[0] * x + b[1] * y + b[2] * z
+    out[1] = b[0] * y + b[1] * (m[0, 0] * m[2, 2] - m[0, 2] * m[2, 0]) + b[2] * (m[0, 1] * m[2, 0] - m[0, 0] * m[2, 1])
+    out[2] = b[0] * z + b[1] * (m[0, 1] * m[2, 0] - m[0, 0] * m[2, 1]) + b[2] * (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0])
+    out /= m[0, 0] * x + m[0, 1] * y + m[0, 2] * z
+    return out
