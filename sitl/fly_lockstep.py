@@ -75,6 +75,10 @@ class Meddling(Protocol):
         """Whether it is built anew first."""
         ...
 
+    def holds(self) -> bool:
+        """Whether the operator tells the vehicle to stay where it is."""
+        ...
+
     def over(self, finished: bool) -> bool:
         """Whether the flight ends here; finished: the mission says so."""
         ...
@@ -99,6 +103,10 @@ class Nobody:
 
     def restarts(self, stage: str) -> bool:
         """None is."""
+        return False
+
+    def holds(self) -> bool:
+        """Nobody does."""
         return False
 
     def over(self, finished: bool) -> bool:
@@ -152,6 +160,8 @@ def fly_in_lockstep(
             if mission_rate.due(now_s) and meddler.runs("mission"):
                 if land():
                     conductor.request_abort("the operator asked to land")
+                if meddler.holds():
+                    conductor.request_hold()
                 conductor.step()
             if meddler.restarts("pilot"):
                 pilot = run.make_pilot(config, wires, link, log, clock)

@@ -33,9 +33,9 @@ class Evidence:
     """One flight. Instants on the world's clock; onset_s: when the trouble began, inf if it never came to that.
 
     stamp_s (K,), position_m and velocity_mps (K, 3), armed (K,), mode (K,) of each turn; hull_s (H,) and hull_m (H,): true
-    clearance where it counts. heard: (instant, custom mode, armed) of heartbeats that reached the product. box_m: the
-    nearest that the hull came to an obstacle of the trouble, inf without one. error: of the flight's program, "" for none.
-    notes: what the injectors measured themselves, by its name.
+    clearance where it counts. heard: (instant, custom mode, armed) of heartbeats that reached the product. boxes_m (K,):
+    how near the hull is to the obstacles of the trouble, inf without one and on the ground. error: of the flight's program,
+    "" for none. notes: what the injectors measured themselves, by its name.
     """
 
     onset_s: float
@@ -47,7 +47,7 @@ class Evidence:
     mode: tuple[str, ...]
     hull_s: F64
     hull_m: F64
-    box_m: float
+    boxes_m: F64
     battery: float
     failsafes: tuple[str, ...]
     texts: tuple[str, ...]
@@ -62,6 +62,11 @@ class Evidence:
     def speed_mps(self) -> F64:
         """True speed (K,)."""
         return np.asarray(np.linalg.norm(self.velocity_mps, axis=1))
+
+    @cached_property
+    def box_m(self) -> float:
+        """The nearest that the hull came to an obstacle of the trouble, inf without one."""
+        return float(self.boxes_m.min(initial=math.inf))
 
     @cached_property
     def ours(self) -> Bools:
@@ -86,10 +91,9 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
     stamps = np.array([m.stamp_s for m in ledger])
     positions = np.array([m.position_m for m in ledger]).reshape(-1, 3)
     armed = np.array([m.armed for m in ledger], dtype=np.bool_)
-    aloft, box_m = armed & (positions[:, 2] > 0.05), math.inf
+    aloft, boxes_m = armed & (positions[:, 2] > 0.05), np.full(len(stamps), math.inf)
     for obstacle in meddler.theatre.obstacles:
-        gaps = obstacle.hull_m(stamps[aloft], positions[aloft], radius_m)
-        box_m = min(box_m, float(gaps.min())) if len(gaps) else box_m
+        boxes_m[aloft] = np.minimum(boxes_m[aloft], obstacle.hull_m(stamps[aloft], positions[aloft], radius_m))
     return Evidence(
         onset_s=meddler.onset_s,
         end_s=meddler.end_s,
@@ -100,7 +104,7 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
         mode=tuple(m.mode for m in ledger),
         hull_s=hull_s,
         hull_m=hull_m,
-        box_m=box_m,
+        boxes_m=boxes_m,
         battery=world.autopilot.battery_fraction,
         failsafes=tuple(world.autopilot.failsafes),
         texts=tuple(world.autopilot.texts),

@@ -12,6 +12,7 @@ import numpy as np
 from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.link import Late
 from sitl.faults.obstacle import Furnished, Obstacle
+from sitl.rotation import yaw_of
 
 Change = Callable[[Any, np.random.Generator], Any]
 HULL_M = 0.20
@@ -121,16 +122,24 @@ class Appears(Injector):
 
 
 class Approaches(Injector):
-    """A box comes from ahead_m before the camera at speed_mps, through where the vehicle hovers, and stops there."""
+    """The vehicle is told to stay; then a box comes from ahead_m before the camera at speed_mps, to where the vehicle
+    hovers, and stops there.
+    """
 
-    def __init__(self, speed_mps: float, ahead_m: float = 3.0) -> None:
-        self._speed_mps, self._ahead_m = speed_mps, ahead_m
+    def __init__(self, speed_mps: float, ahead_m: float = 3.0, after_s: float = 1.5) -> None:
+        self._speed_mps, self._ahead_m, self._after_s, self._come = speed_mps, ahead_m, after_s, False
 
     def begin(self, at: Theatre) -> None:
-        """Along the camera's axis."""
+        """Stay."""
+        at.hold = True
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Along the camera's axis, once it hovers."""
+        if self._come or since_s < self._after_s:
+            return
+        self._come = True
         truth, start_s, half_m = at.world.autopilot.truth(), at.now_s, (0.25, 0.25, 1.0)
-        w, _, _, z = truth.quat_wxyz
-        yaw, (px, py, _) = 2.0 * math.atan2(z, w), truth.position
+        yaw, (px, py, _) = yaw_of(truth.quat_wxyz), truth.position
 
         def place(now_s: float) -> tuple[float, float, float]:
             away = max(self._ahead_m - self._speed_mps * max(now_s - start_s, 0.0), 0.0)

@@ -26,6 +26,7 @@ class Theatre:
     channels: Any = None
     proxy: Tap | None = None
     now_s: float = 0.0
+    hold: bool = False
     abort: bool = False  # the operator has pressed
     obstacles: list[Obstacle] = field(default_factory=list)
     roster: Roster | None = None

@@ -249,6 +249,13 @@ def clearance(e: Evidence) -> float:
     return min(float(e.hull_m.min()) if len(e.hull_m) else math.inf, e.box_m)
 
 
+def stopped_short(e: Evidence) -> float:
+    """Least metres to what appeared until the vehicle first rests after it did; -inf if it never does."""
+    rest_s = e.since(np.linalg.norm(e.velocity_mps, axis=1) < _RESTING_MPS, e.onset_s)
+    until = (e.stamp_s >= e.onset_s) & (e.stamp_s <= e.onset_s + rest_s)
+    return float(e.boxes_m[until].min(initial=math.inf)) if rest_s < math.inf else -math.inf
+
+
 def overshoot(e: Evidence) -> float:
     """Farthest (m) out of the fence, of the vehicle's middle."""
     aloft = e.position_m[e.armed]

@@ -15,11 +15,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.d435i import pinhole
 from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.link import Bytes, Late, Proxy, Tap
 from sitl.poses import PoseRecord
 from sitl.rotation import yaw_of
+from sitl.transform import body_from_camera, world_from_body
 from sitl.transport import UdpPeer
 from sitl.world import Outlet, World
 
@@ -30,18 +32,22 @@ _REST_S = 2.0  # watched for so long after the motors stopped
 LONGEST_WAIT_S = 120.0  # for a trouble's moment
 _SEEN_RAD = math.radians(25.0)  # off the nose, 1 m away a person still is in a picture that is 43 degrees wide each way
 
+_PEEK = pinhole(16, 6, 24.0, 8.0)
+
 
 @dataclass(frozen=True)
 class Onset:
     """When a trouble begins: at a random instant between these seconds after the climb is over, and then as soon as the
     vehicle is flown at speed_mps or more. at_boot: at once. after_s counts from the boot where at_boot is set. seeing: where
-    the camera looks, which sees what stands in the hull's way only if that way leads ahead.
+    the camera looks, which sees what stands in the hull's way only if that way leads ahead. view_m: only where nothing stands
+    before the camera, level, for so far.
     """
 
     after_s: tuple[float, float] = (2.0, 8.0)
     speed_mps: float = 0.4
     at_boot: bool = False
     seeing: bool = False
+    view_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +129,10 @@ class Meddler:
         since_s = self.theatre.now_s - self.onset_s
         return since_s >= 0.0 and any(injector.restarts(since_s, stage) for injector in self._injectors)
 
+    def holds(self) -> bool:
+        """Whether the operator wants the vehicle to stay where it is."""
+        return self.theatre.hold
+
     def lands(self) -> bool:
         """Whether the operator wants to land."""
         return self.theatre.abort
@@ -154,10 +164,20 @@ class Meddler:
         since_s = self._begun_s if self._onset.at_boot else self._airborne_s
         fast = self._onset.at_boot or (flown and math.hypot(*now.velocity_mps[:2]) >= self._onset.speed_mps)
         seen = not self._onset.seeing or now.off_nose_rad <= _SEEN_RAD
-        if fast and seen and now.stamp_s >= since_s + self._wait_s:
+        if fast and seen and now.stamp_s >= since_s + self._wait_s and self._views():
             self.onset_s = now.stamp_s
             for injector in self._injectors:
                 injector.begin(self.theatre)
+
+    def _views(self) -> bool:
+        """Whether the level way before the camera is as clear as it is to be."""
+        if self._onset.view_m <= 0.0:
+            return True
+        world = self.theatre.world
+        truth = world.autopilot.truth()
+        eye = world_from_body(truth.position, yaw_of(truth.quat_wxyz)) @ body_from_camera((0.0, 0.0, 0.0), 0.0)
+        seen = world.camera.renderer.render(eye, _PEEK, colour=False).depth_m
+        return bool(np.all((seen <= 0.0) | (seen >= self._onset.view_m)))
 
     # -- in the streams -------------------------------------------------------------------------------------------------
 

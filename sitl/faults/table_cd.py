@@ -36,7 +36,7 @@ from sitl.faults.row import SHORT_VIEWS, Bar, Row
 from sitl.faults.wires import Corrupted, Garbage, Jitter, Loss, Repeated
 
 FAST = Onset(speed_mps=0.6)
-STILL = Onset(speed_mps=0.0)
+STILL = Onset(speed_mps=0.0, view_m=3.8)
 
 TABLE_C = (
     Row(
@@ -113,16 +113,17 @@ TABLE_C = (
         "obstacle appears",
         "a box stands 1.0 m ahead of the hull, at speed",
         lambda n: [Appears(1.0)],
-        (holds(0.25), clear(0.40)),
+        (holds(0.25), Bar("stops short of it by", m.stopped_short, 0.40, "m", at_least=True), clear(0.10)),
         onset=Onset(speed_mps=0.6, seeing=True),
     ),
     Row(
         "C9",
         "obstacle approaches",
-        "a box comes at 0.8 m/s to where it is",
+        "told to stay, and a box comes from 3 m ahead at 0.8 m/s to where it hovers",
         lambda n: [Approaches(0.8)],
-        (clear(0.30),),
+        (Bar("clearance of it", lambda e: e.box_m, 0.30, "m", at_least=True), clear(0.10)),
         onset=STILL,
+        longest_s=20.0,
     ),
 )
 

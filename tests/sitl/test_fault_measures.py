@@ -105,7 +105,7 @@ def test_speed_clearance_and_fence() -> None:
     assert m.speed_from(1.0)(e) == pytest.approx(0.5)
     assert m.speed_from(5.5)(e) == 0.0
     assert m.clearance(e) == 0.5
-    assert m.clearance(dataclasses.replace(e, box_m=0.2)) == pytest.approx(0.2)
+    assert m.clearance(dataclasses.replace(e, boxes_m=np.full(1, 0.2))) == pytest.approx(0.2)
     assert m.overshoot(e) == 0.0
     assert m.overshoot(dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 0), 8.4))) == pytest.approx(0.4)
     out = np.where((e.stamp_s > 6.0) & (e.stamp_s < 8.0), 2.9, 0.0)
