@@ -123,7 +123,7 @@ def test_something_that_appears_ahead_stops_the_vehicle(hovering: Rig) -> None:
         hovering.wall_m = max(obstacle_m - hovering.px4.truth().position[0] - 0.1, 0.3)
         hovering.step()
     assert hovering.state.refusals == 1
-    assert "from something" in hovering.state.note
+    assert "from something that was not there" in hovering.state.note
     assert obstacle_m - hovering.px4.truth().position[0] - 0.2 >= 0.10
 
 

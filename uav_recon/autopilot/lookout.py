@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TypeVar
 
+from uav_recon.autopilot.intruder import Intruder, Neighbourhood
 from uav_recon.protocols import Channel
 from uav_recon.safety.knownfree import KnownFree
 from uav_recon.safety.proximity import Ahead
@@ -32,7 +33,8 @@ class Lookout:
         self._free_sequence = self._nearby_sequence = -1
         self.known_free: KnownFree | None = None
         self.ahead: Ahead | None = None
-        self._believed_s = -math.inf
+        self._believed_s, self._neighbourhood = -math.inf, Neighbourhood()
+        self.intruder: Intruder | None = None  # in the newest frame that is believed
 
     def step(self, pose: StampedPose | None, now_s: float) -> None:
         """Take over what is new. Raises nothing: a record that makes no sense is none."""
@@ -49,6 +51,12 @@ class Lookout:
             self._believed_s = nearby.stamp_s if nearby.believed else self._believed_s
             if pose is not None and nearby.believed:
                 self._sight.add(nearby, pose.odom_from_body)
+                self.intruder = self._neighbourhood.look(nearby, pose.odom_from_body)
+
+    def forget(self) -> None:
+        """Odom itself jumped: what was seen in it stands elsewhere now."""
+        self._neighbourhood.forget()
+        self.intruder = None
 
     def depth_age_s(self, now_s: float) -> float:
         """Seconds since the newest frame that says anything and is believed, infinity before the first."""

@@ -132,13 +132,19 @@ class Pilot:
         """Whether the vehicle is, or may be, in the air by our doing."""
         return self.phase in (FlightPhase.ARMING, *IN_THE_AIR)
 
+    @property
+    def _refusals(self) -> int:
+        return self._guard.refusals + self._mandate.malformed + self._steering.gave_way
+
     # ---- listen and judge -------------------------------------------------------------------------------------
 
     def _listen(self, now_s: float) -> None:
         if self._poses.step(now_s):
             self._note = "pose source was reset: holding"
             self._steering.rebase(self._situation(now_s), _RESET_REST_S)
+            self._lookout.forget()
         self._lookout.step(self._poses.pose, now_s)
+        self._steering.evasion.hear(self._lookout.intruder)
         fault = self._mandate.hear(now_s)
         if fault:
             self._note = f"refused: {fault}"
@@ -170,7 +176,7 @@ class Pilot:
         return Situation(now_s, (x, y, z), yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow)
 
     def _health(self, now_s: float) -> Health:
-        here, refusals = self._situation(now_s), self._guard.refusals + self._mandate.malformed
+        here, refusals = self._situation(now_s), self._refusals
         inside = self._guard.envelope.fence.holds(here.position_m)
         sound_age_s, depth_age_s = now_s - self._poses.sound_s, self._lookout.depth_age_s(now_s)
         return Health(now_s, sound_age_s, here.intent_age_s, depth_age_s, inside, refusals, self._poses.lost)
@@ -239,7 +245,7 @@ class Pilot:
     def _fly(self, now_s: float) -> None:
         wanted = "the mission asks to land" if self._mandate.goal(now_s) is Goal.LAND else ""
         wanted = f"take-off given up: {self._grounded}" if self._grounded else wanted
-        blocked = f"{self._low}: {self._steering.blocked}" if self._steering.blocked else ""
+        blocked = ": ".join(filter(None, (self._low, self._steering.blocked))) if self._steering.blocked else ""
         why = self._land_wanted or (self._low if self._rung is Rung.LAND else "") or blocked or wanted
         if why:
             self._enter(FlightPhase.LANDING, why)
@@ -289,7 +295,7 @@ class Pilot:
                 human_in_control=self.phase is FlightPhase.YIELDED,
                 camera_pitch_down_rad=t.camera_pitch_down_rad if self._airframe.gimbal else math.nan,
                 trajectory_id=-1 if trajectory is None else trajectory.identifier,
-                refusals=self._guard.refusals + self._mandate.malformed,
+                refusals=self._refusals,
                 note=self._note[:_LONGEST_NOTE],
             )
         )

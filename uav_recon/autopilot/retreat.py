@@ -52,7 +52,7 @@ class Breadcrumbs:
             corners.append(places[i])
             near = [j for j in range(i + 1, len(places)) if np.linalg.norm(places[j] - places[i]) <= 1.5 * _APART_M]
             i = near[-1] if near else i + 1
-        return _flown(np.array(corners), rest, start_s, _SHARE * speed_mps, map_epoch, nose_first)
+        return flown(np.array(corners), rest, start_s, speed_mps, map_epoch, nose_first, IDENTIFIER)
 
     def _from_the_pad(self, height_m: float) -> list[FloatArray]:
         """Newest first, without the climb."""
@@ -60,12 +60,13 @@ class Breadcrumbs:
         return self._crumbs[climbed:][::-1]
 
 
-def _flown(
-    corners: FloatArray, rest: Setpoint, start_s: float, speed_mps: float, map_epoch: int, nose_first: bool
+def flown(
+    corners: FloatArray, rest: Setpoint, start_s: float, most_mps: float, map_epoch: int, nose_first: bool, identifier: int
 ) -> Trajectory:
-    """Corners (N, 3) at constant speed, slower while it turns towards the first leg, smoothed. It goes at once: who waits for
-    the turn begins late.
+    """Corners (N, 3) a little below most_mps, slower while it turns towards the first leg, smoothed. It goes at once: who
+    waits for the turn begins late.
     """
+    speed_mps = _SHARE * most_mps
     along_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     samples_m = np.append(np.arange(0.0, along_m[-1], speed_mps * _STEP_S), along_m[-1])
     line = np.column_stack([np.interp(samples_m, along_m, corners[:, n]) for n in range(3)])
@@ -87,7 +88,7 @@ def _flown(
     pitch = np.full(len(smooth), rest.camera_pitch_down_rad)
     return Trajectory(
         start_s, _STEP_S, smooth[:, :3], rate[:, :3], change[:, :3], smooth[:, 3], rate[:, 3], pitch, np.zeros(0),
-        map_epoch, IDENTIFIER,
+        map_epoch, identifier,
     )  # fmt: skip
 
 

@@ -1,9 +1,12 @@
-"""Which motion is put before the guard: the mission's, the pilot's own way back, or none, which brakes and holds."""
+"""Which motion is put before the guard: the mission's, the pilot's own way back or aside, or none, which brakes and holds."""
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
+from uav_recon.autopilot.evasion import Evasion
 from uav_recon.autopilot.handover import Handover
 from uav_recon.autopilot.mandate import Mandate
 from uav_recon.autopilot.retreat import Breadcrumbs
@@ -17,7 +20,9 @@ _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends t
 
 
 class Steering:
-    """Keeps the breadcrumbs. ``blocked``: why there is no way back any more, '' while there is one."""
+    """Keeps the breadcrumbs. ``blocked``: why there is no way back or aside any more, '' while there is one. ``gave_way``
+    counts what was not flown on because something stood there all of a sudden, and each step aside.
+    """
 
     def __init__(self, guard: Guard, mandate: Mandate, hover_height_m: float) -> None:
         self._guard, self._mandate, self._hover_height_m = guard, mandate, hover_height_m
@@ -28,7 +33,10 @@ class Steering:
         self._refused_ways = 0
         self._handed: Trajectory | None = None  # the trajectory that the handover leads to
         self._handover: Handover | None = None
-        self.blocked = ""
+        self._aside: Trajectory | None = None
+        self._giving = False  # something near decides what is flown
+        self.evasion = Evasion(guard)
+        self.blocked, self.gave_way = "", 0
 
     def was_at(self, odom_from_body: Pose) -> None:
         """In flight, and not on the way back."""
@@ -40,11 +48,17 @@ class Steering:
         self._guard.rebase(situation, rest_s)
         self._crumbs.forget()
         self._mandate.forsake()
-        self._way_back, self._refused_ways, self.blocked = None, 0, ""
+        self._way_back, self._refused_ways, self._aside, self.blocked = None, 0, None, ""
 
     def steer(self, rung: Rung, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
         """The guard's word for this instant. What it turned down is not proposed again."""
-        if rung is Rung.FLY:
+        before, self._giving = self._giving, rung <= Rung.HOLD and self._gives_way(situation)
+        if self._giving:
+            cleared, refusal = self._give_way(situation)
+            if not before:
+                self._turn_down()
+                refusal = Refusal(self.evasion.why(), cleared.setpoint)
+        elif rung is Rung.FLY:
             cleared, refusal = self._fly(situation)
         elif rung is Rung.RETREAT:
             cleared, refusal = self._retreat(situation)
@@ -63,6 +77,33 @@ class Steering:
             self._braking = True
             self._mandate.forsake()
         return cleared, refusal
+
+    def _gives_way(self, situation: Situation) -> bool:
+        """Whether something near decides what is flown: it came all of a sudden, or the vehicle is still stepping aside."""
+        if self._aside is not None and self.evasion.over(self._aside, situation.now_s):
+            self._aside = None
+            self._turn_down()
+        return self._aside is not None or self.evasion.stops(situation.now_s)
+
+    def _give_way(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+        """Stop, and from rest step aside if it comes on."""
+        if self._aside is not None:
+            aside = dataclasses.replace(self._proposal(self._aside, situation.now_s, True), giving_way=True)
+            cleared, refusal = self._guard.clear(aside, situation)
+            if refusal is not None:
+                self.blocked = f"way aside blocked: {refusal.reason}"
+            return cleared, refusal
+        cleared, _ = self._guard.clear(None, situation)
+        if not np.any(cleared.setpoint.velocity_mps):
+            way = self.evasion.step_aside(cleared.setpoint, situation)
+            self._aside = way if isinstance(way, Trajectory) else None
+            self.blocked = way if isinstance(way, str) else self.blocked
+        return cleared, None
+
+    def _turn_down(self) -> None:
+        """What the mission wants is made anew, from where the vehicle is."""
+        self.gave_way += 1
+        self._mandate.forsake()
 
     def _retreat(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
         """From rest back along the breadcrumbs, and a hold where they begin; it ends where ways are refused again and again."""

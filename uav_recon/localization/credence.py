@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from uav_recon.localization.grain import lone_share
-from uav_recon.localization.witness import ALIKE, OVERLAPPING, Agreement, Witness
+from uav_recon.localization.witness import ALIKE, ALIKE_LATELY, OVERLAPPING, Agreement, Witness
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose
@@ -15,10 +15,10 @@ from uav_recon.types.pose import Pose
 _ALONE = 0.05  # of the pixels; honest pictures have 0.004
 _MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
 _HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
-_DRIFT_M, _EXPLAINED = 0.15, 0.7  # odom's shift against half a minute ago, and the share that it explains; honest: 0.09 m
-_SEEN_THROUGH = (
-    0.2  # of the points of an older picture are not where they were; honest pictures: 0.10, what comes into view hides
-)
+_DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
+_MANY, _EXPLAINED = 100, 0.75  # points there are, and the share of them that it explains: a person explains fewer
+_MOST = 0.9  # the same where much may have come between
+_SEEN_THROUGH = 0.4  # of the points of an older picture are not there: more than a person leaves behind; honest: 0.10
 _RUNNING = 3  # pictures in a row that say so
 _KEPT_S = 2.0  # what was said holds for so long
 _FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # the camera moved so, and its picture is the same to the bit
@@ -50,8 +50,11 @@ class Credence:
         unasked = newest is None and (self._believed or not self._witness.remembers)
         self._believed = sound and (fits or unasked)
         if self._believed:
-            alike, wide = self._witness.of_oldest(*seen, ALIKE), self._witness.of_oldest(*seen, OVERLAPPING)
-            self._hear(frame.stamp_s, _moved(alike) or _seen_through(wide))
+            alike, lately = self._witness.of_oldest(*seen, ALIKE), self._witness.of_oldest(*seen, ALIKE_LATELY)
+            overlapping = self._witness.of_oldest(*seen, OVERLAPPING)
+            self._hear(
+                frame.stamp_s, _moved(alike) or _moved(lately) or _moved(overlapping, _MOST) or _seen_through(overlapping)
+            )
             self._witness.remember(*seen)
         return self._believed
 
@@ -92,10 +95,10 @@ def _follows(then: Agreement | None) -> bool:
     return then.nearer <= _HIDDEN and (then.nearer + then.farther <= _MISFIT or then.farther <= _SOME)
 
 
-def _moved(then: Agreement | None) -> str:
-    """What surfaces that were seen from nearly the same place say of the pose, '' for nothing."""
+def _moved(then: Agreement | None, explained: float = _EXPLAINED) -> str:
+    """What the surfaces of another view say of the pose, '' for nothing."""
     moved_m = 0.0 if then is None else float(np.linalg.norm(then.shift_m))
-    if then is None or moved_m < _DRIFT_M or then.explained < _EXPLAINED:
+    if then is None or moved_m < _DRIFT_M or then.explained < explained or then.count < _MANY:
         return ""
     return f"surfaces stand {moved_m:.2f} m off where they stood {then.age_s:.0f} s ago"
 

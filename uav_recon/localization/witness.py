@@ -23,22 +23,25 @@ _EVERY_S, _MEMORY_S = 0.5, 30.0
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """Which views are asked: taken no farther off (m), and not turned away farther (cosine)."""
+    """Which views are asked: taken no farther off (m), not turned away farther (cosine), and no older."""
 
     near_m: float
     turned_cos: float
+    within_s: float = _MEMORY_S
 
 
 OVERLAPPING = Likeness(3.0, 0.6)  # there is something that both see
 ALIKE = Likeness(1.5, 0.75)  # little has come between
+ALIKE_LATELY = Likeness(1.5, 0.75, within_s=8.0)  # a drift so young is still within a residual's reach
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
-    """fitting, nearer, farther: shares of the points that could be compared; shift_m (3,): how far odom has moved since, as far
-    as surfaces tell; explained: the share that fits with it. age_s: of the view compared with.
+    """count: points that could be compared. fitting, nearer, farther: shares of them; shift_m (3,): how far odom has moved
+    since, as far as surfaces tell; explained: the share that fits with it. age_s: of the view compared with.
     """
 
+    count: int
     fitting: float
     nearer: float
     farther: float
@@ -91,7 +94,7 @@ class Witness:
     ) -> Agreement | None:
         """With the oldest that looks at the same; None for none."""
         for view in self._views:
-            if not _alike(view.odom_from_depth, odom_from_depth, likeness):
+            if stamp_s - view.stamp_s > likeness.within_s or not _alike(view.odom_from_depth, odom_from_depth, likeness):
                 continue
             found = _compared(view, stamp_s, depth_m, lens, odom_from_depth)
             if found is not None:
@@ -115,4 +118,4 @@ def _compared(view: _View, stamp_s: float, depth_m: Float32Array, lens: Intrinsi
         return None
     shift_m = shift_of(found)
     fitting, nearer, explained = shares(found, shift_m)
-    return Agreement(fitting, nearer, 1.0 - fitting - nearer, shift_m, explained, stamp_s - view.stamp_s)
+    return Agreement(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, explained, stamp_s - view.stamp_s)

@@ -46,13 +46,14 @@ class ClearedSetpoint:
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
     """A sample of a motion made on the map of ``map_epoch``. retreating: the pilot's own way back, slow, along breadcrumbs:
-    it needs neither a mission nor depth.
+    it needs neither a mission nor depth; giving_way: out of the way of something that comes on, as fast as past what is near.
     """
 
     setpoint: Setpoint
     trajectory_id: int
     map_epoch: int
     retreating: bool = False
+    giving_way: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +151,8 @@ class Guard:
             return f"trajectory is of map epoch {proposal.map_epoch}, pose of {situation.map_epoch}"
         motion = _motion_of(wanted, situation.now_s)
         speed_mps, push_mps2 = math.hypot(*motion.velocity_mps), math.hypot(*_floats(wanted.acceleration_mps2))
-        if not speed_mps <= (bounds.retreat_mps if proposal.retreating or situation.slow else envelope.max_speed_mps) + 1e-6:
+        most_mps = bounds.retreat_mps if proposal.retreating or situation.slow else envelope.max_speed_mps
+        if not speed_mps <= (bounds.margins.slow_mps if proposal.giving_way else most_mps) + 1e-6:
             return f"speed {speed_mps:.2f} m/s"
         if not proposal.retreating and self._silent(speed_mps, situation.intent_age_s):
             return "mission is silent"
@@ -202,13 +204,11 @@ class Guard:
 
     def _sight_fault(self, motion: _Motion, speed_mps: float, retreating: bool, situation: Situation) -> str:
         """What raw depth says of the way: how fast it may be flown towards what is near, and where nobody looks."""
-        if speed_mps <= _STILL_MPS:
-            return ""
         ahead, bounds = situation.ahead, self.bounds
-        if not retreating and (ahead is None or not -_FUTURE_S <= situation.now_s - ahead.stamp_s <= bounds.depth_hold_s):
-            return "depth is stale"
-        if ahead is None:
+        if speed_mps <= _STILL_MPS or (retreating and ahead is None):
             return ""
+        if ahead is None or not (retreating or -_FUTURE_S <= situation.now_s - ahead.stamp_s <= bounds.depth_hold_s):
+            return "depth is stale"
         direction = np.array(motion.velocity_mps) / speed_mps
         direction_body = situation.body_from_odom @ direction
         since_s = min(max(0.0, situation.now_s - ahead.stamp_s), bounds.depth_hold_s)  # a retreat asks an older one too

@@ -1,0 +1,95 @@
+"""Giving way: what stands in the way all of a sudden stops the vehicle, and what comes on makes it step aside."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.autopilot.intruder import Intruder
+from uav_recon.autopilot.retreat import flown
+from uav_recon.safety.envelope import Vec3
+from uav_recon.safety.guard import Guard, Situation
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.trajectory import Setpoint, Trajectory
+
+IDENTIFIER = -3  # of the step aside
+
+_FRESH_S = 0.5
+_STOP_M = 1.6  # of the body's centre from what was not there: nearer, nothing is flown on
+_COMING_MPS = 0.25  # nearer by so much a second, while the vehicle stands
+_HEED_M = 2.5  # what comes on from farther off is let come
+_STEP_M, _STEP_MPS = 1.2, 0.5
+_AFTER_S = 1.0  # after the step nothing is taken up for so long
+_AHEAD_S = np.linspace(0.2, 4.0, 20)
+_WAYS = 16
+
+
+class Evasion:
+    """One flight's. hear() once for each intruder; the rest may be asked at any time."""
+
+    def __init__(self, guard: Guard) -> None:
+        self._guard = guard
+        self._heard: list[Intruder] = []
+
+    def hear(self, intruder: Intruder | None) -> None:
+        """What the newest depth frame showed, None for nothing."""
+        if intruder is not None and not (self._heard and self._heard[-1] is intruder):
+            self._heard = [*self._heard[-3:], intruder]
+
+    def stops(self, now_s: float) -> bool:
+        """Whether something is near that was not there before, or comes on."""
+        if not self._heard or not self._fresh(now_s):
+            return False
+        away_m = self._heard[-1].away_m
+        return away_m <= _STOP_M or (away_m <= _HEED_M and self._coming_mps(now_s) >= _COMING_MPS)
+
+    def why(self) -> str:
+        """What stops it, in words."""
+        return f"{self._heard[-1].away_m:.2f} m from something that was not there" if self._heard else ""
+
+    def step_aside(self, rest: Setpoint, situation: Situation) -> Trajectory | str | None:
+        """From rest out of the way of what comes on; None if nothing does, a word if nowhere is known free."""
+        coming_mps = self._coming_mps(situation.now_s)
+        if coming_mps < _COMING_MPS or self._heard[-1].away_m > _HEED_M:
+            return None
+        here = rest.position_m
+        ends = [here + _STEP_M * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.arange(_WAYS) * math.tau / _WAYS]
+        clear = [end for end in ends if self._may(here, end, situation)]
+        if not clear:
+            return "nowhere to give way to"
+        best = max(clear, key=lambda end: _closest_m(here, end, self._heard[-1].place_m, coming_mps))
+        return flown(np.array([here, best]), rest, situation.now_s, _STEP_MPS, situation.map_epoch, False, IDENTIFIER)
+
+    def over(self, way: Trajectory, now_s: float) -> bool:
+        """Whether a step aside is done."""
+        return now_s - way.start_s - way.duration_s >= _AFTER_S
+
+    def _fresh(self, now_s: float) -> bool:
+        return now_s - self._heard[-1].stamp_s <= _FRESH_S
+
+    def _coming_mps(self, now_s: float) -> float:
+        """How fast it comes nearer, by the newest two sights of it; 0 where there are none."""
+        if len(self._heard) < 2 or not self._fresh(now_s):
+            return 0.0
+        before, last = self._heard[-2:]
+        apart_s = last.stamp_s - before.stamp_s
+        return (before.away_m - last.away_m) / apart_s if 0.0 < apart_s <= _FRESH_S else 0.0
+
+    def _may(self, here: FloatArray, end: FloatArray, situation: Situation) -> bool:
+        a, b = _floats(here), _floats(end)
+        return situation.free is not None and situation.free.admits(a, b) and self._guard.envelope.admits(a, b)
+
+
+def _closest_m(here: FloatArray, end: FloatArray, place: FloatArray, coming_mps: float) -> float:
+    """How near (m, level) something that comes straight on and through gets to one that goes from here to the end."""
+    to_us = (here - place)[:2] / max(float(np.linalg.norm((here - place)[:2])), 1e-6)
+    theirs = place[:2] + np.outer(coming_mps * _AHEAD_S, to_us)
+    share = np.minimum(_STEP_MPS * _AHEAD_S / _STEP_M, 1.0)
+    ours = here[:2] + np.outer(share, (end - here)[:2])
+    return float(np.linalg.norm(ours - theirs, axis=1).min())
+
+
+def _floats(place: FloatArray) -> Vec3:
+    x, y, z = place.tolist()
+    return x, y, z

@@ -1,0 +1,101 @@
+"""Whether something stands now where a moment ago nothing was: a door, a person, a thing that comes nearer."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.types.frames import BoolArray, Float32Array, FloatArray
+from uav_recon.types.nearby import Nearby
+from uav_recon.types.pose import Pose
+
+_MEMORY_S = 0.8
+_VIEWS = 6  # kept for so long, evenly
+_INSIDE_M, _INSIDE_SHARE = 0.20, 0.04  # so far before what was seen there then, and this share of the range: pose and noise
+_REACH_M = 3.0  # from the body's centre; what is farther does not concern it yet
+_CELLS, _SAYING = 2, 2  # returns that it has at least, and views that looked past each of them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Intruder:
+    """place_m: its nearest return in odom (3,), seen at stamp_s; away_m from the body's centre, level."""
+
+    stamp_s: float
+    place_m: FloatArray
+    away_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """places_m: (rows, columns, 3) in odom, NaN for cells without a return; range_m: the nearest in the cell or beside it."""
+
+    stamp_s: float
+    odom_from_depth: Pose
+    half_tan: tuple[float, float]
+    range_m: FloatArray
+
+
+class Neighbourhood:
+    """Remembers what the camera looked past in the last second, by cells; 0.3 ms a frame."""
+
+    def __init__(self) -> None:
+        self._views: deque[_View] = deque()
+
+    def forget(self) -> None:
+        """Odom itself jumped."""
+        self._views.clear()
+
+    def look(self, nearby: Nearby, odom_from_body: Pose) -> Intruder | None:
+        """What in a frame stands where views of the last moments looked past, the nearest of it; None for nothing."""
+        odom_from_depth = odom_from_body @ nearby.body_from_depth
+        while self._views and nearby.stamp_s - self._views[0].stamp_s > _MEMORY_S:
+            self._views.popleft()
+        places = _places(nearby, odom_from_depth)
+        here = odom_from_body.translation_m
+        close = places[np.linalg.norm(places[:, :2] - here[:2], axis=1) <= _REACH_M]
+        said = np.zeros(len(close), dtype=np.int64)
+        for view in self._views:
+            said += _looked_past(view, close)
+        new = said >= _SAYING
+        if not self._views or nearby.stamp_s - self._views[-1].stamp_s >= _MEMORY_S / _VIEWS:
+            self._views.append(_View(nearby.stamp_s, odom_from_depth, nearby.half_tan, _eroded(nearby.range_m)))
+        if np.count_nonzero(new) < _CELLS:
+            return None
+        away = np.linalg.norm(close[new, :2] - here[:2], axis=1)
+        nearest = int(np.argmin(away))
+        return Intruder(nearby.stamp_s, close[new][nearest], float(away[nearest]))
+
+
+def _looked_past(view: _View, places: FloatArray) -> BoolArray:
+    """Which places (N, 3) in odom a view had nothing at, nor before them."""
+    seen = (places - view.odom_from_depth.translation_m) @ view.odom_from_depth.rotation()
+    deep = np.maximum(seen[:, 2], 1e-6)
+    rows, columns = view.range_m.shape
+    u = np.floor((seen[:, 0] / deep / view.half_tan[0] + 1.0) / 2.0 * columns)
+    v = np.floor((seen[:, 1] / deep / view.half_tan[1] + 1.0) / 2.0 * rows)
+    inside = (seen[:, 2] > 0.0) & (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
+    free_m = view.range_m[np.where(inside, v, 0).astype(int), np.where(inside, u, 0).astype(int)]
+    past: BoolArray = inside & (np.linalg.norm(seen, axis=1) * (1.0 + _INSIDE_SHARE) + _INSIDE_M < free_m)
+    return past
+
+
+def _eroded(range_m: Float32Array) -> FloatArray:
+    """Each cell's nearest return or that of the eight around it; NaN where it has none itself, or lies at the border."""
+    nearest = np.full(range_m.shape, np.nan)
+    rows, columns = range_m.shape
+    around = [range_m[i : rows - 2 + i, j : columns - 2 + j] for i in range(3) for j in range(3)]
+    nearest[1:-1, 1:-1] = np.where(np.isfinite(range_m[1:-1, 1:-1]), np.fmin.reduce(around), np.nan)
+    return nearest
+
+
+def _places(nearby: Nearby, odom_from_depth: Pose) -> FloatArray:
+    """The cells' returns (N, 3) in odom, along the rays of their middles."""
+    rows, columns = nearby.range_m.shape
+    x = ((np.arange(columns) + 0.5) / columns * 2.0 - 1.0) * nearby.half_tan[0]
+    y = ((np.arange(rows) + 0.5) / rows * 2.0 - 1.0) * nearby.half_tan[1]
+    rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], np.ones((rows, columns))), axis=-1)
+    points = (rays / np.linalg.norm(rays, axis=-1, keepdims=True) * nearby.range_m[..., None]).reshape(-1, 3)
+    found: FloatArray = odom_from_depth.apply(points[np.isfinite(points).all(axis=1)])
+    return found
