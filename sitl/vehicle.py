@@ -36,7 +36,8 @@ class Quadrotor:
 
     wind_mps: rms of the gusts per horizontal axis (a third of it vertically); indoors 0.1 to 0.2.
     Attributes after each step(): position, velocity (ENU), quat_wxyz (enu_from_flu), gyro (FLU, rad/s),
-    specific_force (FLU, m/s^2; what an ideal accelerometer reads), on_ground, touchdowns (impact speeds, m/s).
+    specific_force (FLU, m/s^2; what an ideal accelerometer reads), outside_mps2 (ENU; a force from outside divided by the
+    mass, set by whoever pushes, felt by the accelerometer), on_ground, touchdowns (impact speeds, m/s).
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Quadrotor:
         self.quat_wxyz: Quat = multiply(IDENTITY, from_yaw(yaw_rad))
         self.gyro: Vec3 = (0.0, 0.0, 0.0)
         self.specific_force: Vec3 = (0.0, 0.0, GRAVITY_MPS2)
+        self.outside_mps2: Vec3 = (0.0, 0.0, 0.0)
         self.on_ground = True
         self.touchdowns: list[float] = []
 
@@ -91,10 +93,10 @@ class Quadrotor:
         self._thrust += self._gains[2] * (self._share * wanted_thrust - self._thrust)
         wind = self._blow()
         drag = 0.0 if self.on_ground else self._frame.drag_per_s
-        v = self.velocity
-        ax = self._thrust * up[0] - drag * (v[0] - wind[0])
-        ay = self._thrust * up[1] - drag * (v[1] - wind[1])
-        az = self._thrust * up[2] - drag * (v[2] - wind[2]) - GRAVITY_MPS2
+        v, outside = self.velocity, self.outside_mps2
+        ax = self._thrust * up[0] - drag * (v[0] - wind[0]) + outside[0]
+        ay = self._thrust * up[1] - drag * (v[1] - wind[1]) + outside[1]
+        az = self._thrust * up[2] - drag * (v[2] - wind[2]) + outside[2] - GRAVITY_MPS2
         self._move(dt_s, ax, ay, az)
         change = self.velocity
         force = ((change[0] - v[0]) / dt_s, (change[1] - v[1]) / dt_s, (change[2] - v[2]) / dt_s + GRAVITY_MPS2)

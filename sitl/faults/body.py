@@ -8,11 +8,11 @@ from sitl.faults.injector import Injector, Theatre
 
 
 class Push(Injector):
-    """A steady force for a while along the way that it flies, as an acceleration in m/s²."""
+    """A steady force for a while along the way that it flies, as an acceleration in m/s²; its accelerometer feels it."""
 
     def __init__(self, acceleration_mps2: float, for_s: float) -> None:
         self._force, self._for_s = acceleration_mps2, for_s
-        self._along, self._before_s = (0.0, 0.0), 0.0
+        self._along = (0.0, 0.0)
 
     def begin(self, at: Theatre) -> None:
         """On along the way that it flies."""
@@ -21,11 +21,9 @@ class Push(Injector):
         self._along = (vx / speed, vy / speed)
 
     def turn(self, at: Theatre, since_s: float) -> None:
-        """A turn's share of it."""
-        if since_s <= self._for_s:
-            change = self._force * (since_s - self._before_s)
-            at.world.autopilot.vehicle.push((self._along[0] * change, self._along[1] * change, 0.0))
-        self._before_s = since_s
+        """While it lasts."""
+        force = self._force if since_s <= self._for_s else 0.0
+        at.world.autopilot.vehicle.outside_mps2 = (self._along[0] * force, self._along[1] * force, 0.0)
 
 
 class HeldDown(Injector):

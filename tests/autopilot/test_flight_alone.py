@@ -127,6 +127,20 @@ def test_something_that_appears_ahead_stops_the_vehicle(hovering: Rig) -> None:
     assert obstacle_m - hovering.px4.truth().position[0] - 0.2 >= 0.10
 
 
+def test_what_comes_on_makes_a_hovering_vehicle_step_aside_slowly(hovering: Rig) -> None:
+    hovering.wall_m = 3.0
+    hovering.run(1.5)
+    place, begin = np.array(hovering.px4.truth().position), hovering.clock.now_s()
+    while hovering.clock.now_s() - begin < 3.0:
+        hovering.wall_m = 3.0 - 0.7 * (hovering.clock.now_s() - begin)
+        hovering.step()
+    hovering.run(3.0)
+    assert hovering.pilot.phase is FlightPhase.FLYING
+    assert np.linalg.norm(np.array(hovering.px4.truth().position) - place) > 0.9
+    speeds = np.linalg.norm(np.diff([p for _, p in hovering.track[-600:]], axis=0), axis=1) / 0.01
+    assert np.percentile(speeds, 99) < 0.6
+
+
 @pytest.mark.parametrize("frame_ticks", [7, 17])
 def test_a_person_a_metre_ahead_at_full_speed_is_braked_for_in_time(hovering: Rig, frame_ticks: int) -> None:
     hovering.depth, wall_m, begin_s, braked_s = False, math.inf, math.inf, math.inf

@@ -138,3 +138,11 @@ def test_how_a_flight_ended() -> None:
     taken = tuple("OFFBOARD" if t > 8.0 else mode for t, mode in zip(e.stamp_s, kept, strict=True))
     assert m.mode_lost(dataclasses.replace(e, mode=taken)) > 100
     assert m.position_mode(dataclasses.replace(e, mode=kept)) > 0
+
+
+def test_stopping_short_of_what_appears_is_measured_until_the_vehicle_rests() -> None:
+    plain = evidence()
+    gaps = np.where(plain.stamp_s < 11.0, 0.5, 0.1)  # it rests at 10.5 s, and goes nearer after that
+    assert m.stopped_short(dataclasses.replace(plain, onset_s=8.0, boxes_m=gaps)) == pytest.approx(0.5)
+    moving = dataclasses.replace(plain, onset_s=8.0, boxes_m=gaps, velocity_mps=np.ones_like(plain.velocity_mps))
+    assert m.stopped_short(moving) == -math.inf

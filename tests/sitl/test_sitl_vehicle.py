@@ -138,3 +138,13 @@ def test_a_push_moves_it() -> None:
     before = vehicle.velocity[0]
     vehicle.push((0.5, 0.0, 0.0))
     assert vehicle.velocity[0] == pytest.approx(before + 0.5)
+
+
+def test_a_force_from_outside_is_felt_by_the_accelerometer() -> None:
+    still, pushed = Quadrotor(1, 0.0), Quadrotor(1, 0.0)
+    for n in range(300):
+        pushed.outside_mps2 = (2.0 if n >= 250 else 0.0, 0.0, 0.0)
+        for vehicle in (still, pushed):
+            vehicle.step(0.004, (0.0, 0.0, 12.0), 0.0, motors_on=True)
+    assert pushed.velocity[0] - still.velocity[0] == pytest.approx(0.4, abs=0.02)
+    assert pushed.specific_force[0] - still.specific_force[0] == pytest.approx(2.0, abs=0.1)
