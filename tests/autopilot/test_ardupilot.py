@@ -99,7 +99,7 @@ def test_a_climb_that_does_not_come_is_given_up_and_not_asked_for_again() -> Non
     b.run(20.0)
     assert [command for _, command in b.asked] == [DO_SET_MODE, TAKE_OFF]
     assert b.outcome is Outcome.GIVEN_UP
-    assert "it climbed 0.00 m in 3 s" in b.take_off.reason
+    assert "it climbed 0.00 m in 5 s" in b.take_off.reason
 
 
 def test_a_mode_changed_in_the_climb_gives_up() -> None:
