@@ -249,6 +249,11 @@ def clearance(e: Evidence) -> float:
     return min(float(e.hull_m.min()) if len(e.hull_m) else math.inf, e.box_m)
 
 
+def past_obstacle(e: Evidence) -> float:
+    """Least metres in flight between the hull and what appeared."""
+    return e.box_m
+
+
 def stopped_short(e: Evidence) -> float:
     """Least metres to what appeared until the vehicle first rests after it did; -inf if it never does."""
     rest_s = e.since(np.linalg.norm(e.velocity_mps, axis=1) < _RESTING_MPS, e.onset_s)

@@ -40,7 +40,7 @@ class Onset:
     """When a trouble begins: at a random instant between these seconds after the climb is over, and then as soon as the
     vehicle is flown at speed_mps or more. at_boot: at once. after_s counts from the boot where at_boot is set. seeing: where
     the camera looks, which sees what stands in the hull's way only if that way leads ahead. view_m: only where nothing stands
-    before the camera, level, for so far.
+    before the camera, level, for so far. away_m: only so far from the pad.
     """
 
     after_s: tuple[float, float] = (2.0, 8.0)
@@ -48,6 +48,7 @@ class Onset:
     at_boot: bool = False
     seeing: bool = False
     view_m: float = 0.0
+    away_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +165,8 @@ class Meddler:
         since_s = self._begun_s if self._onset.at_boot else self._airborne_s
         fast = self._onset.at_boot or (flown and math.hypot(*now.velocity_mps[:2]) >= self._onset.speed_mps)
         seen = not self._onset.seeing or now.off_nose_rad <= _SEEN_RAD
-        if fast and seen and now.stamp_s >= since_s + self._wait_s and self._views():
+        away = math.hypot(*now.position_m[:2]) >= self._onset.away_m
+        if fast and seen and away and now.stamp_s >= since_s + self._wait_s and self._views():
             self.onset_s = now.stamp_s
             for injector in self._injectors:
                 injector.begin(self.theatre)

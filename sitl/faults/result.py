@@ -22,23 +22,26 @@ class Result:
     worst: tuple[float, ...]
     remarks: tuple[str, ...]
 
+    @property
+    def figures(self) -> list[tuple[Bar, float]]:
+        """Each bar with its worst figure; none where nothing was flown."""
+        return list(zip(self.row.bars, self.worst, strict=True)) if self.seeds else []
+
     def headline(self) -> tuple[Bar, float] | None:
         """The bar that is used up most, and its figure."""
-        if not self.worst:
+        if not self.figures:
             return None
-        pairs = list(zip(self.row.bars, self.worst, strict=True))
-        return max(pairs, key=lambda pair: pair[0].badness(pair[1], self.autopilot))
+        return max(self.figures, key=lambda pair: pair[0].badness(pair[1], self.autopilot))
 
     def sentence(self) -> str:
         """Every broken bar with its figure; the tightest one where none is."""
-        pairs = list(zip(self.row.bars, self.worst, strict=True))
-        broken = [(bar, figure) for bar, figure in pairs if not bar.holds(figure, self.autopilot)]
+        broken = [(bar, figure) for bar, figure in self.figures if not bar.holds(figure, self.autopilot)]
         head = self.headline()
         return ", ".join(self._words(bar, figure) for bar, figure in broken or ([head] if head else []))
 
     def words(self) -> list[str]:
         """One for each bar."""
-        return [self._words(bar, figure) for bar, figure in zip(self.row.bars, self.worst, strict=True)]
+        return [self._words(bar, figure) for bar, figure in self.figures]
 
     def _words(self, bar: Bar, figure: float) -> str:
         said = "never" if math.isinf(figure) else "-" if math.isnan(figure) else f"{figure:.2f}"
@@ -66,7 +69,7 @@ class Result:
                     "unit": b.unit,
                     "at_least": b.at_least,
                 }
-                for b, f in zip(self.row.bars, self.worst, strict=True)
+                for b, f in self.figures
             ],
             "remarks": list(self.remarks),
             "why": self.row.why,

@@ -133,8 +133,10 @@ TABLE_E = (
         "pad occupied",
         "a box stands on the pad when it comes home",
         lambda n: [Stands((0.0, 0.0, 0.1), (0.25, 0.25, 0.2))],
-        (clear(0.30),),
-        longest_s=90.0,
+        (Bar("hull to the box", m.past_obstacle, 0.30, "m", at_least=True), clear(0.10), down(120.0), NO_FAILSAFE),
+        onset=Onset(away_m=2.0),
+        longest_s=120.0,
+        views=SHORT_VIEWS,
     ),
     Row(
         "E9",

@@ -72,6 +72,7 @@ def test_what_never_came_is_null_and_breaks_the_bar() -> None:
 
 
 def test_a_row_that_cannot_be_flown_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert json.dumps(result_of(ROWS["A5"], "px4", []).tree()), "one that has bars, but flies in real time alone"
     options = FaultOptions.parse(only="G7", autopilot="px4", jobs=1, json=tmp_path / "f.json", out=tmp_path / "out")
     assert faults(options) == 0
     assert "not flown: T3" in capsys.readouterr().out

@@ -11,6 +11,7 @@ from uav_recon.mission.decider import Decider
 from uav_recon.mission.events import Facts, observe
 from uav_recon.mission.helm import Helm
 from uav_recon.mission.homeward import Homeward
+from uav_recon.mission.landingsite import LandingSite
 from uav_recon.mission.machine import Phase, advance
 from uav_recon.mission.orders import MissionWires, Orders, Stages
 from uav_recon.mission.survey import Survey
@@ -37,7 +38,8 @@ class Conductor:
         self._helm = Helm(stages.motion, self._course, self._captures, self._account)
         decider = Decider(stages.planner, stages.motion, stages.retreat, executor, orders.plan_cost_s, orders.view_spacing_m)
         self._survey = Survey(stages, wires, orders, self._helm, decider, self._account)
-        self._homeward = Homeward(self._helm, decider, self._account, orders.takeoff_height_m)
+        site = LandingSite(orders.takeoff_height_m, -orders.vehicle_height_m / 2, orders.clear_radius_m)
+        self._homeward = Homeward(self._helm, decider, self._account, site)
         self.phase = Phase.IDLE
         self.map: VoxelMap | None = None
         self._frame_sequence, self._frame_s = 0, -np.inf

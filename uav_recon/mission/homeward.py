@@ -1,26 +1,35 @@
-"""The way home: the shortest known-free one, or back along the breadcrumbs."""
+"""The way home: the shortest known-free one, or back along the breadcrumbs; elsewhere if something stands on the pad."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
 from uav_recon.mission.account import Account
 from uav_recon.mission.decider import Decider, Decision
 from uav_recon.mission.helm import Helm
+from uav_recon.mission.landingsite import LandingSite
 from uav_recon.protocols import Pending
+from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import PlanRequest, Viewpoint
 from uav_recon.types.trajectory import Trajectory
 from uav_recon.types.vehicle import VehicleState
 
+_LOOK_M = 1.0  # farther ways are flown with the nose ahead, for the camera to see where it is to land
+_PLACES = 3  # tried, then home is the least bad
+
 
 class Homeward:
-    """Brings the vehicle over the pad, once. no_way: what is known leads nowhere; lost: the breadcrumbs do not either."""
+    """Brings the vehicle over the pad, or over another place where something stands on the pad, once. no_way: what is known
+    leads nowhere; lost: the breadcrumbs do not either.
+    """
 
-    def __init__(self, helm: Helm, decider: Decider, account: Account, hover_height_m: float) -> None:
-        self._helm, self._decider, self._account, self._hover_height_m = helm, decider, account, hover_height_m
+    def __init__(self, helm: Helm, decider: Decider, account: Account, site: LandingSite) -> None:
+        self._helm, self._decider, self._account, self._site = helm, decider, account, site
+        self._place, self._bad = site.home, tuple[FloatArray, ...]()
         self._decision: Pending[Decision] | None = None
         self.under_way = self.no_way = False
         self.lost = ""
@@ -34,13 +43,19 @@ class Homeward:
         self._decision, self.under_way, self.no_way = None, False, False
 
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap, along_breadcrumbs: bool) -> None:
-        """From rest: think, then fly."""
+        """From rest: think, then fly; and think again where something turns out to stand on the place."""
         course = self._helm.course
-        if self.under_way or not course.at_rest(now_s):
+        if self.under_way:
+            self._look_at_place(now_s, voxels)
+            return
+        if not course.at_rest(now_s):
             return
         if self._decision is None:
             rest = course.rest(vehicle)
-            home = Viewpoint(np.array([0.0, 0.0, self._hover_height_m]), rest.yaw_rad, rest.camera_pitch_down_rad)
+            self._place = self._site.home if along_breadcrumbs else self._site.choose(voxels, self._bad)
+            east_m, north_m = (self._place - rest.position_m)[:2].tolist()
+            yaw_rad = math.atan2(north_m, east_m) if math.hypot(east_m, north_m) > _LOOK_M else rest.yaw_rad
+            home = Viewpoint(self._place, yaw_rad, rest.camera_pitch_down_rad)
             request, identifier = PlanRequest(voxels, None, rest.position_m, rest.yaw_rad, 0), course.next_identifier()
             if along_breadcrumbs:
                 self._decision = self._decider.way_back(request, rest, course.way_back(home.position_world), home, identifier)
@@ -58,3 +73,11 @@ class Homeward:
             self.lost = f"no way back: {decision.motion}"
         else:
             self.no_way = True
+
+    def _look_at_place(self, now_s: float, voxels: VoxelMap) -> None:
+        """Brake and choose another, as long as there are others to try."""
+        if len(self._bad) < _PLACES and self._site.is_occupied(voxels, self._place):
+            self._bad = (*self._bad, self._place)
+            self._account.refusal(now_s, f"something stands at the landing place {self._place[0]:.1f} {self._place[1]:.1f} m")
+            self.under_way = False
+            self._helm.brake(now_s)

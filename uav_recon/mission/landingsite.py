@@ -1,0 +1,77 @@
+"""Where to land: at home, unless the map shows that something stands there; then the nearest place that is known to be good.
+
+What a map of voxels can tell of a patch: that nothing stands on it, that what is over it is known free, and that its floor is
+no steeper and has no higher step than a voxel. Finer unevenness it cannot.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.types.frames import BoolArray, FloatArray, IntArray
+from uav_recon.types.maps import FREE, OCCUPIED, VoxelMap
+
+PATCH_M, REACH_M, STEP_M = 1.2, 5.0, 0.2  # a metre, and what voxels and a landing stray
+_STANDS_M = 0.15  # over the floor; nearer to it, depth noise is floor
+_FEWEST = 2  # voxels: one alone is a speckle
+_FLOOR_SHARE = 0.5  # of a patch that is not home: its floor was seen
+
+
+class LandingSite:
+    """height_m: of rest over the pad (odom's origin); ground_m: of its floor; room_m: what a flight keeps from anything."""
+
+    def __init__(self, height_m: float, ground_m: float, room_m: float) -> None:
+        self.home = np.array([0.0, 0.0, height_m])
+        self._ground_m, self._room_m = ground_m, room_m
+
+    def is_occupied(self, voxels: VoxelMap, place: FloatArray) -> bool:
+        """Whether something stands where it would land from a place (3,). Beside it something may: the pad was chosen so."""
+        return int((self._above(voxels, place, self._room_m) == OCCUPIED).sum()) >= _FEWEST
+
+    def choose(self, voxels: VoxelMap, unwanted: tuple[FloatArray, ...] = ()) -> FloatArray:
+        """Over which place (3,) to land: home if nothing stands there, else the nearest good one, else home as the least bad.
+
+        unwanted: places that turned out to be bad.
+        """
+        if not self.is_occupied(voxels, self.home):
+            return self.home
+        offsets = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)
+        across, along = np.meshgrid(offsets, offsets, indexing="ij")
+        away = np.hypot(across, along).ravel()
+        for n in np.argsort(away, kind="stable"):
+            place: FloatArray = self.home + np.array([across.flat[n], along.flat[n], 0.0])
+            tried = any(np.linalg.norm(place - other) < PATCH_M / 2 for other in unwanted)
+            if away[n] <= REACH_M and not tried and self._is_good(voxels, place):
+                return place
+        return self.home
+
+    def _is_good(self, voxels: VoxelMap, place: FloatArray) -> bool:
+        patch, over = self._above(voxels, place, PATCH_M / 2), self._above(voxels, place, self._room_m)
+        if over.size == 0 or not (over == FREE).all() or int((patch == OCCUPIED).sum()) >= _FEWEST:
+            return False
+        flyable = float(voxels.distance_m(voxels.grid.index(place))) >= self._room_m
+        return flyable and self._floor_share(voxels, place) >= _FLOOR_SHARE
+
+    def _above(self, voxels: VoxelMap, place: FloatArray, half_m: float) -> IntArray:
+        """States (n, m, k) of what is over the floor of a square about a place, up to its height."""
+        low = np.array([place[0] - half_m, place[1] - half_m, self._ground_m + _STANDS_M])
+        high = np.array([place[0] + half_m, place[1] + half_m, place[2]])
+        return _cut(voxels, low, high)
+
+    def _floor_share(self, voxels: VoxelMap, place: FloatArray) -> float:
+        """Of a patch's columns, those in which a floor was seen where the pad's floor is."""
+        half_m = PATCH_M / 2
+        low = np.array([place[0] - half_m, place[1] - half_m, self._ground_m - _STANDS_M])
+        high = np.array([place[0] + half_m, place[1] + half_m, self._ground_m + _STANDS_M])
+        seen: BoolArray = (_cut(voxels, low, high) == OCCUPIED).any(axis=2)
+        return float(seen.mean()) if seen.size else 0.0
+
+
+def _cut(voxels: VoxelMap, low: FloatArray, high: FloatArray) -> IntArray:
+    """The voxels whose centres lie in a box, as far as the grid goes."""
+    shape = np.array(voxels.grid.shape)
+    first, last = (
+        np.clip(np.round((x - voxels.grid.origin_world_m) / voxels.grid.resolution_m), 0, shape) for x in (low, high)
+    )
+    (i, j, k), (ii, jj, kk) = first.astype(int).tolist(), last.astype(int).tolist()
+    return np.asarray(voxels.state[i:ii, j:jj, k:kk])
