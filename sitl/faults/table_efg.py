@@ -124,7 +124,7 @@ TABLE_E = (
         "take-off fails",
         "it cannot lift itself",
         lambda n: [HeldDown()],
-        (Bar("motors ran", m.motors_ran, 4.0, "s", ardupilot=6.0), Bar("arm commands", m.arm_tries, 1.0, "")),
+        (Bar("motors ran", m.motors_ran, 6.0, "s"), Bar("arm commands", m.arm_tries, 1.0, "")),
         onset=AT_BOOT,
         longest_s=90.0,
     ),
