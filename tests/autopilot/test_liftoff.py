@@ -25,10 +25,10 @@ def begun(ground_m: float = 0.0) -> LiftOff:
 
 
 @pytest.mark.parametrize("ground_m", [0.0, -3.0])
-def test_it_has_five_seconds_for_two_decimetres_from_the_first_word(ground_m: float) -> None:
+def test_it_has_four_seconds_for_two_decimetres_from_the_first_word(ground_m: float) -> None:
     lift_off = begun(ground_m)
-    assert lift_off.fault(14.99, at(ground_m + 0.19)) == ""
-    assert lift_off.fault(15.01, at(ground_m + 0.19)) == "it climbed 0.19 m in 5 s"
+    assert lift_off.fault(13.99, at(ground_m + 0.19)) == ""
+    assert lift_off.fault(14.01, at(ground_m + 0.19)) == "it climbed 0.19 m in 4 s"
     assert not lift_off.lifted
 
 

@@ -23,17 +23,34 @@ def _nearby(stamp_s: float, range_m: float, believed: bool = True) -> Nearby:
 def test_a_picture_that_is_not_believed_is_none_but_for_what_is_near_in_it() -> None:
     channel, sight = MemoryChannel(Nearby), Sight(10.0, 0.2)
     lookout = Lookout(MemoryChannel(FreeSpace), channel, sight, 0.2, 0.2)
-    pose = StampedPose(5.0, Pose.identity(), np.zeros(3))
+
+    def pose(stamp_s: float) -> StampedPose:
+        return StampedPose(stamp_s, Pose.identity(), np.zeros(3))
+
     assert lookout.depth_age_s(5.0) == math.inf
     channel.publish(_nearby(5.0, 2.0))
-    lookout.step(pose, 5.0)
+    lookout.step(pose(5.0), 5.0)
     channel.publish(_nearby(5.2, 4.0, believed=False))
-    lookout.step(pose, 5.2)
+    lookout.step(pose(5.2), 5.2)
     assert math.isclose(lookout.depth_age_s(5.2), 0.2)
     assert lookout.ahead is not None
     assert lookout.ahead.room_m(FORWARD) > 3.0
     assert not sight.saw_free((3.0, 0.0, 0.0), 5.2)
     channel.publish(_nearby(5.4, 4.0))
-    lookout.step(pose, 5.4)
+    lookout.step(pose(5.4), 5.4)
     assert lookout.depth_age_s(5.4) == 0.0
     assert sight.saw_free((3.0, 0.0, 0.0), 5.4)
+
+
+def test_a_frame_that_comes_late_was_taken_where_the_vehicle_was_then() -> None:
+    channel, sight = MemoryChannel(Nearby), Sight(10.0, 0.2)
+    lookout = Lookout(MemoryChannel(FreeSpace), channel, sight, 0.2, 0.2)
+    turned = Pose.from_yaw(math.pi / 2.0, np.zeros(3))
+    lookout.step(StampedPose(5.0, Pose.identity(), np.zeros(3)), 5.0)
+    channel.publish(_nearby(5.0, 4.0))
+    lookout.step(StampedPose(5.1, turned, np.zeros(3)), 5.1)
+    assert sight.saw_free((3.0, 0.0, 0.0), 5.1)
+    assert not sight.saw_free((0.0, 3.0, 0.0), 5.1)
+    channel.publish(_nearby(5.4, 4.0))
+    lookout.step(None, 5.4)
+    assert not sight.saw_free((0.0, 3.0, 0.0), 5.4), "no pose of that time is known"

@@ -84,6 +84,7 @@ def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
 class TakeOff:
     """GUIDED, motors, and a climb by command; each is believed when it is seen. The climb is asked for once."""
 
+    LIFT_S = 5.0  # a real one is 0.2 m up 3.95 s after the order: its motors alone take three
     ARRIVED_M, CLIMB_S = 0.10, 12.0
 
     def __init__(self, now_s: float) -> None:
@@ -110,7 +111,7 @@ class TakeOff:
     def _climb(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
         height_m = float(t.position_m[2])
         if self._climb_s == math.inf:
-            self._climb_s, self._ground_m, self._lift_off = now_s, height_m, LiftOff(height_m)
+            self._climb_s, self._ground_m, self._lift_off = now_s, height_m, LiftOff(height_m, self.LIFT_S)
             self._lift_off.begin(now_s)
             return Outcome.PENDING, CLIMB
         fault = self._lift_off.fault(now_s, t)

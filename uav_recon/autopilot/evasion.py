@@ -16,6 +16,7 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 IDENTIFIER = -3  # of the step aside
 
 _FRESH_S = 0.5
+_MANY_CELLS = 8  # less of it has to be seen twice, so soon after each other: one picture alone may err
 _STOP_M = 1.6  # of the body's centre from what was not there: nearer, nothing is flown on
 _COMING_MPS = 0.25  # nearer by so much a second, while the vehicle stands
 _HEED_M = 2.5  # what comes on from farther off is let come
@@ -39,7 +40,7 @@ class Evasion:
 
     def stops(self, now_s: float) -> bool:
         """Whether something is near that was not there before, or comes on."""
-        if not self._heard or not self._fresh(now_s):
+        if not self._heard or not self._fresh(now_s) or not self._is_sure():
             return False
         away_m = self._heard[-1].away_m
         return away_m <= _STOP_M or (away_m <= _HEED_M and self._coming_mps(now_s) >= _COMING_MPS)
@@ -64,6 +65,11 @@ class Evasion:
     def over(self, way: Trajectory, now_s: float) -> bool:
         """Whether a step aside is done."""
         return now_s - way.start_s - way.duration_s >= _AFTER_S
+
+    def _is_sure(self) -> bool:
+        last = self._heard[-1]
+        again = len(self._heard) > 1 and last.stamp_s - self._heard[-2].stamp_s <= _FRESH_S
+        return last.cells >= _MANY_CELLS or again
 
     def _fresh(self, now_s: float) -> bool:
         return now_s - self._heard[-1].stamp_s <= _FRESH_S

@@ -20,11 +20,12 @@ _CELLS, _SAYING = 2, 2  # returns that it has at least, and views that looked pa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intruder:
-    """place_m: its nearest return in odom (3,), seen at stamp_s; away_m from the body's centre, level."""
+    """place_m: its nearest return in odom (3,), seen at stamp_s; away_m from the body's centre, level; cells: that it fills."""
 
     stamp_s: float
     place_m: FloatArray
     away_m: float
+    cells: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +66,7 @@ class Neighbourhood:
             return None
         away = np.linalg.norm(close[new, :2] - here[:2], axis=1)
         nearest = int(np.argmin(away))
-        return Intruder(nearby.stamp_s, close[new][nearest], float(away[nearest]))
+        return Intruder(nearby.stamp_s, close[new][nearest], float(away[nearest]), int(np.count_nonzero(new)))
 
 
 def _looked_past(view: _View, places: FloatArray) -> BoolArray:

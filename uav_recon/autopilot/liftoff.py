@@ -10,14 +10,14 @@ _TILT_RAD = math.radians(15.0)
 
 
 class LiftOff:
-    """From the first word that makes it climb until it is LIFTED_M up, which may take WITHIN_S."""
+    """From the first word that makes it climb until it is LIFTED_M up. within_s: how long that may take; PX4 spools up and
+    ramps for three seconds before it is so high, and by itself stops the motors after five.
+    """
 
     LIFTED_M = 0.2
 
-    WITHIN_S = 5.0  # PX4 spools up and ramps for 3.0 s before it is so high, a real ArduCopter for 3.95 s
-
-    def __init__(self, ground_m: float) -> None:
-        self._ground_m = ground_m
+    def __init__(self, ground_m: float, within_s: float = 4.0) -> None:
+        self._ground_m, self._within_s = ground_m, within_s
         self._begun_s = math.inf
         self.lifted = False
 
@@ -34,7 +34,7 @@ class LiftOff:
         tilt_rad = _tilt_rad(*t.quat_wxyz.tolist())
         if tilt_rad > _TILT_RAD:
             return f"tilted by {math.degrees(tilt_rad):.0f} degrees on the ground"
-        return f"it climbed {max(climbed_m, 0.0):.2f} m in {took_s:.0f} s" if took_s > self.WITHIN_S else ""
+        return f"it climbed {max(climbed_m, 0.0):.2f} m in {took_s:.0f} s" if took_s > self._within_s else ""
 
 
 def _tilt_rad(w: float, x: float, y: float, z: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import TypeVar
 
 from uav_recon.autopilot.intruder import Intruder, Neighbourhood
@@ -17,6 +18,7 @@ from uav_recon.types.pose import StampedPose
 T = TypeVar("T")
 
 _FUTURE_S = 0.1
+_PAST_S, _BESIDE_S = 0.5, 0.04  # poses are kept for so long; one so far from a frame's stamp is not its pose
 
 
 class Lookout:
@@ -34,10 +36,18 @@ class Lookout:
         self.known_free: KnownFree | None = None
         self.ahead: Ahead | None = None
         self._believed_s, self._neighbourhood = -math.inf, Neighbourhood()
+        self._past: deque[StampedPose] = deque()
         self.intruder: Intruder | None = None  # in the newest frame that is believed
 
     def step(self, pose: StampedPose | None, now_s: float) -> None:
-        """Take over what is new. Raises nothing: a record that makes no sense is none."""
+        """Take over what is new. Raises nothing: a record that makes no sense is none.
+
+        A frame comes tenths of a second late: it was taken from where the vehicle was then.
+        """
+        if pose is not None and not (self._past and self._past[-1].stamp_s >= pose.stamp_s):
+            self._past.append(pose)
+        while self._past and now_s - self._past[0].stamp_s > _PAST_S:
+            self._past.popleft()
         free = _newest(self._free, self._free_sequence)
         self._free_sequence = self._free.sequence()
         if free is not None:
@@ -49,13 +59,15 @@ class Lookout:
         if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
             self.ahead = Ahead(nearby, self._radius_m)
             self._believed_s = nearby.stamp_s if nearby.believed else self._believed_s
-            if pose is not None and nearby.believed:
-                self._sight.add(nearby, pose.odom_from_body)
-                self.intruder = self._neighbourhood.look(nearby, pose.odom_from_body)
+            then = min(self._past, key=lambda past: abs(past.stamp_s - nearby.stamp_s), default=None)
+            if then is not None and abs(then.stamp_s - nearby.stamp_s) <= _BESIDE_S and nearby.believed:
+                self._sight.add(nearby, then.odom_from_body)
+                self.intruder = self._neighbourhood.look(nearby, then.odom_from_body)
 
     def forget(self) -> None:
         """Odom itself jumped: what was seen in it stands elsewhere now."""
         self._neighbourhood.forget()
+        self._past.clear()
         self.intruder = None
 
     def depth_age_s(self, now_s: float) -> float:
