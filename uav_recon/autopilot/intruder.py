@@ -83,11 +83,15 @@ def _looked_past(view: _View, places: FloatArray) -> BoolArray:
 
 
 def _eroded(range_m: Float32Array) -> FloatArray:
-    """Each cell's nearest return or that of the eight around it; NaN where it has none itself, or lies at the border."""
+    """Each cell's nearest return or that of the eight around it; NaN where it has none itself, or lies at the border, or above
+    one that has none: near the floor that is the floor, too near to be seen, and a cell above it looks past nothing.
+    """
     nearest = np.full(range_m.shape, np.nan)
     rows, columns = range_m.shape
     around = [range_m[i : rows - 2 + i, j : columns - 2 + j] for i in range(3) for j in range(3)]
-    nearest[1:-1, 1:-1] = np.where(np.isfinite(range_m[1:-1, 1:-1]), np.fmin.reduce(around), np.nan)
+    there = np.isfinite(range_m)
+    tells = there[1:-1, 1:-1] & there[2:, :-2] & there[2:, 1:-1] & there[2:, 2:]
+    nearest[1:-1, 1:-1] = np.where(tells, np.fmin.reduce(around), np.nan)
     return nearest
 
 
