@@ -15,10 +15,10 @@ from sitl.faults.meddler import Meddler
 from sitl.faults.roster import Roster
 from sitl.faults.table import ROWS
 from sitl.fly_evidence import evidence_of
-from sitl.fly_world import STEP_S, WorldOptions, make_world
+from sitl.fly_world import WorldOptions, make_world, run
 from sitl.transport import UdpPeer
-from sitl.world import Darkroom
 from uav_recon import config as product_config
+from uav_recon.clock import RateKeeper
 
 LONGEST_WAIT_S = 300.0  # for the trouble's moment: the product compiles first
 TURN_S = 1.0 / 60.0  # of the ledger and of the troubles
@@ -47,19 +47,14 @@ def fly(order: Order) -> Evidence:
     world = make_world(options, arena(row.arena, options.radius_m), meddler.far_link(peer), time.monotonic)
     meddler.enter(world, None, time.monotonic())
     meddler.theatre.config, meddler.theatre.roster = Path(order.config), Roster(Path(options.stream).parent)
-    darkroom = Darkroom(world)
-    next_s = turn_s = time.monotonic()
-    while not meddler.over(finished=False):
-        now_s = time.monotonic()
-        if now_s >= turn_s:
+    turns = RateKeeper(1.0 / TURN_S, time.monotonic())
+
+    def ended(now_s: float) -> bool:
+        if turns.due(now_s):
             meddler.turn(now_s)
-            turn_s = max(turn_s + TURN_S, now_s)
-        world.step(now_s)
-        if world.frame_due(now_s):
-            darkroom.submit(world.expose(now_s))
-        next_s = max(next_s + STEP_S, now_s)
-        time.sleep(max(next_s - time.monotonic(), 0.0))
-    darkroom.close()
+        return meddler.over(finished=False)
+
+    run(world, ended)
     world.truth_log.save(Path(options.truth), world)
     peer.close()
     return evidence_of(meddler, product_config.load(Path(order.config)), Path(options.truth), options.radius_m)

@@ -118,7 +118,7 @@ def fly(options: WorldOptions) -> None:
     with contextlib.ExitStack() as ends:
         world = _outside(options, options.scene_of(), ends)
         try:
-            _run(world, stopping)
+            run(world, lambda _: bool(stopping))
         finally:
             world.truth_log.save(Path(options.truth), world)
 
@@ -136,11 +136,11 @@ def _outside(options: WorldOptions, scene: Scene, ends: contextlib.ExitStack) ->
     return _assemble(options, scene, boot, time.monotonic, REAL)
 
 
-def _run(world: World, stopping: list[int]) -> None:
+def run(world: World, ended: Callable[[float], bool]) -> None:
+    """Step a world in real time; ended(now_s) is asked before each step."""
     darkroom = Darkroom(world)
     next_s = time.monotonic()
-    while not stopping:
-        now_s = time.monotonic()
+    while not ended(now_s := time.monotonic()):
         world.step(now_s)
         if world.frame_due(now_s):
             darkroom.submit(world.expose(now_s))

@@ -2,25 +2,11 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import pytest
 from flight_rig import ARM, MODE, Rig, Tap
 
 from uav_recon.types.vehicle import FlightPhase
-
-
-@pytest.fixture(scope="module")
-def flown_up() -> Rig:
-    rig = Rig()
-    rig.airborne()
-    return rig
-
-
-@pytest.fixture
-def hovering(flown_up: Rig) -> Rig:
-    return copy.deepcopy(flown_up)
 
 
 def braked_after_s(rig: Rig, since_s: float) -> float:

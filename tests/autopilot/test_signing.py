@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from flight_rig import ARM, MODE, Tap
+from garbage import Wire
 from pymavlink.dialects.v20 import ardupilotmega as wire
 from signed_end import SignedEnd, signer
 from test_flight_ardupilot import CopterRig
@@ -35,26 +36,6 @@ HEARTBEAT = wire.MAVLink_heartbeat_message(2, 3, 0x80, 4, 4, 3)
 
 def signature(folder: Path, wall_s: float = NOW_S, link_id: int = 1) -> Signature:
     return Signature(KEY, link_id, Stamps(folder / "stamps", wall_s, 0.0, InlineExecutor(ManualClock())))
-
-
-class Wire:
-    """A byte link whose other end is the test."""
-
-    def __init__(self) -> None:
-        self.inbox, self.sent = b"", b""
-
-    def read(self) -> bytes:
-        data, self.inbox = self.inbox, b""
-        return data
-
-    def write(self, data: bytes) -> None:
-        self.sent += data
-
-    def wait(self, timeout_s: float) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
 
 
 class Ear:
