@@ -305,7 +305,7 @@ def make_motion(config: Config, clearance_m: float) -> MotionPlanner:
     safety = config.safety
     inset_m = safety.fence_inset_m + INSIDE_M
     low_m, high_m = np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m
-    return MotionPlanner(config.motion, clearance_m, low_m, high_m)
+    return MotionPlanner(config.motion, clearance_m, low_m, high_m, safety.max_acceleration_mps2)
 
 
 def make_coverage(config: Config, voxels: Voxels) -> Coverage:

@@ -1,10 +1,11 @@
 from __future__ import annotations
 
 import numpy as np
-from hall import CONFIG, MOTION, assert_rests, assert_within_limits, flown, paths, straight, to_polyline
+from hall import CLEARANCE_M, CONFIG, MOTION, assert_rests, assert_within_limits, flown, paths, straight, to_polyline
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from uav_recon.motion import MotionPlanner
 from uav_recon.motion.replay import BRAKE_RISE_S
 from uav_recon.types.tasks import ViewPath
 
@@ -42,3 +43,26 @@ def test_stop_at_cruise_takes_little_more_than_physics() -> None:
     trajectory = flown(straight([-4, 0, 1.5], [4, 0, 1.5]))
     braked = MOTION.stop(trajectory, trajectory.start_s + trajectory.duration_s / 2, 1)
     assert np.ptp(braked.position_m[:, 0]) <= CONFIG.speed_mps**2 / (2 * CONFIG.acceleration_mps2) + 0.15
+
+
+@settings(max_examples=40, deadline=None)
+@given(path=paths(), share=st.floats(0.05, 0.95))
+def test_a_blocked_way_is_left_harder_within_what_the_guard_allows(path: ViewPath, share: float) -> None:
+    trajectory, hardest_mps2 = flown(path), 2.0
+    now_s = trajectory.start_s + share * trajectory.duration_s
+    soft = MOTION.stop(trajectory, now_s, 8)
+    hard = MotionPlanner(CONFIG, CLEARANCE_M, braking_mps2=hardest_mps2).stop(trajectory, now_s, 8)
+    assert np.linalg.norm(hard.acceleration_mps2, axis=1).max() <= hardest_mps2
+    assert hard.duration_s <= soft.duration_s + 1e-9
+    assert_rests(hard, -1)
+
+
+def test_a_blocked_way_at_cruise_ends_earlier() -> None:
+    trajectory = flown(straight([-4, 0, 1.5], [4, 0, 1.5]))
+    now_s = trajectory.start_s + trajectory.duration_s / 2
+    soft, hard = (
+        np.ptp(MotionPlanner(CONFIG, CLEARANCE_M, braking_mps2=a).stop(trajectory, now_s, 1).position_m[:, 0])
+        for a in (CONFIG.acceleration_mps2, 2.0)
+    )
+    assert hard <= CONFIG.speed_mps**2 / (2 * 2.0) + 0.15
+    assert soft - hard >= 0.15

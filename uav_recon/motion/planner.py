@@ -36,16 +36,19 @@ class MotionPlanner:
     """Pure: no clock, no state. Trajectories are in odom; world is taken as odom, as it is within a map epoch."""
 
     def __init__(
-        self, config: MotionConfig, clearance_m: float, low_m: FloatArray | None = None, high_m: FloatArray | None = None
-    ) -> None:
+        self, config: MotionConfig, clearance_m: float, low_m: FloatArray | None = None, high_m: FloatArray | None = None,
+        braking_mps2: float | None = None,
+    ) -> None:  # fmt: skip
         """clearance_m: from the body's centre to anything not known free; tight_speed_mps is flown where there is no more.
 
-        low_m, high_m: (3,) corners of the box that the body's centre stays in; none = no box.
+        low_m, high_m: (3,) corners of the box that the body's centre stays in; none = no box. braking_mps2: with which a way
+        that turns out to be blocked is left; none = what is planned with.
         """
         self._low_m = np.full(3, -np.inf) if low_m is None else low_m
         self._high_m = np.full(3, np.inf) if high_m is None else high_m
         self._clearance_m = clearance_m
         self._pacer = Pacer.of(config, clearance_m)
+        self._hardness = (braking_mps2 or config.acceleration_mps2) / config.acceleration_mps2
         self._creeper = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m)
 
     def through(
@@ -112,13 +115,8 @@ class MotionPlanner:
         return dataclasses.replace(flown, views_s=np.zeros(0))
 
     def stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
-        """Brake along the same path, as fast as the limits allow, to rest; captures nothing."""
-        into_s = now_s - trajectory.start_s
-        if into_s <= 0.0 or into_s >= trajectory.duration_s:
-            still = np.zeros(2)
-            return replayed(trajectory, min(max(into_s, 0.0), trajectory.duration_s), (still, still, still), now_s, identifier)
-        pace = braking(trajectory, into_s, BRAKE_SHARE * self._pacer.acceleration, BRAKE_SHARE * self._pacer.spin)
-        return replayed(trajectory, into_s, pace, now_s, identifier)
+        """Brake along the same path, as hard as a blocked way asks for, to rest; captures nothing."""
+        return self._braked(trajectory, now_s, identifier, self._hardness)
 
     def still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
         """Whether what is left of the trajectory is clear in a newer map; False for a map of another epoch."""
@@ -126,6 +124,16 @@ class MotionPlanner:
             return False
         first = int(np.clip((now_s - trajectory.start_s) / trajectory.step_s, 0, len(trajectory.yaw_rad) - 1))
         return is_clear(self._space(voxels), trajectory.position_m, first, self._clearance_m - TOLERANCE_M)
+
+    def _braked(self, trajectory: Trajectory, now_s: float, identifier: int, hardness: float) -> Trajectory:
+        """hardness: 1 for the limits of planned motion."""
+        into_s = now_s - trajectory.start_s
+        if into_s <= 0.0 or into_s >= trajectory.duration_s:
+            still = np.zeros(2)
+            return replayed(trajectory, min(max(into_s, 0.0), trajectory.duration_s), (still, still, still), now_s, identifier)
+        share = BRAKE_SHARE * hardness
+        pace = braking(trajectory, into_s, share * self._pacer.acceleration, share * self._pacer.spin)
+        return replayed(trajectory, into_s, pace, now_s, identifier)
 
     def _space(self, voxels: VoxelMap) -> Space:
         return Space.of(voxels, self._low_m, self._high_m, self._clearance_m)
@@ -173,7 +181,7 @@ class MotionPlanner:
     ) -> Trajectory | str:
         """Brake along what is being flown, then from rest, straight to the path's own way or back to where it begins."""
         leave_s = flying.start_s + at * flying.step_s
-        braked = self.stop(flying, leave_s, identifier)
+        braked = self._braked(flying, leave_s, identifier, 1.0)
         rest = braked.setpoint_at(leave_s + braked.duration_s)
         here = Setpoint.hold(rest.position_m, rest.yaw_rad, rest.camera_pitch_down_rad)
         first, *others = path.waypoints_world
