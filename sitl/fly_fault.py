@@ -1,19 +1,33 @@
-"""One flight of the fault campaign: a row's trouble in lockstep or in real time, and the verdict."""
+"""Flights of the fault campaign: a row's trouble in lockstep or in real time, and the verdict."""
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 import traceback
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from sitl.faults.arena import arena
 from sitl.faults.everywhere import violations
 from sitl.faults.evidence import Evidence
-from sitl.faults.meddler import Meddler
-from sitl.faults.row import Row, Verdict, judge
+from sitl.faults.meddler import Meddler, alone
+from sitl.faults.row import Arena, Row, Verdict, judge
 from sitl.faults.table import ROWS
+from sitl.faults.trouble import Trouble
 from sitl.fly_evidence import evidence_of
+from sitl.fork import Fork
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a flight in lockstep is before its trouble begins; number is its seed."""
+
+    autopilot: str
+    number: int
+    arena: Arena
+    views: int
 
 
 @dataclass(frozen=True)
@@ -26,6 +40,11 @@ class FaultCase:
     out: Path | None = None
     live: bool = False
 
+    @property
+    def stage(self) -> Stage:
+        """Cases with the same one are the same flight until their troubles begin."""
+        return Stage(self.autopilot, self.number, ROWS[self.row].arena, ROWS[self.row].views)
+
 
 @dataclass(frozen=True)
 class FaultRecord:
@@ -37,20 +56,75 @@ class FaultRecord:
     trace: str = ""
 
 
-def fly_fault(case: FaultCase) -> FaultRecord:
-    """Fly it in this process; an exception of the flight's program breaks the row, not the campaign."""
-    row = ROWS[case.row]
+def fly(cases: Sequence[FaultCase]) -> list[FaultRecord]:
+    """Fly cases of one stage together, or some in real time one by one."""
+    return [_fly_live(case) for case in cases] if cases[0].live else fly_together(cases)
+
+
+def _fly_live(case: FaultCase) -> FaultRecord:
     try:
         with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
-            evidence = (flight_live if case.live else flight)(row, case, Path(folder))
-        return FaultRecord(case, judge(row, evidence, violations(evidence)), float(evidence.end_s - evidence.stamp_s[0]))
+            return record_of(case, flight_live(ROWS[case.row], case, Path(folder)))
     except Exception as error:  # a campaign goes on: what broke is in its record
-        said = f"{type(error).__name__}: {error}".splitlines()[0]
-        return FaultRecord(case, Verdict((float("nan"),) * len(row.bars), (said,)), trace=traceback.format_exc())
+        return broken(case, error)
 
 
-def flight(row: Row, case: FaultCase, folder: Path) -> Evidence:
-    """Fly a row's trouble, and gather what its judges may look at. Raises whatever the flight raises."""
+def fly_together(cases: Sequence[FaultCase]) -> list[FaultRecord]:
+    """Fly cases of one stage: once until their troubles begin, and then, one after the other, each in a fork of this process.
+
+    An exception of a flight's program breaks its row, not the campaign, and so does the end of its process.
+    """
+    with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder, Fork[list[FaultRecord]](Path(folder)) as fork:
+        return _Together(cases, Path(folder), fork).records()
+
+
+class _Together:
+    """left: the cases that this process flies, by their rows."""
+
+    def __init__(self, cases: Sequence[FaultCase], folder: Path, fork: Fork[list[FaultRecord]]) -> None:
+        self._left, self._folder, self._fork = {case.row: case for case in cases}, folder, fork
+        self._elsewhere: list[FaultRecord] = []
+        self._stage = cases[0].stage
+
+    def records(self) -> list[FaultRecord]:
+        """Of all cases; in a fork, it does not return."""
+        try:
+            evidence = flight([ROWS[row] for row in self._left], self._stage, self._folder, self._split)
+            records = [record_of(case, evidence) for case in self._left.values()]
+            for case in self._left.values():
+                if case.out is not None:
+                    shutil.copytree(self._folder / "flight", case.out)
+        except Exception as error:  # a campaign goes on: what broke is in its record
+            records = [broken(case, error) for case in self._left.values()]
+        self._fork.give(records)
+        return [*self._elsewhere, *records]
+
+    def _split(self, row: str) -> bool:
+        if self._fork.split():
+            self._left, self._elsewhere = {row: self._left[row]}, []
+            return True
+        case = self._left.pop(row)
+        self._elsewhere += self._fork.answer or [broken(case, RuntimeError("the process died"))]
+        return False
+
+
+def record_of(case: FaultCase, evidence: Evidence) -> FaultRecord:
+    """Judged."""
+    verdict = judge(ROWS[case.row], evidence, violations(evidence))
+    return FaultRecord(case, verdict, float(evidence.end_s - evidence.stamp_s[0]))
+
+
+def broken(case: FaultCase, error: Exception) -> FaultRecord:
+    """It tells why."""
+    said = f"{type(error).__name__}: {error}".splitlines()[0]
+    trace = "".join(traceback.format_exception(error))
+    return FaultRecord(case, Verdict((float("nan"),) * len(ROWS[case.row].bars), (said,)), trace=trace)
+
+
+def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str], bool] = alone) -> Evidence:
+    """Fly rows' troubles in lockstep, and gather what their judges may look at. folder: for all that the flight writes, the
+    product's account in its `flight`. split: of Meddler. Raises whatever the flight raises.
+    """
     from rich.console import Console
 
     from sitl.fly_hostile import hostile
@@ -59,15 +133,16 @@ def flight(row: Row, case: FaultCase, folder: Path) -> Evidence:
     from uav_recon import config as product_config
 
     options = SimOptions.parse(
-        seed=case.number, views=row.views, autopilot=case.autopilot, mapper="stand-in", lockstep=True,
-        out=case.out or folder / "flight",
-    )  # fmt: skip
-    scene = arena(row.arena, options.radius_m)
+        seed=stage.number, views=stage.views, autopilot=stage.autopilot, mapper="stand-in", lockstep=True, out=folder / "flight"
+    )
+    scene = arena(stage.arena, options.radius_m)
     options.make_folder()
     config = options.config(scene, folder)
     product_config.save(config, options.out / "config.toml")
-    injectors = [*row.injectors(case.number), *hostile(row.id, config)]
-    meddler = Meddler(injectors, row.onset, case.number, row.longest_s)
+    troubles = [
+        Trouble(row.id, [*row.injectors(stage.number), *hostile(row.id, config)], row.onset, row.longest_s) for row in rows
+    ]
+    meddler = Meddler(troubles, stage.number, split=split)
     fly_in_lockstep(options, config, scene, Console(quiet=True), meddler.lands, timelapse=False, meddler=meddler)
     return evidence_of(meddler, config, options.out / "truth.npz", options.radius_m)
 

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import multiprocessing
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Generator, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sitl.faults.page import write_page
 from sitl.faults.result import Result, result_of
-from sitl.faults.row import Row
+from sitl.faults.row import Row, Verdict
 from sitl.faults.table import ROWS, TABLE
 from sitl.fly_case import one_thread
-from sitl.fly_fault import FaultCase, FaultRecord, fly_fault
+from sitl.fly_fault import FaultCase, FaultRecord, Stage, fly
 from sitl.fly_options import AUTOPILOTS, UsageError
 from uav_recon import run
 
@@ -25,7 +27,7 @@ BOTH = "both"
 
 @dataclass(frozen=True)
 class FaultOptions:
-    """Rows are flown in the order of the table, each with seeds 0, 1, ... and for each personality."""
+    """Rows are flown with seeds 0, 1, ... and for each personality, and told in the order of the table."""
 
     rows: tuple[Row, ...]
     autopilots: tuple[str, ...]
@@ -57,16 +59,31 @@ class FaultOptions:
         """The flights of a row; none for one that cannot be flown here."""
         if not row.flown(self.live):
             return []
-        folders = [None if self.out is None else self.out / f"{row.id}-{autopilot}-{seed}" for seed in range(self.seeds)]
-        return [FaultCase(row.id, autopilot, seed, folder, self.live) for seed, folder in enumerate(folders)]
+        numbers = range(self.seeds if self.live else self.seeds * row.times)
+        folders = [None if self.out is None else self.out / f"{row.id}-{autopilot}-{number}" for number in numbers]
+        return [FaultCase(row.id, autopilot, number, folder, self.live) for number, folder in enumerate(folders)]
+
+    def groups(self) -> list[list[FaultCase]]:
+        """All flights: those together that can be, seed by seed; in real time each is alone."""
+        cases = [case for autopilot in self.autopilots for row in self.rows for case in self.cases(row, autopilot)]
+        if self.live:
+            return [[case] for case in cases]
+        groups: dict[Stage, list[FaultCase]] = {}
+        for case in sorted(cases, key=lambda case: (self.autopilots.index(case.autopilot), case.number)):
+            groups.setdefault(case.stage, []).append(case)
+        return list(groups.values())
 
 
 def faults(options: FaultOptions) -> int:
     """Fly them; returns 1 if any row failed, else 0. Raises run.Failure."""
-    console, results = Console(), []
+    console, results = Console(), list[Result]()
+    groups = options.groups()
+    taken = [case.out for group in groups for case in group if case.out is not None and case.out.exists()]
+    if taken:
+        raise UsageError(f"--out {options.out}: holds flights already, {taken[0].name} for one")
     one_thread()
-    with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for result in _results(options, pool):
+    with contextlib.closing(_fly_all(groups, options.jobs, console)) as records:
+        for result in _results(options, records):
             results.append(result)
             console.print(_line(result), markup=False, highlight=False, soft_wrap=True)
             _save(options, results)
@@ -76,18 +93,33 @@ def faults(options: FaultOptions) -> int:
     return 1 if bad else 0
 
 
-def _results(options: FaultOptions, pool: ProcessPoolExecutor) -> Iterator[Result]:
-    pending = []
+def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Generator[FaultRecord, None, None]:
+    """Records as they come, under a bar that tells how many there are yet to come."""
+    columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with (
+        Progress(*columns, console=console, disable=not console.is_terminal) as progress,
+        ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool,
+    ):
+        task = progress.add_task("", total=sum(map(len, groups)))
+        for future in as_completed([pool.submit(fly, group) for group in groups]):
+            for record in future.result():
+                if record.trace and record.case.out is not None:
+                    record.case.out.mkdir(parents=True, exist_ok=True)
+                    (record.case.out / "trace.txt").write_text(record.trace, encoding="utf-8")
+                progress.advance(task)
+                yield record
+
+
+def _results(options: FaultOptions, records: Iterator[FaultRecord]) -> Iterator[Result]:
+    """Of each row and personality, in order, as soon as its last flight and those of the rows before are over."""
+    verdicts: dict[FaultCase, Verdict] = {}
     for autopilot in options.autopilots:
         for row in options.rows:
-            pending.append((row, autopilot, [pool.submit(fly_fault, case) for case in options.cases(row, autopilot)]))
-    for row, autopilot, futures in pending:
-        records: list[FaultRecord] = [future.result() for future in futures]
-        for record in records:
-            if record.trace and record.case.out is not None:
-                record.case.out.mkdir(parents=True, exist_ok=True)
-                (record.case.out / "trace.txt").write_text(record.trace, encoding="utf-8")
-        yield result_of(row, autopilot, [record.verdict for record in records])
+            cases = options.cases(row, autopilot)
+            while not verdicts.keys() >= set(cases):
+                record = next(records)
+                verdicts[record.case] = record.verdict
+            yield result_of(row, autopilot, [verdicts[case] for case in cases])
 
 
 def _line(result: Result) -> str:

@@ -16,6 +16,7 @@ from rich.console import Console
 
 from sitl.fly_options import SimOptions
 from sitl.fly_progress import Screen
+from sitl.fly_tlog import MemoryTlog
 from sitl.fly_wires import direct_wires
 from sitl.fly_world import make_world
 from sitl.pace import QUICK, REAL
@@ -23,7 +24,6 @@ from sitl.scene import Scene
 from sitl.transport import pipe
 from sitl.world import World
 from uav_recon import run
-from uav_recon.autopilot.tlog import Tlog
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
 from uav_recon.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
@@ -129,7 +129,7 @@ def fly_in_lockstep(
     meddler.enter(world, wires, START_S)
     run.warm_up(config)
     mapper = _mapper(options, config)
-    log, journal = Tlog(options.out / "flight.tlog", epoch_s=0.0), FlightLog(options.out)
+    log, journal = MemoryTlog(options.out / "flight.tlog"), FlightLog(options.out)
     link, executor = meddler.link(ours), InlineExecutor(clock)
     pilot = run.make_pilot(config, wires, link, log, clock)
     perception = run.make_perception(config, wires, clock)

@@ -14,6 +14,7 @@ from sitl.faults.evidence import Evidence
 from sitl.faults.meddler import Meddler
 from sitl.faults.roster import Roster
 from sitl.faults.table import ROWS
+from sitl.faults.trouble import Trouble
 from sitl.fly_evidence import evidence_of
 from sitl.fly_world import WorldOptions, make_world, run
 from sitl.transport import UdpPeer
@@ -42,7 +43,8 @@ def fly(order: Order) -> Evidence:
     """Run until there is nothing left to see. Raises OSError if the link's port cannot be had."""
     options, row = WorldOptions.load(Path(order.world)), ROWS[order.row]
     assert row.live is not None
-    meddler = Meddler(row.live(order.number), row.onset, order.number, row.longest_s, LONGEST_WAIT_S)
+    trouble = Trouble(row.id, row.live(order.number), row.onset, row.longest_s)
+    meddler = Meddler([trouble], order.number, LONGEST_WAIT_S)
     peer = UdpPeer(remote=("127.0.0.1", options.port))
     world = make_world(options, arena(row.arena, options.radius_m), meddler.far_link(peer), time.monotonic)
     meddler.enter(world, None, time.monotonic())

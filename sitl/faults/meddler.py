@@ -19,6 +19,7 @@ from sitl.d435i import pinhole
 from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.link import Bytes, Late, Proxy, Tap
+from sitl.faults.trouble import Onset, Trouble
 from sitl.poses import PoseRecord
 from sitl.rotation import yaw_of
 from sitl.transform import body_from_camera, world_from_body
@@ -35,22 +36,6 @@ _SEEN_RAD = math.radians(25.0)  # off the nose, 1 m away a person still is in a 
 _PEEK = pinhole(16, 6, 24.0, 8.0)
 
 
-@dataclass(frozen=True)
-class Onset:
-    """When a trouble begins: at a random instant between these seconds after the climb is over, and then as soon as the
-    vehicle is flown at speed_mps or more. at_boot: at once. after_s counts from the boot where at_boot is set. seeing: where
-    the camera looks, which sees what stands in the hull's way only if that way leads ahead. view_m: only where nothing stands
-    before the camera, level, for so far. away_m: only so far from the pad.
-    """
-
-    after_s: tuple[float, float] = (2.0, 8.0)
-    speed_mps: float = 0.4
-    at_boot: bool = False
-    seeing: bool = False
-    view_m: float = 0.0
-    away_m: float = 0.0
-
-
 @dataclass(frozen=True, slots=True)
 class Moment:
     """One line of the ledger: the truth at the end of a turn."""
@@ -63,19 +48,26 @@ class Moment:
     off_nose_rad: float = 0.0  # between the level course and where the nose points
 
 
+def alone(row: str) -> bool:
+    """There is no flight but this one: a trouble that comes is met in it."""
+    return True
+
+
 class Meddler:
-    """longest_s: the flight is ended so long after the trouble began, whatever it does then; longest_wait_s: or so long after
-    its beginning, if the trouble's moment does not come.
+    """troubles: one, or several that lie ahead of the same flight. Each at its moment, split() says whether this is the flight
+    that meets it; the last one always is met. longest_wait_s: the flight is ended so long after its beginning, if no moment
+    comes.
     """
 
     def __init__(
-        self, injectors: Sequence[Injector], onset: Onset, seed: int, longest_s: float = 60.0,
-        longest_wait_s: float = LONGEST_WAIT_S,
+        self, troubles: Sequence[Trouble], seed: int, longest_wait_s: float = LONGEST_WAIT_S,
+        split: Callable[[str], bool] = alone,
     ) -> None:  # fmt: skip
-        self._injectors, self._onset = tuple(injectors), onset
-        self._longest_s, self._longest_wait_s = longest_s, longest_wait_s
+        self._troubles, self._split = list(troubles), split
+        self._injectors: Sequence[Injector] = ()
+        self._longest_s, self._longest_wait_s = math.inf, longest_wait_s
         self._dice = random.Random(seed * 7919 + 17)
-        self._wait_s = self._dice.uniform(*onset.after_s)
+        self._share = self._dice.random()  # of the time in which a trouble may begin
         self._airborne_s, self._flown, self._disarmed_s = math.inf, False, math.inf
         self._begun_s = math.inf
         self.onset_s = math.inf
@@ -113,9 +105,8 @@ class Meddler:
             )
         )
         self._watch(self.ledger[-1])
-        if self.onset_s < math.inf:
-            for injector in self._injectors:
-                injector.turn(at, now_s - self.onset_s)
+        for injector in self._injectors:
+            injector.turn(at, now_s - self.onset_s)
         if self.proxy is not None:
             self.proxy.forward()
         self._stream.release(now_s)
@@ -123,12 +114,12 @@ class Meddler:
     def runs(self, stage: str) -> bool:
         """Whether a stage's loop makes its turn."""
         since_s = self.theatre.now_s - self.onset_s
-        return since_s < 0.0 or not any(injector.stalls(since_s, stage) for injector in self._injectors)
+        return not any(injector.stalls(since_s, stage) for injector in self._injectors)
 
     def restarts(self, stage: str) -> bool:
         """Whether a stage is to be built anew before its turn."""
         since_s = self.theatre.now_s - self.onset_s
-        return since_s >= 0.0 and any(injector.restarts(since_s, stage) for injector in self._injectors)
+        return any(injector.restarts(since_s, stage) for injector in self._injectors)
 
     def holds(self) -> bool:
         """Whether the operator wants the vehicle to stay where it is."""
@@ -159,27 +150,40 @@ class Meddler:
         self._disarmed_s = math.inf if now.armed else min(self._disarmed_s, now.stamp_s)
         if self.onset_s < math.inf:
             return
-        flown = now.armed and now.mode in OURS
-        if flown and now.position_m[2] > AIRBORNE_M:
+        if now.armed and now.mode in OURS and now.position_m[2] > AIRBORNE_M:
             self._airborne_s = min(self._airborne_s, now.stamp_s)
-        since_s = self._begun_s if self._onset.at_boot else self._airborne_s
-        fast = self._onset.at_boot or (flown and math.hypot(*now.velocity_mps[:2]) >= self._onset.speed_mps)
-        seen = not self._onset.seeing or now.off_nose_rad <= _SEEN_RAD
-        away = math.hypot(*now.position_m[:2]) >= self._onset.away_m
-        if fast and seen and away and now.stamp_s >= since_s + self._wait_s and self._views():
-            self.onset_s = now.stamp_s
-            for injector in self._injectors:
-                injector.begin(self.theatre)
+        for trouble in [each for each in self._troubles if self._comes(each.onset, now)]:
+            if len(self._troubles) == 1 or self._split(trouble.row):
+                self._meet(trouble, now.stamp_s)
+                return
+            self._troubles.remove(trouble)
 
-    def _views(self) -> bool:
-        """Whether the level way before the camera is as clear as it is to be."""
-        if self._onset.view_m <= 0.0:
+    def _comes(self, onset: Onset, now: Moment) -> bool:
+        """Whether this is the moment for it."""
+        since_s = self._begun_s if onset.at_boot else self._airborne_s
+        flown = now.armed and now.mode in OURS
+        fast = onset.at_boot or (flown and math.hypot(*now.velocity_mps[:2]) >= onset.speed_mps)
+        seen = not onset.seeing or now.off_nose_rad <= _SEEN_RAD
+        away = math.hypot(*now.position_m[:2]) >= onset.away_m
+        due = now.stamp_s >= since_s + onset.wait_s(self._share)
+        return fast and seen and away and due and self._views(onset.view_m)
+
+    def _meet(self, trouble: Trouble, now_s: float) -> None:
+        """From here on this flight is its own."""
+        self._troubles, self.onset_s, self._longest_s = [trouble], now_s, trouble.longest_s
+        self._injectors = trouble.injectors
+        for injector in self._injectors:
+            injector.begin(self.theatre)
+
+    def _views(self, clear_m: float) -> bool:
+        """Whether the level way before the camera is so clear."""
+        if clear_m <= 0.0:
             return True
         world = self.theatre.world
         truth = world.autopilot.truth()
         eye = world_from_body(truth.position, yaw_of(truth.quat_wxyz)) @ body_from_camera((0.0, 0.0, 0.0), 0.0)
         seen = world.camera.renderer.render(eye, _PEEK, colour=False).depth_m
-        return bool(np.all((seen <= 0.0) | (seen >= self._onset.view_m)))
+        return bool(np.all((seen <= 0.0) | (seen >= clear_m)))
 
     # -- in the streams -------------------------------------------------------------------------------------------------
 
@@ -187,8 +191,6 @@ class Meddler:
         """What all injectors together make of an item: delays add up."""
         since_s = self.theatre.now_s - self.onset_s
         late: Late[T] = [(0.0, item)]
-        if since_s < 0.0:
-            return late
         for injector in self._injectors:
             make: Callable[[float, T], Late[T]] = getattr(injector, kind)
             late = [(wait + more, changed) for wait, each in late for more, changed in make(since_s, each)]

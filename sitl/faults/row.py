@@ -10,7 +10,7 @@ from typing import Literal
 from sitl.faults.evidence import Evidence
 from sitl.faults.injector import Injector
 from sitl.faults.measures import Measure
-from sitl.faults.meddler import Onset
+from sitl.faults.trouble import Onset
 
 Arena = Literal["hall", "pen", "corridor"]
 ON_THE_WAY = Onset()
@@ -51,7 +51,7 @@ class Bar:
 class Row:
     """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere. why: it
     cannot be flown in lockstep. live: its injectors in real time, where that is another flight. longest_s: watched so long
-    after the trouble began.
+    after the trouble began. times: in lockstep it is flown so many times as often as a row is.
     """
 
     id: str
@@ -66,6 +66,7 @@ class Row:
     tier: str = "T0"
     why: str = ""
     live: Callable[[int], Sequence[Injector]] | None = None
+    times: int = 1
 
     def flown(self, live: bool) -> bool:
         """Whether there is a flight of it, in lockstep or in real time."""

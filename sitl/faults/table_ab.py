@@ -5,7 +5,6 @@ from __future__ import annotations
 from sitl.faults import measures as m
 from sitl.faults.bars import NO_FAILSAFE, NO_JUMP, NO_ORDER, STEADY, STREAMS, clear, down, holds, lands, lands_no_sooner, stops
 from sitl.faults.host import Crash, Stall
-from sitl.faults.meddler import Onset
 from sitl.faults.row import Bar, Row
 from sitl.faults.signals import Asked, Killed, MapperStopped, SecondPilot, Stopped
 from sitl.faults.tracker import (
@@ -21,6 +20,7 @@ from sitl.faults.tracker import (
     stamped,
     turned,
 )  # fmt: skip
+from sitl.faults.trouble import Onset
 
 FAST = Onset(speed_mps=0.6)
 GONE_AND_BACK = tuple(((0.5, 2.0, 10.0)[n % 3], (0.0, 0.3, 1.0)[(n + n // 3) % 3]) for n in range(9))
@@ -36,6 +36,7 @@ TABLE_A = (
         (holds(0.6), stops(0.6), STEADY, STREAMS, NO_FAILSAFE, NO_JUMP, Bar("flies on", m.moves_again_after(5.0), 1.0, "s")),
         onset=FAST,
         live=lambda n: [Stopped("mission", 5.0)],
+        times=3,
     ),
     Row(
         "A2",
@@ -134,6 +135,7 @@ TABLE_B = (
         lambda n: [Silence()],
         (holds(0.3), lands(1.2), Bar("drift", m.drift_landing, 0.8, "m"), down(30.0)),
         onset=FAST,
+        times=3,
     ),
     Row(
         "B2",
@@ -161,6 +163,7 @@ TABLE_B = (
             Bar("step of ODOMETRY", m.pose_step, 0.05, "m"),
             Bar("reset counter", m.resets, 1.0, ""),
         ),
+        times=3,
     ),
     Row(
         "B5",

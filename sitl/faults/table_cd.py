@@ -31,8 +31,8 @@ from sitl.faults.eye import (
 )  # fmt: skip
 from sitl.faults.host import Crash
 from sitl.faults.injector import Injector
-from sitl.faults.meddler import Onset
 from sitl.faults.row import SHORT_VIEWS, Bar, Row
+from sitl.faults.trouble import Onset
 from sitl.faults.wires import Corrupted, Garbage, Jitter, Loss, Repeated
 
 FAST = Onset(speed_mps=0.6)

@@ -16,8 +16,8 @@ from sitl.faults.bars import (
 from sitl.faults.body import Battery, HeldDown, Parameter, Push, Takeover, TransmitterLost, Unnoticed
 from sitl.faults.eye import Stands
 from sitl.faults.host import Abort, DiskFull
-from sitl.faults.meddler import Onset
 from sitl.faults.row import SHORT_VIEWS, Bar, Row
+from sitl.faults.trouble import Onset
 from sitl.faults.wires import Forger, Loss, Refused, Rewritten, version
 
 AT_BOOT = Onset((0.0, 0.0), at_boot=True)
@@ -50,6 +50,7 @@ TABLE_E = (
         ),
         onset=ANY,
         longest_s=20.0,
+        times=3,
     ),
     Row(
         "E1b",
@@ -164,6 +165,7 @@ TABLE_F = (
         bars=(STREAMS, NO_FAILSAFE, clear(0.10)),
         longest_s=30.0,
         injectors=lambda n: [],
+        times=3,
     ),
     Row(
         "F2",

@@ -11,10 +11,10 @@ from sitl.faults.body import Push
 from sitl.faults.everywhere import violations
 from sitl.faults.evidence import Evidence
 from sitl.faults.host import Stall
-from sitl.faults.meddler import Onset
 from sitl.faults.row import Row, judge
 from sitl.faults.table import ROWS
-from sitl.fly_fault import FaultCase, flight, fly_fault
+from sitl.faults.trouble import Onset
+from sitl.fly_fault import FaultCase, Stage, flight, fly
 
 pytestmark = pytest.mark.slow
 PROMISES = {
@@ -34,14 +34,14 @@ PROMISES = {
 
 @pytest.mark.parametrize("row", PROMISES)
 def test_the_promise_is_kept(row: str) -> None:
-    record = fly_fault(FaultCase(row, "px4", 0))
+    record = fly([FaultCase(row, "px4", 0)])[0]
     assert not record.trace, record.trace
     assert record.verdict.passed(ROWS[row], "px4"), (PROMISES[row], record.verdict)
 
 
 def flown(row: Row, folder: Path) -> Evidence:
     folder.mkdir(exist_ok=True)
-    return flight(row, FaultCase(row.id, "px4", 1), folder)
+    return flight([row], Stage("px4", 1, row.arena, row.views), folder)
 
 
 def test_a_vehicle_pushed_into_a_wall_is_seen(tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_a_stream_that_dies_breaks_its_bar(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("row", ["A8", "A9"])
 def test_real_processes_in_real_time(row: str) -> None:
-    record = fly_fault(FaultCase(row, "px4", 0, live=True))
+    record = fly([FaultCase(row, "px4", 0, live=True)])[0]
     assert not record.trace, record.trace
     assert record.verdict.passed(ROWS[row], "px4"), record.verdict
 
