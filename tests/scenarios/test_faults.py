@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sitl.faults.body import Push
@@ -14,9 +17,9 @@ from sitl.faults.host import Stall
 from sitl.faults.row import Row, judge
 from sitl.faults.table import ROWS
 from sitl.faults.trouble import Onset
-from sitl.fly_fault import FaultCase, Stage, flight, fly
+from sitl.fly_fault import FaultCase, FaultRecord, Stage, flight, fly, record_of
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 PROMISES = {
     "A7": "a pilot restarted in the air commands nothing",
     "D2": "a dead uplink ends in the firmware's landing, and nobody takes it back",
@@ -32,11 +35,34 @@ PROMISES = {
 }
 
 
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, FaultRecord]]:
+    """All of them as a campaign flies them, those of a stage together, in a process that has no threads; and their folders."""
+    out = tmp_path_factory.mktemp("faults")
+    stages: dict[Stage, list[FaultCase]] = {}
+    for row in PROMISES:
+        case = FaultCase(row, "px4", 0, out / row)
+        stages.setdefault(case.stage, []).append(case)
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        records = [record for cases in stages.values() for record in pool.submit(fly, cases).result()]
+    return out, {record.case.row: record for record in records}
+
+
 @pytest.mark.parametrize("row", PROMISES)
-def test_the_promise_is_kept(row: str) -> None:
-    record = fly([FaultCase(row, "px4", 0)])[0]
+def test_the_promise_is_kept(row: str, campaign: tuple[Path, dict[str, FaultRecord]]) -> None:
+    record = campaign[1][row]
     assert not record.trace, record.trace
     assert record.verdict.passed(ROWS[row], "px4"), (PROMISES[row], record.verdict)
+
+
+def test_a_flight_of_a_campaign_is_the_same_flight_alone(campaign: tuple[Path, dict[str, FaultRecord]], tmp_path: Path) -> None:
+    case = campaign[1]["E10"].case
+    assert case.out is not None
+    evidence = flight([ROWS["E10"]], case.stage, tmp_path)
+    assert record_of(case, evidence) == campaign[1]["E10"]
+    assert (case.out / "flight.tlog").read_bytes() == (tmp_path / "flight" / "flight.tlog").read_bytes()
+    with np.load(case.out / "truth.npz") as shared, np.load(tmp_path / "flight" / "truth.npz") as alone:
+        assert all(shared[name].tobytes() == alone[name].tobytes() for name in alone.files)
 
 
 def flown(row: Row, folder: Path) -> Evidence:
@@ -61,14 +87,9 @@ def test_a_stream_that_dies_breaks_its_bar(tmp_path: Path) -> None:
     assert figures["setpoints in a second"] < 20.0
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("row", ["A8", "A9"])
 def test_real_processes_in_real_time(row: str) -> None:
     record = fly([FaultCase(row, "px4", 0, live=True)])[0]
     assert not record.trace, record.trace
     assert record.verdict.passed(ROWS[row], "px4"), record.verdict
-
-
-def test_a_row_repeats_itself(tmp_path: Path) -> None:
-    first, again = (flown(ROWS["E10"], tmp_path / name) for name in ("a", "b"))
-    assert first.position_m.tobytes() == again.position_m.tobytes()
-    assert first.wire.orders == again.wire.orders

@@ -18,7 +18,7 @@ import pytest
 from sitl.firmware.px4 import COMPANION_PORT
 from uav_recon.recording.report import Report
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
+pytestmark = [pytest.mark.slow, pytest.mark.real_time, pytest.mark.timeout(1800)]
 STAND_IN = Path(__file__).with_name("firmware_stand_in.py")
 BINARIES = {"ardupilot": "UAV_RECON_ARDUCOPTER", "px4": "UAV_RECON_PX4"}
 

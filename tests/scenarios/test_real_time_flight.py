@@ -15,7 +15,7 @@ import pytest
 
 from uav_recon.recording.report import Report
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.real_time]
 READY_S = 240.0
 
 

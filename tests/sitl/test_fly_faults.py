@@ -27,7 +27,7 @@ def test_rows_come_in_the_tables_order() -> None:
     options = FaultOptions.parse(only="B4, A1", autopilot="px4", seeds=2, out=Path("/somewhere"))
     assert [row.id for row in options.rows] == ["A1", "B4"]
     cases = options.cases(ROWS["A1"], "px4")
-    assert [case.number for case in cases] == [0, 1]
+    assert [case.number for case in cases] == [0, 1, 2, 3, 4, 5]
     assert cases[1].out == Path("/somewhere/A1-px4-1")
     assert options.cases(ROWS["A4"], "px4") == []
     assert FaultOptions.parse().autopilots == AUTOPILOTS
@@ -35,6 +35,32 @@ def test_rows_come_in_the_tables_order() -> None:
     with pytest.raises(UsageError, match="B4: not flown in real time"):
         FaultOptions.parse(only="B4", live=True)
     assert len(FaultOptions.parse().rows) == len(ROWS)
+
+
+def test_what_rows_have_in_common_is_flown_once() -> None:
+    options = FaultOptions.parse(only="A1,A6,C7,F2,G7", seeds=2)
+    groups = [[(case.row, case.autopilot, case.number) for case in group] for group in options.groups()]
+    assert groups[:3] == [[("A1", "px4", 0), ("A6", "px4", 0)], [("C7", "px4", 0)], [("F2", "px4", 0)]]
+    assert groups[3][0] == ("A1", "px4", 1)
+    alone = [group for group in groups if group[0][2] >= 2]
+    assert alone == [[("A1", autopilot, number)] for autopilot in AUTOPILOTS for number in range(2, 6)], (
+        "A1 is flown more often"
+    )
+    assert sum(len(group) for group in groups) == 2 * (6 + 2 + 2 + 2)
+    live = FaultOptions.parse(only="A1,A6", seeds=2, live=True).groups()
+    assert [len(group) for group in live] == [1] * 8, "and not in real time"
+
+
+def test_twenty_seeds_are_sixty_of_the_five_rows_that_take_most_turns() -> None:
+    options = FaultOptions.parse(seeds=20)
+    often = [row.id for row in options.rows if len(options.cases(row, "px4")) == 60]
+    assert often == ["A1", "B1", "B4", "E1", "F1"]
+
+
+def test_flights_that_are_there_are_not_flown_over(tmp_path: Path) -> None:
+    (tmp_path / "A1-px4-0").mkdir()
+    with pytest.raises(UsageError, match="holds flights already, A1-px4-0"):
+        faults(FaultOptions.parse(only="A1", autopilot="px4", seeds=1, out=tmp_path))
 
 
 @pytest.mark.parametrize(("words", "named"), [({"only": "A1,Z9"}, "Z9"), ({"autopilot": "inav"}, "autopilot")])
