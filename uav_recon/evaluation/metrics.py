@@ -83,8 +83,10 @@ def point_distance_m(from_points: FloatArray, to_points: FloatArray) -> FloatArr
     """Distance (N,) from each point (N, 3) to the nearest of ``to_points`` (M, 3); infinite if M = 0."""
     if len(to_points) == 0:
         return np.full(len(from_points), np.inf)
-    distance, _ = cKDTree(to_points).query(from_points)
-    return np.asarray(distance, dtype=np.float64)
+    distance = np.empty(len(from_points))
+    near = cKDTree(from_points).indices  # neighbours after each other: what one search read is at hand for the next
+    distance[near], _ = cKDTree(to_points).query(from_points[near], workers=-1)
+    return distance
 
 
 def share_within(distance_m: FloatArray, threshold_m: float) -> float | None:
