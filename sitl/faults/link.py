@@ -81,6 +81,8 @@ class Queue:
 
     def take(self, now_s: float) -> list[bytes]:
         """What has arrived by now."""
+        if not self._waiting:
+            return []
         ready = sorted(item for item in self._waiting if item[0] <= now_s + 1e-9)
         if ready:
             self._waiting = [item for item in self._waiting if item[0] > now_s + 1e-9]

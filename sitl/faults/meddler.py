@@ -45,7 +45,6 @@ class Moment:
     velocity_mps: tuple[float, float, float]
     armed: bool
     mode: str
-    off_nose_rad: float = 0.0  # between the level course and where the nose points
 
 
 def alone(row: str) -> bool:
@@ -99,11 +98,7 @@ class Meddler:
         """Before anything else moves in a turn."""
         at, truth = self.theatre, self.theatre.world.autopilot.truth()
         at.now_s = now_s
-        self.ledger.append(
-            Moment(
-                now_s, truth.position, truth.velocity, truth.armed, truth.mode, off_nose_rad(truth.velocity, truth.quat_wxyz)
-            )
-        )
+        self.ledger.append(Moment(now_s, truth.position, truth.velocity, truth.armed, truth.mode))
         self._watch(self.ledger[-1])
         for injector in self._injectors:
             injector.turn(at, now_s - self.onset_s)
@@ -163,10 +158,14 @@ class Meddler:
         since_s = self._begun_s if onset.at_boot else self._airborne_s
         flown = now.armed and now.mode in OURS
         fast = onset.at_boot or (flown and math.hypot(*now.velocity_mps[:2]) >= onset.speed_mps)
-        seen = not onset.seeing or now.off_nose_rad <= _SEEN_RAD
+        due = fast and now.stamp_s >= since_s + onset.wait_s(self._share)
         away = math.hypot(*now.position_m[:2]) >= onset.away_m
-        due = now.stamp_s >= since_s + onset.wait_s(self._share)
-        return fast and seen and away and due and self._views(onset.view_m)
+        return due and away and (not onset.seeing or self._looks_ahead()) and self._views(onset.view_m)
+
+    def _looks_ahead(self) -> bool:
+        """Whether the camera sees where the vehicle is going."""
+        truth = self.theatre.world.autopilot.truth()
+        return off_nose_rad(truth.velocity, truth.quat_wxyz) <= _SEEN_RAD
 
     def _meet(self, trouble: Trouble, now_s: float) -> None:
         """From here on this flight is its own."""

@@ -47,6 +47,7 @@ TABLE_C = (
         (COMPLETES, NO_FAILSAFE),
         onset=FAST,
         longest_s=180.0,
+        views=30,
     ),
     Row(
         "C1b",
@@ -56,6 +57,7 @@ TABLE_C = (
         (holds(0.4), STREAMS, COMPLETES),
         onset=FAST,
         longest_s=180.0,
+        views=30,
     ),
     Row(
         "C1c",

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.faults.link import frames, message_id
+
 F64 = NDArray[np.float64]
 MODE_OR_ARM = frozenset(
     {
@@ -79,7 +81,7 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
                 orders.append(Order(stamp_s, mavlink.MAV_CMD_DO_SET_MODE, float(m.base_mode), float(m.custom_mode)))
             elif kind == "STATUSTEXT":
                 texts.append((stamp_s, str(m.text)))
-            not_finite += kind in _CHECKED and not all(math.isfinite(v) for v in _numbers(m))
+            not_finite += kind in _CHECKED and not math.isfinite(sum(_numbers(m)))  # one that is none spoils the sum
     s = np.array(setpoints, dtype=np.float64).reshape(-1, 11)
     o = np.array(odometry, dtype=np.float64).reshape(-1, 6)
     return Wire(
@@ -94,10 +96,18 @@ def modes_told(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tu
     parser.robust_parsing = True
     told = []
     for stamp_s, data in heard:
+        if parser.buf_len() == 0 and _without_heartbeat(data):
+            continue
         for m in parser.parse_buffer(data) or ():
             if m.get_type() == "HEARTBEAT" and m.get_srcSystem() == system:
                 told.append((stamp_s, int(m.custom_mode), bool(m.base_mode & 128)))
     return told
+
+
+def _without_heartbeat(data: bytes) -> bool:
+    """Whether these are whole frames of other messages and nothing else, which nobody needs to decode."""
+    *whole, rest = frames(data + b"\0")  # which stands alone behind whole frames
+    return rest == b"\0" and all(message_id(frame) > 0 for frame in whole)
 
 
 def _numbers(m: mavlink.MAVLink_message) -> list[float]:

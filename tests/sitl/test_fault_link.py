@@ -97,6 +97,17 @@ def test_another_firmware_is_told() -> None:
     assert Rewritten(0, version(1, 13, 0)).to_product(0.0, frame) == [(0.0, frame)]
 
 
+def test_heartbeats_are_heard_among_anything_else() -> None:
+    torn, garbage = heartbeat(3), bytes([0xFD, 0x0B]) + b"no frame" * 9
+    heard = [heartbeat(1), setpoint(1.0), setpoint(2.0) + heartbeat(2), torn[:7], torn[7:] + setpoint(3.0), setpoint(4.0)[:-1]]
+    heard += [garbage, setpoint(5.0) * 9, heartbeat(6)]
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    plain = [m.custom_mode for data in heard for m in parser.parse_buffer(data) or () if m.get_type() == "HEARTBEAT"]
+    assert plain[:3] == [1, 2, 3]
+    assert [mode for _, mode, _ in modes_told(list(enumerate(heard)))] == plain
+
+
 def test_the_capture_is_in_the_worlds_axes() -> None:
     wire = decode([(3.0, setpoint(1.0, 2.0, -1.5)), (4.0, setpoint(math.nan))])
     np.testing.assert_allclose(wire.position_m[0], [2.0, 1.0, 1.5])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum
@@ -25,10 +26,10 @@ class Pose:
     def __post_init__(self) -> None:
         quat = np.asarray(self.quat_wxyz, dtype=np.float64)
         translation = np.asarray(self.translation_m, dtype=np.float64)
-        norm = float(np.linalg.norm(quat))
         if quat.shape != (4,) or translation.shape != (3,):
             raise ValueError(f"pose wants quat_wxyz (4,) and translation_m (3,), got {quat.shape} and {translation.shape}")
-        if not (np.isfinite(norm) and np.isfinite(translation).all()) or norm < 1e-9:
+        norm = math.sqrt(quat @ quat)
+        if not all(map(math.isfinite, (norm, *translation.tolist()))) or norm < 1e-9:
             raise ValueError(f"pose is not finite: quat_wxyz {quat}, translation_m {translation}")
         object.__setattr__(self, "quat_wxyz", frozen(quat / norm))
         object.__setattr__(self, "translation_m", frozen(translation))
@@ -72,7 +73,7 @@ class Pose:
 
     def rotation(self) -> FloatArray:
         """Rotation matrix (3, 3)."""
-        w, x, y, z = self.quat_wxyz
+        w, x, y, z = self.quat_wxyz.tolist()
         return np.array(
             [
                 [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -95,8 +96,8 @@ class Pose:
 
     def __matmul__(self, other: Pose) -> Pose:
         """a_from_b @ b_from_c = a_from_c."""
-        aw, ax, ay, az = self.quat_wxyz
-        bw, bx, by, bz = other.quat_wxyz
+        aw, ax, ay, az = self.quat_wxyz.tolist()
+        bw, bx, by, bz = other.quat_wxyz.tolist()
         quat = np.array(
             [
                 aw * bw - ax * bx - ay * by - az * bz,
@@ -113,7 +114,7 @@ class Pose:
 
     def yaw_rad(self) -> float:
         """Heading of the x axis about z, in (-pi, pi]."""
-        w, x, y, z = self.quat_wxyz
+        w, x, y, z = self.quat_wxyz.tolist()
         return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
