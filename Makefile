@@ -8,7 +8,8 @@ install:
 	.venv/bin/pip install -q -e '.[dev]'
 
 test:
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest -n 2 --dist loadfile -m 'not real_time'
+	$(PYTHON) -m pytest -m real_time
 
 lint:
 	$(PYTHON) -m ruff format --check .

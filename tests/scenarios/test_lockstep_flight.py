@@ -33,7 +33,8 @@ def fly(folder: Path, seed: int) -> Flight:
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
-    return [fly(tmp_path_factory.mktemp("flight") / "f", seed) for seed in (3, 3, 4)]
+    """Two of the same seed: that another seed is another flight, the quick ones show."""
+    return [fly(tmp_path_factory.mktemp("flight") / "f", 3) for _ in range(2)]
 
 
 def test_the_mission_is_completed_without_contact(flights: list[Flight]) -> None:
@@ -67,12 +68,11 @@ def test_the_drone_ends_on_its_pad_with_motors_off(flights: list[Flight]) -> Non
 
 
 def test_a_seed_gives_the_same_flight_byte_for_byte(flights: list[Flight]) -> None:
-    first, again, other = flights
+    first, again = flights
     for name in ("stamp_s", "position_m", "quat_wxyz", "setpoint_arrivals_s"):
         assert first.truth[name].tobytes() == again.truth[name].tobytes(), name
     assert (first.folder / "flight.tlog").read_bytes() == (again.folder / "flight.tlog").read_bytes()
     assert (first.folder / "mesh.ply").read_bytes() == (again.folder / "mesh.ply").read_bytes()
-    assert first.truth["position_m"].tobytes() != other.truth["position_m"].tobytes()
 
 
 def test_the_flight_folder_is_complete(flights: list[Flight]) -> None:

@@ -99,8 +99,8 @@ def test_another_firmware_is_told() -> None:
 
 def test_heartbeats_are_heard_among_anything_else() -> None:
     torn, garbage = heartbeat(3), bytes([0xFD, 0x0B]) + b"no frame" * 9
-    heard = [heartbeat(1), setpoint(1.0), setpoint(2.0) + heartbeat(2), torn[:7], torn[7:] + setpoint(3.0), setpoint(4.0)[:-1]]
-    heard += [garbage, setpoint(5.0) * 9, heartbeat(6)]
+    heard = [heartbeat(1), setpoint(1.0), setpoint(2.0) + heartbeat(2), torn[:7], torn[7:] + setpoint(3.0)]
+    heard += [setpoint(4.0)[:20], setpoint(5.0) * 9, heartbeat(6), garbage, setpoint(7.0) * 9, heartbeat(8)]
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     plain = [m.custom_mode for data in heard for m in parser.parse_buffer(data) or () if m.get_type() == "HEARTBEAT"]
