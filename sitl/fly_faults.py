@@ -94,19 +94,26 @@ def faults(options: FaultOptions) -> int:
 
 
 def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Generator[FaultRecord, None, None]:
-    """Records as they come, under a bar that tells how many there are yet to come."""
-    columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    """Records as they come, under a bar that tells how many there are yet to come, and how many failed."""
+    columns = (
+        TextColumn("flights{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     with (
         Progress(*columns, console=console, disable=not console.is_terminal) as progress,
         ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool,
     ):
-        task = progress.add_task("", total=sum(map(len, groups)))
+        task, failed = progress.add_task("", total=sum(map(len, groups))), 0
         for future in as_completed([pool.submit(fly, group) for group in groups]):
             for record in future.result():
                 if record.trace and record.case.out is not None:
                     record.case.out.mkdir(parents=True, exist_ok=True)
                     (record.case.out / "trace.txt").write_text(record.trace, encoding="utf-8")
-                progress.advance(task)
+                failed += not record.verdict.passed(ROWS[record.case.row], record.case.autopilot)
+                progress.update(task, advance=1, description=f", {failed} failed" if failed else "")
                 yield record
 
 

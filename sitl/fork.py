@@ -43,6 +43,7 @@ class Fork(Generic[T]):
             self.answer = None
         receiver.close()
         os.waitpid(process, 0)
+        gc.unfreeze()
         before.put_back()
         return False
 
