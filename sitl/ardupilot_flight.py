@@ -1,7 +1,8 @@
 """What ArduCopter's modes want: GUIDED with its targets and their timeout, take-off, LAND, and holding. Local NED.
 
 GUIDED as read in mode_guided.cpp and measured: a position stays wanted for ever; a velocity, alone or with a position
-that it carries along, is dropped GUID_TIMEOUT after its last target. Nothing on the ground but a take-off lifts off.
+that it carries along, is dropped GUID_TIMEOUT after its last target. Nothing on the ground but a take-off lifts off. LAND
+brakes to rest within GUIDED's limits of acceleration and jerk (read in Mode::land_run_horizontal_control).
 """
 
 from __future__ import annotations
@@ -137,7 +138,9 @@ class Flight:
         return force, turn
 
     def _begin(self, mode: Mode, position: Vec3, velocity: Vec3, yaw: float) -> None:
-        """Hold where braking ends."""
+        """Hold where braking ends; a landing brakes from the motion that was wanted, or else the one there is."""
+        if self._target is None:
+            self._shaper.reset(position, velocity)
         self._mode, self._target, self._top = mode, None, None
         ahead_s = math.hypot(velocity[0], velocity[1]) / (2.0 * self._brake)
         self._hold = (position[0] + velocity[0] * ahead_s, position[1] + velocity[1] * ahead_s, position[2])
@@ -146,12 +149,19 @@ class Flight:
     def _wanted(self, dt_s: float, position: Vec3) -> ControlSetpoint:
         x, y, z = self._hold
         if self._mode is Mode.LAND:
-            return ControlSetpoint((x, y, math.nan), (0.0, 0.0, self._landing_speed(position[2])), yaw=self._hold_yaw)
+            return self._landing(dt_s, position)
         if self._mode is Mode.GUIDED and self._top is not None:
             return self._climbing(self._top, position)
         if self._mode is Mode.GUIDED and self._target is not None:
             return self._guided(self._target, dt_s, position)
         return ControlSetpoint((x, y, z), yaw=self._hold_yaw)
+
+    def _landing(self, dt_s: float, position: Vec3) -> ControlSetpoint:
+        s = self._shaper
+        s.step(dt_s, None, _STILL, _STILL)
+        (x, y, _), (north, east, _), (push_north, push_east, _) = s.position, s.velocity, s.acceleration
+        sink = self._landing_speed(position[2])
+        return ControlSetpoint((x, y, math.nan), (north, east, sink), (push_north, push_east, 0.0), self._hold_yaw)
 
     def _climbing(self, top: float, position: Vec3) -> ControlSetpoint:
         x, y, _ = self._hold

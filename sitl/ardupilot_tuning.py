@@ -46,7 +46,6 @@ def control_gains(p: ArduPilotParameters) -> Gains:
         speed_xy=math.inf,
         speed_up=math.inf,
         speed_down=math.inf,
-        accel_xy=math.inf,
         accel_up=_VERTICAL_LIMIT_MPS2,
         accel_down=_VERTICAL_LIMIT_MPS2,
         tilt_rad=math.radians(p["ATC_ANGLE_MAX"]),

@@ -1,7 +1,7 @@
 """Multicopter position control, PX4's and ArduCopter's alike: position P, velocity PI, feedforward, limits.
 
-Local NED frame, metres, radians. A NaN in a setpoint means "not controlled by this field", as in PX4.
-One simplification: the acceleration is limited here, where PX4 limits only tilt and thrust.
+Local NED frame, metres, radians. A NaN in a setpoint means "not controlled by this field", as in PX4. What is limited is
+speed, tilt and thrust; limits of acceleration belong to the trajectories that the firmwares make themselves.
 """
 
 from __future__ import annotations
@@ -52,8 +52,7 @@ class Gains:
     speed_xy: float
     speed_up: float
     speed_down: float
-    accel_xy: float
-    accel_up: float
+    accel_up: float  # what thrust is there for, as accel_down
     accel_down: float
     tilt_rad: float
     yaw_rate: float
@@ -93,7 +92,7 @@ class Controller:
         z, sz = self._axis(2, self._gains.z_velocity, wanted[2], velocity[2], acceleration[2], a[2])
         z = min(max(z, -self._gains.accel_up), self._gains.accel_down)
         side = math.sqrt(x * x + y * y)
-        most = min(self._gains.accel_xy, self._tilt * max(GRAVITY_MPS2 - z, 1.0))
+        most = self._tilt * max(GRAVITY_MPS2 - z, 1.0)
         free = side <= most
         if not free:
             x, y = x * most / side, y * most / side

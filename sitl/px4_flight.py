@@ -1,4 +1,8 @@
-"""What PX4's flight tasks want in each mode, take-off ramp and land detector included. Local NED."""
+"""What PX4's flight tasks want in each mode, take-off ramp and land detector included. Local NED.
+
+OFFBOARD goes to the controller as it came: nothing limits its acceleration but the tilt. The firmware's own modes fly a
+smooth trajectory to where they want to stay, which lies ahead of a vehicle that moves (with an origin; read, see Smoothing).
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,8 @@ from sitl.eyes import Eyes
 from sitl.landing import LandDetector
 from sitl.parameters import Parameters
 from sitl.px4_modes import Mode
-from sitl.px4_tuning import control_gains
+from sitl.px4_smoothing import Smoothing
+from sitl.px4_tuning import control_gains, smoothing_limits
 from sitl.rotation import Vec3
 from sitl.vehicle import GRAVITY_MPS2
 
@@ -29,7 +34,10 @@ class Flight:
         self.active = ControlSetpoint()
         self.has_flown = False
         self._mode: Mode | None = None
-        self._hold: Vec3 = (0.0, 0.0, 0.0)
+        self._entry: Vec3 = (0.0, 0.0, 0.0)  # where a mode of its own began
+        self._course = (0.0, 0.0)
+        self._stop_m = 0.0  # ahead of the entry, on the course
+        self._level, self._down = Smoothing(), Smoothing()
         self._hold_yaw = 0.0
         self._ramp_s = -1.0  # time since the take-off began, negative before
         self._armed_s = 0.0
@@ -41,15 +49,16 @@ class Flight:
         p = parameters
         self._controller.configure(control_gains(p))
         self._spoolup_s, self._ramp_t, self._takeoff_speed = p["COM_SPOOLUP_TIME"], p["MPC_TKO_RAMP_T"], p["MPC_TKO_SPEED"]
-        self._up, self._down, self._takeoff_height = p["MPC_Z_V_AUTO_UP"], p["MPC_Z_V_AUTO_DN"], p["MIS_TAKEOFF_ALT"]
-        self._land = (p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"], p["MPC_LAND_SPEED"])
-        self._brake = p["MPC_ACC_HOR"]
+        self._takeoff_height = p["MIS_TAKEOFF_ALT"]
+        self._land = (p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"], p["MPC_LAND_SPEED"], p["MPC_Z_V_AUTO_DN"])
+        self._limits = smoothing_limits(p)
 
     def estimate_jumped(self, delta: Vec3, turn_rad: float) -> None:
         """Carry what is held along with the estimate; newer setpoints are the companion's own business."""
         self.offboard = self.offboard.shifted(delta, turn_rad)
-        h = self._hold
-        self._hold = (h[0] + delta[0], h[1] + delta[1], h[2] + delta[2])
+        x, y, z = self._entry
+        self._entry = (x + delta[0], y + delta[1], z + delta[2])
+        self._down.position += delta[2]
         self._hold_yaw += turn_rad
         self._ground_down += delta[2]
 
@@ -78,7 +87,7 @@ class Flight:
             self._armed_s = 0.0
             return (0.0, 0.0, 0.0), 0.0
         self._armed_s += dt_s
-        setpoint = self._wanted(mode, position)
+        setpoint = self._wanted(mode, position, dt_s)
         self.active = setpoint
         if self.landed and not self._lifts_off(setpoint, position, dt_s):
             self._rest(position)
@@ -98,37 +107,54 @@ class Flight:
         return force, turn
 
     def _begin(self, mode: Mode, position: Vec3, velocity: Vec3, yaw: float) -> None:
-        """Hold where braking ends."""
+        """A trajectory from the motion there is to where braking ends."""
         self._mode = mode
         self._arrived = False
         speed = math.hypot(velocity[0], velocity[1])
-        ahead = speed / (2.0 * self._brake)
-        self._hold = (position[0] + velocity[0] * ahead, position[1] + velocity[1] * ahead, position[2])
+        self._course = (velocity[0] / speed, velocity[1] / speed) if speed > 0.0 else (0.0, 0.0)
+        self._entry, self._stop_m = position, self._limits[0].stopping_m(speed)
+        self._level, self._down = Smoothing(0.0, speed), Smoothing(position[2], velocity[2])
         self._hold_yaw = yaw
 
-    def _wanted(self, mode: Mode, position: Vec3) -> ControlSetpoint:
+    def _wanted(self, mode: Mode, position: Vec3, dt_s: float) -> ControlSetpoint:
         if mode is Mode.OFFBOARD:
             return self.offboard if self.offboard.valid else _STOP
-        x, y, z = self._hold
+        level, up, down = self._limits
+        self._level.step(dt_s, level.speed_towards(self._stop_m - self._level.position), level)
         if mode is Mode.LAND:
-            return ControlSetpoint((x, y, math.nan), (0.0, 0.0, self._landing_speed(position[2])), yaw=self._hold_yaw)
+            self._down.step(dt_s, self._landing_speed(position[2]), down)
+            return self._on_course(math.nan)
+        top = self._entry[2]
         if mode is Mode.TAKEOFF:
             top = self._ground_down - self._takeoff_height
             self._arrived = position[2] - top < 0.05
-            climb = max(-self._up, 1.5 * (top - position[2]))
-            return ControlSetpoint((x, y, math.nan), (0.0, 0.0, climb), yaw=self._hold_yaw)
-        return ControlSetpoint((x, y, z), yaw=self._hold_yaw)
+            self._down.position = position[2]  # the ramp, not the trajectory, says how high it is
+        away = top - self._down.position
+        limits = up if away < 0.0 else down
+        self._down.step(dt_s, limits.speed_towards(away), limits)
+        return self._on_course(self._down.position)
+
+    def _on_course(self, down: float) -> ControlSetpoint:
+        (x, y, _), (north, east) = self._entry, self._course
+        s, z = self._level, self._down
+        return ControlSetpoint(
+            (x + north * s.position, y + east * s.position, down),
+            (north * s.velocity, east * s.velocity, z.velocity),
+            (north * s.acceleration, east * s.acceleration, z.acceleration),
+            self._hold_yaw,
+        )
 
     def _landing_speed(self, down: float) -> float:
-        high, low, slow = self._land
+        high, low, slow, fast = self._land
         height = self._ground_down - down
         f = min(max((height - low) / max(high - low, 1e-3), 0.0), 1.0)
-        return slow + f * (self._down - slow)
+        return slow + f * (fast - slow)
 
     def _lifts_off(self, setpoint: ControlSetpoint, position: Vec3, dt_s: float) -> bool:
         if self._armed_s < self._spoolup_s:
             return False
-        if setpoint.position[2] < position[2] - 0.1 or setpoint.velocity[2] < -0.1:
+        wanted = setpoint.position[2] < position[2] - 0.1 or setpoint.velocity[2] < -0.1
+        if not self._arrived if self._mode is Mode.TAKEOFF else wanted:
             self._ramp_s = max(self._ramp_s, 0.0)
         if self._ramp_s < 0.0:
             return False
@@ -142,3 +168,5 @@ class Flight:
         self._ramp_s = -1.0
         self._ground.rest()
         self._ground_down = position[2]
+        self._entry, self._stop_m = position, 0.0
+        self._level, self._down = Smoothing(), Smoothing(position[2])

@@ -7,6 +7,8 @@ import math
 from sitl.control import Gains
 from sitl.estimator import Tuning
 from sitl.parameters import Parameters
+from sitl.px4_smoothing import Limits
+from sitl.vehicle import GRAVITY_MPS2
 
 _REJECT_S = 1.0  # no_aid_timeout_max: then reset to vision
 _RESETS_IN_AIR = 5
@@ -33,7 +35,8 @@ def estimator_tuning(p: Parameters) -> Tuning:
 
 
 def control_gains(p: Parameters) -> Gains:
-    """mc_pos_control."""
+    """mc_pos_control: tilt and thrust limit it, no parameter of acceleration does (read)."""
+    hover = p["MPC_THR_HOVER"]
     return Gains(
         xy_p=p["MPC_XY_P"],
         z_p=p["MPC_Z_P"],
@@ -43,9 +46,18 @@ def control_gains(p: Parameters) -> Gains:
         speed_xy=p["MPC_XY_VEL_MAX"],
         speed_up=p["MPC_Z_VEL_MAX_UP"],
         speed_down=p["MPC_Z_VEL_MAX_DN"],
-        accel_xy=p["MPC_ACC_HOR_MAX"],
-        accel_up=p["MPC_ACC_UP_MAX"],
-        accel_down=p["MPC_ACC_DOWN_MAX"],
+        accel_up=GRAVITY_MPS2 * (p["MPC_THR_MAX"] / hover - 1.0),
+        accel_down=GRAVITY_MPS2 * (1.0 - p["MPC_THR_MIN"] / hover),
         tilt_rad=math.radians(p["MPC_TILTMAX_AIR"]),
         yaw_rate=math.radians(p["MPC_YAWRAUTO_MAX"]),
+    )
+
+
+def smoothing_limits(p: Parameters) -> tuple[Limits, Limits, Limits]:
+    """Of FlightTaskAuto: level, upwards, downwards."""
+    jerk = p["MPC_JERK_AUTO"]
+    return (
+        Limits(min(p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"]), p["MPC_ACC_HOR"], jerk),
+        Limits(p["MPC_Z_V_AUTO_UP"], p["MPC_ACC_UP_MAX"], jerk),
+        Limits(p["MPC_Z_V_AUTO_DN"], p["MPC_ACC_DOWN_MAX"], jerk),
     )

@@ -193,3 +193,20 @@ def test_after_a_failsafe_guided_is_granted_and_the_flight_goes_on() -> None:
     c.run(3.0)
     assert mode_of(c) == "GUIDED"
     assert c.away_from(0.0, 0.0, -1.2) < 0.2
+
+
+def test_a_landing_in_motion_brakes_within_the_limits_of_guided() -> None:
+    c = flying(WP_ACC=1.0)
+    c.move(0.9, 0.0)
+    c.run(4.0)
+    begun = c.ned
+    assert c.set_mode(LAND) == 0
+    c.setpoint = None
+    strongest, before = 0.0, c.speed
+    for _ in range(100):
+        c.run(0.02)
+        strongest, before = max(strongest, (before - c.speed) / 0.02), c.speed
+    way = math.hypot(c.ned[0] - begun[0], c.ned[1] - begun[1])
+    assert 0.35 < way < 0.85  # 0.9^2 / 2 and what the jerk adds, the command's 0.1 s included
+    assert strongest < 1.4
+    assert c.speed < 0.1

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import pytest
 from companion import LAND, LOITER, OFFBOARD
 from px4_rig import ARM, FORCE, companion, flying, seconds_until, truth_mode
 from pymavlink.dialects.v20 import common as mavlink
@@ -34,6 +37,26 @@ def test_land_descends_disarms_by_itself_and_the_mode_reverts() -> None:
     c.run(1.1)
     assert c.mode == OFFBOARD
     assert c.last["EXTENDED_SYS_STATE"].landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+
+
+@pytest.mark.parametrize("speed", [0.5, 0.9])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_landing_in_motion_brakes_gently_to_a_place_ahead(speed: float, seed: int) -> None:
+    """Navigator::preproject_stop_point(): v^2 / 2 a and 0.6 s; the trajectory there keeps MPC_ACC_HOR."""
+    c = flying(seed)
+    start = c.now_s
+    c.setpoint = lambda t: (speed * (t - start), 0.0, -1.2, speed, *[0.0] * 5, 0.3, 0.0)
+    c.run(4.0)
+    assert c.set_mode(LAND) == 0
+    begun, entered = c.ned, math.hypot(*c.vehicle.velocity[:2])
+    strongest, before = 0.0, entered
+    for _ in range(150):
+        c.run(0.02)
+        now = math.hypot(*c.vehicle.velocity[:2])
+        strongest, before = max(strongest, (before - now) / 0.02), now
+    way = math.hypot(c.ned[0] - begun[0], c.ned[1] - begun[1])
+    assert way == pytest.approx(entered**2 / 4.0 + 0.6 * entered, rel=0.2)
+    assert 0.3 < strongest < 2.3
 
 
 def test_it_can_fly_again_after_landing() -> None:

@@ -125,3 +125,18 @@ def test_setpoint_arrivals_are_kept_while_armed_in_offboard() -> None:
     new = c.px4.setpoint_arrivals_s[count:]
     assert len(new) == pytest.approx(60, abs=2)
     assert all(500.0 < t <= c.now_s for t in new)
+
+
+def test_in_offboard_a_push_is_answered_with_tilt_beyond_the_limit_of_acceleration() -> None:
+    """MPC_ACC_HOR_MAX is 2 m/s^2, less than the push: it binds PX4's own trajectories alone."""
+    c = flying()
+    c.go_to(0.0, 0.0, -1.2)
+    c.run(1.0)
+    c.vehicle.outside_mps2 = (2.5, 0.0, 0.0)
+    c.run(2.0)
+    pushed = c.away_from(0.0, 0.0, -1.2)
+    c.vehicle.outside_mps2 = (0.0, 0.0, 0.0)
+    assert pushed < 1.3  # 2.5 / (P of position * P of velocity) = 1.46 at the most
+    assert math.hypot(*c.vehicle.velocity[:2]) < 0.5
+    c.run(12.0)
+    assert c.away_from(0.0, 0.0, -1.2) < 0.1
