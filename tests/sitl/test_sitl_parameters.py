@@ -23,7 +23,7 @@ def test_the_indoor_file_loads_and_makes_no_failsafe_a_return() -> None:
     assert p.integer("GF_ACTION") == 5
     assert p.integer("COM_FLT_TIME_MAX") == -1
     assert p["COM_OF_LOSS_T"] == 0.5
-    assert p.integer("EKF2_NOAID_TOUT") == 1_000_000
+    assert p.integer("EKF2_NOAID_TOUT") == 3_000_000
 
 
 def test_the_indoor_readme_explains_each_value_of_the_file() -> None:

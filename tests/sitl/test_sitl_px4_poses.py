@@ -9,7 +9,9 @@ from px4_rig import companion, converged, flying, position_valid, seconds_until,
 from pymavlink.dialects.v20 import common as mavlink
 
 
-@pytest.mark.parametrize(("timeout_us", "earliest", "latest"), [(5_000_000, 5.2, 5.7), (1_000_000, 1.2, 1.7)])
+@pytest.mark.parametrize(
+    ("timeout_us", "earliest", "latest"), [(5_000_000, 5.2, 5.7), (3_000_000, 3.2, 3.7), (1_000_000, 1.2, 1.7)]
+)
 def test_when_the_pose_stops_it_lands_by_itself(timeout_us: int, earliest: float, latest: float) -> None:
     c = flying(EKF2_NOAID_TOUT=timeout_us)
     place = c.ned
@@ -25,10 +27,23 @@ def test_when_the_pose_stops_it_lands_by_itself(timeout_us: int, earliest: float
 def test_a_pose_that_comes_back_does_not_stop_the_landing() -> None:
     c = flying()
     c.pose_on = False
-    c.run(2.0)
+    c.run(4.0)
     c.pose_on = True
     c.run(2.0)
     assert truth_mode(c) == "LAND"
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_when_stream_and_poses_end_together_in_motion_it_brakes_before_it_comes_down(seed: int) -> None:
+    """The companion is dead. With EKF2_NOAID_TOUT 1 s nothing brakes: the position ends before the landing begins."""
+    c, speed = flying(seed), 1.0
+    start = c.now_s
+    c.setpoint = lambda t: (speed * (t - start), 0.0, -1.2, speed, *[0.0] * 5, 0.3, 0.0)
+    c.run(10.0)
+    place = c.ned
+    c.setpoint, c.pose_on = None, False
+    assert c.run(20.0, lambda: not c.armed)
+    assert math.hypot(c.ned[0] - place[0], c.ned[1] - place[1]) < 1.6  # 2.8 to 3.4 with 1 s
 
 
 def test_without_a_position_it_keeps_level_instead_of_chasing_a_wrong_one() -> None:

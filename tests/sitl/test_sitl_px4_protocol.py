@@ -110,7 +110,7 @@ def test_a_link_that_fails_is_silence() -> None:
     c.px4._server._link.close()  # type: ignore[attr-defined]
     c.setpoint = None
     c.pose_on = False
-    c.run(3.0)
+    c.run(4.5)
     assert truth_mode(c) == "LAND"
 
 
