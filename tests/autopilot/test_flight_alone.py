@@ -157,3 +157,22 @@ def test_a_person_a_metre_ahead_at_full_speed_is_braked_for_in_time(hovering: Ri
         braked_s = min(braked_s, now_s if "from something" in hovering.state.note else math.inf)
     assert braked_s - begin_s <= 0.25
     assert wall_m - 0.2 - max(place[0] for _, place in hovering.track) >= 0.40
+
+
+def test_pushed_off_its_way_it_is_led_no_further_and_flies_on_when_the_push_is_over(hovering: Rig) -> None:
+    hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
+    pushed_s = hovering.clock.now_s()
+    hovering.vehicle.outside_mps2 = (2.5, 0.0, 0.0)
+    hovering.run(1.5)
+    assert "off its way" in hovering.state.note
+    times, places = setpoints(hovering, pushed_s)
+    speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(times)
+    assert speed[:3].max() > 0.6
+    assert speed[-3:].max() == 0.0, "braked to rest, though its way goes on"
+    hovering.vehicle.outside_mps2 = (0.0, 0.0, 0.0)
+    hovering.run(8.0)
+    assert np.linalg.norm(np.array(hovering.px4.truth().position) - places[-1]) < 0.2
+    hovering.fly((2.8, 0.0, 1.1), identifier=3)
+    hovering.run(1.5)
+    assert hovering.state.trajectory_id == 3
+    assert hovering.pilot.phase is FlightPhase.FLYING

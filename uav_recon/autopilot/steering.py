@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
 _WAYS = 3  # ways back that are tried, each from rest: what refused the last may have passed, a late pose or a late turn of ours
+_ASTRAY_M = 0.35  # level, off the newest setpoint: something pushes it. Untroubled flights stay within 0.1 m
 _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
 
 
@@ -72,11 +74,21 @@ class Steering:
         self._braking = self._braking and self._flown is not None and bool(np.any(self._flown.velocity_mps))
         if trajectory is None or self._braking:
             return self._guard.clear(None, situation)
-        cleared, refusal = self._guard.clear(self._proposal(trajectory, situation.now_s, False), situation)
+        off_m = self._off_its_way_m(situation)
+        astray = off_m > _ASTRAY_M
+        cleared, refusal = self._guard.clear(None if astray else self._proposal(trajectory, situation.now_s, False), situation)
+        if astray:  # pushed as well as led outwards it would be over the fence before it stops
+            refusal, self.gave_way = Refusal(f"{off_m:.2f} m off its way", cleared.setpoint), self.gave_way + 1
         if refusal is not None:
             self._braking = True
             self._mandate.forsake()
         return cleared, refusal
+
+    def _off_its_way_m(self, situation: Situation) -> float:
+        if self._flown is None:
+            return 0.0
+        (x, y, _), (told_x, told_y, _) = situation.position_m, self._flown.position_m.tolist()
+        return math.hypot(x - told_x, y - told_y)
 
     def _gives_way(self, situation: Situation) -> bool:
         """Whether something near decides what is flown: it came all of a sudden, or the vehicle is still stepping aside."""
