@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from uav_recon.localization.creep import Creep
 from uav_recon.localization.grain import lone_share
-from uav_recon.localization.witness import ALIKE, ALIKE_LATELY, OVERLAPPING, Agreement, Witness
+from uav_recon.localization.witness import ALIKE, ALIKE_JUST_NOW, ALIKE_LATELY, OVERLAPPING, Agreement, Witness
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose
@@ -15,10 +16,12 @@ from uav_recon.types.pose import Pose
 _ALONE = 0.05  # of the pixels; honest pictures have 0.004
 _MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
 _HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
+_ASIDE = 0.05  # of the points, summed over pictures: gained by reading them aside; honest: 0.011
 _DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
 _MANY, _EXPLAINED = 100, 0.75  # points there are, and the share of them that it explains: a person explains fewer
 _MOST = 0.9  # the same where much may have come between
 _SEEN_THROUGH = 0.4  # of the points of an older picture are not there: more than a person leaves behind; honest: 0.10
+_CREEP_MPS = 0.010  # honest: 0.0057
 _RUNNING = 3  # pictures in a row that say so
 _KEPT_S = 2.0  # what was said holds for so long
 _FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # the camera moved so, and its picture is the same to the bit
@@ -35,6 +38,7 @@ class Credence:
         self._witness = Witness()
         self._reset_counter = 0
         self._believed, self._running = True, 0
+        self._aside, self._creep = 0.0, Creep()
         self._drift, self._drift_s = "", -math.inf
         self._same: tuple[Float32Array, Pose] | None = None
 
@@ -43,18 +47,20 @@ class Credence:
         if reset_counter != self._reset_counter:
             self._reset_counter = reset_counter
             self._witness.forget()
+            self._creep.forget()
         seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
-        newest = self._witness.of_newest(*seen)
+        newest, overlapping = self._witness.of_newest(*seen), self._witness.of_oldest(*seen, OVERLAPPING)
+        gain = self._witness.gain_aside(*seen)
+        self._aside = self._aside + gain if gain > 0.0 else 0.0
         sound = lone_share(frame.depth_m) <= _ALONE and not self._frozen(frame.depth_m, odom_from_depth)
-        fits = _follows(newest) or _follows(self._witness.of_oldest(*seen, OVERLAPPING))  # what stood before it has gone
+        fits = _follows(newest) or _follows(overlapping)  # what stood before it has gone
         unasked = newest is None and (self._believed or not self._witness.remembers)
-        self._believed = sound and (fits or unasked)
+        self._believed = sound and self._aside <= _ASIDE and (fits or unasked)
         if self._believed:
             alike, lately = self._witness.of_oldest(*seen, ALIKE), self._witness.of_oldest(*seen, ALIKE_LATELY)
-            overlapping = self._witness.of_oldest(*seen, OVERLAPPING)
-            self._hear(
-                frame.stamp_s, _moved(alike) or _moved(lately) or _moved(overlapping, _MOST) or _seen_through(overlapping)
-            )
+            self._creep.hear(frame.stamp_s, self._witness.of_oldest(*seen, ALIKE_JUST_NOW))
+            moved = _moved(alike) or _moved(lately) or _moved(overlapping, _MOST) or _seen_through(overlapping)
+            self._hear(frame.stamp_s, moved or self._crept())
             self._witness.remember(*seen)
         return self._believed
 
@@ -77,6 +83,11 @@ class Credence:
         self._running = self._running + 1 if said else 0
         if self._running >= _RUNNING:
             self._drift, self._drift_s = said, stamp_s
+
+    def _crept(self) -> str:
+        """What many looks back say together of the pose, '' for nothing."""
+        creep_mps = float(np.linalg.norm(self._creep.velocity_mps))
+        return "" if creep_mps <= _CREEP_MPS else f"odom creeps by {creep_mps:.3f} m/s against what is seen"
 
     def _frozen(self, depth_m: Float32Array, odom_from_depth: Pose) -> bool:
         """Whether the camera has moved since it first gave this very picture."""

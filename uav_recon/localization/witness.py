@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.localization.residuals import FEWEST, residuals, shares, shift_of, surface
+from uav_recon.localization.residuals import FEWEST, gain_aside, residuals, shares, shift_of, surface
 from uav_recon.types.camera import Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -33,12 +34,15 @@ class Likeness:
 OVERLAPPING = Likeness(3.0, 0.6)  # there is something that both see
 ALIKE = Likeness(1.5, 0.75)  # little has come between
 ALIKE_LATELY = Likeness(1.5, 0.75, within_s=8.0)  # a drift so young is still within a residual's reach
+ALIKE_JUST_NOW = Likeness(1.5, 0.75, within_s=3.0)  # of a camera that looks about, something is always left
+_JUST_NOW = Likeness(3.0, 0.6, within_s=1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
     """count: points that could be compared. fitting, nearer, farther: shares of them; shift_m (3,): how far odom has moved
-    since, as far as surfaces tell; explained: the share that fits with it. age_s: of the view compared with.
+    since, as far as surfaces tell; held (3, 3): how well they tell, by direction; explained: the share that fits with it.
+    age_s: of the view compared with.
     """
 
     count: int
@@ -46,6 +50,7 @@ class Agreement:
     nearer: float
     farther: float
     shift_m: FloatArray
+    held: FloatArray
     explained: float
     age_s: float
 
@@ -93,13 +98,25 @@ class Witness:
         self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, likeness: Likeness
     ) -> Agreement | None:
         """With the oldest that looks at the same; None for none."""
-        for view in self._views:
-            if stamp_s - view.stamp_s > likeness.within_s or not _alike(view.odom_from_depth, odom_from_depth, likeness):
-                continue
+        for view in self._alike(stamp_s, odom_from_depth, likeness):
             found = _compared(view, stamp_s, depth_m, lens, odom_from_depth)
             if found is not None:
                 return found
         return None
+
+    def gain_aside(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
+        """By what share more of a view of the last second, or of an older one, fits a picture that lies aside."""
+        for likeness in (_JUST_NOW, OVERLAPPING):
+            for view in self._alike(stamp_s, odom_from_depth, likeness):
+                rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
+                return float(gain_aside(view.points, depth_m, _camera(lens), rotation, place))
+        return 0.0
+
+    def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: Likeness) -> Iterator[_View]:
+        """Views to be asked, the oldest first."""
+        for view in self._views:
+            if stamp_s - view.stamp_s <= likeness.within_s and _alike(view.odom_from_depth, odom_from_depth, likeness):
+                yield view
 
 
 def _alike(a: Pose, b: Pose, likeness: Likeness) -> bool:
@@ -116,6 +133,6 @@ def _compared(view: _View, stamp_s: float, depth_m: Float32Array, lens: Intrinsi
     found = residuals(view.points, depth_m, _camera(lens), rotation, place)
     if len(found) < FEWEST:
         return None
-    shift_m = shift_of(found)
+    shift_m, held = shift_of(found)
     fitting, nearer, explained = shares(found, shift_m)
-    return Agreement(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, explained, stamp_s - view.stamp_s)
+    return Agreement(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, held, explained, stamp_s - view.stamp_s)
