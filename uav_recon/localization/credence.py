@@ -16,7 +16,7 @@ from uav_recon.types.pose import Pose
 _ALONE = 0.05  # of the pixels; honest pictures have 0.004
 _MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
 _HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
-_ASIDE = 0.05  # of the points, summed over pictures: gained by reading them aside; honest: 0.011
+_ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; honest after so long a pause: 0.00
 _DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
 _MANY, _EXPLAINED = 100, 0.75  # points there are, and the share of them that it explains: a person explains fewer
 _MOST = 0.9  # the same where much may have come between
@@ -38,7 +38,7 @@ class Credence:
         self._witness = Witness()
         self._reset_counter = 0
         self._believed, self._running = True, 0
-        self._aside, self._creep = 0.0, Creep()
+        self._creep = Creep()
         self._drift, self._drift_s = "", -math.inf
         self._same: tuple[Float32Array, Pose] | None = None
 
@@ -50,12 +50,12 @@ class Credence:
             self._creep.forget()
         seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
         newest, overlapping = self._witness.of_newest(*seen), self._witness.of_oldest(*seen, OVERLAPPING)
-        gain = self._witness.gain_aside(*seen)
-        self._aside = self._aside + gain if gain > 0.0 else 0.0
-        sound = lone_share(frame.depth_m) <= _ALONE and not self._frozen(frame.depth_m, odom_from_depth)
+        alone, frozen = lone_share(frame.depth_m) > _ALONE, self._frozen(frame.depth_m, odom_from_depth)
+        asked = newest is not None and (newest.age_s <= _MOMENT_S or not self._believed)
+        aside = asked and self._witness.gain_aside(*seen[1:]) > _ASIDE
         fits = _follows(newest) or _follows(overlapping)  # what stood before it has gone
         unasked = newest is None and (self._believed or not self._witness.remembers)
-        self._believed = sound and self._aside <= _ASIDE and (fits or unasked)
+        self._believed = not (alone or frozen or aside) and (fits or unasked)
         if self._believed:
             alike, lately = self._witness.of_oldest(*seen, ALIKE), self._witness.of_oldest(*seen, ALIKE_LATELY)
             self._creep.hear(frame.stamp_s, self._witness.of_oldest(*seen, ALIKE_JUST_NOW))

@@ -9,12 +9,14 @@ from uav_recon.types.frames import AnyArray, FloatArray
 
 FEWEST = 60  # points that both see, for a verdict
 _ROWS, _COLUMNS = 18, 24  # points of a picture
+MOST = _ROWS * _COLUMNS
 _SPAN_PX = 2  # from a point to those that its normal is taken from
 _FIT_M, _FIT_SHARE = 0.06, 0.03  # a residual of so much, and so much of the range, is none: noise and pose together
+_WITHIN = 0.8  # of the farthest point: beyond, one may leave the sensor's range
 _PRIOR = 0.03  # of the points: what a direction must have for its share of the shift to count
 _ROUNDS = 4
 _SHARP_M, _SHARP_PER_M = 0.02, 0.010  # two pictures a moment apart agree to this, and this times the square of the range
-_SUSPICIOUS = 0.03  # of the points misfit; where fewer do, nobody asks whether they would fit elsewhere
+_SUSPICIOUS = 0.02  # of the points misfit; where fewer do, nobody asks whether they would fit elsewhere
 _STEP, _ACROSS, _DOWN, _FARTHEST = 0.04, 2, 3, 6  # aside, each way: of the width or height; nearer, a pose that drifts looks so
 
 
@@ -25,7 +27,7 @@ def surface(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyA
     depth_m (H, W), NaN = no return; camera fx, fy, cx, cy.
     """
     height, width = depth_m.shape
-    out, number = np.empty((_ROWS * _COLUMNS, 6)), 0
+    out, number = np.empty((MOST, 6)), 0
     rows, columns = min(_ROWS, height - 2 * _SPAN_PX), min(_COLUMNS, width - 2 * _SPAN_PX)
     corners = np.empty((4, 3))
     for row in range(rows):
@@ -53,12 +55,17 @@ def surface(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyA
 
 
 @kernel
-def residuals(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> AnyArray:
+def residuals(
+    points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray
+) -> tuple[AnyArray, int]:
     """Of the points (N, 6) of another picture that this one sees, (M, 6): residual (m), what of it is none (m), how much
-    farther than the point the return is (m), normal.
+    farther than the point the return is (m), normal. And how many that lie well within reach it has no return of.
     """
     height, width = depth_m.shape
-    out, number = np.empty((points.shape[0], 6)), 0
+    out, number, gone, reach_m = np.empty((points.shape[0], 6)), 0, 0, 0.0
+    for n in range(points.shape[0]):
+        dx, dy, dz = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
+        reach_m = max(reach_m, _WITHIN * (rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz))
     for n in range(points.shape[0]):
         dx, dy, dz = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
         deep = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
@@ -66,9 +73,12 @@ def residuals(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: A
             continue
         u = int(np.rint((rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / deep * camera[0] + camera[2]))
         v = int(np.rint((rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / deep * camera[1] + camera[3]))
-        if not (0 <= u < width and 0 <= v < height and np.isfinite(depth_m[v, u])):
+        if not (0 <= u < width and 0 <= v < height):
             continue
         z = float(depth_m[v, u])
+        if not np.isfinite(z):
+            gone += int(deep <= reach_m)
+            continue
         x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
         off_m = 0.0
         for i in range(3):
@@ -77,7 +87,7 @@ def residuals(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: A
         out[number, 0], out[number, 1], out[number, 2] = off_m, _FIT_M + _FIT_SHARE * z, z - deep
         out[number, 3:] = points[n, 3:]
         number += 1
-    return out[:number]
+    return out[:number], gone
 
 
 @kernel

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.localization.residuals import FEWEST, gain_aside, residuals, shares, shift_of, surface
+from uav_recon.localization.residuals import FEWEST, MOST, gain_aside, residuals, shares, shift_of, surface
 from uav_recon.types.camera import Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -35,7 +35,6 @@ OVERLAPPING = Likeness(3.0, 0.6)  # there is something that both see
 ALIKE = Likeness(1.5, 0.75)  # little has come between
 ALIKE_LATELY = Likeness(1.5, 0.75, within_s=8.0)  # a drift so young is still within a residual's reach
 ALIKE_JUST_NOW = Likeness(1.5, 0.75, within_s=3.0)  # of a camera that looks about, something is always left
-_JUST_NOW = Likeness(3.0, 0.6, within_s=1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,8 +90,10 @@ class Witness:
             self._views.popleft()
 
     def of_newest(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> Agreement | None:
-        """With the newest picture that was believed; None where too little of it is in view."""
-        return None if self._newest is None else _compared(self._newest, stamp_s, depth_m, lens, odom_from_depth)
+        """With the newest picture that was believed; None where too little of it is in view. Where it is and nothing comes back
+        from there, all of it is farther.
+        """
+        return None if self._newest is None else _compared(self._newest, stamp_s, depth_m, lens, odom_from_depth, FEWEST)
 
     def of_oldest(
         self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, likeness: Likeness
@@ -104,13 +105,12 @@ class Witness:
                 return found
         return None
 
-    def gain_aside(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
-        """By what share more of a view of the last second, or of an older one, fits a picture that lies aside."""
-        for likeness in (_JUST_NOW, OVERLAPPING):
-            for view in self._alike(stamp_s, odom_from_depth, likeness):
-                rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-                return float(gain_aside(view.points, depth_m, _camera(lens), rotation, place))
-        return 0.0
+    def gain_aside(self, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
+        """By what share more of the newest picture that was believed fits one that lies aside; only for a moment's pause."""
+        if self._newest is None:
+            return 0.0
+        rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
+        return float(gain_aside(self._newest.points, depth_m, _camera(lens), rotation, place))
 
     def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: Likeness) -> Iterator[_View]:
         """Views to be asked, the oldest first."""
@@ -128,11 +128,15 @@ def _camera(lens: Intrinsics) -> FloatArray:
     return np.array([lens.fx, lens.fy, lens.cx, lens.cy])
 
 
-def _compared(view: _View, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> Agreement | None:
+def _compared(
+    view: _View, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, most_gone: int = MOST
+) -> Agreement | None:
+    """most_gone: points without a return where there are too few with one, for a verdict all the same."""
     rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-    found = residuals(view.points, depth_m, _camera(lens), rotation, place)
+    found, gone = residuals(view.points, depth_m, _camera(lens), rotation, place)
+    age_s = stamp_s - view.stamp_s
     if len(found) < FEWEST:
-        return None
+        return None if gone <= most_gone else Agreement(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s)
     shift_m, held = shift_of(found)
     fitting, nearer, explained = shares(found, shift_m)
-    return Agreement(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, held, explained, stamp_s - view.stamp_s)
+    return Agreement(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, held, explained, age_s)
