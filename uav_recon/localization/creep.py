@@ -10,7 +10,7 @@ from uav_recon.localization.witness import Agreement
 from uav_recon.types.frames import FloatArray
 
 _FADES_S = 6.0  # what was seen counts e times less after so long
-_PRIOR_S3 = 0.15  # for no creep at all: as much as a tenth of the points says in a second, asked of a view a second old
+_PRIOR_S3 = 0.5  # for no creep at all: as much as half of the points say in a second of a view that is a second old
 _EXPLAINED, _LONGEST_STEP_S = 0.7, 0.5
 
 
