@@ -62,6 +62,31 @@ def test_where_nothing_came_back_nothing_was_seen_free() -> None:
     assert _look(around, 6, box_m=1.2, wall_m=np.nan) is None
 
 
+def test_a_cell_above_one_without_a_return_looked_past_nothing() -> None:
+    """Low over the floor: it is too near to be seen, and comes into view as the vehicle climbs."""
+    for missing, told in ((9, False), (12, True)):
+        around = Neighbourhood()
+        for n in range(6):
+            range_m = np.full((12, 16), 4.0, np.float32)
+            range_m[missing:] = np.nan
+            around.look(Nearby(n * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE)
+        floor = np.full((12, 16), 4.0, np.float32)
+        floor[8, 2:14] = 1.2
+        found = around.look(Nearby(6 * PERIOD_S, MOUNT, floor, (0.95, 0.55), 0.9), HERE)
+        assert (found is not None) is told
+
+
+def test_one_cell_or_one_view_says_nothing() -> None:
+    around = Neighbourhood()
+    assert _look(around, 0) is None
+    assert _look(around, 1, box_m=1.2) is None, "looked past once"
+    around = Neighbourhood()
+    assert all(_look(around, n) is None for n in range(6))
+    range_m = np.full((12, 16), 4.0, np.float32)
+    range_m[6, 8] = 1.2
+    assert around.look(Nearby(6 * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE) is None
+
+
 def test_after_a_jump_of_odom_nothing_is_remembered(around: Neighbourhood) -> None:
     around.forget()
     assert _look(around, 6, box_m=1.2) is None
