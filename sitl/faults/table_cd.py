@@ -15,6 +15,7 @@ from sitl.faults.bars import (
     lands,
 )
 from sitl.faults.body import Reboot
+from sitl.faults.cartographer import FREED, Cartographer
 from sitl.faults.eye import (
     Appears,
     Approaches,
@@ -79,8 +80,8 @@ TABLE_C = (
         "C3",
         "depth corrupted",
         "salt on 30 % of the pixels; 64 pixels aside; bit errors; half and twice the range; frozen",
-        lambda n: [_corrupt(n)],
-        (holds(0.5), clear(0.10)),
+        lambda n: [_corrupt(n), Cartographer()],
+        (holds(0.5), Bar("known occupied freed", m.noted(FREED), 0.1, "%"), clear(0.10)),
     ),
     Row(
         "C4",

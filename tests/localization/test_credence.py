@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -32,9 +34,9 @@ def _depth(world_from_depth: Pose, *boxes_m: FloatArray) -> Float32Array:
     return found
 
 
-def _body(n: int) -> Pose:
+def _body(n: int, turned_rad: float = 0.0) -> Pose:
     """A turn on the spot to and fro, with a little motion."""
-    return Pose.from_yaw(0.5 * np.sin(0.1 * n), np.array([0.3 * np.sin(0.07 * n), 0.2 * np.sin(0.05 * n), 1.2]))
+    return Pose.from_yaw(0.5 * np.sin(0.1 * n) + turned_rad, np.array([0.3 * np.sin(0.07 * n), 0.2 * np.sin(0.05 * n), 1.2]))
 
 
 class Flight:
@@ -42,9 +44,11 @@ class Flight:
 
     def __init__(self) -> None:
         self.credence, self.n, self._dice = Credence(), 0, np.random.default_rng(3)
+        self.turning, self._turned_rad = 0.0, 0.0  # rad a picture
 
     def see(self, change: object = None, off_m: tuple[float, float, float] = (0.0, 0.0, 0.0), box: bool = False) -> bool:
-        here = _body(self.n) @ BODY_FROM_DEPTH
+        self._turned_rad += self.turning
+        here = _body(self.n, self._turned_rad) @ BODY_FROM_DEPTH
         depth_m = _depth(here, PERSON_M) if box else _depth(here)
         depth_m += self._dice.standard_normal(depth_m.shape).astype(np.float32) * 0.004 * depth_m**2
         depth_m = change(depth_m) if callable(change) else depth_m
@@ -85,6 +89,27 @@ def _bits(depth_m: Float32Array) -> Float32Array:
 def test_a_wrong_picture_is_not_believed_and_right_ones_are_again(flight: Flight, change: object) -> None:
     assert not any(flight.see(change) for _ in range(12))
     assert all(flight.see() for _ in range(12))
+
+
+@pytest.mark.parametrize("pixels", [16, -16])
+def test_a_picture_that_lies_aside_is_told_at_once_whenever_it_begins(flight: Flight, pixels: int) -> None:
+    """Before a wall that is looked at squarely, where no more than a fifth of the points misfit."""
+    for _ in range(30):
+        moment = copy.deepcopy(flight)
+        assert not moment.see(lambda d: np.roll(d, pixels, axis=1))
+        assert flight.see()
+
+
+def test_where_nothing_comes_back_from_what_was_there_the_picture_is_wrong(flight: Flight) -> None:
+    assert not flight.see(lambda d: np.where(d > 0.9, np.nan, d))
+
+
+@pytest.mark.parametrize("turning", [0.04, 0.08, 0.12, 0.16])
+def test_a_camera_that_turns_on_is_believed(flight: Flight, turning: float) -> None:
+    """Edges hide and show what is behind them, before walls that look the same a little aside."""
+    flight.turning = turning
+    assert all(flight.see() for _ in range(160))
+    assert flight.drift == ""
 
 
 def test_a_frozen_picture_is_not_believed_once_the_camera_has_moved(flight: Flight) -> None:

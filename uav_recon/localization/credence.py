@@ -16,7 +16,7 @@ from uav_recon.types.pose import Pose
 _ALONE = 0.05  # of the pixels; honest pictures have 0.004
 _MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
 _HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
-_ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; honest after so long a pause: 0.00
+_ASIDE, _MOMENT_S = 0.045, 0.6  # of the points, gained by reading them aside; honest, after so long a pause: 0.033
 _DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
 _MANY, _EXPLAINED = 100, 0.75  # points there are, and the share of them that it explains: a person explains fewer
 _MOST = 0.9  # the same where much may have come between

@@ -15,8 +15,8 @@ _FIT_M, _FIT_SHARE = 0.06, 0.03  # a residual of so much, and so much of the ran
 _WITHIN = 0.8  # of the farthest point: beyond, one may leave the sensor's range
 _PRIOR = 0.03  # of the points: what a direction must have for its share of the shift to count
 _ROUNDS = 4
-_SHARP_M, _SHARP_PER_M = 0.02, 0.010  # two pictures a moment apart agree to this, and this times the square of the range
-_SUSPICIOUS = 0.02  # of the points misfit; where fewer do, nobody asks whether they would fit elsewhere
+_SHARP_M, _SHARP_PER_M = 0.04, 0.010  # two pictures a moment apart agree to this, and this times the square of the range
+_SUSPICIOUS = 0.04  # of the points misfit; where fewer do, nobody asks whether they would fit elsewhere
 _STEP, _ACROSS, _DOWN, _FARTHEST = 0.04, 2, 3, 6  # aside, each way: of the width or height; nearer, a pose that drifts looks so
 
 
@@ -93,30 +93,32 @@ def residuals(
 @kernel
 def gain_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
     """By what share fewer of the points (N, 6) of another picture misfit this one where it is read so many columns or rows
-    aside; below zero or zero for a picture that lies where it should.
+    aside; zero or below for a picture that lies where it should.
 
     A wall that is looked at squarely and the floor look the same aside: they speak neither for it nor against it.
     """
-    straight = _misfit(points, depth_m, camera, rotation, place, 0, 0)
+    straight, _ = _misfit(points, depth_m, camera, rotation, place, 0, 0)
+    gain = 0.0
     if not straight > _SUSPICIOUS:
-        return 0.0
-    least = 1.0
+        return gain
     for n in range(-_FARTHEST, _FARTHEST + 1):
         for k in range(2):
             if abs(n) >= (_ACROSS if k == 0 else _DOWN):
                 aside = int(np.rint(n * _STEP * depth_m.shape[1 - k]))
-                found = _misfit(points, depth_m, camera, rotation, place, (1 - k) * aside, k * aside)
-                least = min(least, found if found >= 0.0 else 1.0)
-    return straight - least
+                here, there = _misfit(points, depth_m, camera, rotation, place, (1 - k) * aside, k * aside)
+                gain = max(gain, here - there)
+    return gain
 
 
 @kernel
 def _misfit(
     points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray, across: int, down: int
-) -> float:
-    """Share of the points off the surface that is seen so many columns and rows beside them; -1 where there are too few."""
+) -> tuple[float, float]:
+    """Shares of the points off the surface that is seen where they should be, and so many columns and rows beside, of those
+    that have a return at both; zero where these are too few.
+    """
     height, width = depth_m.shape
-    count, off = 0, 0
+    count, off = 0, np.zeros(2)
     for n in range(points.shape[0]):
         dx, dy, dz = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
         deep = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
@@ -126,17 +128,18 @@ def _misfit(
         v = int(np.rint((rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / deep * camera[1] + camera[3]))
         if not (0 <= u < width and 0 <= v < height and 0 <= u + across < width and 0 <= v + down < height):
             continue
-        z = float(depth_m[v + down, u + across])
-        if not np.isfinite(z):
+        if not np.isfinite(depth_m[v, u] + depth_m[v + down, u + across]):
             continue
-        x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
-        residual_m = 0.0
-        for i in range(3):
-            there = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
-            residual_m += (there - points[n, i]) * points[n, 3 + i]
         count += 1
-        off += int(abs(residual_m) > _SHARP_M + _SHARP_PER_M * z * z)
-    return off / count if count >= FEWEST else -1.0
+        for k in range(2):
+            z = float(depth_m[v + k * down, u + k * across])
+            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+            residual_m = 0.0
+            for i in range(3):
+                there = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
+                residual_m += (there - points[n, i]) * points[n, 3 + i]
+            off[k] += int(abs(residual_m) > _SHARP_M + _SHARP_PER_M * z * z)
+    return (off[0] / count, off[1] / count) if count >= FEWEST else (0.0, 0.0)
 
 
 @kernel

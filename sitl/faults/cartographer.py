@@ -1,0 +1,43 @@
+"""Whether the product's map still holds what it held before a trouble, where there really is something."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.faults.injector import Injector, Theatre
+
+FREED = "known occupied freed"
+_FREE, _OCCUPIED = 1, 2
+
+
+class Cartographer(Injector):
+    """No trouble: notes what percentage of the voxels known as occupied at the beginning, in which the scene has a surface, that are
+    known as free when the flight is over.
+    """
+
+    def __init__(self) -> None:
+        self._walls: NDArray[np.bool_] | None = None
+
+    def begin(self, at: Theatre) -> None:
+        """What is known, and true."""
+        known = at.channels.voxels.latest()
+        if known is not None:
+            self._walls = (known.state == _OCCUPIED) & filled(known.grid, at.world.clearance.bins.points)
+
+    def end(self, at: Theatre) -> None:
+        """Against what is known now."""
+        known = at.channels.voxels.latest()
+        if self._walls is not None and self._walls.any():
+            at.notes[FREED] = 100.0 * float((known.state[self._walls] == _FREE).mean())
+
+
+def filled(grid: Any, points_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """The voxels of a grid that hold any of the points (N, 3) of the world."""
+    index = np.floor((points_m - grid.origin_world_m) / grid.resolution_m).astype(np.int64)
+    index = index[np.all((index >= 0) & (index < np.array(grid.shape)), axis=1)]
+    found = np.zeros(grid.shape, dtype=np.bool_)
+    found[tuple(index.T)] = True
+    return found
