@@ -1,10 +1,31 @@
-"""Where tests run side by side, each process keeps to one core: two that compute on both would get in each other's way."""
+"""For all tests: a core for each process where they run side by side, and a vehicle in the air, flown up once for a module."""
 
 from __future__ import annotations
 
+import copy
 import os
+from typing import TYPE_CHECKING
+
+import pytest
 
 from sitl.fly_case import one_thread
 
+if TYPE_CHECKING:
+    from flight_rig import Rig
+
 if "PYTEST_XDIST_WORKER" in os.environ:
-    one_thread()
+    one_thread()  # two that compute on both cores would get in each other's way
+
+
+@pytest.fixture(scope="module")
+def flown_up() -> Rig:
+    from flight_rig import Rig
+
+    rig = Rig()
+    rig.airborne()
+    return rig
+
+
+@pytest.fixture
+def hovering(flown_up: Rig) -> Rig:
+    return copy.deepcopy(flown_up)

@@ -14,7 +14,7 @@ _FREE, _OCCUPIED = 1, 2
 
 
 class Cartographer(Injector):
-    """No trouble: notes what percentage of the voxels known as occupied at the beginning, in which the scene has a surface, that are
+    """No trouble: notes what percentage of the voxels known as occupied at the beginning, in which the scene has a surface, are
     known as free when the flight is over.
     """
 
