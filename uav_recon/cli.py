@@ -159,12 +159,7 @@ def faults(
         str | None, typer.Option(metavar="A1,B4,...", help="Rows to fly, with commas between. Default: all.")
     ] = None,
     autopilot: Annotated[str, typer.Option(help="Firmware personality: px4, ardupilot or both.")] = "both",
-    seeds: Annotated[
-        int,
-        typer.Option(
-            min=1, max=1000, help="Flights a row, three times as many of A1, B1, B4, E1 and F1; its cases take turns."
-        ),
-    ] = 3,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Flights a row; thrice in lockstep for A1 B1 B4 E1 F1.")] = 3,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; one core each.")] = 2,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write every figure.")] = None,
     out: Annotated[
