@@ -234,7 +234,7 @@ TABLE_G = (
         lambda n: [Parameter(*PARAMETERS[n % len(PARAMETERS)])],
         (NEVER_ARMED,),
         onset=AT_BOOT,
-        longest_s=60.0,
+        longest_s=45.0,
     ),
     Row(
         "G6",
