@@ -282,6 +282,9 @@ def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[Link, Wire]) -> 
     link.receive(0.0)
     link.keep_alive(0.0)
     assert link.telemetry.failure == "link: Input/output error"
+    far.error = ""
+    link.receive(0.1)
+    assert link.telemetry.failure == "", "it is back"
 
 
 def test_the_pilots_imports_stay_small() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import common as wire
@@ -196,10 +197,50 @@ def test_serial_carries_every_byte_untouched() -> None:
     assert link.dropped_writes > 0, "nobody reads: frames are dropped, the loop goes on"
     os.close(far)
     with pytest.raises(OSError):
-        for _ in range(3):
-            link.write(b"x")
-            if link.read() == b"":
-                raise OSError("end of file")
+        link.read()
+    link.close()
+
+
+def test_a_serial_line_that_went_is_opened_again_once_it_is_back(tmp_path: Path) -> None:
+    clock, device = ManualClock(), tmp_path / "autopilot"
+
+    def plug() -> tuple[int, int]:
+        far, near = os.openpty()
+        device.symlink_to(os.ttyname(near))
+        return far, near
+
+    def unplug(ends: tuple[int, int]) -> None:
+        device.unlink()
+        for end in ends:
+            os.close(end)
+
+    ends = plug()
+    link = open_link(f"serial:{device}:921600", Gate(), clock)
+    assert isinstance(link, SerialLink)
+    while not link.dropped_writes:
+        link.write(bytes(1000))
+    unplug(ends)
+    with pytest.raises(OSError):
+        link.read()
+    ends = plug()
+    for _ in range(2):
+        link.wait(0.0)  # there is nothing to wait for, and no busy loop either
+        with pytest.raises(OSError, match="No such device"):
+            link.read()
+        with pytest.raises(OSError, match="No such device"):
+            link.write(b"lost")
+    clock.advance_to(clock.now_s() + 0.5)
+    assert link.read() == b""
+    link.write(b"hello")
+    assert os.read(ends[0], 1000) == b"hello", "and nothing of what waited for the line that went"
+    unplug(ends)
+    with pytest.raises(OSError):
+        link.write(b"x")
+    clock.advance_to(clock.now_s() + 0.5)
+    with pytest.raises(FileNotFoundError):
+        link.read()
+    with pytest.raises(OSError, match="No such device"):
+        link.read()
     link.close()
 
 

@@ -79,6 +79,7 @@ class Link:
         except OSError as error:
             self.telemetry.failure = f"link: {error.strerror or error}"
             return
+        self.telemetry.failure = ""
         old_frames = self._decoder.mavlink1_frames
         for received in self._decoder.feed(data):
             self._log.record(now_s, received.frame)

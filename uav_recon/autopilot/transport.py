@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import math
 import os
@@ -15,6 +16,7 @@ from uav_recon.protocols import ByteLink, Clock
 
 PEER_SILENT_S = 3.0  # by then the pilot has given up a flight: only now may the vehicle speak from another address
 _READ_BUDGET = 1 << 16
+_LOOK_AGAIN_S = 0.5
 _BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 921600, 1000000, 1500000, 2000000, 3000000)
 
 
@@ -32,7 +34,7 @@ def open_link(url: str, gate: Gate, clock: Clock, peer_host: str | None = None) 
     place, _, number = rest.rpartition(":")
     if kind not in ("udp", "serial") or not place or not number.isdigit():
         raise LinkError(f"link {url!r}: write udp:HOST:PORT or serial:DEVICE:BAUD")
-    return SerialLink(place, int(number)) if kind == "serial" else UdpLink(place, int(number), gate, clock, peer_host)
+    return SerialLink(place, int(number), clock) if kind == "serial" else UdpLink(place, int(number), gate, clock, peer_host)
 
 
 class UdpLink:
@@ -107,56 +109,102 @@ class UdpLink:
 
 
 class SerialLink:
-    """A serial line, raw, eight bits, exclusive."""
+    """A serial line, raw, eight bits, exclusive. One that goes is looked for twice a second, and opened once it is back."""
 
-    def __init__(self, device: str, baud: int) -> None:
+    def __init__(self, device: str, baud: int, clock: Clock) -> None:
+        """Raises LinkError for a line that is not there to begin with, or is none."""
         if baud not in _BAUDS:
             raise LinkError(f"link serial:{device}:{baud}: baud must be one of {', '.join(map(str, _BAUDS))}")
-        self._pending = bytearray()
+        self._device, self._speed, self._clock = device, getattr(termios, f"B{baud}"), clock
+        self._pending, self._look_s = bytearray(), -math.inf
         self.dropped_writes = 0
         try:
-            self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            self._file: int | None = _opened(device, self._speed)
         except OSError as error:
             raise LinkError(f"link serial:{device}:{baud}: {error.strerror}") from None
-        try:
-            fcntl.ioctl(self._file, termios.TIOCEXCL)
-            _make_raw(self._file, getattr(termios, f"B{baud}"))
-        except (OSError, termios.error) as error:
-            os.close(self._file)
-            raise LinkError(f"link serial:{device}:{baud}: not a serial line ({error.args[-1]})") from None
 
     def read(self) -> bytes:
-        """Bytes that arrived, at most 64 KiB. Raises OSError if the device is gone."""
-        self._flush()
+        """Bytes that arrived, at most 64 KiB. Raises OSError while the device is gone."""
+        file = self._line()
+        self._flush(file)
         try:
-            return os.read(self._file, _READ_BUDGET)
+            data = os.read(file, _READ_BUDGET)
         except BlockingIOError:
             return b""
+        except OSError:
+            self._lose()
+            raise
+        if not data and _hung_up(file):
+            self._lose()
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+        return data
 
     def write(self, data: bytes) -> None:
-        """Send. A frame that does not fit behind what still waits is dropped whole and counted."""
-        self._flush()
+        """Send. A frame that does not fit behind what still waits is dropped whole and counted. Raises OSError while the
+        device is gone.
+        """
+        file = self._line()
+        self._flush(file)
         if len(self._pending) > 4096:
             self.dropped_writes += 1
             return
         self._pending += data
-        self._flush()
+        self._flush(file)
 
-    def _flush(self) -> None:
+    def _line(self) -> int:
+        """The open device; looks for it if it went. Raises OSError."""
+        if self._file is None:
+            if self._clock.now_s() < self._look_s + _LOOK_AGAIN_S:
+                raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+            self._look_s = self._clock.now_s()
+            self._file = _opened(self._device, self._speed)
+        return self._file
+
+    def _lose(self) -> None:
+        """What waited was for a line that is no more."""
+        self.close()
+        self._pending.clear()
+        self._look_s = self._clock.now_s()
+
+    def _flush(self, file: int) -> None:
         if not self._pending:
             return
         try:
-            del self._pending[: os.write(self._file, self._pending)]
+            del self._pending[: os.write(file, self._pending)]
         except BlockingIOError:
             return
+        except OSError:
+            self._lose()
+            raise
 
     def wait(self, timeout_s: float) -> None:
         """Block until bytes are there or the time is over."""
-        select.select([self._file], [], [], max(timeout_s, 0.0))
+        select.select([] if self._file is None else [self._file], [], [], max(timeout_s, 0.0))
 
     def close(self) -> None:
         """Release the device."""
-        os.close(self._file)
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+
+def _opened(device: str, speed: int) -> int:
+    """The file number of a line that is raw and ours alone. Raises OSError."""
+    file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        fcntl.ioctl(file, termios.TIOCEXCL)
+        _make_raw(file, speed)
+    except (OSError, termios.error) as error:
+        os.close(file)
+        raise OSError(error.args[0], f"not a serial line ({error.args[-1]})") from None
+    return file
+
+
+def _hung_up(file: int) -> bool:
+    """Whether nothing is to be had of it ever again."""
+    poll = select.poll()
+    poll.register(file, 0)  # a hang-up is told in any case
+    return bool(poll.poll(0))
 
 
 def _make_raw(file: int, speed: int) -> None:
