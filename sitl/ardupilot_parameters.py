@@ -8,7 +8,8 @@ from sitl.parameter_table import INT32, ParameterTable
 
 # Defaults of ArduCopter 4.8-dev for what the simulated autopilot obeys or a companion reads back before arming.
 _DEFAULTS: dict[str, int | float] = {
-    "AHRS_EKF_TYPE": 3, "ARMING_SKIPCHK": 0, "ATC_ANGLE_MAX": 30.0, "ATC_ANG_YAW_P": 4.5, "ATC_RATE_WPY_MAX": 60.0,
+    "AHRS_EKF_TYPE": 3, "ARMING_SKIPCHK": 0, "ATC_ANGLE_MAX": 30.0, "ATC_ANG_YAW_P": 4.5, "ATC_INPUT_TC": 0.15,
+    "ATC_RATE_WPY_MAX": 60.0,
     "AVOID_ENABLE": 3,
     "BATT_ARM_MAH": 0, "BATT_CAPACITY": 3300, "BATT_CRT_MAH": 0.0, "BATT_FS_CRT_ACT": 0, "BATT_FS_LOW_ACT": 0,
     "BATT_LOW_MAH": 0.0,

@@ -12,6 +12,7 @@ from sitl.shaper import Limits
 EXTERNAL = 6  # EK3_SRC1_*: external navigation
 _FLAGS_FALL_S = 7.2  # after the last pose (measured)
 _REJECT_S = 7.0  # posRetryTimeNoVel_ms: then reset to the poses (read)
+_RATE_LOOP_S = 0.03  # of its rate controller and motors (measured 0.09 s in all with 0.05, 0.25 s with 0.15)
 _VERTICAL_LIMIT_MPS2 = 5.0
 _VERTICAL_INTEGRAL = 2.0  # 1/s²: what ArduPilot's inner acceleration loop amounts to
 
@@ -51,6 +52,11 @@ def control_gains(p: ArduPilotParameters) -> Gains:
         tilt_rad=math.radians(p["ATC_ANGLE_MAX"]),
         yaw_rate=math.radians(p["ATC_RATE_WPY_MAX"]),
     )
+
+
+def lean_lag_s(p: ArduPilotParameters) -> float:
+    """Of the lean behind the wanted acceleration: its attitude controller smooths what it is asked for."""
+    return p["ATC_INPUT_TC"] + _RATE_LOOP_S
 
 
 def shaping_limits(p: ArduPilotParameters) -> tuple[Limits, Limits]:

@@ -10,6 +10,7 @@ from ardupilot_rig import ARM, INTERVAL, SET_MODE, copter, flying, ready
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl.ardupilot_parameters import DEFAULT_FILE, ArduPilotParameters
+from sitl.ardupilot_tuning import lean_lag_s
 from sitl.parameter_table import ParameterError
 
 
@@ -99,6 +100,11 @@ def test_the_indoor_file_makes_no_failsafe_a_return() -> None:
     assert (p.integer("FENCE_ACTION"), p.integer("FS_DR_ENABLE")) == (2, 1)
     assert (p.integer("BATT_FS_LOW_ACT"), p.integer("BATT_FS_CRT_ACT")) == (1, 1)
     assert p["RTL_ALT_M"] == 0.0
+
+
+def test_the_lean_is_as_late_as_its_parameter_makes_it() -> None:
+    assert lean_lag_s(ArduPilotParameters()) == pytest.approx(0.18)
+    assert lean_lag_s(ArduPilotParameters.load()) == pytest.approx(0.08)
 
 
 def test_the_readme_explains_each_value_of_the_file() -> None:
