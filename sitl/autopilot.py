@@ -56,6 +56,8 @@ class Autopilot(ABC):
     acted, in words. texts: every STATUSTEXT.
     """
 
+    version = ""  # a real firmware has one
+
     def __init__(
         self,
         vehicle: Quadrotor,

@@ -32,13 +32,16 @@ class Stage:
 
 @dataclass(frozen=True)
 class FaultCase:
-    """A flight: number is its seed, and which of the row's cases is flown. live: in real time, with processes."""
+    """A flight: number is its seed, and which of the row's cases is flown. live: in real time, with processes. firmware: and
+    with a real one.
+    """
 
     row: str
     autopilot: str
     number: int
     out: Path | None = None
     live: bool = False
+    firmware: Path | None = None
 
     @property
     def stage(self) -> Stage:
@@ -48,12 +51,13 @@ class FaultCase:
 
 @dataclass(frozen=True)
 class FaultRecord:
-    """What came of a case; trace: of a program that broke."""
+    """What came of a case; trace: of a program that broke. firmware: the version of a real one, "" for none."""
 
     case: FaultCase
     verdict: Verdict
     simulated_s: float = 0.0
     trace: str = ""
+    firmware: str = ""
 
 
 def fly(cases: Sequence[FaultCase]) -> list[FaultRecord]:
@@ -111,7 +115,7 @@ class _Together:
 def record_of(case: FaultCase, evidence: Evidence) -> FaultRecord:
     """Judged."""
     verdict = judge(ROWS[case.row], evidence, violations(evidence))
-    return FaultRecord(case, verdict, float(evidence.end_s - evidence.stamp_s[0]))
+    return FaultRecord(case, verdict, float(evidence.end_s - evidence.stamp_s[0]), firmware=evidence.firmware)
 
 
 def broken(case: FaultCase, error: Exception) -> FaultRecord:
@@ -156,4 +160,4 @@ def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:
         seed=case.number, views=row.views, autopilot=case.autopilot, port=free_port(), out=case.out or folder / "flight"
     )
     options.make_folder()
-    return flight_in_real_time(row, options, folder, case.number)
+    return flight_in_real_time(row, options, folder, case.number, case.firmware)

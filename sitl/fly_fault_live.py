@@ -12,6 +12,7 @@ from rich.console import Console
 
 from sitl.faults.arena import arena
 from sitl.faults.evidence import Evidence
+from sitl.faults.injector import Needs
 from sitl.faults.roster import Exit, Roster
 from sitl.faults.row import Row
 from sitl.fly_children import Children
@@ -71,13 +72,20 @@ class Supervised(Children):
                 self._roster.tell(self._pids, self._exits)
 
 
-def flight_in_real_time(row: Row, options: SimOptions, runtime: Path, number: int) -> Evidence:
-    """Fly a row's trouble with processes. options: whose folder is made. Raises run.Failure."""
-    config = options.config(arena(row.arena, options.radius_m), runtime)
+def flight_in_real_time(row: Row, options: SimOptions, runtime: Path, number: int, firmware: Path | None = None) -> Evidence:
+    """Fly a row's trouble with processes. options: whose folder is made. firmware: a real one, for the simulated autopilot.
+    Raises run.Failure.
+    """
+    config, line = options.config(arena(row.arena, options.radius_m), runtime), None
+    if Needs.LINE in row.needs(number, live=True):
+        line = str(runtime / "autopilot")
+        link = config.link.model_copy(update={"url": f"serial:{line}:921600"})
+        config = config.model_copy(update={"link": link})
     product_config.save(config, options.out / "config.toml")
     options.world(runtime).save(runtime / "world.json")
     order = runtime / "order.json"
-    Order(str(runtime / "world.json"), row.id, number, str(options.out / "config.toml")).save(order)
+    binary = None if firmware is None else str(firmware)
+    Order(str(runtime / "world.json"), row.id, number, str(options.out / "config.toml"), binary, line).save(order)
     product, given = [sys.executable, "-m", "uav_recon.cli"], ["--config", str(options.out / "config.toml")]
     flight = ["--flight", str(options.out)]
     commands = {

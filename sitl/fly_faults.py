@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import multiprocessing
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,21 +13,25 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sitl.faults.injector import Needs
 from sitl.faults.page import write_page
 from sitl.faults.result import Result, result_of
-from sitl.faults.row import Row, Verdict
+from sitl.faults.row import Row
 from sitl.faults.table import ROWS, TABLE
 from sitl.fly_case import one_thread
 from sitl.fly_fault import FaultCase, FaultRecord, Stage, fly
-from sitl.fly_options import AUTOPILOTS, UsageError
+from sitl.fly_options import AUTOPILOTS, UsageError, check_program
 from uav_recon import run
 
 BOTH = "both"
+FIRMWARE_OFFERS = {"px4": Needs.PROCESSES | Needs.LINE, "ardupilot": Needs.PROCESSES | Needs.LINE | Needs.STICKS}
 
 
 @dataclass(frozen=True)
 class FaultOptions:
-    """Rows are flown with seeds 0, 1, ... and for each personality, and told in the order of the table."""
+    """Rows are flown with seeds 0, 1, ... and for each personality, and told in the order of the table. firmware: a real one in
+    its place, always live.
+    """
 
     rows: tuple[Row, ...]
     autopilots: tuple[str, ...]
@@ -36,11 +40,12 @@ class FaultOptions:
     json: Path | None
     out: Path | None
     live: bool = False
+    firmware: Path | None = None
 
     @staticmethod
     def parse(
         *, only: str | None = None, autopilot: str = BOTH, seeds: int = 3, jobs: int = 2, json: Path | None = None,
-        out: Path | None = None, live: bool = False,
+        out: Path | None = None, live: bool = False, firmware: Path | None = None,
     ) -> FaultOptions:  # fmt: skip
         """Check the words of the command line. Raises UsageError with one line."""
         names = tuple(ROWS) if only is None else tuple(word.strip() for word in only.split(","))
@@ -49,19 +54,25 @@ class FaultOptions:
             raise UsageError(f"--only {only}: no row {', '.join(unknown)}; there are {', '.join(ROWS)}")
         if autopilot not in (*AUTOPILOTS, BOTH):
             raise UsageError(f"--autopilot {autopilot}: want one of {', '.join((*AUTOPILOTS, BOTH))}")
-        personalities = AUTOPILOTS if autopilot == BOTH else (autopilot,)
-        rows = tuple(row for row in TABLE if row.id in names and (row.flown(live) or not live))
+        if firmware is not None:
+            check_program(firmware)
+            if autopilot == BOTH:
+                raise UsageError(f"--autopilot {BOTH}: with --firmware want {' or '.join(AUTOPILOTS)}, which it is")
+        personalities, flown = AUTOPILOTS if autopilot == BOTH else (autopilot,), _flown(autopilot, live, firmware)
+        rows = tuple(row for row in TABLE if row.id in names and (flown(row) or not (live or firmware)))
         if not rows:
-            raise UsageError(f"--only {only}: not flown in real time; {', '.join(r.id for r in TABLE if r.flown(live))} are")
-        return FaultOptions(rows, personalities, seeds, 1 if live else jobs, json, out, live)
+            how = "in real time" if firmware is None else f"with a real {autopilot}"
+            raise UsageError(f"--only {only}: not flown {how}; {', '.join(r.id for r in TABLE if flown(r))} are")
+        one_by_one = live or firmware is not None
+        return FaultOptions(rows, personalities, seeds, 1 if one_by_one else jobs, json, out, one_by_one, firmware)
 
     def cases(self, row: Row, autopilot: str) -> list[FaultCase]:
         """The flights of a row; none for one that cannot be flown here."""
-        if not row.flown(self.live):
+        if not _flown(autopilot, self.live, self.firmware)(row):
             return []
         numbers = range(self.seeds if self.live else self.seeds * row.times)
         folders = [None if self.out is None else self.out / f"{row.id}-{autopilot}-{number}" for number in numbers]
-        return [FaultCase(row.id, autopilot, number, folder, self.live) for number, folder in enumerate(folders)]
+        return [FaultCase(row.id, autopilot, number, folder, self.live, self.firmware) for number, folder in enumerate(folders)]
 
     def groups(self) -> list[list[FaultCase]]:
         """All flights: those together that can be, seed by seed; in real time each is alone."""
@@ -72,6 +83,11 @@ class FaultOptions:
         for case in sorted(cases, key=lambda case: (self.autopilots.index(case.autopilot), case.number)):
             groups.setdefault(case.stage, []).append(case)
         return list(groups.values())
+
+
+def _flown(autopilot: str, live: bool, firmware: Path | None) -> Callable[[Row], bool]:
+    """Which rows there are."""
+    return lambda row: row.flown(live) if firmware is None else row.flown_by(FIRMWARE_OFFERS[autopilot])
 
 
 def faults(options: FaultOptions) -> int:
@@ -89,6 +105,8 @@ def faults(options: FaultOptions) -> int:
             _save(options, results)
     flown = [r for r in results if r.passed is not None]
     bad = [r for r in flown if not r.passed]
+    for said in sorted({r.firmware for r in flown if r.firmware}):
+        console.print(f"firmware: {options.autopilots[0]} {said}", markup=False, highlight=False)
     console.print(f"{len(flown)} rows flown, {len(bad)} failed, {len(results) - len(flown)} not flown here")
     return 1 if bad else 0
 
@@ -119,14 +137,15 @@ def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Gene
 
 def _results(options: FaultOptions, records: Iterator[FaultRecord]) -> Iterator[Result]:
     """Of each row and personality, in order, as soon as its last flight and those of the rows before are over."""
-    verdicts: dict[FaultCase, Verdict] = {}
+    told: dict[FaultCase, FaultRecord] = {}
     for autopilot in options.autopilots:
         for row in options.rows:
             cases = options.cases(row, autopilot)
-            while not verdicts.keys() >= set(cases):
+            while not told.keys() >= set(cases):
                 record = next(records)
-                verdicts[record.case] = record.verdict
-            yield result_of(row, autopilot, [verdicts[case] for case in cases])
+                told[record.case] = record
+            firmware = next((told[case].firmware for case in cases if told[case].firmware), "")
+            yield result_of(row, autopilot, [told[case].verdict for case in cases], firmware)
 
 
 def _line(result: Result) -> str:

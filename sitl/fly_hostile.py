@@ -38,7 +38,7 @@ class HostilePlanner(Injector):
 
     def _trajectory(self, at: Theatre) -> Trajectory:
         dice, count = at.dice, 60
-        here = np.array(at.world.autopilot.truth().position)
+        here = np.array(at.world.flyer.truth().position)
         along = np.linspace(0.0, 1.0, count)[:, None]
         place = here + along * (self._goal(dice) - here)
         velocity = np.gradient(place, 1.0 / 30.0, axis=0) * dice.choice((1.0, 1.0, 0.0, 5.0))

@@ -170,12 +170,17 @@ class SimOptions:
             raise run.Failure(str(error), run.EXIT_CONFIG) from None
 
 
-def _check_firmware(firmware: Path, autopilot: str, mount: str, port: int, lockstep: bool) -> None:
-    """Raises UsageError for a firmware that cannot be started, or cannot be flown as asked."""
+def check_program(firmware: Path) -> None:
+    """Raises UsageError for a firmware that cannot be started."""
     if not firmware.is_file():
         raise UsageError(f"--firmware {firmware}: no such file")
     if not os.access(firmware, os.X_OK):
         raise UsageError(f"--firmware {firmware}: not executable")
+
+
+def _check_firmware(firmware: Path, autopilot: str, mount: str, port: int, lockstep: bool) -> None:
+    """Raises UsageError for a firmware that cannot be started, or cannot be flown as asked."""
+    check_program(firmware)
     if lockstep:
         raise UsageError("--firmware: flies in real time, not in --lockstep")
     if mount == "gimbal":

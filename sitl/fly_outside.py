@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import pickle
 import sys
@@ -11,13 +12,18 @@ from pathlib import Path
 
 from sitl.faults.arena import arena
 from sitl.faults.evidence import Evidence
+from sitl.faults.farlink import FarProxy
 from sitl.faults.meddler import Meddler
 from sitl.faults.roster import Roster
 from sitl.faults.table import ROWS
 from sitl.faults.trouble import Trouble
+from sitl.firmware.process import FirmwareError
+from sitl.firmware.relay import Relay
 from sitl.fly_evidence import evidence_of
-from sitl.fly_world import WorldOptions, make_world, run
+from sitl.fly_world import WorldOptions, binary_of, make_world, make_world_of, run
+from sitl.line import SerialLine
 from sitl.transport import UdpPeer
+from sitl.world import World
 from uav_recon import config as product_config
 from uav_recon.clock import RateKeeper
 
@@ -27,12 +33,17 @@ TURN_S = 1.0 / 60.0  # of the ledger and of the troubles
 
 @dataclass(frozen=True)
 class Order:
-    """world: a file of WorldOptions. row, number: whose trouble, and which of its cases. config: of the product."""
+    """world: a file of WorldOptions. row, number: whose trouble, and which of its cases. config: of the product. firmware: the
+    path of a real one in the simulated autopilot's place, behind a relay that the troubles of the link can reach. line: the
+    name of the serial line that the link is, where it is one.
+    """
 
     world: str
     row: str
     number: int
     config: str
+    firmware: str | None = None
+    line: str | None = None
 
     def save(self, path: Path) -> None:
         """Write as JSON."""
@@ -40,26 +51,44 @@ class Order:
 
 
 def fly(order: Order) -> Evidence:
-    """Run until there is nothing left to see. Raises OSError if the link's port cannot be had."""
+    """Run until there is nothing left to see. Raises OSError if a port cannot be had, FirmwareError."""
     options, row = WorldOptions.load(Path(order.world)), ROWS[order.row]
-    assert row.live is not None
-    trouble = Trouble(row.id, row.live(order.number), row.onset, row.longest_s)
+    trouble = Trouble(row.id, row.troubles(order.number, live=True), row.onset, row.longest_s)
     meddler = Meddler([trouble], order.number, LONGEST_WAIT_S)
-    peer = UdpPeer(remote=("127.0.0.1", options.port))
-    world = make_world(options, arena(row.arena, options.radius_m), meddler.far_link(peer), time.monotonic)
-    meddler.enter(world, None, time.monotonic())
-    meddler.theatre.config, meddler.theatre.roster = Path(order.config), Roster(Path(options.stream).parent)
+    with contextlib.ExitStack() as ends:
+        line = None if order.line is None else SerialLine(Path(order.line))
+        end = ends.enter_context(contextlib.closing(line or UdpPeer(remote=("127.0.0.1", options.port))))
+        world, relay = _outside(order, options, meddler.far_link(end), ends)
+        meddler.enter(world, None, time.monotonic())
+        at = meddler.theatre
+        at.config, at.roster, at.line = Path(order.config), Roster(Path(options.stream).parent), line
+        _fly(world, relay, meddler)
+        world.truth_log.save(Path(options.truth), world)
+    return evidence_of(meddler, product_config.load(Path(order.config)), Path(options.truth), options.radius_m)
+
+
+def _outside(order: Order, options: WorldOptions, product: FarProxy, ends: contextlib.ExitStack) -> tuple[World, Relay | None]:
+    """The world with what flies in it, and what carries its words if that is a program of its own."""
+    scene = arena(ROWS[order.row].arena, options.radius_m)
+    if order.firmware is None:
+        return make_world(options, scene, product, time.monotonic), None
+    binary = Path(order.firmware)
+    relay = ends.enter_context(contextlib.closing(Relay(product, binary_of(options.autopilot, binary).companion_port)))
+    return make_world_of(binary, options, scene, relay.port, ends), relay
+
+
+def _fly(world: World, relay: Relay | None, meddler: Meddler) -> None:
+    """Until it is over."""
     turns = RateKeeper(1.0 / TURN_S, time.monotonic())
 
     def ended(now_s: float) -> bool:
+        if relay is not None:
+            relay.pass_on()
         if turns.due(now_s):
             meddler.turn(now_s)
         return meddler.over(finished=False)
 
     run(world, ended)
-    world.truth_log.save(Path(options.truth), world)
-    peer.close()
-    return evidence_of(meddler, product_config.load(Path(order.config)), Path(options.truth), options.radius_m)
 
 
 def main(order: Path) -> None:
@@ -72,4 +101,7 @@ def main(order: Path) -> None:
 
 if __name__ == "__main__":
     sys.setswitchinterval(0.001)
-    main(Path(sys.argv[1]))
+    try:
+        main(Path(sys.argv[1]))
+    except FirmwareError as error:
+        sys.exit(str(error))

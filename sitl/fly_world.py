@@ -18,6 +18,7 @@ import numpy as np
 from sitl import d435i
 from sitl.ardupilot import ArduCopter
 from sitl.ardupilot_parameters import ArduPilotParameters
+from sitl.ardupilot_tuning import lean_lag_s
 from sitl.autopilot import Autopilot
 from sitl.clearance import Clearance
 from sitl.firmware.ardupilot import ArduPilotBinary
@@ -32,7 +33,7 @@ from sitl.px4 import Px4
 from sitl.raster import Renderer
 from sitl.scene import Scene, load_scene
 from sitl.transport import ByteEnd, UdpPeer
-from sitl.vehicle import Quadrotor
+from sitl.vehicle import Airframe, Quadrotor
 from sitl.world import Darkroom, Flyer, World
 from uav_recon.sensors.wire import StreamWriter
 
@@ -76,6 +77,17 @@ def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callab
     return _assemble(options, scene, lambda: _autopilot(options, scene, link, pace), now_s, pace)
 
 
+def make_world_of(
+    firmware: Path, options: WorldOptions, scene: Scene, companion_port: int, ends: contextlib.ExitStack
+) -> World:
+    """The same with a real firmware, which sends to companion_port and is ended by ends. Raises FirmwareError."""
+
+    def boot() -> Flyer:
+        return ends.enter_context(contextlib.closing(_firmware(options, firmware, scene, companion_port)))
+
+    return _assemble(options, scene, boot, time.monotonic, REAL)
+
+
 def _assemble(options: WorldOptions, scene: Scene, boot: Callable[[], Flyer], now_s: Callable[[], float], pace: Pace) -> World:
     """Compile the kernels, put the vehicle on its pad, and only then read the clock: the world's time begins there."""
     renderer, clearance = _renderer(scene, options.camera), Clearance(scene, options.radius_m)
@@ -90,9 +102,12 @@ def _assemble(options: WorldOptions, scene: Scene, boot: Callable[[], Flyer], no
 
 def _autopilot(options: WorldOptions, scene: Scene, link: ByteEnd, pace: Pace) -> Autopilot:
     """With the parameters that are to be flown."""
-    vehicle = Quadrotor(seed=options.seed, yaw_rad=scene.start_yaw_rad)
     if options.autopilot == "ardupilot":
-        return ArduCopter(vehicle, link, ArduPilotParameters.load(), options.seed, pace.physics_s)
+        parameters = ArduPilotParameters.load()
+        airframe = Airframe(tilt_lag_s=lean_lag_s(parameters))
+        vehicle = Quadrotor(seed=options.seed, yaw_rad=scene.start_yaw_rad, airframe=airframe)
+        return ArduCopter(vehicle, link, parameters, options.seed, pace.physics_s)
+    vehicle = Quadrotor(seed=options.seed, yaw_rad=scene.start_yaw_rad)
     return Px4(vehicle, link, Parameters.load(), options.seed, pace.physics_s)
 
 
@@ -103,11 +118,16 @@ def _renderer(scene: Scene, camera: d435i.Model) -> Renderer:
     return Renderer(vertices, faces, np.zeros(vertices.shape, np.uint8))
 
 
-def _firmware(options: WorldOptions, firmware: Path, scene: Scene) -> FirmwareVehicle:
+def binary_of(autopilot: str, firmware: Path) -> ArduPilotBinary | Px4Binary:
+    """The kind of firmware that a file is."""
+    return ArduPilotBinary(firmware) if autopilot == "ardupilot" else Px4Binary(firmware)
+
+
+def _firmware(options: WorldOptions, firmware: Path, scene: Scene, companion_port: int) -> FirmwareVehicle:
     """Its own files go where the stream is; what it prints, beside the other logs. Raises FirmwareError."""
-    binary = ArduPilotBinary(firmware) if options.autopilot == "ardupilot" else Px4Binary(firmware)
+    binary = binary_of(options.autopilot, firmware)
     folder, log = Path(options.stream).with_name("firmware"), Path(options.truth).parent / "logs" / "firmware.log"
-    return FirmwareVehicle(binary, options.port, scene.start_yaw_rad, folder, log)
+    return FirmwareVehicle(binary, companion_port, scene.start_yaw_rad, folder, log)
 
 
 def fly(options: WorldOptions) -> None:
@@ -125,15 +145,10 @@ def fly(options: WorldOptions) -> None:
 
 def _outside(options: WorldOptions, scene: Scene, ends: contextlib.ExitStack) -> World:
     """The world with whatever flies in it; ends closes its link, or its firmware."""
-    if options.firmware is None:
-        link = ends.enter_context(contextlib.closing(UdpPeer(remote=("127.0.0.1", options.port))))
-        return make_world(options, scene, link, time.monotonic)
-    firmware = Path(options.firmware)
-
-    def boot() -> Flyer:
-        return ends.enter_context(contextlib.closing(_firmware(options, firmware, scene)))
-
-    return _assemble(options, scene, boot, time.monotonic, REAL)
+    if options.firmware is not None:
+        return make_world_of(Path(options.firmware), options, scene, options.port, ends)
+    link = ends.enter_context(contextlib.closing(UdpPeer(remote=("127.0.0.1", options.port))))
+    return make_world(options, scene, link, time.monotonic)
 
 
 def run(world: World, ended: Callable[[float], bool]) -> None:

@@ -153,9 +153,8 @@ class Flight:
     def _lifts_off(self, setpoint: ControlSetpoint, position: Vec3, dt_s: float) -> bool:
         if self._armed_s < self._spoolup_s:
             return False
-        upwards = setpoint.position[2] < position[2] - 0.1 or setpoint.velocity[2] < -0.1
-        climbs = not self._arrived if self._mode is Mode.TAKEOFF else upwards
-        if climbs:
+        wanted = setpoint.position[2] < position[2] - 0.1 or setpoint.velocity[2] < -0.1
+        if not self._arrived if self._mode is Mode.TAKEOFF else wanted:
             self._ramp_s = max(self._ramp_s, 0.0)
         if self._ramp_s < 0.0:
             return False

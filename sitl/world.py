@@ -36,6 +36,30 @@ class Flyer(Protocol):
         """What went wrong and what was done about it, in order."""
         ...
 
+    @property
+    def texts(self) -> list[str]:
+        """Every STATUSTEXT."""
+        ...
+
+    @property
+    def version(self) -> str:
+        """Of a real firmware; '' for none."""
+        ...
+
+    @property
+    def battery_fraction(self) -> float:
+        """State of charge now."""
+        ...
+
+    @property
+    def boot_s(self) -> float:
+        """When it booted, on the world's clock."""
+        ...
+
+    def pilot_takes_over(self, mode: str) -> None:
+        """A switch on the transmitter. Raises KeyError for a mode that there is not."""
+        ...
+
     def step(self, now_s: float) -> None:
         """Advance to now_s on the world's clock."""
         ...

@@ -25,14 +25,21 @@ ALLOWED = {
     "evaluation": {"types", "geometry", "evaluation"},
     "notify": set(),
 }
-ROOTS = {"run", "run_desk", "processes", "refine", "params", "bench", "cli", "cli_exit", "cli_params", "cli_operator"}
+ROOTS = {"run", "run_desk", "processes", "refine", "params", "bench"} | {
+    "cli",
+    "cli_exit",
+    "cli_faults",
+    "cli_params",
+    "cli_operator",
+}
 ROOT_IMPORTS = {
-    "cli": {"run", "processes", "refine", "bench", "cli_exit", "cli_params", "cli_operator"},
+    "cli": {"run", "processes", "refine", "bench", "cli_exit", "cli_faults", "cli_params", "cli_operator"},
     "cli_operator": {"run", "run_desk", "cli_exit", "operator"},
     "run_desk": {*ALLOWED, "run"},
     "processes": {*ALLOWED, "run", "run_desk"},
     "cli_exit": {"run"},
     "cli_params": {"params", "cli_exit"},
+    "cli_faults": {"cli_exit"},
     "params": {*ALLOWED, "run"},
     "run": set(ALLOWED),
     "refine": {*ALLOWED, "run", "processes"},

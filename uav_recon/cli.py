@@ -9,6 +9,7 @@ import typer
 
 from uav_recon import processes
 from uav_recon.cli_exit import exit_with
+from uav_recon.cli_faults import faults
 from uav_recon.cli_operator import register
 from uav_recon.cli_params import params
 
@@ -153,34 +154,7 @@ def sweep(
     )  # fmt: skip
 
 
-@app.command()
-def faults(
-    only: Annotated[
-        str | None, typer.Option(metavar="A1,B4,...", help="Rows to fly, with commas between. Default: all.")
-    ] = None,
-    autopilot: Annotated[str, typer.Option(help="Firmware personality: px4, ardupilot or both.")] = "both",
-    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Flights a row; thrice in lockstep for A1 B1 B4 E1 F1.")] = 3,
-    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; one core each.")] = 2,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write every figure.")] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the report faults.html and the flights. Default: keep none.")
-    ] = None,
-    real_time: Annotated[
-        bool, typer.Option("--real-time", help="Rows of real processes and signals, one flight at a time, a minute each.")
-    ] = False,
-) -> None:
-    """Fly with one thing going wrong at a time; a line a row of the hazards' table, the measured figure beside its bar.
-
-    Judged by the simulator's truth and by what was on the wire. Exit code 1 if any row failed.
-    """
-    from sitl.fly_faults import FaultOptions
-    from sitl.fly_faults import faults as fly_all
-
-    exit_with(
-        lambda: fly_all(
-            FaultOptions.parse(only=only, autopilot=autopilot, seeds=seeds, jobs=jobs, json=json, out=out, live=real_time)
-        )
-    )
+app.command()(faults)
 
 
 @app.command()

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
-from sitl.faults.injector import Injector, Theatre
+from sitl.faults.injector import Injector, Needs, Theatre
 
 
 class Push(Injector):
     """A steady force for a while along the way that it flies, as an acceleration in m/s²; its accelerometer feels it."""
+
+    needs = Needs.INSIDES
 
     def __init__(self, acceleration_mps2: float, for_s: float) -> None:
         self._force, self._for_s = acceleration_mps2, for_s
@@ -16,7 +18,7 @@ class Push(Injector):
 
     def begin(self, at: Theatre) -> None:
         """On along the way that it flies."""
-        vx, vy, _ = at.world.autopilot.truth().velocity
+        vx, vy, _ = at.world.flyer.truth().velocity
         speed = math.hypot(vx, vy) or 1.0
         self._along = (vx / speed, vy / speed)
 
@@ -29,6 +31,8 @@ class Push(Injector):
 class HeldDown(Injector):
     """The rotors cannot lift it: three times too heavy."""
 
+    needs = Needs.INSIDES
+
     def begin(self, at: Theatre) -> None:
         """For good."""
         at.world.autopilot.vehicle.weaken(1.0 / 3.0)
@@ -36,6 +40,8 @@ class HeldDown(Injector):
 
 class Takeover(Injector):
     """The pilot's switch, later_s after the moment. modes: the same thing as each firmware calls it."""
+
+    needs = Needs.STICKS
 
     def __init__(self, *modes: str, later_s: float = 0.0) -> None:
         self._modes, self._later_s, self._done = modes, later_s, False
@@ -50,6 +56,8 @@ class Takeover(Injector):
 class Reboot(Injector):
     """The autopilot starts anew in the air."""
 
+    needs = Needs.INSIDES
+
     def begin(self, at: Theatre) -> None:
         """Once."""
         at.world.autopilot.reboot()
@@ -57,6 +65,8 @@ class Reboot(Injector):
 
 class Unnoticed(Injector):
     """The landing is not noticed: a slope, a rug, a land detector that fails."""
+
+    needs = Needs.INSIDES
 
     def begin(self, at: Theatre) -> None:
         """For good."""
@@ -66,6 +76,8 @@ class Unnoticed(Injector):
 class TransmitterLost(Injector):
     """The pilot's transmitter is no longer heard."""
 
+    needs = Needs.INSIDES
+
     def begin(self, at: Theatre) -> None:
         """For good."""
         at.world.autopilot.transmitter(heard=False)
@@ -73,6 +85,8 @@ class TransmitterLost(Injector):
 
 class Battery(Injector):
     """The charge falls to a fraction at once, and then by so much each second."""
+
+    needs = Needs.INSIDES
 
     def __init__(self, fraction: float, per_s: float = 0.0) -> None:
         self._fraction, self._per_s = fraction, per_s
@@ -84,6 +98,8 @@ class Battery(Injector):
 
 class Parameter(Injector):
     """A parameter of the autopilot is another than the product counts on. values: its name and value on each firmware."""
+
+    needs = Needs.INSIDES
 
     def __init__(self, *values: tuple[str, float]) -> None:
         self._values = values
@@ -101,7 +117,7 @@ def switch(at: Theatre, modes: tuple[str, ...]) -> None:
     """The first of these modes that the personality has. Raises KeyError for none."""
     for mode in modes:
         try:
-            at.world.autopilot.pilot_takes_over(mode)
+            at.world.flyer.pilot_takes_over(mode)
         except KeyError:
             continue
         return

@@ -35,7 +35,7 @@ class Evidence:
     stamp_s (K,), position_m and velocity_mps (K, 3), armed (K,), mode (K,) of each turn; hull_s (H,) and hull_m (H,): true
     clearance where it counts. heard: (instant, custom mode, armed) of heartbeats that reached the product. boxes_m (K,):
     how near the hull is to the obstacles of the trouble, inf without one and on the ground. error: of the flight's program,
-    "" for none. notes: what the injectors measured themselves, by its name.
+    "" for none. notes: what the injectors measured themselves, by its name. firmware: version of a real one, "" for none.
     """
 
     onset_s: float
@@ -57,6 +57,7 @@ class Evidence:
     boot_s: float = 0.0
     error: str = ""
     notes: dict[str, float] = field(default_factory=dict)
+    firmware: str = ""
 
     @cached_property
     def speed_mps(self) -> F64:
@@ -105,13 +106,14 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
         hull_s=hull_s,
         hull_m=hull_m,
         boxes_m=boxes_m,
-        battery=world.autopilot.battery_fraction,
-        failsafes=tuple(world.autopilot.failsafes),
-        texts=tuple(world.autopilot.texts),
+        battery=world.flyer.battery_fraction,
+        failsafes=tuple(world.flyer.failsafes),
+        texts=tuple(world.flyer.texts),
         wire=decode(tap.sent),
         heard=tuple(modes_told(tap.heard)),
         limits=limits,
-        boot_s=world.autopilot.boot_s,
+        boot_s=world.flyer.boot_s,
         error=error,
         notes=dict(meddler.theatre.notes),
+        firmware=world.flyer.version,
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sitl.faults.injector import Depth, Injector, Theatre
+from sitl.faults.injector import Depth, Injector, Needs, Theatre
 from sitl.faults.link import Late
 from sitl.faults.obstacle import Furnished, Obstacle
 from sitl.rotation import yaw_of
@@ -114,7 +114,7 @@ class Appears(Injector):
 
     def begin(self, at: Theatre) -> None:
         """Where the vehicle is heading now."""
-        truth = at.world.autopilot.truth()
+        truth = at.world.flyer.truth()
         speed = math.hypot(*truth.velocity[:2]) or 1.0
         away = HULL_M + self._ahead_m + self._half_m[0]
         x, y = (truth.position[k] + truth.velocity[k] / speed * away for k in (0, 1))
@@ -125,6 +125,8 @@ class Approaches(Injector):
     """The vehicle is told to stay; then a box comes from ahead_m before the camera at speed_mps, to where the vehicle
     hovers, and stops there.
     """
+
+    needs = Needs.STAGES
 
     def __init__(self, speed_mps: float, ahead_m: float = 3.0, after_s: float = 1.5) -> None:
         self._speed_mps, self._ahead_m, self._after_s, self._come = speed_mps, ahead_m, after_s, False
@@ -138,7 +140,7 @@ class Approaches(Injector):
         if self._come or since_s < self._after_s:
             return
         self._come = True
-        truth, start_s, half_m = at.world.autopilot.truth(), at.now_s, (0.25, 0.25, 1.0)
+        truth, start_s, half_m = at.world.flyer.truth(), at.now_s, (0.25, 0.25, 1.0)
         yaw, (px, py, _) = yaw_of(truth.quat_wxyz), truth.position
 
         def place(now_s: float) -> tuple[float, float, float]:

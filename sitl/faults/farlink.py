@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sitl.faults.link import Fate, Queue, frames
-from sitl.transport import UdpPeer
+from sitl.transport import ByteEnd
 
 
 class FarProxy:
@@ -13,7 +13,7 @@ class FarProxy:
     was given to read.
     """
 
-    def __init__(self, end: UdpPeer, now_s: Callable[[], float], up: Fate, down: Fate) -> None:
+    def __init__(self, end: ByteEnd, now_s: Callable[[], float], up: Fate, down: Fate) -> None:
         self._end, self._now_s, self._up, self._down = end, now_s, up, down
         self._rising, self._falling = Queue(), Queue()
         self.sent: list[tuple[float, bytes]] = []

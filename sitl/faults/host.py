@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import resource
 
-from sitl.faults.injector import Injector, Theatre
+from sitl.faults.injector import Injector, Needs, Theatre
 
 
 class Stall(Injector):
     """Stages stand still for a while, as under SIGSTOP; for ever by default, as under SIGKILL."""
+
+    needs = Needs.STAGES
 
     def __init__(self, *stages: str, for_s: float = 1e9) -> None:
         self._stages, self._for_s = stages, for_s
@@ -20,6 +22,8 @@ class Stall(Injector):
 
 class Crash(Injector):
     """A stage dies and is built anew by its supervisor after back_s."""
+
+    needs = Needs.STAGES
 
     def __init__(self, stage: str, back_s: float) -> None:
         self._stage, self._back_s, self._restarted = stage, back_s, False
@@ -39,13 +43,23 @@ class Crash(Injector):
 class Abort(Injector):
     """The operator's one key."""
 
+    needs = Needs.STAGES
+
     def begin(self, at: Theatre) -> None:
         """Pressed."""
         at.abort = True
 
 
+class Madness(Injector):
+    """The planner itself: whoever flies the row puts a hostile one in its place."""
+
+    needs = Needs.STAGES
+
+
 class DiskFull(Injector):
     """No file grows beyond so many bytes any more: what a full disk says too (an OSError on write), without root."""
+
+    needs = Needs.STAGES
 
     def __init__(self, most_bytes: int = 4096, for_s: float = 1e9) -> None:
         self._most_bytes, self._for_s, self._before = most_bytes, for_s, (-1, -1)
@@ -57,5 +71,5 @@ class DiskFull(Injector):
 
     def turn(self, at: Theatre, since_s: float) -> None:
         """Space again after the time, or when the motors have stopped: the referee must write too."""
-        if since_s > self._for_s or (since_s > 1.0 and not at.world.autopilot.truth().armed):
+        if since_s > self._for_s or (since_s > 1.0 and not at.world.flyer.truth().armed):
             resource.setrlimit(resource.RLIMIT_FSIZE, self._before)

@@ -4,21 +4,34 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass, field
+from enum import Flag, auto
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from sitl.faults.link import Late, Tap
 from sitl.faults.obstacle import Obstacle
 from sitl.faults.roster import Roster
+from sitl.line import SerialLine
 from sitl.poses import PoseRecord
 from sitl.world import World
+
+
+class Needs(Flag):
+    """What a trouble wants of the flight that it is in, or a flight has to give."""
+
+    NOTHING = 0
+    STAGES = auto()  # the product's stages in this process: lockstep
+    PROCESSES = auto()  # or each in its own: real time
+    INSIDES = auto()  # of the simulated autopilot and its physics
+    STICKS = auto()  # a pilot's transmitter
+    LINE = auto()  # a serial line to the product
 
 
 @dataclass
 class Theatre:
     """What an injector may lay hands on. dice: of the flight's seed. channels: the product's own, for hostile stages in
-    lockstep. roster, config: the processes of a flight in real time, and the file that they read. notes: what an injector
-    measured itself.
+    lockstep. roster, config: the processes of a flight in real time, and the file that they read. line: what the link is, where
+    a trouble needs it. notes: what an injector measured itself.
     """
 
     world: World
@@ -30,6 +43,7 @@ class Theatre:
     abort: bool = False  # the operator has pressed
     obstacles: list[Obstacle] = field(default_factory=list)
     roster: Roster | None = None
+    line: SerialLine | None = None
     config: Path | None = None
     notes: dict[str, float] = field(default_factory=dict)
 
@@ -38,6 +52,8 @@ class Injector:
     """A trouble that does nothing; each kind overrides what it touches. since_s counts from the trouble's beginning, and
     nothing is asked before it. Frames are whole MAVLink frames; an item given back later than now overtakes nothing before.
     """
+
+    needs: ClassVar[Needs] = Needs.NOTHING
 
     def begin(self, at: Theatre) -> None:
         """The trouble begins."""

@@ -232,6 +232,16 @@ def _dated(e: Evidence) -> tuple[F64, Bools]:
     return w.odometry_s[after], np.abs(age_s) > _OLDEST_POSE_S
 
 
+def poses_again_after(late_s: float) -> Measure:
+    """Seconds from the end of a trouble of late_s to the first ODOMETRY on the wire."""
+
+    def measure(e: Evidence) -> float:
+        after = e.wire.odometry_s[e.wire.odometry_s >= e.onset_s + late_s]
+        return float(after[0]) - e.onset_s - late_s if len(after) else math.inf
+
+    return measure
+
+
 def speed_from(late_s: float) -> Measure:
     """Fastest setpoint (m/s) from so long after the trouble on, while the vehicle follows them."""
 

@@ -23,7 +23,7 @@ from sitl.faults.trouble import Onset, Trouble
 from sitl.poses import PoseRecord
 from sitl.rotation import yaw_of
 from sitl.transform import body_from_camera, world_from_body
-from sitl.transport import UdpPeer
+from sitl.transport import ByteEnd
 from sitl.world import Outlet, World
 
 T = TypeVar("T")
@@ -88,7 +88,7 @@ class Meddler:
         self.proxy = self.theatre.proxy = proxy
         return proxy
 
-    def far_link(self, end: UdpPeer) -> FarProxy:
+    def far_link(self, end: ByteEnd) -> FarProxy:
         """The autopilot's end, where that is the one at hand; before the world is made."""
         proxy = FarProxy(end, time.monotonic, self._fate("to_autopilot"), self._fate("to_product"))
         self.proxy = proxy
@@ -96,7 +96,7 @@ class Meddler:
 
     def turn(self, now_s: float) -> None:
         """Before anything else moves in a turn."""
-        at, truth = self.theatre, self.theatre.world.autopilot.truth()
+        at, truth = self.theatre, self.theatre.world.flyer.truth()
         at.now_s = now_s
         self.ledger.append(Moment(now_s, truth.position, truth.velocity, truth.armed, truth.mode))
         self._watch(self.ledger[-1])
@@ -164,7 +164,7 @@ class Meddler:
 
     def _looks_ahead(self) -> bool:
         """Whether the camera sees where the vehicle is going."""
-        truth = self.theatre.world.autopilot.truth()
+        truth = self.theatre.world.flyer.truth()
         return off_nose_rad(truth.velocity, truth.quat_wxyz) <= _SEEN_RAD
 
     def _meet(self, trouble: Trouble, now_s: float) -> None:
@@ -179,7 +179,7 @@ class Meddler:
         if clear_m <= 0.0:
             return True
         world = self.theatre.world
-        truth = world.autopilot.truth()
+        truth = world.flyer.truth()
         eye = world_from_body(truth.position, yaw_of(truth.quat_wxyz)) @ body_from_camera((0.0, 0.0, 0.0), 0.0)
         seen = world.camera.renderer.render(eye, _PEEK, colour=False).depth_m
         return bool(np.all((seen <= 0.0) | (seen >= clear_m)))

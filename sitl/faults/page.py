@@ -67,5 +67,5 @@ def _row(result: Result) -> str:
         figures = "".join(f"<p>{e(words)}</p>" for words in (*result.words(), *result.remarks))
     return (
         f'<tr><td>{e(row.id)}</td><td>{e(row.hazard)}</td><td class="soft">{e(row.injection)}</td>'
-        f"<td>{e(result.autopilot)}</td><td>{verdict}</td><td>{figures}</td></tr>"
+        f"<td>{e(f'{result.autopilot} {result.firmware}'.strip())}</td><td>{verdict}</td><td>{figures}</td></tr>"
     )

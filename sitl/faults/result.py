@@ -9,10 +9,14 @@ from dataclasses import dataclass
 
 from sitl.faults.row import Bar, Row, Verdict
 
+REAL_FIRMWARE = "T1"
+
 
 @dataclass(frozen=True)
 class Result:
-    """passed None: not flown. worst: of each bar over the flights. kept: flights that passed; remarks: what else broke."""
+    """passed None: not flown. worst: of each bar over the flights. kept: flights that passed; remarks: what else broke.
+    firmware: version of a real one, "" for none.
+    """
 
     row: Row
     autopilot: str
@@ -21,6 +25,7 @@ class Result:
     passed: bool | None
     worst: tuple[float, ...]
     remarks: tuple[str, ...]
+    firmware: str = ""
 
     @property
     def figures(self) -> list[tuple[Bar, float]]:
@@ -53,8 +58,9 @@ class Result:
         head = self.headline()
         return {
             "id": self.row.id,
-            "tier": self.row.tier,
+            "tier": REAL_FIRMWARE if self.firmware else self.row.tier,
             "autopilot": self.autopilot,
+            "firmware": self.firmware,
             "seeds": self.seeds,
             "passed": self.passed,
             "figure": _number(head[1]) if head else None,
@@ -76,7 +82,7 @@ class Result:
         }
 
 
-def result_of(row: Row, autopilot: str, verdicts: Sequence[Verdict]) -> Result:
+def result_of(row: Row, autopilot: str, verdicts: Sequence[Verdict], firmware: str = "") -> Result:
     """Worst of all flights. A row without flights was not flown."""
     if not verdicts:
         return Result(row, autopilot, 0, 0, None, (), ())
@@ -86,7 +92,7 @@ def result_of(row: Row, autopilot: str, verdicts: Sequence[Verdict]) -> Result:
     kept = sum(verdict.passed(row, autopilot) for verdict in verdicts)
     said = Counter(words for verdict in verdicts for words in verdict.broken)
     remarks = tuple(words if count == 1 else f"{words} ({count} times)" for words, count in said.items())
-    return Result(row, autopilot, len(verdicts), kept, kept == len(verdicts), tuple(worst), remarks)
+    return Result(row, autopilot, len(verdicts), kept, kept == len(verdicts), tuple(worst), remarks, firmware)
 
 
 def _number(value: float) -> float | None:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from sitl.faults.evidence import Evidence
-from sitl.faults.injector import Injector
+from sitl.faults.injector import Injector, Needs
 from sitl.faults.measures import Measure
 from sitl.faults.trouble import Onset
 
 Arena = Literal["hall", "pen", "corridor"]
 ON_THE_WAY = Onset()
+CASES = 12  # no row has more that differ in kind
 SHORT_VIEWS = 22  # of a flight that is to end by itself while it is watched
 
 
@@ -51,7 +54,8 @@ class Bar:
 class Row:
     """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere. why: it
     cannot be flown in lockstep. live: its injectors in real time, where that is another flight. longest_s: watched so long
-    after the trouble began. times: in lockstep it is flown so many times as often as a row is.
+    after the trouble began. times: in lockstep it is flown so many times as often as a row is. A flight with a real firmware is
+    any whose troubles need nothing but what that firmware has.
     """
 
     id: str
@@ -68,9 +72,22 @@ class Row:
     live: Callable[[int], Sequence[Injector]] | None = None
     times: int = 1
 
+    def troubles(self, number: int, live: bool) -> Sequence[Injector]:
+        """Those of its n-th flight, in lockstep or in real time."""
+        return self.live(number) if live and self.live is not None else self.injectors(number)
+
+    def needs(self, number: int, live: bool) -> Needs:
+        """All that they want of it."""
+        return functools.reduce(operator.or_, (trouble.needs for trouble in self.troubles(number, live)), Needs.NOTHING)
+
     def flown(self, live: bool) -> bool:
         """Whether there is a flight of it, in lockstep or in real time."""
         return self.live is not None if live else not self.why
+
+    def flown_by(self, offers: Needs) -> bool:
+        """Whether there is one in real time with a real firmware, where a flight has so much to give."""
+        there_is_one = self.live is not None or not self.why
+        return there_is_one and all(self.needs(n, live=True) in offers for n in range(CASES))
 
 
 @dataclass(frozen=True)

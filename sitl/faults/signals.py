@@ -6,15 +6,18 @@ import signal
 import subprocess
 import sys
 import time
+from typing import cast
 
-from sitl.faults.injector import Injector, Theatre
+from sitl.faults.injector import Injector, Needs, Theatre
 from sitl.faults.roster import Roster, child_of, send
 
-MAPPER = "mapping.neural.process.child"
+MAPPER, RECORDER = "mapping.neural.process.child", "uav_recon.cli\0record"  # words of their command lines
 
 
 class Stopped(Injector):
     """A process gets SIGSTOP, and SIGCONT after for_s."""
+
+    needs = Needs.PROCESSES
 
     def __init__(self, name: str, for_s: float) -> None:
         self._name, self._for_s, self._stopped = name, for_s, False
@@ -39,6 +42,8 @@ class Stopped(Injector):
 class Killed(Injector):
     """Processes get SIGKILL, and are started again not before for_s."""
 
+    needs = Needs.PROCESSES
+
     def __init__(self, *names: str, for_s: float = 1e9) -> None:
         self._names, self._for_s, self._down = names, for_s, False
 
@@ -59,6 +64,8 @@ class Killed(Injector):
 class Asked(Injector):
     """A process gets SIGTERM, as from its supervisor; its "exit code" is noted, and whether it "ended armed"."""
 
+    needs = Needs.PROCESSES
+
     def __init__(self, name: str) -> None:
         self._name = name
 
@@ -72,11 +79,13 @@ class Asked(Injector):
         for ended in roster_of(at).exits():
             if ended.name == self._name and "exit code" not in at.notes:
                 at.notes["exit code"] = float(ended.code)
-                at.notes["ended armed"] = float(at.world.autopilot.truth().armed)
+                at.notes["ended armed"] = float(at.world.flyer.truth().armed)
 
 
 class SecondPilot(Injector):
     """Somebody starts another pilot by hand; its exit code and how long it lived are noted."""
+
+    needs = Needs.PROCESSES
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -95,27 +104,30 @@ class SecondPilot(Injector):
             at.notes["second lived"] = time.monotonic() - self._began_s
 
 
-class MapperStopped(Injector):
-    """The mission's mapper gets SIGSTOP; when another one runs in its place is noted."""
+class ChildStruck(Injector):
+    """A child of the mission gets a signal; when another one runs in its place is noted as "replaced"."""
 
-    def __init__(self) -> None:
-        self._pid: int | None = None
+    needs = Needs.PROCESSES
+
+    def __init__(self, word: str, number: signal.Signals) -> None:
+        """word: of its command line."""
+        self._word, self._number, self._pid = word, number, cast("int | None", None)
 
     def begin(self, at: Theatre) -> None:
-        """Stop it."""
-        self._pid = child_of(roster_of(at).pid("mission"), MAPPER)
-        send(self._pid, signal.SIGSTOP)
+        """Strike."""
+        self._pid = child_of(roster_of(at).pid("mission"), self._word)
+        send(self._pid, self._number)
 
     def turn(self, at: Theatre, since_s: float) -> None:
         """Look for another, ten times a second."""
-        if self._pid is None or "mapper replaced" in at.notes or int(since_s * 60.0) % 6:
+        if self._pid is None or "replaced" in at.notes or int(since_s * 60.0) % 6:
             return
-        other = child_of(roster_of(at).pid("mission"), MAPPER)
+        other = child_of(roster_of(at).pid("mission"), self._word)
         if other not in (None, self._pid):
-            at.notes["mapper replaced"] = since_s
+            at.notes["replaced"] = since_s
 
     def end(self, at: Theatre) -> None:
-        """It hears that its mission is gone."""
+        """One that was stopped hears that its mission is gone."""
         send(self._pid, signal.SIGCONT)
 
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from signal import SIGKILL, SIGSTOP
+
 from sitl.faults import measures as m
 from sitl.faults.bars import NO_FAILSAFE, NO_JUMP, NO_ORDER, STEADY, STREAMS, clear, down, holds, lands, lands_no_sooner, stops
 from sitl.faults.host import Crash, Stall
+from sitl.faults.load import BUSY, THRASHING, Toil, Weighed
 from sitl.faults.row import Bar, Row
-from sitl.faults.signals import Asked, Killed, MapperStopped, SecondPilot, Stopped
+from sitl.faults.signals import MAPPER, Asked, ChildStruck, Killed, SecondPilot, Stopped
 from sitl.faults.tracker import (
     Altered,
     Frozen,
@@ -66,17 +70,26 @@ TABLE_A = (
     Row(
         "A4",
         "out of memory",
-        "mapper allocates up to its limit",
-        why="needs a cgroup with MemoryMax; run on the installed units",
+        "the mapper is killed, as the kernel does it at its limit",
+        bars=(
+            Bar("another mapper after", m.noted("replaced"), 5.0, "s"),
+            Bar("pilot's memory", m.noted("memory"), 150.0, "MB"),
+            STREAMS,
+            NO_FAILSAFE,
+            NO_JUMP,
+        ),
+        longest_s=30.0,
+        why="the mapper is a stand-in inside the mission in lockstep: flown in real time",
+        live=lambda n: [ChildStruck(MAPPER, SIGKILL), Weighed("pilot")],
     ),
     Row(
         "A5",
         "mapper hangs",
         "SIGSTOP to the mapper, for ever",
-        bars=(Bar("another mapper after", m.noted("mapper replaced"), 5.0, "s"), STREAMS, NO_FAILSAFE, NO_JUMP),
+        bars=(Bar("another mapper after", m.noted("replaced"), 5.0, "s"), STREAMS, NO_FAILSAFE, NO_JUMP),
         longest_s=30.0,
         why="the mapper is a stand-in inside the mission in lockstep: flown in real time",
-        live=lambda n: [MapperStopped()],
+        live=lambda n: [ChildStruck(MAPPER, SIGSTOP)],
     ),
     Row(
         "A6",
@@ -123,8 +136,24 @@ TABLE_A = (
         why="needs processes: flown in real time",
         live=lambda n: [Asked("pilot")],
     ),
-    Row("A10", "overload", "all cores busy", why="ten minutes in real time: run apart"),
-    Row("A11", "stall by GC, fork or log", "system calls of the pilot's loop", why="needs strace; real time"),
+    Row(
+        "A10",
+        "overload",
+        "four busy programs for each core, for 30 s",
+        bars=(STREAMS, STEADY, NO_FAILSAFE),
+        longest_s=35.0,
+        why="needs processes: flown in real time; ten minutes of it are a test of their own",
+        live=lambda n: [Toil(BUSY, 4 * (os.cpu_count() or 1), 30.0)],
+    ),
+    Row(
+        "A11",
+        "stall by the disk",
+        "16 MB written and synced again and again beside the flight's files, for 30 s",
+        bars=(Bar("writes by the pilot's loop", m.noted("writes"), 0.0, ""), STREAMS, STEADY, NO_FAILSAFE),
+        longest_s=35.0,
+        why="needs processes: flown in real time",
+        live=lambda n: [Toil(THRASHING, 2, 30.0), Weighed("pilot")],
+    ),
 )
 
 TABLE_B = (

@@ -34,7 +34,7 @@ from sitl.faults.host import Crash
 from sitl.faults.injector import Injector
 from sitl.faults.row import SHORT_VIEWS, Bar, Row
 from sitl.faults.trouble import Onset
-from sitl.faults.wires import Corrupted, Garbage, Jitter, Loss, Repeated
+from sitl.faults.wires import Corrupted, Garbage, Jitter, Loss, Repeated, Unplugged
 
 FAST = Onset(speed_mps=0.6)
 STILL = Onset(speed_mps=0.0, view_m=3.8)
@@ -192,8 +192,13 @@ TABLE_D = (
     Row(
         "D6",
         "serial line unplugged",
-        "device gone and back",
-        why="needs a serial device: bench, or a pseudo terminal in real time",
+        "the device is gone for 1 s at speed",
+        bars=(holds(0.3, late_s=1.0), Bar("poses again after", m.poses_again_after(1.0), 2.0, "s"), down(120.0)),
+        onset=FAST,
+        longest_s=125.0,
+        views=SHORT_VIEWS,
+        why="needs a serial line, a pseudo terminal: flown in real time",
+        live=lambda n: [Unplugged(1.0)],
     ),
     Row(
         "D7",

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from signal import SIGSTOP
+
 from sitl.faults import measures as m
 from sitl.faults.bars import (
     COMPLETES,
     NEVER_ARMED,
     NO_FAILSAFE,
     NO_FORCE,
+    STEADY,
     STREAMS,
     clear,
     down,
@@ -15,8 +18,10 @@ from sitl.faults.bars import (
 )  # fmt: skip
 from sitl.faults.body import Battery, HeldDown, Parameter, Push, Takeover, TransmitterLost, Unnoticed
 from sitl.faults.eye import Stands
-from sitl.faults.host import Abort, DiskFull
+from sitl.faults.host import Abort, DiskFull, Madness
+from sitl.faults.load import NoSpace
 from sitl.faults.row import SHORT_VIEWS, Bar, Row
+from sitl.faults.signals import RECORDER, ChildStruck
 from sitl.faults.trouble import Onset
 from sitl.faults.wires import Forger, Loss, Refused, Rewritten, version
 
@@ -164,7 +169,7 @@ TABLE_F = (
         "hostile trajectories at 30 Hz: NaN, far, fast, outside, other epochs, other times",
         bars=(STREAMS, NO_FAILSAFE, clear(0.10)),
         longest_s=30.0,
-        injectors=lambda n: [],
+        injectors=lambda n: [Madness()],
         times=3,
     ),
     Row(
@@ -224,8 +229,18 @@ TABLE_G = (
         (NO_FAILSAFE, STREAMS, COMPLETES),
         longest_s=120.0,
         views=SHORT_VIEWS,
+        live=lambda n: [NoSpace()],
     ),
-    Row("G3", "viewer slow or dead", "viewer stopped", why="needs a screen; the recorder is a process of its own"),
+    Row(
+        "G3",
+        "viewer slow or dead",
+        "SIGSTOP to the recorder, which alone speaks with one",
+        bars=(NO_FAILSAFE, STREAMS, STEADY, COMPLETES),
+        longest_s=120.0,
+        views=SHORT_VIEWS,
+        why="the recorder is a process: flown in real time",
+        live=lambda n: [ChildStruck(RECORDER, SIGSTOP)],
+    ),
     Row("G4", "bad config", "changed, missing, unknown and doubled keys", why="no flight: tests of the config hold it"),
     Row(
         "G5",
@@ -234,7 +249,7 @@ TABLE_G = (
         lambda n: [Parameter(*PARAMETERS[n % len(PARAMETERS)])],
         (NEVER_ARMED,),
         onset=AT_BOOT,
-        longest_s=45.0,
+        longest_s=60.0,
     ),
     Row(
         "G6",

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.faults.injector import Injector, Theatre
+from sitl.faults.injector import Injector, Needs, Theatre
 from sitl.faults.link import Late, Tap, message_id
 
 _COMMAND_LONG = 76
@@ -31,6 +31,28 @@ class Loss(Injector):
     def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
         """Lost with this probability."""
         return self._fate("down", since_s, frame)
+
+
+class Unplugged(Injector):
+    """The plug of a serial line is out for a while."""
+
+    needs = Needs.LINE
+
+    def __init__(self, for_s: float) -> None:
+        self._for_s, self._out = for_s, False
+
+    def begin(self, at: Theatre) -> None:
+        """Out."""
+        assert at.line is not None
+        at.line.unplug()
+        self._out = True
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """In again, once."""
+        assert at.line is not None
+        if self._out and since_s >= self._for_s:
+            at.line.plug()
+            self._out = False
 
 
 class Refused(Injector):

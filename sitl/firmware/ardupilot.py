@@ -6,8 +6,10 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.ardupilot_modes import Mode
 from sitl.ardupilot_parameters import DEFAULT_FILE
 from sitl.firmware.path import Grain, Inertial, Reading, TruePath
+from sitl.firmware.transmitter import Transmitter
 from sitl.mavlink_wire import Heard
 
 _HOME = "47.397742,8.545594,0,0"  # latitude, longitude, height, heading: any place will do
@@ -22,24 +24,32 @@ _AIRFRAME: dict[str, float] = {
     "BATT_MONITOR": 4,
     **{f"RC{n}_{end}": pulse for n in range(1, 9) for end, pulse in (("MIN", 1000), ("TRIM", 1500), ("MAX", 2000))},
 }  # fmt: skip
+_NAMES = {mode.value: mode.name for mode in Mode}
+# What the transmitter's switch means, and the pulses that are in the middle of its places; it lies at 1800 to begin with.
+_SWITCH = {Mode.LOITER: 1165, Mode.POSHOLD: 1295, Mode.ALT_HOLD: 1425, Mode.STABILIZE: 1555}
 # No gimbal answers in its simulation, and a mount that is configured but silent keeps it from arming.
-_BENCH: dict[str, float] = {"MNT1_TYPE": 0}
-_LAND = 9
+_BENCH: dict[str, float] = {
+    "MNT1_TYPE": 0,
+    "FLTMODE_CH": 5, "FLTMODE5": Mode.STABILIZE, "FLTMODE6": Mode.STABILIZE,
+    **{f"FLTMODE{place}": mode for place, mode in enumerate(_SWITCH, 1)},
+}  # fmt: skip
 
 
 class ArduPilotBinary:
     """`--autopilot ardupilot --firmware PATH`: ArduCopter for SITL, 4.5.2 or newer, its `quad` model in real time.
 
     It sends to the companion as a UDP client on SERIAL0, and the truth (SIM_STATE) to whoever listens on SERIAL1. Every other
-    port is off but that of its sticks, which it opens on all networks whatever it is told: at least nobody knows its number.
+    port is off but that of its sticks, which it opens on all networks whatever it is told: at least its number is another one
+    each time.
     """
 
     grain = Grain(metres_per_e7=0.011131884502145034, height_step_m=0.01)
-    streams_hz = ((mavlink.MAVLINK_MSG_ID_SIM_STATE, 100.0), (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 5.0))
-    truth_port = 0  # any
+    streams_hz = ((mavlink.MAVLINK_MSG_ID_SIM_STATE, 100.0),)
+    truth_port = companion_port = 0  # any
 
     def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE) -> None:
         self._binary, self._parameters = binary, parameters
+        self.transmitter = Transmitter({mode.name: pulse_us for mode, pulse_us in _SWITCH.items()})
 
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
         """What starts it in a folder that is empty."""
@@ -49,7 +59,7 @@ class ArduPilotBinary:
         ports = [f"--serial{n}={serial.get(n, 'none')}" for n in range(_SERIAL_PORTS)]
         return [
             str(self._binary), "--model", "quad", "--speedup", "1", "--home", _HOME, "--wipe",
-            "--defaults", str(settings), "--rc-in-port", "0", *ports,
+            "--defaults", str(settings), "--rc-in-port", str(self.transmitter.port), *ports,
         ]  # fmt: skip
 
     def _settings(self) -> dict[str, float]:
@@ -74,6 +84,6 @@ class ArduPilotBinary:
         velocity = (message.vn, message.ve, message.vd)
         path.take(stamp_s, Reading(message.lat_int, message.lon_int, message.alt, velocity, attitude))
 
-    def lands(self, custom_mode: int) -> bool:
-        """Whether this mode of the heartbeat is LAND."""
-        return custom_mode == _LAND
+    def mode(self, custom_mode: int) -> str:
+        """A mode of the heartbeat by its name; a number without one is its own."""
+        return _NAMES.get(custom_mode, str(custom_mode))

@@ -9,11 +9,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.firmware.path import Grain, Inertial, Reading, TruePath
 from sitl.mavlink_wire import Heard
 from sitl.parameters import DEFAULT_FILE
+from sitl.px4_modes import Mode
 
 COMPANION_PORT = 14540  # where its first instance sends, as system 1
 _TRUTH_PORT = 19410  # where its start script sends SIH's display
 _MODEL = "sihsim_quadx"
-_AUTO_LAND = 4 << 16 | 6 << 24
+_NAMES = {mode.value: mode.name for mode in Mode}
 
 
 class Px4Binary:
@@ -25,12 +26,9 @@ class Px4Binary:
     """
 
     grain = Grain(metres_per_e7=0.011119492664455873, height_step_m=0.001)
-    streams_hz = (
-        (mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, 100.0),
-        (mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 100.0),
-        (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 5.0),
-    )
-    truth_port = _TRUTH_PORT
+    streams_hz = ((mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, 100.0), (mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 100.0))
+    truth_port, companion_port = _TRUTH_PORT, COMPANION_PORT
+    transmitter = None  # its simulation has no sticks
 
     def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE) -> None:
         self._binary, self._parameters = binary, parameters
@@ -59,6 +57,6 @@ class Px4Binary:
             velocity = (message.vx * 0.01, message.vy * 0.01, message.vz * 0.01)
             path.take(stamp_s, Reading(message.lat, message.lon, message.alt * 1e-3, velocity, (w, x, y, z)))
 
-    def lands(self, custom_mode: int) -> bool:
-        """Whether this mode of the heartbeat is AUTO.LAND."""
-        return custom_mode == _AUTO_LAND
+    def mode(self, custom_mode: int) -> str:
+        """A mode of the heartbeat by its name; a number without one is its own."""
+        return _NAMES.get(custom_mode, str(custom_mode))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from pathlib import Path
@@ -12,6 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.autopilot import Truth
 from sitl.firmware.path import Grain, TruePath
 from sitl.firmware.process import FirmwareError, FirmwareProcess
+from sitl.firmware.transmitter import Transmitter
 from sitl.mavlink_wire import Heard, Listener, Speaker, packet
 from sitl.transport import UdpPeer
 
@@ -20,6 +22,11 @@ _OURS = (251, 1)  # neither the vehicle's nor the companion's: it is told nothin
 _BOOT_S, _SILENT_S, _ASK_S = 60.0, 5.0, 1.0
 _LATER = (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_IN_PROGRESS)
 _ARMED = 128
+_STREAMS_HZ = (
+    (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 50.0),  # a referee wants to know at once who flies
+    (mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 5.0),
+    (mavlink.MAVLINK_MSG_ID_SYS_STATUS, 1.0),
+)
 _WARNING = 4
 _FAILSAFE_WORDS = ("failsafe", "breach", "crash")
 
@@ -42,6 +49,11 @@ class Binary(Protocol):
         """Where it sends the truth; 0 for wherever it is told."""
         ...
 
+    @property
+    def transmitter(self) -> Transmitter | None:
+        """Its pilot's, None where its simulation has no sticks."""
+        ...
+
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
         """What starts it in a folder that is empty."""
         ...
@@ -54,16 +66,17 @@ class Binary(Protocol):
         """Take the truth out of a message, if there is any in it."""
         ...
 
-    def lands(self, custom_mode: int) -> bool:
-        """Whether this mode of the heartbeat is its landing."""
+    def mode(self, custom_mode: int) -> str:
+        """A mode of the heartbeat by its name; a number without one is its own."""
         ...
 
 
 class FirmwareVehicle:
     """In the simulated autopilot's place. The companion speaks with the binary itself; this only listens, on a second link.
 
-    setpoint_arrivals_s stays empty: they arrive elsewhere. failsafes: warnings in the firmware's own words. version: as it
-    says, '' until it did.
+    setpoint_arrivals_s stays empty: they arrive elsewhere. failsafes: warnings in the firmware's own words; texts: every
+    STATUSTEXT. version: as it says, '' until it did. battery_fraction: state of charge, NaN until it was told. boot_s: when it
+    booted, on the world's clock, as near as its messages were quick; inf before the first.
     """
 
     def __init__(self, binary: Binary, companion_port: int, start_yaw_rad: float, folder: Path, log: Path) -> None:
@@ -77,12 +90,15 @@ class FirmwareVehicle:
         self._listener, self._speaker = Listener(), Speaker(*_OURS)
         self._now_s = self._heard_s = time.monotonic()
         self._asked_s = 0.0
-        self._wishes = deque([(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / hz) for kind, hz in binary.streams_hz])
+        streams_hz = (*binary.streams_hz, *_STREAMS_HZ)
+        self._wishes = deque([(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / hz) for kind, hz in streams_hz])
         self._wishes.append((mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0))
         self._armed, self._mode = False, ""
         self.setpoint_arrivals_s: list[float] = []
         self.failsafes: list[str] = []
+        self.texts: list[str] = []
         self.version = ""
+        self.battery_fraction, self.boot_s = math.nan, math.inf
         command = binary.command(folder, companion_port, self._link.local_port)
         self._process = FirmwareProcess(command, binary.environment(), folder, log)
         self._wait()
@@ -99,6 +115,8 @@ class FirmwareVehicle:
             self._asked_s = now_s
             self._process.check()
             self._ask()
+        if self._path.begun and self._binary.transmitter is not None:
+            self._binary.transmitter.hold(self.truth())
         if self._path.begun and now_s - self._heard_s > _SILENT_S:
             self._process.check()
             raise FirmwareError(f"the firmware says no more where it is; it said last: {self._process.last_line()}")
@@ -108,10 +126,18 @@ class FirmwareVehicle:
         m = self._path.at(self._now_s)
         return Truth(self._now_s, m.position, m.velocity, m.quat_wxyz, m.gyro, m.specific_force, 0.0, self._armed, self._mode)
 
+    def pilot_takes_over(self, mode: str) -> None:
+        """A switch on the transmitter; its sticks keep the vehicle where it is. Raises KeyError for a mode it does not have."""
+        if self._binary.transmitter is None:
+            raise KeyError(mode)
+        self._binary.transmitter.take(mode, self.truth())
+
     def close(self) -> None:
         """End the firmware."""
         self._process.close()
         self._link.close()
+        if self._binary.transmitter is not None:
+            self._binary.transmitter.close()
 
     def _wait(self) -> None:
         end_s = time.monotonic() + _BOOT_S
@@ -144,7 +170,11 @@ class FirmwareVehicle:
             self._heard_s = stamp_s
         elif message.kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._armed = bool(message.base_mode & _ARMED)
-            self._mode = "LAND" if self._binary.lands(message.custom_mode) else str(message.custom_mode)
+            self._mode = self._binary.mode(message.custom_mode)
+        elif message.kind == mavlink.MAVLINK_MSG_ID_SYSTEM_TIME:
+            self.boot_s = min(self.boot_s, stamp_s - message.time_boot_ms * 1e-3)
+        elif message.kind == mavlink.MAVLINK_MSG_ID_SYS_STATUS:
+            self.battery_fraction = message.battery_remaining * 1e-2 if message.battery_remaining >= 0 else math.nan
         elif message.kind == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
             self._answered(message.command, message.result)
         elif message.kind == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
@@ -155,6 +185,7 @@ class FirmwareVehicle:
 
     def _hear(self, severity: int, text: str) -> None:
         said = text.lower()
+        self.texts.append(text)
         print(f"{self._now_s:.3f} {text}", flush=True)
         if severity <= _WARNING and any(word in said for word in _FAILSAFE_WORDS) and "clear" not in said:
             self.failsafes.append(text)

@@ -1,4 +1,5 @@
-"""A whole mission in real time with a firmware's binary in the simulated autopilot's place: a stand-in, or the real ones.
+"""A whole mission and rows of the hazards' table in real time with a firmware's binary in the simulated autopilot's place: a
+stand-in, or the real ones.
 
     UAV_RECON_ARDUCOPTER=/path/to/arducopter UAV_RECON_PX4=/path/to/bin/px4 pytest -m firmware
 
@@ -7,6 +8,7 @@ It flies on two cores that have nothing else to do.
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import subprocess
@@ -15,11 +17,14 @@ from pathlib import Path
 
 import pytest
 
+from sitl.faults.table import ROWS
 from sitl.firmware.px4 import COMPANION_PORT
+from sitl.fly_faults import FIRMWARE_OFFERS
 from uav_recon.recording.report import Report
 
 pytestmark = [pytest.mark.slow, pytest.mark.real_time, pytest.mark.timeout(1800)]
 STAND_IN = Path(__file__).with_name("firmware_stand_in.py")
+ALWAYS_FLOWN = ("A1", "A6", "B1", "B4", "E1")
 BINARIES = {"ardupilot": "UAV_RECON_ARDUCOPTER", "px4": "UAV_RECON_PX4"}
 
 
@@ -61,8 +66,39 @@ def test_a_real_firmware_flies_a_whole_mission_and_touches_nothing(autopilot: st
     assert flown(autopilot, binary(autopilot), 20, tmp_path / "f").views >= 12
 
 
-def test_the_way_from_the_option_to_the_report_is_flown_with_a_stand_in(tmp_path: Path) -> None:
-    program = tmp_path / "arducopter"
+@pytest.mark.firmware
+@pytest.mark.parametrize("row", ALWAYS_FLOWN)
+@pytest.mark.parametrize("autopilot", sorted(BINARIES))
+def test_a_real_firmware_stands_what_goes_wrong(autopilot: str, row: str, tmp_path: Path) -> None:
+    if not ROWS[row].flown_by(FIRMWARE_OFFERS[autopilot]):
+        pytest.skip(f"{row}: the simulation of {autopilot} has not the means")
+    result = fault_row(autopilot, binary(autopilot), row, tmp_path)
+    assert result["passed"], result
+    assert (result["tier"], bool(result["firmware"])) == ("T1", True)
+
+
+def fault_row(autopilot: str, firmware: str, row: str, folder: Path) -> dict[str, object]:
+    """What came of one flight of a row."""
+    words = ["--only", row, "--seeds", "1", "--autopilot", autopilot, "--firmware", firmware, "--json", str(folder / "f.json")]
+    command = [sys.executable, "-m", "uav_recon.cli", "faults", *words, "--out", str(folder / "f")]
+    told = subprocess.run(command, capture_output=True, text=True, timeout=900.0, check=False)
+    assert told.returncode in (0, 1), told.stdout + told.stderr
+    rows: list[dict[str, object]] = json.loads((folder / "f.json").read_text(encoding="utf-8"))["rows"]
+    return rows[0]
+
+
+def stand_in(folder: Path) -> str:
+    """A program that is started as ArduPilot's is."""
+    program = folder / "arducopter"
     program.write_text(f"#!{sys.executable}\n{STAND_IN.read_text(encoding='utf-8')}", encoding="utf-8")
     program.chmod(0o755)
-    assert flown("ardupilot", str(program), 8, tmp_path / "f").safety.failsafes == 0
+    return str(program)
+
+
+def test_the_way_from_the_option_to_the_table_is_flown_with_a_stand_in(tmp_path: Path) -> None:
+    result = fault_row("ardupilot", stand_in(tmp_path), "B1", tmp_path)
+    assert result["passed"], result
+
+
+def test_the_way_from_the_option_to_the_report_is_flown_with_a_stand_in(tmp_path: Path) -> None:
+    assert flown("ardupilot", stand_in(tmp_path), 8, tmp_path / "f").safety.failsafes == 0

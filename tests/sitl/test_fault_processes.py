@@ -49,7 +49,7 @@ def sleeper() -> Iterator[subprocess.Popen[bytes]]:
 
 
 def theatre(roster: Roster, armed: bool = True) -> Theatre:
-    world: Any = SimpleNamespace(autopilot=SimpleNamespace(truth=lambda: SimpleNamespace(armed=armed)))
+    world: Any = SimpleNamespace(flyer=SimpleNamespace(truth=lambda: SimpleNamespace(armed=armed)))
     return Theatre(world, dice=None, roster=roster)  # type: ignore[arg-type]
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import socket
+import struct
 import sys
 import time
 from collections.abc import Iterator
@@ -46,12 +48,17 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
                 asked.add((message.command, message.param1, message.param2))
                 ack = packet(mavlink.MAVLink_command_ack_message, message.command, 0, 0, 0, 251, 1)
                 link.send(vehicle.frame(ack))
-                if message.command == 512 and asked >= {{(511, 108.0, 10000.0), (511, 0.0, 200000.0)}}:
+                wanted = {{(511, 108.0, 10000.0), (511, 0.0, 20000.0), (511, 2.0, 200000.0), (511, 1.0, 1e6)}}
+                if message.command == 512 and asked >= wanted:
                     commit = list(b"8f898471")
                     fields = [0, (4 << 24) | (8 << 16), 0, 0, 0, commit, [0] * 8, [0] * 8, 0, 0, 0, [0] * 18]
-                    link.send(vehicle.frame(packet(mavlink.MAVLink_autopilot_version_message, *fields)))
-                    text = packet(mavlink.MAVLink_statustext_message, 4, b"EKF Failsafe: changed to LAND Mode")
-                    link.send(vehicle.frame(text))
+                    for kind, said in (
+                        (mavlink.MAVLink_system_time_message, (0, 1500)),
+                        (mavlink.MAVLink_sys_status_message, (*[0] * 6, 77, *[0] * 9)),
+                        (mavlink.MAVLink_statustext_message, (4, b"EKF Failsafe: changed to LAND Mode")),
+                        (mavlink.MAVLink_autopilot_version_message, fields),
+                    ):
+                        link.send(vehicle.frame(packet(kind, *said)))
         except OSError:
             continue
 """
@@ -87,8 +94,25 @@ def test_the_world_follows_what_the_firmware_says_of_itself(vehicle: FirmwareVeh
     turn = 0.5  # the nose was east, and is the scene's heading: north is to its left
     assert truth.position == pytest.approx((-math.sin(turn) * north_m, math.cos(turn) * north_m, 1.0), abs=0.03)
     assert (truth.armed, truth.mode, vehicle.version) == (True, "LAND", "4.8.0 (8f898471)")
-    assert vehicle.failsafes == ["EKF Failsafe: changed to LAND Mode"]
+    assert vehicle.failsafes == vehicle.texts == ["EKF Failsafe: changed to LAND Mode"]
+    assert vehicle.battery_fraction == pytest.approx(0.77)
+    assert -20.0 < vehicle.boot_s - time.monotonic() + 1.5 <= 0.0
     assert vehicle.setpoint_arrivals_s == []
+
+
+def test_its_pilot_turns_the_switch_and_holds_the_sticks(tmp_path: Path) -> None:
+    binary = ArduPilotBinary(stand_in(tmp_path))
+    with (
+        closing(FirmwareVehicle(binary, 24571, 0.5, tmp_path / "scratch", tmp_path / "firmware.log")) as vehicle,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+    ):
+        receiver.bind(("127.0.0.1", binary.transmitter.port))
+        receiver.settimeout(5.0)
+        with pytest.raises(KeyError):
+            vehicle.pilot_takes_over("POSCTL")
+        vehicle.pilot_takes_over("ALT_HOLD")
+        vehicle.step(time.monotonic())
+        assert struct.unpack("<8H", receiver.recv(64))[4] == 1425
 
 
 def test_a_firmware_that_ends_is_named_with_its_last_words(tmp_path: Path) -> None:
@@ -116,13 +140,17 @@ def test_a_file_that_is_no_program_is_named(tmp_path: Path) -> None:
 
 
 def test_arducopter_is_told_its_ports_and_its_parameters(tmp_path: Path) -> None:
-    command = ArduPilotBinary(Path("/x/arducopter")).command(tmp_path, 24571, 40000)
+    copter = ArduPilotBinary(Path("/x/arducopter"))
+    command = copter.command(tmp_path, 24571, 40000)
     assert command[0] == "/x/arducopter"
     assert "--serial0=udpclient:127.0.0.1:24571" in command
     assert "--serial1=udpclient:127.0.0.1:40000" in command
     assert [word for word in command if word.endswith("=none")] == [f"--serial{n}=none" for n in range(2, 9)]
     lines = Path(command[command.index("--defaults") + 1]).read_text(encoding="ascii").splitlines()
     assert len({line.partition(",")[0] for line in lines}) == len(lines)
+    assert command[command.index("--rc-in-port") + 1] == str(copter.transmitter.port)
+    assert {"FLTMODE1,5", "FLTMODE4,0", "FLTMODE_CH,5"} <= set(lines)
+    assert [copter.mode(m) for m in (4, 9, 99)] == ["GUIDED", "LAND", "99"]
     assert {"FRAME_CLASS,1", "VISO_TYPE,1", "MAV_GCS_SYSID,245", "FS_EKF_THRESH,0.6", "MNT1_TYPE,0"} <= set(lines)
 
 
@@ -165,4 +193,4 @@ def test_px4s_truth_is_read_in_its_own_units() -> None:
     assert motion.velocity == pytest.approx((0.0, 0.5, 0.25))
     assert motion.specific_force == pytest.approx((0.5, 0.0, 9.75))
     assert motion.gyro == pytest.approx((0.0, -0.25, 0.0))
-    assert (px4.lands(4 << 16 | 6 << 24), px4.lands(6 << 16)) == (True, False)
+    assert [px4.mode(m) for m in (4 << 16 | 6 << 24, 6 << 16, 99)] == ["LAND", "OFFBOARD", "99"]

@@ -31,10 +31,31 @@ def test_rows_come_in_the_tables_order() -> None:
     assert cases[1].out == Path("/somewhere/A1-px4-1")
     assert options.cases(ROWS["A4"], "px4") == []
     assert FaultOptions.parse().autopilots == AUTOPILOTS
-    assert {row.id for row in FaultOptions.parse(live=True).rows} == {"A1", "A2", "A3", "A5", "A6", "A7", "A8", "A9"}
+    assert {row.id for row in FaultOptions.parse(live=True).rows} == {*(f"A{k}" for k in range(1, 12)), "D6", "G2", "G3"}
     with pytest.raises(UsageError, match="B4: not flown in real time"):
         FaultOptions.parse(only="B4", live=True)
     assert len(FaultOptions.parse().rows) == len(ROWS)
+
+
+def test_a_real_firmware_flies_what_it_has_the_means_for(tmp_path: Path) -> None:
+    binary = tmp_path / "arducopter"
+    with pytest.raises(UsageError, match="no such file"):
+        FaultOptions.parse(autopilot="ardupilot", firmware=binary)
+    binary.write_bytes(b"")
+    with pytest.raises(UsageError, match="not executable"):
+        FaultOptions.parse(autopilot="ardupilot", firmware=binary)
+    binary.chmod(0o755)
+    with pytest.raises(UsageError, match="--autopilot both: with --firmware want px4 or ardupilot"):
+        FaultOptions.parse(firmware=binary)
+    copter = FaultOptions.parse(autopilot="ardupilot", firmware=binary, jobs=4)
+    names = {row.id for row in copter.rows}
+    assert {"A1", "A6", "B1", "B4", "C4", "D2", "E1", "G6"} <= names
+    assert not names & {"E5", "E7", "F1", "F2", "D7", "G9", "B11"}, "they need the insides of a simulated one, or are none"
+    assert (copter.live, copter.jobs) == (True, 1)
+    assert copter.cases(ROWS["B1"], "ardupilot")[0].firmware == binary
+    assert "E1" not in {row.id for row in FaultOptions.parse(autopilot="px4", firmware=binary).rows}, "nobody holds its sticks"
+    with pytest.raises(UsageError, match="E7: not flown with a real ardupilot"):
+        FaultOptions.parse(only="E7", autopilot="ardupilot", firmware=binary)
 
 
 def test_what_rows_have_in_common_is_flown_once() -> None:
@@ -87,6 +108,13 @@ def test_a_row_is_as_good_as_its_worst_flight() -> None:
     assert (tree["figure"], tree["bar"], tree["unit"], tree["passed"]) == (0.3, 0.25, "s", False)
     assert "gap 0.30 <= 0.25 s" in result.sentence()
     assert result.remarks == ("contact",)
+
+
+def test_a_result_names_the_firmware_that_flew() -> None:
+    result = result_of(ROW, "ardupilot", [Verdict((0.03, 0.7), ())], "4.8.0 (8f898471)")
+    assert (result.tree()["tier"], result.tree()["firmware"]) == ("T1", "4.8.0 (8f898471)")
+    assert "<td>ardupilot 4.8.0 (8f898471)</td>" in render([result])
+    assert result_of(ROW, "px4", []).tree()["tier"] == "T0"
 
 
 def test_what_never_came_is_null_and_breaks_the_bar() -> None:

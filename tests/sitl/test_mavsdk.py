@@ -1,6 +1,6 @@
 """An independent client sees both simulated autopilots arm, fly and land: MAVSDK, with poses, stamps and codec of its own.
 
-In real time, for MAVSDK has no other, but on a part of one core; skipped, and reported so, where it is not installed.
+In real time, for MAVSDK has no other; skipped, and reported so, where it is not installed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from mavsdk.plugins.mocap import (
 from mavsdk.plugins.offboard import Offboard, PositionNedYaw
 from mavsdk.plugins.telemetry import FlightMode, LandedState, Telemetry
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.slow, pytest.mark.real_time, pytest.mark.filterwarnings("ignore")]
 
 STEP_S, SYS_STATUS = 0.004, 1
 ORIGIN = (47.3977, 8.5456, 488.0)

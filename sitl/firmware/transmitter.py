@@ -1,0 +1,59 @@
+"""The pilot's transmitter, of somebody who sees the vehicle: a switch for the mode, and sticks that keep it still."""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+from collections.abc import Mapping
+
+from sitl.autopilot import Truth
+from sitl.rotation import yaw_of
+
+_PULSES = struct.Struct("<8H")  # microseconds of channels 1 to 8; 0 leaves one as it is
+_MIDDLE_US, _MOST_US = 1500, 300
+_TILT_US_PER_MPS, _THROTTLE_US_PER_M, _THROTTLE_US_PER_MPS = 300.0, 250.0, 200.0
+_PERIOD_S = 0.02
+
+
+class Transmitter:
+    """Speaks to ArduPilot's simulated receiver. Silent until the pilot takes over: the firmware has pulses of its own."""
+
+    def __init__(self, switch: Mapping[str, int]) -> None:
+        """switch: the pulse of channel 5 (microseconds) for each mode. port: free now, where the receiver is to listen."""
+        self._switch, self._pulse_us, self._height_m, self._next_s = switch, 0, 0.0, 0.0
+        self._socket: socket.socket | None = None
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = int(probe.getsockname()[1])
+
+    def take(self, mode: str, truth: Truth) -> None:
+        """The switch is turned, and the sticks are held from now on. Raises KeyError for a mode that it does not have."""
+        self._pulse_us, self._height_m = self._switch[mode], truth.position[2]
+        if self._socket is None:
+            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+
+    def hold(self, truth: Truth) -> None:
+        """Move the sticks against what the vehicle does, 50 times a second."""
+        if self._socket is None or truth.stamp_s < self._next_s:
+            return
+        self._next_s = truth.stamp_s + _PERIOD_S
+        yaw_rad, (east, north, up) = yaw_of(truth.quat_wxyz), truth.velocity
+        forward = east * math.cos(yaw_rad) + north * math.sin(yaw_rad)
+        left = north * math.cos(yaw_rad) - east * math.sin(yaw_rad)
+        lift = _THROTTLE_US_PER_M * (self._height_m - truth.position[2]) - _THROTTLE_US_PER_MPS * up
+        sticks = (_pulse(_TILT_US_PER_MPS * left), _pulse(_TILT_US_PER_MPS * forward), _pulse(lift), _MIDDLE_US)
+        try:
+            self._socket.sendto(_PULSES.pack(*sticks, self._pulse_us, 0, 0, 0), ("127.0.0.1", self.port))
+        except (BlockingIOError, ConnectionRefusedError):
+            return  # the next one is on its way
+
+    def close(self) -> None:
+        """Put it away."""
+        if self._socket is not None:
+            self._socket.close()
+
+
+def _pulse(off_middle_us: float) -> int:
+    return _MIDDLE_US + round(min(max(off_middle_us, -_MOST_US), _MOST_US))
