@@ -14,8 +14,8 @@ _FREE, _OCCUPIED = 1, 2
 
 
 class Cartographer(Injector):
-    """No trouble: notes what percentage of the voxels known as occupied at the beginning, in which the scene has a surface, are
-    known as free when the flight is over.
+    """No trouble: notes what percentage of the voxels known as occupied at the beginning, in which the scene has a surface,
+    are known as free when the flight is over.
     """
 
     def __init__(self) -> None:

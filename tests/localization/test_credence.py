@@ -104,6 +104,14 @@ def test_where_nothing_comes_back_from_what_was_there_the_picture_is_wrong(fligh
     assert not flight.see(lambda d: np.where(d > 0.9, np.nan, d))
 
 
+def test_a_slow_creep_is_told_of_before_any_look_back_tells_it_alone(flight: Flight) -> None:
+    for n in range(48):
+        assert flight.see(off_m=(0.02 * n * PERIOD_S, 0.0, 0.0))
+        if flight.drift:
+            break
+    assert "creeps" in flight.drift
+
+
 @pytest.mark.parametrize("turning", [0.04, 0.08, 0.12, 0.16])
 def test_a_camera_that_turns_on_is_believed(flight: Flight, turning: float) -> None:
     """Edges hide and show what is behind them, before walls that look the same a little aside."""
