@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,12 +55,27 @@ class Agreement:
     age_s: float
 
 
+class _Stand(NamedTuple):
+    """Where a camera was, and its axis; plain numbers, for sixty are asked at each picture."""
+
+    place_m: list[float]
+    axis: list[float]
+
+    @staticmethod
+    def of(odom_from_depth: Pose) -> _Stand:
+        return _Stand(odom_from_depth.translation_m.tolist(), odom_from_depth.rotation()[:, 2].tolist())
+
+    def like(self, other: _Stand, likeness: Likeness) -> bool:
+        away_m = math.dist(self.place_m, other.place_m)
+        return away_m <= likeness.near_m and _dot(self.axis, other.axis) >= likeness.turned_cos
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
     """points: (N, 6), places and normals in odom, of what was seen from there."""
 
     stamp_s: float
-    odom_from_depth: Pose
+    stand: _Stand
     points: AnyArray
 
 
@@ -83,7 +99,7 @@ class Witness:
     def remember(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> None:
         """Take a picture that is believed for the newest; one every half second is kept."""
         points = surface(depth_m, _camera(lens), odom_from_depth.rotation(), odom_from_depth.translation_m)
-        self._newest = _View(stamp_s, odom_from_depth, points)
+        self._newest = _View(stamp_s, _Stand.of(odom_from_depth), points)
         if not self._views or stamp_s - self._views[-1].stamp_s >= _EVERY_S:
             self._views.append(self._newest)
         while stamp_s - self._views[0].stamp_s > _MEMORY_S:
@@ -106,7 +122,7 @@ class Witness:
         return None
 
     def gain_aside(self, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
-        """By what share more of the newest picture that was believed fits one that lies aside; only for a moment's pause."""
+        """By what share more of the newest picture that was believed fits one that lies aside; of pictures a moment apart."""
         if self._newest is None:
             return 0.0
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
@@ -114,14 +130,14 @@ class Witness:
 
     def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: Likeness) -> Iterator[_View]:
         """Views to be asked, the oldest first."""
+        here = _Stand.of(odom_from_depth)
         for view in self._views:
-            if stamp_s - view.stamp_s <= likeness.within_s and _alike(view.odom_from_depth, odom_from_depth, likeness):
+            if stamp_s - view.stamp_s <= likeness.within_s and here.like(view.stand, likeness):
                 yield view
 
 
-def _alike(a: Pose, b: Pose, likeness: Likeness) -> bool:
-    away_m = math.dist(a.translation_m.tolist(), b.translation_m.tolist())
-    return away_m <= likeness.near_m and float(a.rotation()[:, 2] @ b.rotation()[:, 2]) >= likeness.turned_cos
+def _dot(a: list[float], b: list[float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _camera(lens: Intrinsics) -> FloatArray:
