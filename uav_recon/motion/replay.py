@@ -12,7 +12,7 @@ from uav_recon.types.trajectory import Trajectory
 
 STEP_S = 0.02
 KEPT_S = 0.5  # of a motion that is left, before the instant of leaving
-BRAKE_RISE_S = 0.15  # in which a brake comes on
+BRAKE_RISE_S = 0.2  # in which a brake comes on: the hardest has 9 m/s³, within what ArduCopter shapes (PSC_JERK_NE 10)
 HARDEST_SLEW = 50.0  # 1/s², of tau'': even a crawl takes some ten samples to stop
 
 Pace = tuple[FloatArray, FloatArray, FloatArray]  # (N,) each: old time played, its rate, and that one's rate
