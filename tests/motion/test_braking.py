@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hall import CLEARANCE_M, CONFIG, MOTION, assert_rests, assert_within_limits, flown, paths, straight, to_polyline
+from hall import CLEARANCE_M, CONFIG, JERK, MOTION, assert_rests, assert_within_limits, flown, paths, straight, to_polyline
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,7 +20,7 @@ def test_stop_brakes_on_the_path(path: ViewPath, share: float) -> None:
     assert braked.identifier == 8 and braked.start_s == now_s and not len(braked.views_s)
     np.testing.assert_allclose(braked.position_m[0], before.position_m, atol=1e-9)
     np.testing.assert_allclose(braked.velocity_mps[0], before.velocity_mps, atol=1e-9)
-    assert_within_limits(braked, jerk=2.5 * CONFIG.acceleration_mps2 / BRAKE_RISE_S)
+    assert_within_limits(braked, jerk=JERK + CONFIG.acceleration_mps2 / BRAKE_RISE_S)  # the way's own, and the brake's
     assert_rests(braked, -1)
     assert to_polyline(braked.position_m, trajectory.position_m).max() < 1e-3
     speed = float(np.linalg.norm(before.velocity_mps))

@@ -211,8 +211,8 @@ def test_low_quality_is_not_fused() -> None:
     rig = Rig(0.0)
     rig.run(3.0)
     rig.change = lambda p: replace(p, quality=19)
-    rig.run(1.0)
-    assert rig.estimator.ignored == {"quality": 50}
+    rig.run(3.0)
+    assert rig.estimator.ignored == {"quality": 150}
     assert not rig.valid()
 
 
@@ -239,7 +239,7 @@ def test_fields_that_are_not_numbers_are_left_out_alone() -> None:
     assert rig.run(1.0) < 0.05
     assert rig.valid()
     rig.change = lambda p: replace(p, position=(math.nan, 0.0, 0.0))
-    rig.run(1.0)
+    rig.run(3.0)
     assert not rig.valid()
     rig.change = lambda p: replace(p, quat_wxyz=(2.0, 0.0, 0.0, 0.0))
     rig.run(0.5)
