@@ -36,13 +36,14 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mission.conductor import Conductor
     from uav_recon.motion.planner import MotionPlanner
     from uav_recon.planning.camera import CameraGeometry
-    from uav_recon.planning.planner import ViewPlanner
+    from uav_recon.planning.narrows import ThroughNarrows
     from uav_recon.recording.recorder import Recorder
     from uav_recon.recording.timelapse import Timelapse
     from uav_recon.safety.envelope import Envelope
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
+NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more
 INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
 RETREAT_M = 0.10  # from the hull, on the way back along the breadcrumbs: the vehicle has been there, whatever the map says now
 
@@ -264,12 +265,13 @@ def make_voxels(config: Config) -> Voxels:
     return Voxels(grid, sensor, voxels.max_range_m, safety.fence_min_m, safety.fence_max_m, voxels.distance_cap_m)
 
 
-def make_planner(config: Config, timer: Callable[[], float]) -> ViewPlanner:
-    """The planner of the config's variant."""
+def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
+    """The planner of the config's variant, and what it does not reach through narrow ways."""
+    from uav_recon.planning.narrows import ThroughNarrows
     from uav_recon.planning.planner import ViewPlanner
 
     safety, motion = config.safety, config.motion
-    return ViewPlanner(
+    usual = ViewPlanner(
         config.planner,
         np.array(safety.fence_min_m),
         np.array(safety.fence_max_m),
@@ -279,6 +281,8 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ViewPlanner:
         timer,
         fence_inset_m=max(config.planner.clearance_m, safety.fence_inset_m),  # never plan what the guard would refuse
     )
+    narrow_m = min(safety.vehicle_radius_m + max(NARROW_M, safety.stop_clearance_m), config.planner.clearance_m)
+    return ThroughNarrows(usual, narrow_m, max(narrow_m, safety.fence_inset_m))
 
 
 def camera_geometry(config: Config) -> CameraGeometry:

@@ -43,13 +43,13 @@ class Flight:
         change[:-1] = (self.rows[2:] - 2 * self.rows[1:-1] + self.rows[:-2]) / STEP_S**2
         return rate, change
 
-    def trajectory(self, start_s: float, map_epoch: int, identifier: int) -> Trajectory:
+    def trajectory(self, start_s: float, map_epoch: int, identifier: int, clearance_m: float | None = None) -> Trajectory:
         """As it is handed to the pilot."""
         rate, change = self.rates()
         rows = self.rows[1:]
         return Trajectory(
             start_s, STEP_S, rows[:, :3], rate[:, :3], change[:, :3], rows[:, 3], rate[:, 3], rows[:, 4], self.views_s,
-            map_epoch, identifier,
+            map_epoch, identifier, clearance_m,
         )  # fmt: skip
 
 

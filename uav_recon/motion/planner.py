@@ -39,7 +39,8 @@ class MotionPlanner:
         self, config: MotionConfig, clearance_m: float, low_m: FloatArray | None = None, high_m: FloatArray | None = None,
         braking_mps2: float | None = None,
     ) -> None:  # fmt: skip
-        """clearance_m: from the body's centre to anything not known free; tight_speed_mps is flown where there is no more.
+        """clearance_m: from the body's centre to anything not known free, on a path that does not say what its way keeps;
+        tight_speed_mps is flown where there is no more.
 
         low_m, high_m: (3,) corners of the box that the body's centre stays in; none = no box. braking_mps2: with which a way
         that turns out to be blocked is left; none = what is planned with.
@@ -64,8 +65,8 @@ class MotionPlanner:
             return fault
         entry = Entry.resting(start, self._pacer.box)
         course = Course.through(entry.place, path.waypoints_world, path.viewpoints)
-        flight = self._clear(course, None, entry, self._space(voxels), views_at_spacing_m)
-        return flight if isinstance(flight, str) else flight.trajectory(start_s, path.map_epoch, identifier)
+        flight = self._clear(course, None, entry, self._space(voxels), views_at_spacing_m, path.clearance_m)
+        return flight if isinstance(flight, str) else flight.trajectory(start_s, path.map_epoch, identifier, path.clearance_m)
 
     def onward(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
@@ -84,16 +85,16 @@ class MotionPlanner:
         start_s = flying.start_s + (at - entry.left + 1) * flying.step_s
         if not entry.is_moving:
             course = Course.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints)
-            still = self._clear(course, None, entry, space, views_at_spacing_m)
-            return still if isinstance(still, str) else still.trajectory(start_s, path.map_epoch, identifier)
+            still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m)
+            return still if isinstance(still, str) else still.trajectory(start_s, path.map_epoch, identifier, path.clearance_m)
         for overrun in OVERRUNS if _leads_on(path, entry) else OVERRUNS[-1:]:
             rolled, begin = self._pacer.begun(entry, overrun)
             course = Course.through(begin, _ahead(path, entry, begin), path.viewpoints)
             if overrun > 0.0:
                 course = course.after(rolled, overrun >= 1.0)
-            flight = self._clear(course, entry.place, entry, space, views_at_spacing_m)
+            flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m)
             if isinstance(flight, Flight):
-                return flight.trajectory(start_s, path.map_epoch, identifier)
+                return flight.trajectory(start_s, path.map_epoch, identifier, path.clearance_m)
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier)
 
     def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
@@ -123,7 +124,7 @@ class MotionPlanner:
         if trajectory.map_epoch != voxels.map_epoch:
             return False
         first = int(np.clip((now_s - trajectory.start_s) / trajectory.step_s, 0, len(trajectory.yaw_rad) - 1))
-        return is_clear(self._space(voxels), trajectory.position_m, first, self._clearance_m - TOLERANCE_M)
+        return is_clear(self._space(voxels), trajectory.position_m, first, self._asked_m(trajectory.clearance_m) - TOLERANCE_M)
 
     def _braked(self, trajectory: Trajectory, now_s: float, identifier: int, hardness: float) -> Trajectory:
         """hardness: 1 for the limits of planned motion."""
@@ -134,6 +135,9 @@ class MotionPlanner:
         share = BRAKE_SHARE * hardness
         pace = braking(trajectory, into_s, share * self._pacer.acceleration, share * self._pacer.spin)
         return replayed(trajectory, into_s, pace, now_s, identifier)
+
+    def _asked_m(self, clearance_m: float | None) -> float:
+        return self._clearance_m if clearance_m is None else clearance_m
 
     def _space(self, voxels: VoxelMap) -> Space:
         return Space.of(voxels, self._low_m, self._high_m, self._clearance_m)
@@ -150,13 +154,15 @@ class MotionPlanner:
             self.still_clear(flown, 1.0, voxels)
             self.onward(path, voxels, flown, 1.0, 0.5, 2)
 
-    def _clear(self, course: Course, before: FloatArray | None, entry: Entry, space: Space, spacing_m: float) -> Flight | str:
-        """A flight along the course that is clear, or why there is none.
+    def _clear(
+        self, course: Course, before: FloatArray | None, entry: Entry, space: Space, spacing_m: float, clearance_m: float | None
+    ) -> Flight | str:
+        """A flight along the course that is clear by ``clearance_m``, or why there is none.
 
         Where the relaxed band comes too close to something, the nearest corner is made a stop; if that does not do, all are,
         and the band is left as the polyline is.
         """
-        stop, least_m = course.stop.copy(), self._clearance_m - PLANNED_M
+        stop, least_m = course.stop.copy(), self._asked_m(clearance_m) - PLANNED_M
         for attempt in range(3):
             strung = course.with_stops(stop)
             band = Band.along(strung, self._pacer.span_rad, before)

@@ -101,5 +101,5 @@ def joined(flying: Trajectory, at: int, braked: Trajectory, flown: Trajectory) -
     return Trajectory(
         flying.start_s + first * STEP_S, STEP_S, rows("position_m"), rows("velocity_mps"), rows("acceleration_mps2"),
         rows("yaw_rad"), rows("yaw_rate_radps"), rows("camera_pitch_down_rad"), flown.views_s + before_s, flown.map_epoch,
-        flown.identifier,
+        flown.identifier, flown.clearance_m,
     )  # fmt: skip

@@ -33,7 +33,7 @@ from uav_recon.planning.variants import Variant, variant
 from uav_recon.planning.visited import Visited
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
-from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
+from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, ViewPath, Viewpoint
 
 TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # to warm up with
 SAME_SHARE = 0.5  # of what a task is to settle: if the committed view settles so much of it, it is no task of its own
@@ -45,7 +45,12 @@ class ViewPlanner:
     The same requests and accepted paths in the same order give the same answers. fence_min_m, fence_max_m: (3,) box in world
     that is to be explored; the body keeps ``fence_inset_m`` away from its sides. speed_mps, yaw_rate_radps: what a flight is
     reckoned with. timer: seconds; read only to fill task_s and step_s.
+
+    For who goes on where it has nothing left: config with all that a preset gives, camera as the variant uses its mount, and as
+    the last request left them, space, frontiers and what was visited.
     """
+
+    space: FlyableSpace
 
     def __init__(
         self,
@@ -58,16 +63,21 @@ class ViewPlanner:
         timer: Callable[[], float] = time.perf_counter,
         fence_inset_m: float | None = None,
     ) -> None:
-        self._fence_min_m = np.asarray(fence_min_m, dtype=np.float64)
-        self._fence_max_m = np.asarray(fence_max_m, dtype=np.float64)
-        self._config = config = derived(config, self._fence_min_m, self._fence_max_m, camera)
+        self.fence_m = np.asarray(fence_min_m, dtype=np.float64), np.asarray(fence_max_m, dtype=np.float64)
+        self.config = config = derived(config, *self.fence_m, camera)
         self._inset_m = config.clearance_m if fence_inset_m is None else fence_inset_m
         self._speed_mps, self._yaw_rate_radps, self._timer = speed_mps, yaw_rate_radps, timer
         self._variant = variant(config.variant, config)
-        self._source = _source(config, self._variant, self._variant.camera(camera))
-        self._frontiers, self.visited = Frontiers(), Visited()
+        self.camera = self._variant.camera(camera)
+        self._source = _source(config, self._variant, self.camera)
+        self.frontiers, self.visited = Frontiers(), Visited()
         self._frame: tuple[object, ...] = ()
         self._offered: tuple[ViewPath, tuple[Proposal, ...]] | None = None
+
+    @property
+    def explores(self) -> bool:
+        """Whether frontiers are ever looked at."""
+        return TaskKind.EXPLORE in self._variant.kinds
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         """Choose the next views and the way to them. About a millisecond, more with surface; never raises for a map."""
@@ -76,7 +86,7 @@ class ViewPlanner:
         if isinstance(situation, str):
             return self._nothing(situation, start_s, start_s)
         harvest = self._source.propose(
-            Question(situation, self._frontiers, self._ways, request.surface, self.visited.surface_looks)
+            Question(situation, self.frontiers, self._ways, request.surface, self.visited.surface_looks)
         )
         committed = self._committed(situation, request)
         tasks = _without_what_they_settle(committed, harvest.proposals)
@@ -117,17 +127,17 @@ class ViewPlanner:
         frame = (voxels.grid.shape, voxels.grid.resolution_m, *voxels.grid.origin_world_m.tolist())
         if frame != self._frame:
             self._frame = frame
-            self._space = FlyableSpace(voxels.grid, self._config.clearance_m, *self._box(voxels.grid, self._inset_m))
-            self._ways = Ways(self._space)
-        self._frontiers.touch(self.visited.settle(request))
-        self._frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.visited.exhausted)
+            self.space = FlyableSpace(voxels.grid, self.config.clearance_m, *self._box(voxels.grid, self._inset_m))
+            self._ways = Ways(self.space)
+        self.frontiers.touch(self.visited.settle(request))
+        self.frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.visited.exhausted)
         if request.views_left <= 0:
             return "no view is left in the budget"
-        self._space.update(voxels)
-        exit_cells = self._space.stand(request.position_world)
+        self.space.update(voxels)
+        exit_cells = self.space.stand(request.position_world)
         if exit_cells is None:
             return "the vehicle stands in space that is not known free, with no known-free way to where it may fly"
-        return Situation(voxels, self._space, exit_cells, request.position_world)
+        return Situation(voxels, self.space, exit_cells, request.position_world)
 
     def _committed(self, situation: Situation, request: PlanRequest) -> list[Proposal]:
         """In motion the view that is being flown to stays the next one while it is worth it: minds do not change in mid-way."""
@@ -158,7 +168,7 @@ class ViewPlanner:
         """The tour's first nodes while the way stays within L_exec; at least one."""
         lengths_m = self._ways.lengths_m
         travelled_m = np.cumsum([lengths_m[i, j] for i, j in zip([0, *order[:-1]], order, strict=True)])
-        return order[: max(1, int(np.searchsorted(travelled_m, self._config.horizon_m * widening, side="right")))]
+        return order[: max(1, int(np.searchsorted(travelled_m, self.config.horizon_m * widening, side="right")))]
 
     def _path(
         self,
@@ -184,8 +194,8 @@ class ViewPlanner:
     def _why(self, situation: Situation, not_worth: int) -> str:
         """'14 frontiers left: 9 too narrow, 5 outside the fence', or that there is none; and surface not worth its flight."""
         counts = {
-            **dict(sorted(self._source.reasons(situation, self._frontiers).items())),
-            **left_out(situation.voxels.state, self._frontiers.faces, self.visited.exhausted),
+            **dict(sorted(self._source.reasons(situation, self.frontiers).items())),
+            **left_out(situation.voxels.state, self.frontiers.faces, self.visited.exhausted),
         }
         total = sum(counts.values())
         said = f"{total} frontier{'s' if total > 1 else ''} left: " if total else "no frontiers left"
@@ -193,7 +203,7 @@ class ViewPlanner:
         return said + (f"; {not_worth} surface task{'s' if not_worth > 1 else ''} {NOT_WORTH}" if not_worth else "")
 
     def _box(self, grid: GridSpec, inset_m: float) -> tuple[IntArray, IntArray]:
-        return fence_box(grid, self._fence_min_m + inset_m, self._fence_max_m - inset_m)
+        return fence_box(grid, self.fence_m[0] + inset_m, self.fence_m[1] - inset_m)
 
     def _nothing(self, reason: str, start_s: float, tasks_made_s: float) -> NothingLeft:
         return NothingLeft(reason, task_s=tasks_made_s - start_s, step_s=self._timer() - start_s)

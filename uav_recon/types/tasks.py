@@ -52,6 +52,7 @@ class ViewPath:
     """Views in order, and the way to each: waypoints_world[i] is (Ni, 3), from the previous view to view i, ends included.
 
     mode: how it was chosen. task_s: seconds spent making tasks, step_s: the whole plan (compute time, for the report).
+    clearance_m: what its way keeps, body centre to anything not known free; None = what ways usually keep.
     """
 
     viewpoints: tuple[Viewpoint, ...]
@@ -62,6 +63,7 @@ class ViewPath:
     tasks: tuple[Task, ...]
     task_s: float
     step_s: float
+    clearance_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
