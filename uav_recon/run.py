@@ -282,7 +282,7 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
         fence_inset_m=max(config.planner.clearance_m, safety.fence_inset_m),  # never plan what the guard would refuse
     )
     narrow_m = min(safety.vehicle_radius_m + max(NARROW_M, safety.stop_clearance_m), config.planner.clearance_m)
-    return ThroughNarrows(usual, narrow_m, max(narrow_m, safety.fence_inset_m))
+    return ThroughNarrows(usual, narrow_m, max(narrow_m, safety.fence_inset_m), timer)
 
 
 def camera_geometry(config: Config) -> CameraGeometry:

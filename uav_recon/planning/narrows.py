@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,31 +32,27 @@ class ThroughNarrows:
     needs of the map is looked up for each question.
     """
 
-    def __init__(self, planner: ViewPlanner, clearance_m: float, fence_inset_m: float) -> None:
-        """clearance_m: of a narrow way, less than ``planner``'s; fence_inset_m: as there."""
-        self._planner, self._clearance_m, self._inset_m = planner, clearance_m, fence_inset_m
+    def __init__(
+        self, planner: ViewPlanner, clearance_m: float, fence_inset_m: float, timer: Callable[[], float] = time.perf_counter
+    ) -> None:
+        """clearance_m: of a narrow way, less than ``planner``'s; fence_inset_m, timer: as there."""
+        self._planner, self._clearance_m, self._inset_m, self._timer = planner, clearance_m, fence_inset_m, timer
         self._offered: tuple[ViewPath, Proposal] | None = None
         self._squeezing = False
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         """The other planner's answer, or where it has nothing and the vehicle rests, a narrow way to the nearest opening."""
-        moving = bool(request.velocity_world_mps.any())
+        start_s, moving = self._timer(), bool(request.velocity_world_mps.any())
         if moving and self._squeezing:
             return NothingLeft(ON_A_NARROW_WAY, 0.0, 0.0)
         answer = self._planner.plan(request)
         if isinstance(answer, ViewPath) or moving or request.views_left <= 0 or not self._planner.explores:
             return answer
-        space = self._space(request.voxels)
-        exit_cells = space.stand(request.position_world)
-        openings = [] if exit_cells is None else self._openings(request, space)
-        if exit_cells is None or not openings:
+        found = self._nearest(request, self._openings, start_s)
+        if found is None:
             return answer
-        ways = Ways(space)
-        ways.update(exit_cells, request.position_world, places_of(openings))
-        nearest = int(np.argmin(ways.lengths_m[0, 1:]))
-        path = self._path(request, openings[nearest], ways.way_world(0, nearest + 1), answer)
-        self._offered = path, openings[nearest]
-        return path
+        self._offered = found
+        return found[0]
 
     def accept(self, path: ViewPath) -> None:
         """See protocols.Planner."""
@@ -70,19 +68,40 @@ class ThroughNarrows:
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
         """The other planner's way, or where it knows none, a narrow one."""
+        start_s = self._timer()
         answer = self._planner.route(request, goal)
         if isinstance(answer, ViewPath):
             return answer
+        found = self._nearest(request, lambda situation: [proposal_for(situation, goal)], start_s)
+        return answer if found is None else found[0]
+
+    def _nearest(
+        self, request: PlanRequest, wanted: Callable[[Situation], Sequence[Proposal | None]], start_s: float
+    ) -> tuple[ViewPath, Proposal] | None:
+        """The shortest narrow way to what is wanted, if there is any: its path, and where that leads."""
         space = self._space(request.voxels)
         exit_cells = space.stand(request.position_world)
         if exit_cells is None:
-            return answer
-        proposal = proposal_for(Situation(request.voxels, space, exit_cells, request.position_world), goal)
-        if proposal is None:
-            return answer
+            return None
+        proposals = [one for one in wanted(Situation(request.voxels, space, exit_cells, request.position_world)) if one]
+        tasks_made_s = self._timer()
+        if not proposals:
+            return None
         ways = Ways(space)
-        ways.update(exit_cells, request.position_world, places_of([proposal]))
-        return self._path(request, proposal, ways.way_world(0, 1), answer)
+        ways.update(exit_cells, request.position_world, places_of(proposals))
+        nearest = int(np.argmin(ways.lengths_m[0, 1:]))
+        path = ViewPath(
+            viewpoints=(proposals[nearest].task.viewpoint,),
+            waypoints_world=(ways.way_world(0, nearest + 1),),
+            mode=PlanMode.EXPLORE,
+            map_revision=request.voxels.revision,
+            map_epoch=request.voxels.map_epoch,
+            tasks=(proposals[nearest].task,),
+            task_s=tasks_made_s - start_s,
+            step_s=self._timer() - start_s,
+            clearance_m=self._clearance_m,
+        )
+        return path, proposals[nearest]
 
     def _space(self, voxels: VoxelMap) -> FlyableSpace:
         """Where there is room enough for a narrow way."""
@@ -92,33 +111,20 @@ class ThroughNarrows:
         space.update(voxels)
         return space
 
-    def _openings(self, request: PlanRequest, narrow: FlyableSpace) -> list[Proposal]:
+    def _openings(self, situation: Situation) -> list[Proposal]:
         """The nearest openings that can be viewed with the usual room from beyond a narrow way."""
-        usual, frontiers = self._planner.space, self._planner.frontiers
+        usual, frontiers, voxels = self._planner.space, self._planner.frontiers, situation.voxels
         beyond = _Beyond(
             mask=usual.mask,
-            reachable=usual.mask & narrow.reachable & (1 - usual.reachable),
+            reachable=usual.mask & situation.space.reachable & (1 - usual.reachable),
             berth=usual.berth,
             revision=1,
             reachable_revision=np.ones_like(usual.reachable_revision),
         )
         views = FrontierViews(self._planner.config, self._planner.camera)
-        found = views.update(request.voxels, beyond, frontiers, request.position_world).proposals
-        gains = frontiers.beyond(request.voxels, [one.promised for one in found])
+        found = views.update(voxels, beyond, frontiers, situation.position_world).proposals
+        gains = frontiers.beyond(voxels, [one.promised for one in found])
         return [one.gaining(gain) for one, gain in zip(found, gains.tolist(), strict=True) if gain >= OPENING]
-
-    def _path(self, request: PlanRequest, proposal: Proposal, way: FloatArray, before: NothingLeft) -> ViewPath:
-        return ViewPath(
-            viewpoints=(proposal.task.viewpoint,),
-            waypoints_world=(way,),
-            mode=PlanMode.EXPLORE,
-            map_revision=request.voxels.revision,
-            map_epoch=request.voxels.map_epoch,
-            tasks=(proposal.task,),
-            task_s=before.task_s,
-            step_s=before.step_s,
-            clearance_m=self._clearance_m,
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,68 @@
+"""A path that says what its way keeps is held to that: when it is planned, and against every newer map."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hall import MOTION, room, room_around, straight, wall
+
+from uav_recon.motion.replay import joined
+from uav_recon.types.tasks import ViewPath
+from uav_recon.types.trajectory import Setpoint, Trajectory
+
+ROOM_M = 0.2  # in the middle of a gap of three voxels, to the centres of those beside it
+SIDES = (wall([1.0, -5.0, 0.0], [1.2, 0.0, 3.0]), wall([1.0, 0.3, 0.0], [1.2, 5.0, 3.0]))
+GAP = room(*SIDES)
+CLOSER = room(*SIDES, wall([1.0, 0.0, 0.0], [1.2, 0.1, 3.0]))
+MIDDLE_M = 0.15
+
+
+def at(x_m: float) -> Setpoint:
+    return Setpoint.hold(np.array([x_m, MIDDLE_M, 1.5]), 0.0)
+
+
+def narrow(clearance_m: float | None = ROOM_M) -> ViewPath:
+    path = straight([-1.0, MIDDLE_M, 1.5], [3.0, MIDDLE_M, 1.5])
+    return dataclasses.replace(path, clearance_m=clearance_m)
+
+
+def through_the_gap() -> Trajectory:
+    trajectory = MOTION.through(narrow(), GAP, at(-1.0), 5.0, np.inf, 1)
+    assert isinstance(trajectory, Trajectory), trajectory
+    return trajectory
+
+
+def test_a_gap_is_passed_by_who_asks_for_no_more_and_by_nobody_else() -> None:
+    trajectory = through_the_gap()
+    assert trajectory.clearance_m == ROOM_M
+    assert room_around(trajectory.position_m, GAP).min() >= ROOM_M - 0.011
+    for clearance_m in (None, ROOM_M + 0.05):
+        assert "not clear" in str(MOTION.through(narrow(clearance_m), GAP, at(-1.0), 5.0, np.inf, 1))
+
+
+def test_it_stays_clear_by_its_own_measure_until_the_map_takes_that_away() -> None:
+    trajectory = through_the_gap()
+    assert MOTION.still_clear(trajectory, 5.0, GAP)
+    assert not MOTION.still_clear(dataclasses.replace(trajectory, clearance_m=None), 5.0, GAP)
+    assert not MOTION.still_clear(trajectory, 5.0, CLOSER)
+
+
+@pytest.mark.parametrize("leave_s", [5.0, 6.5, 1e3], ids=["at rest", "in motion", "past the end"])
+def test_a_motion_that_is_left_for_a_narrow_path_is_held_to_that(leave_s: float) -> None:
+    begun = MOTION.through(straight([-3.0, MIDDLE_M, 1.5], [-1.0, MIDDLE_M, 1.5]), GAP, at(-3.0), 5.0, np.inf, 1)
+    assert isinstance(begun, Trajectory) and begun.clearance_m is None
+    here = begun.setpoint_at(leave_s).position_m
+    path = dataclasses.replace(straight(here.tolist(), [3.0, MIDDLE_M, 1.5]), clearance_m=ROOM_M)
+    left = MOTION.onward(path, GAP, begun, leave_s, np.inf, 2)
+    assert isinstance(left, Trajectory) and left.clearance_m == ROOM_M
+    assert isinstance(MOTION.onward(dataclasses.replace(path, clearance_m=None), GAP, begun, leave_s, np.inf, 2), str)
+
+
+def test_what_is_made_of_a_narrow_motion_keeps_its_measure() -> None:
+    trajectory = through_the_gap()
+    braked = MOTION.stop(trajectory, 7.0, 2)
+    assert braked.clearance_m == ROOM_M
+    usual = dataclasses.replace(trajectory, clearance_m=None)
+    assert joined(usual, 100, braked, trajectory).clearance_m == ROOM_M
