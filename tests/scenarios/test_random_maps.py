@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import typing
 from collections import Counter
@@ -14,6 +15,7 @@ from scipy import ndimage
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera import CameraGeometry
+from uav_recon.planning.narrows import ThroughNarrows
 from uav_recon.planning.planner import ViewPlanner
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
@@ -26,6 +28,8 @@ MOUNT_M = np.array([0.1, 0.0, 0.0])
 TILT_RAD = np.radians(15.0)
 FIXED = CameraGeometry(np.radians(87), np.radians(58), MOUNT_M, TILT_RAD, TILT_RAD, 4.5)
 GIMBAL = CameraGeometry(np.radians(87), np.radians(58), MOUNT_M, -np.radians(60), np.radians(60), 4.5)
+CLEARANCE_M = PlannerConfig().clearance_m  # usual, or of narrow ways for a planner that usually wants ...
+MORE_M = 0.45
 VARIANTS = typing.get_args(PlannerConfig.model_fields["variant"].annotation)
 
 
@@ -43,15 +47,26 @@ def test_the_thousand_maps_hold_both_answers() -> None:
     assert outcomes["reason"] >= 30
     assert outcomes["way"] >= 30
     assert outcomes["left by a way out"] >= 10
+    assert outcomes["narrow way"] == 0
 
 
-def fly_through(seed: int) -> Counter[str]:
-    """Plan in one map while it grows and changes, with one planner; what came of it."""
+def test_narrow_ways_are_valid_ones_too() -> None:
+    """Of a planner that asks for a lot of room, and for less where that leads nowhere: ways home, mostly."""
+    outcomes: Counter[str] = sum((fly_through(seed, usual_m=MORE_M) for seed in range(MAPS, MAPS + 200)), Counter())
+    assert outcomes["narrow way"] >= 50
+
+
+def fly_through(seed: int, usual_m: float | None = None) -> Counter[str]:
+    """Plan in one map while it grows and changes, with one planner; what came of it.
+
+    usual_m: clearance of a planner that goes on through narrows, and is asked at rest as well as in motion.
+    """
     world = random_map(seed)
     rng = world.rng
     camera = GIMBAL if rng.random() < 0.5 else FIXED
-    config = PlannerConfig(variant=VARIANTS[int(rng.integers(len(VARIANTS)))])
-    planner = ViewPlanner(config, world.fence_m[0], world.fence_m[1], camera, 0.8, 0.8, timer=lambda: 0.0)
+    config = PlannerConfig(variant=VARIANTS[int(rng.integers(len(VARIANTS)))], clearance_m=usual_m or CLEARANCE_M)
+    usual = ViewPlanner(config, world.fence_m[0], world.fence_m[1], camera, 0.8, 0.8, timer=lambda: 0.0)
+    planner = usual if usual_m is None else ThroughNarrows(usual, CLEARANCE_M, CLEARANCE_M, timer=lambda: 0.0)
     position, yaw_rad = world.anywhere(), float(rng.uniform(-4, 4))
     home = Viewpoint(position, 0.0, float(np.clip(0.0, camera.pitch_min_rad, camera.pitch_max_rad)))
     if rng.random() < 0.9:  # else the start is unknown
@@ -62,10 +77,13 @@ def fly_through(seed: int) -> Counter[str]:
         request = PlanRequest(
             world.snapshot(), surface, position, yaw_rad, int(rng.integers(0, 12)) if step else 10, rng.uniform(-0.5, 0.5, 3)
         )
+        if usual_m is not None and rng.random() < 0.7:
+            request = dataclasses.replace(request, velocity_world_mps=np.zeros(3))
         answer = planner.plan(request)
         outcomes[judged(answer, request, world, config.clearance_m, camera)] += 1
         way_home = planner.route(request, home)
         outcomes["way"] += judged(way_home, request, world, config.clearance_m, None) != "reason"
+        outcomes["narrow way"] += is_narrow(answer) + is_narrow(way_home)
         if isinstance(answer, ViewPath):
             planner.accept(answer)
             reached = int(rng.integers(len(answer.viewpoints)))
@@ -84,7 +102,7 @@ def fly_through(seed: int) -> Counter[str]:
 def judged(
     answer: ViewPath | NothingLeft, request: PlanRequest, world: RandomMap, clearance_m: float, camera: CameraGeometry | None
 ) -> str:
-    """Assert what must hold of any answer; say which kind it is."""
+    """Assert what must hold of any answer; say which kind it is. A view has ``clearance_m`` even where its way keeps less."""
     if isinstance(answer, NothingLeft):
         assert len(answer.reason) > 5
         return "reason"
@@ -96,9 +114,14 @@ def judged(
         for view in answer.viewpoints:
             assert camera.pitch_min_rad - 1e-9 <= view.pitch_down_rad <= camera.pitch_max_rad + 1e-9
             assert np.isfinite(view.yaw_rad)
+    keeps_m = answer.clearance_m or clearance_m
     for view in answer.viewpoints:
-        assert_clear(view.position_world, request.voxels, world.fence_m, clearance_m)
-    return assert_flyable(answer, request, flyable(request.voxels, world, clearance_m))
+        assert_clear(view.position_world, request.voxels, world.fence_m, clearance_m if camera is not None else keeps_m)
+    return assert_flyable(answer, request, flyable(request.voxels, world, keeps_m))
+
+
+def is_narrow(answer: ViewPath | NothingLeft) -> bool:
+    return isinstance(answer, ViewPath) and answer.clearance_m is not None
 
 
 def assert_clear(place: NDArray[np.float64], voxels: VoxelMap, fence_m: NDArray[np.float64], clearance_m: float) -> None:
