@@ -17,7 +17,8 @@ from box_world import GIMBAL, MEETING_ROOM, BoxWorld
 from test_planner import surface_of
 from uav_recon.config import PlannerConfig
 from uav_recon.planning import planner as planning
-from uav_recon.types.tasks import PlanRequest
+from uav_recon.planning.narrows import ThroughNarrows
+from uav_recon.types.tasks import PlanRequest, Viewpoint
 
 def compiled():
     kernels = {
@@ -33,10 +34,14 @@ before = compiled()
 assert len(before) > 15, before
 world = BoxWorld(MEETING_ROOM, GIMBAL, np.array([3.0, 1.0, 1.2]))
 world.look_round()
-planner = planning.ViewPlanner(CONFIG, np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, 0.8, 0.8)
+usual = planning.ViewPlanner(CONFIG, np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, 0.8, 0.8)
+planner = ThroughNarrows(usual, CONFIG.clearance_m - 0.05, CONFIG.clearance_m - 0.05)
 for position in ((3.0, 1.0, 1.2), (3.0, 0.15, 1.2), (9.0, 9.0, 9.0)):
     asked = world.request()
-    planner.plan(PlanRequest(asked.voxels, surface_of(MEETING_ROOM), np.array(position), 0.0, 50))
+    request = PlanRequest(asked.voxels, surface_of(MEETING_ROOM), np.array(position), 0.0, 50)
+    planner.plan(request)
+    planner.route(request, Viewpoint(np.array([5.0, 0.3, 1.2]), 0.0, 0.0))
+    planner._nearest(request, planner._openings, 0.0)
 after = compiled()
 assert before == after, {key: (before[key], after[key]) for key in before if before[key] != after[key]}
 """
