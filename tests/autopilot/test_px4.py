@@ -51,6 +51,7 @@ def test_modes_as_measured() -> None:
         ({"twin_heard": True}, "our id"),
         ({"version": None}, "version unknown"),
         ({"version": (1, 15, 3)}, "1.15.3 is older than 1.15.4"),
+        ({"version": (1, 18, 0)}, "1.18.0 is not known: wants one before 1.18.0"),
         ({"version": (1, 15, 4)}, ""),
         ({"pose_fed_s": 9.4}, "no pose"),
         ({"pose_fed_s": -math.inf}, "no pose"),

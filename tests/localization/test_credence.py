@@ -107,7 +107,7 @@ def test_where_nothing_comes_back_from_what_was_there_the_picture_is_wrong(fligh
 
 def test_a_slow_creep_is_told_of_before_any_look_back_tells_it_alone(flight: Flight) -> None:
     for n in range(48):
-        assert flight.see(off_m=(0.02 * n * PERIOD_S, 0.0, 0.0))
+        assert flight.see(off_m=(0.04 * n * PERIOD_S, 0.0, 0.0))
         if flight.drift:
             break
     assert "creeps" in flight.drift

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from pathlib import Path
 
 import numpy as np
@@ -149,6 +150,7 @@ class Desk:
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
         self.seen: list[Phase] = []
+        self._place_m = np.zeros(3)
         self.epoch = 0
 
     def run(self, seconds: float, until: Phase | None = None) -> None:
@@ -174,9 +176,13 @@ class Desk:
         trajectory = self.intent.trajectory
         return 0.0 if trajectory is None else float(np.linalg.norm(trajectory.setpoint_at(self.clock.now_s()).velocity_mps))
 
+    def distance_m(self) -> float:
+        """Level, from the pad."""
+        return math.hypot(*self._place_m[:2])
+
     def _vehicle(self) -> None:
         intent = self.wires.intent.latest()
-        position, yaw = np.zeros(3), 0.0
+        position, yaw = self._place_m, 0.0
         if intent is not None:
             if intent.goal is Goal.FLY and self.phase is FlightPhase.READY:
                 self.phase = FlightPhase.FLYING
@@ -185,6 +191,7 @@ class Desk:
             if intent.trajectory is not None:
                 setpoint = intent.trajectory.setpoint_at(self.clock.now_s())
                 position, yaw = setpoint.position_m, setpoint.yaw_rad
+        self._place_m = position
         self.planner.was_at(position)
         armed = self.phase is FlightPhase.FLYING
         self.wires.vehicle.publish(

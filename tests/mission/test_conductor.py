@@ -166,6 +166,20 @@ def test_a_refused_trajectory_is_not_flown_on(desk: Desk) -> None:
     assert dataclasses.asdict(after)["views_s"].size == 0
 
 
+@pytest.mark.parametrize(("times", "ends_at_home"), [(2, True), (10, False)])
+def test_a_way_home_that_the_guard_stopped_is_begun_again_a_few_times(desk: Desk, times: int, ends_at_home: bool) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.distance_m() < 1.0:
+        desk.run(0.5)
+    desk.conductor.request_return()
+    for _ in range(times):
+        desk.run(0.6)
+        desk.refusals += 1
+    desk.run(60.0, until=Phase.DONE)
+    assert (desk.distance_m() < 0.1) is ends_at_home
+
+
 def test_it_does_not_stop_between_plans(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(60.0, until=Phase.SURVEY)

@@ -62,8 +62,13 @@ class Personality:
     asked_once: tuple[int, ...]
 
 
-def missing_to_follow(t: Telemetry, time_known: bool, now_s: float, name: str, family: int, oldest: Version) -> str:
-    """What is missing until an autopilot of this family (MAV_AUTOPILOT) follows our poses, '' for nothing."""
+def missing_to_follow(
+    t: Telemetry, time_known: bool, now_s: float, name: str, family: int, oldest: Version, unknown: Version | None = None
+) -> str:
+    """What is missing until an autopilot of this family (MAV_AUTOPILOT) follows our poses, '' for nothing.
+
+    unknown: the first version that nobody has read the source of; None where any newer one will do.
+    """
     if not now_s - t.heartbeat_s <= _HEARTBEAT_S:
         return "no heartbeat from the autopilot"
     if t.firmware_family != family:
@@ -74,6 +79,8 @@ def missing_to_follow(t: Telemetry, time_known: bool, now_s: float, name: str, f
         return "firmware version unknown"
     if t.version < oldest:
         return f"{name} {'.'.join(map(str, t.version))} is older than {'.'.join(map(str, oldest))}"
+    if unknown is not None and t.version >= unknown:
+        return f"{name} {'.'.join(map(str, t.version))} is not known: wants one before {'.'.join(map(str, unknown))}"
     if not time_known:
         return "clocks not synchronised yet"
     if not now_s - t.pose_fed_s <= _POSE_S:

@@ -31,6 +31,7 @@ LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _AUTO_LAND))
 
 CLOCK_ANSWERS = 500  # until PX4 believes stamps: fifty seconds
 MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
+UNKNOWN_VERSION = (1, 18, 0)
 
 STREAMS_HZ = (
     (0, 10.0),  # HEARTBEAT: a human's mode is to be seen at once
@@ -64,7 +65,7 @@ def is_landing(custom_mode: int) -> bool:
 
 def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> str:
     """What is missing before the origin may be sent, '' for nothing. Sent too early, PX4 puts local z at the altitude."""
-    return missing_to_follow(t, time_known, now_s, "PX4", _PX4_FAMILY, MIN_VERSION)
+    return missing_to_follow(t, time_known, now_s, "PX4", _PX4_FAMILY, MIN_VERSION, UNKNOWN_VERSION)
 
 
 def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:

@@ -16,12 +16,12 @@ from uav_recon.types.pose import Pose
 _ALONE = 0.05  # of the pixels; honest pictures have 0.004
 _MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
 _HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
-_ASIDE, _MOMENT_S = 0.045, 0.6  # of the points, gained by reading them aside; honest, after so long a pause: 0.033
+_ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; honest, after so long a pause: 0.014
 _DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
 _MANY, _EXPLAINED = 100, 0.75  # points there are, and the share of them that it explains: a person explains fewer
 _MOST = 0.9  # the same where much may have come between
 _SEEN_THROUGH = 0.4  # of the points of an older picture are not there: more than a person leaves behind; honest: 0.10
-_CREEP_MPS = 0.010  # honest: 0.006
+_CREEP_MPS = 0.015  # honest: 0.006, and once 0.010 on the pad
 _RUNNING = 3  # pictures in a row that say so
 _KEPT_S = 2.0  # what was said holds for so long
 _FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # the camera moved so, and its picture is the same to the bit

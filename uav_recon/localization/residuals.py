@@ -16,7 +16,7 @@ _WITHIN = 0.8  # of the farthest point: beyond, one may leave the sensor's range
 _PRIOR = 0.03  # of the points: what a direction must have for its share of the shift to count
 _ROUNDS = 4
 _SHARP_M, _SHARP_PER_M = 0.04, 0.010  # two pictures a moment apart agree to this, and this times the square of the range
-_SUSPICIOUS = 0.04  # of the points misfit; where fewer do, nobody asks whether they would fit elsewhere
+_SUSPICIOUS = 0.01  # of the points misfit; where fewer do, nobody asks whether they would fit elsewhere
 _STEP, _ACROSS, _DOWN, _FARTHEST = 0.04, 2, 3, 6  # aside, each way: of the width or height; nearer, a pose that drifts looks so
 
 
@@ -138,7 +138,7 @@ def _misfit(
             for i in range(3):
                 there = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
                 residual_m += (there - points[n, i]) * points[n, 3 + i]
-            off[k] += int(abs(residual_m) > _SHARP_M + _SHARP_PER_M * z * z)
+            off[k] += int(abs(residual_m) > _SHARP_M + _SHARP_PER_M * z * z and (k == 1 or z > deep))
     return (off[0] / count, off[1] / count) if count >= FEWEST else (0.0, 0.0)
 
 

@@ -20,6 +20,7 @@ from uav_recon.types.vehicle import VehicleState
 
 _LOOK_M = 1.0  # farther ways are flown with the nose ahead, for the camera to see where it is to land
 _PLACES = 3  # tried, then home is the least bad
+_REFUSED = 3  # ways that the guard stopped: then it lands where it is
 
 
 class Homeward:
@@ -31,6 +32,7 @@ class Homeward:
         self._helm, self._decider, self._account, self._site = helm, decider, account, site
         self._place, self._bad = site.home, tuple[FloatArray, ...]()
         self._decision: Pending[Decision] | None = None
+        self._refused = 0
         self.under_way = self.no_way = False
         self.lost = ""
 
@@ -41,6 +43,12 @@ class Homeward:
     def begin_again(self) -> None:
         """The map is a new one: the way home is looked for anew."""
         self._decision, self.under_way, self.no_way = None, False, False
+
+    def think_again(self) -> None:
+        """The guard stopped it on its way: from where it hovers now, a few times."""
+        if self.under_way:
+            self._refused += 1
+            self.under_way = self._refused > _REFUSED
 
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap, along_breadcrumbs: bool) -> None:
         """From rest: think, then fly; and think again where something turns out to stand on the place."""
