@@ -1,16 +1,22 @@
 """Broken configs: `python tests/mutated_configs.py [N]`. Starts the pilot on N of them; exit 1 where one ends as it must not.
 
 Each is the flown config with one thing wrong: a bound passed by the least that a float can tell, a number that is none, a word
-for a number and a number for a word, a key missing or misspelt, two numbers the wrong way round.
+for a number and a number for a word, a key missing or misspelt, two numbers the wrong way round. The pilot's serial line ends
+here, so that what it sends is seen.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import pty
 import resource
+import select
 import subprocess
 import sys
 import tempfile
+import time
+import tty
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -148,37 +154,75 @@ def contradictions() -> Iterator[Mutant]:
         yield Mutant(flown("link", "peer_host", host), ("link.peer_host", "pattern"))
 
 
-def fault_of(mutant: Mutant, folder: Path) -> tuple[str, float]:
-    """What was wrong with how the pilot ended, '' for nothing, and the processor time it took (s)."""
+class SerialLine:
+    """A line whose other end this process holds; ``url`` is what a config calls it."""
+
+    def __init__(self) -> None:
+        self._here, self._there = pty.openpty()
+        tty.setraw(self._there)
+        self.url = f"serial:{os.ttyname(self._there)}:921600"
+
+    def heard(self, timeout_s: float = 0.0) -> bytes:
+        """What was sent to here, b'' if nothing is within so long."""
+        return os.read(self._here, 4096) if select.select([self._here], [], [], timeout_s)[0] else b""
+
+    def close(self) -> None:
+        os.close(self._here)
+        os.close(self._there)
+
+
+@dataclass(frozen=True)
+class End:
+    """What was wrong with how the pilot ended, '' for nothing, and what it took (s)."""
+
+    fault: str
+    processor_s: float
+    wall_s: float
+
+
+def command(tree: dict[str, Any], folder: Path, line: SerialLine) -> list[str]:
+    """The command that starts the pilot on this tree, the flown line's place taken by this one."""
+    link = tree["link"]
+    link = {**link, "url": line.url if link["url"] == load(FLOWN).link.url else link["url"]}
     path = folder / "config.toml"
-    path.write_text(tomli_w.dumps({**mutant.tree, "runtime": {**mutant.tree["runtime"], "folder": str(folder / "run")}}))
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(
-        [sys.executable, "-m", "uav_recon.cli", "pilot", "--config", str(path)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    took_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    lines = done.stderr.splitlines()
+    path.write_text(tomli_w.dumps({**tree, "link": link, "runtime": {**tree["runtime"], "folder": str(folder / "run")}}))
+    return [sys.executable, "-m", "uav_recon.cli", "pilot", "--config", str(path)]
+
+
+def end_of(mutant: Mutant, folder: Path, line: SerialLine) -> End:
+    """Start the pilot on it and see it end."""
+    words = command(mutant.tree, folder, line)
+    before, began_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    wall_s, after = time.monotonic() - began_s, resource.getrusage(resource.RUSAGE_CHILDREN)
+    lines, sent = done.stderr.splitlines(), line.heard()
+    missing = [word for word in mutant.words if word not in lines[0]] if lines else []
+    fault = ""
     if done.returncode != 78 or len(lines) != 1 or done.stdout:
-        return f"exit {done.returncode}, said {done.stdout + done.stderr!r}", took_s
-    if (folder / "run").exists():
-        return "it began to run", took_s
-    missing = [word for word in mutant.words if word not in lines[0]]
-    return f"{lines[0]!r} does not name {missing}" if missing else "", took_s
+        fault = f"exit {done.returncode}, said {done.stdout + done.stderr!r}"
+    elif sent or (folder / "run").exists():
+        fault = f"it began to run, and sent {sent!r}"
+    elif missing:
+        fault = f"{lines[0]!r} does not name {missing}"
+    return End(fault, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall_s)
+
+
+def main(count: int) -> int:
+    """Try so many, spread over all of them, and print. Returns the exit code."""
+    everything = mutants()
+    tried = everything[:: max(len(everything) // count, 1)][:count]
+    line = SerialLine()
+    with tempfile.TemporaryDirectory() as home:
+        ends = [end_of(mutant, Path(home), line) for mutant in tried]
+    line.close()
+    bad = [(mutant, end) for mutant, end in zip(tried, ends, strict=True) if end.fault]
+    print(f"{len(ends)} broken configs, {len(bad)} not refused as they must be")
+    for name, took_s in (("processor", [end.processor_s for end in ends]), ("wall clock", [end.wall_s for end in ends])):
+        print(f"{name} to the end: {sorted(took_s)[len(took_s) // 2]:.2f} s, {max(took_s):.2f} s at most")
+    for mutant, end in bad:
+        print(f"{mutant.words}: {end.fault}")
+    return int(bool(bad) or max(end.processor_s for end in ends) > LONGEST_S)
 
 
 if __name__ == "__main__":
-    everything, count = mutants(), int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    with tempfile.TemporaryDirectory() as home:
-        ends = [(one, *fault_of(one, Path(home))) for one in everything[:: max(len(everything) // count, 1)][:count]]
-    bad = [(one, fault) for one, fault, _ in ends if fault]
-    took = sorted(took_s for *_, took_s in ends)
-    print(f"{len(ends)} broken configs, {len(bad)} not refused as they must be")
-    print(f"processor time to the end: {took[len(took) // 2]:.2f} s, {took[-1]:.2f} s at most")
-    for one, fault in bad:
-        print(f"{one.words}: {fault}")
-    sys.exit(bool(bad) or took[-1] > LONGEST_S)
+    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 200))

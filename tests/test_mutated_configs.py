@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import tomli_w
-from mutated_configs import FLOWN, fault_of, mutants
+from mutated_configs import FLOWN, SerialLine, command, end_of, mutants
 
 from uav_recon import processes
 from uav_recon.cli_exit import exit_with
@@ -33,9 +35,22 @@ def test_each_of_two_hundred_is_refused_by_one_line_that_names_key_and_range_bef
             assert word in said.err
 
 
-def test_a_process_of_its_own_ends_so_too(tmp_path: Path) -> None:
-    assert fault_of(ALL[len(ALL) // 2], tmp_path)[0] == ""
+@pytest.fixture
+def line() -> Iterator[SerialLine]:
+    found = SerialLine()
+    yield found
+    found.close()
 
 
-def test_what_is_broken_was_whole() -> None:
-    assert load(FLOWN).safety.max_speed_mps == 1.0
+def test_a_process_of_its_own_ends_so_too(tmp_path: Path, line: SerialLine) -> None:
+    assert end_of(ALL[len(ALL) // 2], tmp_path, line).fault == ""
+
+
+def test_what_is_broken_was_whole_and_is_heard_on_the_line(tmp_path: Path, line: SerialLine) -> None:
+    tree = load(FLOWN).model_dump(mode="json", exclude_none=True)
+    assert tree["safety"]["max_speed_mps"] == 1.0
+    with subprocess.Popen(command(tree, tmp_path, line), stderr=subprocess.DEVNULL) as pilot:
+        try:
+            assert line.heard(timeout_s=60.0), "a pilot that runs says so"
+        finally:
+            pilot.kill()

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import gc
 import importlib
 import importlib.util
 import os
@@ -44,7 +45,8 @@ TESTS = {
     "sight": ("test_seen_lately", "test_guard_borders", "test_guard"),
 }
 AT_RANDOM = "not nothing_invalid_ever_leaves and not nothing_hostile_reaches"
-OPTIONS = ["-x", "-o", "addopts=", "-p", "no:dash", "-p", "no:terminal", "-p", "no:cacheprovider", "-k", AT_RANDOM]
+NEEDLESS = ("dash", "terminal", "cacheprovider", "unraisableexception", "threadexception", "hypothesispytest")
+OPTIONS = ["-x", "-o", "addopts=", "--assert=plain", *[f"-pno:{name}" for name in NEEDLESS], "-k", AT_RANDOM]
 LONGEST_CPU_S = 15  # all of them take three
 WANTED = 0.95
 
@@ -108,6 +110,8 @@ class Trial:
     def pytest_collection(self, session: pytest.Session) -> bool | None:
         """True in the first process, when all is tried; None in a forked one, which collects and runs the tests."""
         warm_up()
+        gc.disable()  # collecting is dearer than what a forked process could gain by it
+        gc.freeze()
         end_s = time.monotonic() + self._seconds
         if self._fails(session, sorted(set().union(*TESTS.values())), None):
             raise pytest.UsageError("the tests fail without a mutant")
