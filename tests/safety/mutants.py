@@ -35,14 +35,15 @@ from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkR
 from uav_recon.types.pose import Pose
 
 HERE = Path(__file__).parent
+BY_GUARD = ("test_guard_borders", "test_guard", "test_safety_values")
 TESTS = {
-    "envelope": ("test_envelope", "test_guard_borders", "test_guard"),
-    "guard": ("test_guard_borders", "test_guard"),
-    "knownfree": ("test_knownfree", "test_guard_borders", "test_guard"),
-    "ladder": ("test_ladder",),
-    "posegate": ("test_posegate",),
-    "proximity": ("test_proximity", "test_guard_borders", "test_guard"),
-    "sight": ("test_seen_lately", "test_guard_borders", "test_guard"),
+    "envelope": ("test_envelope", *BY_GUARD),
+    "guard": BY_GUARD,
+    "knownfree": ("test_knownfree", *BY_GUARD),
+    "ladder": ("test_ladder", "test_safety_values"),
+    "posegate": ("test_posegate", "test_safety_values"),
+    "proximity": ("test_proximity", *BY_GUARD),
+    "sight": ("test_seen_lately", *BY_GUARD),
 }
 AT_RANDOM = "not nothing_invalid_ever_leaves and not nothing_hostile_reaches"
 NEEDLESS = ("dash", "terminal", "cacheprovider", "unraisableexception", "threadexception", "hypothesispytest")

@@ -100,6 +100,40 @@ def test_stopping_takes_v_squared_over_2a(speed: float) -> None:
     assert ENVELOPE.stopping_point((1.0, 2.0, 3.0), (0.0, -speed, 0.0)) == pytest.approx((1.0, 2.0 - speed**2 / 4.0, 3.0))
 
 
+@pytest.mark.parametrize("push_mps2", [1.5, 2.0, 3.0])
+def test_it_stops_along_its_way_in_every_direction(push_mps2: float) -> None:
+    envelope = dataclasses.replace(ENVELOPE, max_acceleration_mps2=push_mps2)
+    share = 0.9**2 / (2.0 * push_mps2)
+    assert envelope.stopping_point((1.0, 2.0, 3.0), (0.54, -0.432, 0.576)) == pytest.approx(
+        (1.0 + 0.6 * share, 2.0 - 0.48 * share, 3.0 + 0.64 * share)
+    )
+
+
+def test_a_rounding_error_is_inside_and_twice_that_is_not() -> None:
+    fence, column = ENVELOPE.fence, dataclasses.replace(ENVELOPE, pad_depth_m=0.0)
+    inset_m = fence.inset_m - 1e-9
+    assert ENVELOPE.in_band((2.0, 0.0, fence.floor_m + inset_m))
+    assert ENVELOPE.in_band((2.0, 0.0, fence.ceiling_m - inset_m))
+    assert ENVELOPE.in_column((0.0, 0.0, fence.ceiling_m - inset_m))
+    assert ENVELOPE.in_column((ENVELOPE.pad_radius_m + 1e-9, 0.0, 1.0))
+    assert column.in_column((0.0, 0.0, -1e-9))
+    assert not ENVELOPE.in_band((2.0, 0.0, 0.2 - 2e-9))
+    assert not ENVELOPE.in_band((2.0, 0.0, 2.1 + 2e-9))
+    assert not ENVELOPE.in_column((0.0, 0.0, 2.1 + 2e-9))
+    assert not ENVELOPE.in_column((0.5 + 2e-9, 0.0, 1.0))
+    assert not column.in_column((0.0, 0.0, -2e-9))
+    assert ENVELOPE.contains((4.7 + 0.5e-9, 0.0, 1.0))
+    assert not ENVELOPE.contains((4.7 + 2e-9, 0.0, 1.0))
+
+
+def test_both_ends_of_a_way_lie_in_the_band() -> None:
+    assert ENVELOPE.admits((2.0, 0.0, 0.5), (2.0, 0.0, 2.0))
+    assert not ENVELOPE.admits((2.0, 0.0, 0.5), (2.0, 0.0, 2.2))
+    assert not ENVELOPE.admits((2.0, 0.0, 0.5), (2.0, 0.0, 0.1))
+    assert not ENVELOPE.admits((2.0, 0.0, 0.1), (2.0, 0.0, 0.5))
+    assert not ENVELOPE.admits((0.0, 0.0, 0.05), (0.0, 0.0, 2.2))
+
+
 def test_the_fence_itself_is_without_inset() -> None:
     fence = ENVELOPE.fence
     assert fence.holds((4.999, 0.0, 1.0))
@@ -129,9 +163,24 @@ def test_limits_that_are_none_are_refused(changes: dict[str, Any], words: str) -
     assert dataclasses.replace(ENVELOPE, pad_depth_m=0.0).pad_depth_m == 0.0
 
 
-@pytest.mark.parametrize(("floor", "ceiling", "inset"), [(0.0, 0.6, 0.3), (0.0, 2.0, -0.1), (math.nan, 2.0, 0.3)])
+@pytest.mark.parametrize(
+    ("floor", "ceiling", "inset"),
+    [
+        (0.0, 0.6, 0.3),
+        (1.0, 1.59, 0.3),
+        (-1.0, -0.41, 0.3),
+        (2.0, 0.0, 0.3),
+        (0.0, 2.0, -0.1),
+        (math.nan, 2.0, 0.3),
+        (0.0, math.inf, 0.3),
+        (1.0, math.inf, 0.3),
+        (-math.inf, 2.0, 0.3),
+        (0.0, 2.0, math.nan),
+    ],
+)
 def test_a_fence_without_height_is_refused(floor: float, ceiling: float, inset: float) -> None:
     with pytest.raises(ValueError, match="floor"):
         Fence(ELL, floor, ceiling, inset)
     assert Fence(ELL, 0.0, 0.61, 0.3).inset_m == 0.3
     assert Fence(ELL, 0.0, 0.61, 0.0).inset_m == 0.0
+    assert Fence(ELL, 3.0, 3.61, 0.3).floor_m == 3.0

@@ -8,10 +8,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rooms import BOUNDS, HULL_RADIUS_M, frame, guard_of, proposal, situation
+from rooms import (
+    BOUNDS,
+    ENVELOPE,
+    HULL_RADIUS_M,
+    MOUNT,
+    everything,
+    frame,
+    guard_of,
+    known_free,
+    proposal,
+    situation,
+)
 
 from uav_recon.safety.guard import Guard, Proposal
 from uav_recon.safety.proximity import Ahead
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.nearby import Nearby
 from uav_recon.types.trajectory import Setpoint
 
 HERE = np.array([1.0, 0.2, 1.1])
@@ -155,3 +168,129 @@ def test_reasons_hold_figures_that_a_person_can_use() -> None:
     assert refusal(resting(), proposal(HERE, yaw=math.pi / 2), 10.1) == "heading jump of 90 degrees"
     assert refusal(resting(), proposal(HERE + OBLIQUE), 10.1) == "jump of 1.00 m"
     assert refusal(resting(), proposal(HERE, OBLIQUE * 0.5), 10.1) == "velocity jump of 0.50 m/s"
+
+
+def along_x(way_m: float) -> FloatArray:
+    return np.array([way_m, 0.0, 0.0])
+
+
+def wall(room_m: float, stamp_s: float) -> Ahead:
+    """One return straight ahead, so far before the hull."""
+    ranges = np.full((1, 1), room_m + HULL_RADIUS_M - MOUNT.translation_m[0])
+    return Ahead(Nearby(stamp_s, MOUNT, ranges, (0.95, 0.55), 0.9), HULL_RADIUS_M)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "at_s", "room_m"),
+    [
+        (proposal(velocity=(1.0 + 1e-6, 0.0, 0.0)), 0.5, 9.0),
+        (proposal(velocity=(0.5, 0.0, 0.0)), 0.5, 0.5),
+        (proposal(velocity=(0.3 + 1e-6, 0.0, 0.0), retreating=True), 0.5, 9.0),
+        (proposal(acceleration=(0.0, 2.0 + 1e-6, 0.0)), 0.5, 9.0),
+        (proposal(yaw_rate=0.8 + 1e-6), 0.5, 9.0),
+        (proposal((1.0 * 0.5 + 0.02, 0.0, 1.0)), 0.5, 9.0),
+        (proposal(velocity=(0.0, 2.0 * 0.25 + 0.05, 0.0)), 0.25, 9.0),
+        (proposal(yaw=0.8 * 0.5 + 0.03), 0.5, 9.0),
+    ],
+)
+def test_a_limit_and_the_slack_beside_it_are_flown_to_the_last_digit(wanted: Proposal, at_s: float, room_m: float) -> None:
+    guard = guard_of()
+    guard.clear(None, situation(0.0))
+    assert guard.clear(wanted, situation(at_s, ahead=wall(room_m, at_s)))[1] is None
+
+
+def test_braking_may_be_longer_than_the_silent_way_but_only_while_the_mission_speaks() -> None:
+    for age_s, reason in ((0.0, ""), (-0.05, ""), (NEAR, "mission is silent")):
+        guard = guard_of(bounds=dataclasses.replace(BOUNDS, silence_way_m=0.2))
+        guard.clear(None, situation(10.0))
+        found = guard.clear(proposal(velocity=(1.0, 0.0, 0.0)), situation(10.5, intent_age_s=age_s))[1]
+        assert ("" if found is None else found.reason) == reason
+
+
+def test_a_clock_may_begin_anywhere() -> None:
+    guard = resting(at_s=-5.0)
+    assert refusal(guard, proposal(HERE), -4.9) == ""
+
+
+def test_the_take_off_column_stands_over_where_the_vehicle_is() -> None:
+    free = everything()
+    free[23, 26, 18] = False  # its centre at 0.35, -0.35, 0.85: over this place, and over no other that is tried by mistake
+    here = situation(0.0, position_m=(0.3, -0.2, 0.0), free=known_free(free))
+    assert guard_of().fault_of_take_off(here, 1.1) == "the take-off column is not known free"
+    assert guard_of().fault_of_take_off(here, 0.7) == ""
+
+
+@pytest.mark.parametrize("push_mps2", [1.5, 2.5])
+def test_another_acceleration_is_another_brake_another_silence_and_another_distance(push_mps2: float) -> None:
+    envelope = dataclasses.replace(ENVELOPE, max_acceleration_mps2=push_mps2)
+
+    def flying(**changes: Any) -> tuple[Guard, str]:
+        guard = guard_of(envelope)
+        guard.clear(None, situation(10.0, position_m=tuple(HERE.tolist())))
+        return guard, refusal(guard, proposal(HERE, (0.7, 0.0, 0.0)), 10.5, **changes)
+
+    guard, reason = flying()
+    assert reason == ""
+    np.testing.assert_allclose(
+        guard.clear(None, situation(20.0))[0].setpoint.position_m, HERE + along_x(0.49 / (2.0 * push_mps2)), atol=1e-9
+    )
+    silent_s = (0.5 - 0.49 / (2.0 * push_mps2)) / 0.7
+    room_m = 0.4 + (0.49 - 0.25) / (2.0 * push_mps2) + 0.7 * 0.25 + 0.7 * 0.1
+    for beyond, may in ((-NEAR, True), (NEAR, False)):
+        assert (flying(intent_age_s=min(silent_s, 0.5) + beyond)[1] == "") is may
+        assert (flying(ahead=wall(room_m - beyond, 10.4))[1] == "") is may
+
+
+@pytest.mark.parametrize(
+    ("age_s", "counted_s", "retreating"),
+    [(0.0, 0.0, False), (-0.09, 0.0, False), (0.2, 0.2, False), (0.2, 0.2, True), (3.0, 0.3, True), (-3.0, 0.0, True)],
+)
+def test_a_frame_takes_the_way_of_its_age_and_on_a_retreat_no_more_than_of_one_that_may_be_flown_by(
+    age_s: float, counted_s: float, retreating: bool
+) -> None:
+    room_m = 0.1 + 0.3**2 / 4.0 + 0.3 * 0.25 + 0.3 * counted_s
+    for beyond, may in ((NEAR, True), (-NEAR, False)):
+        wanted = proposal(HERE, (0.3, 0.0, 0.0), retreating=retreating)
+        assert (refusal(resting(), wanted, 10.5, ahead=wall(room_m + beyond, 10.5 - age_s)) == "") is may
+
+
+def test_a_frame_may_be_ahead_of_the_clock_by_just_as_much_as_agreed() -> None:
+    guard = guard_of()
+    guard.clear(None, situation(0.0))
+    assert guard.clear(proposal(velocity=(0.04, 0.0, 0.0)), situation(0.0, ahead=wall(5.0, 0.1)))[1] is None
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_no_hold_but_a_hold_does_without_known_free_space(axis: int, sign: float) -> None:
+    nudge = np.zeros(3)
+    nudge[axis] = sign * 0.015
+    for wanted in (proposal(HERE + nudge), proposal(HERE, nudge)):
+        assert refusal(resting(), wanted, 10.1, free=None) == "no known-free space was published"
+    assert refusal(resting(), proposal(HERE), 10.1, free=None) == ""
+
+
+def test_where_the_camera_does_not_look_turns_with_the_nose_and_is_not_asked_of_a_retreat() -> None:
+    """The nose to +y in odom: there it looks, along -x it does not."""
+    nose: dict[str, Any] = {"body_from_odom": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])}
+
+    def blind(velocity: tuple[float, float, float], blind_mps: float = 0.3, **changes: Any) -> str:
+        guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=blind_mps))
+        guard.clear(None, situation(10.0, position_m=tuple(HERE.tolist())))
+        return refusal(guard, proposal(HERE, velocity, **changes), 10.5, **nose)
+
+    assert blind((0.0, 0.5, 0.0)) == ""
+    assert blind((-0.1, 0.0, 0.0)) == "not seen lately at 0.75 0.20 1.10 m"
+    assert blind((0.0, -0.1, 0.0)) == "not seen lately at 1.00 -0.05 1.10 m"
+    assert blind((-0.24, 0.18, 0.0)) == "not seen lately at 0.80 0.35 1.10 m"
+    assert blind((-0.1, 0.0, 0.0), retreating=True) == ""
+    assert blind((-0.3 - 1e-6, 0.0, 0.0)).startswith("not seen lately")
+    assert blind((-0.3 - NEAR, 0.0, 0.0)) == "speed 0.30 m/s where the camera does not look"
+    assert blind((-0.5, 0.0, 0.0), blind_mps=1.5) == "", "more than the envelope's speed is not asked for either"
+
+
+def test_a_first_place_or_heading_that_is_no_number_is_the_pad_and_ahead() -> None:
+    for changes in ({"position_m": (0.5, math.inf, 1.0)}, {"yaw_rad": math.nan}):
+        held = guard_of().clear(None, situation(0.0, **{"yaw_rad": 0.7, "position_m": (0.5, 0.0, 1.0), **changes}))[0].setpoint
+        np.testing.assert_array_equal(held.position_m, ENVELOPE.pad_m)
+        assert held.yaw_rad == 0.0

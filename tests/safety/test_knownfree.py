@@ -72,3 +72,47 @@ def test_the_hull_comes_as_near_as_its_size(axis: int, side: int) -> None:
         place[axis] += side * (reach + beyond)
         away[axis] += side * (reach + 0.3)
         assert space.admits(tuple(away.tolist()), tuple(place.tolist())) is may
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_outermost_voxels_are_known_and_beyond_them_nothing_is(axis: int, side: int) -> None:
+    """A millimetre either side of where the hull begins to touch the centre of a voxel that would lie outside the grid."""
+    reach_m = (HULL_RADIUS_M, HULL_RADIUS_M, HULL_HEIGHT_M / 2)[axis]
+    outside = np.array(GRID.shape) // 2
+    outside[axis] = -1 if side < 0 else GRID.shape[axis]
+    middle = GRID.centre(np.array(GRID.shape) // 2)
+    for beyond_m, may in ((0.001, True), (-0.001, False)):
+        place = middle.copy()
+        place[axis] = GRID.centre(outside)[axis] - side * (reach_m + beyond_m)
+        assert OPEN.admits(tuple(middle.tolist()), tuple(place.tolist())) is may
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_voxel_that_the_hull_just_touches_is_touched(axis: int, side: int) -> None:
+    free = everything()
+    free[30, 30, 20] = False
+    place = GRID.centre(np.array([30, 30, 20]))
+    away = place.copy()
+    place[axis] += side * (HULL_RADIUS_M, HULL_RADIUS_M, HULL_HEIGHT_M / 2)[axis]
+    away[axis] += side * 0.6
+    assert not known_free(free).admits(tuple(away.tolist()), tuple(place.tolist()))
+
+
+def test_of_a_ghost_the_rounding_of_a_place_is_no_approach() -> None:
+    free = everything()
+    free[21, 30, 20] = False  # its centre at 0.15, 0.05, 1.05
+    assert known_free(free).admits((0.0, 0.05, 1.05), (1e-12, 0.05, 1.05))
+    assert not known_free(free).admits((0.0, 0.05, 1.05), (2e-10, 0.05, 1.05))
+
+
+def test_each_leg_of_a_way_counts() -> None:
+    free = everything()
+    free[40, 40, 25] = False  # its centre at 2.05, 1.05, 1.55
+    space = known_free(free)
+    first, blocked, last = (0.0, 0.0, 1.0), (2.0, 1.0, 1.5), (3.0, -1.0, 1.0)
+    assert space.admits(first, last)
+    assert not space.admits(first, blocked, last)
+    assert not space.admits(first, last, blocked)
+    assert space.admits(first, last, first)

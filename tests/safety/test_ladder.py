@@ -107,3 +107,32 @@ def test_a_retreat_that_has_barely_begun_is_left_at_once() -> None:
     assert ladder.step(health(15.0, intent_age_s=5.01))[0] is Rung.RETREAT
     assert ladder.step(health(15.15, intent_age_s=5.16))[0] is Rung.RETREAT
     assert ladder.step(health(15.25))[0] is Rung.RETREAT, "the age of the retreat counts, not of its last reason"
+
+
+def test_a_retreat_counts_as_begun_after_a_fifth_of_a_second_and_not_at_it() -> None:
+    for age_s, rung in ((0.2, Rung.FLY), (0.201, Rung.RETREAT)):
+        ladder = Ladder(PATIENCE)
+        assert ladder.step(health(0.0, intent_age_s=6.0))[0] is Rung.RETREAT
+        assert ladder.step(health(age_s))[0] is rung
+
+
+def test_on_the_same_rung_the_newest_reason_is_told() -> None:
+    ladder = Ladder(PATIENCE)
+    assert ladder.step(health(0.0, intent_age_s=6.0)) == (Rung.RETREAT, "mission silent for 6.0 s")
+    assert ladder.step(health(1.0, depth_age_s=4.0)) == (Rung.RETREAT, "no depth for 4.0 s")
+    assert ladder.step(health(2.0, pose_age_s=1.5)) == (Rung.LAND, "no pose for 1.5 s")
+    assert ladder.step(health(3.0, pose_age_s=2.5)) == (Rung.LAND, "no pose for 2.5 s")
+
+
+def test_a_count_that_falls_is_no_refusal() -> None:
+    ladder = Ladder(PATIENCE)
+    for n in range(5):
+        assert ladder.step(health(0.1 * n, refusals=40 - n))[0] is Rung.FLY
+
+
+def test_a_clock_may_begin_anywhere() -> None:
+    ladder = Ladder(PATIENCE)
+    assert ladder.step(health(-50.0))[0] is Rung.FLY
+    assert ladder.step(health(-49.0, inside=False, depth_age_s=0.5))[0] is Rung.HOLD
+    assert ladder.step(health(-47.0, inside=False))[0] is Rung.FLY
+    assert ladder.step(health(-45.9, inside=False))[0] is Rung.LAND

@@ -58,12 +58,24 @@ def test_old_and_future_stamps_are_not(now_s: float, good: bool) -> None:
         ({"velocity_odom_mps": np.full(3, math.nan)}, "not finite"),
         ({"covariance": np.full((6, 6), math.inf)}, "not finite"),
         ({"quality": 0}, "of no quality"),
+        ({"quality": -1}, "of no quality"),
     ],
 )
 def test_what_is_unfit_by_itself_is_named(changes: dict[str, Any], why: str) -> None:
     usual: dict[str, Any] = {"velocity_odom_mps": np.zeros(3)}
     bad = StampedPose(0.1, Pose.identity(), **{**usual, **changes})
     assert judge(settled(), bad) == Verdict(False, why=why)
+
+
+def test_the_least_quality_the_oldest_and_the_earliest_stamp_are_believed() -> None:
+    assert PoseGate(0.8).judge(pose(0.0, quality=1), 0.0).good
+    assert PoseGate(0.8).judge(pose(0.0), 0.15).good
+    assert PoseGate(0.8).judge(pose(0.0), -0.05).good
+
+
+def test_a_covariance_that_is_none_widens_nothing_and_raises_nothing() -> None:
+    for off_m, good in ((0.09, True), (0.11, False)):
+        assert judge(settled(), pose(STEP_S, (off_m, 0.0, 1.0), covariance=-np.eye(6))).good is good
 
 
 def test_a_pose_is_never_taken_twice_or_backwards() -> None:
@@ -141,3 +153,40 @@ def test_a_new_track_that_breaks_begins_again() -> None:
         assert not judge(gate, pose(n * STEP_S, (0.5, 0.0, 1.0))).good
     answers = [judge(gate, pose(n * STEP_S, (1.5, 0.0, 1.0))).good for n in range(26, 70)]
     assert answers.index(True) == 30
+
+
+@pytest.mark.parametrize(("speed_mps", "good"), [(0.0, True), (0.44, True), (0.46, False), (-0.44, True), (-0.46, False)])
+def test_over_half_a_second_a_push_explains_an_eighth_of_a_metre(speed_mps: float, good: bool) -> None:
+    gate = PoseGate(0.8)
+    assert judge(gate, pose(0.0, velocity=(0.0, 0.7, 0.0))).good
+    assert judge(gate, pose(0.5, (speed_mps * 0.5, 0.35, 1.0))).good is good
+
+
+@pytest.mark.parametrize(("speed_mps", "good"), [(2.19, True), (2.21, False)])
+def test_over_half_a_second_the_way_itself_has_a_limit(speed_mps: float, good: bool) -> None:
+    gate = PoseGate(0.8)
+    assert judge(gate, pose(0.0, velocity=(0.0, speed_mps, 0.0))).good
+    verdict = judge(gate, pose(0.5, (0.0, speed_mps * 0.5, 1.0)))
+    assert verdict.good is good
+    assert verdict.why == ("" if good else "a way of 1.10 m in 0.50 s")
+
+
+def test_a_turn_is_counted_from_the_last_heading_and_across_the_cut() -> None:
+    for first, second, good in ((1.0, 1.15, True), (1.0, -0.9, False), (3.1, -3.1, True), (-2.0, -1.0, False)):
+        gate = PoseGate(0.8)
+        assert judge(gate, pose(0.0, yaw_rad=first)).good
+        assert judge(gate, pose(STEP_S, yaw_rad=second)).good is good
+
+
+def test_a_second_of_agreement_is_enough_to_the_last_digit() -> None:
+    gate = settled()
+    answers = [judge(gate, pose(n / 32, (0.5, 0.0, 1.0))).good for n in range(1, 40)]
+    assert answers.index(True) == 32
+
+
+@pytest.mark.parametrize("back_s", [0.0, 0.1])
+def test_a_track_that_repeats_itself_or_goes_back_proves_nothing(back_s: float) -> None:
+    gate = settled()
+    for n in range(1, 60):
+        assert not judge(gate, pose(0.2 * n, (0.9, 0.9, 1.0))).good
+        assert not judge(gate, pose(0.2 * n - back_s, (0.9, 0.9, 1.0))).good

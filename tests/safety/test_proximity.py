@@ -9,6 +9,7 @@ import pytest
 from rooms import HULL_RADIUS_M, MOUNT, frame
 
 from uav_recon.safety.proximity import Ahead, Margins, fastest_mps
+from uav_recon.types.camera import body_from_camera
 from uav_recon.types.nearby import Nearby
 
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -75,3 +76,32 @@ def test_what_is_allowed_can_be_stopped_in_time(speed: float, room_m: float) -> 
     else:
         assert allowed**2 - 0.25 == pytest.approx(4.0 * (left - 0.4))
     assert fastest_mps(math.inf, 2.0, MARGINS, speed) == math.inf
+
+
+@pytest.mark.parametrize("row", range(5))
+@pytest.mark.parametrize("column", range(4))
+def test_each_cell_lies_where_its_ray_leads(row: int, column: int) -> None:
+    """By hand: the middle of the cell on the image plane at depth one, the camera turned down by 0.3 rad and off the centre."""
+    mount = body_from_camera(np.array([0.12, -0.05, 0.04]), 0.3)
+    ranges = np.full((5, 4), np.nan)
+    ranges[row, column] = 1.7
+    right, down = 0.9 * (2 * column + 1 - 4) / 4, 0.6 * (2 * row + 1 - 5) / 5
+    forward, left, up = (1.7 * part / math.sqrt(1.0 + right**2 + down**2) for part in (1.0, -right, -down))
+    cos, sin = math.cos(0.3), math.sin(0.3)
+    place = np.array([0.12 + cos * forward + sin * up, -0.05 + left, 0.04 - sin * forward + cos * up])
+    away_m = float(np.linalg.norm(place))
+    ahead = Ahead(Nearby(5.0, mount, ranges, (0.9, 0.6), 0.9), HULL_RADIUS_M)
+    assert ahead.room_m(place / away_m) == pytest.approx(away_m - HULL_RADIUS_M, abs=1e-6)
+
+
+def test_what_is_just_beside_is_not_ahead() -> None:
+    beside = Nearby(5.0, body_from_camera(np.zeros(3), 0.0), np.full((1, 1), 0.2), (0.9, 0.6), 0.9)
+    assert Ahead(beside, HULL_RADIUS_M).room_m(np.array([1.0, 0.0, 0.0])) == pytest.approx(0.0, abs=1e-6)
+    assert Ahead(beside, HULL_RADIUS_M).room_m(np.array([0.0, 1.0, 0.0])) == math.inf
+
+
+@pytest.mark.parametrize("braking", [0.3, 1.5, 3.0])
+def test_a_weaker_brake_allows_less(braking: float) -> None:
+    assert fastest_mps(0.9, braking, MARGINS, 0.0) == pytest.approx(math.sqrt(0.25 + 2.0 * braking * 0.5))
+    assert fastest_mps(0.12, braking, MARGINS, 0.0) == pytest.approx(math.sqrt(2.0 * braking * 0.02))
+    assert fastest_mps(0.4, braking, MARGINS, 0.0) == pytest.approx(min(math.sqrt(2.0 * braking * 0.3), 0.5))

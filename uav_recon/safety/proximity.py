@@ -46,7 +46,7 @@ class Ahead:
     def sees(self, direction_body: FloatArray) -> bool:
         """Whether the camera looks where a unit vector (3,) in body axes points."""
         x, y, z = (self._depth_from_body @ direction_body).tolist()
-        return bool(z > 0.0 and abs(x) <= z * self._half_tan[0] and abs(y) <= z * self._half_tan[1])
+        return bool(abs(x) <= z * self._half_tan[0] and abs(y) <= z * self._half_tan[1])  # never where z is negative
 
     def room_m(self, direction_body: FloatArray) -> float:
         """Metres that the hull may go along a unit vector (3,) in body axes before it meets a return; infinity for none."""

@@ -1,0 +1,37 @@
+"""What the guard judges by cannot be changed behind its back nor grow a misspelt name; what holds arrays is equal to itself."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import pytest
+from rooms import BOUNDS, ENVELOPE, proposal, situation
+
+from uav_recon.safety.ladder import Health, Patience
+from uav_recon.safety.posegate import Verdict
+
+VALUES = (
+    BOUNDS,
+    BOUNDS.margins,
+    ENVELOPE,
+    ENVELOPE.fence,
+    Health(0.0, 0.0, 0.0, 0.0, True, 0),
+    Patience(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0),
+    Verdict(True),
+    proposal(),
+    situation(0.0),
+)
+
+
+@pytest.mark.parametrize("value", VALUES, ids=lambda value: type(value).__name__)
+def test_a_value_is_frozen_and_has_no_room_for_more(value: Any) -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(value, dataclasses.fields(value)[0].name, None)
+    assert not hasattr(value, "__dict__")
+
+
+def test_what_holds_arrays_is_equal_to_itself_alone() -> None:
+    for value in (proposal(), situation(0.0)):
+        assert value == value  # noqa: PLR0124
+        assert value != dataclasses.replace(value)
