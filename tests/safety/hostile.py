@@ -6,6 +6,7 @@ steps from what flew last, so that they reach the checks behind the first. The s
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 import sys
@@ -14,6 +15,7 @@ from collections import Counter
 import numpy as np
 from rooms import BOUNDS, DT, GRID, HULL_RADIUS_M, everything, frame, guard_of, known_free, proposal, situation
 
+from uav_recon.safety.guard import Proposal, Situation
 from uav_recon.safety.proximity import Ahead
 from uav_recon.safety.sight import Sight
 from uav_recon.types.pose import Pose
@@ -50,49 +52,95 @@ def violation(flown: Setpoint, last: Setpoint, dt_s: float, blocked: np.ndarray[
     return "" if turn_rad <= 0.8 * dt_s + 0.03 + 1e-6 else "jerks round"
 
 
+def undue(wanted: Proposal, here: Situation, range_m: float) -> str:
+    """What is wrong with a proposal that was flown as it was asked, by what was known; '' for nothing. range_m: of a frame
+    that shows the same wall in every cell.
+    """
+    velocity = wanted.setpoint.velocity_mps
+    speed, forward = float(np.linalg.norm(velocity)), float(velocity[0])
+    most = 0.5 if wanted.giving_way else 0.3 if wanted.retreating or here.slow else 1.0
+    if speed > most + 1e-5:
+        return "faster than is due"
+    if not (-0.1 <= here.pose_age_s <= 0.2 and (wanted.retreating or -0.1 <= here.intent_age_s <= 0.5)):
+        return "on an old word"
+    if speed <= 0.02 or (here.ahead is None and wanted.retreating):
+        return ""
+    age_s = math.inf if here.ahead is None else here.now_s - here.ahead.stamp_s
+    if not wanted.retreating and not -0.1 - 1e-6 <= age_s <= 0.3 + 1e-6:
+        return "blind"
+    way_m = speed * (0.25 + min(max(age_s, 0.0), 0.3)) + speed**2 / 4.0
+    return "into a wall" if forward > 0.99 * speed and way_m > range_m - 0.1 + 1e-6 else ""
+
+
 def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
     """What became of each proposal, and the violations."""
     rng = np.random.default_rng(seed)
     outcomes: Counter[str] = Counter()
     violations: list[str] = []
+    views = {range_m: Ahead(frame(range_m), HULL_RADIUS_M) for range_m in (0.2, 1.0, 9.0)}
     while outcomes.total() < count:
         free = everything() & (rng.random(GRID.shape) > 0.001)
         free[rng.integers(30, 70), :, :] &= rng.random(GRID.shape[1:]) > 0.5
         space, blocked = known_free(free), GRID.centre(np.argwhere(~free))
         start = rng.uniform([-0.5, -1.5, 0.3], [4.5, 1.5, 2.0])
-        if not space.admits(tuple(start.tolist()), tuple(start.tolist())) or space._touched(
-            space._in_voxels(tuple(start.tolist()))
-        ):
+        place = (float(start[0]), float(start[1]), float(start[2]))
+        if not space.admits(place, place) or space._touched(space._in_voxels(place)):
             continue
         sight = Sight(10.0, HULL_RADIUS_M)
         guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=0.3 if rng.random() < 0.5 else 1.0), sight=sight)
         now = rng.uniform(0.0, 1e5)
-        here = {"free": space, "position_m": tuple(start.tolist())}
-        last = guard.clear(None, situation(now, **here))[0].setpoint
-        for _ in range(PLACES):
-            dt_s = float(rng.choice([DT, DT, DT, 0.0, 0.01, 0.15, -0.2, 0.4]))
+        usual = situation(now, free=space, position_m=place)
+        last = guard.clear(None, usual)[0].setpoint
+        drawn = zip(
+            *(
+                rng.choice(values, PLACES).tolist()
+                for values in (
+                    [DT, DT, DT, 0.0, 0.01, 0.15, -0.2, 0.4],
+                    [0.2, 1.0, 9.0],
+                    [0.0, 0.1, 0.1, 1.0, -5.0],
+                    [0.05, 0.05, 0.05, 0.3, 3.0, math.nan, -9.0],
+                    [0.03, 0.03, 0.03, 0.03, 0.03, 0.03, 0.5],
+                )
+            ),
+            (rng.random((PLACES, 8)) < [0.3, 0.5, 0.3, 0.3, 0.1, 0.1, 0.05, 0.002]).tolist(),
+            strict=True,
+        )
+        for dt_s, range_m, frame_age_s, intent_age_s, pose_age_s, chances in drawn:
+            looks, near, retreating, giving_way, slow, unseen, silent, jumped = chances
             now += dt_s
-            ahead = Ahead(
-                frame(float(rng.choice([0.2, 1.0, 9.0])), now - float(rng.choice([0.0, 0.1, 0.1, 1.0, -5.0]))), HULL_RADIUS_M
-            )
-            if rng.random() < 0.3:
+            ahead = copy.copy(views[range_m])
+            ahead.stamp_s = now - frame_age_s
+            if looks:
                 sight.add(frame(5.0, now), Pose.from_yaw(rng.uniform(-3, 3), last.position_m))
-            if rng.random() < 0.5:
+            if near:
                 way, push = rng.uniform(-0.02, 0.02, 3), rng.uniform(-0.06, 0.06, 3)
                 p, v, a = last.position_m + last.velocity_mps * dt_s + way, last.velocity_mps + push, rng.uniform(-1, 1, 3)
                 wanted = proposal(p, v, a, last.yaw_rad + rng.uniform(-0.04, 0.04), rng.uniform(-0.9, 0.9))
             else:
                 p, v, a = (rng.choice([rng.normal(0, 3), rng.choice(AWKWARD)], 3) for _ in range(3))
                 wanted = proposal(p, v, a, float(rng.choice(AWKWARD)), float(rng.normal()))
-            age_s = float(rng.choice([0.05, 0.05, 0.05, 0.3, 3.0, math.nan, -9.0]))
-            now_here = situation(now, **here, ahead=ahead, intent_age_s=age_s, pose_age_s=float(rng.choice([0.03] * 6 + [0.5])))
-            flown, refusal = guard.clear(None if rng.random() < 0.05 else wanted, now_here)
-            outcomes[refusal.reason.split(" at ")[0].rstrip("0123456789.-, m/s²") if refusal else "flown"] += 1
-            wrong = violation(flown.setpoint, last, max(dt_s, 0.0), blocked)
+            wanted = dataclasses.replace(wanted, retreating=retreating, giving_way=giving_way)
+            here = dataclasses.replace(
+                usual, now_s=now, ahead=None if unseen else ahead, intent_age_s=intent_age_s, pose_age_s=pose_age_s, slow=slow
+            )
+            if jumped:
+                guard.rebase(here, rest_s=0.0)
+                here = dataclasses.replace(here, position_m=tuple(last.position_m.tolist()), yaw_rad=last.yaw_rad)
+            asked = None if silent else wanted
+            cleared, refusal = guard.clear(asked, here)
+            flown = cleared.setpoint
+            outcomes[_kind(refusal.reason) if refusal else "flown" if asked else "braked"] += 1
+            wrong = violation(flown, last, math.inf if jumped else max(dt_s, 0.0), blocked)
+            wrong = wrong or (undue(wanted, here, range_m) if flown is wanted.setpoint else "")
             if wrong:
                 violations.append(wrong)
-            last = flown.setpoint
+            last = flown
     return outcomes, violations
+
+
+def _kind(reason: str) -> str:
+    """A reason without its figures."""
+    return " ".join(word for word in reason.partition(" at ")[0].split() if not word.strip("-").replace(".", "").isdigit())
 
 
 if __name__ == "__main__":

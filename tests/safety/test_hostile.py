@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from typing import Any
 
 import numpy as np
 import pytest
-from hostile import attack, violation
-from rooms import GRID
+from hostile import attack, undue, violation
+from rooms import GRID, proposal, situation
 
+from uav_recon.safety.guard import Proposal
 from uav_recon.types.trajectory import Setpoint
 
 NOTHING = GRID.centre(np.zeros((0, 3), dtype=np.int64))
@@ -43,3 +46,29 @@ def test_the_judge_of_the_wire_sees_violations(changes: dict[str, object], word:
 def test_the_judge_knows_what_is_not_known_free() -> None:
     last = Setpoint.hold(np.array([1.0, 0.0, 1.0]), 0.0)
     assert "known free" in violation(last, last, 1 / 30, np.array([[1.1, 0.0, 1.05]]))
+
+
+MOVING = proposal(velocity=(0.4, 0.0, 0.0))
+FAST = proposal(velocity=(0.9, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "changes", "range_m", "word"),
+    [
+        (MOVING, {}, 9.0, ""),
+        (FAST, {}, 9.0, ""),
+        (FAST, {}, 0.4, "wall"),
+        (dataclasses.replace(FAST, giving_way=True), {}, 9.0, "due"),
+        (dataclasses.replace(MOVING, giving_way=True, retreating=True), {}, 9.0, ""),
+        (dataclasses.replace(MOVING, retreating=True), {}, 9.0, "due"),
+        (MOVING, {"slow": True}, 9.0, "due"),
+        (MOVING, {"pose_age_s": 0.21}, 9.0, "word"),
+        (MOVING, {"intent_age_s": math.nan}, 9.0, "word"),
+        (MOVING, {"ahead": None}, 9.0, "blind"),
+        (proposal(velocity=(0.2, 0.0, 0.0), retreating=True), {"ahead": None, "intent_age_s": 9.0}, 9.0, ""),
+    ],
+)
+def test_the_judge_knows_what_was_known(wanted: Proposal, changes: dict[str, Any], range_m: float, word: str) -> None:
+    found = undue(wanted, situation(5.0, **changes), range_m)
+    assert word in found
+    assert bool(found) is bool(word)
