@@ -23,6 +23,9 @@ from uav_recon.types.trajectory import Setpoint
 
 AWKWARD = (math.nan, math.inf, -math.inf, 1e300, -1e9, 0.0, 4.7, 4.7000001, -0.7, 2.1, 0.2, 1.0, 2.0, 1e-300)
 PLACES = 400  # proposals from each starting place
+# How often a view is remembered, a proposal is wild, retreats, gives way; a degraded pose, no depth, no proposal, a new odom.
+WILD = (0.3, 0.5, 0.3, 0.3, 0.1, 0.1, 0.05, 0.002)
+CALM = (0.3, 0.02, 0.02, 0.02, 0.02, 0.01, 0.02, 0.001)
 
 
 def violation(flown: Setpoint, last: Setpoint, dt_s: float, blocked: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> str:
@@ -77,7 +80,7 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
     rng = np.random.default_rng(seed)
     outcomes: Counter[str] = Counter()
     violations: list[str] = []
-    views = {range_m: Ahead(frame(range_m), HULL_RADIUS_M) for range_m in (0.2, 1.0, 9.0)}
+    views = {range_m: Ahead(frame(range_m), HULL_RADIUS_M) for range_m in (0.2, 1.0, 2.0, 9.0)}
     while outcomes.total() < count:
         free = everything() & (rng.random(GRID.shape) > 0.001)
         free[rng.integers(30, 70), :, :] &= rng.random(GRID.shape[1:]) > 0.5
@@ -91,29 +94,31 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
         now = rng.uniform(0.0, 1e5)
         usual = situation(now, free=space, position_m=place)
         last = guard.clear(None, usual)[0].setpoint
+        goal, calm = rng.uniform(-0.8, 0.8, 3), int(20 * rng.integers(0, 2))  # calm: faults are rare, so that it gets fast
         drawn = zip(
             *(
-                rng.choice(values, PLACES).tolist()
-                for values in (
-                    [DT, DT, DT, 0.0, 0.01, 0.15, -0.2, 0.4],
-                    [0.2, 1.0, 9.0],
-                    [0.0, 0.1, 0.1, 1.0, -5.0],
-                    [0.05, 0.05, 0.05, 0.3, 3.0, math.nan, -9.0],
-                    [0.03, 0.03, 0.03, 0.03, 0.03, 0.03, 0.5],
+                rng.choice(usually * (1 + calm) + seldom, PLACES).tolist()
+                for usually, seldom in (
+                    ([DT, DT, DT], [0.0, 0.01, 0.15, -0.2, 0.4]),
+                    ([9.0], [0.2, 1.0, 2.0]),
+                    ([0.0, 0.1, 0.1], [0.25, 1.0, -5.0]),
+                    ([0.05, 0.05, 0.05], [0.3, 3.0, math.nan, -9.0]),
+                    ([0.03, 0.03, 0.03], [0.5]),
                 )
             ),
-            (rng.random((PLACES, 8)) < [0.3, 0.5, 0.3, 0.3, 0.1, 0.1, 0.05, 0.002]).tolist(),
+            (rng.random((PLACES, 8)) < (CALM if calm else WILD)).tolist(),
             strict=True,
         )
         for dt_s, range_m, frame_age_s, intent_age_s, pose_age_s, chances in drawn:
-            looks, near, retreating, giving_way, slow, unseen, silent, jumped = chances
+            looks, far, retreating, giving_way, slow, unseen, silent, jumped = chances
             now += dt_s
             ahead = copy.copy(views[range_m])
             ahead.stamp_s = now - frame_age_s
             if looks:
                 sight.add(frame(5.0, now), Pose.from_yaw(rng.uniform(-3, 3), last.position_m))
-            if near:
-                way, push = rng.uniform(-0.02, 0.02, 3), rng.uniform(-0.06, 0.06, 3)
+            if not far:
+                way = rng.uniform(-0.01, 0.01, 3)
+                push = np.clip(goal - last.velocity_mps, -0.03, 0.03) if calm else rng.uniform(-0.06, 0.06, 3)
                 p, v, a = last.position_m + last.velocity_mps * dt_s + way, last.velocity_mps + push, rng.uniform(-1, 1, 3)
                 wanted = proposal(p, v, a, last.yaw_rad + rng.uniform(-0.04, 0.04), rng.uniform(-0.9, 0.9))
             else:
