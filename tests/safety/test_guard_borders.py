@@ -123,6 +123,7 @@ def test_a_way_aside_through_what_is_not_known_free_is_refused() -> None:
         ({"intent_age_s": -0.1}, ""),
         ({"intent_age_s": -0.1001}, "mission is silent"),
         ({"map_epoch": 1}, "trajectory is of map epoch 0, pose of 1"),
+        ({"map_epoch": -1}, "trajectory is of map epoch 0, pose of -1"),
     ],
 )
 def test_how_old_a_word_may_be_and_of_which_map(changes: dict[str, Any], reason: str) -> None:
@@ -294,3 +295,31 @@ def test_a_first_place_or_heading_that_is_no_number_is_the_pad_and_ahead() -> No
         held = guard_of().clear(None, situation(0.0, **{"yaw_rad": 0.7, "position_m": (0.5, 0.0, 1.0), **changes}))[0].setpoint
         np.testing.assert_array_equal(held.position_m, ENVELOPE.pad_m)
         assert held.yaw_rad == 0.0
+
+
+@pytest.mark.parametrize(("space_epoch", "reason"), [(999, "is of map epoch 999"), (1000, ""), (1001, "is of map epoch 1001")])
+def test_space_of_another_epoch_older_or_newer_is_not_flown_through(space_epoch: int, reason: str) -> None:
+    wanted = dataclasses.replace(proposal(HERE, (0.02, 0.0, 0.0)), map_epoch=int("1000"))
+    found = refusal(resting(), wanted, 10.1, map_epoch=int("1000"), free=known_free(everything(), epoch=space_epoch))
+    assert reason in found
+    assert bool(found) is bool(reason)
+
+
+def test_one_trajectory_is_one_episode_however_high_its_number() -> None:
+    guard = resting()
+    for n in range(1, 4):
+        refusal(guard, proposal((9.0, 0.0, 1.0), identifier=int("1000")), 10.0 + n * 0.03)
+    assert guard.refusals == 1
+
+
+def test_a_clock_that_goes_back_does_not_speed_up_the_brake() -> None:
+    guard = resting()
+    assert refusal(guard, proposal(HERE, 0.5 * OBLIQUE), 10.45) == ""
+    for now_s in (10.4, 10.0):
+        flown = guard.clear(None, situation(now_s))[0].setpoint
+        np.testing.assert_allclose(flown.position_m, HERE, atol=1e-12)
+        np.testing.assert_allclose(flown.velocity_mps, 0.5 * OBLIQUE, atol=1e-12)
+
+
+def test_four_numbers_are_no_place() -> None:
+    assert refusal(resting(), proposal((*HERE, 0.0)), 10.1) == "setpoint is not finite"

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from rooms import BOUNDS, ENVELOPE, proposal, situation
 
+from uav_recon.safety.guard import _motion_of
 from uav_recon.safety.ladder import Health, Patience
 from uav_recon.safety.posegate import Verdict
 
@@ -21,6 +22,7 @@ VALUES = (
     Verdict(True),
     proposal(),
     situation(0.0),
+    _motion_of(proposal().setpoint, 0.0),
 )
 
 
