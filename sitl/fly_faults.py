@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import multiprocessing
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from sitl.faults.injector import Needs
 from sitl.faults.page import write_page
 from sitl.faults.result import Result, result_of
 from sitl.faults.row import Row
-from sitl.faults.table import ROWS, TABLE
+from sitl.faults.table import NAMED, PAIRS, ROWS, TABLE
 from sitl.fly_case import one_thread
 from sitl.fly_fault import FaultCase, FaultRecord, Stage, fly
 from sitl.fly_options import AUTOPILOTS, UsageError, check_program
@@ -48,10 +48,11 @@ class FaultOptions:
         out: Path | None = None, live: bool = False, firmware: Path | None = None,
     ) -> FaultOptions:  # fmt: skip
         """Check the words of the command line. Raises UsageError with one line."""
-        names = tuple(ROWS) if only is None else tuple(word.strip() for word in only.split(","))
-        unknown = [name for name in names if name not in ROWS]
+        names = None if only is None else tuple(word.strip() for word in only.split(","))
+        unknown = [name for name in names or () if name not in NAMED]
         if unknown:
-            raise UsageError(f"--only {only}: no row {', '.join(unknown)}; there are {', '.join(ROWS)}")
+            there_are = f"{', '.join(row.id for row in TABLE)}, and pairs as {PAIRS[0].id}"
+            raise UsageError(f"--only {only}: no row {', '.join(unknown)}; there are {there_are}")
         if autopilot not in (*AUTOPILOTS, BOTH):
             raise UsageError(f"--autopilot {autopilot}: want one of {', '.join((*AUTOPILOTS, BOTH))}")
         if firmware is not None:
@@ -59,7 +60,8 @@ class FaultOptions:
             if autopilot == BOTH:
                 raise UsageError(f"--autopilot {BOTH}: with --firmware want {' or '.join(AUTOPILOTS)}, which it is")
         personalities, flown = AUTOPILOTS if autopilot == BOTH else (autopilot,), _flown(autopilot, live, firmware)
-        rows = tuple(row for row in TABLE if row.id in names and (flown(row) or not (live or firmware)))
+        wanted = TABLE if names is None else _in_order(names)
+        rows = tuple(row for row in wanted if flown(row) or not (live or firmware))
         if not rows:
             how = "in real time" if firmware is None else f"with a real {autopilot}"
             raise UsageError(f"--only {only}: not flown {how}; {', '.join(r.id for r in TABLE if flown(r))} are")
@@ -83,6 +85,12 @@ class FaultOptions:
         for case in sorted(cases, key=lambda case: (self.autopilots.index(case.autopilot), case.number)):
             groups.setdefault(case.stage, []).append(case)
         return list(groups.values())
+
+
+def _in_order(names: Sequence[str]) -> tuple[Row, ...]:
+    """The rows that are meant, in the order of the table; pairs behind it."""
+    meant = {row.id for name in names for row in NAMED[name]}
+    return tuple(row for row in ROWS.values() if row.id in meant)
 
 
 def _flown(autopilot: str, live: bool, firmware: Path | None) -> Callable[[Row], bool]:

@@ -72,4 +72,8 @@ class DiskFull(Injector):
     def turn(self, at: Theatre, since_s: float) -> None:
         """Space again after the time, or when the motors have stopped: the referee must write too."""
         if since_s > self._for_s or (since_s > 1.0 and not at.world.flyer.truth().armed):
-            resource.setrlimit(resource.RLIMIT_FSIZE, self._before)
+            self.end(at)
+
+    def end(self, at: Theatre) -> None:
+        """As it was."""
+        resource.setrlimit(resource.RLIMIT_FSIZE, self._before)

@@ -6,7 +6,7 @@ import random
 from dataclasses import dataclass, field
 from enum import Flag, auto
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from sitl.faults.link import Late, Tap
 from sitl.faults.obstacle import Obstacle
@@ -53,7 +53,7 @@ class Injector:
     nothing is asked before it. Frames are whole MAVLink frames; an item given back later than now overtakes nothing before.
     """
 
-    needs: ClassVar[Needs] = Needs.NOTHING
+    needs: Needs = Needs.NOTHING
 
     def begin(self, at: Theatre) -> None:
         """The trouble begins."""

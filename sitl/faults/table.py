@@ -1,11 +1,17 @@
-"""All rows, in the order of the hazards' list."""
+"""All rows, in the order of the hazards' list, and what each is called on the command line."""
 
 from __future__ import annotations
 
+import itertools
+
+from sitl.faults.pairs import PAIRED, pair
 from sitl.faults.row import Row
 from sitl.faults.table_ab import TABLE_A, TABLE_B
 from sitl.faults.table_cd import TABLE_C, TABLE_D
 from sitl.faults.table_efg import TABLE_E, TABLE_F, TABLE_G
 
 TABLE: tuple[Row, ...] = (*TABLE_A, *TABLE_B, *TABLE_C, *TABLE_D, *TABLE_E, *TABLE_F, *TABLE_G)
-ROWS = {row.id: row for row in TABLE}
+_PAIRED = [row for row in TABLE if row.id in PAIRED]
+PAIRS: tuple[Row, ...] = tuple(pair(first, second) for first, second in itertools.combinations(_PAIRED, 2))
+ROWS = {row.id: row for row in (*TABLE, *PAIRS)}
+NAMED = {**{name: (row,) for name, row in ROWS.items()}, "G10": PAIRS}

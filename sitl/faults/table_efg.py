@@ -272,5 +272,5 @@ TABLE_G = (
         views=SHORT_VIEWS,
     ),
     Row("G9", "soak", "two hours", why="run apart"),
-    Row("G10", "combinations", "pairs of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2", why="run apart"),
+    Row("G10", "combinations", "two of A1 B1 B4 C1 D2 E1 E5 F2 G2 at once", why="36 pairs: --only G10 flies them"),
 )

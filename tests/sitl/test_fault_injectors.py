@@ -126,7 +126,7 @@ def test_an_obstacle_is_seen_and_felt() -> None:
 
 
 def test_every_row_can_be_flown_or_says_why() -> None:
-    assert len(ROWS) == len(TABLE)
+    assert len({row.id for row in TABLE}) == len(TABLE)
     for row in TABLE:
         assert (row.flown(live=False) or row.flown(live=True)) == bool(row.bars), row.id
         assert row.flown(live=False) != bool(row.why), row.id

@@ -1,0 +1,78 @@
+"""Row G10: two of the table's troubles in one flight; the worse of the two reactions is to win."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import random
+from collections.abc import Sequence
+
+from sitl.faults import measures as m
+from sitl.faults.bars import STREAMS, down, holds, lands
+from sitl.faults.injector import Injector
+from sitl.faults.measures import Measure
+from sitl.faults.postponed import Postponed
+from sitl.faults.row import Bar, Row
+from sitl.faults.trouble import Onset
+
+PAIRED = ("A1", "B1", "B4", "C1", "D2", "E1", "E5", "F2", "G2")  # and D8, where there is a ground station
+APART_S = 1.0  # at most, between the one trouble and the other
+REACTIONS = {  # worst first: what of a row's own bars holds whatever else goes wrong
+    "E1": (Bar("stream ends", m.streams_after, 0.3, "s"),),
+    "D2": (lands(1.3, ardupilot=2.5), down(30.0)),
+    "B1": (lands(1.2), down(30.0)),
+    "E5": (Bar("charge left", m.battery_left, 0.10, "", at_least=True), down(120.0)),
+    "A1": (holds(0.6),),
+}
+_WATCHED_S = 60.0  # where neither asks for a reaction
+
+
+def pair(first: Row, second: Row) -> Row:
+    """Both troubles, the dice say which of them begins and how much later the other comes, in the stricter moment of the two.
+    Held to what the worse of their reactions is held to, counted from its own trouble on.
+    """
+    by_id = {row.id: row for row in (first, second)}
+    worse = next((by_id[name] for name in REACTIONS if name in by_id), None)
+    return Row(
+        f"{first.id}+{second.id}",
+        f"{first.hazard}, {second.hazard}",
+        f"{first.injection}; up to {APART_S:g} s before or after it: {second.injection}",
+        lambda n: _both(first, second, n),
+        (STREAMS, *(_reaction(worse.id) if worse else ())),
+        onset=_stricter(first.onset, second.onset),
+        arena=second.arena if first.arena == "hall" else first.arena,
+        longest_s=worse.longest_s if worse else _WATCHED_S,
+    )
+
+
+def _both(first: Row, second: Row, number: int) -> Sequence[Injector]:
+    """Of the n-th flight of the pair."""
+    dice = random.Random(f"{first.id}+{second.id} {number}")
+    rows = [first, second]
+    dice.shuffle(rows)
+    waits_s = (0.0, dice.uniform(0.0, APART_S))
+    return [
+        Postponed(trouble, wait_s, row.id)
+        for row, wait_s in zip(rows, waits_s, strict=True)
+        for trouble in row.injectors(number)
+    ]
+
+
+def _reaction(row: str) -> list[Bar]:
+    """A row's bars, each told and measured from the moment on that its own trouble began."""
+    return [
+        dataclasses.replace(bar, name=f"{bar.name} after {row}", measure=_since(row, bar.measure)) for bar in REACTIONS[row]
+    ]
+
+
+def _since(row: str, measure: Measure) -> Measure:
+    """NaN where the row's trouble never began."""
+    return lambda e: measure(dataclasses.replace(e, onset_s=e.notes[row])) if row in e.notes else math.nan
+
+
+def _stricter(one: Onset, other: Onset) -> Onset:
+    """A moment that both would take."""
+    return Onset(
+        after_s=(max(one.after_s[0], other.after_s[0]), max(one.after_s[1], other.after_s[1])),
+        speed_mps=max(one.speed_mps, other.speed_mps),
+    )
