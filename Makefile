@@ -1,7 +1,7 @@
 # Short names for the commands of every day; the README and .ci/run do not need them.
 PYTHON ?= .venv/bin/python
 
-.PHONY: install test lint safety hostile sim clean
+.PHONY: install test lint safety hostile soak sim clean
 
 install:
 	python3 -m venv .venv
@@ -33,6 +33,11 @@ hostile:
 	$(PYTHON) tests/autopilot/garbage.py 10000000 500
 	$(PYTHON) tests/mutated_configs.py 200
 	$(PYTHON) tests/safety/hostile.py 1000000
+
+# One flight of two hours with all processes; memory and descriptors once a second, in soak.svg. SOAK=G9-5min is a shorter one.
+SOAK ?= G9-2h
+soak:
+	$(PYTHON) -m uav_recon.cli faults --only $(SOAK) --real-time --autopilot px4 --seeds 1 --out flights/$(SOAK)
 
 sim:
 	$(PYTHON) -m uav_recon.cli sim

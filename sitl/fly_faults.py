@@ -17,6 +17,7 @@ from sitl.faults.injector import Needs
 from sitl.faults.page import write_page
 from sitl.faults.result import Result, result_of
 from sitl.faults.row import Row
+from sitl.faults.soak import SOAKS
 from sitl.faults.table import NAMED, PAIRS, ROWS, TABLE
 from sitl.fly_case import one_thread
 from sitl.fly_fault import FaultCase, FaultRecord, Stage, fly
@@ -51,7 +52,7 @@ class FaultOptions:
         names = None if only is None else tuple(word.strip() for word in only.split(","))
         unknown = [name for name in names or () if name not in NAMED]
         if unknown:
-            there_are = f"{', '.join(row.id for row in TABLE)}, and pairs as {PAIRS[0].id}"
+            there_are = f"{', '.join(row.id for row in (*TABLE, *SOAKS))}, and pairs as {PAIRS[0].id}"
             raise UsageError(f"--only {only}: no row {', '.join(unknown)}; there are {there_are}")
         if autopilot not in (*AUTOPILOTS, BOTH):
             raise UsageError(f"--autopilot {autopilot}: want one of {', '.join((*AUTOPILOTS, BOTH))}")
@@ -88,7 +89,7 @@ class FaultOptions:
 
 
 def _in_order(names: Sequence[str]) -> tuple[Row, ...]:
-    """The rows that are meant, in the order of the table; pairs behind it."""
+    """The rows that are meant, in the order of the table; soaks and pairs behind it."""
     meant = {row.id for name in names for row in NAMED[name]}
     return tuple(row for row in ROWS.values() if row.id in meant)
 

@@ -6,6 +6,7 @@ import itertools
 
 from sitl.faults.pairs import PAIRED, pair
 from sitl.faults.row import Row
+from sitl.faults.soak import SOAKS
 from sitl.faults.table_ab import TABLE_A, TABLE_B
 from sitl.faults.table_cd import TABLE_C, TABLE_D
 from sitl.faults.table_efg import TABLE_E, TABLE_F, TABLE_G
@@ -13,5 +14,5 @@ from sitl.faults.table_efg import TABLE_E, TABLE_F, TABLE_G
 TABLE: tuple[Row, ...] = (*TABLE_A, *TABLE_B, *TABLE_C, *TABLE_D, *TABLE_E, *TABLE_F, *TABLE_G)
 _PAIRED = [row for row in TABLE if row.id in PAIRED]
 PAIRS: tuple[Row, ...] = tuple(pair(first, second) for first, second in itertools.combinations(_PAIRED, 2))
-ROWS = {row.id: row for row in (*TABLE, *PAIRS)}
-NAMED = {**{name: (row,) for name, row in ROWS.items()}, "G10": PAIRS}
+ROWS = {row.id: row for row in (*TABLE, *SOAKS, *PAIRS)}
+NAMED = {**{name: (row,) for name, row in ROWS.items()}, "G9": SOAKS[:1], "G10": PAIRS}

@@ -1,0 +1,64 @@
+"""One process's memory and descriptors over hours: how fast they grow, and what that looks like."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+SETTLING = 0.2  # share of the time in which a process may still take what it needs
+_HOUR_S = 3600.0
+_WIDTH, _HEIGHT, _MARGIN, _LINE = 760.0, 260.0, 40.0, 18.0
+_COLOURS = ("#12805c", "#1f6feb", "#b42318", "#9a6700", "#8250df")
+
+
+@dataclass
+class Track:
+    """Of one process: seconds since the trouble began, megabytes, open descriptors."""
+
+    pid: int
+    since_s: list[float] = field(default_factory=list)
+    memory_mb: list[float] = field(default_factory=list)
+    descriptors: list[int] = field(default_factory=list)
+
+    def mb_per_h(self) -> float:
+        """Slope of the line that fits its memory best, once it has settled; NaN for less than three samples."""
+        after = int(np.searchsorted(self.since_s, SETTLING * self.since_s[-1]))
+        hours, memory_mb = np.array(self.since_s[after:]) / _HOUR_S, np.array(self.memory_mb[after:])
+        if len(hours) < 3:
+            return float("nan")
+        away = hours - hours.mean()
+        return float(away @ memory_mb / (away @ away))
+
+    def more_descriptors(self) -> float:
+        """Fewest in the last tenth of the time above the fewest in the first: one that comes and goes is none."""
+        tenth = max(len(self.descriptors) // 10, 1)
+        return float(min(self.descriptors[-tenth:]) - min(self.descriptors[:tenth]))
+
+
+def draw(tracks: Mapping[str, Track]) -> str:
+    """SVG: megabytes that each has taken since the first sample, over hours; its slope and its descriptors in words."""
+    hours = [np.array(track.since_s) / _HOUR_S for track in tracks.values()]
+    more_mb = [np.array(track.memory_mb) - track.memory_mb[0] for track in tracks.values()]
+    longest_h = max((float(h[-1]) for h in hours), default=1.0) or 1.0
+    low_mb, high_mb = min((float(m.min()) for m in more_mb), default=0.0), max((float(m.max()) for m in more_mb), default=0.0)
+    high_mb = max(high_mb, low_mb + 1.0)  # a megabyte at least: what is flat looks flat
+    lines = [_words(_MARGIN, 16.0, f"megabytes more than at first: {low_mb:.1f} to {high_mb:.1f}, over {longest_h:.2f} hours")]
+    for k, ((name, track), h, m) in enumerate(zip(tracks.items(), hours, more_mb, strict=True)):
+        x = _MARGIN + h / longest_h * (_WIDTH - 2 * _MARGIN)
+        y = _HEIGHT - (m - low_mb) / (high_mb - low_mb) * (_HEIGHT - _MARGIN)
+        points = " ".join(f"{px:.1f},{py:.1f}" for px, py in zip(x.tolist(), y.tolist(), strict=True))
+        colour = _COLOURS[k % len(_COLOURS)]
+        lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}"/>')
+        said = f"{name}: {track.memory_mb[-1]:.1f} MB, {track.mb_per_h():+.2f} MB/h, {track.descriptors[-1]} descriptors"
+        lines.append(_words(_MARGIN, _HEIGHT + _LINE * (k + 1), f"{said}, {track.more_descriptors():+.0f}", colour))
+    height = _HEIGHT + _LINE * (len(tracks) + 1)
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:g} {height:g}" font-family="sans-serif" font-size="13">'
+        f'<rect width="100%" height="100%" fill="#fff"/>{"".join(lines)}</svg>\n'
+    )
+
+
+def _words(x: float, y: float, said: str, colour: str = "#1f2933") -> str:
+    return f'<text x="{x:g}" y="{y:g}" fill="{colour}">{said}</text>'

@@ -1,0 +1,79 @@
+"""Row G9: one flight for hours, in which memory and descriptors of all processes are to stay what they are.
+
+A pilot flies one flight in its life, so the flight itself has to last: the operator holds the vehicle in the air, lets it go
+on now and then while there is something left to explore, and has it land in the end. Its battery stays full.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+
+from sitl.faults import measures as m
+from sitl.faults.bars import NO_FAILSAFE, STEADY, STREAMS, down, lands_no_sooner
+from sitl.faults.body import Battery
+from sitl.faults.footprint import Footprints
+from sitl.faults.injector import Injector, Needs, Theatre
+from sitl.faults.row import Bar, Row
+from sitl.faults.trouble import Onset
+from sitl.leash import leashed
+
+EVERY_S, FOR_S, TIMES = 30.0, 5.0, 10  # so often, for so long and so many times it goes on
+_DOWN_S = 60.0  # from the order to land until the motors stand
+
+
+class Told(Injector):
+    """The operator's orders by the command line, each at its second, with a process of its own."""
+
+    needs = Needs.PROCESSES
+
+    def __init__(self, orders: Sequence[tuple[float, str]]) -> None:
+        self._orders, self._told = list(orders), list[subprocess.Popen[bytes]]()
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Say what is due; nobody waits for an answer."""
+        while self._orders and since_s >= self._orders[0][0]:
+            command = [sys.executable, "-m", "uav_recon.cli", self._orders.pop(0)[1], "--config", str(at.config)]
+            self._told.append(subprocess.Popen(leashed(command), stdout=subprocess.DEVNULL))  # noqa: S603 - our own program
+        self._told = [each for each in self._told if each.poll() is None]
+
+    def end(self, at: Theatre) -> None:
+        """None is left."""
+        for each in self._told:
+            each.wait()
+
+
+def orders(for_s: float) -> list[tuple[float, str]]:
+    """Of a soak that ends after for_s."""
+    goes_s = [EVERY_S * (k + 1) for k in range(TIMES) if EVERY_S * (k + 1) + FOR_S < for_s]
+    pauses = [order for go_s in goes_s for order in ((go_s, "start"), (go_s + FOR_S, "hold"))]
+    return [(0.0, "hold"), *pauses, (for_s, "land")]
+
+
+def soak(name: str, said: str, for_s: float) -> Row:
+    """A row of that length."""
+    return Row(
+        name,
+        f"soak of {said}",
+        "held in the air by the operator with a full battery; every process looked at once a second",
+        bars=(
+            Bar("pilot grows by", m.noted("pilot MB/h"), 1.0, "MB/h"),
+            Bar("perception grows by", m.noted("perception MB/h"), 1.0, "MB/h"),
+            *(Bar(f"{who}'s new descriptors", m.noted(f"{who} descriptors"), 0.0, "") for who in ("pilot", "perception")),
+            Bar("processes that ended", m.noted("ended"), 0.0, ""),
+            lands_no_sooner(for_s),
+            down(for_s + _DOWN_S),
+            STREAMS,
+            STEADY,
+            NO_FAILSAFE,
+        ),
+        onset=Onset((5.0, 5.0), speed_mps=0.0),
+        longest_s=for_s + 2 * _DOWN_S,
+        views=400,
+        why="needs processes: flown in real time",
+        live=lambda n: [Told(orders(for_s)), Battery(1.0), Footprints(for_s)],
+    )
+
+
+SOAKS = (soak("G9-2h", "two hours", 7200.0), soak("G9-5min", "five minutes", 300.0), soak("G9-1min", "one minute", 60.0))
