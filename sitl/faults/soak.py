@@ -51,15 +51,17 @@ def orders(for_s: float) -> list[tuple[float, str]]:
     return [(0.0, "hold"), *pauses, (for_s, "land")]
 
 
-def soak(name: str, said: str, for_s: float) -> Row:
-    """A row of that length."""
+def soak(name: str, said: str, for_s: float, most_mb_per_h: float) -> Row:
+    """A row of that length. most_mb_per_h: of memory; over minutes no slope is seen that is less than what a process takes and
+    gives back from one second to the next.
+    """
     return Row(
         name,
         f"soak of {said}",
         "held in the air by the operator with a full battery; every process looked at once a second",
         bars=(
-            Bar("pilot grows by", m.noted("pilot MB/h"), 1.0, "MB/h"),
-            Bar("perception grows by", m.noted("perception MB/h"), 1.0, "MB/h"),
+            Bar("pilot grows by", m.noted("pilot MB/h"), most_mb_per_h, "MB/h"),
+            Bar("perception grows by", m.noted("perception MB/h"), most_mb_per_h, "MB/h"),
             *(Bar(f"{who}'s new descriptors", m.noted(f"{who} descriptors"), 0.0, "") for who in ("pilot", "perception")),
             Bar("processes that ended", m.noted("ended"), 0.0, ""),
             lands_no_sooner(for_s),
@@ -76,4 +78,8 @@ def soak(name: str, said: str, for_s: float) -> Row:
     )
 
 
-SOAKS = (soak("G9-2h", "two hours", 7200.0), soak("G9-5min", "five minutes", 300.0), soak("G9-1min", "one minute", 60.0))
+SOAKS = (
+    soak("G9-2h", "two hours", 7200.0, 1.0),
+    soak("G9-5min", "five minutes", 300.0, 12.0),
+    soak("G9-1min", "one minute", 60.0, 60.0),
+)

@@ -32,6 +32,7 @@ PROMISES = {
     "F4": "without an origin nothing is armed",
     "G2": "a full disk is not felt",
     "G6": "an unknown firmware is not armed",
+    "A1+B1": "of two troubles the worse is answered: without a pose it lands, whatever the planner does",
 }
 
 
@@ -88,7 +89,7 @@ def test_a_stream_that_dies_breaks_its_bar(tmp_path: Path) -> None:
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("row", ["A8", "A9"])
+@pytest.mark.parametrize("row", ["A8", "A9", "G9-1min"])
 def test_real_processes_in_real_time(row: str) -> None:
     record = fly([FaultCase(row, "px4", 0, live=True)])[0]
     assert not record.trace, record.trace

@@ -16,6 +16,7 @@ from sitl.faults.injector import Depth, Needs, Theatre
 from sitl.faults.pairs import APART_S, PAIRED, REACTIONS
 from sitl.faults.postponed import Postponed
 from sitl.faults.row import Row, judge
+from sitl.faults.soak import SOAKS
 from sitl.faults.table import PAIRS, ROWS, TABLE
 from sitl.faults.tracker import Silence
 from sitl.faults.wires import Loss
@@ -93,7 +94,7 @@ def test_nine_rows_make_thirty_six_pairs_none_with_itself() -> None:
     assert [row.id for row in TABLE if row.id in PAIRED] == list(PAIRED)
     assert len({row.id for row in PAIRS}) == len(PAIRS) == 36
     assert all(len(set(row.id.split("+"))) == 2 for row in PAIRS)
-    assert not set(ROWS) - {row.id for row in (*TABLE, *PAIRS)}
+    assert len(ROWS) == len(TABLE) + len(SOAKS) + len(PAIRS), "no two of one name"
 
 
 def test_a_pair_takes_the_stricter_moment_and_the_place_that_either_needs() -> None:
@@ -152,7 +153,7 @@ def test_pairs_are_flown_by_their_rows_name_and_not_by_default() -> None:
     assert "--only G10" in ROWS["G10"].why
     groups = FaultOptions.parse(only="G10", seeds=5).groups()
     assert (len(groups), sum(map(len, groups))) == (2 * 5 * 2, 2 * 5 * 36), "hall and pen of each seed and autopilot"
-    with pytest.raises(UsageError, match=r"no row D8\+E1; there are A1.*G10, and pairs as A1\+B1"):
+    with pytest.raises(UsageError, match=r"no row D8\+E1; there are A1.*G10, G9-2h.* and pairs as A1\+B1"):
         FaultOptions.parse(only="D8+E1")
     with pytest.raises(UsageError, match="G10: not flown in real time"):
         FaultOptions.parse(only="G10", live=True)

@@ -157,14 +157,14 @@ def test_orders_are_given_once_by_the_command_line_and_nobody_is_left(tmp_path: 
 
 def test_a_soak_is_held_to_flat_memory_descriptors_and_its_length() -> None:
     """The flight of the evidence lands 10 s after the moment."""
-    row = soak("X", "ten seconds", 9.5)
+    row = soak("X", "ten seconds", 9.5, 1.0)
     assert judge(row, evidence(notes=FLAT), []).passed(row, "px4")
     for name in FLAT:
         assert not judge(row, evidence(notes=FLAT | {name: 1.1}), []).passed(row, "px4"), name
         without = {key: value for key, value in FLAT.items() if key != name}
         assert not judge(row, evidence(notes=without), []).passed(row, "px4"), f"without {name}"
     assert not judge(row, evidence(notes=FLAT | {"pilot MB/h": math.nan}), []).passed(row, "px4")
-    longer = soak("X", "eleven seconds", 11.0)
+    longer = soak("X", "eleven seconds", 11.0, 1.0)
     assert not judge(longer, evidence(notes=FLAT), []).passed(longer, "px4"), "it was cut short"
     flown = evidence(notes=FLAT)
     thin = flown.wire.setpoint_s[(flown.wire.setpoint_s < ONSET_S + 3.0) | (np.arange(len(flown.wire.setpoint_s)) % 2 == 0)]
@@ -179,3 +179,4 @@ def test_a_soak_is_flown_by_its_rows_name_in_real_time_alone_and_not_by_default(
     assert FaultOptions.parse(only="G9-5min").cases(ROWS["G9-5min"], "px4") == []
     assert "G9" in {row.id for row in TABLE}
     assert "--only G9 --real-time" in ROWS["G9"].why
+    assert [bar.limit for bar in ROWS["G9-2h"].bars[:2]] == [1.0, 1.0], "megabytes an hour"
