@@ -177,7 +177,7 @@ TABLE_D = (
         lambda n: [Repeated(0.5)],
         (Bar("arm commands", m.arm_tries, 1.0, ""), NO_FAILSAFE, COMPLETES),
         onset=Onset((0.0, 0.0), at_boot=True),
-        longest_s=150.0,
+        longest_s=240.0,
         views=SHORT_VIEWS,
     ),
     Row(

@@ -33,7 +33,7 @@ PARAMETERS = (  # of either firmware, with values that come with it
     (("COM_OBL_RC_ACT", 0), ("FS_GCS_ENABLE", 0)),
     (("COM_OF_LOSS_T", 5.0), ("FS_GCS_TIMEOUT", 5)),
     (("COM_LOW_BAT_ACT", 0), ("BATT_FS_LOW_ACT", 0)),
-    (("NAV_RCL_ACT", 2), ("FS_THR_ENABLE", 1)),
+    (("NAV_RCL_ACT", 2), ("FS_THR_ENABLE", 0)),
     (("MPC_XY_VEL_MAX", 12.0), ("WP_SPD", 10.0)),
     (("EKF2_EV_CTRL", 0), ("VISO_TYPE", 0)),
     (("GF_ACTION", 2), ("FENCE_ACTION", 1)),

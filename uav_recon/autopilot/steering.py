@@ -17,7 +17,7 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
 _WAYS = 3  # ways back that are tried, each from rest: what refused the last may have passed, a late pose or a late turn of ours
-_ASTRAY_M = 0.35  # level, off the newest setpoint: something pushes it. Untroubled flights stay within 0.1 m
+_ASTRAY_M = 0.35  # level, ahead of or beside the newest setpoint: something pushes it. Untroubled flights stay within 0.1 m
 _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
 
 
@@ -85,10 +85,15 @@ class Steering:
         return cleared, refusal
 
     def _off_its_way_m(self, situation: Situation) -> float:
+        """Level, from where it is told to be: ahead of it or beside it. Behind its setpoints it is late, and not pushed."""
         if self._flown is None:
             return 0.0
-        (x, y, _), (told_x, told_y, _) = situation.position_m, self._flown.position_m.tolist()
-        return math.hypot(x - told_x, y - told_y)
+        off_m = (np.array(situation.position_m) - self._flown.position_m)[:2]
+        speed_mps = math.hypot(*self._flown.velocity_mps[:2])
+        if speed_mps > 0.0:
+            onward = self._flown.velocity_mps[:2] / speed_mps
+            off_m = off_m - min(float(off_m @ onward), 0.0) * onward
+        return math.hypot(*off_m)
 
     def _gives_way(self, situation: Situation) -> bool:
         """Whether something near decides what is flown: it came all of a sudden, or the vehicle is still stepping aside."""
