@@ -180,8 +180,8 @@ def test_pushed_off_its_way_it_is_led_no_further_and_flies_on_when_the_push_is_o
 
 def test_held_back_on_its_way_it_is_late_and_not_off_it(hovering: Rig) -> None:
     hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 3)
-    hovering.vehicle.outside_mps2 = (-3.5, 0.0, 0.0)
-    hovering.run(0.8)
+    hovering.vehicle.outside_mps2 = (-2.5, 0.0, 0.0)
+    hovering.run(0.9)
     _, places = setpoints(hovering, hovering.clock.now_s() - 0.1)
     assert places[-1][0] - hovering.px4.truth().position[0] > 0.4
     assert "off its way" not in hovering.state.note
