@@ -31,7 +31,7 @@ LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _AUTO_LAND))
 
 CLOCK_ANSWERS = 500  # until PX4 believes stamps: fifty seconds
 MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
-UNKNOWN_VERSION = (1, 18, 0)
+UNKNOWN_VERSION = (1, 18, 0)  # what it does with our words is not known: AUTOPILOTS reads up to 1.17
 
 STREAMS_HZ = (
     (0, 10.0),  # HEARTBEAT: a human's mode is to be seen at once

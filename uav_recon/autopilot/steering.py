@@ -17,7 +17,7 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
 _WAYS = 3  # ways back that are tried, each from rest: what refused the last may have passed, a late pose or a late turn of ours
-_ASTRAY_M = 0.35  # level, ahead of or beside the newest setpoint: something pushes it. Untroubled flights stay within 0.1 m
+_ASTRAY_M = 0.35  # level, ahead of or beside the newest setpoint: something pushes it. Untroubled: within 0.15 m
 _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
 
 

@@ -9,6 +9,7 @@ from uav_recon.types.frames import AnyArray, FloatArray
 
 FEWEST = 60  # points that both see, for a verdict
 _ROWS, _COLUMNS = 18, 24  # points of a picture
+_NEAREST_M = 0.1  # a place so near, or behind, is in no picture
 MOST = _ROWS * _COLUMNS
 _SPAN_PX = 2  # from a point to those that its normal is taken from
 _FIT_M, _FIT_SHARE = 0.06, 0.03  # a residual of so much, and so much of the range, is none: noise and pose together
@@ -55,6 +56,29 @@ def surface(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyA
 
 
 @kernel
+def _seen_at(point: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> tuple[int, int, float]:
+    """Column and row at which a place is seen, and its depth (m); -1, -1 for one that is in no picture."""
+    dx, dy, dz = point[0] - place[0], point[1] - place[1], point[2] - place[2]
+    deep = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+    if deep < _NEAREST_M:
+        return -1, -1, deep
+    u = int(np.rint((rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / deep * camera[0] + camera[2]))
+    v = int(np.rint((rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / deep * camera[1] + camera[3]))
+    return u, v, deep
+
+
+@kernel
+def _off_m(point: AnyArray, u: int, v: int, z: float, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
+    """How far a return of depth z (m) on the ray of a pixel lies before the surface through a point (6,), along its normal."""
+    x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+    off_m = 0.0
+    for i in range(3):
+        there = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
+        off_m += (there - point[i]) * point[3 + i]
+    return off_m
+
+
+@kernel
 def residuals(
     points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray
 ) -> tuple[AnyArray, int]:
@@ -67,23 +91,14 @@ def residuals(
         dx, dy, dz = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
         reach_m = max(reach_m, _WITHIN * (rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz))
     for n in range(points.shape[0]):
-        dx, dy, dz = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
-        deep = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-        if deep < 0.1:
-            continue
-        u = int(np.rint((rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / deep * camera[0] + camera[2]))
-        v = int(np.rint((rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / deep * camera[1] + camera[3]))
+        u, v, deep = _seen_at(points[n], camera, rotation, place)
         if not (0 <= u < width and 0 <= v < height):
             continue
         z = float(depth_m[v, u])
         if not np.isfinite(z):
             gone += int(deep <= reach_m)
             continue
-        x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
-        off_m = 0.0
-        for i in range(3):
-            there = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
-            off_m += (there - points[n, i]) * points[n, 3 + i]
+        off_m = _off_m(points[n], u, v, z, camera, rotation, place)
         out[number, 0], out[number, 1], out[number, 2] = off_m, _FIT_M + _FIT_SHARE * z, z - deep
         out[number, 3:] = points[n, 3:]
         number += 1
@@ -92,9 +107,10 @@ def residuals(
 
 @kernel
 def gain_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
-    """By what share fewer of the points (N, 6) of another picture misfit this one where it is read so many columns or rows
-    aside; zero or below for a picture that lies where it should.
+    """Share of the points (N, 6) of another picture from whose place this one has gone back, less the share that misfits it
+    read some columns or rows aside, for the best of these; zero for a picture that lies where it should.
 
+    Only what is farther than it should be speaks for a shift: what comes into view stands before something.
     A wall that is looked at squarely and the floor look the same aside: they speak neither for it nor against it.
     """
     straight, _ = _misfit(points, depth_m, camera, rotation, place, 0, 0)
@@ -114,18 +130,13 @@ def gain_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: 
 def _misfit(
     points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray, across: int, down: int
 ) -> tuple[float, float]:
-    """Shares of the points off the surface that is seen where they should be, and so many columns and rows beside, of those
-    that have a return at both; zero where these are too few.
+    """Shares of the points off the surface that is seen, of those that have a return at both places: where they should be, and
+    what is seen there is farther; and, nearer or farther, so many columns and rows beside. Zero where these are too few.
     """
     height, width = depth_m.shape
     count, off = 0, np.zeros(2)
     for n in range(points.shape[0]):
-        dx, dy, dz = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
-        deep = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-        if deep < 0.1:
-            continue
-        u = int(np.rint((rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / deep * camera[0] + camera[2]))
-        v = int(np.rint((rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / deep * camera[1] + camera[3]))
+        u, v, deep = _seen_at(points[n], camera, rotation, place)
         if not (0 <= u < width and 0 <= v < height and 0 <= u + across < width and 0 <= v + down < height):
             continue
         if not np.isfinite(depth_m[v, u] + depth_m[v + down, u + across]):
@@ -133,11 +144,7 @@ def _misfit(
         count += 1
         for k in range(2):
             z = float(depth_m[v + k * down, u + k * across])
-            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
-            residual_m = 0.0
-            for i in range(3):
-                there = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
-                residual_m += (there - points[n, i]) * points[n, 3 + i]
+            residual_m = _off_m(points[n], u, v, z, camera, rotation, place)
             off[k] += int(abs(residual_m) > _SHARP_M + _SHARP_PER_M * z * z and (k == 1 or z > deep))
     return (off[0] / count, off[1] / count) if count >= FEWEST else (0.0, 0.0)
 
