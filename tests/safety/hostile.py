@@ -87,7 +87,7 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
         space, blocked = known_free(free), GRID.centre(np.argwhere(~free))
         start = rng.uniform([-0.5, -1.5, 0.3], [4.5, 1.5, 2.0])
         place = (float(start[0]), float(start[1]), float(start[2]))
-        if not space.admits(place, place) or space._touched(space._in_voxels(place)):
+        if any(space._touched(space._in_voxels(place), space._in_voxels(place))):
             continue
         sight = Sight(10.0, HULL_RADIUS_M)
         guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=0.3 if rng.random() < 0.5 else 1.0), sight=sight)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+import operator
+from collections.abc import Iterator
 
 from uav_recon.safety.envelope import Vec3
 from uav_recon.types.maps import FreeSpace
@@ -11,6 +13,7 @@ from uav_recon.types.maps import FreeSpace
 _Index = tuple[int, int, int]
 
 _ROUNDING = 1e-9
+_STANDING = 1e-30  # square of a leg so short that it stands
 
 
 class KnownFree:
@@ -28,34 +31,33 @@ class KnownFree:
     def admits(self, *way_m: Vec3) -> bool:
         """Whether the hull may go along straight legs through these places (odom, m).
 
-        It touches nothing that is not known free, but for voxels that it touches already and does not come nearer to:
+        It touches nothing that is not known free, but for voxels that it touches already and that no leg goes nearer to:
         a map that grows a ghost beside a hovering vehicle shall not keep it there.
         """
         way = [self._in_voxels(place_m) for place_m in way_m]
-        touched = self._touched(way[0])
-        for a, b in itertools.pairwise(way):
-            steps = max(math.ceil(2.0 * math.dist(a, b)), 1)
-            for n in range(steps + 1):
-                share = n / steps
-                here = (a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share)
-                for voxel in self._touched(here):
-                    if voxel not in touched or math.dist(voxel, here) < math.dist(voxel, way[0]) - _ROUNDING:
-                        return False
-        return True
+        touched = set(self._touched(way[0], way[0]))
+        return not any(
+            voxel not in touched or sum((q - p) * (v - p) for p, q, v in zip(a, b, voxel, strict=True)) > _ROUNDING
+            for a, b in itertools.pairwise(way)
+            for voxel in self._touched(a, b)
+        )
 
-    def _touched(self, centre: Vec3) -> set[_Index]:
-        """Voxels in a hull there that are not known free."""
-        x, y, z = centre
-        wide, high = self._wide + _ROUNDING, self._high + _ROUNDING
-        layers = range(math.ceil(z - high), math.floor(z + high) + 1)
-        return {
-            (i, j, k)
-            for i in range(math.ceil(x - wide), math.floor(x + wide) + 1)
-            for j in range(math.ceil(y - wide), math.floor(y + wide) + 1)
-            if math.hypot(i - x, j - y) <= wide
-            for k in layers
-            if not self._is_free(i, j, k)
-        }
+    def _touched(self, a: Vec3, b: Vec3) -> Iterator[_Index]:
+        """Voxels that are not known free in a hull that goes from a to b: of each column what it passes while the column is
+        within its radius, from root to root of |column - a - share (b - a)| = radius.
+        """
+        wide, high, (x, y, z), (dx, dy, dz) = self._wide + _ROUNDING, self._high + _ROUNDING, a, map(operator.sub, b, a)
+        square = dx * dx + dy * dy + _STANDING
+        for i in range(math.ceil(min(x, b[0]) - wide), math.floor(max(x, b[0]) + wide) + 1):
+            for j in range(math.ceil(min(y, b[1]) - wide), math.floor(max(y, b[1]) + wide) + 1):
+                along = (i - x) * dx + (j - y) * dy
+                root2 = along * along - square * ((i - x) ** 2 + (j - y) ** 2 - wide * wide)
+                root = math.sqrt(max(root2, 0.0))
+                first, last = max((along - root) / square, 0.0), min((along + root) / square, 1.0)
+                if root2 >= 0.0 and first <= last:
+                    low, top = sorted((z + dz * first, z + dz * last))
+                    layers = range(math.ceil(low - high), math.floor(top + high) + 1)
+                    yield from ((i, j, k) for k in layers if not self._is_free(i, j, k))
 
     def _is_free(self, i: int, j: int, k: int) -> bool:
         nx, ny, nz = self._shape
