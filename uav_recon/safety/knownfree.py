@@ -35,11 +35,10 @@ class KnownFree:
         a map that grows a ghost beside a hovering vehicle shall not keep it there.
         """
         way = [self._in_voxels(place_m) for place_m in way_m]
-        touched = set(self._touched(way[0], way[0]))
-        return not any(
-            voxel not in touched or sum((q - p) * (v - p) for p, q, v in zip(a, b, voxel, strict=True)) > _ROUNDING
-            for a, b in itertools.pairwise(way)
-            for voxel in self._touched(a, b)
+        met = ((a, b, voxel) for a, b in itertools.pairwise(way) for voxel in self._touched(a, b))
+        return all(
+            c in self._touched(way[0], way[0]) and sum((q - p) * (r - p) for p, q, r in zip(a, b, c, strict=True)) <= _ROUNDING
+            for a, b, c in met
         )
 
     def _touched(self, a: Vec3, b: Vec3) -> Iterator[_Index]:
@@ -61,10 +60,9 @@ class KnownFree:
 
     def _is_free(self, i: int, j: int, k: int) -> bool:
         nx, ny, nz = self._shape
-        if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz):
-            return False
         bit = (i * ny + j) * nz + k
-        return self._bits[bit >> 3] >> (7 - (bit & 7)) & 1 == 1
+        inside = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
+        return inside and self._bits[bit >> 3] >> (7 - (bit & 7)) & 1 == 1
 
     def _in_voxels(self, place_m: Vec3) -> Vec3:
         """In voxel edges, a whole number at the centre of each voxel."""
