@@ -18,7 +18,9 @@ from sitl.raster import Renderer
 from sitl.scene import Scene
 from sitl.visibility import TruthCut, load_truth_cut
 from uav_recon import run
+from uav_recon.config import Config
 from uav_recon.evaluation import metrics
+from uav_recon.evaluation.lookahead import Lookahead, lookahead
 from uav_recon.evaluation.recall import ElementRecall, time_to
 from uav_recon.evaluation.surface import Surface
 from uav_recon.recording.debrief import FlightCard, account, publish
@@ -39,6 +41,7 @@ class TruthOfFlight:
 
     stamp_s: F64
     position_m: F64
+    quat_wxyz: F64
     hull_m: F64
     armed: NDArray[np.bool_]
     setpoint_arrivals_s: F64
@@ -51,8 +54,8 @@ class TruthOfFlight:
             return None
         with np.load(path) as data:
             return TruthOfFlight(
-                data["stamp_s"], data["position_m"], data["hull_m"], data["armed"], data["setpoint_arrivals_s"],
-                len(data["failsafes"]),
+                data["stamp_s"], data["position_m"], data["quat_wxyz"], data["hull_m"], data["armed"],
+                data["setpoint_arrivals_s"], len(data["failsafes"]),
             )  # fmt: skip
 
 
@@ -90,7 +93,7 @@ def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -
         path_length_m=_path_length_m(truth),
         flight_time_s=_flight_time_s(truth),
         stream=_stream(truth),
-        safety=_safety(truth, report.safety.refusals, scene),
+        safety=_safety(truth, report.safety.refusals, scene, _lookahead(truth, run.load_config(options.out / "config.toml"))),
     )
 
 
@@ -174,7 +177,17 @@ def _stream(truth: TruthOfFlight) -> ReportStream:
     return ReportStream(found.rate_hz, found.gap_p99_ms, found.gap_max_ms)
 
 
-def _safety(truth: TruthOfFlight, refusals: int, scene: Scene) -> ReportSafety:
+def _lookahead(truth: TruthOfFlight, config: Config) -> Lookahead:
+    """Where a gimbal looked is not in the truth."""
+    camera = config.camera
+    if camera.mount == "gimbal":
+        return Lookahead(None, None)
+    down_rad, wide_rad, high_rad = np.radians([camera.pitch_down_deg, camera.horizontal_fov_deg, camera.vertical_fov_deg])
+    armed = truth.armed
+    return lookahead(truth.stamp_s[armed], truth.position_m[armed], truth.quat_wxyz[armed], down_rad, (wide_rad, high_rad))
+
+
+def _safety(truth: TruthOfFlight, refusals: int, scene: Scene, looked: Lookahead) -> ReportSafety:
     hull_m = truth.hull_m[np.isfinite(truth.hull_m)]
     touching = hull_m < CONTACT_M
     contacts = int(np.count_nonzero(touching[1:] & ~touching[:-1]) + (len(touching) > 0 and bool(touching[0])))
@@ -184,6 +197,8 @@ def _safety(truth: TruthOfFlight, refusals: int, scene: Scene) -> ReportSafety:
         min_clearance_m=float(hull_m.min()) if len(hull_m) else None,
         fence_overshoot_m=float(max(outside.max(), 0.0)),
         contacts=contacts,
+        way_in_sight=looked.seen,
+        way_in_sight_nose_first=looked.nose_first,
         refusals=refusals,
         failsafes=truth.failsafes,
     )

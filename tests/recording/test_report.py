@@ -35,7 +35,10 @@ def tree() -> dict[str, Any]:
         },
         "planning": {"explore": times, "merged": copy.deepcopy(times), "total_s": 2.4, "hover_wait_s": 0.3},
         "stream": {"rate_hz": 29.97, "gap_p99_ms": 38.0, "gap_max_ms": 70.0},
-        "safety": {"min_clearance_m": 0.184, "fence_overshoot_m": 0.0, "contacts": 0, "refusals": 0, "failsafes": 0},
+        "safety": {
+            "min_clearance_m": 0.184, "fence_overshoot_m": 0.0, "contacts": 0, "way_in_sight": 0.24,
+            "way_in_sight_nose_first": 0.86, "refusals": 0, "failsafes": 0,
+        },
         "refused_views": {"no depth": 2, "memory is full": 11},
     }  # fmt: skip
 

@@ -48,6 +48,9 @@ def test_the_mission_is_completed_without_contact(flights: list[Flight]) -> None
         assert report.safety.fence_overshoot_m == 0.0
         assert report.safety.min_clearance_m is not None
         assert report.safety.min_clearance_m >= 0.10
+        assert report.safety.way_in_sight is not None
+        assert report.safety.way_in_sight_nose_first is not None
+        assert 0.0 <= report.safety.way_in_sight < report.safety.way_in_sight_nose_first < 1.0
 
 
 def test_the_model_is_metric_where_it_was_seen(flights: list[Flight]) -> None:

@@ -58,7 +58,7 @@ def account(folder: Path, card: FlightCard, wall_s: float) -> Report:
         quality=None,
         planning=_planning(timeline),
         stream=ReportStream(None, None, None),
-        safety=ReportSafety(None, None, None, refusals=len(timeline.refusals), failsafes=0),
+        safety=ReportSafety(None, None, None, None, None, refusals=len(timeline.refusals), failsafes=0),
         refused_views=dict(timeline.refused_views[-1].counts) if timeline.refused_views else None,
     )
 

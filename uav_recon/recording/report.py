@@ -78,11 +78,15 @@ class ReportStream:
 
 @dataclass(frozen=True, slots=True)
 class ReportSafety:
-    """Clearance and contacts of the hull by the simulator's truth (null without one), and what was turned down."""
+    """Clearance and contacts of the hull by the simulator's truth (null without one), and what was turned down; the share of
+    the way into which the camera looked, and would have looked nose first (null without truth, or with a gimbal).
+    """
 
     min_clearance_m: float | None
     fence_overshoot_m: float | None
     contacts: int | None
+    way_in_sight: float | None
+    way_in_sight_nose_first: float | None
     refusals: int
     failsafes: int
 

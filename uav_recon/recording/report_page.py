@@ -167,6 +167,8 @@ def _safety(report: Report) -> str:
             ("Contacts", _number(safety.contacts, 0, "")),
             ("Over the fence by", _number(safety.fence_overshoot_m, 3, " m")),
             ("Proposals the guard refused", str(safety.refusals)),
+            ("Way into the camera's sight", _percent(safety.way_in_sight)),
+            ("... with the nose ahead it would be", _percent(safety.way_in_sight_nose_first)),
             ("Failsafes", str(safety.failsafes)),
             ("Setpoint rate", _number(stream.rate_hz, 1, " Hz")),
             ("Gap, 99th percentile", _number(stream.gap_p99_ms, 0, " ms")),
