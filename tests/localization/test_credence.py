@@ -7,7 +7,8 @@ import copy
 import numpy as np
 import pytest
 
-from uav_recon.localization.credence import Credence
+from uav_recon.localization.credence import Credence, _moved
+from uav_recon.localization.witness import Agreement
 from uav_recon.types.camera import Frame, Intrinsics, body_from_camera
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -157,3 +158,18 @@ def test_a_jump_of_odom_itself_begins_anew(flight: Flight) -> None:
     frame = Frame(flight.n * PERIOD_S, flight.n, 0.5 * _depth(here), LENS, np.zeros((2, 2, 3), np.uint8), LENS, here)
     assert not flight.see(lambda depth_m: 0.5 * depth_m)
     assert flight.credence.believes(frame, here, 1)
+
+
+def _told(explained: float = 0.92, shift_m: float = 0.2, count: int = 150, age_s: float = 28.0) -> Agreement:
+    return Agreement(count, 0.45, 0.55, 0.0, np.array([0.0, shift_m, 0.0]), np.diag([0.03, 0.84, 0.05]), explained, age_s)
+
+
+def test_one_view_alone_does_not_tell_of_a_drift() -> None:
+    """As it was in two_rooms: what the oldest view saw of a wall now has something before it; the next explains half of it."""
+    assert _moved(iter([_told(), _told(0.95), _told(0.5)]), 0.9) == "surfaces stand 0.20 m off where they stood 28 s ago"
+    assert _moved(iter([_told(), _told(0.53)]), 0.9) == ""
+    assert _moved(iter([_told(), _told(shift_m=0.14)]), 0.9) == ""
+    assert _moved(iter([_told(), _told(count=99)]), 0.9) == ""
+    assert _moved(iter([_told(0.53), _told(), _told()]), 0.9) == ""
+    assert _moved(iter([_told()]), 0.9) == ""
+    assert _moved(iter([]), 0.9) == ""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -20,6 +22,7 @@ _ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; ho
 _DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
 _MANY, _EXPLAINED = 100, 0.75  # points there are, and the share of them that it explains: a person explains fewer
 _MOST = 0.9  # the same where much may have come between
+_TOLD = 2  # views that say it
 _SEEN_THROUGH = 0.4  # of the points of an older picture are not there: more than a person leaves behind; honest: 0.10
 _CREEP_MPS = 0.015  # honest: 0.006, and once 0.010 on the pad
 _RUNNING = 3  # pictures in a row that say so
@@ -49,7 +52,7 @@ class Credence:
             self._witness.forget()
             self._creep.forget()
         seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
-        newest, overlapping = self._witness.of_newest(*seen), self._witness.of_oldest(*seen, OVERLAPPING)
+        newest, overlapping = self._witness.of_newest(*seen), next(self._witness.of_oldest(*seen, OVERLAPPING), None)
         alone, frozen = lone_share(frame.depth_m) > _ALONE, self._frozen(frame.depth_m, odom_from_depth)
         asked = newest is not None and (newest.age_s <= _MOMENT_S or not self._believed)
         aside = asked and self._witness.gain_aside(*seen[1:]) > _ASIDE
@@ -57,10 +60,10 @@ class Credence:
         unasked = newest is None and (self._believed or not self._witness.remembers)
         self._believed = not (alone or frozen or aside) and (fits or unasked)
         if self._believed:
-            alike, lately = self._witness.of_oldest(*seen, ALIKE), self._witness.of_oldest(*seen, ALIKE_LATELY)
-            self._creep.hear(frame.stamp_s, self._witness.of_oldest(*seen, ALIKE_JUST_NOW))
-            moved = _moved(alike) or _moved(lately) or _moved(overlapping, _MOST) or _seen_through(overlapping)
-            self._hear(frame.stamp_s, moved or self._crept())
+            self._creep.hear(frame.stamp_s, next(self._witness.of_oldest(*seen, ALIKE_JUST_NOW), None))
+            bars = ((ALIKE, _EXPLAINED), (ALIKE_LATELY, _EXPLAINED), (OVERLAPPING, _MOST))
+            moved = (_moved(self._witness.of_oldest(*seen, likeness), bar) for likeness, bar in bars)
+            self._hear(frame.stamp_s, next(filter(None, moved), "") or _seen_through(overlapping) or self._crept())
             self._witness.remember(*seen)
         return self._believed
 
@@ -106,12 +109,18 @@ def _follows(then: Agreement | None) -> bool:
     return then.nearer <= _HIDDEN and (then.nearer + then.farther <= _MISFIT or then.farther <= _SOME)
 
 
-def _moved(then: Agreement | None, explained: float = _EXPLAINED) -> str:
-    """What the surfaces of another view say of the pose, '' for nothing."""
-    moved_m = 0.0 if then is None else float(np.linalg.norm(then.shift_m))
-    if then is None or moved_m < _DRIFT_M or then.explained < explained or then.count < _MANY:
+def _moved(oldest: Iterator[Agreement], explained: float) -> str:
+    """What the surfaces of the two oldest views say of the pose, '' for nothing. One alone errs: where something stands before
+    a wall, as far from it as a drift would be, all that both pictures see may fit the shift.
+    """
+
+    def says(then: Agreement) -> bool:
+        return then.explained >= explained and then.count >= _MANY and float(np.linalg.norm(then.shift_m)) >= _DRIFT_M
+
+    told = list(itertools.islice(itertools.takewhile(says, oldest), _TOLD))
+    if len(told) < _TOLD:
         return ""
-    return f"surfaces stand {moved_m:.2f} m off where they stood {then.age_s:.0f} s ago"
+    return f"surfaces stand {np.linalg.norm(told[0].shift_m):.2f} m off where they stood {told[0].age_s:.0f} s ago"
 
 
 def _seen_through(then: Agreement | None) -> str:

@@ -113,13 +113,12 @@ class Witness:
 
     def of_oldest(
         self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, likeness: Likeness
-    ) -> Agreement | None:
-        """With the oldest that looks at the same; None for none."""
+    ) -> Iterator[Agreement]:
+        """With those that look at the same, the oldest first; each is compared when it is asked for."""
         for view in self._alike(stamp_s, odom_from_depth, likeness):
             found = _compared(view, stamp_s, depth_m, lens, odom_from_depth)
             if found is not None:
-                return found
-        return None
+                yield found
 
     def gain_aside(self, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
         """By what share more of the newest picture that was believed fits one that lies aside; of pictures a moment apart."""
