@@ -147,3 +147,37 @@ def test_each_leg_of_a_way_counts() -> None:
     assert not space.admits(first, blocked, last)
     assert not space.admits(first, last, blocked)
     assert space.admits(first, last, first)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_far_beyond_the_grid_nothing_is_known_either(axis: int, side: int) -> None:
+    """From outside to farther outside: what the hull touches at the start does not count, what it comes to does."""
+    place = GRID.centre(np.array(GRID.shape) // 2)
+    place[axis] = GRID.centre(np.array(GRID.shape) * (1 + side) // 2)[axis] + side * 1.0
+    farther = place.copy()
+    farther[axis] += side * 0.5
+    assert not OPEN.admits(tuple(place.tolist()), tuple(farther.tolist()))
+    assert OPEN.admits(tuple(place.tolist()), tuple(place.tolist()))
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize(("radius_m", "height_m"), [(0.25, 0.25), (0.33, 0.1)])
+def test_a_hull_of_any_size_passes_a_voxel_by_or_does_not(axis: int, side: int, radius_m: float, height_m: float) -> None:
+    free = everything()
+    free[30, 30, 20] = False
+    centre = GRID.centre(np.array([30, 30, 20]))
+    space = KnownFree(FreeSpace(GRID, np.packbits(free), 1, 0), radius_m, height_m)
+    for beyond_m, may in ((0.001, True), (-0.001, False)):
+        a = centre.copy()
+        a[axis] += side * (radius_m + beyond_m)
+        a[1 - axis] -= 0.7
+        b = a.copy()
+        b[1 - axis] += 1.4
+        assert space.admits(tuple(a.tolist()), tuple(b.tolist())) is may
+        over = centre + np.array([0.0, 0.0, side * (height_m / 2 + beyond_m)])
+        start, end = over.copy(), over.copy()
+        start[axis] -= 0.7
+        end[axis] += 0.7
+        assert space.admits(tuple(start.tolist()), tuple(end.tolist())) is may

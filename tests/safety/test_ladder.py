@@ -61,6 +61,14 @@ def test_from_holding_it_comes_up_at_once_from_retreating_after_two_healthy_seco
     assert ladder.step(health(7.0)) == (Rung.FLY, "")
     assert ladder.step(health(8.0, pose_age_s=2.0))[0] is Rung.LAND
     assert ladder.step(health(99.0)) == (Rung.LAND, "no pose for 2.0 s")
+    assert ladder.step(health(102.0)) == (Rung.LAND, "no pose for 2.0 s"), "however long it has been healthy"
+
+
+def test_a_retreat_is_left_once_it_was_healthy_for_longer_than_it_must_be() -> None:
+    ladder = Ladder(PATIENCE)
+    assert ladder.step(health(0.0, intent_age_s=6.0))[0] is Rung.RETREAT
+    assert ladder.step(health(1.0))[0] is Rung.RETREAT
+    assert ladder.step(health(3.5)) == (Rung.FLY, "")
 
 
 def test_a_push_over_the_fence_may_last_three_seconds() -> None:
@@ -80,8 +88,12 @@ def test_three_refusals_in_a_second_are_not_listened_to_for_two() -> None:
     assert ladder.step(health(1.1, refusals=43)) == (Rung.HOLD, "3 refusals in a second")
     assert ladder.step(health(2.1, refusals=43))[0] is Rung.HOLD
     assert ladder.step(health(2.2, refusals=43))[0] is Rung.FLY
+    for n in range(3):
+        ladder.step(health(5.0 + 0.3 * n, refusals=44 + n))
+    assert ladder.step(health(5.7, refusals=46)) == (Rung.HOLD, "3 refusals in a second"), "within less than one too"
+    assert ladder.step(health(7.7, refusals=46))[0] is Rung.FLY
     for n in range(6):
-        assert ladder.step(health(10.0 + 0.6 * n, refusals=44 + n))[0] is Rung.FLY, "slower than that is a mission at work"
+        assert ladder.step(health(10.0 + 0.6 * n, refusals=47 + n))[0] is Rung.FLY, "slower than that is a mission at work"
 
 
 def test_holding_for_long_is_nobody_flying_and_lands() -> None:

@@ -47,14 +47,16 @@ def test_a_flight_is_believed() -> None:
 def test_old_and_future_stamps_are_not(now_s: float, good: bool) -> None:
     verdict = PoseGate(0.8).judge(pose(0.1), now_s)
     assert verdict.good is good
-    assert verdict.why.endswith("" if good else "s old")
+    assert verdict.why == ("" if good else f"{now_s - 0.1:.2f} s old")
 
 
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
         ({"velocity_odom_mps": np.zeros(2)}, "malformed"),
+        ({"velocity_odom_mps": np.zeros(4)}, "malformed"),
         ({"covariance": np.eye(3)}, "malformed"),
+        ({"covariance": np.eye(7)}, "malformed"),
         ({"velocity_odom_mps": np.full(3, math.nan)}, "not finite"),
         ({"covariance": np.full((6, 6), math.inf)}, "not finite"),
         ({"quality": 0}, "of no quality"),
@@ -190,3 +192,36 @@ def test_a_track_that_repeats_itself_or_goes_back_proves_nothing(back_s: float) 
     for n in range(1, 60):
         assert not judge(gate, pose(0.2 * n, (0.9, 0.9, 1.0))).good
         assert not judge(gate, pose(0.2 * n - back_s, (0.9, 0.9, 1.0))).good
+
+
+@pytest.mark.parametrize(("before", "after"), [(3, 4), (255, 0), (300, 300), (1000, 1001)])
+def test_whatever_way_the_counter_of_resets_changes_odom_has_jumped(before: int, after: int) -> None:
+    gate = PoseGate(0.8)
+    assert judge(gate, pose(0.0, reset_counter=before)) == Verdict(True)
+    again = judge(gate, pose(STEP_S, (5.0, 0.0, 1.0) if after != before else (0.0, 0.0, 1.0), reset_counter=int(str(after))))
+    assert again == Verdict(True, anew=after != before)
+
+
+@pytest.mark.parametrize(
+    ("sigma_m", "off_m", "good"), [(0.05, 0.149, True), (0.05, 0.152, False), (0.2, 0.299, True), (0.2, 0.302, False)]
+)
+def test_a_doubtful_pose_may_lie_three_sigma_off(sigma_m: float, off_m: float, good: bool) -> None:
+    """sigma of the place: the root of the mean of its three variances."""
+    gate = settled()
+    covariance = np.diag([1.0, 0.5, 1.5, 9.0, 9.0, 9.0]) * sigma_m**2
+    assert judge(gate, pose(STEP_S, (off_m, 0.0, 1.0), covariance=covariance)).good is good
+
+
+def test_a_negative_variance_is_none() -> None:
+    gate = settled()
+    assert judge(gate, pose(STEP_S, (0.09, 0.0, 1.0), covariance=-np.eye(6))).good
+    assert not judge(gate, pose(2 * STEP_S, (0.21, 0.0, 1.0), covariance=-np.eye(6))).good
+
+
+def test_a_track_that_goes_back_in_time_begins_anew() -> None:
+    gate, t, counted = settled(), 1.0, 0
+    for _ in range(3):
+        for n in range(15):  # too few at a time
+            counted += judge(gate, pose(t + n * 0.05, (3.0, 0.0, 1.0))).good
+        t += 0.1
+    assert counted == 0

@@ -58,6 +58,7 @@ def test_the_camera_looks_inside_its_frustum(direction: tuple[float, float, floa
 
 def test_a_nearly_empty_frame_tells_nothing() -> None:
     assert Ahead.tells(frame(share=0.2))
+    assert Ahead.tells(frame(share=0.9))
     assert not Ahead.tells(frame(share=0.199))
     assert not Ahead.tells(frame(share=math.nan))
     assert seen(6, 8, 2.0).tells(frame(share=0.2))

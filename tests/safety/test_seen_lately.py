@@ -42,6 +42,10 @@ def looked(range_m: float = 3.0, stamp_s: float = 5.0) -> Sight:
         ((1.1, 0.3, 1.0), False),
         ((1.6, 0.46, 1.0), True),
         ((1.6, 0.49, 1.0), False),
+        ((1.2, 3.0, 1.0), False),
+        ((1.2, -3.0, 1.0), False),
+        ((1.2, 0.0, 4.0), False),
+        ((1.2, 0.0, -2.0), False),
     ],
 )
 def test_free_is_before_the_nearest_return_and_where_the_hull_was(place: tuple[float, float, float], free: bool) -> None:
@@ -56,6 +60,10 @@ def test_it_forgets() -> None:
     sight.forget()
     assert not sight.saw_free((2.0, 0.0, 1.0), 20.0)
     assert not sight.saw_free((1.0, 0.0, 1.0), 20.0)
+    young = looked(stamp_s=0.5)
+    young.forget()
+    assert not young.saw_free((2.0, 0.0, 1.0), 1.0)
+    assert not young.saw_free((1.0, 0.0, 1.0), 1.0)
 
 
 def test_no_return_is_not_free() -> None:
