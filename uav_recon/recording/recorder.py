@@ -1,7 +1,7 @@
 """Writes flight.rrd and the timelapse of the surface: reads last-value channels, logs what is new, never touches flight code.
 
 In real time it lives in its own process, in lockstep its step() is called inline. What comes faster than it is read is
-skipped and counted. Nothing is kept but the end of the trail, so its memory is bounded whatever the flight's length.
+skipped and counted. Nothing is kept but the end of the trail and what the stream itself remembers of what it wrote.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -34,7 +35,8 @@ T = TypeVar("T")
 _LOG = logging.getLogger(__name__)
 _FRAME_RATE_HZ = 2.0
 _MAP_RATE_HZ = 0.5
-_FLUSH_RATE_HZ = 2.0
+_FLUSH_RATE_HZ = 0.5  # each flush ends a chunk of every entity, and the stream remembers some two kilobytes of each chunk ...
+_BATCH_S = 60.0  # ... so nothing else ends one
 _FLUSH_TIMEOUT_S = 1.0
 _TRAIL_STEP_M = 0.05
 _TRAIL_STRIP_POINTS = 100
@@ -107,7 +109,9 @@ class Recorder:
         path = folder / names.RECORDING
         path.open("wb").close()  # a folder that cannot be written is found out here, by its name
         self._timelapse = Timelapse(folder, channels.surface, clock)
-        self._file = rr.RecordingStream(names.APPLICATION)
+        batches = rr.ChunkBatcherConfig.DEFAULT()
+        batches.flush_tick = timedelta(seconds=_BATCH_S)
+        self._file = rr.RecordingStream(names.APPLICATION, batcher_config=batches)
         self._file.save(path)
         self._viewer = find_viewer() if live else None
         self._live = None if self._viewer is None else rr.RecordingStream(names.APPLICATION)
@@ -233,7 +237,7 @@ class Recorder:
             stream.set_time(names.TIMELINE, duration=now_s - self._start_s)
 
     def _flush(self) -> None:
-        """To disk, so that a killed recorder loses half a second; a viewer that was closed is let go."""
+        """To disk, so that a killed recorder loses two seconds; a viewer that was closed is let go."""
         try:
             self._file.flush(timeout_sec=_FLUSH_TIMEOUT_S)
         except RuntimeError as error:
