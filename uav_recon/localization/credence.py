@@ -23,7 +23,8 @@ _DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
 _MANY, _EXPLAINED = 100, 0.75  # points there are, and the share of them that it explains: a person explains fewer
 _MOST = 0.9  # the same where much may have come between
 _TOLD = 2  # views that say it
-_GAIN = 0.25  # of the points are explained by it alone: what has come before a fifth of them pulls as far as a drift
+_HIDING = 0.22  # of the points, all nearer, have something before them; more, or some that are farther, and odom has moved
+_FARTHER = 0.02
 _SEEN_THROUGH = 0.4  # of the points of an older picture are not there: more than a person leaves behind; honest: 0.10
 _CREEP_MPS = 0.015  # honest: 0.006, and once 0.010 on the pad
 _RUNNING = 3  # pictures in a row that say so
@@ -116,8 +117,9 @@ def _moved(oldest: Iterator[Agreement], explained: float) -> str:
     """
 
     def says(then: Agreement) -> bool:
-        gains = then.explained >= explained and then.explained - then.fitting >= _GAIN
-        return gains and then.count >= _MANY and float(np.linalg.norm(then.shift_m)) >= _DRIFT_M
+        hidden = then.nearer <= _HIDING and then.farther <= _FARTHER
+        sure = then.explained >= explained and then.count >= _MANY and not hidden
+        return sure and float(np.linalg.norm(then.shift_m)) >= _DRIFT_M
 
     told = list(itertools.islice(itertools.takewhile(says, oldest), _TOLD))
     if len(told) < _TOLD:
