@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import BoolArray, FloatArray
@@ -30,23 +31,17 @@ def lookahead(
     """Of a way with stamps (N,), places (N, 3) from the pad and attitudes (N, 4) of the body in a level world, but for the
     column over the pad; a camera that looks ahead and so far down, with a horizontal and a vertical angle of view.
     """
-    thin = (
-        np.unique(np.searchsorted(stamp_s, np.arange(stamp_s[0], stamp_s[-1], STEP_S)))
-        if len(stamp_s) > 1
-        else np.zeros(0, int)
-    )
-    if len(thin) < 2:
+    if len(stamp_s) < 2:
         return Lookahead(None, None)
+    thin = np.unique(np.searchsorted(stamp_s, np.arange(stamp_s[0], stamp_s[-1], STEP_S)))
     step_m, step_s = np.diff(position_m[thin], axis=0), np.diff(stamp_s[thin])
     length_m = np.linalg.norm(step_m, axis=1)
     away = np.hypot(position_m[thin, 0], position_m[thin, 1]) > COLUMN_M
     moving = (length_m > MOVING_MPS * step_s) & away[:-1]
     if not moving.any():
         return Lookahead(None, None)
-    step_m, length_m, (w, *v) = step_m[moving], length_m[moving], quat_wxyz[thin[:-1]][moving].T
-    axis = np.stack(v, axis=1)
-    turned = 2.0 * np.cross(step_m, axis)  # by the inverse of the attitude
-    in_body = step_m + w[:, None] * turned + np.cross(turned, axis)
+    step_m, length_m = step_m[moving], length_m[moving]
+    in_body = Rotation.from_quat(np.roll(quat_wxyz[thin[:-1]][moving], -1, axis=1)).inv().apply(step_m)
     nose_first = np.stack([np.hypot(step_m[:, 0], step_m[:, 1]), np.zeros(len(step_m)), step_m[:, 2]], axis=1)
     body_from_depth = body_from_camera(np.zeros(3), pitch_down_rad).rotation()
     seen, could = (_in_view(way @ body_from_depth, fov_rad) for way in (in_body, nose_first))

@@ -54,7 +54,8 @@ class Credence:
             self._witness.forget()
             self._creep.forget()
         seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
-        newest, overlapping = self._witness.of_newest(*seen), next(self._witness.of_oldest(*seen, OVERLAPPING), None)
+        newest, others = self._witness.of_newest(*seen), self._witness.of_oldest(*seen, OVERLAPPING)
+        overlapping = next(others, None)
         alone, frozen = lone_share(frame.depth_m) > _ALONE, self._frozen(frame.depth_m, odom_from_depth)
         asked = newest is not None and (newest.age_s <= _MOMENT_S or not self._believed)
         aside = asked and self._witness.gain_aside(*seen[1:]) > _ASIDE
@@ -63,9 +64,12 @@ class Credence:
         self._believed = not (alone or frozen or aside) and (fits or unasked)
         if self._believed:
             self._creep.hear(frame.stamp_s, next(self._witness.of_oldest(*seen, ALIKE_JUST_NOW), None))
-            bars = ((ALIKE, _EXPLAINED), (ALIKE_LATELY, _EXPLAINED), (OVERLAPPING, _MOST))
-            moved = (_moved(self._witness.of_oldest(*seen, likeness), bar) for likeness, bar in bars)
-            self._hear(frame.stamp_s, next(filter(None, moved), "") or _seen_through(overlapping) or self._crept())
+            moved = (
+                _moved(self._witness.of_oldest(*seen, ALIKE), _EXPLAINED)
+                or _moved(self._witness.of_oldest(*seen, ALIKE_LATELY), _EXPLAINED)
+                or _moved(itertools.chain(filter(None, [overlapping]), others), _MOST)
+            )
+            self._hear(frame.stamp_s, moved or _seen_through(overlapping) or self._crept())
             self._witness.remember(*seen)
         return self._believed
 
