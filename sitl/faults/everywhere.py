@@ -49,9 +49,12 @@ def _speed(e: Evidence) -> str:
 
 
 def _steps(e: Evidence) -> str:
-    """From one setpoint to the next; a reset of the pose moves them with it, and so does a pilot that starts anew."""
+    """From one setpoint to the next; a reset of the pose moves them with it, and so does a pilot that starts anew.
+
+    Two that were sent a thirtieth of a second apart may arrive together, where the receiver comes late: the longer time counts.
+    """
     w, limits = e.wire, e.limits
-    dt = np.diff(w.setpoint_s)
+    dt = np.maximum(np.diff(w.setpoint_s), np.diff(w.setpoint_stamp_ms) / 1e3)
     resets = w.odometry_s[1:][np.diff(w.reset_counter) != 0]
     near = [abs(w.setpoint_s[1:] - s) < 0.1 for s in resets]
     counted = (dt < 0.5) & ~np.logical_or.reduce(near) if near else dt < 0.5

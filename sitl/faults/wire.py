@@ -38,12 +38,14 @@ class Order:
 class Wire:
     """All in the world's ENU axes and clock.
 
-    setpoint_s (N,); position_m, velocity_mps, acceleration_mps2 (N, 3); yaw_rate_radps (N,). odometry_s (M,) and
-    odometry_m (M, 3), odometry_stamp_us (M,) on the autopilot's clock, reset_counter (M,). texts: (instant, STATUSTEXT).
+    setpoint_s (N,), of its arrival; setpoint_stamp_ms (N,), as its sender dates it; position_m, velocity_mps,
+    acceleration_mps2 (N, 3); yaw_rate_radps (N,). odometry_s (M,) and odometry_m (M, 3), odometry_stamp_us (M,) on the
+    autopilot's clock, reset_counter (M,). texts: (instant, STATUSTEXT).
     not_finite: setpoints, poses and commands with a NaN or an infinity in them.
     """
 
     setpoint_s: F64
+    setpoint_stamp_ms: F64
     position_m: F64
     velocity_mps: F64
     acceleration_mps2: F64
@@ -72,7 +74,9 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
             if kind == "SET_POSITION_TARGET_LOCAL_NED":
                 place, speed = (m.y, m.x, -m.z), (m.vy, m.vx, -m.vz)
                 push = (m.afy, m.afx, -m.afz) if not m.type_mask & 0x1C0 else (0.0, 0.0, 0.0)
-                setpoints.append((stamp_s, *place, *speed, *push, m.yaw_rate if not m.type_mask & 2048 else 0.0))
+                setpoints.append(
+                    (stamp_s, float(m.time_boot_ms), *place, *speed, *push, m.yaw_rate if not m.type_mask & 2048 else 0.0)
+                )
             elif kind == "ODOMETRY":
                 odometry.append((stamp_s, *_enu(m), float(m.time_usec), float(m.reset_counter)))
             elif kind in {"COMMAND_LONG", "COMMAND_INT"}:
@@ -82,10 +86,10 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
             elif kind == "STATUSTEXT":
                 texts.append((stamp_s, str(m.text)))
             not_finite += kind in _CHECKED and not math.isfinite(sum(_numbers(m)))  # one that is none spoils the sum
-    s = np.array(setpoints, dtype=np.float64).reshape(-1, 11)
+    s = np.array(setpoints, dtype=np.float64).reshape(-1, 12)
     o = np.array(odometry, dtype=np.float64).reshape(-1, 6)
     return Wire(
-        s[:, 0], s[:, 1:4], s[:, 4:7], s[:, 7:10], s[:, 10], o[:, 0], o[:, 1:4], o[:, 4], o[:, 5],
+        s[:, 0], s[:, 1], s[:, 2:5], s[:, 5:8], s[:, 8:11], s[:, 11], o[:, 0], o[:, 1:4], o[:, 4], o[:, 5],
         tuple(orders), tuple(texts), not_finite,
     )  # fmt: skip
 

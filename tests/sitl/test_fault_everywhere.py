@@ -66,5 +66,18 @@ def test_what_is_allowed_is_no_violation() -> None:
     assert violations(rewired(quiet, orders=reset.wire.orders[:2])) == [], "a pilot may take over"
 
 
+def test_setpoints_that_arrive_together_were_sent_apart() -> None:
+    flown = evidence()
+    brake = spoilt(
+        flown.wire.velocity_mps, slice(150, 152), ((0.5, 0.0, 0.0), (0.39, 0.0, 0.0))
+    )  # 0.11 m/s in a turn of the loop
+    brake[152:, 0] = np.minimum(brake[152:, 0], 0.39)
+    late = spoilt(flown.wire.setpoint_s, 150, float(flown.wire.setpoint_s[151]) - 0.001)
+    held_up = rewired(flown, setpoint_s=late, velocity_mps=brake)
+    assert violations(held_up) == []
+    together = spoilt(flown.wire.setpoint_stamp_ms, 150, float(flown.wire.setpoint_stamp_ms[151]) - 1.0)
+    assert any("velocity jumps" in words for words in violations(rewired(held_up, setpoint_stamp_ms=together)))
+
+
 def test_a_program_that_broke_is_a_violation() -> None:
     assert violations(evidence(error="OSError: gone")) == ["OSError: gone"]
