@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from figure_eight import FigureEight, perfect_imu
@@ -41,8 +39,7 @@ def _track(until_s: float) -> InertialTrack:
 
 def _moved(state: Estimate, e: NDArray[np.float64]) -> Estimate:
     """An error (15,) put on the state."""
-    return replace(
-        state,
+    return state._replace(
         position_m=_three(np.add(state.position_m, e[:3])),
         velocity_mps=_three(np.add(state.velocity_mps, e[3:6])),
         odom_from_gyro=multiply(exponential(_three(e[6:9])), state.odom_from_gyro),
@@ -72,13 +69,13 @@ def test_the_covariance_goes_the_way_of_the_mean(over_s: float) -> None:
     assert base
     assert here
     start = Estimate.at_rest(base, (1.0, 2.0, 3.0), exponential((0.1, -0.2, 0.7)), QUIET, inertial=True)
-    start = replace(start, velocity_mps=(0.3, -0.2, 0.1), gyro_bias_radps=(0.01, -0.02, 0.015))
+    start = start._replace(velocity_mps=(0.3, -0.2, 0.1), gyro_bias_radps=(0.01, -0.02, 0.015))
     end = carry_mean(start, base, here)
     columns = [_apart(carry_mean(_moved(start, STEP * unit), base, here), end) / STEP for unit in np.eye(15)]
     jacobian = np.stack(columns, axis=1)
-    noise = carry(replace(start, covariance=np.zeros((15, 15))), base, here, QUIET).covariance
+    noise = carry(start._replace(covariance=np.zeros((15, 15))), base, here, QUIET).covariance
     for unit in np.eye(15):  # each error alone, so that none hides behind a larger one
-        alone = replace(start, covariance=np.outer(unit, unit))
+        alone = start._replace(covariance=np.outer(unit, unit))
         carried = carry(alone, base, here, QUIET).covariance - noise
         expected = jacobian @ alone.covariance @ jacobian.T
         np.testing.assert_allclose(carried, expected, atol=(1e-3 + 0.1 * over_s**2) * max(1.0, np.abs(expected).max()))
@@ -105,7 +102,7 @@ def test_a_pose_pulls_by_the_share_of_the_variances() -> None:
     assert base
     noise = PoseNoise(1e-4, 1e-4, 0.0, 0.0)
     state = Estimate.at_rest(base, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), noise, inertial=True)
-    state = replace(state, covariance=np.diag([4e-4] * 3 + [1.0] * 3 + [4e-4] * 3 + [1e-4] * 6))
+    state = state._replace(covariance=np.diag([4e-4] * 3 + [1.0] * 3 + [4e-4] * 3 + [1e-4] * 6))
     residual = innovation(state, base, (0.1, 0.0, 0.0), exponential((0.0, 0.0, 0.05)))
     np.testing.assert_allclose(residual, [0.1, 0.0, 0.0, 0.0, 0.0, 0.05], atol=1e-12)
     np.testing.assert_allclose(spread(state, noise), 5e-4 * np.eye(6), atol=1e-15)
@@ -122,7 +119,7 @@ def test_what_bias_and_offset_mean_is_forgotten_with_the_imu() -> None:
     base = track.at(MOTION.start_s + 0.05)
     assert base
     state = Estimate.at_rest(base, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), QUIET, inertial=True)
-    state = replace(state, gyro_bias_radps=(0.1, 0.1, 0.1))
+    state = state._replace(gyro_bias_radps=(0.1, 0.1, 0.1))
     assert state.carried_on(True) is state
     blind = state.carried_on(False)
     assert blind.gyro_bias_radps == (0.0, 0.0, 0.0)

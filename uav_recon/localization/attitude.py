@@ -18,7 +18,7 @@ B(t), the integral of what was taken off, lets whoever knows better afterwards p
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,8 +85,7 @@ def logarithm(q: Quaternion) -> Vector:
     return (k * x, k * y, k * z)
 
 
-@dataclass(frozen=True, slots=True)
-class InertialState:
+class InertialState(NamedTuple):
     """The track at one instant: gyro_from_body, V (m/s) and X (m) in the gyro frame, B (rad, body axes)."""
 
     stamp_s: float
@@ -172,7 +171,7 @@ class InertialTrack:
         """The track at an instant, extrapolated after its end; None before its beginning."""
         if not self._count or stamp_s < self._stamp[0]:
             return None
-        i = int(np.searchsorted(self._stamp[: self._count], stamp_s, side="right")) - 1
+        i = int(self._stamp[: self._count].searchsorted(stamp_s, side="right")) - 1
         if i == self._count - 1 and self._measured and stamp_s - self._stamp[i] > self._gap_s:
             return self._advance(i, stamp_s, (*_ZERO, *self.hover_force_gyro, *self._step[i, 6:].tolist()))
         return self._advance(i, stamp_s)

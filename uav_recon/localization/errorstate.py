@@ -21,11 +21,13 @@ walk of position and attitude, so what is estimated is the body in the source's 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import predict, update
 
+from uav_recon.geometry.jit import kernel
 from uav_recon.localization.attitude import (
     GRAVITY_MPS2,
     InertialState,
@@ -44,12 +46,10 @@ WHITE_SHARE = 0.15  # of a claimed variance; the rest is drift
 DRIFT_TIME_S = 20.0  # in which a source's drift forgets itself
 _SMALLEST_M2, _LARGEST_M2 = 0.002**2, 0.08**2
 _SMALLEST_RAD2, _LARGEST_RAD2 = 0.0005**2, 0.1**2
-_POSITION, _VELOCITY, _ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
-_BIAS, _OFFSET = slice(9, 12), slice(12, 15)
-_I = np.eye(3)
-_EYE, _NOTHING = np.eye(15), np.zeros(15)
-_H = np.zeros((6, 15))
-_H[:3, _POSITION] = _H[3:, _ATTITUDE] = _I
+_POSITION, _VELOCITY, _ATTITUDE, _BIAS, _OFFSET = 0, 3, 6, 9, 12  # where each begins in the error
+_TOLD = [0, 1, 2, 6, 7, 8]  # what a pose tells of
+SEEN = np.ix_(_TOLD, _TOLD)  # of a covariance (15, 15), that of it
+_NOTHING, _H = np.zeros(15), np.eye(15)[_TOLD]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +80,14 @@ class PoseNoise:
     @staticmethod
     def claimed(covariance: FloatArray) -> PoseNoise:
         """From what a source says (6, 6), within reason."""
-        diagonal = np.diagonal(covariance)
-        place = min(max(float(diagonal[:3].mean()), _SMALLEST_M2 / WHITE_SHARE), _LARGEST_M2)
-        turn = min(max(float(diagonal[3:].mean()), _SMALLEST_RAD2 / WHITE_SHARE), _LARGEST_RAD2)
+        xx, yy, zz, aa, bb, cc = np.diagonal(covariance).tolist()
+        place = min(max((xx + yy + zz) / 3.0, _SMALLEST_M2 / WHITE_SHARE), _LARGEST_M2)
+        turn = min(max((aa + bb + cc) / 3.0, _SMALLEST_RAD2 / WHITE_SHARE), _LARGEST_RAD2)
         drift = 2.0 * (1.0 - WHITE_SHARE) / DRIFT_TIME_S
         return PoseNoise(WHITE_SHARE * place, WHITE_SHARE * turn, drift * place, drift * turn)
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(NamedTuple):
     """The state at a stamp. covariance: (15, 15) of the error. inertial: whether an IMU carries it."""
 
     stamp_s: float
@@ -119,7 +118,7 @@ class Estimate:
         covariance[9:, :] = covariance[:, 9:] = 0.0
         covariance[9:, 9:] = np.diag(np.repeat((carrier.bias_start**2, carrier.offset_start**2), 3))
         zero = (0.0, 0.0, 0.0)
-        return replace(self, gyro_bias_radps=zero, offset_mps2=zero, covariance=covariance, inertial=inertial)
+        return self._replace(gyro_bias_radps=zero, offset_mps2=zero, covariance=covariance, inertial=inertial)
 
     def odom_from_body(self, here: InertialState) -> Quaternion:
         """Attitude, by the track at this stamp."""
@@ -133,20 +132,14 @@ def carry_mean(state: Estimate, base: InertialState, here: InertialState) -> Est
 
 def carry(state: Estimate, base: InertialState, here: InertialState, noise: PoseNoise) -> Estimate:
     """The state and its covariance carried from ``base`` to ``here``."""
-    dt_s = here.stamp_s - base.stamp_s
     carried, dp, dv = _carry_mean(state, base, here)
     carrier = WITH_IMU if state.inertial else WITHOUT_IMU
-    turned = 0.5 * (_matrix(state.odom_from_body(base)) + _matrix(state.odom_from_body(here)))  # on the average
-    transition = _EYE.copy()
-    transition[_POSITION, _VELOCITY] = transition[_VELOCITY, _OFFSET] = dt_s * _I
-    transition[_POSITION, _OFFSET] = 0.5 * dt_s * dt_s * _I
-    transition[_ATTITUDE, _BIAS] = -dt_s * turned
-    if state.inertial:  # else the force of hovering is known in odom, whatever the attitude
-        way, push = _cross(dp), _cross(dv)
-        transition[_POSITION, _ATTITUDE], transition[_VELOCITY, _ATTITUDE] = -way, -push
-        transition[_POSITION, _BIAS], transition[_VELOCITY, _BIAS] = dt_s / 3.0 * way @ turned, dt_s / 2.0 * push @ turned
-    _, covariance = predict(_NOTHING, state.covariance, transition, _walk(dt_s, turned, carrier, noise))
-    return replace(carried, covariance=covariance)
+    before, after = state.odom_from_body(base), state.odom_from_body(here)
+    walks = (noise.position_walk, noise.attitude_walk)
+    densities = (carrier.acceleration**2, carrier.offset_walk**2, carrier.rate**2, carrier.bias_walk**2, *walks)
+    transition, walk = _dynamics(here.stamp_s - base.stamp_s, state.inertial, before, after, dp, dv, densities)
+    _, covariance = predict(_NOTHING, state.covariance, transition, walk)
+    return carried._replace(covariance=covariance)
 
 
 def innovation(state: Estimate, here: InertialState, position_m: Vector, odom_from_body: Quaternion) -> FloatArray:
@@ -158,7 +151,7 @@ def innovation(state: Estimate, here: InertialState, position_m: Vector, odom_fr
 
 def spread(state: Estimate, noise: PoseNoise) -> FloatArray:
     """Covariance (6, 6) of the innovation."""
-    out: FloatArray = state.covariance[np.ix_(_SEEN, _SEEN)] + _measured(noise)
+    out: FloatArray = state.covariance[SEEN] + _measured(noise)
     return out
 
 
@@ -168,8 +161,7 @@ def correct(state: Estimate, residual: FloatArray, noise: PoseNoise, doubt: floa
     e = error.tolist()
     (px, py, pz), (vx, vy, vz) = state.position_m, state.velocity_mps
     (bx, by, bz), (cx, cy, cz) = state.gyro_bias_radps, state.offset_mps2
-    return replace(
-        state,
+    return state._replace(
         position_m=(px + e[0], py + e[1], pz + e[2]),
         velocity_mps=(vx + e[3], vy + e[4], vz + e[5]),
         odom_from_gyro=normalised(multiply(exponential((e[6], e[7], e[8])), state.odom_from_gyro)),
@@ -177,9 +169,6 @@ def correct(state: Estimate, residual: FloatArray, noise: PoseNoise, doubt: floa
         offset_mps2=(cx + e[12], cy + e[13], cz + e[14]),
         covariance=covariance,
     )
-
-
-_SEEN = [0, 1, 2, 6, 7, 8]
 
 
 def _measured(noise: PoseNoise) -> FloatArray:
@@ -207,8 +196,7 @@ def _carry_mean(state: Estimate, base: InertialState, here: InertialState) -> tu
     dp = rotate(while_farther, (x1[0] - x0[0] - v0[0] * dt, x1[1] - x0[1] - v0[1] * dt, x1[2] - x0[2] - v0[2] * dt))
     (px, py, pz), (vx, vy, vz), (cx, cy, cz) = state.position_m, state.velocity_mps, state.offset_mps2
     cz, half = cz - GRAVITY_MPS2, 0.5 * dt * dt
-    carried = replace(
-        state,
+    carried = state._replace(
         stamp_s=here.stamp_s,
         position_m=(px + vx * dt + cx * half + dp[0], py + vy * dt + cy * half + dp[1], pz + vz * dt + cz * half + dp[2]),
         velocity_mps=(vx + cx * dt + dv[0], vy + cy * dt + dv[1], vz + cz * dt + dv[2]),
@@ -217,32 +205,61 @@ def _carry_mean(state: Estimate, base: InertialState, here: InertialState) -> tu
     return carried, dp, dv
 
 
-def _walk(dt: float, turned: FloatArray, carrier: Carrier, noise: PoseNoise) -> FloatArray:
-    """Process noise (15, 15): white acceleration and rate, random walks of offset, bias and of the source's drift."""
-    a, c, g, b = carrier.acceleration**2, carrier.offset_walk**2, carrier.rate**2, carrier.bias_walk**2
-    out = np.zeros((15, 15))
-    out[_POSITION, _POSITION] = (a * dt**3 / 3 + c * dt**5 / 20 + noise.position_walk * dt) * _I
-    out[_POSITION, _VELOCITY] = out[_VELOCITY, _POSITION] = (a * dt**2 / 2 + c * dt**4 / 8) * _I
-    out[_POSITION, _OFFSET] = out[_OFFSET, _POSITION] = c * dt**3 / 6 * _I
-    out[_VELOCITY, _VELOCITY] = (a * dt + c * dt**3 / 3) * _I
-    out[_VELOCITY, _OFFSET] = out[_OFFSET, _VELOCITY] = c * dt**2 / 2 * _I
-    out[_OFFSET, _OFFSET] = c * dt * _I
-    out[_ATTITUDE, _ATTITUDE] = (g * dt + b * dt**3 / 3 + noise.attitude_walk * dt) * _I
-    out[_ATTITUDE, _BIAS] = -b * dt**2 / 2 * turned
-    out[_BIAS, _ATTITUDE] = out[_ATTITUDE, _BIAS].T
-    out[_BIAS, _BIAS] = b * dt * _I
-    return out
+@kernel
+def _matrix(q: Quaternion) -> FloatArray:
+    """Rotation matrix (3, 3) of a unit quaternion."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+@kernel
+def _dynamics(
+    dt: float, inertial: bool, before: Quaternion, after: Quaternion, dp: Vector, dv: Vector, densities: tuple[float, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Transition of the error (15, 15), and its process noise (15, 15): white acceleration and rate, random walks of offset,
+    bias and of the source's drift.
+
+    before, after: odom_from_body at both ends. densities: variances of acceleration, offset, rate, bias, place, attitude.
+    """
+    a, c, g, b, place, attitude = densities
+    turned = 0.5 * (_matrix(before) + _matrix(after))  # on the average
+    transition, walk = np.eye(15), np.zeros((15, 15))
+    way = np.array([[0.0, -dp[2], dp[1]], [dp[2], 0.0, -dp[0]], [-dp[1], dp[0], 0.0]])
+    push = np.array([[0.0, -dv[2], dv[1]], [dv[2], 0.0, -dv[0]], [-dv[1], dv[0], 0.0]])
+    for i in range(3):
+        p, v, r, w, o = _POSITION + i, _VELOCITY + i, _ATTITUDE + i, _BIAS + i, _OFFSET + i
+        transition[p, v] = transition[v, o] = dt
+        transition[p, o] = 0.5 * dt * dt
+        walk[p, p] = a * dt**3 / 3 + c * dt**5 / 20 + place * dt
+        walk[p, v] = walk[v, p] = a * dt**2 / 2 + c * dt**4 / 8
+        walk[p, o] = walk[o, p] = c * dt**3 / 6
+        walk[v, v] = a * dt + c * dt**3 / 3
+        walk[v, o] = walk[o, v] = c * dt**2 / 2
+        walk[o, o] = c * dt
+        walk[r, r] = g * dt + b * dt**3 / 3 + attitude * dt
+        walk[w, w] = b * dt
+        for j in range(3):
+            transition[r, _BIAS + j] = -dt * turned[i, j]
+            walk[r, _BIAS + j] = walk[_BIAS + j, r] = -b * dt**2 / 2 * turned[i, j]
+            if inertial:  # else the force of hovering is known in odom, whatever the attitude
+                transition[p, _ATTITUDE + j], transition[v, _ATTITUDE + j] = -way[i, j], -push[i, j]
+                for k in range(3):
+                    transition[p, _BIAS + j] += dt / 3.0 * way[i, k] * turned[k, j]
+                    transition[v, _BIAS + j] += dt / 2.0 * push[i, k] * turned[k, j]
+    return transition, walk
+
+
+def warm_up() -> None:
+    """Compile every kernel."""
+    identity, zero = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    _dynamics(0.01, True, identity, identity, zero, zero, (0.0,) * 6)
 
 
 def _part(turn: Vector, share: float) -> Quaternion:
     return exponential((share * turn[0], share * turn[1], share * turn[2]))
-
-
-def _cross(v: Vector) -> FloatArray:
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def _matrix(q: Quaternion) -> FloatArray:
-    """Rotation matrix (3, 3) of a unit quaternion."""
-    return np.array([rotate(q, (1.0, 0.0, 0.0)), rotate(q, (0.0, 1.0, 0.0)), rotate(q, (0.0, 0.0, 1.0))]).T

@@ -30,7 +30,17 @@ from uav_recon.localization.attitude import (
     normalised,
     rotate,
 )
-from uav_recon.localization.errorstate import WHITE_SHARE, Estimate, PoseNoise, carry, carry_mean, correct, innovation, spread
+from uav_recon.localization.errorstate import (
+    SEEN,
+    WHITE_SHARE,
+    Estimate,
+    PoseNoise,
+    carry,
+    carry_mean,
+    correct,
+    innovation,
+    spread,
+)
 from uav_recon.localization.gates import CONTRADICTIONS, Gates, Sighting, doubt, same_stamp, surprise, tether, unfit
 from uav_recon.localization.trial import RETURN, STEP, Trial
 from uav_recon.localization.watch import Watch
@@ -169,9 +179,12 @@ class FusionFilter:
         """Whether a stamp has no place in what is kept."""
         if not self._nodes:
             return "stamp" if len(self._track) and stamp_s < self._track.oldest_s else ""
-        if any(same_stamp(node.stamp_s, stamp_s) for node in self._nodes):
+        early = stamp_s < self._nodes[0].stamp_s
+        k = 0 if early else self._before(stamp_s)
+        beside = (self._nodes[n] for n in (k, k + 1) if n < len(self._nodes))
+        if any(same_stamp(node.stamp_s, stamp_s) for node in beside):
             return "duplicate"
-        return "stamp" if stamp_s < self._nodes[0].stamp_s else ""
+        return "stamp" if early else ""
 
     def _doubtful(self, said: Sighting, before: _Node, residual: FloatArray, covariance: FloatArray) -> str:
         """Why a pose does not simply go on from the one before it."""
@@ -246,7 +259,7 @@ class FusionFilter:
         self._watch.begin(said.stamp_s)
         self._source_resets = said.source.reset_counter
         estimate = Estimate.at_rest(base, said.position_m, said.odom_from_body, noise, inertial)
-        self._keep(_Node(said, noise, replace(estimate, velocity_mps=velocity_mps), 0.0))
+        self._keep(_Node(said, noise, estimate._replace(velocity_mps=velocity_mps), 0.0))
         return True
 
     def _reach(self, node: _Node, stamp_s: float) -> tuple[Estimate, InertialState]:
@@ -281,8 +294,7 @@ class FusionFilter:
         share = (here.stamp_s - node.stamp_s) / (after.stamp_s - node.stamp_s)
         end, goal = carry_mean(node.estimate, base, there), after.estimate
         turn = logarithm(multiply(goal.odom_from_gyro, conjugate(end.odom_from_gyro)))
-        return replace(
-            state,
+        return state._replace(
             position_m=_towards(state.position_m, end.position_m, goal.position_m, share),
             velocity_mps=_towards(state.velocity_mps, end.velocity_mps, goal.velocity_mps, share),
             odom_from_gyro=multiply(exponential((share * turn[0], share * turn[1], share * turn[2])), state.odom_from_gyro),
@@ -322,6 +334,6 @@ def _towards(here: Vector, end: Vector, goal: Vector, share: float) -> Vector:
 
 def _with_drift(covariance: FloatArray, claimed: FloatArray) -> FloatArray:
     """Covariance (6, 6) of position and rotation vector: the filter's own, and what the source may have drifted."""
-    seen = [0, 1, 2, 6, 7, 8]
-    out: FloatArray = covariance[np.ix_(seen, seen)] + (1.0 - WHITE_SHARE) * np.diag(np.diagonal(claimed))
+    out: FloatArray = covariance[SEEN]
+    out.flat[:: len(out) + 1] += (1.0 - WHITE_SHARE) * np.diagonal(claimed)
     return out

@@ -89,11 +89,11 @@ def doubt(nis: float) -> float:
 def tether(residual: FloatArray, track_m2: float, white_m2: float) -> float:
     """How many times the white noise counts so that a pose moves odometry by at most _STEP_M; variances of track and pose."""
     share = track_m2 / (track_m2 + white_m2)
-    steps = float(np.linalg.norm(residual[:3])) / _STEP_M
+    steps = math.dist(residual[:3], (0.0, 0.0, 0.0)) / _STEP_M
     return track_m2 * (steps - 1.0) / white_m2 if share * steps > 1.0 else 1.0
 
 
 def _length_and_sigma(vector: FloatArray, covariance: FloatArray) -> tuple[float, float]:
     """Length of a vector, and the standard deviation along it."""
-    length = float(np.linalg.norm(vector))
+    length = math.sqrt(float(vector @ vector))
     return length, math.sqrt(max(float(vector @ covariance @ vector), 0.0)) / length if length > 0.0 else 0.0

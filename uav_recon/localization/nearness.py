@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from uav_recon.geometry.jit import kernel
 from uav_recon.types.camera import Frame
+from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import Pose
 
@@ -14,7 +16,7 @@ _WIDEST_PX = 320  # of the depth that is looked at; more pixels would only cost 
 
 
 def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True) -> Nearby:
-    """Cut a depth frame into cells and keep each one's nearest return (m, along the ray): about 1 ms.
+    """Cut a depth frame into cells and keep each one's nearest return (m, along the ray): about 0.1 ms.
 
     NaN, infinity and anything not positive are no return and say nothing: neither near nor free.
     """
@@ -25,14 +27,43 @@ def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True)
     top, left = (depth_m.shape[0] - rows * high) // 2, (depth_m.shape[1] - columns * wide) // 2  # what no cell takes
     u = ((np.arange(columns * wide) + left) * stride - lens.cx) / lens.fx
     v = ((np.arange(rows * high) + top) * stride - lens.cy) / lens.fy
-    per_depth = np.sqrt(1.0 + u[None, :] ** 2 + v[:, None] ** 2)
-    seen = depth_m[top : top + rows * high, left : left + columns * wide]
-    with np.errstate(invalid="ignore"):
-        there = np.isfinite(seen) & (seen > 0.0)
-        ranges = np.where(there, seen * per_depth, np.inf)
-    cells = ranges.reshape(rows, high, columns, wide).transpose(0, 2, 1, 3).reshape(rows, columns, high * wide)
-    kth = min(_SUPPORT, high * wide) - 1
-    nearest = np.partition(cells, kth, axis=-1)[..., kth]
+    seen = np.ascontiguousarray(depth_m[top : top + rows * high, left : left + columns * wide])
+    range_m, returns = _nearest(seen, u, v, high, wide)
     half_tan = (columns * wide * stride / 2 / lens.fx, rows * high * stride / 2 / lens.fy)
-    range_m = np.where(np.isfinite(nearest), nearest, np.nan)
-    return Nearby(frame.stamp_s, body_from_depth, range_m, half_tan, float(there.mean()), believed)
+    return Nearby(frame.stamp_s, body_from_depth, range_m, half_tan, returns / seen.size, believed)
+
+
+@kernel
+def _nearest(depth_m: Float32Array, u: FloatArray, v: FloatArray, high: int, wide: int) -> tuple[Float32Array, int]:
+    """Of each cell of high by wide pixels the _SUPPORT-th nearest return along its ray (m), NaN where there are fewer; and how
+    many returns there are in all.
+
+    depth_m (H, W); u (W,), v (H,): tangents of the pixels' rays.
+    """
+    rows, columns = len(v) // high, len(u) // wide
+    wanted, returns = min(_SUPPORT, high * wide), 0
+    out = np.empty((rows, columns), dtype=np.float32)
+    nearest = np.empty(wanted)
+    for row in range(rows):
+        for column in range(columns):
+            nearest[:] = np.inf
+            for i in range(row * high, (row + 1) * high):
+                for j in range(column * wide, (column + 1) * wide):
+                    z = float(depth_m[i, j])
+                    if not (np.isfinite(z) and z > 0.0):
+                        continue
+                    returns += 1
+                    away_m, k = z * np.sqrt(1.0 + u[j] ** 2 + v[i] ** 2), wanted - 1
+                    if away_m >= nearest[k]:
+                        continue
+                    while k > 0 and nearest[k - 1] > away_m:
+                        nearest[k] = nearest[k - 1]
+                        k -= 1
+                    nearest[k] = away_m
+            out[row, column] = nearest[wanted - 1] if np.isfinite(nearest[wanted - 1]) else np.nan
+    return out, returns
+
+
+def warm_up() -> None:
+    """Compile every kernel."""
+    _nearest(np.zeros((2, 2), dtype=np.float32), np.zeros(2), np.zeros(2), 1, 1)

@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
+from uav_recon.localization import errorstate, nearness
 from uav_recon.localization.credence import Credence
 from uav_recon.localization.filter import FusionFilter
 from uav_recon.localization.mount import Mount
@@ -47,7 +48,8 @@ class Perception:
         self._odom, self._frames, self._nearby = odom, frames, nearby
         self._clock, self._frame_wait_s = clock, frame_wait_s
         self._credence = Credence()
-        self._credence.warm_up()
+        for part in (self._credence, errorstate, nearness):
+            part.warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._waiting: deque[Frame] = deque()
         self._said_lost = True
