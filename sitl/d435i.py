@@ -114,12 +114,12 @@ def warm_up() -> None:
 def _stereo(depth_m: F32, incidence_cos: F32, rng: np.random.Generator) -> U16:
     (height, width), pad = depth_m.shape, CORRELATION_TAPS - 1
     coarser = WIDTH / width  # than the picture for which the constants stand
-    error = _smooth(rng.standard_normal((height + pad, width + pad), np.float32), _taps(CORRELATION_SIGMA_PX / coarser))
+    white = rng.standard_normal((height + pad, width + pad), np.float32)
     return _stereo_depth(
         depth_m,
         incidence_cos,
-        error,
-        rng.standard_normal((height, width), np.float32),
+        _smooth(white, _taps(CORRELATION_SIGMA_PX / coarser)),
+        white[::-1, ::-1],  # whether a grazing ray comes back has nothing to do with its own error
         DEPTH_SPEC.fx / coarser * BASELINE_M,
         DISPARITY_ERROR_PX / MATCHED_BINNING / coarser,
     )
