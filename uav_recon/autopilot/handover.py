@@ -21,12 +21,13 @@ class Handover:
     """Closes the gap along 1 - 3s² + 2s³, so that place and velocity stay continuous at both ends.
 
     A mission plans from the measured pose, which lies a tracking error beside the setpoint; the guard allows no such step.
+    flown, age_s old, has gone on since: what joins in motion without a gap is flown as it is.
     """
 
-    def __init__(self, flown: Setpoint, trajectory: Trajectory, now_s: float) -> None:
+    def __init__(self, flown: Setpoint, age_s: float, trajectory: Trajectory, now_s: float) -> None:
         first = trajectory.setpoint_at(now_s)
-        gap: FloatArray = flown.position_m - first.position_m
-        turn_rad = math.remainder(flown.yaw_rad - first.yaw_rad, math.tau)
+        gap: FloatArray = flown.position_m + age_s * flown.velocity_mps - first.position_m
+        turn_rad = math.remainder(flown.yaw_rad + age_s * flown.yaw_rate_radps - first.yaw_rad, math.tau)
         distance_m = float(np.linalg.norm(gap))
         closes = distance_m <= _LARGEST_GAP_M and abs(turn_rad) <= _LARGEST_TURN_RAD
         self._gap, self._turn_rad = (gap, turn_rad) if closes else (np.zeros(3), 0.0)

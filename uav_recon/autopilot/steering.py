@@ -18,6 +18,7 @@ from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
 _WAYS = 3  # ways back that are tried, each from rest: what refused the last may have passed, a late pose or a late turn of ours
 _ASTRAY_M = 0.35  # level, ahead of or beside the newest setpoint: something pushes it. Untroubled: within 0.15 m
+_LONGEST_AGE_S = 0.1  # of a setpoint that is carried on by its velocity
 _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
 
 
@@ -30,6 +31,7 @@ class Steering:
         self._guard, self._mandate, self._hover_height_m = guard, mandate, hover_height_m
         self._crumbs = Breadcrumbs()
         self._flown: Setpoint | None = None  # the newest setpoint on the wire
+        self._flown_s = -math.inf
         self._braking = False  # from a refusal to rest: nothing new is taken up on the way
         self._way_back: Trajectory | None = None
         self._refused_ways = 0
@@ -66,7 +68,7 @@ class Steering:
             cleared, refusal = self._retreat(situation)
         else:
             cleared, refusal = self._guard.clear(None, situation)
-        self._flown = cleared.setpoint
+        self._flown, self._flown_s = cleared.setpoint, situation.now_s
         return cleared, refusal
 
     def _fly(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
@@ -142,7 +144,8 @@ class Steering:
     def _proposal(self, trajectory: Trajectory, now_s: float, retreating: bool) -> Proposal:
         if self._handed is not trajectory:
             self._handed = trajectory
-            self._handover = Handover(self._flown, trajectory, now_s) if self._flown else None
+            age_s = min(now_s - self._flown_s, _LONGEST_AGE_S)
+            self._handover = Handover(self._flown, age_s, trajectory, now_s) if self._flown else None
         sample = trajectory.setpoint_at(now_s)
         wanted = self._handover.apply(sample, now_s) if self._handover else sample
         return Proposal(wanted, trajectory.identifier, trajectory.map_epoch, retreating)
