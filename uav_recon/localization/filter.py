@@ -128,8 +128,8 @@ class FusionFilter:
             return self._begin(said, noise)
         k = self._before(said.stamp_s)
         carried, here = self._reach(self._nodes[k], said.stamp_s)
-        residual = innovation(carried, here, said.position_m, said.odom_from_body)
-        reason = self._doubtful(said, self._nodes[k], residual, spread(carried, noise))
+        residual, covariance = _against(said, carried, here, noise)
+        reason = self._doubtful(said, self._nodes[k], residual, covariance)
         if reason and not self._proven(said, carried, here, noise):
             self.rejected[reason] += 1
             self._disputed |= reason in CONTRADICTIONS
@@ -138,9 +138,10 @@ class FusionFilter:
             self._trial.clear()
             self._disputed = False
             later = [self._nodes.pop() for _ in range(len(self._nodes) - 1 - k)]
-            self._append(said, noise, carried, here)
+            self._append(said, noise, carried, residual, covariance)
             for node in reversed(later):
-                self._append(node.sighting, node.noise, *self._reach(self._nodes[-1], node.stamp_s))
+                carried, here = self._reach(self._nodes[-1], node.stamp_s)
+                self._append(node.sighting, node.noise, carried, *_against(node.sighting, carried, here, node.noise))
         while self._nodes[-1].stamp_s - self._nodes[0].stamp_s > _HISTORY_S:
             self._nodes.popleft()
         return True
@@ -201,7 +202,7 @@ class FusionFilter:
             return False
         track = Sighting(said.stamp_s, carried.position_m, carried.odom_from_body(here), said.source)
         credible = max(np.diagonal(carried.covariance)[:3]) <= _CREDIBLE_M**2
-        residual = innovation(carried, here, said.position_m, said.odom_from_body)
+        residual, covariance = _against(said, carried, here, noise)
         tilt_rad = math.hypot(residual[3], residual[4])
         tilted = self._gates.tilt_rad < tilt_rad < _OVERTURNED_RAD  # the track takes gravity for a push; no map corrects that
         contradicted = lost and self._disputed  # not by a step: they never agreed on how the body moves
@@ -213,14 +214,14 @@ class FusionFilter:
             return False
         if not credible or contradicted or tilted:
             return self._begin(said, noise, self._trial.velocity_mps())
-        if declared or self._gates.leap(residual, spread(carried, noise)):
+        if declared or self._gates.leap(residual, covariance):
             self._move_world(said.source, track)
             said = replace(said, position_m=track.position_m, odom_from_body=track.odom_from_body)
         self._trial.clear()
         self._disputed = False
         if lost:
             self._watch.begin(said.stamp_s)
-        self._append(said, noise, carried, here)
+        self._append(said, noise, carried, *_against(said, carried, here, noise))
         return True
 
     def _move_world(self, pose: StampedPose, track: Sighting) -> None:
@@ -272,11 +273,12 @@ class FusionFilter:
         assert here is not None
         return carry(node.estimate.carried_on(inertial), base, here, node.noise), here
 
-    def _append(self, said: Sighting, noise: PoseNoise, carried: Estimate, here: InertialState) -> None:
-        """Correct what was carried to a pose by the pose."""
-        residual = innovation(carried, here, said.position_m, said.odom_from_body)
-        nis = surprise(residual, spread(carried, noise))
-        variance_m2 = float(np.diagonal(carried.covariance)[:3].mean())
+    def _append(
+        self, said: Sighting, noise: PoseNoise, carried: Estimate, residual: FloatArray, covariance: FloatArray
+    ) -> None:
+        """Correct what was carried to a pose by the pose: what it says beyond (6,), and how surely (6, 6)."""
+        nis = surprise(residual, covariance)
+        variance_m2 = sum(carried.covariance.diagonal()[:3].tolist()) / 3.0
         doubts = max(doubt(nis), tether(residual, variance_m2, noise.position_m2))
         self._keep(_Node(said, noise, correct(carried, residual, noise, doubts), nis))
 
@@ -322,6 +324,11 @@ class FusionFilter:
 def _quaternion(pose: Pose) -> Quaternion:
     w, x, y, z = pose.quat_wxyz.tolist()
     return (w, x, y, z)
+
+
+def _against(said: Sighting, carried: Estimate, here: InertialState, noise: PoseNoise) -> tuple[FloatArray, FloatArray]:
+    """What a pose says beyond the estimate carried to it (6,), and its covariance (6, 6)."""
+    return innovation(carried, here, said.position_m, said.odom_from_body), spread(carried, noise)
 
 
 def _towards(here: Vector, end: Vector, goal: Vector, share: float) -> Vector:
