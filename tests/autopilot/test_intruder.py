@@ -76,6 +76,11 @@ def test_a_cell_above_one_without_a_return_looked_past_nothing() -> None:
         assert (found is not None) is told
 
 
+def test_views_of_another_camera_are_not_asked(around: Neighbourhood) -> None:
+    range_m = np.full((6, 8), 1.2, np.float32)
+    assert around.look(Nearby(6 * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE) is None
+
+
 def test_one_cell_or_one_view_says_nothing() -> None:
     around = Neighbourhood()
     assert _look(around, 0) is None

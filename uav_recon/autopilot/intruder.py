@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.types.frames import BoolArray, Float32Array, FloatArray
+from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import Pose
 
@@ -30,7 +31,7 @@ class Intruder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """places_m: (rows, columns, 3) in odom, NaN for cells without a return; range_m: the nearest in the cell or beside it."""
+    """range_m: the nearest return in the cell or beside it, NaN where that is not known."""
 
     stamp_s: float
     odom_from_depth: Pose
@@ -53,13 +54,12 @@ class Neighbourhood:
         odom_from_depth = odom_from_body @ nearby.body_from_depth
         while self._views and nearby.stamp_s - self._views[0].stamp_s > _MEMORY_S:
             self._views.popleft()
-        places = _places(nearby, odom_from_depth)
+        if self._views and self._views[-1].range_m.shape != nearby.range_m.shape:
+            self._views.clear()  # of another camera
+        places = odom_from_depth.apply(nearby.points())
         here = odom_from_body.translation_m
         close = places[np.linalg.norm(places[:, :2] - here[:2], axis=1) <= _REACH_M]
-        said = np.zeros(len(close), dtype=np.int64)
-        for view in self._views:
-            said += _looked_past(view, close)
-        new = said >= _SAYING
+        new = _looked_past(self._views, close) >= _SAYING if self._views else np.zeros(len(close), dtype=bool)
         if not self._views or nearby.stamp_s - self._views[-1].stamp_s >= _MEMORY_S / _VIEWS:
             self._views.append(_View(nearby.stamp_s, odom_from_depth, nearby.half_tan, _eroded(nearby.range_m)))
         if np.count_nonzero(new) < _CELLS:
@@ -69,17 +69,22 @@ class Neighbourhood:
         return Intruder(nearby.stamp_s, close[new][nearest], float(away[nearest]), int(np.count_nonzero(new)))
 
 
-def _looked_past(view: _View, places: FloatArray) -> BoolArray:
-    """Which places (N, 3) in odom a view had nothing at, nor before them."""
-    seen = (places - view.odom_from_depth.translation_m) @ view.odom_from_depth.rotation()
-    deep = np.maximum(seen[:, 2], 1e-6)
-    rows, columns = view.range_m.shape
-    u = np.floor((seen[:, 0] / deep / view.half_tan[0] + 1.0) / 2.0 * columns)
-    v = np.floor((seen[:, 1] / deep / view.half_tan[1] + 1.0) / 2.0 * rows)
-    inside = (seen[:, 2] > 0.0) & (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
-    free_m = view.range_m[np.where(inside, v, 0).astype(int), np.where(inside, u, 0).astype(int)]
-    past: BoolArray = inside & (np.linalg.norm(seen, axis=1) * (1.0 + _INSIDE_SHARE) + _INSIDE_M < free_m)
-    return past
+def _looked_past(views: Collection[_View], places: FloatArray) -> IntArray:
+    """How many views had nothing at places (N, 3) in odom, nor before them: (N,)."""
+    place_m = np.array([view.odom_from_depth.translation_m for view in views])
+    odom_from_depth = np.array([view.odom_from_depth.rotation() for view in views])
+    half_tan, range_m = np.array([view.half_tan for view in views]), np.array([view.range_m for view in views])
+    seen = (places - place_m[:, None]) @ odom_from_depth
+    deep = np.maximum(seen[..., 2], 1e-6)
+    rows, columns = range_m.shape[1:]
+    u = np.floor((seen[..., 0] / deep / half_tan[:, :1] + 1.0) / 2.0 * columns)
+    v = np.floor((seen[..., 1] / deep / half_tan[:, 1:] + 1.0) / 2.0 * rows)
+    past = (seen[..., 2] > 0.0) & (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
+    n, _ = inside = np.nonzero(past)
+    free_m = range_m[n, v[inside].astype(int), u[inside].astype(int)]
+    past[inside] = np.linalg.norm(seen[inside], axis=1) * (1.0 + _INSIDE_SHARE) + _INSIDE_M < free_m
+    said: IntArray = np.count_nonzero(past, axis=0)
+    return said
 
 
 def _eroded(range_m: Float32Array) -> FloatArray:
@@ -93,14 +98,3 @@ def _eroded(range_m: Float32Array) -> FloatArray:
     tells = there[1:-1, 1:-1] & there[2:, :-2] & there[2:, 1:-1] & there[2:, 2:]
     nearest[1:-1, 1:-1] = np.where(tells, np.fmin.reduce(around), np.nan)
     return nearest
-
-
-def _places(nearby: Nearby, odom_from_depth: Pose) -> FloatArray:
-    """The cells' returns (N, 3) in odom, along the rays of their middles."""
-    rows, columns = nearby.range_m.shape
-    x = ((np.arange(columns) + 0.5) / columns * 2.0 - 1.0) * nearby.half_tan[0]
-    y = ((np.arange(rows) + 0.5) / rows * 2.0 - 1.0) * nearby.half_tan[1]
-    rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], np.ones((rows, columns))), axis=-1)
-    points = (rays / np.linalg.norm(rays, axis=-1, keepdims=True) * nearby.range_m[..., None]).reshape(-1, 3)
-    found: FloatArray = odom_from_depth.apply(points[np.isfinite(points).all(axis=1)])
-    return found

@@ -46,25 +46,40 @@ class KnownFree:
         within its radius, from root to root of |column - a - share (b - a)| = radius.
         """
         wide, high, (x, y, z), (dx, dy, dz) = self._wide + _ROUNDING, self._high + _ROUNDING, a, map(operator.sub, b, a)
+        rows, columns = _between(x, b[0], wide), _between(y, b[1], wide)
+        if self._is_open(rows, columns, _between(z, z + dz, high)):
+            return
         square = dx * dx + dy * dy + _STANDING
-        for i in range(math.ceil(min(x, b[0]) - wide), math.floor(max(x, b[0]) + wide) + 1):
-            for j in range(math.ceil(min(y, b[1]) - wide), math.floor(max(y, b[1]) + wide) + 1):
-                along = (i - x) * dx + (j - y) * dy
-                root2 = along * along - square * ((i - x) ** 2 + (j - y) ** 2 - wide * wide)
-                root = math.sqrt(max(root2, 0.0))
-                first, last = max((along - root) / square, 0.0), min((along + root) / square, 1.0)
-                if root2 >= 0.0 and first <= last:
-                    low, top = sorted((z + dz * first, z + dz * last))
-                    layers = range(math.ceil(low - high), math.floor(top + high) + 1)
-                    yield from ((i, j, k) for k in layers if not self._is_free(i, j, k))
+        for i, j in itertools.product(rows, columns):
+            along = (i - x) * dx + (j - y) * dy
+            root2 = along * along - square * ((i - x) ** 2 + (j - y) ** 2 - wide * wide)
+            root = math.sqrt(max(root2, 0.0))
+            first, last = max((along - root) / square, 0.0), min((along + root) / square, 1.0)
+            if root2 >= 0.0 and first <= last:
+                column, layers = (range(i, i + 1), range(j, j + 1)), _between(z + dz * first, z + dz * last, high)
+                if not self._is_open(*column, layers):
+                    yield from ((i, j, k) for k in layers if not self._is_open(*column, range(k, k + 1)))
 
-    def _is_free(self, i: int, j: int, k: int) -> bool:
-        nx, ny, nz = self._shape
-        bit = (i * ny + j) * nz + k
-        inside = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
-        return inside and self._bits[bit >> 3] >> (7 - (bit & 7)) & 1 == 1
+    def _is_open(self, rows: range, columns: range, layers: range) -> bool:
+        """Whether a whole box is known free. A row's bits lie one behind the other, and are asked together."""
+        (nx, ny, nz), row = self._shape, 0
+        if min(rows.start, columns.start, layers.start) < 0 or rows.stop > nx or columns.stop > ny or layers.stop > nz:
+            return False
+        for _ in columns:
+            row = row << nz | (1 << len(layers)) - 1
+        for i in rows:
+            first = (i * ny + columns.start) * nz + layers.start
+            end = first + row.bit_length()
+            if row & ~(int.from_bytes(self._bits[first >> 3 : (end + 7) >> 3], "big") >> (-end & 7)):
+                return False
+        return True
 
     def _in_voxels(self, place_m: Vec3) -> Vec3:
         """In voxel edges, a whole number at the centre of each voxel."""
         (x, y, z), (ox, oy, oz), step_m = place_m, self._origin, self._step_m
         return (x - ox) / step_m - 0.5, (y - oy) / step_m - 0.5, (z - oz) / step_m - 0.5
+
+
+def _between(a: float, b: float, reach: float) -> range:
+    """The voxels whose centres lie between two places or within reach of one."""
+    return range(math.ceil(min(a, b) - reach), math.floor(max(a, b) + reach) + 1)

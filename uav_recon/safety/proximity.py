@@ -31,12 +31,7 @@ class Ahead:
         self.stamp_s = nearby.stamp_s
         self._radius_m, self._half_tan = hull_radius_m, nearby.half_tan
         self._depth_from_body = nearby.body_from_depth.rotation().T
-        rows, columns = nearby.range_m.shape
-        x = ((np.arange(columns) + 0.5) / columns * 2.0 - 1.0) * nearby.half_tan[0]
-        y = ((np.arange(rows) + 0.5) / rows * 2.0 - 1.0) * nearby.half_tan[1]
-        rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], np.ones((rows, columns))), axis=-1)
-        points = (rays / np.linalg.norm(rays, axis=-1, keepdims=True) * nearby.range_m[..., None]).reshape(-1, 3)
-        self._places = nearby.body_from_depth.apply(points[np.isfinite(points).all(axis=1)])
+        self._places = nearby.body_from_depth.apply(nearby.points())
 
     @staticmethod
     def tells(nearby: Nearby) -> bool:

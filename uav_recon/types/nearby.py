@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.types.frames import Float32Array, frozen
+from uav_recon.types.frames import Float32Array, FloatArray, frozen
 from uav_recon.types.pose import Pose
 
 
@@ -28,3 +29,18 @@ class Nearby:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "range_m", frozen(np.asarray(self.range_m, dtype=np.float32)))
+
+    def points(self) -> FloatArray:
+        """The returns (N, 3) in the depth imager's axes, along the rays of their cells' middles."""
+        there = np.isfinite(self.range_m)
+        found: FloatArray = _rays(*self.range_m.shape, *self.half_tan)[there] * self.range_m[there][:, None]
+        return found
+
+
+@functools.lru_cache(maxsize=4)  # cameras have one shape each
+def _rays(rows: int, columns: int, half_tan_x: float, half_tan_y: float) -> FloatArray:
+    """Unit vectors (rows, columns, 3) through the cells' middles."""
+    x = ((np.arange(columns) + 0.5) / columns * 2.0 - 1.0) * half_tan_x
+    y = ((np.arange(rows) + 0.5) / rows * 2.0 - 1.0) * half_tan_y
+    rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], np.ones((rows, columns))), axis=-1)
+    return frozen(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
