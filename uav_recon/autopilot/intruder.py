@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.nearby import Nearby, in_view
 from uav_recon.types.pose import Pose
 
 _MEMORY_S = 0.8
@@ -73,13 +73,9 @@ def _looked_past(views: Collection[_View], places: FloatArray) -> IntArray:
     """How many views had nothing at places (N, 3) in odom, nor before them: (N,)."""
     place_m = np.array([view.odom_from_depth.translation_m for view in views])
     odom_from_depth = np.array([view.odom_from_depth.rotation() for view in views])
-    half_tan, range_m = np.array([view.half_tan for view in views]), np.array([view.range_m for view in views])
+    half_tan, range_m = np.array([[view.half_tan] for view in views]), np.array([view.range_m for view in views])
     seen = (places - place_m[:, None]) @ odom_from_depth
-    deep = np.maximum(seen[..., 2], 1e-6)
-    rows, columns = range_m.shape[1:]
-    u = np.floor((seen[..., 0] / deep / half_tan[:, :1] + 1.0) / 2.0 * columns)
-    v = np.floor((seen[..., 1] / deep / half_tan[:, 1:] + 1.0) / 2.0 * rows)
-    past = (seen[..., 2] > 0.0) & (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
+    past, v, u = in_view(seen, half_tan, range_m.shape)
     n, _ = inside = np.nonzero(past)
     free_m = range_m[n, v[inside].astype(int), u[inside].astype(int)]
     past[inside] = np.linalg.norm(seen[inside], axis=1) * (1.0 + _INSIDE_SHARE) + _INSIDE_M < free_m

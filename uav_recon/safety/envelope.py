@@ -39,8 +39,7 @@ class Fence:
 
     def holds(self, position_m: Vec3) -> bool:
         """Whether a place lies inside the fence itself, the inset not counted. False for what is not a number."""
-        x, y, z = position_m
-        return self.plan.holds((x, y)) and self.floor_m <= z <= self.ceiling_m
+        return self.plan.holds(position_m[:2]) and self.floor_m <= position_m[2] <= self.ceiling_m
 
 
 @dataclass(frozen=True, slots=True)

@@ -173,8 +173,7 @@ class Guard:
         """The faster, the sooner: what is flown since the last pulse, and the braking, stay within silence_way_m."""
         braking_m = speed_mps**2 / (2.0 * self.envelope.max_acceleration_mps2)
         heard = -_FUTURE_S <= intent_age_s <= self.bounds.intent_hold_s
-        way_m = speed_mps * intent_age_s + braking_m
-        return not (heard and way_m <= max(self.bounds.silence_way_m, braking_m))
+        return not (heard and speed_mps * intent_age_s + braking_m <= max(self.bounds.silence_way_m, braking_m))
 
     def _step_fault(self, last: _Motion, motion: _Motion) -> str:
         """Limits against the last cleared setpoint: place, velocity and heading may not jump."""

@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from uav_recon.safety.envelope import Vec3
 from uav_recon.types.maps import FreeSpace
 
-_Index = tuple[int, int, int]
-
 _ROUNDING = 1e-9
 _STANDING = 1e-30  # square of a leg so short that it stands
 
@@ -41,14 +39,14 @@ class KnownFree:
             for a, b, c in met
         )
 
-    def _touched(self, a: Vec3, b: Vec3) -> Iterator[_Index]:
+    def _touched(self, a: Vec3, b: Vec3) -> Iterator[tuple[int, int, int]]:
         """Voxels that are not known free in a hull that goes from a to b: of each column what it passes while the column is
         within its radius, from root to root of |column - a - share (b - a)| = radius.
         """
         wide, high, (x, y, z), (dx, dy, dz) = self._wide + _ROUNDING, self._high + _ROUNDING, a, map(operator.sub, b, a)
         rows, columns = _between(x, b[0], wide), _between(y, b[1], wide)
         if self._is_open(rows, columns, _between(z, z + dz, high)):
-            return
+            return  # as nearly every way that is flown
         square = dx * dx + dy * dy + _STANDING
         for i, j in itertools.product(rows, columns):
             along = (i - x) * dx + (j - y) * dy
@@ -57,16 +55,14 @@ class KnownFree:
             first, last = max((along - root) / square, 0.0), min((along + root) / square, 1.0)
             if root2 >= 0.0 and first <= last:
                 column, layers = (range(i, i + 1), range(j, j + 1)), _between(z + dz * first, z + dz * last, high)
-                if not self._is_open(*column, layers):
-                    yield from ((i, j, k) for k in layers if not self._is_open(*column, range(k, k + 1)))
+                yield from ((i, j, k) for k in layers if not self._is_open(*column, range(k, k + 1)))
 
     def _is_open(self, rows: range, columns: range, layers: range) -> bool:
         """Whether a whole box is known free. A row's bits lie one behind the other, and are asked together."""
-        (nx, ny, nz), row = self._shape, 0
+        nx, ny, nz = self._shape
         if min(rows.start, columns.start, layers.start) < 0 or rows.stop > nx or columns.stop > ny or layers.stop > nz:
             return False
-        for _ in columns:
-            row = row << nz | (1 << len(layers)) - 1
+        row = sum([(1 << len(layers)) - 1 << n * nz for n in range(len(columns))])
         for i in rows:
             first = (i * ny + columns.start) * nz + layers.start
             end = first + row.bit_length()

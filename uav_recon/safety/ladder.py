@@ -74,27 +74,28 @@ class Ladder:
             rung, why = Rung.LAND, f"{why}, holding for {self._patience.intent_land_s:.0f} s"
         self._healthy_since_s = min(self._healthy_since_s, health.now_s) if rung is Rung.FLY else math.inf
         wait_s = _HEALTH_S if health.now_s - self._retreat_s > _BARELY_S else 0.0
-        recovered = self._rung <= Rung.HOLD or (
-            self._rung is Rung.RETREAT and rung is Rung.FLY and health.now_s - self._healthy_since_s >= wait_s
-        )
+        well = rung is Rung.FLY and health.now_s - self._healthy_since_s >= wait_s
+        recovered = self._rung <= Rung.HOLD or (self._rung is Rung.RETREAT and well)
         if rung >= self._rung or recovered:
             self._retreat_s = self._retreat_s if self._rung is Rung.RETREAT else health.now_s
             self._rung, self._why = rung, why
         return self._rung, self._why
 
     def _wanted(self, health: Health) -> tuple[Rung, str]:
-        p, inside_for_land = self._patience, self._outside_too_long(health)
+        p, outside, refused = self._patience, self._outside_too_long(health), self._refused_too_often(health)
         silences = (
             ("no pose", health.pose_age_s, (p.pose_hold_s, math.inf, p.pose_land_s)),
             ("mission silent", health.intent_age_s, (p.intent_hold_s, p.intent_retreat_s, p.intent_land_s)),
             ("no depth", health.depth_age_s, (p.depth_hold_s, p.depth_retreat_s, p.depth_land_s)),
         )
-        found = [(_rung_of(age_s, limits), f"{name} for {age_s:.1f} s") for name, age_s, limits in silences]
-        found.append((Rung.HOLD if health.lost else Rung.FLY, health.lost))
-        found.append((Rung.LAND if inside_for_land else Rung.FLY, f"outside the fence for {_OUTSIDE_S:.0f} s"))
-        found.append((Rung.HOLD if self._refused_too_often(health) else Rung.FLY, f"{_REFUSALS} refusals in a second"))
-        rung, why = max(found, key=lambda pair: pair[0])
-        return rung, why if rung > Rung.FLY else ""
+        rungs = [_rung_of(age_s, limits_s) for _, age_s, limits_s in silences]
+        if (rung := max(rungs)) < Rung.LAND and outside:
+            return Rung.LAND, f"outside the fence for {_OUTSIDE_S:.0f} s"
+        if rung > Rung.FLY:
+            name, age_s, _ = silences[rungs.index(rung)]
+            return rung, f"{name} for {age_s:.1f} s"
+        why = health.lost or (f"{_REFUSALS} refusals in a second" if refused else "")
+        return Rung.HOLD if why else Rung.FLY, why
 
     def _outside_too_long(self, health: Health) -> bool:
         self._inside_s = health.now_s if health.inside else min(self._inside_s, health.now_s)
@@ -111,4 +112,4 @@ class Ladder:
 
 def _rung_of(age_s: float, limits_s: tuple[float, float, float]) -> Rung:
     """The lowest rung whose limit an age is beyond; an age that is not a number is beyond all."""
-    return Rung(max((rung for rung, limit_s in enumerate(limits_s, 1) if not age_s <= limit_s), default=0))
+    return Rung(max([rung for rung, limit_s in enumerate(limits_s, 1) if not age_s <= limit_s], default=0))

@@ -40,10 +40,8 @@ class PoseGate:
     def judge(self, pose: StampedPose, now_s: float) -> Verdict:
         """Believe, or say why not."""
         last = self._believed
-        why = _unfit(pose, now_s)
-        if not why and last is not None and pose.stamp_s <= last.stamp_s:
-            why = "repeated or older than the one before"
-        if why:
+        repeated = last is not None and pose.stamp_s <= last.stamp_s
+        if why := _unfit(pose, now_s) or ("repeated or older than the one before" if repeated else ""):
             return self._refuse(Verdict(False, why=why))
         if last is None or pose.reset_counter != last.reset_counter:
             return self._believe(pose, anew=last is not None)
@@ -75,13 +73,14 @@ class PoseGate:
         """What no flight explains between two poses, '' for nothing."""
         dt_s = pose.stamp_s - last.stamp_s
         way = pose.odom_from_body.translation_m - last.odom_from_body.translation_m
-        off_m = float(np.linalg.norm(way - last.velocity_odom_mps * dt_s))
-        sigma_m = math.sqrt(max(float(np.trace(pose.covariance[:3, :3])) / 3.0, 0.0))
+        off_m = math.hypot(*(way - last.velocity_odom_mps * dt_s).tolist())
+        xx, yy, zz = pose.covariance.diagonal().tolist()[:3]
+        sigma_m = math.sqrt(max((xx + yy + zz) / 3.0, 0.0))
         allowed_m = min(max(_JUMP_M, 3.0 * sigma_m), _WIDEST_M)
         if not off_m <= allowed_m + 0.5 * _PUSH_MPS2 * dt_s * dt_s:
             return f"jump of {off_m:.2f} m"
-        if not float(np.linalg.norm(way)) <= _FASTEST_MPS * dt_s + allowed_m:
-            return f"a way of {float(np.linalg.norm(way)):.2f} m in {dt_s:.2f} s"
+        if not (way_m := math.hypot(*way.tolist())) <= _FASTEST_MPS * dt_s + allowed_m:
+            return f"a way of {way_m:.2f} m in {dt_s:.2f} s"
         turn_rad = abs(math.remainder(pose.odom_from_body.yaw_rad() - last.odom_from_body.yaw_rad(), math.tau))
         if not turn_rad <= _TURN_RAD + self._max_yaw_rate_radps * dt_s:
             return f"turn of {math.degrees(turn_rad):.0f} degrees"

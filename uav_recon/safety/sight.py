@@ -8,7 +8,7 @@ import numpy as np
 
 from uav_recon.safety.envelope import Vec3
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.nearby import Nearby, in_view
 from uav_recon.types.pose import Pose
 
 _VIEWS = 160  # spread over the memory: ten seconds of them at 15 Hz
@@ -26,7 +26,7 @@ class Sight:
         self._depth_from_odom, self._place_m = np.zeros((_VIEWS, 3, 3)), np.zeros((_VIEWS, 3))
         self._body_m = np.full((_VIEWS, 3), math.inf)
         self._range_m: FloatArray = np.zeros((_VIEWS, 1, 1))
-        self._half_tan = (1.0, 1.0)
+        self._half_tan = np.ones(2)
 
     def add(self, nearby: Nearby, odom_from_body: Pose) -> None:
         """Remember a frame, taken from there."""
@@ -37,7 +37,7 @@ class Sight:
             return
         n, self._count = self._count % _VIEWS, self._count + 1
         odom_from_depth = odom_from_body @ nearby.body_from_depth
-        self._stamp_s[n], self._half_tan = nearby.stamp_s, nearby.half_tan
+        self._stamp_s[n], self._half_tan = nearby.stamp_s, np.array(nearby.half_tan)
         self._depth_from_odom[n], self._place_m[n] = odom_from_depth.rotation().T, odom_from_depth.translation_m
         self._body_m[n], self._range_m[n] = odom_from_body.translation_m, nearby.range_m
 
@@ -51,11 +51,7 @@ class Sight:
         if bool(np.any(fresh & (np.linalg.norm(self._body_m - place_m, axis=1) <= self._radius_m))):
             return True
         seen = np.einsum("nij,nj->ni", self._depth_from_odom, np.array(place_m) - self._place_m)
-        deep = np.maximum(seen[:, 2], 1e-6)
-        rows, columns = self._range_m.shape[1:]
-        u = np.floor((seen[:, 0] / deep / self._half_tan[0] + 1.0) / 2.0 * columns)
-        v = np.floor((seen[:, 1] / deep / self._half_tan[1] + 1.0) / 2.0 * rows)
-        inside = fresh & (seen[:, 2] > 0.0) & (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
-        (n,) = np.nonzero(inside)
+        inside, v, u = in_view(seen, self._half_tan, self._range_m.shape)
+        (n,) = np.nonzero(fresh & inside)
         nearest = self._range_m[n, v[n].astype(int), u[n].astype(int)]
         return bool(np.any(np.linalg.norm(seen[n], axis=1) <= nearest - _BEFORE_M))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.types.frames import Float32Array, FloatArray, frozen
+from uav_recon.types.frames import BoolArray, Float32Array, FloatArray, frozen
 from uav_recon.types.pose import Pose
 
 
@@ -35,6 +35,19 @@ class Nearby:
         there = np.isfinite(self.range_m)
         found: FloatArray = _rays(*self.range_m.shape, *self.half_tan)[there] * self.range_m[there][:, None]
         return found
+
+
+def in_view(seen: FloatArray, half_tan: FloatArray, shape: tuple[int, ...]) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Whether places (..., 3) in a depth imager's axes lie in its view, and in which row and column of its cells.
+
+    half_tan (..., 2). shape: of the view, its last two numbers are rows and columns.
+    """
+    deep = np.maximum(seen[..., 2], 1e-6)
+    rows, columns = shape[-2:]
+    u = np.floor((seen[..., 0] / deep / half_tan[..., 0] + 1.0) / 2.0 * columns)
+    v = np.floor((seen[..., 1] / deep / half_tan[..., 1] + 1.0) / 2.0 * rows)
+    inside: BoolArray = (seen[..., 2] > 0.0) & (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
+    return inside, v, u
 
 
 @functools.lru_cache(maxsize=4)  # cameras have one shape each
