@@ -22,7 +22,7 @@ class TimeSyncFilter:
         self._needed, self._round_trip_ns = samples_needed, int(round_trip_s * _NS)
         self._samples: deque[tuple[int, int]] = deque(maxlen=window)  # (round trip, offset), ns
         self._against: list[tuple[int, int]] = []  # exchanges running that contradict them
-        self._newest_ns = 0
+        self._newest_ns = self._offset_ns = 0
         self.restarts = 0
 
     @property
@@ -41,11 +41,12 @@ class TimeSyncFilter:
         if not 0 <= round_trip <= self._round_trip_ns:
             return
         offset = autopilot_ns - (sent_ns + now_ns) // 2
-        if self._samples and abs(offset - self._offset_ns()) > _CONTRADICTS_NS:
+        if self._samples and abs(offset - self._offset_ns) > _CONTRADICTS_NS:
             self._contradict(round_trip, offset, autopilot_ns)
             return
         self._against, self._newest_ns = [], autopilot_ns
         self._samples.append((round_trip, offset))
+        self._offset_ns = min(self._samples)[1]
 
     def _contradict(self, round_trip: int, offset: int, autopilot_ns: int) -> None:
         if self._against and abs(offset - self._against[-1][1]) > _CONTRADICTS_NS:
@@ -57,14 +58,11 @@ class TimeSyncFilter:
             self._samples = deque(self._against, self._samples.maxlen)
             self.restarts += 1
         else:
-            step_ns = offset - self._offset_ns()
+            step_ns = offset - self._offset_ns
             moved = ((trip, before + step_ns) for trip, before in self._samples)
             self._samples = deque((*moved, (round_trip, offset)), self._samples.maxlen)
-        self._against, self._newest_ns = [], autopilot_ns
+        self._against, self._newest_ns, self._offset_ns = [], autopilot_ns, min(self._samples)[1]
 
     def autopilot_ns(self, ours_s: float) -> int:
         """Our instant on the autopilot's clock, never negative. Meaningless before convergence."""
-        return max(int(ours_s * _NS) + self._offset_ns(), 0)
-
-    def _offset_ns(self) -> int:
-        return min(self._samples)[1] if self._samples else 0
+        return max(int(ours_s * _NS) + self._offset_ns, 0)

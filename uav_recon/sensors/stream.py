@@ -105,8 +105,10 @@ class StreamCamera(_Stream):
     def imu(self) -> list[ImuSample]:
         """Inertial samples since the last call."""
         self._imu_read, samples = self._reader.imu(self._imu_read)
-        gyro, force = samples["gyro_radps"].astype(np.float64), samples["specific_force_mps2"].astype(np.float64)
-        return [ImuSample(*row) for row in zip(samples["stamp_s"].tolist(), gyro, force, strict=True)]
+        if not len(samples):
+            return []
+        rows = zip(samples["stamp_s"].tolist(), samples["gyro_radps"], samples["specific_force_mps2"], strict=True)
+        return [ImuSample(*row) for row in rows]
 
     def _frame(self, raw: RawFrame) -> Frame:
         depth, rgb, rgb_from_depth = self._optics
@@ -128,24 +130,16 @@ class StreamPoses(_Stream):
             return []
         self._empty = 0
         out: list[StampedPose] = []
-        positions, quats = records["position_m"].astype(np.float64), records["quat_wxyz"].astype(np.float64)
-        variances, stamps = records["variance"].astype(np.float64), records["stamp_s"].tolist()
-        for k in range(len(records)):
-            quat, variance = quats[k].tolist(), variances[k].tolist()
-            finite = all(map(math.isfinite, (stamps[k], *positions[k].tolist(), *quat, *variance)))
+        columns = (
+            records[name].tolist() for name in ("stamp_s", "position_m", "quat_wxyz", "variance", "quality", "reset_counter")
+        )
+        for stamp_s, position, quat, variance, quality, resets in zip(*columns, strict=True):
+            finite = all(map(math.isfinite, (stamp_s, *position, *quat, *variance)))
             if not finite or abs(math.hypot(*quat) - 1.0) > 0.01 or min(variance) < 0.0:
                 self.refused += 1
                 continue
-            out.append(
-                StampedPose(
-                    stamps[k],
-                    Pose(quats[k], positions[k]),
-                    np.zeros(3),
-                    np.diag(variances[k]),
-                    min(max(int(records["quality"][k]), 0), 100),
-                    int(records["reset_counter"][k]) % 256,
-                )
-            )
+            pose = Pose(np.array(quat), np.array(position))
+            out.append(StampedPose(stamp_s, pose, np.zeros(3), np.diag(variance), min(max(quality, 0), 100), resets % 256))
         return out
 
 

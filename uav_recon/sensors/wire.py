@@ -200,10 +200,11 @@ class StreamReader:
         q = [float(x) for x in head["rgb_from_depth"][0]]
         self.header = StreamHeader(specs[0], specs[1], (q[0], q[1], q[2], q[3], q[4], q[5], q[6]))
         self._stream = _Stream(path, self.header, create=False)
+        self._written = {name: self._stream.header[name] for name in ("frames", "imu", "poses")}  # asked at every poll
 
     def frame(self, after: int = 0) -> RawFrame | None:
         """The newest frame if its sequence is above ``after``; None also if it was overwritten while being copied."""
-        sequence = int(self._stream.header["frames"][0])
+        sequence: int = self._written["frames"].item()
         if sequence <= after:
             return None
         slot = self._stream.frames[sequence % FRAME_SLOTS]
@@ -222,8 +223,9 @@ class StreamReader:
         return self._ring("poses", self._stream.poses, POSE_SLOTS, after)
 
     def _ring(self, name: str, ring: Any, slots: int, after: int) -> tuple[int, NDArray[Any]]:
-        count = int(self._stream.header[name][0])
+        count: int = self._written[name].item()
         first = max(after, count - slots // 2, 0)
         if first >= count:  # most polls find nothing new
-            return count, ring[:0].copy()
-        return count, ring[np.arange(first, count) % slots].copy()
+            return count, ring[:0]
+        begin, end = first % slots, (count - 1) % slots + 1
+        return count, ring[begin:end].copy() if begin < end else np.concatenate((ring[begin:], ring[:end]))

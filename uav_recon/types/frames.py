@@ -32,7 +32,8 @@ _A = TypeVar("_A", bound=AnyArray)
 
 def frozen(array: _A) -> _A:
     """Return ``array`` C-contiguous and read-only (a copy only where the caller's array is still writeable)."""
-    if array.flags.writeable or not array.flags.c_contiguous:
+    flags = array.flags
+    if flags.writeable or not flags.c_contiguous:
         array = array.copy(order="C")
         array.setflags(write=False)
     return array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -28,10 +29,13 @@ class Pose:
         translation = np.asarray(self.translation_m, dtype=np.float64)
         if quat.shape != (4,) or translation.shape != (3,):
             raise ValueError(f"pose wants quat_wxyz (4,) and translation_m (3,), got {quat.shape} and {translation.shape}")
-        norm = math.sqrt(quat @ quat)
+        w, x, y, z = quat.tolist()
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
         if not all(map(math.isfinite, (norm, *translation.tolist()))) or norm < 1e-9:
             raise ValueError(f"pose is not finite: quat_wxyz {quat}, translation_m {translation}")
-        object.__setattr__(self, "quat_wxyz", frozen(quat / norm))
+        unit = quat / norm
+        unit.setflags(write=False)
+        object.__setattr__(self, "quat_wxyz", unit)
         object.__setattr__(self, "translation_m", frozen(translation))
 
     @staticmethod
@@ -134,6 +138,7 @@ class WorldFromOdom:
     epoch: int = 0
 
     @staticmethod
+    @functools.cache
     def start() -> WorldFromOdom:
         """Before the first correction world and odom are one."""
         return WorldFromOdom(Pose.identity())
