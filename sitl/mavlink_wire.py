@@ -6,6 +6,8 @@ rest of the simulated autopilot.
 
 from __future__ import annotations
 
+import functools
+import itertools
 import struct
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -45,20 +47,16 @@ class Speaker:
     def frame(self, message: Packet) -> bytes:
         """The bytes of one packet. Raises struct.error for a field that does not fit its kind."""
         kind, fields = message
-        if len(fields) < len(kind.fieldnames):  # extensions that nobody filled
-            fields = (*fields, *([0] * (len(kind.fieldnames) - len(fields))))
-        values: list[Any] = []
-        for place, count in zip(_wire_order(kind), kind.lengths, strict=True):
-            if count == 1:
-                values.append(fields[place])
-            else:
-                values.extend(fields[place] or (0,) * count)
+        form = _form(kind)
+        if len(fields) < len(form.order):  # extensions that nobody filled
+            fields = (*fields, *([0] * (len(form.order) - len(fields))))
+        values = [fields[place] for place in form.order]
+        for place, count in form.arrays:  # the last one first, so that the places before it hold
+            values[place : place + 1] = values[place] or (0,) * count
         payload = kind.unpacker.pack(*values).rstrip(b"\0") or b"\0"
-        head = _HEADER.pack(
-            _START, len(payload), 0, 0, self._number, self._system, self._component, kind.id.to_bytes(3, "little")
-        )
+        head = _HEADER.pack(_START, len(payload), 0, 0, self._number, self._system, self._component, form.number)
         self._number = (self._number + 1) % 256
-        return head + payload + _CHECK.pack(_checksum(head[1:] + payload, kind))
+        return head + payload + _CHECK.pack(_checksum(head[1:] + payload, form))
 
 
 class Listener:
@@ -79,7 +77,7 @@ class Listener:
                 break
             kind = mavlink.mavlink_map.get(int.from_bytes(number, "little"))
             body = self._waiting[at + 1 : check]
-            if kind is None or _checksum(body, kind) != _CHECK.unpack_from(self._waiting, check)[0]:
+            if kind is None or _checksum(body, _form(kind)) != _CHECK.unpack_from(self._waiting, check)[0]:
                 at += 1
                 continue
             heard.append(Heard(kind=kind.id, sender=(system, component), **_fields(kind, body[_HEADER_BYTES - 1 :])))
@@ -88,26 +86,37 @@ class Listener:
         return heard
 
 
-def _checksum(body: bytes, kind: Any) -> int:
-    return int(mavlink.x25crc(body + bytes((kind.crc_extra,))).crc)
+class _Form(NamedTuple):
+    """How a kind lies on the wire. order: for each field there its place among the fields as they are named; arrays: place
+    and count of those that are some, last first; values: name and where it stands among the unpacked values.
+    """
+
+    number: bytes
+    seed: bytes
+    order: tuple[int, ...]
+    arrays: tuple[tuple[int, int], ...]
+    values: tuple[tuple[str, int | slice], ...]
+
+
+@functools.cache
+def _form(kind: Any) -> _Form:
+    order = tuple(kind.fieldnames.index(name) for name in kind.ordered_fieldnames)
+    arrays = tuple((place, count) for place, count in enumerate(kind.lengths) if count > 1)
+    starts = itertools.accumulate(kind.lengths, initial=0)
+    places = (at if count == 1 else slice(at, at + count) for at, count in zip(starts, kind.lengths, strict=False))
+    values = tuple(zip(kind.ordered_fieldnames, places, strict=True))
+    return _Form(kind.id.to_bytes(3, "little"), bytes((kind.crc_extra,)), order, arrays[::-1], values)
+
+
+def _checksum(body: bytes, form: _Form) -> int:
+    return int(mavlink.x25crc(body + form.seed).crc)
 
 
 def _fields(kind: Any, payload: bytes) -> dict[str, Any]:
     size = kind.unpacker.size
-    values, at, fields = kind.unpacker.unpack(payload[:size].ljust(size, b"\0")), 0, {}
-    for name, count in zip(kind.ordered_fieldnames, kind.lengths, strict=True):
-        value = values[at] if count == 1 else values[at : at + count]
-        fields[name] = value.split(b"\0")[0].decode("ascii", "replace") if isinstance(value, bytes) else value
-        at += count
-    return fields
+    values = kind.unpacker.unpack(payload[:size].ljust(size, b"\0"))
+    return {name: _plain(values[place]) for name, place in _form(kind).values}
 
 
-_ORDERS: dict[int, list[int]] = {}
-
-
-def _wire_order(kind: Any) -> list[int]:
-    """For each field on the wire its place among the fields as they are named."""
-    order = _ORDERS.get(kind.id)
-    if order is None:
-        order = _ORDERS[kind.id] = [kind.fieldnames.index(name) for name in kind.ordered_fieldnames]
-    return order
+def _plain(value: Any) -> Any:
+    return value.split(b"\0")[0].decode("ascii", "replace") if isinstance(value, bytes) else value

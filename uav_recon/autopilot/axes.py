@@ -7,6 +7,7 @@ quaternions all follow from them.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -20,21 +21,21 @@ _HALF = math.sqrt(0.5)
 _SIX = np.kron(np.eye(2), NED_FROM_ENU)
 
 
-def swap_world(vector: FloatArray) -> Vec3:
+def swap_world(vector: Iterable[float]) -> Vec3:
     """ENU (3,) to NED, or NED to ENU."""
     x, y, z = vector
     return (float(y), float(x), -float(z))
 
 
-def swap_body(vector: FloatArray) -> Vec3:
+def swap_body(vector: Iterable[float]) -> Vec3:
     """FLU (3,) to FRD, or FRD to FLU."""
     x, y, z = vector
     return (float(x), -float(y), -float(z))
 
 
-def swap_attitude(quat_wxyz: FloatArray) -> Quat:
+def swap_attitude(quat_wxyz: Iterable[float]) -> Quat:
     """ENU-from-FLU to NED-from-FRD, or back: (0,s,s,0) q (0,1,0,0) with s = sqrt(1/2), up to the sign of the whole."""
-    w, x, y, z = (float(q) for q in quat_wxyz)
+    w, x, y, z = map(float, quat_wxyz)
     return (_HALF * (w + z), _HALF * (x + y), _HALF * (x - y), _HALF * (w - z))
 
 

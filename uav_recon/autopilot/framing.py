@@ -23,7 +23,7 @@ _HEAD = struct.Struct("<BBBBBBBHB")  # magic, length, two flags, sequence, syste
 _CHECK = struct.Struct("<H")
 
 
-def frame_length(buffer: bytearray, at: int) -> int:
+def frame_length(buffer: bytes, at: int) -> int:
     """Length of the frame that starts here, 0 if none can, -1 if its end has not arrived.
 
     Nothing is waited for that no known kind can become: after garbage the next true frame must not wait for a false one.
@@ -46,7 +46,7 @@ def frame_length(buffer: bytearray, at: int) -> int:
     return 0 if whole_header and (kind is None or buffer[at + 1] > kind.unpacker.size) else -1
 
 
-def kind_of(frame: bytes | bytearray) -> int:
+def kind_of(frame: bytes) -> int:
     """Message id of a whole frame."""
     return frame[5] if frame[0] == MAGIC_1 else frame[7] | frame[8] << 8 | frame[9] << 16
 

@@ -43,7 +43,7 @@ class Decoder:
     """Finds frames in a byte stream. Counters: garbage bytes, frames of MAVLink 1, frames of unknown kind."""
 
     def __init__(self) -> None:
-        self._buffer = bytearray()
+        self._buffer = b""
         self.garbage_bytes = 0
         self.mavlink1_frames = 0
         self.unknown_frames = 0
@@ -56,7 +56,7 @@ class Decoder:
             length = frame_length(self._buffer, at)
             if length < 0:
                 break
-            frame = bytes(self._buffer[at : at + length])
+            frame = self._buffer[at : at + length]
             kind = wire.mavlink_map.get(kind_of(frame)) if length else None
             if not length or not (self._followed(at + length) if kind is None else is_intact(frame, kind)):
                 self.garbage_bytes += 1
@@ -69,7 +69,7 @@ class Decoder:
             else:
                 received.append(Received(*sender_of(frame), _value(kind.id, frame), frame))
             at += length
-        del self._buffer[:at]
+        self._buffer = self._buffer[at:]
         return received
 
     def _followed(self, end: int) -> bool:
@@ -117,9 +117,9 @@ class Encoder:
         velocity_body = pose.odom_from_body.rotation().T @ pose.velocity_odom_mps
         payload = _ODOMETRY.unpacker.pack(
             time_us,
-            *swap_world(pose.odom_from_body.translation_m),
-            *swap_attitude(pose.odom_from_body.quat_wxyz),
-            *swap_body(velocity_body),
+            *swap_world(pose.odom_from_body.translation_m.tolist()),
+            *swap_attitude(pose.odom_from_body.quat_wxyz.tolist()),
+            *swap_body(velocity_body.tolist()),
             *(0.0, 0.0, 0.0),
             *swap_covariance(pose.covariance)[_UPPER].tolist(),
             *_TWIST_COVARIANCE,
@@ -135,9 +135,9 @@ class Encoder:
         """SET_POSITION_TARGET_LOCAL_NED; mask: the bits of what is to be ignored, 0 = nothing."""
         payload = _SETPOINT.unpacker.pack(
             time_boot_ms % (1 << 32),
-            *swap_world(setpoint.position_m),
-            *swap_world(setpoint.velocity_mps),
-            *swap_world(setpoint.acceleration_mps2),
+            *swap_world(setpoint.position_m.tolist()),
+            *swap_world(setpoint.velocity_mps.tolist()),
+            *swap_world(setpoint.acceleration_mps2.tolist()),
             swap_yaw(setpoint.yaw_rad),
             -setpoint.yaw_rate_radps,
             mask,
@@ -203,13 +203,12 @@ def _system_status(present: int, health: int, battery_remaining: int) -> Message
 def _local_position(*numbers: float) -> Message | None:
     if not all(map(math.isfinite, numbers)):
         return None
-    ned = np.array(numbers)
-    return LocalPosition(np.array(swap_world(ned[:3])), np.array(swap_world(ned[3:])))
+    return LocalPosition(np.array(swap_world(numbers[:3])), np.array(swap_world(numbers[3:])))
 
 
 def _attitude(*quat: float) -> Message | None:
     good = abs(math.hypot(*quat) - 1.0) < 1e-2  # never of what is not finite
-    return Attitude(np.array(swap_attitude(np.array(quat)))) if good else None
+    return Attitude(np.array(swap_attitude(quat))) if good else None
 
 
 def _firmware(number: int) -> Message:

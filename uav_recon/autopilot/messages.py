@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from uav_recon.types.frames import FloatArray
 
@@ -125,8 +126,7 @@ Message = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Received:
+class Received(NamedTuple):
     """One checked MAVLink 2 frame. message is None if it says nothing we use."""
 
     system: int
