@@ -105,16 +105,13 @@ class MavlinkServer:
                 self._list_next += 1
         if now_s < self._due_s:
             return
-        due = math.inf
         for stream in self._streams.values():
             if stream.next_s <= now_s and stream.interval_s < math.inf:
                 message = stream.build()
                 if message is not None:
                     self.send(message)
                 stream.next_s = max(stream.next_s + stream.interval_s, now_s - stream.interval_s)
-            if stream.interval_s < math.inf:
-                due = min(due, stream.next_s)
-        self._due_s = due
+        self._due_s = min([s.next_s for s in self._streams.values() if s.interval_s < math.inf], default=math.inf)
 
     def flush(self) -> None:
         """Put everything queued on the wire."""

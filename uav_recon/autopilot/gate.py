@@ -37,14 +37,12 @@ class Gate:
     def admits(self, received: Received) -> bool:
         """Whether a frame may say anything about the vehicle; who may not is named."""
         ours = (self._allowed.autopilot, self._allowed.gimbal)
-        who = f"system {received.system}, component {received.component}"
-        if received.system != self._allowed.system or received.component not in ours:
-            self.refuse(who)
-            return False
-        if not self.seal.accept(received.frame):
-            self.refuse(f"{who} without a true and new signature")
-            return False
-        return True
+        known = received.system == self._allowed.system and received.component in ours
+        if known and self.seal.accept(received.frame):
+            return True
+        fault = " without a true and new signature" if known else ""
+        self.refuse(f"system {received.system}, component {received.component}{fault}")
+        return False
 
     def is_autopilot(self, received: Received) -> bool:
         """Whether the vehicle's autopilot says so of itself."""

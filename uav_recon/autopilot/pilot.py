@@ -23,6 +23,7 @@ from uav_recon.autopilot.steering import Steering
 from uav_recon.autopilot.tlog import FrameLog, NoLog
 from uav_recon.clock import RateKeeper
 from uav_recon.protocols import ByteLink, Channel, Clock
+from uav_recon.safety.envelope import Vec3
 from uav_recon.safety.guard import Guard, Situation
 from uav_recon.safety.ladder import Health, Ladder, Patience, Rung
 from uav_recon.safety.posegate import PoseGate
@@ -136,6 +137,12 @@ class Pilot:
     def _refusals(self) -> int:
         return self._guard.refusals + self._mandate.malformed + self._steering.gave_way
 
+    @property
+    def _position_m(self) -> Vec3:
+        """In odom; its origin before the first pose."""
+        x, y, z = self._poses.pose.odom_from_body.translation_m.tolist() if self._poses.pose else (0.0, 0.0, 0.0)
+        return x, y, z
+
     # ---- listen and judge -------------------------------------------------------------------------------------
 
     def _listen(self, now_s: float) -> None:
@@ -168,18 +175,18 @@ class Pilot:
         pose, intent_age_s = self._poses.pose, self._mandate.age_s(now_s)
         free, ahead = self._lookout.known_free, self._lookout.ahead
         if pose is None:
-            return Situation(now_s, (0.0, 0.0, 0.0), 0.0, np.eye(3), math.inf, intent_age_s, 0, free, ahead)
-        x, y, z = pose.odom_from_body.translation_m.tolist()
+            return Situation(now_s, self._position_m, 0.0, np.eye(3), math.inf, intent_age_s, 0, free, ahead)
         body_from_odom, yaw_rad = pose.odom_from_body.rotation().T, pose.odom_from_body.yaw_rad()
         age_s = now_s - pose.stamp_s
         slow = pose.health is not PoseHealth.GOOD
-        return Situation(now_s, (x, y, z), yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow)
+        return Situation(
+            now_s, self._position_m, yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow
+        )
 
     def _health(self, now_s: float) -> Health:
-        here, refusals = self._situation(now_s), self._refusals
-        inside = self._guard.envelope.fence.holds(here.position_m)
-        sound_age_s, depth_age_s = now_s - self._poses.sound_s, self._lookout.depth_age_s(now_s)
-        return Health(now_s, sound_age_s, here.intent_age_s, depth_age_s, inside, refusals, self._poses.lost)
+        inside = self._guard.envelope.fence.holds(self._position_m)
+        ages_s = (now_s - self._poses.sound_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
+        return Health(now_s, *ages_s, inside, self._refusals, self._poses.lost)
 
     # ---- act --------------------------------------------------------------------------------------------------
 

@@ -29,9 +29,9 @@ class Breadcrumbs:
 
     def drop(self, odom_from_body: Pose) -> None:
         """Note where the vehicle is."""
-        place = odom_from_body.translation_m
-        if len(self._crumbs) < _MOST and (not self._crumbs or np.linalg.norm(place - self._crumbs[-1]) > _APART_M):
-            self._crumbs.append(place)
+        place, crumbs = odom_from_body.translation_m, self._crumbs
+        if len(crumbs) < _MOST and (not crumbs or math.hypot(*(place - crumbs[-1]).tolist()) > _APART_M):
+            crumbs.append(place)
 
     def forget(self) -> None:
         """Odom itself jumped: these places are others now."""

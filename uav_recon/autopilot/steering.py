@@ -90,12 +90,13 @@ class Steering:
         """Level, from where it is told to be: ahead of it or beside it. Behind its setpoints it is late, and not pushed."""
         if self._flown is None:
             return 0.0
-        off_m = (np.array(situation.position_m) - self._flown.position_m)[:2]
-        speed_mps = math.hypot(*self._flown.velocity_mps[:2])
+        (x, y, _), (vx, vy, _) = self._flown.position_m.tolist(), self._flown.velocity_mps.tolist()
+        off_x_m, off_y_m, speed_mps = situation.position_m[0] - x, situation.position_m[1] - y, math.hypot(vx, vy)
         if speed_mps > 0.0:
-            onward = self._flown.velocity_mps[:2] / speed_mps
-            off_m = off_m - min(float(off_m @ onward), 0.0) * onward
-        return math.hypot(*off_m)
+            ux, uy = vx / speed_mps, vy / speed_mps
+            late_m = min(off_x_m * ux + off_y_m * uy, 0.0)
+            off_x_m, off_y_m = off_x_m - late_m * ux, off_y_m - late_m * uy
+        return math.hypot(off_x_m, off_y_m)
 
     def _gives_way(self, situation: Situation) -> bool:
         """Whether something near decides what is flown: it came all of a sudden, or the vehicle is still stepping aside."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 Vec2 = tuple[float, float]
 
@@ -18,9 +18,11 @@ class Polygon:
     """
 
     corners_m: tuple[Vec2, ...]
+    _sides: tuple[tuple[Vec2, Vec2], ...] = field(init=False, repr=False, compare=False)  # asked for at each of its questions
 
     def __post_init__(self) -> None:
         corners = self.corners_m
+        object.__setattr__(self, "_sides", tuple(zip(corners, (*corners[1:], *corners[:1]), strict=True)))
         if not all(math.isfinite(value) for corner in corners for value in corner):
             raise ValueError(f"corners {corners} must be finite")
         if len(set(corners)) < 3:
@@ -43,7 +45,7 @@ class Polygon:
 
     def sides(self) -> tuple[tuple[Vec2, Vec2], ...]:
         """Each corner with the next."""
-        return tuple(zip(self.corners_m, (*self.corners_m[1:], self.corners_m[0]), strict=True))
+        return self._sides
 
     def holds(self, point_m: Vec2) -> bool:
         """Whether a point lies inside: a ray towards +x meets an odd number of sides. False for what is not a number."""
