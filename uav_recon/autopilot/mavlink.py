@@ -85,15 +85,12 @@ class Encoder:
 
     def heartbeat(self) -> bytes:
         """An onboard controller that is active."""
-        return self._pack(
-            wire.MAVLink_heartbeat_message(
-                wire.MAV_TYPE_ONBOARD_CONTROLLER, wire.MAV_AUTOPILOT_INVALID, 0, 0, wire.MAV_STATE_ACTIVE, 3
-            )
-        )
+        who = (wire.MAV_TYPE_ONBOARD_CONTROLLER, wire.MAV_AUTOPILOT_INVALID)
+        return self._frame(_HEARTBEAT, _HEARTBEAT.unpacker.pack(0, *who, 0, wire.MAV_STATE_ACTIVE, 3))
 
     def timesync(self, tc1_ns: int, ts1_ns: int) -> bytes:
         """A request (tc1_ns = 0, our clock) or an answer (our clock, their ts1)."""
-        return self._pack(wire.MAVLink_timesync_message(tc1_ns, ts1_ns))
+        return self._frame(_TIMESYNC, _TIMESYNC.unpacker.pack(tc1_ns, ts1_ns))
 
     def command(self, target: int, command: int, *parameters: float) -> bytes:
         """COMMAND_LONG to the autopilot of system ``target``; missing parameters are 0."""
@@ -176,7 +173,7 @@ class Encoder:
         return frame
 
     def _frame(self, kind: Any, payload: bytes) -> bytes:
-        """What is said thirty times a second: fields in the order of the wire."""
+        """What is said many times a second: fields in the order of the wire."""
         frame = framed(kind, payload, self._mavlink.seq, self._mavlink.srcSystem, self._mavlink.srcComponent)
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return frame
@@ -241,6 +238,7 @@ def _origin() -> Message:
 _EKF_FOLLOWS = 0x33F  # attitude, velocities, positions and their predictions (measured)
 _EKF_DOES_NOT = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED
 _ODOMETRY, _SETPOINT = wire.MAVLink_odometry_message, wire.MAVLink_set_position_target_local_ned_message
+_HEARTBEAT, _TIMESYNC = wire.MAVLink_heartbeat_message, wire.MAVLink_timesync_message
 _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = (
     (wire.MAVLink_heartbeat_message, ("type", "autopilot", "base_mode", "custom_mode"), _heartbeat),
     (wire.MAVLink_command_ack_message, ("command", "result"), Ack),
