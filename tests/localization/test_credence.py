@@ -49,8 +49,11 @@ class Flight:
 
     def see(self, change: object = None, off_m: tuple[float, float, float] = (0.0, 0.0, 0.0), box: bool = False) -> bool:
         self._turned_rad += self.turning
-        here = _body(self.n, self._turned_rad) @ BODY_FROM_DEPTH
-        depth_m = _depth(here, PERSON_M) if box else _depth(here)
+        return self.see_from(_body(self.n, self._turned_rad), change, off_m, *([PERSON_M] if box else []))
+
+    def see_from(self, body: Pose, change: object, off_m: tuple[float, float, float], *boxes_m: FloatArray) -> bool:
+        here = body @ BODY_FROM_DEPTH
+        depth_m = _depth(here, *boxes_m)
         depth_m += self._dice.standard_normal(depth_m.shape).astype(np.float32) * 0.004 * depth_m**2
         depth_m = change(depth_m) if callable(change) else depth_m
         said = Pose(here.quat_wxyz, here.translation_m + off_m + self._dice.standard_normal(3) * 0.01)
@@ -112,6 +115,25 @@ def test_a_slow_creep_is_told_of_before_any_look_back_tells_it_alone(flight: Fli
         if flight.drift:
             break
     assert "creeps" in flight.drift
+
+
+ROUND_ITS_END = (0.57, -0.09, 1.0, 2.6), (-0.335, -0.6, 1.0, 1.9)
+TOWARDS_IT = (-2.0, 1.7, 1.2, 0.6), (0.0, 1.2, 1.2, 1.4)
+PARTITION_M, CABINET_M = np.array([[-0.055, 0.0, 0.0], [0.055, 2.5, 2.6]]), np.array([[-0.6, 2.07, 0.0], [1.6, 2.5, 2.6]])
+
+
+@pytest.mark.parametrize(
+    ("way", "pictures", "box_m"),
+    [(ROUND_ITS_END, 8, PARTITION_M), (ROUND_ITS_END, 12, PARTITION_M), (TOWARDS_IT, 8, CABINET_M)],
+    ids=["partition", "partition-slower", "cabinet"],
+)
+def test_what_stands_along_a_wall_is_no_drift(way: tuple[tuple[float, ...], ...], pictures: int, box_m: FloatArray) -> None:
+    """As it was in two generated flats: the other face of a partition 0.11 m thick, and a cabinet before a wall."""
+    flight = Flight()
+    for n in range(30 + pictures + 12):
+        x, y, z, yaw = np.array(way[0]) + np.clip((n - 30) / pictures, 0.0, 1.0) * np.subtract(way[1], way[0])
+        assert flight.see_from(Pose.from_yaw(yaw, np.array([x, y, z])), None, (0.0, 0.0, 0.0), box_m)
+        assert flight.drift == ""
 
 
 @pytest.mark.parametrize("turning", [0.04, 0.08, 0.12, 0.16])

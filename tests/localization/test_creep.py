@@ -1,4 +1,4 @@
-"""Shifts against views of the last seconds, as many looks back tell of them together."""
+"""Rooms of boxes, seen from poses that are right or creep; what stands there is looked at from all sides."""
 
 from __future__ import annotations
 
@@ -6,72 +6,180 @@ import numpy as np
 import pytest
 
 from uav_recon.localization.creep import Creep
-from uav_recon.localization.witness import Agreement
-from uav_recon.types.frames import FloatArray
+from uav_recon.localization.patches import patches, pull
+from uav_recon.types.camera import Intrinsics, body_from_camera
+from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
+from uav_recon.types.pose import Pose
 
+LENS = Intrinsics.from_fov(212, 120, 1.52, 1.01)
+CAMERA = np.array([LENS.fx, LENS.fy, LENS.cx, LENS.cy])
+BODY_FROM_DEPTH = body_from_camera(np.zeros(3), 0.26)
 PERIOD_S = 1.0 / 6.0
-EVERYWHERE, ONE_WALL = np.diag([0.3, 0.3, 0.4]), np.diag([0.0, 0.6, 0.4])
+SMALL_M = np.array([[-3.0, -2.0, 0.0], [3.0, 2.5, 2.6]])
+LARGE_M = np.array([[-9.0, -9.0, 0.0], [4.7, 9.0, 9.0]])
+CABINET_M = np.array([[1.5, 0.7, 0.0], [2.0, 1.2, 2.6]])
+PARTITION_M = np.array([[0.0, -5.0, 0.0], [0.11, 0.8, 9.0]])
+NOISE_PER_M = 0.005  # of depth, per square of the range
+GONE_M = 6.0
 
 
-def _then(age_s: float, shift_m: FloatArray, held: FloatArray = EVERYWHERE, explained: float = 1.0) -> Agreement:
-    return Agreement(200, explained, 0.0, 0.0, shift_m, held, explained, age_s)
+def _depth(odom_from_depth: Pose, room_m: FloatArray, *boxes_m: FloatArray, seed: int = 0) -> Float32Array:
+    """By slabs, with the noise of a stereo camera: out of the room, and into boxes (2, 3)."""
+    rays, start = LENS.bearings() @ odom_from_depth.rotation().T, odom_from_depth.translation_m
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(rays > 0, (room_m[1] - start) / rays, (room_m[0] - start) / rays).min(axis=-1)
+        for box_m in boxes_m:
+            near = np.minimum((box_m[0] - start) / rays, (box_m[1] - start) / rays).max(axis=-1)
+            far = np.maximum((box_m[0] - start) / rays, (box_m[1] - start) / rays).min(axis=-1)
+            depth = np.where((near <= far) & (near > 0), np.minimum(near, depth), depth)
+    depth = 1.0 / (1.0 / depth + NOISE_PER_M * np.random.default_rng(seed).standard_normal(depth.shape))
+    return np.where(depth < GONE_M, depth, np.nan).astype(np.float32)
 
 
-def _heard(
-    velocity: tuple[float, float, float],
-    seconds: float,
-    held: FloatArray = EVERYWHERE,
-    noise_m: float = 0.0,
-    explained: float = 1.0,
-) -> Creep:
-    creep, dice = Creep(), np.random.default_rng(4)
-    for n in range(round(seconds / PERIOD_S)):
-        age_s = 1.0 + 0.5 * (n % 3)
-        shift = held.any(axis=1) * (np.array(velocity) * age_s + noise_m * dice.standard_normal(3))
-        creep.hear(10.0 + n * PERIOD_S, _then(age_s, shift, held, explained))
-    return creep
+def _camera(x: float, y: float, z: float, yaw_rad: float) -> Pose:
+    return Pose.from_yaw(yaw_rad, np.array([x, y, z])) @ BODY_FROM_DEPTH
 
 
-def test_what_creeps_is_told_of_and_where_to() -> None:
-    found = _heard((0.05, 0.0, 0.0), 12.0).velocity_mps
-    np.testing.assert_allclose(found, (0.05, 0.0, 0.0), atol=0.01)
+def _moved(pose: Pose, by_m: FloatArray) -> Pose:
+    return Pose(pose.quat_wxyz, pose.translation_m + by_m)
 
 
-def test_noise_of_two_centimetres_is_little() -> None:
-    assert np.linalg.norm(_heard((0.0, 0.0, 0.0), 30.0, noise_m=0.02).velocity_mps) < 0.006
+class Flight:
+    """At 6 Hz; odom is off by a velocity from begins_s on."""
+
+    def __init__(self, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0), begins_s: float = 0.0) -> None:
+        self.creep, self.n, self.peak_mps = Creep(), 0, 0.0
+        self._velocity, self._begins_s = np.array(velocity), begins_s
+
+    @property
+    def now_s(self) -> float:
+        return self.n * PERIOD_S
+
+    def see(self, camera: Pose, room_m: FloatArray = SMALL_M, *boxes_m: FloatArray, jump_m: float = 0.0) -> None:
+        by_m = self._velocity * max(self.now_s - self._begins_s, 0.0) + (jump_m, 0.0, 0.0)
+        self.creep.hear(self.now_s, _depth(camera, room_m, *boxes_m, seed=self.n), LENS, _moved(camera, by_m))
+        self.peak_mps = max(self.peak_mps, float(np.linalg.norm(self.creep.velocity_mps)))
+        self.n += 1
+
+    def look_about(self, seconds: float) -> None:
+        for _ in range(round(seconds / PERIOD_S)):
+            self.see(_camera(0.3 * np.sin(0.07 * self.n), 0.0, 1.2, 0.5 * np.sin(0.1 * self.n)), SMALL_M, CABINET_M)
+
+
+@pytest.mark.parametrize("way", [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.05), (0.1, 0.0, 0.0)])
+def test_what_creeps_is_told_of_and_where_to(way: tuple[float, float, float]) -> None:
+    flight = Flight(way)
+    flight.look_about(14.0)
+    np.testing.assert_allclose(flight.creep.velocity_mps, way, atol=0.3 * float(np.linalg.norm(way)))
+
+
+def test_what_stays_does_not_creep() -> None:
+    flight = Flight()
+    flight.look_about(20.0)
+    assert flight.peak_mps < 0.003
+
+
+def test_going_round_a_partition_is_no_creep() -> None:
+    """As it was in two generated flats: what stands where its one side was is its other side, as thick as a drift is long."""
+    flight = Flight()
+    for n in range(60):
+        turned = np.pi * np.clip((n - 20) / 20, 0.0, 1.0)
+        flight.see(_camera(-0.9 * np.cos(turned), 0.8 + 0.6 * np.sin(turned), 1.2, -0.6 - turned), LARGE_M, PARTITION_M)
+    assert flight.peak_mps < 0.005
+
+
+def test_a_wall_far_off_tells_as_much_as_a_floor_that_is_near() -> None:
+    """As it was over a hall's floor: at 4 m the noise of a few pixels made normals of a wall that were none."""
+    flight = Flight((0.05, 0.0, 0.0), begins_s=6.0)
+    for n in range(72):
+        flight.see(_camera(0.2, 0.02 * n, 1.2, 0.0), LARGE_M)
+    assert flight.creep.velocity_mps[0] == pytest.approx(0.045, abs=0.012)
 
 
 def test_along_a_bare_wall_nothing_can_be_told() -> None:
-    assert np.linalg.norm(_heard((0.05, 0.0, 0.0), 20.0, ONE_WALL).velocity_mps) < 1e-9
-    assert _heard((0.05, 0.05, 0.0), 20.0, ONE_WALL).velocity_mps[1] == pytest.approx(0.05, abs=0.005)
+    far_off_m, wall_m = (
+        np.array([[-20.0, -20.0, -20.0], [20.0, 20.0, 20.0]]),
+        np.array([[2.0, -19.0, -19.0], [3.0, 19.0, 19.0]]),
+    )
+    flight = Flight((0.05, 0.05, 0.0))
+    for _ in range(84):
+        flight.see(_camera(0.0, 0.0, 1.2, 0.0), far_off_m, wall_m)
+    np.testing.assert_allclose(flight.creep.velocity_mps, (0.045, 0.0, 0.0), atol=0.006)
 
 
 def test_views_of_the_first_three_seconds_tell_nothing() -> None:
     """On the pad the filter settles by some centimetres."""
-    creep = Creep()
-    for n in range(1, 18):
-        creep.hear(10.0 + n * PERIOD_S, _then(min(n * PERIOD_S, 0.8), np.array([0.05, 0.0, 0.0])))
-    assert not creep.velocity_mps.any()
-    creep.hear(14.2, _then(0.8, np.array([0.05, 0.0, 0.0])))
-    assert creep.velocity_mps[0] > 0.0
-
-
-def test_what_no_shift_explains_tells_nothing() -> None:
-    assert not _heard((0.05, 0.0, 0.0), 12.0, explained=0.6).velocity_mps.any()
+    flight = Flight((0.05, 0.0, 0.0))
+    flight.look_about(3.1)
+    assert flight.peak_mps == 0.0
+    flight.look_about(2.0)
+    assert flight.peak_mps > 0.0
 
 
 def test_what_was_told_fades_and_a_new_odom_begins_anew() -> None:
-    creep = _heard((0.05, 0.0, 0.0), 12.0)
-    for n in range(180):
-        creep.hear(22.0 + n * PERIOD_S, _then(1.5, np.zeros(3)))
-    assert np.linalg.norm(creep.velocity_mps) < 0.002
-    creep = _heard((0.05, 0.0, 0.0), 12.0)
-    creep.forget()
-    assert not creep.velocity_mps.any()
+    flight = Flight((0.05, 0.0, 0.0))
+    flight.look_about(12.0)
+    for _ in range(150):
+        flight.creep.hear(flight.now_s, np.full((120, 212), np.nan, np.float32), LENS, Pose.identity())
+        flight.n += 1
+    assert np.linalg.norm(flight.creep.velocity_mps) < 0.01
+    flight = Flight((0.05, 0.0, 0.0))
+    flight.look_about(12.0)
+    flight.creep.forget()
+    assert not flight.creep.velocity_mps.any()
 
 
 def test_a_pause_counts_as_a_moment() -> None:
-    creep = Creep()
-    creep.hear(10.0, None)
-    creep.hear(20.0, _then(1.0, np.array([0.05, 0.0, 0.0])))
-    assert np.linalg.norm(creep.velocity_mps) < 0.02
+    flight = Flight()
+    flight.look_about(4.0)
+    flight.n += 12
+    flight.see(_camera(0.0, 0.0, 1.2, 0.0), jump_m=0.05)
+    assert flight.peak_mps < 0.015
+
+
+def _patches(camera: Pose, depth_m: Float32Array) -> AnyArray:
+    found: AnyArray = patches(depth_m, CAMERA, camera.rotation(), camera.translation_m)
+    return found
+
+
+def test_a_patch_lies_on_its_surface_and_looks_away_from_the_camera() -> None:
+    here = _camera(-0.3, 0.0, 1.2, 0.3)
+    found = _patches(here, _depth(here, LARGE_M))
+    wall, floor = LARGE_M[1, 0] - found[:, 0], found[:, 2]
+    assert len(found) > 250
+    assert np.quantile(np.minimum(abs(wall), abs(floor)), 0.99) < 0.15
+    assert np.median(found[abs(wall) < 0.15, 3]) > 0.97
+    assert np.median(found[abs(floor) < 0.05, 5]) < -0.99
+
+
+def test_the_rim_of_something_is_no_patch() -> None:
+    here = _camera(0.0, 0.9, 1.2, 0.0)
+    found = _patches(here, _depth(here, SMALL_M, CABINET_M))
+    assert len(found) > 200
+    planes_m = [*SMALL_M[:, 0], *SMALL_M[:, 1], *SMALL_M[:, 2], *CABINET_M[:, 0], *CABINET_M[:, 1]]
+    axes = [0, 0, 1, 1, 2, 2, 0, 0, 1, 1]
+    off_m = np.min([abs(found[:, axis] - at_m) for axis, at_m in zip(axes, planes_m, strict=True)], axis=0)
+    assert np.all(off_m < 0.1)
+
+
+def test_the_other_face_of_a_board_is_another_surface() -> None:
+    """As near to the first as a drift would bring it."""
+    board_m = np.array([[0.0, -9.0, 0.0], [0.04, 9.0, 9.0]])
+    before, behind = _camera(-0.8, 0.0, 1.2, 0.0), _camera(0.84, 0.0, 1.2, np.pi)
+    then, depth_m = _patches(before, _depth(before, LARGE_M, board_m)), _depth(behind, LARGE_M, board_m, seed=1)
+    _, _, held, _ = pull(then, depth_m, CAMERA, behind.rotation(), behind.translation_m, np.zeros(3))
+    assert len(then) > 300
+    assert held[0, 0] < 1.0
+
+
+@pytest.mark.parametrize(("shift_m", "expected_m", "explained"), [(0.0, 0.0, True), (0.5, 0.5, True), (0.5, 0.0, False)])
+def test_what_lies_off_by_more_than_is_expected_does_not_pull(shift_m: float, expected_m: float, explained: bool) -> None:
+    """Straight down on a floor."""
+    here = Pose.from_yaw(0.0, np.array([0.0, 0.0, 1.2])) @ body_from_camera(np.zeros(3), 1.5)
+    moved, up = _moved(here, np.array([0.0, 0.0, shift_m])), np.array([0.0, 0.0, expected_m])
+    then, depth_m = _patches(here, _depth(here, LARGE_M)), _depth(here, LARGE_M, seed=1)
+    seen, within, held, pulled = pull(then, depth_m, CAMERA, moved.rotation(), moved.translation_m, up)
+    assert seen > 100
+    assert (within > 0.95 * seen) if explained else (within == 0)
+    if explained:
+        assert pulled[2] / held[2, 2] == pytest.approx(shift_m, abs=0.01)

@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_recon.localization.creep import Creep
 from uav_recon.localization.grain import lone_share
-from uav_recon.localization.witness import ALIKE, ALIKE_JUST_NOW, ALIKE_LATELY, OVERLAPPING, Agreement, Witness
+from uav_recon.localization.witness import ALIKE, ALIKE_LATELY, OVERLAPPING, Agreement, Witness
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose
@@ -26,14 +26,14 @@ _TOLD = 2  # views that say it
 _HIDING = 0.22  # of the points, all nearer, have something before them; more, or some that are farther, and odom has moved
 _FARTHER = 0.02
 _SEEN_THROUGH = 0.4  # of the points of an older picture are not there: more than a person leaves behind; honest: 0.10
-_CREEP_MPS = 0.015  # honest: 0.006, and once 0.010 on the pad
+_CREEP_MPS = 0.018  # honest: 0.010 at most in 32 flights; 0.05 m/s reads 0.028 and more at its peak
 _RUNNING = 3  # pictures in a row that say so
 _KEPT_S = 2.0  # what was said holds for so long
 _FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # the camera moved so, and its picture is the same to the bit
 
 
 class Credence:
-    """Hears every picture once, with the pose that goes with it. About 0.3 ms each; warm_up() compiles its kernels.
+    """Hears every picture once, with the pose that goes with it. About 0.4 ms each; warm_up() compiles its kernels.
 
     A picture that fits neither itself nor what was seen before is not believed, and none after it is before one fits
     a view that is remembered.
@@ -63,7 +63,7 @@ class Credence:
         unasked = newest is None and (self._believed or not self._witness.remembers)
         self._believed = not (alone or frozen or aside) and (fits or unasked)
         if self._believed:
-            self._creep.hear(frame.stamp_s, next(self._witness.of_oldest(*seen, ALIKE_JUST_NOW), None))
+            self._creep.hear(*seen)
             moved = (
                 _moved(self._witness.of_oldest(*seen, ALIKE), _EXPLAINED)
                 or _moved(self._witness.of_oldest(*seen, ALIKE_LATELY), _EXPLAINED)

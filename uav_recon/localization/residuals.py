@@ -56,7 +56,7 @@ def surface(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyA
 
 
 @kernel
-def _seen_at(point: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> tuple[int, int, float]:
+def seen_at(point: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> tuple[int, int, float]:
     """Column and row at which a place is seen, and its depth (m); -1, -1 for one that is in no picture."""
     dx, dy, dz = point[0] - place[0], point[1] - place[1], point[2] - place[2]
     deep = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
@@ -91,7 +91,7 @@ def residuals(
         dx, dy, dz = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
         reach_m = max(reach_m, _WITHIN * (rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz))
     for n in range(points.shape[0]):
-        u, v, deep = _seen_at(points[n], camera, rotation, place)
+        u, v, deep = seen_at(points[n], camera, rotation, place)
         if not (0 <= u < width and 0 <= v < height):
             continue
         z = float(depth_m[v, u])
@@ -136,7 +136,7 @@ def _misfit(
     height, width = depth_m.shape
     count, off = 0, np.zeros(2)
     for n in range(points.shape[0]):
-        u, v, deep = _seen_at(points[n], camera, rotation, place)
+        u, v, deep = seen_at(points[n], camera, rotation, place)
         if not (0 <= u < width and 0 <= v < height and 0 <= u + across < width and 0 <= v + down < height):
             continue
         if not np.isfinite(depth_m[v, u] + depth_m[v + down, u + across]):

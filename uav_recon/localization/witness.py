@@ -35,7 +35,6 @@ class Likeness:
 OVERLAPPING = Likeness(3.0, 0.6)  # there is something that both see
 ALIKE = Likeness(1.5, 0.75)  # little has come between
 ALIKE_LATELY = Likeness(1.5, 0.75, within_s=8.0)  # a drift so young is still within a residual's reach
-ALIKE_JUST_NOW = Likeness(1.5, 0.75, within_s=3.0)  # of a camera that looks about, something is always left
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,119 @@
+"""Even patches of surface in depth pictures, and how far those of one picture lie off those of another.
+
+The plane of a patch is fitted to inverse depth, over a span that grows with the range: a normal taken from few pixels is noise
+at 5 m. What is not even, an edge or the rim of something, is no patch.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.localization.residuals import seen_at
+from uav_recon.types.frames import AnyArray
+
+_ROWS, _COLUMNS = 18, 24  # patches of a picture
+_NARROWEST_PX = 2  # from the middle of a patch to its rim
+_SPAN_PER_M, _WIDEST = 0.007, 0.03  # the same, as shares of the picture's width: by the range, and at most
+_UNEVEN, _UNEVEN_SHARE = 0.012, 0.01  # 1/m, and share of the inverse depth: off the plane by more; noise has 0.004
+_FACING_COS = 0.15  # looked at from a flatter angle, or from behind, a patch is not compared
+_SAME_COS = 0.8  # between normals of what may be one surface
+_REACH_M, _REACH_SHARE = 0.06, 0.03  # from where it is expected, and so much of the range: noise and pose together
+
+
+@kernel
+def patches(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> AnyArray:
+    """Places of patches and their normals, which look away from the camera, (N, 6), in the frame in which the camera has this
+    rotation and place.
+
+    depth_m (H, W), NaN = no return; camera fx, fy, cx, cy.
+    """
+    height, width = depth_m.shape
+    out, number, room = np.empty((_ROWS * _COLUMNS, 6)), 0, np.empty(9)
+    for row in range(_ROWS):
+        v = (2 * row + 1) * height // (2 * _ROWS)
+        for column in range(_COLUMNS):
+            u = (2 * column + 1) * width // (2 * _COLUMNS)
+            z, nx, ny, nz = _patch(depth_m, camera, u, v, room)
+            if z <= 0.0:
+                continue
+            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+            for i in range(3):
+                out[number, i] = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
+                out[number, 3 + i] = rotation[i, 0] * nx + rotation[i, 1] * ny + rotation[i, 2] * nz
+            number += 1
+    return out[:number]
+
+
+@kernel
+def pull(
+    then: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray, expected_m: AnyArray
+) -> tuple[int, int, AnyArray, AnyArray]:
+    """Of the patches (N, 6) of another picture, how many this one sees too, how many of these lie within reach of where a shift
+    expected_m (3,) puts them, and the latter's normal equations for the shift: sums of normal times normal (3, 3), and of
+    normal times how far they lie off (3,).
+    """
+    seen, within, held, moved, room = 0, 0, np.zeros((3, 3)), np.zeros(3), np.empty(9)
+    for n in range(then.shape[0]):
+        away, facing = 0.0, 0.0
+        for i in range(3):
+            away += (then[n, i] - place[i]) ** 2
+            facing += (then[n, i] - place[i]) * then[n, 3 + i]
+        if facing < _FACING_COS * math.sqrt(away):
+            continue
+        u, v, _ = seen_at(then[n], camera, rotation, place)
+        if not (0 <= u < depth_m.shape[1] and 0 <= v < depth_m.shape[0]):
+            continue
+        z, nx, ny, nz = _patch(depth_m, camera, u, v, room)
+        if z <= 0.0:
+            continue
+        seen += 1
+        x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+        off_m, left_m, alike = 0.0, 0.0, 0.0
+        for i in range(3):
+            there = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
+            off_m += (there - then[n, i]) * then[n, 3 + i]
+            left_m += (there - then[n, i] - expected_m[i]) * then[n, 3 + i]
+            alike += (rotation[i, 0] * nx + rotation[i, 1] * ny + rotation[i, 2] * nz) * then[n, 3 + i]
+        if alike < _SAME_COS or abs(left_m) > _REACH_M + _REACH_SHARE * z:
+            continue
+        within += 1
+        for i in range(3):
+            moved[i] += then[n, 3 + i] * off_m
+            for k in range(3):
+                held[i, k] += then[n, 3 + i] * then[n, 3 + k]
+    return seen, within, held, moved
+
+
+@kernel
+def _patch(depth_m: AnyArray, camera: AnyArray, u: int, v: int, room: AnyArray) -> tuple[float, float, float, float]:
+    """Depth (m) at a pixel, 0.0 where there is no patch, and the normal in the camera's frame. room: (9,), for the kernel.
+
+    1 / z of a plane is linear in the pixels; near the picture's rim the patch lies aside.
+    """
+    height, width = depth_m.shape
+    z = float(depth_m[v, u])
+    if not np.isfinite(z):
+        return 0.0, 0.0, 0.0, 0.0
+    span = int(max(_NARROWEST_PX, min(_SPAN_PER_M * z, _WIDEST) * width))
+    at_u, at_v = min(max(u, span), width - 1 - span), min(max(v, span), height - 1 - span)
+    middle, across, down = 0.0, 0.0, 0.0
+    for i in range(3):
+        for k in range(3):
+            inverse = 1.0 / depth_m[at_v + (i - 1) * span, at_u + (k - 1) * span]
+            room[3 * i + k] = inverse
+            middle, across, down = middle + inverse / 9.0, across + (k - 1) * inverse / 6.0, down + (i - 1) * inverse / 6.0
+    most = _UNEVEN + _UNEVEN_SHARE * middle
+    for i in range(3):
+        for k in range(3):
+            if not abs(room[3 * i + k] - middle - (k - 1) * across - (i - 1) * down) <= most:  # NaN is not either
+                return 0.0, 0.0, 0.0, 0.0
+    middle += ((u - at_u) * across + (v - at_v) * down) / span
+    if middle <= 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    x, y = across / span * camera[0], down / span * camera[1]
+    deep = middle - (u - camera[2]) / camera[0] * x - (v - camera[3]) / camera[1] * y
+    length = math.sqrt(x * x + y * y + deep * deep)
+    return 1.0 / middle, x / length, y / length, deep / length
