@@ -66,7 +66,7 @@ class KnownFree:
         for i in rows:
             first = (i * ny + columns.start) * nz + layers.start
             end = first + row.bit_length()
-            if row & ~(int.from_bytes(self._bits[first >> 3 : (end + 7) >> 3], "big") >> (-end & 7)):
+            if int.from_bytes(self._bits[first >> 3 : (end + 7) >> 3], "big") >> (-end & 7) & row != row:
                 return False
         return True
 
