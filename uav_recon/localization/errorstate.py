@@ -5,12 +5,8 @@
     gyro bias                       body, rad/s
     acceleration offset             odom, m/s²: tilt error and accelerometer bias together
 
-The error (15,) is position, velocity, a small rotation in odom axes (R_true = exp(error) R), gyro bias, offset. Its dynamics
-over an interval dt with the rotated force integrals dv, dp (first order: Sola, Quaternion kinematics for the error-state
-Kalman filter, 2017, section 7, with the global angular error):
-
-    p' = p + v dt - [dp] a + [dp] R b dt / 3 + c dt^2 / 2        a' = a - R b dt
-    v' = v - [dv] a + [dv] R b dt / 2 + c dt                      b' = b,  c' = c
+The error (15,) is position, velocity, a small rotation in odom axes (R_true = exp(error) R), gyro bias, offset; how it grows is
+in dynamics.
 
 Without inertial samples the same state is a constant-velocity model of its own: the gyro reads nothing and its "bias" is the
 turning of the body, the offset is its acceleration.
@@ -27,7 +23,6 @@ from typing import NamedTuple
 import numpy as np
 from filterpy.kalman import predict, update
 
-from uav_recon.geometry.jit import kernel
 from uav_recon.localization.attitude import (
     GRAVITY_MPS2,
     InertialState,
@@ -40,13 +35,13 @@ from uav_recon.localization.attitude import (
     normalised,
     rotate,
 )
+from uav_recon.localization.dynamics import dynamics
 from uav_recon.types.frames import FloatArray
 
 WHITE_SHARE = 0.15  # of a claimed variance; the rest is drift
 DRIFT_TIME_S = 20.0  # in which a source's drift forgets itself
 _SMALLEST_M2, _LARGEST_M2 = 0.002**2, 0.08**2
 _SMALLEST_RAD2, _LARGEST_RAD2 = 0.0005**2, 0.1**2
-_POSITION, _VELOCITY, _ATTITUDE, _BIAS, _OFFSET = 0, 3, 6, 9, 12  # where each begins in the error
 _TOLD = [0, 1, 2, 6, 7, 8]  # what a pose tells of
 SEEN = np.ix_(_TOLD, _TOLD)  # of a covariance (15, 15), that of it
 _NOTHING, _H = np.zeros(15), np.eye(15)[_TOLD]
@@ -54,7 +49,7 @@ _NOTHING, _H = np.zeros(15), np.eye(15)[_TOLD]
 
 @dataclass(frozen=True, slots=True)
 class Carrier:
-    """How far to trust what carries the state between poses: densities of white noise, and of random walks (_walk)."""
+    """How far to trust what carries the state between poses: densities of white noise, and of random walks (dynamics)."""
 
     acceleration: float  # m/s² per root Hz
     offset_walk: float  # m/s² per root second
@@ -137,7 +132,7 @@ def carry(state: Estimate, base: InertialState, here: InertialState, noise: Pose
     before, after = state.odom_from_body(base), state.odom_from_body(here)
     walks = (noise.position_walk, noise.attitude_walk)
     densities = (carrier.acceleration**2, carrier.offset_walk**2, carrier.rate**2, carrier.bias_walk**2, *walks)
-    transition, walk = _dynamics(here.stamp_s - base.stamp_s, state.inertial, before, after, dp, dv, densities)
+    transition, walk = dynamics(here.stamp_s - base.stamp_s, state.inertial, before, after, dp, dv, densities)
     _, covariance = predict(_NOTHING, state.covariance, transition, walk)
     return carried._replace(covariance=covariance)
 
@@ -203,62 +198,6 @@ def _carry_mean(state: Estimate, base: InertialState, here: InertialState) -> tu
         odom_from_gyro=odom_from_gyro,
     )
     return carried, dp, dv
-
-
-@kernel
-def _matrix(q: Quaternion) -> FloatArray:
-    """Rotation matrix (3, 3) of a unit quaternion."""
-    w, x, y, z = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-@kernel
-def _dynamics(
-    dt: float, inertial: bool, before: Quaternion, after: Quaternion, dp: Vector, dv: Vector, densities: tuple[float, ...]
-) -> tuple[FloatArray, FloatArray]:
-    """Transition of the error (15, 15), and its process noise (15, 15): white acceleration and rate, random walks of offset,
-    bias and of the source's drift.
-
-    before, after: odom_from_body at both ends. densities: variances of acceleration, offset, rate, bias, place, attitude.
-    """
-    a, c, g, b, place, attitude = densities
-    turned = 0.5 * (_matrix(before) + _matrix(after))  # on the average
-    transition, walk = np.eye(15), np.zeros((15, 15))
-    way = np.array([[0.0, -dp[2], dp[1]], [dp[2], 0.0, -dp[0]], [-dp[1], dp[0], 0.0]])
-    push = np.array([[0.0, -dv[2], dv[1]], [dv[2], 0.0, -dv[0]], [-dv[1], dv[0], 0.0]])
-    for i in range(3):
-        p, v, r, w, o = _POSITION + i, _VELOCITY + i, _ATTITUDE + i, _BIAS + i, _OFFSET + i
-        transition[p, v] = transition[v, o] = dt
-        transition[p, o] = 0.5 * dt * dt
-        walk[p, p] = a * dt**3 / 3 + c * dt**5 / 20 + place * dt
-        walk[p, v] = walk[v, p] = a * dt**2 / 2 + c * dt**4 / 8
-        walk[p, o] = walk[o, p] = c * dt**3 / 6
-        walk[v, v] = a * dt + c * dt**3 / 3
-        walk[v, o] = walk[o, v] = c * dt**2 / 2
-        walk[o, o] = c * dt
-        walk[r, r] = g * dt + b * dt**3 / 3 + attitude * dt
-        walk[w, w] = b * dt
-        for j in range(3):
-            transition[r, _BIAS + j] = -dt * turned[i, j]
-            walk[r, _BIAS + j] = walk[_BIAS + j, r] = -b * dt**2 / 2 * turned[i, j]
-            if inertial:  # else the force of hovering is known in odom, whatever the attitude
-                transition[p, _ATTITUDE + j], transition[v, _ATTITUDE + j] = -way[i, j], -push[i, j]
-                for k in range(3):
-                    transition[p, _BIAS + j] += dt / 3.0 * way[i, k] * turned[k, j]
-                    transition[v, _BIAS + j] += dt / 2.0 * push[i, k] * turned[k, j]
-    return transition, walk
-
-
-def warm_up() -> None:
-    """Compile every kernel."""
-    identity, zero = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    _dynamics(0.01, True, identity, identity, zero, zero, (0.0,) * 6)
 
 
 def _part(turn: Vector, share: float) -> Quaternion:

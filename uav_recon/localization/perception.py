@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
-from uav_recon.localization import errorstate, nearness
+from uav_recon.localization import dynamics, nearness
 from uav_recon.localization.credence import Credence
 from uav_recon.localization.filter import FusionFilter
 from uav_recon.localization.mount import Mount
@@ -48,7 +48,7 @@ class Perception:
         self._odom, self._frames, self._nearby = odom, frames, nearby
         self._clock, self._frame_wait_s = clock, frame_wait_s
         self._credence = Credence()
-        for part in (self._credence, errorstate, nearness):
+        for part in (self._credence, dynamics, nearness):
             part.warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._waiting: deque[Frame] = deque()
