@@ -48,7 +48,7 @@ class Course:
             self.path_length_m += float(np.linalg.norm(position - self.position_world))
         self.position_world, self._placed = position, True
         if vehicle.armed and (not self.breadcrumbs or np.linalg.norm(position - self.breadcrumbs[-1]) > BREADCRUMB_M):
-            self.breadcrumbs.append(position)
+            self.breadcrumbs.append(position.copy())  # the record that it came in need not live as long
 
     def at_rest(self, now_s: float) -> bool:
         """Whether the trajectory has been played to its end and the vehicle is there, or had LATE_S to get there."""

@@ -119,7 +119,7 @@ class Pose:
     def yaw_rad(self) -> float:
         """Heading of the x axis about z, in (-pi, pi]."""
         w, x, y, z = self.quat_wxyz.tolist()
-        return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 class PoseHealth(Enum):
