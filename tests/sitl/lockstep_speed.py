@@ -1,0 +1,67 @@
+"""How fast lockstep is: `python tests/sitl/lockstep_speed.py [SCENE [VIEWS [SEED]]]`, with the mapper's stand-in.
+
+A machine that others share is not equally fast for a minute. So it is calibrated every second between two turns of the flight,
+which does not count it, and the flight's time is divided by the mean of all of these.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from sitl.fly_case import one_thread
+from sitl.fly_lockstep import Nobody, fly_in_lockstep
+from sitl.fly_options import SimOptions
+from sitl.scene import load_scene
+from uav_recon.bench.calibration import calibrate
+
+EVERY_S = 1.0
+
+
+class Stopwatch(Nobody):
+    """Calibrates once a second; ``took_s`` for all of that, which was no flight."""
+
+    def __init__(self) -> None:
+        self.factors: list[float] = []
+        self.took_s, self._next_s = 0.0, 0.0
+
+    def turn(self, now_s: float) -> None:
+        """A turn begins."""
+        began_s = time.perf_counter()
+        if began_s >= self._next_s:
+            self.factors.append(calibrate(1).factor)
+            self._next_s = time.perf_counter()
+            self.took_s += self._next_s - began_s
+            self._next_s += EVERY_S
+
+
+def main(scene_name: str | None, views: int, seed: int) -> None:
+    """Fly once, print one line."""
+    with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
+        options = SimOptions.parse(
+            scene=scene_name, seed=seed, views=views, mount="fixed:15", camera="fast", mapper="stand-in", lockstep=True,
+            out=Path(folder) / "flight",
+        )  # fmt: skip
+        scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)
+        options.make_folder()
+        watch = Stopwatch()
+        config = options.config(scene, Path(folder))
+        flight = fly_in_lockstep(options, config, scene, Console(quiet=True), lambda: False, timelapse=False, meddler=watch)
+    wall_s, factor = flight.wall_s - watch.took_s, float(np.mean(watch.factors))
+    low, high = np.percentile(watch.factors, [5, 95])
+    raw = flight.simulated_s / wall_s
+    print(
+        f"{scene_name or 'built-in'}: {flight.simulated_s:.0f} s flown in {wall_s:.1f} s, {raw:.1f} times real time; "
+        f"calibration {factor:.2f} ({low:.2f} to {high:.2f}): {raw * factor:.1f} calibrated"
+    )
+
+
+if __name__ == "__main__":
+    one_thread()
+    words = sys.argv[1:]
+    main(words[0] if words else None, int(words[1]) if len(words) > 1 else 120, int(words[2]) if len(words) > 2 else 0)
