@@ -176,6 +176,18 @@ def test_no_pose_before_the_clock_is_known_and_then_on_its_clock(pair: tuple[Lin
     assert far.sent[-1].time_usec == pytest.approx(40_000_000, abs=1100)
 
 
+def test_only_an_answer_that_comes_at_once_teaches_the_autopilot_our_clock(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    converge(link, far)
+    for n, late_s in enumerate((0.001, 0.02, 0.15, 0.5, 0.004)):
+        asked_s = 10.0 + n
+        far.hear(wire.MAVLink_timesync_message(0, int((asked_s + 37.5) * 1e9)))
+        link.receive(asked_s + late_s)
+    answers = [m for m in far.sent if m.get_type() == "TIMESYNC" and m.tc1 != 0]
+    assert len(answers) == 5
+    assert link.telemetry.clock_answers == 3
+
+
 def test_its_questions_are_answered_on_its_own_clock(pair: tuple[Link, Wire]) -> None:
     link, far = pair
     far.hear(heartbeat())

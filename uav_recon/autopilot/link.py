@@ -37,6 +37,7 @@ _WARNING = 4
 _DEAF_S = 2.0
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _NS = 1_000_000_000
+_PROMPT_NS = 25_000_000  # a question is answered so soon, or its round trip is too long to be learned from
 # Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most.
 _CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
 
@@ -225,7 +226,8 @@ class Link:
         if message.tc1_ns == 0:
             if self.time_known:
                 self._send(self._encoder.timesync(self._timesync.autopilot_ns(now_s), message.ts1_ns), now_s)
-                self.telemetry.clock_answers += 1
+                asked_ago_ns = self._timesync.autopilot_ns(now_s) - message.ts1_ns
+                self.telemetry.clock_answers += abs(asked_ago_ns) <= _PROMPT_NS  # a copy that comes late teaches it nothing
             return
         self._timesync.observe(message.ts1_ns, message.tc1_ns, int(now_s * _NS))
         if self._timesync.restarts > self.telemetry.reboots:

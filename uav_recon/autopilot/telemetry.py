@@ -37,6 +37,6 @@ class Telemetry:
     twin_heard: bool = False  # somebody else speaks with our own id
     reboots: int = 0
     stale_frames: int = 0  # repeated, or overtaken by newer ones
-    clock_answers: int = 0  # given to its questions for our clock
+    clock_answers: int = 0  # given to its questions for our clock, at once
     parameters: dict[str, ParameterValue] = field(default_factory=dict)  # those that were asked for, by name
     failure: str = ""  # why the byte link failed last
