@@ -162,6 +162,41 @@ def test_something_new_in_free_space_is_seen_within_half_a_second() -> None:
     assert room.snapshot().state[35, 30, 14] == OCCUPIED
 
 
+def test_what_has_come_hides_what_was_free_behind_it() -> None:
+    """Its inside is not seen, and was free a moment ago."""
+    room, pose = voxels(), looking(0.05, 0.05, 1.45)
+    for _ in range(20):
+        room.integrate(posed(np.full((120, 212), 3.0, dtype=np.float32), pose))
+    before = room.snapshot().state
+    box = np.full((120, 212), 3.0, dtype=np.float32)
+    box[40:80, 86:126] = 1.52
+    for _ in range(4):
+        room.integrate(posed(box, pose))
+    state = room.snapshot().state
+    assert (before[36:48, 30, 14] == FREE).all()
+    assert state[35, 30, 14] == OCCUPIED
+    assert (state[36:41, 29:32, 13:16] == UNKNOWN).all()
+    assert (state[43:48, 30, 14] == FREE).all(), "no farther than something stands deep"
+    np.testing.assert_array_equal(state[36:48, 18, 14], before[36:48, 18, 14], "beside it nothing changes")
+    for _ in range(4):
+        room.integrate(posed(np.full((120, 212), 3.0, dtype=np.float32), pose))
+    assert (room.snapshot().state[36:48, 30, 14] == FREE).all(), "gone again"
+
+
+def test_noise_before_a_wall_hides_nothing_of_the_room_behind_it() -> None:
+    room, pose = voxels(), looking(0.05, 0.05, 1.45)
+    for _ in range(20):
+        room.integrate(posed(np.full((120, 212), 3.0, dtype=np.float32), pose))
+    room.declare_free(np.array([3.6, 0.05]), 0.35, 1.2, 1.8)
+    beyond = room.snapshot().state[53:58, 30, 13:17]
+    assert (beyond == FREE).all()
+    assert room.snapshot().state[48, 30, 14] == FREE and room.snapshot().state[50, 30, 14] == OCCUPIED
+    for _ in range(12):
+        room.integrate(posed(np.full((120, 212), 2.8, dtype=np.float32), pose))
+    assert room.snapshot().state[48, 30, 14] == OCCUPIED
+    np.testing.assert_array_equal(room.snapshot().state[53:58, 30, 13:17], beyond)
+
+
 def test_declared_space_is_free_until_returns_say_otherwise() -> None:
     room = voxels()
     room.declare_free(np.zeros(3), 0.6, 0.0, 1.2)

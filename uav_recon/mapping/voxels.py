@@ -2,7 +2,8 @@
 
 Voxel-centric. Each voxel in view is projected, and the frame frees it only if EVERY depth under its footprint lies
 behind it by more than its own half extent and the depth noise. So a grazing ray cannot carve a wall, and a hole (NaN)
-frees nothing. Returns mark the voxel they end in, and in that frame the mark wins over freeing.
+frees nothing. Returns mark the voxel they end in, and in that frame the mark wins over freeing. Where that voxel was
+free something has come, and what was free behind it is unknown again.
 
 Everything follows what changed: the states and the count of known voxels are kept, the distance field is brought up to date
 around the changes when a snapshot is asked for, and a snapshot is painted over an old one that nobody holds any more.
@@ -19,10 +20,13 @@ from uav_recon.mapping.distance import DistanceField
 from uav_recon.mapping.evidence import FREE_AT, LOWEST, new_states, paint
 from uav_recon.mapping.fusion import FrameScratch, fuse
 from uav_recon.mapping.pictures import Pictures
+from uav_recon.mapping.shadow import forget_behind
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, TILE, GridSpec, VoxelMap
 from uav_recon.types.pose import Pose
+
+_SHADOW_M = 0.6  # behind what has come: a person's or a chair's depth
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +95,16 @@ class Voxels:
         camera = np.array([lens.fx, lens.fy, lens.cx, lens.cy]) / stride
         noise_per_m = self._sensor.noise_px / (camera[0] * self._sensor.baseline_m)
         pose, resolution_m = posed.world_from_depth, self.grid.resolution_m
-        scratch = self._scratch.fit(depth_m.shape)
+        scratch, origin = self._scratch.fit(depth_m.shape), (pose.translation_m - self.grid.origin_world_m) / resolution_m
         number = fuse(
-            depth_m, camera, pose.rotation(), (pose.translation_m - self.grid.origin_world_m) / resolution_m,
+            depth_m, camera, pose.rotation(), origin,
             float(self._sensor.depth_min_m), self._max_range_m, noise_per_m, resolution_m, self.grid.shape,
             scratch.lowest_m, scratch.farthest_m, scratch.valid, scratch.hits, scratch.touched, self._odds, scratch.listed,
         )  # fmt: skip
-        return self._settle(number)
+        known = self._pictures.canvas.state
+        return self._settle(
+            forget_behind(scratch.listed, number, self._odds, known, self.grid.shape, origin, _SHADOW_M / resolution_m)
+        )
 
     def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:
         """The operator's word: the voxels with centres in this upright cylinder are free, until returns say otherwise.

@@ -1,0 +1,48 @@
+"""What lies behind something that has come to stand in known-free space: its inside, and what nobody has seen since."""
+
+from __future__ import annotations
+
+import math
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.mapping.evidence import FREE_AT
+from uav_recon.types.frames import AnyArray
+from uav_recon.types.maps import FREE
+
+
+@kernel
+def forget_behind(
+    listed: AnyArray, number: int, odds: AnyArray, state: AnyArray, shape: tuple[int, int, int], origin: AnyArray, reach: float
+) -> int:
+    """Make unknown what is free behind voxels that returns end in and that were free, as far as ``reach`` and as the first that
+    is not free: a box that appears shows one side, and the rest of it stands in space that was seen free.
+
+    listed[:number] as fuse() lists them, state (nx * ny * nz,) as it was before the frame; origin: the camera in voxels.
+    Appends the flat indices to the list; returns how many it holds.
+    """
+    listing = number
+    for n in range(number):
+        index = listed[n]
+        if state[index] != FREE or odds[index] <= FREE_AT:
+            continue
+        column = index // shape[2]
+        x, y, z = column // shape[1] + 0.5, column % shape[1] + 0.5, index % shape[2] + 0.5
+        dx, dy, dz = x - origin[0], y - origin[1], z - origin[2]
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if length < 1e-6:
+            continue
+        dx, dy, dz = dx / length, dy / length, dz / length
+        t = 0.5
+        while t <= reach and listing < listed.size:
+            i, j, k = math.floor(x + t * dx), math.floor(y + t * dy), math.floor(z + t * dz)
+            t += 0.5
+            if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
+                break
+            behind = (i * shape[1] + j) * shape[2] + k
+            if state[behind] != FREE:
+                break
+            if odds[behind] <= FREE_AT:
+                odds[behind] = 0
+                listed[listing] = behind
+                listing += 1
+    return listing
