@@ -105,6 +105,15 @@ def test_a_picture_that_lies_aside_is_told_at_once_whenever_it_begins(flight: Fl
     assert told >= 38
 
 
+def test_after_a_wrong_picture_one_must_fit_and_not_only_follow(flight: Flight) -> None:
+    """Shifted pictures of a camera that turned on followed the last right one by chance, once it stood before a wall."""
+    assert copy.deepcopy(flight).see(box=True), "what comes into view is believed"
+    assert not flight.see(_salted)
+    assert not flight.see(box=True)
+    assert flight.see()
+    assert flight.see(box=True)
+
+
 def test_where_nothing_comes_back_from_what_was_there_the_picture_is_wrong(flight: Flight) -> None:
     assert not flight.see(lambda d: np.where(d > 0.9, np.nan, d))
 

@@ -17,6 +17,7 @@ from uav_recon.types.pose import Pose
 
 _ALONE = 0.05  # of the pixels; honest pictures have 0.004
 _MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
+_REFIT = 0.10  # of the points misfit after a picture that was not believed: what follows a wrong one may follow by chance
 _HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
 _ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; honest, after so long a pause: 0.014
 _DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
@@ -59,7 +60,8 @@ class Credence:
         alone, frozen = lone_share(frame.depth_m) > _ALONE, self._frozen(frame.depth_m, odom_from_depth)
         asked = newest is not None and (newest.age_s <= _MOMENT_S or not self._believed)
         aside = asked and self._witness.gain_aside(*seen[1:]) > _ASIDE
-        fits = _follows(newest) or _follows(overlapping)  # what stood before it has gone
+        follows = _follows if self._believed else _fits
+        fits = follows(newest) or follows(overlapping)  # what stood before it has gone
         unasked = newest is None and (self._believed or not self._witness.remembers)
         self._believed = not (alone or frozen or aside) and (fits or unasked)
         if self._believed:
@@ -113,6 +115,11 @@ def _follows(then: Agreement | None) -> bool:
     if then is None:
         return False
     return then.nearer <= _HIDDEN and (then.nearer + then.farther <= _MISFIT or then.farther <= _SOME)
+
+
+def _fits(then: Agreement | None) -> bool:
+    """Nearly all is where it was."""
+    return then is not None and then.nearer + then.farther <= _REFIT
 
 
 def _moved(oldest: Iterator[Agreement], explained: float) -> str:
