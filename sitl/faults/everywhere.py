@@ -12,6 +12,7 @@ AIRBORNE_M, UNATTENDED_S = 0.15, 60.0
 _STEP_M, _SPEED_MPS, _PUSH_MPS2, _TURN_RADPS = 0.03, 0.06, 1e-3, 1e-3  # what single floats and 30 Hz may add
 _INSIDE_M = 0.02
 _TURN_S = 1.0 / 60.0
+_PERIOD_S = 1.0 / 30.0  # of setpoints
 
 
 def violations(e: Evidence) -> list[str]:
@@ -51,10 +52,11 @@ def _speed(e: Evidence) -> str:
 def _steps(e: Evidence) -> str:
     """From one setpoint to the next; a reset of the pose moves them with it, and so does a pilot that starts anew.
 
-    Two that were sent a thirtieth of a second apart may arrive together, where the receiver comes late: the longer time counts.
+    Two that were sent a thirtieth of a second apart may arrive together, where the receiver comes late: the longer time counts,
+    but of what their sender says no more than that.
     """
     w, limits = e.wire, e.limits
-    dt = np.maximum(np.diff(w.setpoint_s), np.diff(w.setpoint_stamp_ms) / 1e3)
+    dt = np.maximum(np.diff(w.setpoint_s), np.minimum(np.diff(w.setpoint_stamp_ms) / 1e3, _PERIOD_S))
     resets = w.odometry_s[1:][np.diff(w.reset_counter) != 0]
     near = [abs(w.setpoint_s[1:] - s) < 0.1 for s in resets]
     counted = (dt < 0.5) & ~np.logical_or.reduce(near) if near else dt < 0.5
