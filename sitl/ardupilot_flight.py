@@ -133,7 +133,7 @@ class Flight:
         else:
             a = estimator.acceleration
             force, turn = self._controller.step(dt_s, position, velocity, a, estimator.yaw, setpoint)
-        if self._ground.touched_down(dt_s, force, velocity):
+        if self._ground.touched_down(dt_s, force, velocity, estimator.horizontal_valid):
             self._top = None
         return force, turn
 

@@ -16,12 +16,14 @@ class LandDetector:
         self._resting_s = 0.0
         self.landed, self.blind = True, False
 
-    def touched_down(self, dt_s: float, force: Vec3, velocity: Vec3) -> bool:
-        """Whether it landed in this step. force: wanted specific force, local NED, m/s^2; velocity: local NED, m/s."""
+    def touched_down(self, dt_s: float, force: Vec3, velocity: Vec3, level_known: bool) -> bool:
+        """Whether it landed in this step. force: wanted specific force, local NED, m/s^2; velocity: local NED, m/s.
+        level_known: its horizontal part is estimated; one that is not known holds no landing up (read in PX4's sources).
+        """
         if self.landed:
             return False
         pressed = force[2] + GRAVITY_MPS2 > 0.8
-        still = abs(velocity[2]) < 0.15 and math.hypot(velocity[0], velocity[1]) < 0.5
+        still = abs(velocity[2]) < 0.15 and (not level_known or math.hypot(velocity[0], velocity[1]) < 0.5)
         self._resting_s = self._resting_s + dt_s if pressed and still else 0.0
         self.landed = self._resting_s >= self._after_s and not self.blind
         return self.landed

@@ -102,7 +102,7 @@ class Flight:
         else:
             a = estimator.acceleration
             force, turn = self._controller.step(dt_s, position, velocity, a, estimator.yaw, setpoint, limit)
-        if self._ground.touched_down(dt_s, force, velocity):
+        if self._ground.touched_down(dt_s, force, velocity, estimator.horizontal_valid):
             self._ramp_s = -1.0
         return force, turn
 

@@ -9,6 +9,8 @@ from companion import LAND, LOITER, OFFBOARD
 from px4_rig import ARM, FORCE, companion, flying, seconds_until, truth_mode
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.landing import LandDetector
+
 
 def test_disarming_in_flight_is_refused() -> None:
     c = flying()
@@ -37,6 +39,15 @@ def test_land_descends_disarms_by_itself_and_the_mode_reverts() -> None:
     c.run(1.1)
     assert c.mode == OFFBOARD
     assert c.last["EXTENDED_SYS_STATE"].landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+
+
+@pytest.mark.parametrize("level_known", [False, True])
+def test_a_speed_that_is_not_known_holds_no_landing_up(level_known: bool) -> None:
+    """An estimate without poses runs away on the floor."""
+    detector = LandDetector(0.6)
+    detector.lifted()
+    landed = [detector.touched_down(0.02, (0.0, 0.0, 0.0), (15.0, 0.0, 0.0), level_known) for _ in range(50)]
+    assert any(landed) is not level_known
 
 
 @pytest.mark.parametrize("speed", [0.5, 0.9])
