@@ -114,6 +114,17 @@ def test_after_a_wrong_picture_one_must_fit_and_not_only_follow(flight: Flight) 
     assert flight.see(box=True)
 
 
+@pytest.mark.parametrize("turning", [0.10, -0.13])
+@pytest.mark.parametrize("pixels", [16, -16])
+def test_only_a_view_that_would_tell_of_a_shift_makes_pictures_believed_again(
+    flight: Flight, pixels: int, turning: float
+) -> None:
+    """Over the floor and before walls that are looked at squarely, a shifted picture fits what was seen there."""
+    assert all(flight.see() for _ in range(12))
+    flight.turning = turning
+    assert not any(flight.see(lambda d: np.roll(d, pixels, axis=1)) for _ in range(60))
+
+
 def test_where_nothing_comes_back_from_what_was_there_the_picture_is_wrong(flight: Flight) -> None:
     assert not flight.see(lambda d: np.where(d > 0.9, np.nan, d))
 
@@ -195,8 +206,9 @@ def _told(
     explained: float = 0.92, shift_m: float = 0.2, count: int = 150, age_s: float = 28.0, fitting: float = 0.45
 ) -> Agreement:
     return Agreement(
-        count, fitting, 1.0 - fitting, 0.0, np.array([0.0, shift_m, 0.0]), np.diag([0.03, 0.84, 0.05]), explained, age_s
-    )
+        count, fitting, 1.0 - fitting, 0.0, np.array([0.0, shift_m, 0.0]), np.diag([0.03, 0.84, 0.05]), explained, age_s,
+        np.empty((0, 6)),
+    )  # fmt: skip
 
 
 def test_one_view_alone_does_not_tell_of_a_drift() -> None:

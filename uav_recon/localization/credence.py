@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
+from typing import TypeGuard
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from uav_recon.types.pose import Pose
 _ALONE = 0.05  # of the pixels; honest pictures have 0.004
 _MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
 _REFIT = 0.10  # of the points misfit after a picture that was not believed: what follows a wrong one may follow by chance
+_TELLING = (
+    0.03  # of the points more would misfit aside; shifted pictures that fit: 0.000 at most; honest: 0.18 in three of four
+)
 _HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
 _ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; honest, after so long a pause: 0.014
 _DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
@@ -37,7 +41,7 @@ class Credence:
     """Hears every picture once, with the pose that goes with it. About 0.4 ms each; warm_up() compiles its kernels.
 
     A picture that fits neither itself nor what was seen before is not believed, and none after it is before one fits
-    a view that is remembered.
+    a view that is remembered and that would tell of a shift.
     """
 
     def __init__(self) -> None:
@@ -60,8 +64,10 @@ class Credence:
         alone, frozen = lone_share(frame.depth_m) > _ALONE, self._frozen(frame.depth_m, odom_from_depth)
         asked = newest is not None and (newest.age_s <= _MOMENT_S or not self._believed)
         aside = asked and self._witness.gain_aside(*seen[1:]) > _ASIDE
-        follows = _follows if self._believed else _fits
-        fits = follows(newest) or follows(overlapping)  # what stood before it has gone
+        if self._believed:
+            fits = _follows(newest) or _follows(overlapping)  # what stood before it has gone
+        else:
+            fits = any(_fits(then) and self._witness.loss_aside(then, *seen[1:]) >= _TELLING for then in (newest, overlapping))
         unasked = newest is None and (self._believed or not self._witness.remembers)
         self._believed = not (alone or frozen or aside) and (fits or unasked)
         if self._believed:
@@ -87,8 +93,8 @@ class Credence:
         wall.setflags(write=False)
         colour = np.zeros((2, 2, 3), dtype=np.uint8)
         other, here = Credence(), Pose.identity()
-        for n in range(3):
-            other.believes(Frame(0.1 * n, n, wall, lens, colour, lens, here), here, 0)
+        for n, depth_m in enumerate((wall, wall, 2.0 * wall, wall)):
+            other.believes(Frame(0.1 * n, n, depth_m, lens, colour, lens, here), here, 0)
 
     def _hear(self, stamp_s: float, said: str) -> None:
         self._running = self._running + 1 if said else 0
@@ -117,7 +123,7 @@ def _follows(then: Agreement | None) -> bool:
     return then.nearer <= _HIDDEN and (then.nearer + then.farther <= _MISFIT or then.farther <= _SOME)
 
 
-def _fits(then: Agreement | None) -> bool:
+def _fits(then: Agreement | None) -> TypeGuard[Agreement]:
     """Nearly all is where it was."""
     return then is not None and then.nearer + then.farther <= _REFIT
 

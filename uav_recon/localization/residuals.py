@@ -19,6 +19,7 @@ _ROUNDS = 4
 _SHARP_M, _SHARP_PER_M = 0.04, 0.010  # two pictures a moment apart agree to this, and this times the square of the range
 _SUSPICIOUS = 0.01  # of the points misfit; where fewer do, nobody asks whether they would fit elsewhere
 _STEP, _ACROSS, _DOWN, _FARTHEST = 0.04, 2, 3, 6  # aside, each way: of the width or height; nearer, a pose that drifts looks so
+_HALF = 9  # of the asides
 
 
 @kernel
@@ -113,28 +114,43 @@ def gain_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: 
     Only what is farther than it should be speaks for a shift: what comes into view stands before something.
     A wall that is looked at squarely and the floor look the same aside: they speak neither for it nor against it.
     """
-    straight, _ = _misfit(points, depth_m, camera, rotation, place, 0, 0)
-    gain = 0.0
-    if not straight > _SUSPICIOUS:
-        return gain
+    straight, _, _ = _misfit(points, depth_m, camera, rotation, place, 0, 0)
+    return max(0.0, _asides(points, depth_m, camera, rotation, place)[:, 0].max()) if straight > _SUSPICIOUS else 0.0
+
+
+@kernel
+def loss_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
+    """By what share fewer of the points (N, 6) of another picture fit this one read some columns or rows aside, for the best
+    of these; none where a shift would not be noticed, or few asides can be read, and less where one fits better.
+    """
+    asides = _asides(points, depth_m, camera, rotation, place)
+    return asides[:, 1].min() if len(asides) >= _HALF else 0.0
+
+
+@kernel
+def _asides(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> AnyArray:
+    """gain_aside and loss_aside for each aside, (M, 2); zeros alone where too little is seen at both places."""
+    out, number = np.zeros((4 * _FARTHEST, 2)), 0
     for n in range(-_FARTHEST, _FARTHEST + 1):
         for k in range(2):
             if abs(n) >= (_ACROSS if k == 0 else _DOWN):
                 aside = int(np.rint(n * _STEP * depth_m.shape[1 - k]))
-                here, there = _misfit(points, depth_m, camera, rotation, place, (1 - k) * aside, k * aside)
-                gain = max(gain, here - there)
-    return gain
+                gone, here, there = _misfit(points, depth_m, camera, rotation, place, (1 - k) * aside, k * aside)
+                if np.isfinite(there):
+                    out[number] = gone - there, there - here
+                    number += 1
+    return out[: max(number, 1)]
 
 
 @kernel
 def _misfit(
     points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray, across: int, down: int
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """Shares of the points off the surface that is seen, of those that have a return at both places: where they should be, and
-    what is seen there is farther; and, nearer or farther, so many columns and rows beside. Zero where these are too few.
+    what is seen there is farther; there, nearer or farther; and so many columns and rows beside. NaN where these are too few.
     """
     height, width = depth_m.shape
-    count, off = 0, np.zeros(2)
+    count, gone, off = 0, 0, np.zeros(2)
     for n in range(points.shape[0]):
         u, v, deep = seen_at(points[n], camera, rotation, place)
         if not (0 <= u < width and 0 <= v < height and 0 <= u + across < width and 0 <= v + down < height):
@@ -144,9 +160,10 @@ def _misfit(
         count += 1
         for k in range(2):
             z = float(depth_m[v + k * down, u + k * across])
-            residual_m = _off_m(points[n], u, v, z, camera, rotation, place)
-            off[k] += int(abs(residual_m) > _SHARP_M + _SHARP_PER_M * z * z and (k == 1 or z > deep))
-    return (off[0] / count, off[1] / count) if count >= FEWEST else (0.0, 0.0)
+            misfit = abs(_off_m(points[n], u, v, z, camera, rotation, place)) > _SHARP_M + _SHARP_PER_M * z * z
+            off[k] += int(misfit)
+            gone += int(misfit and k == 0 and z > deep)
+    return (gone / count, off[0] / count, off[1] / count) if count >= FEWEST else (np.nan, np.nan, np.nan)
 
 
 @kernel

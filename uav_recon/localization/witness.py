@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.residuals import FEWEST, MOST, gain_aside, residuals, shares, shift_of, surface
+from uav_recon.localization.residuals import FEWEST, MOST, gain_aside, loss_aside, residuals, shares, shift_of, surface
 from uav_recon.types.camera import Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -41,7 +41,7 @@ ALIKE_LATELY = Likeness(1.5, 0.75, within_s=8.0)  # a drift so young is still wi
 class Agreement:
     """count: points that could be compared. fitting, nearer, farther: shares of them; shift_m (3,): how far odom has moved
     since, as far as surfaces tell; held (3, 3): how well they tell, by direction; explained: the share that fits with it.
-    age_s: of the view compared with.
+    age_s: of the view compared with; points (N, 6): its surface.
     """
 
     count: int
@@ -52,6 +52,7 @@ class Agreement:
     held: FloatArray
     explained: float
     age_s: float
+    points: AnyArray
 
 
 class _Stand(NamedTuple):
@@ -126,6 +127,12 @@ class Witness:
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
         return float(gain_aside(self._newest.points, depth_m, _camera(lens), rotation, place))
 
+    @staticmethod
+    def loss_aside(then: Agreement, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
+        """By what share less of that view would fit a picture that lies aside; little, and it tells nothing of this one."""
+        rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
+        return float(loss_aside(then.points, depth_m, _camera(lens), rotation, place))
+
     def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: Likeness) -> Iterator[_View]:
         """Views to be asked, the oldest first."""
         here = _Stand.of(odom_from_depth)
@@ -150,7 +157,11 @@ def _compared(
     found, gone = residuals(view.points, depth_m, _camera(lens), rotation, place)
     age_s = stamp_s - view.stamp_s
     if len(found) < FEWEST:
-        return None if gone <= most_gone else Agreement(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s)
+        return (
+            None
+            if gone <= most_gone
+            else Agreement(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s, view.points)
+        )
     shift_m, held = shift_of(found)
     fitting, nearer, explained = shares(found, shift_m)
-    return Agreement(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, held, explained, age_s)
+    return Agreement(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, held, explained, age_s, view.points)
