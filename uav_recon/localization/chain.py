@@ -1,0 +1,215 @@
+"""Poses that entered the filter, each with the estimate after it, and the inertial track that leads from one to the next."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from uav_recon.localization.attitude import (
+    GRAVITY_MPS2,
+    InertialState,
+    InertialTrack,
+    Vector,
+    conjugate,
+    exponential,
+    logarithm,
+    multiply,
+    rotate,
+)
+from uav_recon.localization.errorstate import Estimate, PoseNoise, carry, carry_mean, correct, innovation, spread
+from uav_recon.localization.gates import Sighting, doubt, same_stamp, surprise, tether
+from uav_recon.types.camera import ImuSample
+from uav_recon.types.frames import FloatArray
+
+_HISTORY_S = 2.0  # kept for late poses and frames
+_IMU_GAP_S = 0.05
+_FASTEST_RADPS = 35.0  # any gyro is saturated there
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A pose that entered, and the estimate after it. nis: of its innovation."""
+
+    sighting: Sighting
+    noise: PoseNoise
+    estimate: Estimate
+    nis: float
+
+    @property
+    def stamp_s(self) -> float:
+        """Of the pose."""
+        return self.sighting.stamp_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrival:
+    """A pose and what the chain says of its instant: the estimate carried there, the track there, what the pose says beyond
+    (6,), and the covariance of that (6, 6).
+    """
+
+    said: Sighting
+    noise: PoseNoise
+    carried: Estimate
+    here: InertialState
+    residual: FloatArray
+    covariance: FloatArray
+
+
+class Chain:
+    """rejected counts inertial samples that were turned down; fused(stamp_s, nis) hears of each pose that enters."""
+
+    def __init__(self, rejected: Counter[str], fused: Callable[[float, float], None]) -> None:
+        self._rejected, self._fused = rejected, fused
+        self._track = InertialTrack()
+        self._nodes: deque[Node] = deque()
+        self._imu_since_s, self._imu_s = math.inf, -math.inf  # the newest unbroken run of inertial samples
+
+    @property
+    def newest(self) -> Node | None:
+        """None before the first."""
+        return self._nodes[-1] if self._nodes else None
+
+    def hear(self, samples: list[ImuSample]) -> None:
+        """Take inertial samples, oldest first; what is not finite or not newer than the one before is counted and left out."""
+        estimate = self._nodes[-1].estimate if self._nodes else None
+        bias = estimate.gyro_bias_radps if estimate is not None and estimate.inertial else (0.0, 0.0, 0.0)
+        for sample in samples:
+            stamp_s = sample.stamp_s
+            gx, gy, gz = sample.gyro_radps.tolist()
+            fx, fy, fz = sample.specific_force_mps2.tolist()
+            if not math.isfinite(stamp_s + gx + gy + gz + fx + fy + fz) or max(abs(gx), abs(gy), abs(gz)) > _FASTEST_RADPS:
+                self._rejected["imu not finite"] += 1
+                continue
+            if stamp_s <= self._track.newest_s:
+                self._rejected["imu stamp"] += 1
+                continue
+            if stamp_s - self._imu_s > _IMU_GAP_S:
+                self._imu_since_s = stamp_s
+            self._imu_s = stamp_s
+            self._track.push(stamp_s, (gx, gy, gz), (fx, fy, fz), bias)
+
+    def untimely(self, stamp_s: float) -> str:
+        """Why a stamp has no place in what is kept, '' where it has one."""
+        if not self._nodes:
+            return "" if self.reaches(stamp_s) else "stamp"
+        early = stamp_s < self._nodes[0].stamp_s
+        k = 0 if early else self._before(stamp_s)
+        beside = (self._nodes[n] for n in (k, k + 1) if n < len(self._nodes))
+        if any(same_stamp(node.stamp_s, stamp_s) for node in beside):
+            return "duplicate"
+        return "stamp" if early else ""
+
+    def before(self, stamp_s: float) -> Node:
+        """The newest node that is not younger than a timely stamp."""
+        return self._nodes[self._before(stamp_s)]
+
+    def meet(self, said: Sighting, noise: PoseNoise) -> Arrival:
+        """Carried from the node before a timely pose to the pose."""
+        return self._meet(self.before(said.stamp_s), said, noise)
+
+    def reaches(self, stamp_s: float) -> bool:
+        """Whether the track goes back so far."""
+        return not len(self._track) or stamp_s >= self._track.oldest_s
+
+    def begin(self, said: Sighting, noise: PoseNoise, velocity_mps: Vector) -> None:
+        """Forget the nodes and go on from a pose that the track reaches."""
+        inertial = self._inertial(said.stamp_s, said.stamp_s)
+        if not inertial:
+            self._coast_to(said.stamp_s)
+        base = self._track.at(said.stamp_s)
+        assert base is not None
+        self._nodes.clear()
+        estimate = Estimate.at_rest(base, said.position_m, said.odom_from_body, noise, inertial)
+        self._keep(Node(said, noise, estimate._replace(velocity_mps=velocity_mps), 0.0))
+
+    def enter(self, met: Arrival) -> None:
+        """Put a pose in its place by its stamp; the nodes after it are computed again."""
+        k = self._before(met.said.stamp_s)
+        later = [self._nodes.pop() for _ in range(len(self._nodes) - 1 - k)]
+        self._append(met)
+        for node in reversed(later):
+            self._append(self._meet(self._nodes[-1], node.sighting, node.noise))
+        while self._nodes[-1].stamp_s - self._nodes[0].stamp_s > _HISTORY_S:
+            self._nodes.popleft()
+
+    def at(self, stamp_s: float) -> tuple[Node, Estimate, InertialState] | None:
+        """The node before an instant, and the estimate and the track there; None where too long ago."""
+        if not self._nodes or stamp_s < self._nodes[0].stamp_s:
+            return None
+        k = self._before(stamp_s)
+        node = self._nodes[k]
+        base, here = self._track.at(node.stamp_s), self._track.at(stamp_s)
+        if base is None or here is None:
+            return None
+        if k + 1 == len(self._nodes):
+            return node, carry(node.estimate, base, here, node.noise), here
+        return node, self._bent(node, self._nodes[k + 1], base, here), here
+
+    def _meet(self, node: Node, said: Sighting, noise: PoseNoise) -> Arrival:
+        inertial = self._inertial(node.stamp_s, said.stamp_s)
+        if not inertial:
+            self._coast_to(said.stamp_s)
+        base, here = self._track.at(node.stamp_s), self._track.at(said.stamp_s)
+        assert base is not None  # nodes are younger than the track
+        assert here is not None
+        return against(said, noise, carry(node.estimate.carried_on(inertial), base, here, node.noise), here)
+
+    def _append(self, met: Arrival) -> None:
+        """Correct what was carried to a pose by the pose."""
+        nis = surprise(met.residual, met.covariance)
+        variance_m2 = sum(met.carried.covariance.diagonal()[:3].tolist()) / 3.0
+        doubts = max(doubt(nis), tether(met.residual, variance_m2, met.noise.position_m2))
+        self._keep(Node(met.said, met.noise, correct(met.carried, met.residual, met.noise, doubts), nis))
+
+    def _keep(self, node: Node) -> None:
+        self._nodes.append(node)
+        self._fused(node.stamp_s, node.nis)
+        self._track.hover_force_gyro = rotate(conjugate(node.estimate.odom_from_gyro), (0.0, 0.0, GRAVITY_MPS2))
+
+    def _bent(self, node: Node, after: Node, base: InertialState, here: InertialState) -> Estimate:
+        """The way from a node, bent so that it ends at the next."""
+        there = self._track.at(after.stamp_s)
+        state = carry_mean(node.estimate, base, here)
+        if there is None:
+            return state
+        share = (here.stamp_s - node.stamp_s) / (after.stamp_s - node.stamp_s)
+        end, goal = carry_mean(node.estimate, base, there), after.estimate
+        turn = logarithm(multiply(goal.odom_from_gyro, conjugate(end.odom_from_gyro)))
+        return state._replace(
+            position_m=_towards(state.position_m, end.position_m, goal.position_m, share),
+            velocity_mps=_towards(state.velocity_mps, end.velocity_mps, goal.velocity_mps, share),
+            odom_from_gyro=multiply(exponential((share * turn[0], share * turn[1], share * turn[2])), state.odom_from_gyro),
+        )
+
+    def _before(self, stamp_s: float) -> int:
+        k = len(self._nodes) - 1
+        while self._nodes[k].stamp_s > stamp_s:
+            k -= 1
+        return k
+
+    def _inertial(self, start_s: float, end_s: float) -> bool:
+        """Whether inertial samples cover the interval."""
+        return self._imu_since_s <= start_s + _IMU_GAP_S and self._imu_s >= end_s - _IMU_GAP_S
+
+    def _coast_to(self, stamp_s: float) -> None:
+        if stamp_s > self._track.newest_s:
+            estimate = self._nodes[-1].estimate if self._nodes else None
+            known = estimate is not None and not estimate.inertial
+            bx, by, bz = estimate.gyro_bias_radps if estimate is not None and known else (0.0, 0.0, 0.0)
+            self._track.coast(stamp_s, (-bx, -by, -bz))
+
+
+def against(said: Sighting, noise: PoseNoise, carried: Estimate, here: InertialState) -> Arrival:
+    """A pose and an estimate carried to its instant."""
+    residual = innovation(carried, here, said.position_m, said.odom_from_body)
+    return Arrival(said, noise, carried, here, residual, spread(carried, noise))
+
+
+def _towards(here: Vector, end: Vector, goal: Vector, share: float) -> Vector:
+    return (
+        here[0] + share * (goal[0] - end[0]),
+        here[1] + share * (goal[1] - end[1]),
+        here[2] + share * (goal[2] - end[2]),
+    )
