@@ -111,7 +111,38 @@ def test_a_step_aside_goes_where_it_is_known_free_and_inside_the_fence(evasion: 
     nowhere = np.zeros(GRID.shape, np.bool_)
     assert evasion.step_aside(REST, _situation(1.2, _free(nowhere))) == "nowhere to give way to"
     assert evasion.step_aside(REST, dataclasses.replace(_situation(1.2), free=None)) == "nowhere to give way to"
-    corner = Setpoint.hold(np.array([2.6, 2.6, 1.1]), 0.0)
-    way = evasion.step_aside(corner, _situation(1.2))
+
+
+def test_what_stands_is_not_given_way_to_while_the_vehicle_still_comes_nearer(evasion: Evasion) -> None:
+    box = HERE + np.array([0.9, 0.0, 0.0])
+    evasion.hear(Intruder(1.0, box, 1.1, MANY))  # seen from 0.2 m before the rest, then from 0.1 m
+    evasion.hear(Intruder(1.2, box, 1.0, MANY))
+    assert evasion.stops(1.2)
+    assert evasion.step_aside(REST, _situation(1.2)) is None
+
+
+def _lane(half_m: float) -> BoolArray:
+    """Known free so far to both sides of the x axis; the nearest voxels that are not lie half a voxel beyond."""
+    free, half = np.zeros(GRID.shape, np.bool_), round(half_m / 0.1)
+    free[:, 40 - half : 40 + half] = True
+    return free
+
+
+@pytest.mark.parametrize(("half_m", "sideways_m"), [(1.3, 0.95), (0.9, 0.55), (0.4, 0.15), (0.3, 0.05), (0.2, 0.0)])
+def test_a_step_aside_keeps_the_room_of_planned_ways_where_there_is_any(
+    evasion: Evasion, half_m: float, sideways_m: float
+) -> None:
+    evasion.hear(_seen(1.0, 2.2))
+    evasion.hear(_seen(1.2, 2.04))
+    way = evasion.step_aside(REST, _situation(1.2, _free(_lane(half_m))))
     assert isinstance(way, Trajectory)
-    assert way.position_m[-1][:2].max() <= 2.7
+    assert abs(way.position_m[-1][1]) <= sideways_m + 1e-9
+
+
+def test_a_step_aside_along_the_fence_keeps_inside_its_inset(evasion: Evasion) -> None:
+    here = np.array([0.0, 2.2, 1.1])
+    for stamp_s, away_m in ((1.0, 2.2), (1.2, 2.04)):
+        evasion.hear(Intruder(stamp_s, here - np.array([0.0, away_m, 0.0]), away_m, MANY))
+    way = evasion.step_aside(Setpoint.hold(here, 0.0), _situation(1.2))
+    assert isinstance(way, Trajectory)
+    assert way.position_m[-1][1] <= 2.6 + 1e-9, "0.1 m inside the inset, which ends at 2.7"

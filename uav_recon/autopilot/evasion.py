@@ -18,12 +18,14 @@ IDENTIFIER = -3  # of the step aside
 _FRESH_S = 0.5
 _MANY_CELLS = 8  # less of it has to be seen twice, so soon after each other: one picture alone may err
 _STOP_M = 1.6  # of the body's centre from what was not there: nearer, nothing is flown on
-_COMING_MPS = 0.25  # nearer by so much a second, while the vehicle stands
+_COMING_MPS = 0.25  # nearer by so much a second
 _HEED_M = 2.5  # what comes on from farther off is let come
 _STEP_M, _STEP_MPS = 1.2, 0.5
+_ROOMS_M = ((0.20, 0.10), (0.10, 0.03), (0.0, 0.0))  # beside the hull, inside the inset: plans', ways back's, the guard's
 _AFTER_S = 1.0  # after the step nothing is taken up for so long
 _AHEAD_S = np.linspace(0.2, 4.0, 20)
 _WAYS = 16
+_AROUND = np.array([(0.0, 0.0, 0.0), *((math.cos(a), math.sin(a), 0.0) for a in np.arange(8) * math.tau / 8)])
 
 
 class Evasion:
@@ -42,25 +44,32 @@ class Evasion:
         """Whether something is near that was not there before, or comes on."""
         if not self._heard or not self._fresh(now_s) or not self._is_sure():
             return False
-        away_m = self._heard[-1].away_m
-        return away_m <= _STOP_M or (away_m <= _HEED_M and self._coming_mps(now_s) >= _COMING_MPS)
+        away_m = [one.away_m for one in self._heard[-2:]]
+        return away_m[-1] <= _STOP_M or (away_m[-1] <= _HEED_M and self._nearer_mps(away_m, now_s) >= _COMING_MPS)
 
     def why(self) -> str:
         """What stops it, in words."""
         return f"{self._heard[-1].away_m:.2f} m from something that was not there" if self._heard else ""
 
     def step_aside(self, rest: Setpoint, situation: Situation) -> Trajectory | str | None:
-        """From rest out of the way of what comes on; None if nothing does, a word if nowhere is known free."""
-        coming_mps = self._coming_mps(situation.now_s)
-        if coming_mps < _COMING_MPS or self._heard[-1].away_m > _HEED_M:
-            return None
+        """From rest out of the way of what comes on; None if nothing does, a word if nowhere is known free.
+
+        It comes on if its places come nearer to the rest: the vehicle itself still comes nearer while it stops. Where there is
+        room it keeps that of planned ways; with none, a wall is better come near to than what comes on.
+        """
         here = rest.position_m
+        away_m = [_level_m(one.place_m, here) for one in self._heard[-2:]]
+        coming_mps = self._nearer_mps(away_m, situation.now_s)
+        if coming_mps < _COMING_MPS or away_m[-1] > _HEED_M:
+            return None
         ends = [here + _STEP_M * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.arange(_WAYS) * math.tau / _WAYS]
-        clear = [end for end in ends if self._may(here, end, situation)]
-        if not clear:
-            return "nowhere to give way to"
-        best = max(clear, key=lambda end: _closest_m(here, end, self._heard[-1].place_m, coming_mps))
-        return flown(np.array([here, best]), rest, situation.now_s, _STEP_MPS, situation.map_epoch, False, IDENTIFIER)
+        ends.sort(key=lambda end: -_closest_m(here, end, self._heard[-1].place_m, coming_mps))
+        for room_m, inside_m in _ROOMS_M:
+            for end in ends:
+                if self._may(here, end, room_m, inside_m, situation):
+                    way = np.array([here, end])
+                    return flown(way, rest, situation.now_s, _STEP_MPS, situation.map_epoch, False, IDENTIFIER)
+        return "nowhere to give way to"
 
     def over(self, way: Trajectory, now_s: float) -> bool:
         """Whether a step aside is done."""
@@ -74,17 +83,23 @@ class Evasion:
     def _fresh(self, now_s: float) -> bool:
         return now_s - self._heard[-1].stamp_s <= _FRESH_S
 
-    def _coming_mps(self, now_s: float) -> float:
-        """How fast it comes nearer, by the newest two sights of it; 0 where there are none."""
-        if len(self._heard) < 2 or not self._fresh(now_s):
+    def _nearer_mps(self, away_m: list[float], now_s: float) -> float:
+        """How fast it comes nearer, by how far off it was at its newest two sights; 0 where there are none."""
+        if len(away_m) < 2 or not self._fresh(now_s):
             return 0.0
-        before, last = self._heard[-2:]
-        apart_s = last.stamp_s - before.stamp_s
-        return (before.away_m - last.away_m) / apart_s if 0.0 < apart_s <= _FRESH_S else 0.0
+        apart_s = self._heard[-1].stamp_s - self._heard[-2].stamp_s
+        return (away_m[0] - away_m[1]) / apart_s if 0.0 < apart_s <= _FRESH_S else 0.0
 
-    def _may(self, here: FloatArray, end: FloatArray, situation: Situation) -> bool:
-        a, b = _floats(here), _floats(end)
-        return situation.free is not None and situation.free.admits(a, b) and self._guard.envelope.admits(a, b)
+    def _may(self, here: FloatArray, end: FloatArray, room_m: float, inside_m: float, situation: Situation) -> bool:
+        """Whether the ways to the end and to all around it are known free, and inside the fence."""
+        free, envelope, a = situation.free, self._guard.envelope, _floats(here)
+        return free is not None and all(
+            free.admits(a, _floats(end + room_m * out)) and envelope.admits(a, _floats(end + inside_m * out)) for out in _AROUND
+        )
+
+
+def _level_m(a: FloatArray, b: FloatArray) -> float:
+    return math.hypot(*(a - b)[:2].tolist())
 
 
 def _closest_m(here: FloatArray, end: FloatArray, place: FloatArray, coming_mps: float) -> float:
