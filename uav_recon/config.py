@@ -224,7 +224,7 @@ class MotionConfig(Section):
 class MissionConfig(Section):
     """What to do with the flight."""
 
-    views: Annotated[int, Field(ge=4, le=5000)] = 120  # keyframes given to the mapper, at most
+    views: Annotated[int, Field(ge=4, le=5000)] = 120  # keyframes given to the mapper, at most; frontiers before surface
     takeoff_height_m: Annotated[float, Field(ge=0.5, le=3.0)] = 1.1  # body above the pad
     survey_views: Annotated[int, Field(ge=0, le=36)] = 8  # keyframes of the first look round
     max_flight_s: Positive = 900.0  # then it returns

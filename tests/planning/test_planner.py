@@ -5,15 +5,16 @@ import itertools
 
 import numpy as np
 import pytest
-from box_world import FIXED, GIMBAL, MEETING_ROOM, BoxWorld, room, voxel_map
+from box_world import FIXED, GIMBAL, MEETING_ROOM, TWO_ROOMS, BoxWorld, room, voxel_map
 from scipy import ndimage
 
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.planner import ViewPlanner
+from uav_recon.planning.sources import Harvest, Question
 from uav_recon.types.frames import ByteArray
 from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
-from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, ViewPath
+from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath
 
 
 def planner_for(state: ByteArray, camera: CameraGeometry = FIXED, variant: VariantName = "adaptive") -> ViewPlanner:
@@ -43,6 +44,23 @@ def surface_of(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], per_face:
     position = np.concatenate(positions)
     order = rng.permutation(len(position))
     return SurfaceElements(position[order], np.concatenate(normals)[order], 0.2 + position[order, 0], 1)
+
+
+def harvest_of(
+    planner: ViewPlanner, request: PlanRequest, surface: SurfaceElements, views_left: int
+) -> dict[TaskKind, list[Task]]:
+    """All tasks of one plan, those that its tour leaves out too."""
+    propose, found = planner._source.propose, []
+
+    def remember(question: Question) -> Harvest:
+        found.append(propose(question))
+        return found[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planner._source, "propose", remember)
+        planner.plan(dataclasses.replace(request, surface=surface, views_left=views_left))
+    tasks = [proposal.task for proposal in found[0].proposals]
+    return {kind: [task for task in tasks if task.kind is kind] for kind in TaskKind}
 
 
 def assert_flyable(path: ViewPath, request: PlanRequest, start_is_flyable: bool = True) -> None:
@@ -189,6 +207,18 @@ def test_surface_tasks_look_at_uncertain_surface_that_is_in_sight() -> None:
     assert_flyable(path, request)
     explore_only = planner_for(known, variant="explore").plan(request)
     assert isinstance(explore_only, NothingLeft)
+
+
+@pytest.mark.parametrize(("over", "left_to_surface"), [(-1, 0), (0, 0), (2, 2), (400, 10)])
+def test_surface_gets_the_views_that_frontiers_leave_over(over: int, left_to_surface: int) -> None:
+    world = looked_round(TWO_ROOMS)
+    surface = surface_of(TWO_ROOMS)
+    planner = planner_for(world.state, variant="merged")
+    frontiers = len(harvest_of(planner, world.request(), surface, 400)[TaskKind.EXPLORE])
+    assert frontiers > 1
+    found = harvest_of(planner_for(world.state, variant="merged"), world.request(), surface, frontiers + over)
+    assert len(found[TaskKind.EXPLORE]) == frontiers
+    assert len(found[TaskKind.RECONSTRUCT]) == left_to_surface
 
 
 def test_surface_tasks_run_out() -> None:

@@ -86,7 +86,7 @@ class ViewPlanner:
         if isinstance(situation, str):
             return self._nothing(situation, start_s, start_s)
         harvest = self._source.propose(
-            Question(situation, self.frontiers, self._ways, request.surface, self.visited.surface_looks)
+            Question(situation, self.frontiers, self._ways, request.surface, self.visited.surface_looks, request.views_left)
         )
         committed = self._committed(situation, request)
         tasks = _without_what_they_settle(committed, harvest.proposals)

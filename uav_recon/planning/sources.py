@@ -37,7 +37,7 @@ class Harvest:
 class Question:
     """What a source is asked with: where one plan stands, and what there may be to look at.
 
-    looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel.
+    looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel. views_left: in the budget.
     """
 
     situation: Situation
@@ -45,6 +45,7 @@ class Question:
     ways: Ways
     surface: SurfaceElements | None
     looks: Float32Array
+    views_left: int
 
 
 class Source(Protocol):
@@ -60,7 +61,10 @@ class Source(Protocol):
 
 
 class Clusters:
-    """The paper's: the best view of each cluster, surface beside frontiers as the mode says."""
+    """The paper's: the best view of each cluster, surface beside frontiers as the mode says.
+
+    Beyond the paper: surface gets the views that frontiers leave over, its most uncertain first.
+    """
 
     def __init__(self, config: PlannerConfig, variant: Variant, views: FrontierViews, surfaces: SurfaceViews) -> None:
         self._variant, self._end_factor = variant, config.end_factor
@@ -73,11 +77,12 @@ class Clusters:
         ways.update(situation.exit_cells, situation.position_world, places_of(explore))
         opening = np.array([one.task.gain >= OPENING for one in explore], dtype=np.bool_)
         mode = self._variant.mode.choose(ways.lengths_m[0, 1:], opening)
-        if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds:
+        spare = question.views_left - len(explore)
+        if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds or spare <= 0:
             return Harvest(mode, explore)
         widening = 1.0 if opening.any() else self._end_factor
         surface = self._surfaces.propose(situation, question.surface, question.looks, widening)
-        return Harvest(mode, (explore + surface)[:MOST_TASKS], widening)
+        return Harvest(mode, (explore + surface[:spare])[:MOST_TASKS], widening)
 
     def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
         """See Source."""
