@@ -21,7 +21,7 @@ REACTIONS = {  # worst first: what of a row's own bars holds whatever else goes 
     "E1": (Bar("stream ends", m.streams_after, 0.3, "s"),),
     "D2": (lands(1.3, ardupilot=2.5), down(30.0)),
     "B1": (lands(1.2), down(30.0)),
-    "E5": (Bar("charge left", m.battery_left, 0.10, "", at_least=True), down(120.0)),
+    "E5": (Bar("charge left", m.battery_left, 0.10, "", at_least=True), down(160.0)),
     "A1": (holds(0.6),),
 }
 _WATCHED_S = 60.0  # where neither asks for a reaction
