@@ -30,8 +30,8 @@ FIRMWARE_OFFERS = {"px4": Needs.PROCESSES | Needs.LINE, "ardupilot": Needs.PROCE
 
 @dataclass(frozen=True)
 class FaultOptions:
-    """Rows are flown with seeds 0, 1, ... and for each personality, and told in the order of the table. firmware: a real one in
-    its place, always live.
+    """Rows are flown with seeds seed0, seed0 + 1, ... and for each personality, and told in the order of the table. firmware: a
+    real one in its place, always live.
     """
 
     rows: tuple[Row, ...]
@@ -42,11 +42,12 @@ class FaultOptions:
     out: Path | None
     live: bool = False
     firmware: Path | None = None
+    seed0: int = 0
 
     @staticmethod
     def parse(
         *, only: str | None = None, autopilot: str = BOTH, seeds: int = 3, jobs: int = 2, json: Path | None = None,
-        out: Path | None = None, live: bool = False, firmware: Path | None = None,
+        out: Path | None = None, live: bool = False, firmware: Path | None = None, seed0: int = 0,
     ) -> FaultOptions:  # fmt: skip
         """Check the words of the command line. Raises UsageError with one line."""
         names = None if only is None else tuple(word.strip() for word in only.split(","))
@@ -67,15 +68,18 @@ class FaultOptions:
             how = "in real time" if firmware is None else f"with a real {autopilot}"
             raise UsageError(f"--only {only}: not flown {how}; {', '.join(r.id for r in TABLE if flown(r))} are")
         one_by_one = live or firmware is not None
-        return FaultOptions(rows, personalities, seeds, 1 if one_by_one else jobs, json, out, one_by_one, firmware)
+        return FaultOptions(rows, personalities, seeds, 1 if one_by_one else jobs, json, out, one_by_one, firmware, seed0)
 
     def cases(self, row: Row, autopilot: str) -> list[FaultCase]:
         """The flights of a row; none for one that cannot be flown here."""
         if not _flown(autopilot, self.live, self.firmware)(row):
             return []
-        numbers = range(self.seeds if self.live else self.seeds * row.times)
+        numbers = range(self.seed0, self.seed0 + (self.seeds if self.live else self.seeds * row.times))
         folders = [None if self.out is None else self.out / f"{row.id}-{autopilot}-{number}" for number in numbers]
-        return [FaultCase(row.id, autopilot, number, folder, self.live, self.firmware) for number, folder in enumerate(folders)]
+        return [
+            FaultCase(row.id, autopilot, number, folder, self.live, self.firmware)
+            for number, folder in zip(numbers, folders, strict=True)
+        ]
 
     def groups(self) -> list[list[FaultCase]]:
         """All flights: those together that can be, seed by seed; in real time each is alone."""
@@ -121,9 +125,9 @@ def faults(options: FaultOptions) -> int:
 
 
 def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Generator[FaultRecord, None, None]:
-    """Records as they come, under a bar that tells how many there are yet to come, and how many failed."""
+    """Records as they come, under a bar that tells how many there are yet to come; a flight that missed is told of at once."""
     columns = (
-        TextColumn("flights{task.description}"),
+        TextColumn("flights"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -133,14 +137,15 @@ def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Gene
         Progress(*columns, console=console, disable=not console.is_terminal) as progress,
         ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool,
     ):
-        task, failed = progress.add_task("", total=sum(map(len, groups))), 0
+        task = progress.add_task("", total=sum(map(len, groups)))
         for future in as_completed([pool.submit(fly, group) for group in groups]):
             for record in future.result():
                 if record.trace and record.case.out is not None:
                     record.case.out.mkdir(parents=True, exist_ok=True)
                     (record.case.out / "trace.txt").write_text(record.trace, encoding="utf-8")
-                failed += not record.verdict.passed(ROWS[record.case.row], record.case.autopilot)
-                progress.update(task, advance=1, description=f", {failed} failed" if failed else "")
+                if not record.verdict.passed(ROWS[record.case.row], record.case.autopilot):
+                    console.print(_missed(record), markup=False, highlight=False, soft_wrap=True)
+                progress.advance(task)
                 yield record
 
 
@@ -154,7 +159,14 @@ def _results(options: FaultOptions, records: Iterator[FaultRecord]) -> Iterator[
                 record = next(records)
                 told[record.case] = record
             firmware = next((told[case].firmware for case in cases if told[case].firmware), "")
-            yield result_of(row, autopilot, [told[case].verdict for case in cases], firmware)
+            yield result_of(row, autopilot, [told[case].verdict for case in cases], firmware, options.seed0)
+
+
+def _missed(record: FaultRecord) -> str:
+    """What broke, and how to fly it again."""
+    case, result = record.case, result_of(ROWS[record.case.row], record.case.autopilot, [record.verdict])
+    again = f"--only {case.row} --autopilot {case.autopilot} --seed0 {case.number} --seeds 1"
+    return f"missed: {', '.join((*result.broken(), *result.remarks))} ({again})"
 
 
 def _line(result: Result) -> str:
@@ -163,7 +175,8 @@ def _line(result: Result) -> str:
         return f"{head} not flown: {result.row.why}"
     word = "pass" if result.passed else "FAIL"
     more = "" if not result.remarks else "  " + "; ".join(result.remarks)
-    return f"{head} {result.kept:2}/{result.seeds:<2} {word}  {result.sentence()}{more}"
+    which = f"  seed {', '.join(map(str, result.missed))}" if result.missed else ""
+    return f"{head} {result.kept:2}/{result.seeds:<2} {word}  {result.sentence()}{more}{which}"
 
 
 def _save(options: FaultOptions, results: list[Result]) -> None:

@@ -21,6 +21,9 @@ def faults(
             min=1, max=1000, help="Flights a row, three times as many of A1, B1, B4, E1 and F1; its cases take turns."
         ),
     ] = 3,
+    seed0: Annotated[
+        int, typer.Option("--seed0", min=0, help="First seed; one that missed is flown again with --seeds 1.")
+    ] = 0,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; one core each.")] = 2,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write every figure.")] = None,
     out: Annotated[
@@ -49,6 +52,7 @@ def faults(
         lambda: fly_all(
             FaultOptions.parse(
                 only=only, autopilot=autopilot, seeds=seeds, jobs=jobs, json=json, out=out, live=real_time, firmware=firmware,
+                seed0=seed0,
             )
         )
     )  # fmt: skip

@@ -14,18 +14,23 @@ REAL_FIRMWARE = "T1"
 
 @dataclass(frozen=True)
 class Result:
-    """passed None: not flown. worst: of each bar over the flights. kept: flights that passed; remarks: what else broke.
-    firmware: version of a real one, "" for none.
+    """passed None: not flown. worst: of each bar over the flights. missed: numbers of flights that did not pass; remarks: what
+    else broke. firmware: version of a real one, "" for none.
     """
 
     row: Row
     autopilot: str
     seeds: int
-    kept: int
+    missed: tuple[int, ...]
     passed: bool | None
     worst: tuple[float, ...]
     remarks: tuple[str, ...]
     firmware: str = ""
+
+    @property
+    def kept(self) -> int:
+        """Flights that passed."""
+        return self.seeds - len(self.missed)
 
     @property
     def figures(self) -> list[tuple[Bar, float]]:
@@ -40,9 +45,12 @@ class Result:
 
     def sentence(self) -> str:
         """Every broken bar with its figure; the tightest one where none is."""
-        broken = [(bar, figure) for bar, figure in self.figures if not bar.holds(figure, self.autopilot)]
         head = self.headline()
-        return ", ".join(self._words(bar, figure) for bar, figure in broken or ([head] if head else []))
+        return ", ".join(self.broken() or ([self._words(*head)] if head else []))
+
+    def broken(self) -> list[str]:
+        """Words for each broken bar."""
+        return [self._words(bar, figure) for bar, figure in self.figures if not bar.holds(figure, self.autopilot)]
 
     def words(self) -> list[str]:
         """One for each bar."""
@@ -63,6 +71,7 @@ class Result:
             "firmware": self.firmware,
             "seeds": self.seeds,
             "passed": self.passed,
+            "missed": list(self.missed),
             "figure": _number(head[1]) if head else None,
             "bar": head[0].limit_of(self.autopilot) if head else None,
             "unit": head[0].unit if head else "",
@@ -82,17 +91,17 @@ class Result:
         }
 
 
-def result_of(row: Row, autopilot: str, verdicts: Sequence[Verdict], firmware: str = "") -> Result:
-    """Worst of all flights. A row without flights was not flown."""
+def result_of(row: Row, autopilot: str, verdicts: Sequence[Verdict], firmware: str = "", first: int = 0) -> Result:
+    """Worst of all flights, which are numbered from the first on. A row without flights was not flown."""
     if not verdicts:
-        return Result(row, autopilot, 0, 0, None, (), ())
+        return Result(row, autopilot, 0, (), None, (), ())
     worst = []
     for k, bar in enumerate(row.bars):
         worst.append(max((v.figures[k] for v in verdicts), key=lambda figure: bar.badness(figure, autopilot)))
-    kept = sum(verdict.passed(row, autopilot) for verdict in verdicts)
+    missed = tuple(n for n, verdict in enumerate(verdicts, first) if not verdict.passed(row, autopilot))
     said = Counter(words for verdict in verdicts for words in verdict.broken)
     remarks = tuple(words if count == 1 else f"{words} ({count} times)" for words, count in said.items())
-    return Result(row, autopilot, len(verdicts), kept, kept == len(verdicts), tuple(worst), remarks, firmware)
+    return Result(row, autopilot, len(verdicts), missed, not missed, tuple(worst), remarks, firmware)
 
 
 def _number(value: float) -> float | None:

@@ -15,7 +15,8 @@ from sitl.faults.page import render
 from sitl.faults.result import result_of
 from sitl.faults.row import Bar, Row, Verdict, judge
 from sitl.faults.table import ROWS, TABLE
-from sitl.fly_faults import FaultOptions, faults
+from sitl.fly_fault import FaultCase, FaultRecord
+from sitl.fly_faults import FaultOptions, _line, _missed, faults
 from sitl.fly_options import AUTOPILOTS, UsageError
 
 GAP = Bar("gap", m.longest_gap(), 0.25, "s")
@@ -78,6 +79,20 @@ def test_twenty_seeds_are_sixty_of_the_five_rows_that_take_most_turns() -> None:
     assert often == ["A1", "B1", "B4", "E1", "F1"]
 
 
+def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: Path) -> None:
+    options = FaultOptions.parse(only="B1,B3", autopilot="px4", seeds=1, seed0=7, out=tmp_path)
+    assert [case.number for case in options.cases(ROWS["B3"], "px4")] == [7]
+    assert [case.number for case in options.cases(ROWS["B1"], "px4")] == [7, 8, 9]
+    assert options.cases(ROWS["B3"], "px4")[0].out == tmp_path / "B3-px4-7"
+    record = FaultRecord(FaultCase("B3", "px4", 7), Verdict((0.30, 0.0), ("contact",)))
+    assert _missed(record).startswith(
+        "missed: motion of the error 0.30 <= 0.05 m, contact (--only B3 --autopilot px4 --seed0 7 "
+    )
+    assert "seed 7, 9" in _line(
+        result_of(ROWS["B3"], "px4", [record.verdict, Verdict((0.0, 0.0), ()), record.verdict], first=7)
+    )
+
+
 def test_flights_that_are_there_are_not_flown_over(tmp_path: Path) -> None:
     (tmp_path / "A1-px4-0").mkdir()
     with pytest.raises(UsageError, match="holds flights already, A1-px4-0"):
@@ -102,7 +117,8 @@ def test_a_flight_is_held_to_its_bars() -> None:
 
 def test_a_row_is_as_good_as_its_worst_flight() -> None:
     result = result_of(ROW, "px4", [Verdict((0.03, 0.5), ()), Verdict((0.30, 0.45), ()), Verdict((0.05, 0.7), ("contact",))])
-    assert (result.kept, result.seeds, result.passed) == (1, 3, False)
+    assert (result.kept, result.seeds, result.passed, result.missed) == (1, 3, False, (1, 2))
+    assert result.tree()["missed"] == [1, 2]
     assert result.worst == (0.30, 0.45)
     tree = result.tree()
     assert (tree["figure"], tree["bar"], tree["unit"], tree["passed"]) == (0.3, 0.25, "s", False)
