@@ -36,7 +36,7 @@ PARAMETERS = (  # of either firmware, with values that come with it
     (("NAV_RCL_ACT", 2), ("FS_THR_ENABLE", 0)),
     (("MPC_XY_VEL_MAX", 12.0), ("WP_SPD", 10.0)),
     (("EKF2_EV_CTRL", 0), ("VISO_TYPE", 0)),
-    (("GF_ACTION", 2), ("FENCE_ACTION", 1)),
+    (("GF_ACTION", 2), ("FENCE_ACTION", 0)),
     (("COM_RC_OVERRIDE", 1), ("GUID_TIMEOUT", 3.0)),
 )
 _ARM, _ORIGIN, _VERSION = 400, 48, 148
