@@ -124,8 +124,8 @@ def _follows(then: Agreement | None) -> bool:
 
 
 def _fits(then: Agreement | None) -> TypeGuard[Agreement]:
-    """Nearly all is where it was."""
-    return then is not None and then.nearer + then.farther <= _REFIT
+    """Nearly all is where it was, of so much that a part would be missed."""
+    return then is not None and then.count >= _MANY and then.nearer + then.farther <= _REFIT
 
 
 def _moved(oldest: Iterator[Agreement], explained: float) -> str:
