@@ -134,9 +134,11 @@ def test_b4_a_tracker_that_begins_anew_is_believed_once_it_has_proven_itself() -
 
 @pytest.mark.parametrize("turn_deg", [180.0, 90.0, 15.0])
 def test_b9_a_heading_lost_for_good_is_never_flown_on(turn_deg: float) -> None:
-    told = fly(shifted(yaw_deg=turn_deg, about_origin=False), seconds=1.5)
+    """Nor once the place is lost and odom could begin anew: the gyro knows better, and an autopilot that lands would follow."""
+    told = fly(shifted(yaw_deg=turn_deg, about_origin=False), seconds=8.0)
     assert told.first(LOST) <= 0.3
     assert told.healths(0.3) == {LOST}
+    assert told.resets() == 0
     assert told.odom[told.since(0.6)].quality == 0
     assert "disagree" in told.odom[-1].why
     assert math.degrees(max(told.turns_rad)) < 1.5

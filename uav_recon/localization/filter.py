@@ -29,6 +29,7 @@ from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
 
 _CREDIBLE_M = 0.1  # standard deviation of a track that may stand against a pose source
 _TURN_OF_MAP_RAD = math.radians(12.0)  # more is no correction of a map, but a tracker that has lost its heading
+_STEADY_RAD = math.radians(3.0)  # standard deviation of a heading that a gyro still knows, long after the place is lost
 _OVERTURNED_RAD = math.radians(30.0)  # no gyro loses so much
 
 
@@ -127,7 +128,8 @@ class FusionFilter:
         if not self._trial.stands(RETURN if lost else STEP):
             return False
         declared = said.source.reset_counter != self._source_resets
-        if credible and not declared and abs(residual[5]) > _TURN_OF_MAP_RAD:
+        steady = credible or (carried.inertial and carried.covariance[8, 8] <= _STEADY_RAD**2)
+        if steady and not declared and abs(residual[5]) > _TURN_OF_MAP_RAD:
             return False
         if not credible or contradicted or tilted:
             return self._begin(said, met.noise, self._trial.velocity_mps())
