@@ -34,7 +34,7 @@ def _situation(now_s: float, free: KnownFree | None = None) -> Situation:
 
 
 def _seen(stamp_s: float, away_m: float, cells: int = MANY) -> Intruder:
-    return Intruder(stamp_s, HERE + np.array([away_m, 0.0, 0.0]), away_m, cells)
+    return Intruder(stamp_s, np.tile(HERE + np.array([away_m, 0.0, 0.0]), (cells, 1)), away_m)
 
 
 @pytest.fixture
@@ -113,10 +113,35 @@ def test_a_step_aside_goes_where_it_is_known_free_and_inside_the_fence(evasion: 
     assert evasion.step_aside(REST, dataclasses.replace(_situation(1.2), free=None)) == "nowhere to give way to"
 
 
+def _cone(half_rad: float) -> BoolArray:
+    """Known free: what a camera looks at along the x axis, and a column about the pad."""
+    x, y = np.meshgrid(*(-4.0 + 0.1 * (np.arange(80) + 0.5) for _ in range(2)), indexing="ij")
+    seen = (np.abs(np.arctan2(y, x)) <= half_rad) | (np.hypot(x, y) <= 0.45)
+    return np.repeat(seen[..., None], GRID.shape[2], axis=2)
+
+
+@pytest.mark.parametrize(("half_deg", "away_m", "leads"), [(43.0, 2.24, False), (65.0, 2.24, True), (65.0, 1.6, False)])
+def test_a_step_aside_does_not_lead_into_what_comes_on(evasion: Evasion, half_deg: float, away_m: float, leads: bool) -> None:
+    evasion.hear(_seen(1.0, away_m + 0.16))
+    evasion.hear(_seen(1.2, away_m))
+    way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(half_deg)))))
+    assert isinstance(way, Trajectory) if leads else way == "nowhere to give way to"
+
+
+@pytest.mark.parametrize("left", [1.0, -1.0])
+def test_a_step_aside_reckons_with_all_that_is_seen_of_what_comes_on(evasion: Evasion, left: float) -> None:
+    wide = HERE + np.column_stack([np.full(MANY, 2.4), left * np.linspace(0.0, 1.2, MANY), np.zeros(MANY)])
+    for stamp_s, nearer_m in ((1.0, 0.0), (1.2, 0.16)):
+        evasion.hear(Intruder(stamp_s, wide - np.array([nearer_m, 0.0, 0.0]), 2.4 - nearer_m))
+    way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(90.0)))))
+    assert isinstance(way, Trajectory)
+    assert left * way.position_m[-1][1] < -0.8, "its nearest corner is straight ahead, and the rest of it to one side"
+
+
 def test_what_stands_is_not_given_way_to_while_the_vehicle_still_comes_nearer(evasion: Evasion) -> None:
-    box = HERE + np.array([0.9, 0.0, 0.0])
-    evasion.hear(Intruder(1.0, box, 1.1, MANY))  # seen from 0.2 m before the rest, then from 0.1 m
-    evasion.hear(Intruder(1.2, box, 1.0, MANY))
+    box = np.tile(HERE + np.array([0.9, 0.0, 0.0]), (MANY, 1))
+    evasion.hear(Intruder(1.0, box, 1.1))  # seen from 0.2 m before the rest, then from 0.1 m
+    evasion.hear(Intruder(1.2, box, 1.0))
     assert evasion.stops(1.2)
     assert evasion.step_aside(REST, _situation(1.2)) is None
 
@@ -142,7 +167,7 @@ def test_a_step_aside_keeps_the_room_of_planned_ways_where_there_is_any(
 def test_a_step_aside_along_the_fence_keeps_inside_its_inset(evasion: Evasion) -> None:
     here = np.array([0.0, 2.2, 1.1])
     for stamp_s, away_m in ((1.0, 2.2), (1.2, 2.04)):
-        evasion.hear(Intruder(stamp_s, here - np.array([0.0, away_m, 0.0]), away_m, MANY))
+        evasion.hear(Intruder(stamp_s, np.tile(here - np.array([0.0, away_m, 0.0]), (MANY, 1)), away_m))
     way = evasion.step_aside(Setpoint.hold(here, 0.0), _situation(1.2))
     assert isinstance(way, Trajectory)
     assert way.position_m[-1][1] <= 2.6 + 1e-9, "0.1 m inside the inset, which ends at 2.7"

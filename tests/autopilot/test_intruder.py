@@ -33,8 +33,11 @@ def test_what_appears_is_told_of_at_once_and_where(around: Neighbourhood) -> Non
     found = _look(around, 6, box_m=1.2)
     assert found is not None
     assert found.away_m == pytest.approx(1.2, abs=0.05)
-    ahead = (found.place_m - HERE.translation_m)[:2] @ np.array([np.cos(0.3), np.sin(0.3)])
+    ahead = (found.places_m[0] - HERE.translation_m)[:2] @ np.array([np.cos(0.3), np.sin(0.3)])
     assert ahead == pytest.approx(1.2, abs=0.05)
+    away = np.linalg.norm((found.places_m - HERE.translation_m)[:, :2], axis=1)
+    assert len(away) == 16
+    assert np.all(np.diff(away) >= 0.0)
 
 
 def test_what_stands_there_for_a_second_is_no_intruder_any_more(around: Neighbourhood) -> None:

@@ -21,6 +21,8 @@ _STOP_M = 1.6  # of the body's centre from what was not there: nearer, nothing i
 _COMING_MPS = 0.25  # nearer by so much a second
 _HEED_M = 2.5  # what comes on from farther off is let come
 _STEP_M, _STEP_MPS = 1.2, 0.5
+_LATE_S = 0.5  # its motion is smoothed, and followed with a lag
+_PASS_M = 0.4  # of the body's centre, which is a hull and an error: nearer, it leads into what comes
 _ROOMS_M = ((0.20, 0.10), (0.10, 0.03), (0.0, 0.0))  # beside the hull, inside the inset: plans', ways back's, the guard's
 _AFTER_S = 1.0  # after the step nothing is taken up for so long
 _AHEAD_S = np.linspace(0.2, 4.0, 20)
@@ -58,12 +60,11 @@ class Evasion:
         room it keeps that of planned ways; with none, a wall is better come near to than what comes on.
         """
         here = rest.position_m
-        away_m = [_level_m(one.place_m, here) for one in self._heard[-2:]]
+        away_m = [_level_m(one.places_m[0], here) for one in self._heard[-2:]]
         coming_mps = self._nearer_mps(away_m, situation.now_s)
         if coming_mps < _COMING_MPS or away_m[-1] > _HEED_M:
             return None
-        ends = [here + _STEP_M * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.arange(_WAYS) * math.tau / _WAYS]
-        ends.sort(key=lambda end: -_closest_m(here, end, self._heard[-1].place_m, coming_mps))
+        ends = _ways_aside(here, self._heard[-1].places_m, coming_mps)
         for room_m, inside_m in _ROOMS_M:
             for end in ends:
                 if self._may(here, end, room_m, inside_m, situation):
@@ -78,7 +79,7 @@ class Evasion:
     def _is_sure(self) -> bool:
         last = self._heard[-1]
         again = len(self._heard) > 1 and last.stamp_s - self._heard[-2].stamp_s <= _FRESH_S
-        return last.cells >= _MANY_CELLS or again
+        return len(last.places_m) >= _MANY_CELLS or again
 
     def _fresh(self, now_s: float) -> bool:
         return now_s - self._heard[-1].stamp_s <= _FRESH_S
@@ -102,13 +103,25 @@ def _level_m(a: FloatArray, b: FloatArray) -> float:
     return math.hypot(*(a - b)[:2].tolist())
 
 
-def _closest_m(here: FloatArray, end: FloatArray, place: FloatArray, coming_mps: float) -> float:
-    """How near (m, level) something that comes straight on and through gets to one that goes from here to the end."""
-    to_us = (here - place)[:2] / max(float(np.linalg.norm((here - place)[:2])), 1e-6)
-    theirs = place[:2] + np.outer(coming_mps * _AHEAD_S, to_us)
-    share = np.minimum(_STEP_MPS * _AHEAD_S / _STEP_M, 1.0)
+def _ways_aside(here: FloatArray, places: FloatArray, coming_mps: float) -> list[FloatArray]:
+    """Ends (3,) of steps, the one that keeps farthest from what comes on first; none that leads into it: a camera that has not
+    yet looked round knows nothing free but where that comes from.
+    """
+    steps = [_STEP_M * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.arange(_WAYS) * math.tau / _WAYS]
+    pass_m = [_closest_m(here, here + step, places, coming_mps) for step in steps]
+    ways = [n for n in range(_WAYS) if pass_m[n] >= _PASS_M or steps[n] @ (places[0] - here) <= 0.0]
+    return [here + steps[n] for n in sorted(ways, key=lambda n: -pass_m[n])]
+
+
+def _closest_m(here: FloatArray, end: FloatArray, places: FloatArray, coming_mps: float) -> float:
+    """How near (m, level) something seen at places (N, 3), the nearest first, gets to one that goes from here to the end, if
+    it comes straight on and through.
+    """
+    to_us = (here - places[0])[:2] / max(_level_m(here, places[0]), 1e-6)
+    theirs = places[:, None, :2] + np.outer(coming_mps * _AHEAD_S, to_us)
+    share = np.clip(_STEP_MPS * (_AHEAD_S - _LATE_S) / _STEP_M, 0.0, 1.0)
     ours = here[:2] + np.outer(share, (end - here)[:2])
-    return float(np.linalg.norm(ours - theirs, axis=1).min())
+    return float(np.linalg.norm(ours - theirs, axis=2).min())
 
 
 def _floats(place: FloatArray) -> Vec3:

@@ -21,12 +21,13 @@ _CELLS, _SAYING = 2, 2  # returns that it has at least, and views that looked pa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intruder:
-    """place_m: its nearest return in odom (3,), seen at stamp_s; away_m from the body's centre, level; cells: that it fills."""
+    """places_m: its returns in odom (N, 3), one a cell, the nearest first, seen at stamp_s; away_m: how far that is from the
+    body's centre, level.
+    """
 
     stamp_s: float
-    place_m: FloatArray
+    places_m: FloatArray
     away_m: float
-    cells: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,8 +66,7 @@ class Neighbourhood:
         if np.count_nonzero(new) < _CELLS:
             return None
         away = np.linalg.norm(close[new, :2] - here[:2], axis=1)
-        nearest = int(np.argmin(away))
-        return Intruder(nearby.stamp_s, close[new][nearest], float(away[nearest]), int(np.count_nonzero(new)))
+        return Intruder(nearby.stamp_s, close[new][np.argsort(away)], float(away.min()))
 
 
 def _looked_past(views: Collection[_View], places: FloatArray) -> IntArray:
