@@ -12,6 +12,7 @@ _AGAIN_S = 1.5  # longer than the heartbeat's period, so a human's mode is seen 
 _MODE_FRESH_S, _MODE_WAIT_S = 0.05, 0.1  # an operator who asks to land waits for no more than 0.15 s
 _GROUND_FRESH_S = 0.5
 _STUCK_S, _STILL_M = 10.0, 0.05
+_WANDER_MPS = 0.03  # an estimate's own at rest; a landing comes down ten times as fast
 
 
 class Landing:
@@ -24,7 +25,7 @@ class Landing:
         self._disarm_asked_s = -math.inf
         self._asked_s = -math.inf
         self._wait_s = math.inf
-        self._height_m, self._still_s = math.nan, math.inf
+        self._height_m, self._still_s, self._watched_s = math.nan, math.inf, math.inf
         self.alert = ""
 
     def step(self, link: Link, now_s: float) -> FlightPhase:
@@ -47,8 +48,15 @@ class Landing:
         return FlightPhase.LANDING
 
     def _watch_descent(self, height_m: float, now_s: float) -> None:
-        """A landing that does not come down any more, and is not over."""
-        if not abs(height_m - self._height_m) <= _STILL_M:
+        """A landing that does not come down any more, and is not over.
+
+        The height held against follows slowly: it is one of the last on the way down, or the estimate wanders.
+        """
+        off_m, follows_m = height_m - self._height_m, _WANDER_MPS * max(now_s - self._watched_s, 0.0)
+        self._watched_s = now_s
+        if abs(off_m) <= _STILL_M:
+            self._height_m += min(max(off_m, -follows_m), follows_m)
+        else:
             self._height_m, self._still_s = height_m, now_s
         if now_s - self._still_s >= _STUCK_S:
             self.alert = "landing does not end: switch the motors off"
