@@ -11,7 +11,7 @@ import numpy as np
 
 from uav_recon.localization.creep import Creep
 from uav_recon.localization.grain import lone_share
-from uav_recon.localization.witness import ALIKE, ALIKE_LATELY, OVERLAPPING, Agreement, Witness
+from uav_recon.localization.witness import ALIKE, ALIKE_LATELY, OVERLAPPING, Agreement, Likeness, Stand, Witness
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose
@@ -22,6 +22,10 @@ _REFIT = 0.10  # of the points misfit after a picture that was not believed: wha
 _TELLING = (
     0.03  # of the points more would misfit aside; shifted pictures that fit: 0.000 at most; honest: 0.18 in three of four
 )
+_THERE = Likeness(
+    0.10, math.cos(math.radians(3.0))
+)  # the camera stands as it did at the first doubt, and sees what spoke for it
+_CALM = 3  # pictures in a row that fit there
 _HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
 _ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; honest, after so long a pause: 0.014
 _DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
@@ -41,13 +45,16 @@ class Credence:
     """Hears every picture once, with the pose that goes with it. About 0.4 ms each; warm_up() compiles its kernels.
 
     A picture that fits neither itself nor what was seen before is not believed, and none after it is before one fits
-    a view that is remembered and that would tell of a shift.
+    a view that is remembered and that would tell of a shift, or some fit from where the first one did not: a wrong one would
+    go on to be told there.
     """
 
     def __init__(self) -> None:
         self._witness = Witness()
         self._reset_counter = 0
         self._believed, self._running = True, 0
+        self._doubted: Stand | None = None  # where the first picture was taken that is not believed
+        self._calm = 0
         self._creep = Creep()
         self._drift, self._drift_s = "", -math.inf
         self._same: tuple[Float32Array, Pose] | None = None
@@ -68,9 +75,13 @@ class Credence:
             fits = _follows(newest) or _follows(overlapping)  # what stood before it has gone
         else:
             fits = any(_fits(then) and self._witness.loss_aside(then, *seen[1:]) >= _TELLING for then in (newest, overlapping))
+            fits |= self._is_over(_fits(newest) and not (alone or frozen or aside), odom_from_depth)
         unasked = newest is None and (self._believed or not self._witness.remembers)
         self._believed = not (alone or frozen or aside) and (fits or unasked)
-        if self._believed:
+        if not self._believed:
+            self._doubted = self._doubted or Stand.of(odom_from_depth)
+        else:
+            self._doubted, self._calm = None, 0
             self._creep.hear(*seen)
             moved = (
                 _moved(self._witness.of_oldest(*seen, ALIKE), _EXPLAINED)
@@ -95,6 +106,12 @@ class Credence:
         other, here = Credence(), Pose.identity()
         for n, depth_m in enumerate((wall, wall, 2.0 * wall, wall)):
             other.believes(Frame(0.1 * n, n, depth_m, lens, colour, lens, here), here, 0)
+
+    def _is_over(self, fits: bool, odom_from_depth: Pose) -> bool:
+        """Whether what was doubted is seen no more from where it was."""
+        there = self._doubted is not None and self._doubted.like(Stand.of(odom_from_depth), _THERE)
+        self._calm = self._calm + 1 if fits and there else 0
+        return self._calm >= _CALM
 
     def _hear(self, stamp_s: float, said: str) -> None:
         self._running = self._running + 1 if said else 0

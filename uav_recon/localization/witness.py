@@ -55,17 +55,19 @@ class Agreement:
     points: AnyArray
 
 
-class _Stand(NamedTuple):
+class Stand(NamedTuple):
     """Where a camera was, and its axis; plain numbers, for sixty are asked at each picture."""
 
     place_m: list[float]
     axis: list[float]
 
     @staticmethod
-    def of(odom_from_depth: Pose) -> _Stand:
-        return _Stand(odom_from_depth.translation_m.tolist(), odom_from_depth.rotation()[:, 2].tolist())
+    def of(odom_from_depth: Pose) -> Stand:
+        """Of a camera with this pose."""
+        return Stand(odom_from_depth.translation_m.tolist(), odom_from_depth.rotation()[:, 2].tolist())
 
-    def like(self, other: _Stand, likeness: Likeness) -> bool:
+    def like(self, other: Stand, likeness: Likeness) -> bool:
+        """Whether the other is no farther off and turned away."""
         away_m = math.dist(self.place_m, other.place_m)
         return away_m <= likeness.near_m and _dot(self.axis, other.axis) >= likeness.turned_cos
 
@@ -75,7 +77,7 @@ class _View:
     """points: (N, 6), places and normals in odom, of what was seen from there."""
 
     stamp_s: float
-    stand: _Stand
+    stand: Stand
     points: AnyArray
 
 
@@ -99,7 +101,7 @@ class Witness:
     def remember(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> None:
         """Take a picture that is believed for the newest; one every half second is kept."""
         points = surface(depth_m, _camera(lens), odom_from_depth.rotation(), odom_from_depth.translation_m)
-        self._newest = _View(stamp_s, _Stand.of(odom_from_depth), points)
+        self._newest = _View(stamp_s, Stand.of(odom_from_depth), points)
         if not self._views or stamp_s - self._views[-1].stamp_s >= _EVERY_S:
             self._views.append(self._newest)
         while stamp_s - self._views[0].stamp_s > _MEMORY_S:
@@ -135,7 +137,7 @@ class Witness:
 
     def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: Likeness) -> Iterator[_View]:
         """Views to be asked, the oldest first."""
-        here = _Stand.of(odom_from_depth)
+        here = Stand.of(odom_from_depth)
         for view in self._views:
             if stamp_s - view.stamp_s <= likeness.within_s and here.like(view.stand, likeness):
                 yield view
