@@ -15,6 +15,7 @@ _STILL_MPS = 0.02  # of a setpoint
 _BRAKING_MPS2 = 0.8  # what slows down more gently than this, on the mean, is flying on
 _RESTING_MPS = 0.12  # of the vehicle, gusts included
 _OLDEST_POSE_S = 0.15
+_FLOWN_M = 2.0  # from the pad: a mission that goes anywhere goes farther, 3.4 m at least
 _ARM, _SET_MODE = 400, 176
 
 
@@ -349,8 +350,9 @@ def relaunched(e: Evidence) -> float:
 
 
 def unfinished(e: Evidence) -> float:
-    """1 unless the flight ended with motors off over the pad, and no failsafe had to act."""
-    return float(bool(e.armed[-1]) or from_pad(e) > 0.5 or bool(e.failsafes) or not e.armed.any())
+    """1 unless the flight went somewhere, ended with motors off over the pad, and no failsafe had to act."""
+    away_m = np.hypot(e.position_m[:, 0], e.position_m[:, 1]).max()
+    return float(bool(e.armed[-1]) or from_pad(e) > 0.5 or bool(e.failsafes) or not e.armed.any() or away_m < _FLOWN_M)
 
 
 def asked_to_land(e: Evidence) -> float:

@@ -33,7 +33,8 @@ def test_a_landing_waits_for_a_mode_that_is_current_but_not_for_long(age_s: floa
 def _alert_s(height_m: Callable[[float], float], until_s: float) -> float:
     """When a landing is said not to end, whose height is this function of time; infinity for never."""
     landing, link = Landing(seen=True), _link(0.0, [], lands=True)
-    for now_s in np.arange(0.0, until_s, 0.01).tolist():
+    for n in range(round(until_s / 0.01)):
+        now_s = 0.01 * n
         link.telemetry.position_m = np.array([0.0, 0.0, height_m(now_s)])
         landing.step(link, now_s)
         if landing.alert:

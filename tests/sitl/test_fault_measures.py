@@ -130,6 +130,8 @@ def test_how_a_flight_ended() -> None:
     assert m.unfinished(home) == 0
     assert m.unfinished(e) == 1, "not on the pad"
     assert m.unfinished(dataclasses.replace(home, failsafes=("x",))) == 1
+    hopped = np.where(home.position_m[:, :1] > 1.9, 0.0, home.position_m)
+    assert m.unfinished(dataclasses.replace(home, position_m=hopped)) == 1, "up, and down again"
     assert m.motors_ran(e) == pytest.approx(18.0, abs=0.1)
     assert m.armed_at_all(e) == 1
     kept = tuple("POSCTL" if t > 5.2 else mode for t, mode in zip(e.stamp_s, e.mode, strict=True))

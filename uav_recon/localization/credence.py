@@ -19,12 +19,8 @@ from uav_recon.types.pose import Pose
 _ALONE = 0.05  # of the pixels; honest pictures have 0.004
 _MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
 _REFIT = 0.10  # of the points misfit after a picture that was not believed: what follows a wrong one may follow by chance
-_TELLING = (
-    0.03  # of the points more would misfit aside; shifted pictures that fit: 0.000 at most; honest: 0.18 in three of four
-)
-_THERE = Likeness(
-    0.10, math.cos(math.radians(3.0))
-)  # the camera stands as it did at the first doubt, and sees what spoke for it
+_TELLING = 0.03  # of the points more would misfit aside; shifted pictures that fit: 0.000; honest: 0.18 in three of four
+_THERE = Likeness(0.10, math.cos(math.radians(3.0)))  # the camera stands as it did at the first doubt, and sees what made it
 _CALM = 3  # pictures in a row that fit there
 _HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
 _ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; honest, after so long a pause: 0.014
