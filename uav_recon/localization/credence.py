@@ -48,9 +48,8 @@ class Credence:
     def __init__(self) -> None:
         self._witness = Witness()
         self._reset_counter = 0
-        self._believed, self._running = True, 0
-        self._doubted: Stand | None = None  # where the first picture was taken that is not believed
-        self._calm = 0
+        self._doubted: Stand | None = None  # where the first of the pictures was taken that are not believed; None: they are
+        self._calm = self._running = 0
         self._creep = Creep()
         self._drift, self._drift_s = "", -math.inf
         self._same: tuple[Float32Array, Pose] | None = None
@@ -65,16 +64,17 @@ class Credence:
         newest, others = self._witness.of_newest(*seen), self._witness.of_oldest(*seen, OVERLAPPING)
         overlapping = next(others, None)
         alone, frozen = lone_share(frame.depth_m) > _ALONE, self._frozen(frame.depth_m, odom_from_depth)
-        asked = newest is not None and (newest.age_s <= _MOMENT_S or not self._believed)
+        doubted = self._doubted is not None
+        asked = newest is not None and (newest.age_s <= _MOMENT_S or doubted)
         aside = asked and self._witness.gain_aside(*seen[1:]) > _ASIDE
-        if self._believed:
+        if not doubted:
             fits = _follows(newest) or _follows(overlapping)  # what stood before it has gone
         else:
             fits = any(_fits(then) and self._witness.loss_aside(then, *seen[1:]) >= _TELLING for then in (newest, overlapping))
             fits |= self._is_over(_fits(newest) and not (alone or frozen or aside), odom_from_depth)
-        unasked = newest is None and (self._believed or not self._witness.remembers)
-        self._believed = not (alone or frozen or aside) and (fits or unasked)
-        if not self._believed:
+        unasked = newest is None and not (doubted and self._witness.remembers)
+        believed = not (alone or frozen or aside) and (fits or unasked)
+        if not believed:
             self._doubted = self._doubted or Stand.of(odom_from_depth)
         else:
             self._doubted, self._calm = None, 0
@@ -86,7 +86,7 @@ class Credence:
             )
             self._hear(frame.stamp_s, moved or _seen_through(overlapping) or self._crept())
             self._witness.remember(*seen)
-        return self._believed
+        return believed
 
     def drift(self, now_s: float) -> str:
         """What depth says against the pose, '' for nothing."""

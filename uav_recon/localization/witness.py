@@ -159,11 +159,9 @@ def _compared(
     found, gone = residuals(view.points, depth_m, _camera(lens), rotation, place)
     age_s = stamp_s - view.stamp_s
     if len(found) < FEWEST:
-        return (
-            None
-            if gone <= most_gone
-            else Agreement(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s, view.points)
-        )
+        if gone <= most_gone:
+            return None
+        return Agreement(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s, view.points)
     shift_m, held = shift_of(found)
     fitting, nearer, explained = shares(found, shift_m)
     return Agreement(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, held, explained, age_s, view.points)
