@@ -45,7 +45,7 @@ EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
 NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more
 INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
-RETREAT_M = 0.10  # from the hull, on the way back along the breadcrumbs: the vehicle has been there, whatever the map says now
+RETREAT_M = 0.10  # from the hull, on ways home that no other leads: the vehicle came by there, whatever the map says now
 
 
 class Failure(Exception):  # noqa: N818 - it is what the user is told, not a bug
@@ -281,8 +281,11 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
         timer,
         fence_inset_m=max(config.planner.clearance_m, safety.fence_inset_m),  # never plan what the guard would refuse
     )
-    narrow_m = min(safety.vehicle_radius_m + max(NARROW_M, safety.stop_clearance_m), config.planner.clearance_m)
-    return ThroughNarrows(usual, narrow_m, max(narrow_m, safety.fence_inset_m), timer)
+    narrow_m, homeward_m = (
+        min(safety.vehicle_radius_m + max(least_m, safety.stop_clearance_m), config.planner.clearance_m)
+        for least_m in (NARROW_M, RETREAT_M)
+    )
+    return ThroughNarrows(usual, narrow_m, homeward_m, max(narrow_m, safety.fence_inset_m), timer)
 
 
 def camera_geometry(config: Config) -> CameraGeometry:

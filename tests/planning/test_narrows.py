@@ -18,7 +18,7 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 
-USUAL_M, NARROW_M = 0.5, 0.45
+USUAL_M, NARROW_M, HOMEWARD_M = 0.5, 0.45, 0.35
 SIZE_M = (8.0, 5.0, 2.2)
 WALL_M = 3.2  # its far side
 START = np.array([1.5, 2.0, 1.2])
@@ -37,7 +37,7 @@ def usual_planner(variant: VariantName = "explore") -> ViewPlanner:
 
 
 def through_narrows(variant: VariantName = "explore") -> ThroughNarrows:
-    return ThroughNarrows(usual_planner(variant), NARROW_M, NARROW_M, timer=lambda: 0.0)
+    return ThroughNarrows(usual_planner(variant), NARROW_M, HOMEWARD_M, NARROW_M, timer=lambda: 0.0)
 
 
 def explore(world: BoxWorld, planner: ViewPlanner | ThroughNarrows) -> tuple[list[ViewPath], str]:
@@ -128,7 +128,19 @@ def test_the_way_home_leads_through_the_same_passage() -> None:
     assert np.linalg.norm(home.waypoints_world[0][-1] - START) < 0.1
 
 
-@pytest.mark.parametrize("width_m", [0.8, 0.1])
+def test_a_passage_that_specks_narrowed_since_still_leads_home() -> None:
+    """Not to anything else: what is seen through it from here is no place to go to."""
+    world, planner = looked_round(0.8), through_narrows()
+    explore(world, planner)
+    assert max(point[0] for point in world.track) < 3.0
+    world.position = np.array([6.5, 2.0, 1.2])
+    world.look_round()
+    home = planner.route(world.request(views_left=0), HOME)
+    assert isinstance(home, ViewPath) and home.clearance_m == HOMEWARD_M
+    assert HOMEWARD_M - 1e-3 <= room_m(home.waypoints_world[0], world.request().voxels).min() < NARROW_M - 1e-3
+
+
+@pytest.mark.parametrize("width_m", [0.6, 0.1])
 def test_what_is_narrower_still_is_not_passed(width_m: float) -> None:
     world, planner = looked_round(width_m), through_narrows()
     _, reason = explore(world, planner)
@@ -207,7 +219,7 @@ def test_only_for_an_opening(edge: int, squeezes: bool) -> None:
 
 def test_a_look_in_vain_through_a_narrow_way_is_remembered() -> None:
     usual = usual_planner()
-    planner = ThroughNarrows(usual, NARROW_M, NARROW_M, timer=lambda: 0.0)
+    planner = ThroughNarrows(usual, NARROW_M, HOMEWARD_M, NARROW_M, timer=lambda: 0.0)
     _, request, path = stuck(planner)
     planner.accept(path)
     view, voxels = path.viewpoints[0], request.voxels

@@ -35,13 +35,13 @@ assert len(before) > 15, before
 world = BoxWorld(MEETING_ROOM, GIMBAL, np.array([3.0, 1.0, 1.2]))
 world.look_round()
 usual = planning.ViewPlanner(CONFIG, np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, 0.8, 0.8)
-planner = ThroughNarrows(usual, CONFIG.clearance_m - 0.05, CONFIG.clearance_m - 0.05)
+planner = ThroughNarrows(usual, *[CONFIG.clearance_m - 0.05] * 3)
 for position in ((3.0, 1.0, 1.2), (3.0, 0.15, 1.2), (9.0, 9.0, 9.0)):
     asked = world.request()
     request = PlanRequest(asked.voxels, surface_of(MEETING_ROOM), np.array(position), 0.0, 50)
     planner.plan(request)
     planner.route(request, Viewpoint(np.array([5.0, 0.3, 1.2]), 0.0, 0.0))
-    planner._nearest(request, planner._openings, 0.0)
+    planner._nearest(request, planner._openings, CONFIG.clearance_m - 0.05, 0.0)
 after = compiled()
 assert before == after, {key: (before[key], after[key]) for key in before if before[key] != after[key]}
 """

@@ -66,7 +66,7 @@ def fly_through(seed: int, usual_m: float | None = None) -> Counter[str]:
     camera = GIMBAL if rng.random() < 0.5 else FIXED
     config = PlannerConfig(variant=VARIANTS[int(rng.integers(len(VARIANTS)))], clearance_m=usual_m or CLEARANCE_M)
     usual = ViewPlanner(config, world.fence_m[0], world.fence_m[1], camera, 0.8, 0.8, timer=lambda: 0.0)
-    planner = usual if usual_m is None else ThroughNarrows(usual, CLEARANCE_M, CLEARANCE_M, timer=lambda: 0.0)
+    planner = usual if usual_m is None else ThroughNarrows(usual, CLEARANCE_M, CLEARANCE_M, CLEARANCE_M, timer=lambda: 0.0)
     position, yaw_rad = world.anywhere(), float(rng.uniform(-4, 4))
     home = Viewpoint(position, 0.0, float(np.clip(0.0, camera.pitch_min_rad, camera.pitch_max_rad)))
     if rng.random() < 0.9:  # else the start is unknown

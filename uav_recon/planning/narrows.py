@@ -33,10 +33,17 @@ class ThroughNarrows:
     """
 
     def __init__(
-        self, planner: ViewPlanner, clearance_m: float, fence_inset_m: float, timer: Callable[[], float] = time.perf_counter
+        self,
+        planner: ViewPlanner,
+        clearance_m: float,
+        homeward_m: float,
+        fence_inset_m: float,
+        timer: Callable[[], float] = time.perf_counter,
     ) -> None:
-        """clearance_m: of a narrow way, less than ``planner``'s; fence_inset_m, timer: as there."""
-        self._planner, self._clearance_m, self._inset_m, self._timer = planner, clearance_m, fence_inset_m, timer
+        """clearance_m: of a narrow way, less than ``planner``'s; homeward_m: the least on the way home, where a speck beside
+        the passage that it came by may have taken the rest; fence_inset_m, timer: as there."""
+        self._planner, self._clearance_m, self._homeward_m = planner, clearance_m, homeward_m
+        self._inset_m, self._timer = fence_inset_m, timer
         self._offered: tuple[ViewPath, Proposal] | None = None
         self._squeezing = False
 
@@ -48,7 +55,7 @@ class ThroughNarrows:
         answer = self._planner.plan(request)
         if isinstance(answer, ViewPath) or moving or request.views_left <= 0 or not self._planner.explores:
             return answer
-        found = self._nearest(request, self._openings, start_s)
+        found = self._nearest(request, self._openings, self._clearance_m, start_s)
         if found is None:
             return answer
         self._offered = found
@@ -67,19 +74,22 @@ class ThroughNarrows:
         return self._planner.still_worth(voxels, position_world, yaw_rad)
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
-        """The other planner's way, or where it knows none, a narrow one."""
+        """The other planner's way, or where it knows none, a narrow one, or the least that leads home."""
         start_s = self._timer()
         answer = self._planner.route(request, goal)
         if isinstance(answer, ViewPath):
             return answer
-        found = self._nearest(request, lambda situation: [proposal_for(situation, goal)], start_s)
-        return answer if found is None else found[0]
+        for clearance_m in (self._clearance_m, self._homeward_m):
+            found = self._nearest(request, lambda situation: [proposal_for(situation, goal)], clearance_m, start_s)
+            if found is not None:
+                return found[0]
+        return answer
 
     def _nearest(
-        self, request: PlanRequest, wanted: Callable[[Situation], Sequence[Proposal | None]], start_s: float
+        self, request: PlanRequest, wanted: Callable[[Situation], Sequence[Proposal | None]], clearance_m: float, start_s: float
     ) -> tuple[ViewPath, Proposal] | None:
-        """The shortest narrow way to what is wanted, if there is any: its path, and where that leads."""
-        space = self._space(request.voxels)
+        """The shortest way with that clearance to what is wanted, if there is any: its path, and where that leads."""
+        space = self._space(request.voxels, clearance_m)
         exit_cells = space.stand(request.position_world)
         if exit_cells is None:
             return None
@@ -99,15 +109,15 @@ class ThroughNarrows:
             tasks=(proposals[nearest].task,),
             task_s=tasks_made_s - start_s,
             step_s=self._timer() - start_s,
-            clearance_m=self._clearance_m,
+            clearance_m=clearance_m,
         )
         return path, proposals[nearest]
 
-    def _space(self, voxels: VoxelMap) -> FlyableSpace:
-        """Where there is room enough for a narrow way."""
+    def _space(self, voxels: VoxelMap, clearance_m: float) -> FlyableSpace:
+        """Where there is room enough for a way with that clearance."""
         low_m, high_m = self._planner.fence_m
         box = fence_box(voxels.grid, low_m + self._inset_m, high_m - self._inset_m)
-        space = FlyableSpace(voxels.grid, self._clearance_m, *box)
+        space = FlyableSpace(voxels.grid, clearance_m, *box)
         space.update(voxels)
         return space
 
