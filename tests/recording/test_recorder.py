@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -125,6 +126,25 @@ def test_a_killed_recorder_leaves_a_readable_file(tmp_path: Path) -> None:
     summary = check_recording(copy)
     assert "/world/body" in summary.entities
     recorder.close()
+
+
+def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
+    """In half an hour, at two looks a second; a list of chunks for a footer took 12 MB in that time."""
+    clock, wires = ManualClock(START_S), channels()
+    recorder = Recorder(tmp_path, wires, clock, FENCE)
+    memory_mb = []
+    for k in range(4800):
+        t_s = k / 2
+        clock.advance_to(START_S + t_s)
+        wires.odom.publish(odometry(0.0))
+        wires.vehicle.publish(vehicle(0.0, f"{k}"))
+        wires.progress.publish(progress(0.0))
+        recorder.step()
+        memory_mb.append(
+            int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+        )
+    recorder.close()
+    assert memory_mb[-1] - memory_mb[1200] < 3.0
 
 
 def test_the_stream_is_given_few_chunks_to_remember(tmp_path: Path) -> None:

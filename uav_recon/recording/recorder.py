@@ -1,12 +1,13 @@
 """Writes flight.rrd and the timelapse of the surface: reads last-value channels, logs what is new, never touches flight code.
 
 In real time it lives in its own process, in lockstep its step() is called inline. What comes faster than it is read is
-skipped and counted. Nothing is kept but the end of the trail and what the stream itself remembers of what it wrote.
+skipped and counted. Nothing is kept but the end of the trail.
 """
 
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import timedelta
@@ -35,8 +36,9 @@ T = TypeVar("T")
 _LOG = logging.getLogger(__name__)
 _FRAME_RATE_HZ = 2.0
 _MAP_RATE_HZ = 0.5
-_FLUSH_RATE_HZ = 0.5  # each flush ends a chunk of every entity, and the stream remembers some two kilobytes of each chunk ...
-_BATCH_S = 60.0  # ... so nothing else ends one
+_FLUSH_RATE_HZ = 0.5  # each flush ends a chunk of every entity ...
+_BATCH_S = 60.0  # ... and nothing else does
+_LOUDNESS = "warn,re_log_encoding=error"  # that a file has no footer is no news here
 _FLUSH_TIMEOUT_S = 1.0
 _TRAIL_STEP_M = 0.05
 _TRAIL_STRIP_POINTS = 100
@@ -91,6 +93,7 @@ class Recorder:
         live: bool = False,
         find_viewer: Callable[[], Viewer | None] = open_viewer,
     ) -> None:
+        os.environ.setdefault("RUST_LOG", _LOUDNESS)
         import rerun as rr
 
         self._folder, self._clock, self._start_s = folder, clock, clock.now_s()
@@ -112,7 +115,7 @@ class Recorder:
         batches = rr.ChunkBatcherConfig.DEFAULT()
         batches.flush_tick = timedelta(seconds=_BATCH_S)
         self._file = rr.RecordingStream(names.APPLICATION, batcher_config=batches)
-        self._file.save(path)
+        self._file.save(path, write_footer=False)  # which would hold a line for each chunk in memory until the end
         self._viewer = find_viewer() if live else None
         self._live = None if self._viewer is None else rr.RecordingStream(names.APPLICATION)
         if self._viewer is not None and self._live is not None:
