@@ -214,6 +214,19 @@ def test_a_pose_that_is_lost_but_told_holds_at_once_and_lands(hovering: Rig) -> 
     assert np.ptp(places, axis=0).max() < 1e-6, "held"
 
 
+def test_a_pose_that_is_wrong_lands_at_once(hovering: Rig) -> None:
+    """To stand still by it is to move with its error, and the autopilot does so while it comes down."""
+    hovering.fly((2.5, 0.0, 1.1), identifier=2)
+    hovering.run(2.5)
+    wrong_s, hovering.health = hovering.clock.now_s(), PoseHealth.WRONG
+    hovering.run(0.2)
+    assert hovering.pilot.phase is FlightPhase.LANDING
+    assert hovering.tap.since(wrong_s)[f"COMMAND_LONG {MODE}"] == 1
+    assert hovering.state.note == "poses disagree"
+    hovering.until(FlightPhase.LANDED, 15.0)
+    assert hovering.tap.since(wrong_s + 1.0)["ODOMETRY"] > 10, "better than none to land by"
+
+
 def test_with_a_degraded_pose_nothing_fast_is_flown(hovering: Rig) -> None:
     hovering.fly((2.5, 0.0, 1.1), identifier=2)
     hovering.run(2.5)

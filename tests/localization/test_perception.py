@@ -8,12 +8,13 @@ from figure_eight import FigureEight, perfect_imu
 
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
+from uav_recon.localization.credence import Credence
 from uav_recon.localization.filter import FusionFilter
 from uav_recon.localization.mount import FixedMount
 from uav_recon.localization.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.nearby import Nearby
-from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
 MOTION = FigureEight(start_s=200.0)
 OPTICS = Intrinsics(10.0, 10.0, 3.5, 2.5, 8, 6)
@@ -112,6 +113,14 @@ def test_odometry_comes_at_30_hz_stamped_now(world: World) -> None:
     late = [odom for odom in seen.odom if odom.stamp_s > MOTION.start_s + 2.0]
     for odom in late:
         assert np.linalg.norm(odom.odom_from_body.translation_m - MOTION.position(odom.stamp_s)) < 0.01
+
+
+def test_odometry_that_depth_contradicts_is_wrong_and_as_good_as_before(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Credence, "drift", lambda _, now_s: "odom creeps" if now_s >= MOTION.start_s + 1.0 else "")
+    _perception, seen = _run(world, 2.0)
+    told = [odom for odom in seen.odom if odom.stamp_s >= MOTION.start_s + 1.0]
+    assert len(told) >= 25
+    assert {(odom.health, odom.why, odom.quality) for odom in told} == {(PoseHealth.WRONG, "odom creeps", 100)}
 
 
 def test_a_frame_gets_the_pose_of_its_own_stamp_once_it_is_known(world: World) -> None:

@@ -38,6 +38,9 @@ def health(now_s: float, **changes: Any) -> Health:
         ({"depth_age_s": 4.0, "pose_age_s": 2.0}, Rung.LAND, "no pose"),
         ({"lost": "poses disagree for 0.3 s"}, Rung.HOLD, "poses disagree"),
         ({"lost": "poses disagree for 1.2 s", "pose_age_s": 1.01}, Rung.LAND, "no pose"),
+        ({"wrong": "odom creeps"}, Rung.LAND, "odom creeps"),
+        ({"wrong": "odom creeps", "depth_age_s": 4.0}, Rung.LAND, "odom creeps"),
+        ({"wrong": "odom creeps", "inside": False}, Rung.LAND, "odom creeps"),
     ],
 )
 def test_the_worst_silence_names_the_rung(changes: dict[str, Any], rung: Rung, why: str) -> None:

@@ -186,7 +186,7 @@ class Pilot:
     def _health(self, now_s: float) -> Health:
         inside = self._guard.envelope.fence.holds(self._position_m)
         ages_s = (now_s - self._poses.sound_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
-        return Health(now_s, *ages_s, inside, self._refusals, self._poses.lost)
+        return Health(now_s, *ages_s, inside, self._refusals, self._poses.lost, self._poses.wrong)
 
     # ---- act --------------------------------------------------------------------------------------------------
 

@@ -9,9 +9,11 @@ from uav_recon.protocols import Channel
 from uav_recon.safety.posegate import PoseGate
 from uav_recon.types.pose import PoseHealth, StampedPose
 
+_UNSOUND = (PoseHealth.LOST, PoseHealth.WRONG)
+
 
 class PoseFeed:
-    """Holds the newest pose that is fit to be believed; sound_s is the stamp of the newest one that was not lost.
+    """Holds the newest pose that is fit to be believed; sound_s is the stamp of the newest one that was neither lost nor wrong.
 
     ``refused`` counts those that were not fit.
     """
@@ -25,7 +27,12 @@ class PoseFeed:
     @property
     def lost(self) -> str:
         """Why the newest pose is lost, '' if it is not."""
-        return self.pose.why if self.pose is not None and self.pose.health is PoseHealth.LOST else ""
+        return self._why(PoseHealth.LOST)
+
+    @property
+    def wrong(self) -> str:
+        """Why the newest pose is wrong, '' if it is not."""
+        return self._why(PoseHealth.WRONG)
 
     def step(self, now_s: float) -> bool:
         """Take over what is new; whether it begins odom anew, so that nothing from before it holds any more."""
@@ -44,6 +51,9 @@ class PoseFeed:
             self.refused += 1
             return False
         self.pose = pose
-        self.sound_s = self.sound_s if pose.health is PoseHealth.LOST else pose.stamp_s
+        self.sound_s = self.sound_s if pose.health in _UNSOUND else pose.stamp_s
         self._link.feed_pose(pose, now_s)
         return verdict.anew
+
+    def _why(self, health: PoseHealth) -> str:
+        return self.pose.why if self.pose is not None and self.pose.health is health else ""

@@ -27,8 +27,8 @@ class Perception:
     filter's pose_lost_s, a last one with quality 0 is published and then none, until poses come again. A frame waits until a
     pose at or after its stamp was fused, or frame_wait_s; one whose own pose is not known is dropped, and so is one that is
     not believed. What is near in it is published at once, pose or no pose, believed or not. Odometry that depth contradicts
-    is lost: the quality stays, for it is better than none. ``published_odom``, ``published_frames`` and ``dropped_frames``
-    count.
+    is wrong: the quality stays, for it is better than none to land by. ``published_odom``, ``published_frames`` and
+    ``dropped_frames`` count.
     """
 
     def __init__(
@@ -72,8 +72,8 @@ class Perception:
         if estimate is None or (estimate.quality == 0 and self._said_lost):
             return
         drift = self._credence.drift(now_s)
-        if drift and estimate.health is not PoseHealth.LOST:
-            estimate = replace(estimate, health=PoseHealth.LOST, why=drift)
+        if drift:
+            estimate = replace(estimate, health=PoseHealth.WRONG, why=drift)
         self._odom.publish(estimate)
         self.published_odom += 1
         self._said_lost = estimate.quality == 0

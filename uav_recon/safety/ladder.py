@@ -39,7 +39,7 @@ class Patience:
 class Health:
     """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far.
 
-    pose_age_s: of the newest pose that was not lost. lost: why the pose is lost, '' while it is not.
+    pose_age_s: of the newest pose that was neither lost nor wrong. lost, wrong: why the pose is, '' while it is not.
     """
 
     now_s: float
@@ -49,6 +49,7 @@ class Health:
     inside: bool
     refusals: int
     lost: str = ""
+    wrong: str = ""
 
 
 class Ladder:
@@ -63,8 +64,7 @@ class Ladder:
         self._refusals: int | None = None
 
     def step(self, health: Health) -> tuple[Rung, str]:
-        """Down at once; up to flying from holding at once, from retreating after _HEALTH_S (at once if it has barely
-        begun); from landing never.
+        """Down at once; up from holding at once, from retreating after _HEALTH_S (at once if barely begun), from landing never.
 
         Kept from flying for as long as a silent mission is borne, whatever keeps it: nobody comes, so it lands.
         """
@@ -82,24 +82,24 @@ class Ladder:
         return self._rung, self._why
 
     def _wanted(self, health: Health) -> tuple[Rung, str]:
-        p, outside, refused = self._patience, self._outside_too_long(health), self._refused_too_often(health)
+        p, over, refused = self._patience, self._outside_too_long(health) or health.wrong, self._refused_too_often(health)
         silences = (
             ("no pose", health.pose_age_s, (p.pose_hold_s, math.inf, p.pose_land_s)),
             ("mission silent", health.intent_age_s, (p.intent_hold_s, p.intent_retreat_s, p.intent_land_s)),
             ("no depth", health.depth_age_s, (p.depth_hold_s, p.depth_retreat_s, p.depth_land_s)),
         )
         rungs = [_rung_of(age_s, limits_s) for _, age_s, limits_s in silences]
-        if (rung := max(rungs)) < Rung.LAND and outside:
-            return Rung.LAND, f"outside the fence for {_OUTSIDE_S:.0f} s"
+        if (rung := max(rungs)) < Rung.LAND and over:
+            return Rung.LAND, over
         if rung > Rung.FLY:
             name, age_s, _ = silences[rungs.index(rung)]
             return rung, f"{name} for {age_s:.1f} s"
         why = health.lost or (f"{_REFUSALS} refusals in a second" if refused else "")
         return Rung.HOLD if why else Rung.FLY, why
 
-    def _outside_too_long(self, health: Health) -> bool:
+    def _outside_too_long(self, health: Health) -> str:
         self._inside_s = health.now_s if health.inside else min(self._inside_s, health.now_s)
-        return health.now_s - self._inside_s > _OUTSIDE_S
+        return f"outside the fence for {_OUTSIDE_S:.0f} s" if health.now_s - self._inside_s > _OUTSIDE_S else ""
 
     def _refused_too_often(self, health: Health) -> bool:
         before, self._refusals = self._refusals, health.refusals

@@ -128,6 +128,7 @@ class PoseHealth(Enum):
     GOOD = "good"  # fly
     DEGRADED = "degraded"  # fly slowly
     LOST = "lost"  # stand still, and land if it lasts
+    WRONG = "wrong"  # land: who stands still by it is led astray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
