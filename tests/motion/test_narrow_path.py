@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hall import MOTION, room, room_around, straight, wall
 
+from uav_recon.motion.planner import NARROW_MPS
 from uav_recon.motion.replay import joined
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
@@ -66,3 +67,23 @@ def test_what_is_made_of_a_narrow_motion_keeps_its_measure() -> None:
     assert braked.clearance_m == ROOM_M
     usual = dataclasses.replace(trajectory, clearance_m=None)
     assert joined(usual, 100, braked, trajectory).clearance_m == ROOM_M
+
+
+def test_a_narrow_place_is_passed_slowly_and_the_open_before_it_is_not() -> None:
+    trajectory = through_the_gap()
+    speed, inside = np.linalg.norm(trajectory.velocity_mps, axis=1), np.abs(trajectory.position_m[:, 0] - 1.1) < 0.2
+    assert speed[inside].max() <= NARROW_MPS + 1e-3
+    assert speed.max() > 0.5
+    usual = MOTION.through(narrow(None), room(), at(-1.0), 5.0, np.inf, 1)
+    assert isinstance(usual, Trajectory) and np.linalg.norm(usual.velocity_mps, axis=1).max() > 0.5
+
+
+@pytest.mark.parametrize("aside_m", [-0.045, 0.045])
+def test_a_way_along_the_side_of_a_gap_is_flown_in_its_middle(aside_m: float) -> None:
+    path = dataclasses.replace(straight([-1.0, MIDDLE_M + aside_m, 1.5], [3.0, MIDDLE_M + aside_m, 1.5]), clearance_m=0.15)
+    start = Setpoint.hold(np.array([-1.0, MIDDLE_M + aside_m, 1.5]), 0.0)
+    flown = MOTION.through(path, GAP, start, 5.0, np.inf, 1)
+    assert isinstance(flown, Trajectory), flown
+    inside = np.abs(flown.position_m[:, 0] - 1.1) < 0.1
+    assert np.abs(flown.position_m[inside, 1] - MIDDLE_M).max() <= 0.02
+    np.testing.assert_allclose(flown.position_m[-1], [3.0, MIDDLE_M + aside_m, 1.5], atol=1e-6)

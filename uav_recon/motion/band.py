@@ -116,7 +116,7 @@ class Band:
 
 
 @kernel
-def _mirror(control: AnyArray) -> None:
+def mirror(control: AnyArray) -> None:
     """The outer control points, so that the curve ends at the second and the last but one, without bending there."""
     last = len(control) - 2
     for d in range(5):
@@ -125,7 +125,7 @@ def _mirror(control: AnyArray) -> None:
 
 
 @kernel
-def _least_room(
+def least_room(
     control: AnyArray, i: int, distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, enough_m: float
 ) -> float:
     """Least room at the nodes and middles of spans that control point i bears on; stops at the first under ``enough_m``."""
@@ -213,7 +213,7 @@ def _relax(
                 continue
             _wanted_move(control, view, i, move)
             most = max(most, _turn_within(control, view, vertex, i, tolerance_rad, move))
-            _mirror(control)
+            mirror(control)
             if move[0] ** 2 + move[1] ** 2 + move[2] ** 2 < (0.1 * SETTLED) ** 2:
                 continue
             for d in range(3):
@@ -223,25 +223,25 @@ def _relax(
                 for d in range(3):
                     share = (1.0, 0.5, 0.25)[attempt] if attempt < 3 else (1.0 if d == attempt - 3 else 0.0)
                     control[i, d] = old[d] + share * move[d]
-                _mirror(control)
+                mirror(control)
                 sees = True
                 for j in range(i - 1, i + 2):
                     sees = sees and (view[j] < 0 or _off_view(control, j, vertex[view[j]]) <= tolerance_m)
-                if sees and _least_room(control, i, distance2, frame, resolution_m, root, wanted_m) >= wanted_m:
+                if sees and least_room(control, i, distance2, frame, resolution_m, root, wanted_m) >= wanted_m:
                     break
-                has_m = _least_room(control, i, distance2, frame, resolution_m, root, 0.0) if sees else 0.0
+                has_m = least_room(control, i, distance2, frame, resolution_m, root, 0.0) if sees else 0.0
                 for d in range(3):
                     control[i, d] = old[d]
-                _mirror(control)
+                mirror(control)
                 if not sees:
                     continue
                 if had_m < 0.0:
-                    had_m = _least_room(control, i, distance2, frame, resolution_m, root, 0.0)
+                    had_m = least_room(control, i, distance2, frame, resolution_m, root, 0.0)
                 if had_m >= least_m and has_m >= had_m:
                     for d in range(3):
                         share = (1.0, 0.5, 0.25)[attempt] if attempt < 3 else (1.0 if d == attempt - 3 else 0.0)
                         control[i, d] = old[d] + share * move[d]
-                    _mirror(control)
+                    mirror(control)
                     break
             for d in range(3):
                 most = max(most, abs(control[i, d] - old[d]))

@@ -13,6 +13,7 @@ import numpy as np
 
 from uav_recon.config import MotionConfig
 from uav_recon.motion.band import Band, Course
+from uav_recon.motion.centring import centred
 from uav_recon.motion.clearing import Space, blocked, is_clear
 from uav_recon.motion.entry import Entry
 from uav_recon.motion.flight import Flight, Pacer
@@ -25,6 +26,9 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 TOLERANCE_M = 0.05  # half a voxel: a map that changes by so much does not stop a motion ...
 PLANNED_M = 0.01  # ... but none is planned nearer than the clearance by more than this
 NEAR_VIEW = (0.10, float(np.radians(2.0)))  # of the band off a view; smoothing and the frame's lateness add to it
+NARROW_MPS = (
+    0.2  # on a narrow way, where there is no more room than usual: across it a vehicle follows late, the faster the more
+)
 BRAKE_SHARE = 0.9  # of the limits: the rest covers the step of the integration
 OVERRUNS = (0.0, 0.4, 1.0)  # of the braking distance, straight on before a new way is taken up; the last ends in a stop
 BACK = -0.5  # cosine of present and new direction from which on only the stop is tried
@@ -40,7 +44,7 @@ class MotionPlanner:
         braking_mps2: float | None = None,
     ) -> None:  # fmt: skip
         """clearance_m: from the body's centre to anything not known free, on a path that does not say what its way keeps;
-        tight_speed_mps is flown where there is no more.
+        tight_speed_mps is flown where there is no more, and NARROW_MPS on a path that says so.
 
         low_m, high_m: (3,) corners of the box that the body's centre stays in; none = no box. braking_mps2: with which a way
         that turns out to be blocked is left; none = what is planned with.
@@ -51,6 +55,8 @@ class MotionPlanner:
         self._pacer = Pacer.of(config, clearance_m)
         self._hardness = (braking_mps2 or config.acceleration_mps2) / config.acceleration_mps2
         self._creeper = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m)
+        narrow_mps = min(NARROW_MPS, config.tight_speed_mps)
+        self._threader = Pacer.of(config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m)
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
@@ -153,6 +159,7 @@ class MotionPlanner:
             self.stop(flown, 1.0, 1)
             self.still_clear(flown, 1.0, voxels)
             self.onward(path, voxels, flown, 1.0, 0.5, 2)
+            self.through(dataclasses.replace(path, clearance_m=1.0), voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
 
     def _clear(
         self, course: Course, before: FloatArray | None, entry: Entry, space: Space, spacing_m: float, clearance_m: float | None
@@ -163,12 +170,15 @@ class MotionPlanner:
         and the band is left as the polyline is.
         """
         stop, least_m = course.stop.copy(), self._asked_m(clearance_m) - PLANNED_M
+        pacer = self._pacer if clearance_m is None else self._threader
         for attempt in range(3):
             strung = course.with_stops(stop)
             band = Band.along(strung, self._pacer.span_rad, before)
+            if attempt < 2 and clearance_m is not None:
+                band = centred(band, space, self._clearance_m)
             if attempt < 2:
                 band = band.relaxed(strung, space, self._clearance_m, least_m, NEAR_VIEW)
-            flight = self._pacer.flown(band, entry, space, spacing_m)
+            flight = pacer.flown(band, entry, space, spacing_m)
             if not flight.feasible:
                 return "the present motion is too fast for the way that was planned"
             bad = blocked(space, flight.rows, entry.left, least_m)

@@ -1,0 +1,58 @@
+"""To the middle of narrow places: a taut way keeps to one side of them, with no more room than was asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.motion.band import Band, least_room, mirror
+from uav_recon.motion.clearing import ROOT, Space
+from uav_recon.types.frames import AnyArray
+
+STEP_M = 0.02
+ROUNDS = 10  # two voxels at most
+
+
+def centred(band: Band, space: Space, wanted_m: float) -> Band:
+    """The band, each free point of it moved to where there is more room as long as it has less than ``wanted_m``."""
+    control, held = band.control.copy(), band.held.copy()
+    for node in band.view_node:
+        held[node : node + 3] = True  # all that bear on where a view is passed
+    _centre(control, held, space.distance2, space.frame, space.resolution_m, ROOT, wanted_m)
+    return dataclasses.replace(band, control=control)
+
+
+@kernel
+def _centre(
+    control: AnyArray,
+    held: AnyArray,
+    distance2: AnyArray,
+    frame: AnyArray,
+    resolution_m: float,
+    root: AnyArray,
+    wanted_m: float,
+) -> None:
+    for _ in range(ROUNDS):
+        moved = False
+        for i in range(2, len(control) - 2):
+            if held[i]:
+                continue
+            most_m = least_room(control, i, distance2, frame, resolution_m, root, 0.0)
+            if most_m >= wanted_m:
+                continue
+            axis, step_m = -1, 0.0
+            for d in range(3):
+                at = control[i, d]
+                for side in (-STEP_M, STEP_M):
+                    control[i, d] = at + side
+                    mirror(control)
+                    room_m = least_room(control, i, distance2, frame, resolution_m, root, 0.0)
+                    if room_m > most_m + 1e-6:
+                        most_m, axis, step_m = room_m, d, side
+                control[i, d] = at
+            if axis >= 0:
+                control[i, axis] += step_m
+                moved = True
+            mirror(control)
+        if not moved:
+            break
