@@ -18,6 +18,7 @@ from sitl.faults.table import ROWS
 from sitl.faults.trouble import Trouble
 from sitl.fly_evidence import evidence_of
 from sitl.fork import Fork
+from sitl.scene import HULL_RADIUS_M
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class Stage:
     number: int
     arena: Arena
     views: int
+    radius_m: float = HULL_RADIUS_M
+    variant: str = "adaptive"
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,8 @@ class FaultCase:
     @property
     def stage(self) -> Stage:
         """Cases with the same one are the same flight until their troubles begin."""
-        return Stage(self.autopilot, self.number, ROWS[self.row].arena, ROWS[self.row].views)
+        row = ROWS[self.row]
+        return Stage(self.autopilot, self.number, row.arena, row.views, row.radius_m(self.number), row.variant)
 
 
 @dataclass(frozen=True)
@@ -137,7 +141,14 @@ def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str
     from uav_recon import config as product_config
 
     options = SimOptions.parse(
-        seed=stage.number, views=stage.views, autopilot=stage.autopilot, mapper="stand-in", lockstep=True, out=folder / "flight"
+        seed=stage.number,
+        views=stage.views,
+        autopilot=stage.autopilot,
+        radius=stage.radius_m,
+        variant=stage.variant,
+        mapper="stand-in",
+        lockstep=True,
+        out=folder / "flight",
     )
     scene = arena(stage.arena, options.radius_m)
     options.make_folder()
@@ -157,7 +168,13 @@ def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:
     from sitl.fly_options import SimOptions
 
     options = SimOptions.parse(
-        seed=case.number, views=row.views, autopilot=case.autopilot, port=free_port(), out=case.out or folder / "flight"
+        seed=case.number,
+        views=row.views,
+        autopilot=case.autopilot,
+        radius=row.radius_m(case.number),
+        variant=row.variant,
+        port=free_port(),
+        out=case.out or folder / "flight",
     )
     options.make_folder()
     return flight_in_real_time(row, options, folder, case.number, case.firmware)

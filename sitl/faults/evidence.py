@@ -1,4 +1,4 @@
-"""All that a flight's judges may look at: the simulator's truth and the wire. Never the product's own account."""
+"""All that a flight's judges may look at: the simulator's truth and the wire. What the product says proves nothing."""
 
 from __future__ import annotations
 
@@ -36,6 +36,7 @@ class Evidence:
     clearance where it counts. heard: (instant, custom mode, armed) of heartbeats that reached the product. boxes_m (K,):
     how near the hull is to the obstacles of the trouble, inf without one and on the ground. error: of the flight's program,
     "" for none. notes: what the injectors measured themselves, by its name. firmware: version of a real one, "" for none.
+    stop_reason: why the product says that it ended, for a judge that asks whether it said so; "" for nothing.
     """
 
     onset_s: float
@@ -58,6 +59,7 @@ class Evidence:
     error: str = ""
     notes: dict[str, float] = field(default_factory=dict)
     firmware: str = ""
+    stop_reason: str = ""
 
     @cached_property
     def speed_mps(self) -> F64:
@@ -85,7 +87,7 @@ class Evidence:
         return float(self.stamp_s[found[0]] - from_s) if len(found) else math.inf
 
 
-def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m: float, error: str) -> Evidence:
+def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m: float, stop_reason: str) -> Evidence:
     """Of a flight that is over. hull_m: against the scene; obstacles of the trouble are added here."""
     world, ledger, tap = meddler.theatre.world, meddler.ledger, meddler.proxy
     assert tap is not None
@@ -113,7 +115,7 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
         heard=tuple(modes_told(tap.heard)),
         limits=limits,
         boot_s=world.flyer.boot_s,
-        error=error,
         notes=dict(meddler.theatre.notes),
         firmware=world.flyer.version,
+        stop_reason=stop_reason,
     )

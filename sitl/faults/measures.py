@@ -350,9 +350,14 @@ def relaunched(e: Evidence) -> float:
 
 
 def unfinished(e: Evidence) -> float:
-    """1 unless the flight went somewhere, ended with motors off over the pad, and no failsafe had to act."""
+    """1 unless the flight went somewhere and came back."""
     away_m = np.hypot(e.position_m[:, 0], e.position_m[:, 1]).max()
-    return float(bool(e.armed[-1]) or from_pad(e) > 0.5 or bool(e.failsafes) or not e.armed.any() or away_m < _FLOWN_M)
+    return float(bool(not_back(e)) or away_m < _FLOWN_M)
+
+
+def not_back(e: Evidence) -> float:
+    """1 unless the flight ended with motors off over the pad, and no failsafe had to act."""
+    return float(bool(e.armed[-1]) or from_pad(e) > 0.5 or bool(e.failsafes) or not e.armed.any())
 
 
 def asked_to_land(e: Evidence) -> float:

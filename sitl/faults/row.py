@@ -13,6 +13,7 @@ from sitl.faults.evidence import Evidence
 from sitl.faults.injector import Injector, Needs
 from sitl.faults.measures import Measure
 from sitl.faults.trouble import Onset
+from sitl.scene import HULL_RADIUS_M
 
 Arena = Literal["hall", "pen", "corridor"]
 ON_THE_WAY = Onset()
@@ -54,8 +55,8 @@ class Bar:
 class Row:
     """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere. why: it
     cannot be flown in lockstep. live: its injectors in real time, where that is another flight. longest_s: watched so long
-    after the trouble began. times: in lockstep it is flown so many times as often as a row is. A flight with a real firmware is
-    any whose troubles need nothing but what that firmware has.
+    after the trouble began. times: in lockstep it is flown so many times as often as a row is. radii_m: of the hull, cases take
+    turns. variant: of the planner. A flight with a real firmware is any whose troubles need nothing but what that firmware has.
     """
 
     id: str
@@ -71,6 +72,12 @@ class Row:
     why: str = ""
     live: Callable[[int], Sequence[Injector]] | None = None
     times: int = 1
+    variant: str = "adaptive"
+    radii_m: tuple[float, ...] = (HULL_RADIUS_M,)
+
+    def radius_m(self, number: int) -> float:
+        """Of the hull in its n-th flight."""
+        return self.radii_m[number % len(self.radii_m)]
 
     def troubles(self, number: int, live: bool) -> Sequence[Injector]:
         """Those of its n-th flight, in lockstep or in real time."""

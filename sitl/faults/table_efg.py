@@ -5,11 +5,13 @@ from __future__ import annotations
 from signal import SIGSTOP
 
 from sitl.faults import measures as m
+from sitl.faults.arena import GAP
 from sitl.faults.bars import (
     COMPLETES,
     NEVER_ARMED,
     NO_FAILSAFE,
     NO_FORCE,
+    RETURNS,
     STEADY,
     STREAMS,
     clear,
@@ -207,13 +209,15 @@ TABLE_F = (
     Row(
         "F6",
         "tight passage",
-        "a gap of 0.9 m between two rooms, nothing else",
+        "a gap of 0.9 m between two rooms, for a span of 0.5 m and one of 0.4 m in turn; nothing else",
         lambda n: [],
-        (clear(0.15), COMPLETES),
+        (clear(0.15), Bar("neither passed nor refused", GAP.untried, 0.0, ""), RETURNS),
         arena="corridor",
         onset=AT_BOOT,
         longest_s=300.0,
-        views=24,
+        views=60,
+        radii_m=(0.25, 0.20),
+        variant="explore",  # whose views are not spent on the surface of the first room
     ),
 )
 

@@ -30,6 +30,7 @@ PROMISES = {
     "E10": "the operator's key lands at once",
     "F1": "a planner gone mad flies nothing",
     "F4": "without an origin nothing is armed",
+    "F6": "a gap that is too narrow is refused in words",
     "G2": "a full disk is not felt",
     "G6": "an unknown firmware is not armed",
     "A1+B1": "of two troubles the worse is answered: without a pose it lands, whatever the planner does",
@@ -68,7 +69,7 @@ def test_a_flight_of_a_campaign_is_the_same_flight_alone(campaign: tuple[Path, d
 
 def flown(row: Row, folder: Path) -> Evidence:
     folder.mkdir(exist_ok=True)
-    return flight([row], Stage("px4", 1, row.arena, row.views), folder)
+    return flight([row], Stage("px4", 1, row.arena, row.views, row.radius_m(1), row.variant), folder)
 
 
 def test_a_vehicle_pushed_into_a_wall_is_seen(tmp_path: Path) -> None:
@@ -86,6 +87,14 @@ def test_a_stream_that_dies_breaks_its_bar(tmp_path: Path) -> None:
     figures = dict(zip((bar.name for bar in row.bars), judge(row, flown(row, tmp_path), []).figures, strict=True))
     assert figures["setpoint gap"] == pytest.approx(0.4, abs=0.08)
     assert figures["setpoints in a second"] < 20.0
+
+
+@pytest.mark.parametrize(("views", "passes"), [(60, True), (10, False)], ids=["through", "views spent before"])
+def test_a_tight_passage_is_flown_or_the_row_is_lost(tmp_path: Path, views: int, passes: bool) -> None:
+    row = dataclasses.replace(ROWS["F6"], views=views)
+    verdict = judge(row, flown(row, tmp_path), [])
+    assert verdict.passed(row, "px4") is passes, verdict
+    assert verdict.figures[1:] == ((0.0, 0.0) if passes else (1.0, 0.0)), "it came home either way"
 
 
 @pytest.mark.real_time

@@ -1,0 +1,34 @@
+"""A gap in the way: whether a flight passed it, or came to it and said that it does not enter."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from sitl.faults.evidence import Evidence
+
+_THROUGH_M = 0.3  # behind the gap: the hull is out of it
+_CAME_M = 1.0  # so near to its mouth it was looked into
+_TOO_NARROW = re.compile(r"\b[1-9]\d* (too narrow|not reachable)\b")  # counts of the planner's account
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Straight ahead of the pad: where it begins and ends, metres along x; its middle is at y = 0."""
+
+    begin_m: float
+    end_m: float
+
+    def untried(self, e: Evidence) -> float:
+        """1 unless the vehicle truly flew through, or came to the mouth, stayed outside and said why with counts."""
+        return float(not (self._passed(e) or self._refused(e)))
+
+    def _passed(self, e: Evidence) -> bool:
+        return bool(e.position_m[e.armed, 0].max(initial=0.0) >= self.end_m + _THROUGH_M)
+
+    def _refused(self, e: Evidence) -> bool:
+        x, y = e.position_m[e.armed, :2].T
+        came = bool((np.hypot(x - self.begin_m, y) <= _CAME_M).any())
+        return came and bool((x < self.begin_m).all()) and _TOO_NARROW.search(e.stop_reason) is not None
