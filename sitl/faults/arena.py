@@ -11,8 +11,8 @@ from sitl.texture import checks, plain
 LENGTH_M, WIDTH_M, HEIGHT_M = 10.0, 7.0, 2.8
 START = (1.4, 3.5, 1.2, 0.0)
 PEN = (0.4, 1.0, 0.0, 8.4, 6.0, 2.6)
-SMALL_M = (7.0, 3.4, 2.5)  # of both rooms: soon looked round in
-GAP, GAP_WIDTH_M = Gap(1.5, 2.5), 0.9
+SMALL_M = (5.8, 2.8, 2.4)  # of both rooms: soon looked round in
+GAP, GAP_WIDTH_M = Gap(1.2, 2.2), 0.9
 _WALLS = checks((0.8, 0.8, 0.75), (0.6, 0.62, 0.65), 0.4)
 
 

@@ -215,7 +215,7 @@ TABLE_F = (
         arena="corridor",
         onset=AT_BOOT,
         longest_s=300.0,
-        views=60,
+        views=46,
         radii_m=(0.25, 0.20),
         variant="explore",  # whose views are not spent on the surface of the first room
     ),
