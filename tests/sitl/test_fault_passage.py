@@ -42,7 +42,7 @@ def test_a_refusal_passes_if_it_came_to_the_mouth_and_says_why_with_counts() -> 
     assert passes(flown_to(GAP.begin_m - 0.5, REFUSED))
     assert passes(flown_to(GAP.begin_m - 0.5, "5 frontiers left: 5 too narrow"))
     assert not passes(flown_to(GAP.begin_m - 0.5, REFUSED, aside_m=1.2)), "it has not looked into it"
-    assert not passes(flown_to(0.2, REFUSED)), "nor from the pad"
+    assert not passes(flown_to(0.1, REFUSED)), "nor from the pad"
     assert not passes(flown_to(GAP.begin_m + 0.3, REFUSED)), "it was inside"
 
 
