@@ -26,9 +26,7 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 TOLERANCE_M = 0.05  # half a voxel: a map that changes by so much does not stop a motion ...
 PLANNED_M = 0.01  # ... but none is planned nearer than the clearance by more than this
 NEAR_VIEW = (0.10, float(np.radians(2.0)))  # of the band off a view; smoothing and the frame's lateness add to it
-NARROW_MPS = (
-    0.2  # on a narrow way, where there is no more room than usual: across it a vehicle follows late, the faster the more
-)
+NARROW_MPS = 0.2  # on a narrow way, where there is no more room than usual: the faster, the later a vehicle follows its bends
 BRAKE_SHARE = 0.9  # of the limits: the rest covers the step of the integration
 OVERRUNS = (0.0, 0.4, 1.0)  # of the braking distance, straight on before a new way is taken up; the last ends in a stop
 BACK = -0.5  # cosine of present and new direction from which on only the stop is tried
