@@ -1,4 +1,4 @@
-"""A gap in the way: whether a flight passed it, or came to it and said that it does not enter."""
+"""A gap in the way: whether a flight passed it, or looked about in its room and said that it does not enter."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from sitl.faults.evidence import Evidence
 
 _THROUGH_M = 0.3  # behind the gap: the hull is out of it
-_CAME_M = 1.0  # so near to its mouth it was looked into
+_WENT_M = 0.3  # from the pad: who lands at once has looked at nothing
 _TOO_NARROW = re.compile(r"\b[1-9]\d* (too narrow|not reachable)\b")  # counts of the planner's account
 
 
@@ -22,7 +22,7 @@ class Gap:
     end_m: float
 
     def untried(self, e: Evidence) -> float:
-        """1 unless the vehicle truly flew through, or came to the mouth, stayed outside and said why with counts."""
+        """1 unless the vehicle truly flew through, or looked about before the mouth, stayed outside and said why with counts."""
         return float(not (self._passed(e) or self._refused(e)))
 
     def _passed(self, e: Evidence) -> bool:
@@ -30,5 +30,5 @@ class Gap:
 
     def _refused(self, e: Evidence) -> bool:
         x, y = e.position_m[e.armed, :2].T
-        came = bool((np.hypot(x - self.begin_m, y) <= _CAME_M).any())
-        return came and bool((x < self.begin_m).all()) and _TOO_NARROW.search(e.stop_reason) is not None
+        went = bool((np.hypot(x, y) >= _WENT_M).any())
+        return went and bool((x < self.begin_m).all()) and _TOO_NARROW.search(e.stop_reason) is not None

@@ -167,7 +167,7 @@ TABLE_D = (
         "20 % lost both ways; up to 0.3 s late; 0.3 s holes",
         lambda n: [(Loss("both", share=0.2, seed=n), Jitter(0.3, n), Loss("both", 0.3))[n % 3]],
         (NO_FAILSAFE, STEADY, COMPLETES),
-        longest_s=90.0,
+        longest_s=120.0,
         views=SHORT_VIEWS,
     ),
     Row(
@@ -186,7 +186,7 @@ TABLE_D = (
         "1 MB/s of random bytes for 10 s, then a fifth of the frames spoilt",
         lambda n: [Garbage(1_000_000, 10.0), Corrupted(0.2, n)],
         (NO_FAILSAFE, STEADY, COMPLETES),
-        longest_s=90.0,
+        longest_s=120.0,
         views=SHORT_VIEWS,
     ),
     Row(

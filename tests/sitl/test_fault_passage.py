@@ -38,11 +38,11 @@ def test_flying_through_passes_if_there_is_room_all_the_way() -> None:
     assert not passes(dataclasses.replace(through, failsafes=("x",)))
 
 
-def test_a_refusal_passes_if_it_came_to_the_mouth_and_says_why_with_counts() -> None:
+def test_a_refusal_passes_if_it_looked_about_and_says_why_with_counts() -> None:
     assert passes(flown_to(GAP.begin_m - 0.5, REFUSED))
     assert passes(flown_to(GAP.begin_m - 0.5, "5 frontiers left: 5 too narrow"))
-    assert not passes(flown_to(GAP.begin_m - 0.5, REFUSED, aside_m=1.2)), "it has not looked into it"
-    assert not passes(flown_to(0.1, REFUSED)), "nor from the pad"
+    assert passes(flown_to(0.3, REFUSED, aside_m=0.6)), "not where the gap is, but in the room"
+    assert not passes(flown_to(0.1, REFUSED)), "on the pad"
     assert not passes(flown_to(GAP.begin_m + 0.3, REFUSED)), "it was inside"
 
 
@@ -50,6 +50,6 @@ def test_a_refusal_passes_if_it_came_to_the_mouth_and_says_why_with_counts() -> 
     "said", ["", SPENT, "no frontiers left", "9 frontiers left: 9 outside the fence", "2 frontiers left: 0 too narrow"]
 )
 def test_a_flight_that_never_came_to_the_gap_or_gives_no_reason_fails(said: str) -> None:
-    assert not passes(flown_to(0.3, said))
+    assert not passes(flown_to(0.3, said, aside_m=0.6))
     assert not passes(flown_to(GAP.begin_m - 0.5, said))
     assert not passes(flown_to(GAP.end_m, said)), "half way"
