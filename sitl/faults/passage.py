@@ -22,7 +22,7 @@ class Gap:
     end_m: float
 
     def untried(self, e: Evidence) -> float:
-        """1 unless the vehicle truly flew through, or looked about before the mouth, stayed outside and said why with counts."""
+        """1 unless the vehicle truly flew through, or looked about, stayed outside and said why with counts."""
         return float(not (self._passed(e) or self._refused(e)))
 
     def _passed(self, e: Evidence) -> bool:
