@@ -17,8 +17,6 @@ _PERIOD_S = 1.0 / 30.0  # of setpoints
 
 def violations(e: Evidence) -> list[str]:
     """What was broken, in words with figures; empty for a flight that kept all of it."""
-    if e.error:
-        return [e.error]
     checks = (_contact, _fence, _numbers, _speed, _steps, _place, _authority, _disarm, _end)
     return [said for check in checks if (said := check(e))]
 

@@ -34,9 +34,9 @@ class Evidence:
 
     stamp_s (K,), position_m and velocity_mps (K, 3), armed (K,), mode (K,) of each turn; hull_s (H,) and hull_m (H,): true
     clearance where it counts. heard: (instant, custom mode, armed) of heartbeats that reached the product. boxes_m (K,):
-    how near the hull is to the obstacles of the trouble, inf without one and on the ground. error: of the flight's program,
-    "" for none. notes: what the injectors measured themselves, by its name. firmware: version of a real one, "" for none.
-    stop_reason: why the product says that it ended, for a judge that asks whether it said so; "" for nothing.
+    how near the hull is to the obstacles of the trouble, inf without one and on the ground. notes: what the injectors measured
+    themselves, by its name. firmware: version of a real one, "" for none. stop_reason: why the product says that it ended, for
+    a judge that asks whether it said so; "" for nothing.
     """
 
     onset_s: float
@@ -56,7 +56,6 @@ class Evidence:
     heard: tuple[tuple[float, int, bool], ...]
     limits: Limits
     boot_s: float = 0.0
-    error: str = ""
     notes: dict[str, float] = field(default_factory=dict)
     firmware: str = ""
     stop_reason: str = ""

@@ -112,8 +112,6 @@ class Verdict:
 
 def judge(row: Row, evidence: Evidence, broken: Sequence[str]) -> Verdict:
     """Hold a flight to its row. broken: of everywhere.violations(). A trouble that never came is no pass."""
-    if evidence.onset_s == math.inf and not evidence.error:
-        broken = (*broken, "the moment for the trouble never came")
-    if evidence.error or evidence.onset_s == math.inf:
-        return Verdict(tuple(math.nan for _ in row.bars), tuple(broken))
+    if evidence.onset_s == math.inf:
+        return Verdict(tuple(math.nan for _ in row.bars), (*broken, "the moment for the trouble never came"))
     return Verdict(tuple(float(bar.measure(evidence)) for bar in row.bars), tuple(broken))

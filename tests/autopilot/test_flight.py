@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from flight_rig import ARM, ENVELOPE, MODE, SETPOINT, TAKEOFF_LAG_S, TICK_S, Rig
 from pymavlink.dialects.v20 import common as mavlink
 
 from uav_recon.autopilot.tlog import Tlog
-from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -66,15 +65,6 @@ def test_setpoints_come_at_their_rate(hovering: Rig) -> None:
     times, _ = setpoints(hovering, begin)
     assert 148 <= len(times) <= 152
     assert np.diff(times).max() <= 0.05
-
-
-def test_poses_are_stamped_on_the_autopilots_clock(hovering: Rig) -> None:
-    errors = [
-        at - 1e-6 * m.time_usec - (100.0 - 37.5) for at, m in hovering.tap.sent if m.get_type() == "ODOMETRY"
-    ]  # the simulated autopilot booted 37.5 s before the test's clock showed 100 s
-    assert len(errors) > 400
-    assert min(errors) > -0.002
-    assert max(errors) < 0.015
 
 
 @pytest.mark.slow
@@ -185,65 +175,6 @@ def test_a_mission_that_comes_back_does_not_stop_a_landing(hovering: Rig) -> Non
     assert not hovering.px4.truth().armed
 
 
-def test_lost_poses_hold_then_land(hovering: Rig) -> None:
-    hovering.fly((2.5, 0.0, 1.1), identifier=2)
-    hovering.run(2.5)
-    assert hovering.px4.truth().velocity[0] > 0.3
-    lost_s, hovering.poses = hovering.clock.now_s(), False
-    hovering.run(0.3)
-    assert hovering.pilot.phase is FlightPhase.FLYING
-    hovering.until(FlightPhase.LANDING, 1.2)
-    assert hovering.clock.now_s() - lost_s <= 1.2
-    times, places = setpoints(hovering, lost_s + 0.6)
-    assert len(times) > 5
-    assert np.ptp(places, axis=0).max() < 1e-6, "held"
-    assert hovering.tap.since(lost_s + 0.05)["ODOMETRY"] == 0, "an old pose is never repeated"
-    hovering.until(FlightPhase.LANDED, 25.0)
-    assert "no pose" in hovering.state.note
-
-
-def test_a_pose_that_is_lost_but_told_holds_at_once_and_lands(hovering: Rig) -> None:
-    """Odometry goes on, carried by the IMU: the autopilot is fed, nobody flies on it."""
-    hovering.fly((2.5, 0.0, 1.1), identifier=2)
-    hovering.run(2.5)
-    lost_s, hovering.health = hovering.clock.now_s(), PoseHealth.LOST
-    hovering.until(FlightPhase.LANDING, 1.2)
-    assert hovering.tap.since(lost_s + 0.1)["ODOMETRY"] > 10
-    times, places = setpoints(hovering, lost_s + 0.7)
-    assert len(times) > 5
-    assert np.ptp(places, axis=0).max() < 1e-6, "held"
-
-
-def test_a_pose_that_is_wrong_lands_at_once(hovering: Rig) -> None:
-    """To stand still by it is to move with its error, and the autopilot does so while it comes down."""
-    hovering.fly((2.5, 0.0, 1.1), identifier=2)
-    hovering.run(2.5)
-    wrong_s, hovering.health = hovering.clock.now_s(), PoseHealth.WRONG
-    hovering.run(0.2)
-    assert hovering.pilot.phase is FlightPhase.LANDING
-    assert hovering.tap.since(wrong_s)[f"COMMAND_LONG {MODE}"] == 1
-    assert hovering.state.note == "poses disagree"
-    hovering.until(FlightPhase.LANDED, 15.0)
-    assert hovering.tap.since(wrong_s + 1.0)["ODOMETRY"] > 10, "better than none to land by"
-
-
-def test_with_a_degraded_pose_nothing_fast_is_flown(hovering: Rig) -> None:
-    hovering.fly((2.5, 0.0, 1.1), identifier=2)
-    hovering.run(2.5)
-    slow_s, hovering.health = hovering.clock.now_s(), PoseHealth.DEGRADED
-    hovering.run(2.0)
-    assert hovering.pilot.phase is FlightPhase.FLYING
-    times, places = setpoints(hovering, slow_s + 1.0)
-    assert (np.linalg.norm(np.diff(places, axis=0), axis=1) <= 0.3 * np.diff(times) + 1e-3).all()
-
-
-def test_poses_that_come_back_do_not_stop_a_landing(hovering: Rig) -> None:
-    hovering.poses = False
-    hovering.until(FlightPhase.LANDING, 1.3)
-    hovering.poses = True
-    hovering.until(FlightPhase.LANDED, 15.0)
-
-
 def test_sigterm_lands_at_once(hovering: Rig) -> None:
     hovering.pilot.request_land()
     begin = hovering.clock.now_s()
@@ -340,44 +271,6 @@ def test_a_silent_autopilot_gets_no_stream(hovering: Rig) -> None:
     assert hovering.tap.since(begin + 3.1)[SETPOINT] == 0
     hovering.run(2.0)
     assert hovering.px4.truth().mode == "LAND", "the autopilot's own answer to a stream that ends"
-
-
-def test_a_reset_of_odom_holds_the_new_place(hovering: Rig) -> None:
-    """The source begins anew 0.4 m aside and says so: the setpoint follows in the same tick, no flight back."""
-    rig = hovering
-    rig.fly((2.0, 0.0, 1.1), identifier=2)
-    rig.run(2.0)
-    rig.poses = False
-    begin, start = rig.clock.now_s(), np.array(rig.px4.truth().position)
-    for turn in range(400):
-        if turn % 3 == 0:
-            truth = rig.px4.truth()
-            pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position) + np.array([0.0, 0.4, 0.0]))
-            rig.channels.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity), reset_counter=1))
-        rig.step()
-    _, places = setpoints(rig, begin + 0.05)
-    assert np.abs(places[:, 1] - 0.4).max() < 0.12
-    assert rig.state.trajectory_id == -1, "what was planned in the old odom is not taken up again"
-    assert np.linalg.norm(np.array(rig.px4.truth().position) - start) < 0.45
-    assert rig.pilot.phase is FlightPhase.FLYING
-
-
-@pytest.mark.parametrize("fault", ["old", "future", "repeated", "lost", "nan"])
-def test_bad_poses_are_not_fed(fault: str) -> None:
-    rig = Rig()
-    rig.until(FlightPhase.READY, 20.0)
-    rig.poses = False
-    begin = rig.clock.now_s()
-    for _ in range(50):
-        now = rig.clock.now_s()
-        stamp = {"old": now - 0.16, "future": now + 5.0, "repeated": begin}.get(fault, now)
-        velocity = np.full(3, math.nan if fault == "nan" else 0.0)
-        quality = 0 if fault == "lost" else 100
-        rig.channels.odom.publish(StampedPose(stamp, Pose.identity(), velocity, quality=quality))
-        rig.step()
-    assert rig.tap.since(begin + 0.02)["ODOMETRY"] <= (1 if fault == "repeated" else 0)
-    rig.run(1.0)
-    assert rig.pilot.phase is FlightPhase.CONNECTING
 
 
 def test_the_same_seed_sends_the_same_bytes_and_the_log_holds_them(tmp_path: Path) -> None:

@@ -147,7 +147,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
     assert memory_mb[-1] - memory_mb[1200] < 3.0
 
 
-def test_the_stream_is_given_few_chunks_to_remember(tmp_path: Path) -> None:
+def test_a_recording_is_written_in_few_chunks(tmp_path: Path) -> None:
     """Of what comes ten times a second one chunk every two, or two where what is drawn has two parts."""
     recorder, _ = fly(tmp_path, duration_s=20.0)
     recorder.close()

@@ -11,11 +11,12 @@ import pytest
 from fault_evidence import evidence
 
 from sitl.faults import measures as m
+from sitl.faults.evidence import Evidence
 from sitl.faults.page import render
 from sitl.faults.result import result_of
 from sitl.faults.row import Bar, Row, Verdict, judge
 from sitl.faults.table import ROWS, TABLE
-from sitl.fly_fault import FaultCase, FaultRecord
+from sitl.fly_fault import FaultCase, FaultRecord, fly_together
 from sitl.fly_faults import FaultOptions, _line, _missed, faults
 from sitl.fly_options import AUTOPILOTS, UsageError
 
@@ -112,7 +113,19 @@ def test_a_flight_is_held_to_its_bars() -> None:
     assert not judge(ROW, evidence(boxes_m=np.full(1, 0.3)), []).passed(ROW, "px4")
     assert not judge(ROW, evidence(), ["contact"]).passed(ROW, "px4")
     assert not judge(ROW, evidence(onset_s=math.inf), []).passed(ROW, "px4"), "a trouble that never came proves nothing"
-    assert not judge(ROW, evidence(error="broke"), ["broke"]).passed(ROW, "px4")
+
+
+def test_a_program_that_breaks_fails_its_rows_and_says_with_what(monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(*_: object) -> Evidence:
+        raise OSError("gone")
+
+    monkeypatch.setattr("sitl.fly_fault.flight", breaks)
+    records = fly_together([FaultCase(row, "px4", 0) for row in ("A1", "A2")])
+    assert [record.case.row for record in records] == ["A1", "A2"]
+    for record in records:
+        assert record.verdict.broken == ("OSError: gone",)
+        assert not record.verdict.passed(ROWS[record.case.row], "px4")
+        assert "Traceback" in record.trace
 
 
 def test_a_row_is_as_good_as_its_worst_flight() -> None:

@@ -1,0 +1,118 @@
+"""What the pilot does with poses that are late, lost, wrong or made no sense of; each test is a promise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from flight_rig import MODE, Rig, setpoints
+
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.vehicle import FlightPhase
+
+
+def under_way(rig: Rig, health: PoseHealth = PoseHealth.GOOD) -> float:
+    """In the middle of a way out along x, poses are of that health from now on; when that is."""
+    rig.fly((2.5, 0.0, 1.1), identifier=2)
+    rig.run(2.5)
+    assert rig.px4.truth().velocity[0] > 0.3
+    rig.health = health
+    return rig.clock.now_s()
+
+
+def test_poses_are_stamped_on_the_autopilots_clock(hovering: Rig) -> None:
+    errors = [
+        at - 1e-6 * m.time_usec - (100.0 - 37.5) for at, m in hovering.tap.sent if m.get_type() == "ODOMETRY"
+    ]  # the simulated autopilot booted 37.5 s before the test's clock showed 100 s
+    assert len(errors) > 400
+    assert min(errors) > -0.002
+    assert max(errors) < 0.015
+
+
+def test_lost_poses_hold_then_land(hovering: Rig) -> None:
+    lost_s, hovering.poses = under_way(hovering), False
+    hovering.run(0.3)
+    assert hovering.pilot.phase is FlightPhase.FLYING
+    hovering.until(FlightPhase.LANDING, 1.2)
+    assert hovering.clock.now_s() - lost_s <= 1.2
+    times, places = setpoints(hovering, lost_s + 0.6)
+    assert len(times) > 5
+    assert np.ptp(places, axis=0).max() < 1e-6, "held"
+    assert hovering.tap.since(lost_s + 0.05)["ODOMETRY"] == 0, "an old pose is never repeated"
+    hovering.until(FlightPhase.LANDED, 25.0)
+    assert "no pose" in hovering.state.note
+
+
+def test_a_pose_that_is_lost_but_told_holds_at_once_and_lands(hovering: Rig) -> None:
+    """Odometry goes on, carried by the IMU: the autopilot is fed, nobody flies on it."""
+    lost_s = under_way(hovering, PoseHealth.LOST)
+    hovering.until(FlightPhase.LANDING, 1.2)
+    assert hovering.tap.since(lost_s + 0.1)["ODOMETRY"] > 10
+    times, places = setpoints(hovering, lost_s + 0.7)
+    assert len(times) > 5
+    assert np.ptp(places, axis=0).max() < 1e-6, "held"
+
+
+def test_a_pose_that_is_wrong_lands_at_once(hovering: Rig) -> None:
+    """To stand still by it is to move with its error, and the autopilot does so while it comes down."""
+    wrong_s = under_way(hovering, PoseHealth.WRONG)
+    hovering.run(0.2)
+    assert hovering.pilot.phase is FlightPhase.LANDING
+    assert hovering.tap.since(wrong_s)[f"COMMAND_LONG {MODE}"] == 1
+    assert hovering.state.note == "poses disagree"
+    hovering.until(FlightPhase.LANDED, 15.0)
+    assert hovering.tap.since(wrong_s + 1.0)["ODOMETRY"] > 10, "better than none to land by"
+
+
+def test_with_a_degraded_pose_nothing_fast_is_flown(hovering: Rig) -> None:
+    slow_s = under_way(hovering, PoseHealth.DEGRADED)
+    hovering.run(2.0)
+    assert hovering.pilot.phase is FlightPhase.FLYING
+    times, places = setpoints(hovering, slow_s + 1.0)
+    assert (np.linalg.norm(np.diff(places, axis=0), axis=1) <= 0.3 * np.diff(times) + 1e-3).all()
+
+
+def test_poses_that_come_back_do_not_stop_a_landing(hovering: Rig) -> None:
+    hovering.poses = False
+    hovering.until(FlightPhase.LANDING, 1.3)
+    hovering.poses = True
+    hovering.until(FlightPhase.LANDED, 15.0)
+
+
+def test_a_reset_of_odom_holds_the_new_place(hovering: Rig) -> None:
+    """The source begins anew 0.4 m aside and says so: the setpoint follows in the same tick, no flight back."""
+    rig = hovering
+    rig.fly((2.0, 0.0, 1.1), identifier=2)
+    rig.run(2.0)
+    rig.poses = False
+    begin, start = rig.clock.now_s(), np.array(rig.px4.truth().position)
+    for turn in range(400):
+        if turn % 3 == 0:
+            truth = rig.px4.truth()
+            pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position) + np.array([0.0, 0.4, 0.0]))
+            rig.channels.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity), reset_counter=1))
+        rig.step()
+    _, places = setpoints(rig, begin + 0.05)
+    assert np.abs(places[:, 1] - 0.4).max() < 0.12
+    assert rig.state.trajectory_id == -1, "what was planned in the old odom is not taken up again"
+    assert np.linalg.norm(np.array(rig.px4.truth().position) - start) < 0.45
+    assert rig.pilot.phase is FlightPhase.FLYING
+
+
+@pytest.mark.parametrize("fault", ["old", "future", "repeated", "lost", "nan"])
+def test_bad_poses_are_not_fed(fault: str) -> None:
+    rig = Rig()
+    rig.until(FlightPhase.READY, 20.0)
+    rig.poses = False
+    begin = rig.clock.now_s()
+    for _ in range(50):
+        now = rig.clock.now_s()
+        stamp = {"old": now - 0.16, "future": now + 5.0, "repeated": begin}.get(fault, now)
+        velocity = np.full(3, math.nan if fault == "nan" else 0.0)
+        quality = 0 if fault == "lost" else 100
+        rig.channels.odom.publish(StampedPose(stamp, Pose.identity(), velocity, quality=quality))
+        rig.step()
+    assert rig.tap.since(begin + 0.02)["ODOMETRY"] <= (1 if fault == "repeated" else 0)
+    rig.run(1.0)
+    assert rig.pilot.phase is FlightPhase.CONNECTING
