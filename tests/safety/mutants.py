@@ -4,8 +4,8 @@ cosmic-ray makes the mutants and keeps the answers; only the trying is done here
 three thousand takes hours for its imports. Tries what has no answer yet, in a shuffled order, so that a run cut short after
 SECONDS is a fair sample and the next one goes on. Prints the survivors and the score; exit 1 below 95 %.
 
-Left out, by name: what runs no code (annotations, which are never evaluated). Tests that draw at random are not run: the
-same mutant dies each time or never.
+Left out: what runs no code (annotations, which are never evaluated) and what is no program (it does not compile). Tests that
+draw at random are not run: the same mutant dies each time or never.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import random
 import resource
 import sys
 import time
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,7 @@ AT_RANDOM = "not nothing_invalid_ever_leaves and not nothing_hostile_reaches"
 NEEDLESS = ("dash", "terminal", "cacheprovider", "unraisableexception", "threadexception", "hypothesispytest")
 OPTIONS = ["-x", "-o", "addopts=", "--assert=plain", *[f"-pno:{name}" for name in NEEDLESS], "-k", AT_RANDOM]
 LONGEST_CPU_S = 15  # all of them take three
+NO_PROGRAM = 77  # the exit code of a process whose mutant does not compile
 WANTED = 0.95
 
 
@@ -84,7 +86,10 @@ def source_of(mutant: MutationSpec) -> str:
 
 
 def load_mutant(mutant: MutationSpec) -> None:
-    """Put the mutant where its module will be looked for."""
+    """Put the mutant where its module will be looked for. Raises SyntaxError for what is no program."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SyntaxWarning)  # `is` beside a number compiles
+        code = compile(source_of(mutant), str(mutant.module_path), "exec")
     package = ".".join(mutant.module_path.parent.parts)
     name = f"{package}.{mutant.module_path.stem}"
     importlib.import_module(package)
@@ -92,7 +97,7 @@ def load_mutant(mutant: MutationSpec) -> None:
     assert spec is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    exec(compile(source_of(mutant), str(mutant.module_path), "exec"), module.__dict__)
+    exec(code, module.__dict__)
     setattr(sys.modules[package], mutant.module_path.stem, module)
 
 
@@ -114,7 +119,7 @@ class Trial:
         gc.disable()  # collecting is dearer than what a forked process could gain by it
         gc.freeze()
         end_s = time.monotonic() + self._seconds
-        if self._fails(session, sorted(set().union(*TESTS.values())), None):
+        if self._try(session, sorted(set().union(*TESTS.values())), None):
             raise pytest.UsageError("the tests fail without a mutant")
         if self.is_forked():
             return None
@@ -127,23 +132,29 @@ class Trial:
             if runs_no_code(mutant):
                 self._db.set_result(item.job_id, WorkResult(WorkerOutcome.SKIPPED))
                 continue
-            killed = self._fails(session, TESTS[mutant.module_path.stem], mutant)
+            code = self._try(session, TESTS[mutant.module_path.stem], mutant)
             if self.is_forked():
                 return None
-            outcome = TestOutcome.KILLED if killed else TestOutcome.SURVIVED
+            if code == NO_PROGRAM:
+                self._db.set_result(item.job_id, WorkResult(WorkerOutcome.SKIPPED))
+                continue
+            outcome = TestOutcome.KILLED if code else TestOutcome.SURVIVED
             self._db.set_result(item.job_id, WorkResult(WorkerOutcome.NORMAL, test_outcome=outcome))
         return True
 
-    def _fails(self, session: pytest.Session, names: Iterable[str], mutant: MutationSpec | None) -> bool:
-        """Whether a test notices; one that does not end counts. In the forked process False."""
+    def _try(self, session: pytest.Session, names: Iterable[str], mutant: MutationSpec | None) -> int:
+        """The exit code of the tests in a process of their own, negative for a signal: 0 if none notices. In that process 0."""
         child = os.fork()
         if child != 0:
-            return os.waitpid(child, 0)[1] != 0
+            return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_CPU_S, LONGEST_CPU_S))
         session.config.args = [str(HERE / f"{name}.py") for name in names]
         if mutant is not None:
-            load_mutant(mutant)
-        return False
+            try:
+                load_mutant(mutant)
+            except SyntaxError:
+                os._exit(NO_PROGRAM)
+        return 0
 
 
 def warm_up() -> None:
