@@ -39,7 +39,8 @@ class Px4(Autopilot):
         flight = Flight(parameters)
         estimator = Estimator(estimator_tuning(parameters), flight.estimate_jumped)
         commander = Commander(parameters, seed + 1, server.say)
-        gimbal = Gimbal(math.radians(parameters["MNT_MIN_PITCH"]), math.radians(parameters["MNT_MAX_PITCH"]))
+        half_range_rad = math.radians(parameters["MNT_RANGE_PITCH"]) / 2
+        gimbal = Gimbal(-half_range_rad, half_range_rad)
         self._state = State(commander=commander, estimator=estimator, flight=flight, gimbal=gimbal)
         commands = Commands(self._state, server, seed + 2)
         for message_id, (build, rate_hz) in Messages(self._state).rates().items():
@@ -76,7 +77,7 @@ class Px4(Autopilot):
     def _forget(self) -> None:
         s = self._state
         s.estimator, s.timesync = Estimator(estimator_tuning(self._parameters)), TimeSync()
-        s.commander.origin_at_s = math.inf
+        s.commander.origin_at_s, s.commander.heading_known = math.inf, False
         s.commander.takeover(Mode.ALTCTL)
 
     def _think(self, dt_s: float) -> None:
