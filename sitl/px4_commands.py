@@ -65,6 +65,8 @@ class Commands(Requests):
         stamp_us = s.timesync.local_us(message.time_usec, arrival_us)
         covariance = message.pose_covariance  # upper triangle: x 0, y 6, z 11, roll 15, pitch 18, yaw 20
         position_variance = max(covariance[0], covariance[6], covariance[11]) if math.isfinite(covariance[0]) else math.nan
+        if not s.estimator.started:  # one in LOCAL_FRD is fused all the same, but there is no global position (measured)
+            s.commander.heading_known = message.frame_id == mavlink.MAV_FRAME_LOCAL_NED
         s.estimator.take(
             ExternalPose(
                 stamp_us * 1e-6,

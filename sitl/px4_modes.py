@@ -86,6 +86,7 @@ class Commander:
         self.armed = False
         self.armed_at_s = math.inf
         self.origin_at_s = math.inf
+        self.heading_known = False
         self.failsafes: list[str] = []
         self._wanted = Mode.LOITER
         self._before_land = Mode.LOITER
@@ -170,8 +171,8 @@ class Commander:
         return ""
 
     def has_global(self, now_s: float) -> bool:
-        """Whether the estimator has had an origin long enough for a global position."""
-        return now_s - self.origin_at_s >= _PREARM_AFTER_ORIGIN_S
+        """Whether the estimator has had an origin long enough for a global position, and knows where north is."""
+        return self.heading_known and now_s - self.origin_at_s >= _PREARM_AFTER_ORIGIN_S
 
     def takeover(self, mode: Mode) -> None:
         """A pilot's switch: wins at once and ends any request."""

@@ -60,13 +60,16 @@ def numbers(*shape: int) -> st.SearchStrategy[FloatArray]:
 
 
 @settings(max_examples=100, deadline=None)
-@given(numbers(3), numbers(4).filter(lambda q: np.linalg.norm(q) > 1.0), numbers(3), st.integers(0, 600), st.integers(-5, 200))
+@given(
+    numbers(3), numbers(4).filter(lambda q: np.linalg.norm(q) > 1.0), numbers(3), st.integers(0, 600), st.integers(-5, 200),
+    st.sampled_from((1, 20)),
+)  # fmt: skip
 def test_odometry_is_the_pose_in_frd(
-    position: FloatArray, quat: FloatArray, velocity: FloatArray, resets: int, quality: int
+    position: FloatArray, quat: FloatArray, velocity: FloatArray, resets: int, quality: int, frame: int
 ) -> None:
     root = np.arange(36.0).reshape(6, 6) * 1e-3 + np.eye(6)
     pose = StampedPose(5.0, Pose(quat, position), velocity, root @ root.T, quality, resets)
-    m = written(Encoder(245, 191).odometry(pose, 123_456_789))
+    m = written(Encoder(245, 191).odometry(pose, 123_456_789, frame))
     rotation = pose.odom_from_body.rotation()
     np.testing.assert_allclose([m.x, m.y, m.z], NED_ENU @ position, rtol=1e-6, atol=1e-5)
     np.testing.assert_allclose(Pose(np.array(m.q), np.zeros(3)).rotation(), NED_ENU @ rotation @ FRD_FLU, atol=1e-5)
@@ -74,7 +77,7 @@ def test_odometry_is_the_pose_in_frd(
     turned = np.kron(np.eye(2), NED_ENU) @ root @ root.T @ np.kron(np.eye(2), NED_ENU).T
     upper = [turned[i, j] for i in range(6) for j in range(i, 6)]
     np.testing.assert_allclose(m.pose_covariance, upper, rtol=1e-5, atol=1e-6)
-    assert (m.frame_id, m.child_frame_id, m.time_usec) == (20, 12, 123_456_789)
+    assert (m.frame_id, m.child_frame_id, m.time_usec) == (frame, 12, 123_456_789)
     assert m.reset_counter == resets % 256
     assert m.quality == min(max(quality, 1), 100)
     sent = [m.x, m.y, m.z, *m.q, m.vx, m.vy, m.vz, m.rollspeed, m.pitchspeed, m.yawspeed, *m.pose_covariance]

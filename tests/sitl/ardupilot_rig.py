@@ -34,6 +34,7 @@ class Copilot(Companion):
         super().__init__(parameters, seed, **more)
         self._codec = mavlink.MAVLink(None, self.system, 191)
         self.type_mask = PLACE_SPEED_YAW
+        self.pose_frame = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_BODY_FRD)
         self.heartbeats = True
         self.heartbeats_as: int | None = None
         for message_id, rate_hz in ASKED.items():

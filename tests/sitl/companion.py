@@ -42,7 +42,7 @@ class Companion:
         self.pose_on = True
         self.pose_offset = (0.0, 0.0, 0.0)
         self.pose_quality = 90
-        self.pose_frame = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_BODY_FRD)
+        self.pose_frame = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD)
         self.reset_counter = 0
         self.pose_age_s = 0.0
         self.stamp_shift_s = 0.0

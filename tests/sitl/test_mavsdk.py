@@ -126,6 +126,12 @@ def height_m(flight: Flight) -> float:
     return float(-flight.telemetry.position_velocity_ned().position.down_m)
 
 
+def climb(flight: Flight) -> None:
+    """To 1.2 m above the pad, in OFFBOARD or GUIDED."""
+    flight.offboard.set_position_ned(PositionNedYaw(0.0, 0.0, -1.2, 0.0))
+    flight.offboard.start()
+
+
 @pytest.fixture(params=["px4", "ardupilot"])
 def flight(request: pytest.FixtureRequest) -> Iterator[Flight]:
     made = Flight(request.param)
@@ -144,6 +150,8 @@ def test_mavsdk_arms_flies_and_lands(flight: Flight) -> None:
     if not px4:  # an origin that comes before its filter follows is lost, and cannot be given twice
         flight.until("all but an origin", lambda: "PreArm: Fence requires position" in flight.autopilot.texts, 60.0)
     flight.action.set_gps_global_origin(*ORIGIN)
+    if px4:  # its heading is none in LOCAL_FRD, which is all that MAVSDK has: no Hold, but OFFBOARD needs no north
+        climb(flight)
     flight.until("ready to arm", lambda: told.health().is_armable, 40.0)
     assert (told.armed(), told.landed_state()) == (False, LandedState.ON_GROUND)
 
@@ -153,8 +161,7 @@ def test_mavsdk_arms_flies_and_lands(flight: Flight) -> None:
         flight.action.set_takeoff_altitude(1.2)
         flight.action.takeoff()
         flight.until("at its height", lambda: height_m(flight) > 1.1, 20.0)
-    flight.offboard.set_position_ned(PositionNedYaw(0.0, 0.0, -1.2, 0.0))
-    flight.offboard.start()
+        climb(flight)
     flight.until("in the air", told.in_air, 20.0)
     flight.until("at its height", lambda: abs(height_m(flight) - 1.2) < 0.15, 20.0)
     assert told.flight_mode() == FlightMode.OFFBOARD

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from companion import LOITER, OFFBOARD
 from px4_rig import companion, seconds_until
+from pymavlink.dialects.v20 import common as mavlink
 
 
 def test_prearm_comes_about_five_seconds_after_the_origin() -> None:
@@ -23,6 +24,22 @@ def test_without_an_origin_loiter_does_not_arm_yet_offboard_does() -> None:
     c.run(8.0)
     assert c.arm() == 1
     assert any("Global position estimate required" in text for text in c.texts)
+    c.go_to(0.0, 0.0, 0.3)
+    c.run(1.2)
+    assert c.set_mode(OFFBOARD) == 0
+    assert c.arm() == 0
+
+
+def test_a_heading_in_local_frd_gives_no_global_position_whatever_the_origin() -> None:
+    """Measured on 1.17: the poses are followed and OFFBOARD arms, but there is no Hold and no PREARM."""
+    c = companion()
+    c.pose_frame = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_BODY_FRD)
+    c.run(8.0)
+    c.send_origin()
+    c.run(8.0)
+    assert c.flags & 8
+    assert not c.prearm
+    assert c.arm() == 1
     c.go_to(0.0, 0.0, 0.3)
     c.run(1.2)
     assert c.set_mode(OFFBOARD) == 0

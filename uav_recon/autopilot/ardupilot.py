@@ -26,6 +26,7 @@ from uav_recon.autopilot.telemetry import Telemetry
 TAKE_OFF = 22
 CLIMB_M = 0.5  # by command; from there on setpoints are followed
 MIN_VERSION = (4, 5, 2)  # before it, VISO_DELAY_MS had no effect
+LOCAL_FRD = 20  # MAV_FRAME: odometry in any other is dropped without a word
 _FAMILY = 3
 _CUSTOM_MODE_ENABLED = 1.0
 _GUIDED, _LAND = 4, 9
@@ -135,5 +136,5 @@ class TakeOff:
 
 ARDUPILOT = Personality(
     mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, TakeOff,
-    land=LAND, setpoint_mask=ALL_BUT_YAW_RATE, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
+    land=LAND, pose_frame=LOCAL_FRD, setpoint_mask=ALL_BUT_YAW_RATE, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
 )  # fmt: skip

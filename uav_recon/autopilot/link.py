@@ -106,7 +106,7 @@ class Link:
         if not self.time_known:
             return
         time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000
-        self._send(self._encoder.odometry(pose, time_us), now_s)
+        self._send(self._encoder.odometry(pose, time_us, self.firmware.pose_frame), now_s)
         self.telemetry.pose_fed_s = now_s
 
     def stream(self, cleared: ClearedSetpoint, now_s: float, gimbal: bool) -> None:

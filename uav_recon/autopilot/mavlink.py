@@ -105,8 +105,9 @@ class Encoder:
             )
         )
 
-    def odometry(self, pose: StampedPose, time_us: int) -> bytes:
-        """ODOMETRY, LOCAL_FRD pose and BODY_FRD velocity; time_us in the autopilot's clock.
+    def odometry(self, pose: StampedPose, time_us: int, frame: int) -> bytes:
+        """ODOMETRY, pose in frame (LOCAL_NED or LOCAL_FRD, the same axes to us) and BODY_FRD velocity; time_us in the
+        autopilot's clock.
 
         The angular rate is not known here: zero with a variance that says so (nothing on this wire is ever NaN).
         Quality is clipped to 1..100 (0 would say "unknown").
@@ -120,7 +121,7 @@ class Encoder:
             *(0.0, 0.0, 0.0),
             *swap_covariance(pose.covariance)[_UPPER].tolist(),
             *_TWIST_COVARIANCE,
-            wire.MAV_FRAME_LOCAL_FRD,
+            frame,
             wire.MAV_FRAME_BODY_FRD,
             pose.reset_counter % 256,
             wire.MAV_ESTIMATOR_TYPE_VIO,

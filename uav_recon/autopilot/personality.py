@@ -47,7 +47,8 @@ class Personality:
     """Its rules. Modes are HEARTBEAT's custom_mode.
 
     missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, '' for
-    nothing. setpoint_mask: what of a setpoint it is to ignore. streams_hz: messages to ask for; asked_once: once.
+    nothing. pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: what of a setpoint it is to ignore. streams_hz: messages to
+    ask for; asked_once: once.
     """
 
     mode_name: Callable[[int], str]
@@ -57,6 +58,7 @@ class Personality:
     missing_for_arming: Callable[[Telemetry, bool, float], str]
     arming: Callable[[float], Arming]
     land: Command
+    pose_frame: int
     setpoint_mask: int
     streams_hz: tuple[tuple[int, float], ...]
     asked_once: tuple[int, ...]

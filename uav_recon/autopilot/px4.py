@@ -29,6 +29,7 @@ _AUTO_MODES = {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6:
 FLY: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _OFFBOARD))
 LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _AUTO_LAND))
 
+LOCAL_NED = 1  # MAV_FRAME: a heading in LOCAL_FRD is none to it, so no global position, no Hold and no arming
 CLOCK_ANSWERS = 500  # until PX4 believes stamps: fifty seconds
 MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
 UNKNOWN_VERSION = (1, 18, 0)  # what it does with our words is not known: AUTOPILOTS reads up to 1.17
@@ -113,5 +114,5 @@ class Arming:
 
 PX4 = Personality(
     mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, Arming,
-    land=LAND, setpoint_mask=0, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
+    land=LAND, pose_frame=LOCAL_NED, setpoint_mask=0, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
 )  # fmt: skip
