@@ -70,7 +70,8 @@ class Messages(Telling):
         c, s = self._s.commander, self._s
         vision = mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
         heard = vision if s.estimator.pose_age_s <= _VISION_HEALTHY_S else 0
-        return self._health(c.armed or not c.arming_refusal(s.condition()), vision, heard)
+        more = vision | mavlink.MAV_SYS_STATUS_PREARM_CHECK  # PX4 has it healthy or not, and never present (measured)
+        return self._health(c.armed or not c.arming_refusal(s.condition()), more, heard)
 
     def position_target(self) -> Packet | None:
         """What the controller follows now."""

@@ -89,12 +89,12 @@ class Telling:
 
     def _health(self, ready: bool, more: int = 0, healthy: int = 0) -> Packet:
         """SYS_STATUS: sensors, battery and the PREARM bit. more: sensors of this firmware, and which of them are healthy."""
-        battery, prearm = self._board.battery, mavlink.MAV_SYS_STATUS_PREARM_CHECK
+        battery, prearm = self._board.battery, mavlink.MAV_SYS_STATUS_PREARM_CHECK if ready else 0
         return packet(
             mavlink.MAVLink_sys_status_message,
-            SENSORS | prearm | more,
-            SENSORS | prearm | more,
-            SENSORS | (prearm if ready else 0) | healthy,
+            SENSORS | more,
+            SENSORS | more,
+            SENSORS | prearm | healthy,
             300,
             round(battery.voltage * 1000),
             round(battery.current_a * 100),

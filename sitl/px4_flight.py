@@ -49,6 +49,7 @@ class Flight:
         p = parameters
         self._controller.configure(control_gains(p))
         self._spoolup_s, self._ramp_t, self._takeoff_speed = p["COM_SPOOLUP_TIME"], p["MPC_TKO_RAMP_T"], p["MPC_TKO_SPEED"]
+        self._speed_up, self._no_thrust_mps = p["MPC_Z_VEL_MAX_UP"], -GRAVITY_MPS2 / p["MPC_Z_VEL_P_ACC"]
         self._takeoff_height = p["MIS_TAKEOFF_ALT"]
         self._land = (p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"], p["MPC_LAND_SPEED"], p["MPC_Z_V_AUTO_DN"])
         self._limits = smoothing_limits(p)
@@ -95,7 +96,7 @@ class Flight:
         limit = math.inf
         if self._ramp_s < self._ramp_t:
             self._ramp_s += dt_s
-            limit = self._takeoff_speed * min(1.0, self._ramp_s / max(self._ramp_t, 1e-3))
+            limit = self._ramped_mps(mode)
         if not estimator.horizontal_valid:
             down = setpoint.velocity[2] if mode is Mode.LAND else 0.0
             force, turn = self._controller.level(dt_s, velocity[2], down), 0.0
@@ -162,6 +163,11 @@ class Flight:
             self._ground.lifted()
             self.has_flown = True
         return True
+
+    def _ramped_mps(self, mode: Mode) -> float:
+        """The climb rate that the ramp allows: from so far below nought that there is no thrust (read, and flown on 1.17)."""
+        most = self._takeoff_speed if mode is Mode.TAKEOFF else self._speed_up
+        return self._no_thrust_mps + min(1.0, self._ramp_s / max(self._ramp_t, 1e-3)) * (most - self._no_thrust_mps)
 
     def _rest(self, position: Vec3) -> None:
         self._controller.reset()

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 from sitl.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
-from sitl.rotation import IDENTITY, Quat, Vec3, from_small_rotation, from_yaw, multiply, normalised, rotate, yaw_of
+from sitl.rotation import IDENTITY, Quat, Vec3, conjugate, from_small_rotation, from_yaw, multiply, normalised, rotate, yaw_of
+from sitl.vehicle import GRAVITY_MPS2
 
 _LONGEST_S = 0.1  # no reading is carried further than this
+_SLOPE_S = 0.05  # velocities so far apart, a centimetre a second coarse, tell accelerations to 0.2 m/s^2
+_STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,10 +28,10 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Inertial:
-    """What an inertial sensor in the body's middle feels: rad/s and m/s^2, FRD as it came."""
+    """What an inertial sensor in the body's middle feels: rad/s and m/s^2, FRD as it came. None: it follows from velocities."""
 
     gyro_frd: Vec3
-    specific_force_frd: Vec3
+    specific_force_frd: Vec3 | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +69,8 @@ class TruePath:
         self._position: Vec3 = (0.0, 0.0, 0.0)
         self._velocity: Vec3 = (0.0, 0.0, 0.0)
         self._quat: Quat = IDENTITY
-        self._felt = Inertial((0.0, 0.0, 0.0), (0.0, 0.0, -9.80665))
+        self._felt = Inertial((0.0, 0.0, 0.0), None)
+        self._velocities: deque[tuple[float, Vec3]] = deque()
 
     @property
     def begun(self) -> bool:
@@ -88,17 +93,27 @@ class TruePath:
         carried = self._carried(stamp_s, velocity)
         self._position = self._near(carried, self._pad, reading)
         self._stamp_s, self._velocity, self._quat = stamp_s, velocity, multiply(self._turn, enu_from_flu)
+        self._velocities.append((stamp_s, velocity))
+        while self._velocities[0][0] < stamp_s - _SLOPE_S:
+            self._velocities.popleft()
 
     def at(self, now_s: float) -> Motion:
         """The vehicle at now_s, carried on from the last reading for 0.1 s at most."""
         ahead_s = min(max(now_s - self._stamp_s, 0.0), _LONGEST_S)
-        gyro = frd_from_flu(self._felt.gyro_frd)
+        gyro, felt = frd_from_flu(self._felt.gyro_frd), self._felt.specific_force_frd
         p, v = self._position, self._velocity
         return Motion(
             (p[0] + v[0] * ahead_s, p[1] + v[1] * ahead_s, p[2] + v[2] * ahead_s), v,
             multiply(self._quat, from_small_rotation(gyro[0] * ahead_s, gyro[1] * ahead_s, gyro[2] * ahead_s)),
-            gyro, frd_from_flu(self._felt.specific_force_frd),
+            gyro, self._force() if felt is None else frd_from_flu(felt),
         )  # fmt: skip
+
+    def _force(self) -> Vec3:
+        """What carries the vehicle, by how its velocity changed of late: FLU, m/s^2."""
+        (first_s, a), (last_s, b) = (self._velocities[0], self._velocities[-1]) if self._velocities else ((0.0, _STILL),) * 2
+        dt_s = max(last_s - first_s, 1e-3)
+        force = ((b[0] - a[0]) / dt_s, (b[1] - a[1]) / dt_s, (b[2] - a[2]) / dt_s + GRAVITY_MPS2)
+        return rotate(conjugate(self._quat), force)
 
     def _carried(self, stamp_s: float, velocity: Vec3) -> Vec3:
         dt_s = stamp_s - self._stamp_s if math.isfinite(self._stamp_s) else 0.0

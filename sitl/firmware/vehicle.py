@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Protocol
 
@@ -14,13 +14,12 @@ from sitl.autopilot import Truth
 from sitl.firmware.path import Grain, TruePath
 from sitl.firmware.process import FirmwareError, FirmwareProcess
 from sitl.firmware.transmitter import Transmitter
-from sitl.mavlink_wire import Heard, Listener, Speaker, packet
+from sitl.firmware.wishes import COMPONENT, SYSTEM, Wishes
+from sitl.mavlink_wire import Heard, Listener, Speaker
 from sitl.transport import UdpPeer
 
-_SYSTEM, _COMPONENT = 1, 1
 _OURS = (251, 1)  # neither the vehicle's nor the companion's: it is told nothing but what to send
 _BOOT_S, _SILENT_S, _ASK_S = 60.0, 5.0, 1.0
-_LATER = (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_IN_PROGRESS)
 _ARMED = 128
 _STREAMS_HZ = (
     (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 50.0),  # a referee wants to know at once who flies
@@ -42,6 +41,11 @@ class Binary(Protocol):
     @property
     def streams_hz(self) -> tuple[tuple[int, float], ...]:
         """The messages to ask for, and how often."""
+        ...
+
+    @property
+    def set_late(self) -> Iterable[tuple[str, float, int]]:
+        """Parameters that it is told once it runs: name, value on the wire, MAV_PARAM_TYPE."""
         ...
 
     @property
@@ -90,9 +94,11 @@ class FirmwareVehicle:
         self._listener, self._speaker = Listener(), Speaker(*_OURS)
         self._now_s = self._heard_s = time.monotonic()
         self._asked_s = 0.0
-        streams_hz = (*binary.streams_hz, *_STREAMS_HZ)
-        self._wishes = deque([(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / hz) for kind, hz in streams_hz])
-        self._wishes.append((mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0))
+        self._wishes = Wishes()
+        for kind, rate_hz in (*binary.streams_hz, *_STREAMS_HZ):
+            self._wishes.stream(kind, rate_hz)
+        self._wishes.message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+        self._wishes.parameters(binary.set_late)
         self._armed, self._mode = False, ""
         self.setpoint_arrivals_s: list[float] = []
         self.failsafes: list[str] = []
@@ -109,7 +115,7 @@ class FirmwareVehicle:
         while data := self._link.read():
             stamp_s = self._link.arrival_s or now_s
             for message in self._listener.feed(data):
-                if message.sender == (_SYSTEM, _COMPONENT):
+                if message.sender == (SYSTEM, COMPONENT):
                     self._take(message, stamp_s)
         if now_s - self._asked_s >= _ASK_S:
             self._asked_s = now_s
@@ -153,19 +159,13 @@ class FirmwareVehicle:
             raise
 
     def _ask(self) -> None:
-        """For one thing at a time, again until it is answered: what is asked before the firmware listens is lost."""
-        if self._wishes:
-            numbers = (*self._wishes[0][1:], 0.0, 0.0, 0.0, 0.0, 0.0)
-            order = packet(mavlink.MAVLink_command_long_message, _SYSTEM, _COMPONENT, self._wishes[0][0], 0, *numbers)
-            self._link.write(self._speaker.frame(order))
-
-    def _answered(self, command: int, result: int) -> None:
-        if self._wishes and command == self._wishes[0][0] and result not in _LATER:
-            self._wishes.popleft()
-            self._ask()
+        if (wish := self._wishes.due()) is not None:
+            self._link.write(self._speaker.frame(wish))
 
     def _take(self, message: Heard, stamp_s: float) -> None:
         self._binary.follow(message, stamp_s, self._path)
+        if self._wishes.answered(message):
+            self._ask()
         if message.kind in (mavlink.MAVLINK_MSG_ID_SIM_STATE, mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION):
             self._heard_s = stamp_s
         elif message.kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
@@ -175,8 +175,6 @@ class FirmwareVehicle:
             self.boot_s = min(self.boot_s, stamp_s - message.time_boot_ms * 1e-3)
         elif message.kind == mavlink.MAVLINK_MSG_ID_SYS_STATUS:
             self.battery_fraction = message.battery_remaining * 1e-2 if message.battery_remaining >= 0 else math.nan
-        elif message.kind == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
-            self._answered(message.command, message.result)
         elif message.kind == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
             self.version = _version(message)
             print(f"firmware {self.version}", flush=True)

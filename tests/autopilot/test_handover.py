@@ -36,11 +36,21 @@ def test_the_gap_closes_smoothly() -> None:
 
 
 def test_a_beginning_elsewhere_is_left_for_the_guard_to_refuse() -> None:
-    trajectory = still((0.31, 0.0, 1.0))
+    trajectory = still((0.51, 0.0, 1.0))
     handover = Handover(Setpoint.hold(np.array([0.0, 0.0, 1.0]), 0.0), 0.03, trajectory, 0.0)
-    np.testing.assert_array_equal(handover.apply(trajectory.setpoint_at(0.0), 0.0).position_m, [0.31, 0.0, 1.0])
-    turned = Handover(Setpoint.hold(np.array([0.31, 0.0, 1.0]), 0.6), 0.03, trajectory, 0.0)
+    np.testing.assert_array_equal(handover.apply(trajectory.setpoint_at(0.0), 0.0).position_m, [0.51, 0.0, 1.0])
+    turned = Handover(Setpoint.hold(np.array([0.51, 0.0, 1.0]), 0.6), 0.03, trajectory, 0.0)
     assert turned.apply(trajectory.setpoint_at(0.0), 0.0).yaw_rad == 0.0
+
+
+def test_what_was_pushed_off_its_way_goes_on_from_where_it_is() -> None:
+    """Off its way counts from 0.35 m: the mission holds it where it then is, and that must not be a jump."""
+    trajectory = still((0.45, 0.0, 1.0))
+    handover = Handover(Setpoint.hold(np.array([0.0, 0.0, 1.0]), 0.0), 0.0, trajectory, 0.0)
+    places = np.array([handover.apply(trajectory.setpoint_at(t), t).position_m[0] for t in np.arange(0.0, 8.0, 0.03)])
+    assert places[0] == pytest.approx(0.0)
+    assert places[-1] == pytest.approx(0.45)
+    assert np.abs(np.diff(places)).max() < 0.01
 
 
 def test_what_goes_on_in_motion_is_flown_as_it_is() -> None:

@@ -131,6 +131,7 @@ def test_what_the_autopilot_says() -> None:
     assert read(wire.MAVLink_estimator_status_message(0, 0xFFF7, *[0.0] * 8)) == EstimatorStatus(False)
     bit = wire.MAV_SYS_STATUS_PREARM_CHECK
     assert read(wire.MAVLink_sys_status_message(bit, bit, bit, 0, 0, 0, 80, *[0] * 6)) == SystemStatus(True, 0.8)
+    assert read(wire.MAVLink_sys_status_message(0, 0, bit, 0, 0, 0, 80, *[0] * 6)) == SystemStatus(True, 0.8), "PX4 1.17"
     sick = read(wire.MAVLink_sys_status_message(bit, bit, 0, 0, 0, 0, -1, *[0] * 6))
     assert isinstance(sick, SystemStatus)
     assert not sick.prearm_good

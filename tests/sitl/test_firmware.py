@@ -186,11 +186,13 @@ def test_px4s_truth_is_read_in_its_own_units() -> None:
 
     state = mavlink.MAVLink_hil_state_quaternion_message
     say(1.0, state, 0, [1, 0, 0, 0], 0, 0, 0, 473977420, 85455940, 488000, 0, 0, 0, 0, 0, 0, 0, 0)
-    say(1.0, mavlink.MAVLink_highres_imu_message, 0, 0.5, 0, -9.75, 0, 0.25, 0, *[0] * 6, 63, 0)
-    say(3.0, state, 0, [1, 0, 0, 0], 0, 0, 0, 473977420 + 90, 85455940, 489500, 50, 0, -25, 0, 0, 0, 0, 0)
+    say(3.0, state, 0, [1, 0, 0, 0], 0, 0.25, 0, 473977420 + 90, 85455940, 489500, 50, 0, -25, 0, 0, 0, 0, 0)
     motion = path.at(3.0)
     assert motion.position == pytest.approx((0.0, 1.0, 1.5), abs=0.02)
     assert motion.velocity == pytest.approx((0.0, 0.5, 0.25))
-    assert motion.specific_force == pytest.approx((0.5, 0.0, 9.75))
+    assert motion.specific_force == pytest.approx((0.0, 0.0, 9.80665))
+    say(3.04, state, 0, [1, 0, 0, 0], 0, 0.25, 0, 473977420 + 92, 85455940, 489510, 52, 0, -25, 0, 0, 0, 0, 0)
+    motion = path.at(3.04)
+    assert motion.specific_force == pytest.approx((0.5, 0.0, 9.80665)), "it begins to go north, where its nose points"
     assert motion.gyro == pytest.approx((0.0, -0.25, 0.0))
     assert [px4.mode(m) for m in (4 << 16 | 6 << 24, 6 << 16, 99)] == ["LAND", "OFFBOARD", "99"]

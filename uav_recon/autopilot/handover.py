@@ -10,7 +10,7 @@ import numpy as np
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
-_LARGEST_GAP_M = 0.3  # more is not a beginning from here: the guard shall refuse it
+_LARGEST_GAP_M = 0.5  # beyond what counts as off its way; more is not a beginning from here: the guard shall refuse it
 _LARGEST_TURN_RAD = 0.5
 _SHORTEST_S = 1.0
 _MEAN_SPEED_MPS = 0.08

@@ -193,9 +193,9 @@ def _heartbeat(kind: int, autopilot: int, base_mode: int, custom_mode: int) -> M
     return Heartbeat(kind, autopilot, bool(base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED), custom_mode)
 
 
-def _system_status(present: int, health: int, battery_remaining: int) -> Message:
+def _system_status(health: int, battery_remaining: int) -> Message:
     battery = battery_remaining / 100 if 0 <= battery_remaining <= 100 else math.nan
-    return SystemStatus(bool(present & health & wire.MAV_SYS_STATUS_PREARM_CHECK), battery)
+    return SystemStatus(bool(health & wire.MAV_SYS_STATUS_PREARM_CHECK), battery)  # PX4 never says that it is present
 
 
 def _local_position(*numbers: float) -> Message | None:
@@ -257,7 +257,7 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
     (wire.MAVLink_ekf_status_report_message, ("flags", "pos_horiz_variance"), _ekf),
     (
         wire.MAVLink_sys_status_message,
-        ("onboard_control_sensors_present", "onboard_control_sensors_health", "battery_remaining"),
+        ("onboard_control_sensors_health", "battery_remaining"),
         _system_status,
     ),
     (wire.MAVLink_local_position_ned_message, ("x", "y", "z", "vx", "vy", "vz"), _local_position),

@@ -23,6 +23,7 @@ from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 FRAME_TIMEOUT_S = 1.0
 VIEW_LATE_S = 0.6  # a view that no frame met for so long is given up
+LIFT_M, LIFTED_M = 0.3, 0.2  # of a take-off: so high first, and what counts as off the floor
 PROGRESS_PERIOD_S, MAP_PERIOD_S, FREE_PERIOD_S = 0.2, 1.0, 0.2
 
 
@@ -46,6 +47,7 @@ class Conductor:
         self._map_epoch, self._correction_sequence = 0, wires.correction.sequence()  # what stands there is of another flight
         self._surface_revision, self._refusals = -1, 0
         self._took_off_s = np.inf
+        self._risen = False  # off the floor, and told to climb to where it flies
         self._reported_s = self._map_published_s = self._free_published_s = -np.inf
         self._free_revision, self._proposed = -1, self._course.trajectory
         self._start = self._abort = self._hold = self._go_home = self._released = False
@@ -148,7 +150,7 @@ class Conductor:
         if self._released and self.phase is Phase.HOLD:
             self._helm.hold(now_s, vehicle)
         elif self._released and self.phase is Phase.TAKEOFF:
-            self._course.trajectory = None
+            self._course.trajectory, self._risen = None, False
         self._released = False
 
     def _facts(self, now_s: float, vehicle: VehicleState) -> Facts:
@@ -157,7 +159,7 @@ class Conductor:
             start=self._start and self.map is not None,
             abort=self._abort,
             at_rest=self._helm.at_rest(now_s),
-            took_off=self._course.trajectory is not None,
+            took_off=self._risen,
             frame_age_s=now_s - self._frame_s,
             frame_timeout_s=FRAME_TIMEOUT_S,
             nothing_left=bool(self._account.stop_reason),
@@ -205,11 +207,14 @@ class Conductor:
                 self.request_abort(self._homeward.lost)
 
     def _take_off(self, now_s: float, vehicle: VehicleState) -> None:
-        if self._course.trajectory is not None or vehicle.phase is not FlightPhase.FLYING:
+        """Off the floor first, then up: the setpoint is not to climb away from an autopilot that still ramps its thrust up."""
+        resting = self._course.trajectory is None or self._helm.at_rest(now_s)
+        if not resting or self._risen or vehicle.phase is not FlightPhase.FLYING:
             return
         start = self._course.rest(vehicle)
-        goal = np.array([*start.position_m[:2], self._orders.takeoff_height_m])
-        self._took_off_s = now_s
+        self._risen = bool(start.position_m[2] >= LIFTED_M)
+        goal = np.array([*start.position_m[:2], self._orders.takeoff_height_m if self._risen else LIFT_M])
+        self._took_off_s = min(self._took_off_s, now_s)
         up = self._stages.motion.line(start, goal, start.yaw_rad, now_s, self._course.next_identifier())
         self._helm.fly(up, now_s)
 

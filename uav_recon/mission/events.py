@@ -74,7 +74,7 @@ class Facts:
     start: bool  # given by the operator or by autostart, with every stage warm
     abort: bool
     at_rest: bool  # the trajectory is flown and its views are taken
-    took_off: bool  # a take-off trajectory was handed out
+    took_off: bool  # it is off the floor, and the climb was handed out
     frame_age_s: float
     frame_timeout_s: float
     nothing_left: bool

@@ -1,0 +1,59 @@
+"""What a firmware is asked for once it runs: one thing at a time, again until it is answered."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.mavlink_wire import Heard, Packet, packet
+
+SYSTEM, COMPONENT = 1, 1  # of every firmware that is not told otherwise
+_LATER = (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_IN_PROGRESS)
+
+
+class Wishes:
+    """Commands, each answered by its ACK, and values of parameters, each answered by its PARAM_VALUE.
+
+    What is asked before the firmware listens is lost: the first one is due until it is answered.
+    """
+
+    def __init__(self) -> None:
+        self._todo: deque[tuple[int | str, Packet]] = deque()
+
+    def stream(self, kind: int, rate_hz: float) -> None:
+        """Messages of this kind, so many a second."""
+        self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / rate_hz)
+
+    def message(self, kind: int) -> None:
+        """One message of this kind."""
+        self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, kind, 0.0)
+
+    def parameters(self, values: Iterable[tuple[str, float, int]]) -> None:
+        """Each as it goes over the wire: name, value, MAV_PARAM_TYPE."""
+        for name, value, kind in values:
+            wish = packet(mavlink.MAVLink_param_set_message, SYSTEM, COMPONENT, name.encode(), value, kind)
+            self._todo.append((name, wish))
+
+    def due(self) -> Packet | None:
+        """What is to be asked now, None when all is answered."""
+        return self._todo[0][1] if self._todo else None
+
+    def answered(self, message: Heard) -> bool:
+        """Whether this answers it; then the next one is due."""
+        if message.kind == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and message.result not in _LATER:
+            what: int | str = message.command
+        elif message.kind == mavlink.MAVLINK_MSG_ID_PARAM_VALUE:
+            what = message.param_id
+        else:
+            return False
+        if not self._todo or self._todo[0][0] != what:
+            return False
+        self._todo.popleft()
+        return True
+
+    def _command(self, command: int, *numbers: float) -> None:
+        padded = (*numbers, *[0.0] * (7 - len(numbers)))
+        wish = packet(mavlink.MAVLink_command_long_message, SYSTEM, COMPONENT, command, 0, *padded)
+        self._todo.append((command, wish))
