@@ -15,6 +15,7 @@ from sitl.px4_modes import Mode
 COMPANION_PORT = 14540  # where its first instance sends, as system 1
 _TRUTH_PORT = 19410  # where its start script sends SIH's display
 _MODEL = "sihsim_quadx"
+_DRAG = "0.4"  # N s/m for its 1 kg; quadrotors have some 0.4 to 0.5 1/s (Faessler et al. 2018), its own is 1.0
 _NAMES = {mode.value: mode.name for mode in Mode}
 
 
@@ -44,7 +45,7 @@ class Px4Binary:
     def environment(self) -> dict[str, str]:
         """The model, and the parameters: its start script sets what is called PX4_PARAM_NAME."""
         chosen = {f"PX4_PARAM_{name}": value for name, value in self._wanted().items()}
-        return {"PX4_SIM_MODEL": _MODEL, "PX4_SIMULATOR": "sihsim", **chosen}
+        return {"PX4_SIM_MODEL": _MODEL, "PX4_SIMULATOR": "sihsim", "PX4_PARAM_SIH_KDV": _DRAG, **chosen}
 
     @property
     def set_late(self) -> Iterable[tuple[str, float, int]]:

@@ -1,0 +1,56 @@
+"""The world's process in real time: what it notes down for hours must not make it stand still."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+
+import pytest
+
+from sitl import fly_world
+
+
+class NotesDown:
+    """As much as a world notes down in an hour, at each step a little."""
+
+    def __init__(self) -> None:
+        self.notes: list[tuple[object, ...]] = []
+
+    def step(self, now_s: float) -> None:
+        self.notes += [([now_s],) for _ in range(2000)]
+
+    def frame_due(self, now_s: float) -> bool:
+        return False
+
+
+class NoDarkroom:
+    def __init__(self, world: NotesDown) -> None:
+        self.world = world
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def collections() -> Iterator[list[int]]:
+    """The generation of each collection of garbage from here on."""
+    seen, thresholds = list[int](), gc.get_threshold()
+
+    def note(phase: str, about: dict[str, int]) -> None:
+        if phase == "start":
+            seen.append(about["generation"])
+
+    gc.collect()
+    gc.callbacks.append(note)
+    yield seen
+    gc.callbacks.remove(note)
+    gc.set_threshold(*thresholds)
+    gc.unfreeze()
+
+
+def test_a_long_flight_is_never_gone_through_as_a_whole(collections: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fly_world, "Darkroom", NoDarkroom)
+    world = NotesDown()
+    fly_world.run(world, lambda _: len(world.notes) >= 400_000)  # type: ignore[arg-type]
+    assert collections.count(0) > 100
+    assert 2 not in collections
