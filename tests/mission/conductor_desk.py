@@ -149,6 +149,7 @@ class Desk:
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
+        self.note = ""
         self.seen: list[Phase] = []
         self._place_m = np.zeros(3)
         self.epoch = 0
@@ -171,6 +172,12 @@ class Desk:
         intent = self.wires.intent.latest()
         assert intent is not None
         return intent
+
+    @property
+    def progress(self) -> MissionProgress:
+        progress = self.wires.progress.latest()
+        assert progress is not None
+        return progress
 
     def speed_mps(self) -> float:
         trajectory = self.intent.trajectory
@@ -196,7 +203,7 @@ class Desk:
         armed = self.phase is FlightPhase.FLYING
         self.wires.vehicle.publish(
             VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase, 0.9,
-                         self.human, float("nan"), 1, self.refusals, "")
+                         self.human, float("nan"), 1, self.refusals, self.note)
         )  # fmt: skip
 
     def _frame(self) -> None:

@@ -18,6 +18,7 @@ from uav_recon.types.camera import Intrinsics
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.trajectory import Goal
+from uav_recon.types.vehicle import FlightPhase
 
 GRID = GridSpec(np.array([-3.0, -3.0, -1.0]), 0.1, (60, 60, 40))
 LENS = Intrinsics(10.0, 10.0, 1.5, 1.5, 4, 4)
@@ -81,6 +82,21 @@ def test_an_abort_lands_at_once(desk: Desk) -> None:
     desk.run(0.2, until=Phase.LANDING)
     desk.run(1.0, until=Phase.DONE)
     assert desk.conductor.close() == "aborted: the operator asked to land"
+
+
+def test_what_the_pilot_waits_for_and_why_it_lands_is_told(desk: Desk) -> None:
+    desk.phase, desk.note = FlightPhase.CONNECTING, "pre-arm checks fail"
+    desk.run(1.0)
+    assert desk.progress.note == "pre-arm checks fail"
+    desk.phase, desk.note = FlightPhase.READY, ""
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    assert desk.progress.note == ""
+    desk.phase, desk.note = FlightPhase.LANDING, "no pose for 0.7 s"
+    desk.run(0.5, until=Phase.LANDING)
+    desk.phase = FlightPhase.LANDED
+    desk.run(1.0, until=Phase.DONE)
+    assert desk.conductor.close() == "aborted: no pose for 0.7 s"
 
 
 def test_home_is_clear_above_as_well_as_beside(desk: Desk) -> None:

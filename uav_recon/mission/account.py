@@ -9,7 +9,7 @@ from uav_recon.protocols import Journal
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import NothingLeft, TaskKind, ViewPath
-from uav_recon.types.vehicle import MissionProgress
+from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
 
 @dataclass
@@ -60,6 +60,12 @@ class Account:
         """Note a plan or a motion that is not flown."""
         self.note = reason
         self.journal.refusal(stamp_s, reason)
+
+    def hear(self, phase: Phase, vehicle: VehicleState) -> None:
+        """On the ground the pilot says why nothing happens yet, and of a landing that is its own why it lands."""
+        waits = phase in (Phase.IDLE, Phase.READY)
+        if waits or (vehicle.phase is FlightPhase.LANDING and phase is not Phase.LANDING and vehicle.note):
+            self.note = vehicle.note
 
     def progress(
         self, stamp_s: float, phase: Phase, explored_m3: float, path_length_m: float, position_world: FloatArray, finished: bool

@@ -90,6 +90,7 @@ class Conductor:
             self._course.follow(vehicle)
             self._hear_guard(now_s, vehicle)
             self._hear_release(now_s, vehicle)
+            self._account.hear(self.phase, vehicle)
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
         self._publish(now_s)
