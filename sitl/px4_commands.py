@@ -13,7 +13,7 @@ from sitl.mavlink_server import MavlinkServer
 from sitl.mavlink_wire import Heard, packet
 from sitl.px4_modes import Mode
 from sitl.px4_state import State
-from sitl.requests import DENIED, FORCE, FORCE_SET, NO_YAW, NO_YAW_RATE, Requests
+from sitl.requests import DENIED, FAILED, FORCE, FORCE_SET, NO_YAW, NO_YAW_RATE, Requests
 
 _DUPLICATE_ACKS = 0.5  # share of DO_SET_MODE that is acknowledged twice
 _POSE_FRAMES = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_LOCAL_NED)
@@ -114,6 +114,8 @@ class Commands(Requests):
 
     def _carry_out(self, command: int, p: tuple[float, ...]) -> int | None:
         s = self._s
+        if command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL and p[0] == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            return FAILED  # it comes once a second, and when it is asked for (measured)
         if command == mavlink.MAV_CMD_DO_SET_MODE:
             if not int(p[0]) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
                 return DENIED

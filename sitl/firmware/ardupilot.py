@@ -45,6 +45,7 @@ class ArduPilotBinary:
 
     grain = Grain(metres_per_e7=0.011131884502145034, height_step_m=0.01)
     streams_hz = ((mavlink.MAVLINK_MSG_ID_SIM_STATE, 100.0),)
+    asked_again = ()
     set_late = ()  # it reads them all from a file
     truth_port = companion_port = 0  # any
 

@@ -33,6 +33,7 @@ class Px4Binary:
     grain = Grain(metres_per_e7=0.011119492664455873, height_step_m=0.001)
     streams_hz = ((mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, 100.0),)
     truth_port, companion_port = _TRUTH_PORT, COMPANION_PORT
+    asked_again = (mavlink.MAVLINK_MSG_ID_HEARTBEAT,)  # its rate cannot be set
     transmitter = None  # its simulation has no sticks
 
     def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE) -> None:

@@ -19,7 +19,7 @@ from sitl.mavlink_wire import Heard, Listener, Speaker
 from sitl.transport import UdpPeer
 
 _OURS = (251, 1)  # neither the vehicle's nor the companion's: it is told nothing but what to send
-_BOOT_S, _SILENT_S, _ASK_S = 60.0, 5.0, 1.0
+_BOOT_S, _SILENT_S, _ASK_S, _POLL_S = 60.0, 5.0, 1.0, 0.02
 _ARMED = 128
 _STREAMS_HZ = (
     (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 50.0),  # a referee wants to know at once who flies
@@ -58,6 +58,11 @@ class Binary(Protocol):
         """Its pilot's, None where its simulation has no sticks."""
         ...
 
+    @property
+    def asked_again(self) -> tuple[int, ...]:
+        """Messages that it only sends as often when each is asked for."""
+        ...
+
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
         """What starts it in a folder that is empty."""
         ...
@@ -93,7 +98,7 @@ class FirmwareVehicle:
             raise FirmwareError(f"port {binary.truth_port}, where the firmware sends the truth: {error.strerror}") from None
         self._listener, self._speaker = Listener(), Speaker(*_OURS)
         self._now_s = self._heard_s = time.monotonic()
-        self._asked_s = 0.0
+        self._asked_s = self._polled_s = 0.0
         self._wishes = Wishes()
         for kind, rate_hz in (*binary.streams_hz, *_STREAMS_HZ):
             self._wishes.stream(kind, rate_hz)
@@ -120,6 +125,11 @@ class FirmwareVehicle:
         if now_s - self._asked_s >= _ASK_S:
             self._asked_s = now_s
             self._process.check()
+            self._ask()
+        if now_s - self._polled_s >= _POLL_S and self._wishes.due() is None:
+            self._polled_s = now_s
+            for kind in self._binary.asked_again:
+                self._wishes.message(kind)
             self._ask()
         if self._path.begun and self._binary.transmitter is not None:
             self._binary.transmitter.hold(self.truth())

@@ -71,6 +71,20 @@ def test_default_rates() -> None:
     )
 
 
+def test_a_heartbeat_has_no_rate_but_comes_when_it_is_asked_for() -> None:
+    """Measured on 1.17."""
+    c = companion()
+    assert c.ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_HEARTBEAT, 100_000.0) == 4
+    c.run(0.5)
+    c.keep = {"HEARTBEAT"}
+    c.messages.clear()
+    c.run(5.0)
+    assert len(c.messages) == 5
+    for _ in range(10):
+        assert c.ask(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_HEARTBEAT) == 0
+    assert len(c.messages) >= 15
+
+
 def test_the_version_is_told_on_request() -> None:
     c = companion()
     assert c.ask(mavlink.MAV_CMD_REQUEST_MESSAGE, 148) == 0

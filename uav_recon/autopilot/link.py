@@ -38,8 +38,9 @@ _DEAF_S = 2.0
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _NS = 1_000_000_000
 _PROMPT_NS = 25_000_000  # a question is answered so soon, or its round trip is too long to be learned from
-# Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most.
-_CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
+# Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most; the question for its mode.
+_CHATTER_HZ = (5.0, 10.0, 50.0, 10.0, 10.0)
+_HEARTBEAT = 0.0
 
 
 class Link:
@@ -64,7 +65,8 @@ class Link:
         self._own = (system, component)
         self._decoder, self._encoder = Decoder(), Encoder(system, component)
         self._timesync, self._succession = TimeSyncFilter(), Succession()
-        self._heartbeat, self._sync, self._resync, self._gimbal = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
+        keepers = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
+        self._heartbeat, self._sync, self._resync, self._gimbal, self._mode = keepers
         self._asked_parameters: set[str] = set()
         self.telemetry = Telemetry()
 
@@ -96,6 +98,12 @@ class Link:
             self._send(self._encoder.heartbeat(), now_s)
         if self.telemetry.system and (self._resync if self._timesync.lost else self._sync).due(now_s):
             self._send(self._encoder.timesync(0, int(now_s * _NS)), now_s)
+        self.ask_mode(now_s)
+
+    def ask_mode(self, now_s: float) -> None:
+        """For a HEARTBEAT, where it does not come often by itself."""
+        if self.telemetry.system and self.firmware.asks_mode and self._mode.due(now_s):
+            self.command(now_s, _REQUEST_MESSAGE, _HEARTBEAT)
 
     def stop_heartbeats(self) -> None:
         """From now on the autopilot is to take us for dead, and to land by itself where it is ours no more."""

@@ -48,7 +48,7 @@ class Personality:
 
     missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, '' for
     nothing. pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: what of a setpoint it is to ignore. streams_hz: messages to
-    ask for; asked_once: once.
+    ask for; asked_once: once; asks_mode: HEARTBEAT one by one, for its rate cannot be set.
     """
 
     mode_name: Callable[[int], str]
@@ -62,6 +62,7 @@ class Personality:
     setpoint_mask: int
     streams_hz: tuple[tuple[int, float], ...]
     asked_once: tuple[int, ...]
+    asks_mode: bool
 
 
 def missing_to_follow(

@@ -35,7 +35,6 @@ MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew t
 UNKNOWN_VERSION = (1, 18, 0)  # what it does with our words is not known: AUTOPILOTS reads up to 1.17
 
 STREAMS_HZ = (
-    (0, 10.0),  # HEARTBEAT: a human's mode is to be seen at once
     (1, 2.0),  # SYS_STATUS
     (31, 30.0),  # ATTITUDE_QUATERNION
     (32, 30.0),  # LOCAL_POSITION_NED
@@ -115,4 +114,5 @@ class Arming:
 PX4 = Personality(
     mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, Arming,
     land=LAND, pose_frame=LOCAL_NED, setpoint_mask=0, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
+    asks_mode=True,  # once a second by itself, whatever interval it is told (measured): too late to see a human's mode
 )  # fmt: skip
