@@ -32,6 +32,16 @@ def test_of_three_copies_late_and_among_others_the_first_counts() -> None:
     assert taken == list(range(400))
 
 
+def test_on_a_busy_link_numbers_come_round_before_the_last_copy_does() -> None:
+    """512 frames a second: what is half a second late has the number of what is sent now."""
+    succession, arrivals = Succession(), []
+    for number in range(2048):
+        arrivals += [(number / 512 + late, number) for late in (0.0, 0.25, 0.4, 0.5)]
+    told = {number: wire.MAVLink_heartbeat_message(2, 12, 0, number, 4, 3) for number in range(2048)}
+    taken = [n for at_s, n in sorted(arrivals) if at_s < 4.0 and succession.is_news(frame(n, told[n]), at_s)]
+    assert taken == list(range(2048))
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_taken_never_goes_back(seed: int) -> None:
     dice, succession = random.Random(seed), Succession()

@@ -13,8 +13,8 @@ os.environ["MAVLINK20"] = "1"
 from pymavlink.dialects.v20 import ardupilotmega as wire  # the common messages, and EKF_STATUS_REPORT
 
 __all__ = [
-    "MAGIC_1", "MAGIC_2", "Layout", "frame_length", "framed", "is_intact", "is_signed", "kind_of", "marked_signed", "sender_of",
-    "wire",
+    "MAGIC_1", "MAGIC_2", "Layout", "frame_length", "framed", "is_intact", "is_signed", "kind_of", "marked_signed",
+    "payload_of", "sender_of", "wire",
 ]  # fmt: skip
 
 MAGIC_1, MAGIC_2 = 0xFE, 0xFD
@@ -49,6 +49,11 @@ def frame_length(buffer: bytes, at: int) -> int:
 def kind_of(frame: bytes) -> int:
     """Message id of a whole frame."""
     return frame[5] if frame[0] == MAGIC_1 else frame[7] | frame[8] << 8 | frame[9] << 16
+
+
+def payload_of(frame: bytes) -> bytes:
+    """Payload of a whole MAVLink 2 frame."""
+    return frame[_HEADER_2 : _HEADER_2 + frame[1]]
 
 
 def sender_of(frame: bytes) -> tuple[int, int]:
