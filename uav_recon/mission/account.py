@@ -62,7 +62,7 @@ class Account:
         self.journal.refusal(stamp_s, reason)
 
     def hear(self, phase: Phase, vehicle: VehicleState) -> None:
-        """On the ground the pilot says why nothing happens, or why it gave the arming up; of a landing of its own, why it lands."""
+        """On the ground the pilot says why nothing happens or arming was given up; of a landing of its own, why it lands."""
         grounded = phase in (Phase.IDLE, Phase.READY) or (phase is Phase.TAKEOFF and vehicle.phase is FlightPhase.READY)
         if grounded or (vehicle.phase is FlightPhase.LANDING and phase is not Phase.LANDING and vehicle.note):
             self.note = vehicle.note
