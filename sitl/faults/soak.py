@@ -81,5 +81,5 @@ def soak(name: str, said: str, for_s: float, most_mb_per_h: float) -> Row:
 SOAKS = (
     soak("G9-2h", "two hours", 7200.0, 1.0),
     soak("G9-5min", "five minutes", 300.0, 12.0),
-    soak("G9-1min", "one minute", 60.0, 120.0),  # 2 MB in it: one that is taken at once is no slope
+    soak("G9-1min", "one minute", 60.0, 60.0),
 )

@@ -15,7 +15,7 @@ from sitl.px4_modes import Mode
 COMPANION_PORT = 14540  # where its first instance sends, as system 1
 _TRUTH_PORT = 19410  # where its start script sends SIH's display
 _MODEL = "sihsim_quadx"
-# What a bench would set up for its airframe. Drag: quadrotors have some 0.4 to 0.5 1/s (Faessler et al. 2018), its own is 1.0.
+# What a bench would set up for its airframe. Drag, N s/m on 1 kg: chosen, not measured, less than half of its own 1.0.
 # Noise: as its simulated sensor has it over 10 ms, three to six times what the estimator expects of one.
 _BENCH = {"SIH_KDV": "0.4", "EKF2_ACC_NOISE": "1.0", "EKF2_GYR_NOISE": "0.09"}
 _NAMES = {mode.value: mode.name for mode in Mode}

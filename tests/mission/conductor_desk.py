@@ -149,7 +149,7 @@ class Desk:
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
-        self.note = ""
+        self.note, self.stands = "", False
         self.seen: list[Phase] = []
         self._place_m = np.zeros(3)
         self.epoch = 0
@@ -195,7 +195,7 @@ class Desk:
                 self.phase = FlightPhase.FLYING
             elif intent.goal is Goal.LAND:
                 self.phase = FlightPhase.LANDED
-            if intent.trajectory is not None:
+            if intent.trajectory is not None and not self.stands:
                 setpoint = intent.trajectory.setpoint_at(self.clock.now_s())
                 position, yaw = setpoint.position_m, setpoint.yaw_rad
         self._place_m = position

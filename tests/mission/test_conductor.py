@@ -84,6 +84,19 @@ def test_an_abort_lands_at_once(desk: Desk) -> None:
     assert desk.conductor.close() == "aborted: the operator asked to land"
 
 
+def test_the_setpoint_does_not_climb_away_from_a_vehicle_that_still_stands(desk: Desk) -> None:
+    desk.stands = True
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.TAKEOFF)
+    desk.run(4.0)  # a pilot gives the take-off up by then
+    assert desk.intent.trajectory is not None
+    assert desk.intent.trajectory.position_m[:, 2].max() == pytest.approx(0.3)
+    assert desk.conductor.phase is Phase.TAKEOFF
+    desk.stands = False
+    desk.run(30.0, until=Phase.SURVEY)
+    assert desk.distance_m() < 0.1
+
+
 def test_what_the_pilot_waits_for_and_why_it_lands_is_told(desk: Desk) -> None:
     desk.phase, desk.note = FlightPhase.CONNECTING, "pre-arm checks fail"
     desk.run(1.0)

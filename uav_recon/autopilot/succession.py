@@ -7,7 +7,7 @@ import math
 from uav_recon.autopilot.framing import kind_of, payload_of
 
 _NUMBERS = 256  # of MAVLink, then again from 0
-_AGAIN_S = 1.0  # so late a copy of a frame may still come; by then a busy sender has counted round twice
+_AGAIN_S = 1.0  # so late a copy of a frame may still come; by half of that a busy sender is half round
 _SILENCE_S = 0.5  # a kind not heard for so long is news whatever its number: a sender may count anew, or two share its name
 
 
