@@ -24,7 +24,7 @@ from sitl.faults.footprint_chart import Track, draw
 from sitl.faults.injector import Theatre
 from sitl.faults.roster import Roster
 from sitl.faults.row import judge
-from sitl.faults.soak import FOR_S, SOAKS, Told, orders, soak
+from sitl.faults.soak import BREATH_MB, FOR_S, SOAKS, Told, orders, soak
 from sitl.faults.table import ROWS, TABLE
 from sitl.fly_faults import FaultOptions
 
@@ -157,19 +157,27 @@ def test_orders_are_given_once_by_the_command_line_and_nobody_is_left(tmp_path: 
 
 def test_a_soak_is_held_to_flat_memory_descriptors_and_its_length() -> None:
     """The flight of the evidence lands 10 s after the moment."""
-    row = soak("X", "ten seconds", 9.5, 1.0)
+    row = soak("X", "ten seconds", 9.5, 1.0, 1.0)
     assert judge(row, evidence(notes=FLAT), []).passed(row, "px4")
     for name in FLAT:
         assert not judge(row, evidence(notes=FLAT | {name: 1.1}), []).passed(row, "px4"), name
         without = {key: value for key, value in FLAT.items() if key != name}
         assert not judge(row, evidence(notes=without), []).passed(row, "px4"), f"without {name}"
     assert not judge(row, evidence(notes=FLAT | {"pilot MB/h": math.nan}), []).passed(row, "px4")
-    longer = soak("X", "eleven seconds", 11.0, 1.0)
+    longer = soak("X", "eleven seconds", 11.0, 1.0, 1.0)
     assert not judge(longer, evidence(notes=FLAT), []).passed(longer, "px4"), "it was cut short"
     flown = evidence(notes=FLAT)
     thin = flown.wire.setpoint_s[(flown.wire.setpoint_s < ONSET_S + 3.0) | (np.arange(len(flown.wire.setpoint_s)) % 2 == 0)]
     starved = dataclasses.replace(flown, wire=dataclasses.replace(flown.wire, setpoint_s=thin))
     assert not judge(row, starved, []).passed(row, "px4"), "fifteen setpoints a second"
+
+
+@pytest.mark.parametrize(("row", "for_s"), [("G9-5min", 300.0), ("G9-1min", 60.0)])
+def test_a_breath_is_no_growth_and_a_colour_image_kept_each_second_is(row: str, for_s: float) -> None:
+    t, bar = np.arange(for_s), ROWS[row].bars[1]
+    steepest = max(track(np.where(t < at_s, 240.0, 240.0 + BREATH_MB)).mb_per_h() for at_s in t)
+    leaking = track(240.0 + 424 * 240 * 3 / 1e6 * t).mb_per_h()
+    assert 0.9 * bar.limit < steepest < bar.limit < 0.5 * leaking
 
 
 def test_a_soak_is_flown_by_its_rows_name_in_real_time_alone_and_not_by_default() -> None:
