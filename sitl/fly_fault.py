@@ -118,7 +118,8 @@ class _Together:
 
 def record_of(case: FaultCase, evidence: Evidence) -> FaultRecord:
     """Judged."""
-    verdict = judge(ROWS[case.row], evidence, violations(evidence))
+    row = ROWS[case.row]
+    verdict = judge(row, evidence, violations(evidence, row.overshoot_m))
     return FaultRecord(case, verdict, float(evidence.end_s - evidence.stamp_s[0]), firmware=evidence.firmware)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sitl.faults.injector import Injector, Needs, Theatre
+from sitl.faults.injector import TAKEN_OVER, Injector, Needs, Theatre
 
 
 class Push(Injector):
@@ -49,7 +49,7 @@ class Takeover(Injector):
     def turn(self, at: Theatre, since_s: float) -> None:
         """Once."""
         if not self._done and since_s >= self._later_s:
-            self._done = True
+            self._done, at.notes[TAKEN_OVER] = True, at.now_s
             switch(at, self._modes)
 
 

@@ -15,10 +15,11 @@ _TURN_S = 1.0 / 60.0
 _PERIOD_S = 1.0 / 30.0  # of setpoints
 
 
-def violations(e: Evidence) -> list[str]:
-    """What was broken, in words with figures; empty for a flight that kept all of it."""
-    checks = (_contact, _fence, _numbers, _speed, _steps, _place, _authority, _disarm, _end)
-    return [said for check in checks if (said := check(e))]
+def violations(e: Evidence, overshoot_m: float = FENCE_M) -> list[str]:
+    """What was broken, in words with figures; empty for a flight that kept all of it. overshoot_m: of the fence, at most."""
+    checks = (_contact, _numbers, _speed, _steps, _place, _authority, _disarm, _end)
+    told = (check(e) for check in checks)
+    return [said for said in (*told, _fence(e, overshoot_m)) if said]
 
 
 def _contact(e: Evidence) -> str:
@@ -26,9 +27,9 @@ def _contact(e: Evidence) -> str:
     return f"contact: clearance {least_m:.3f} m" if least_m < CONTACT_M else ""
 
 
-def _fence(e: Evidence) -> str:
+def _fence(e: Evidence, most_m: float) -> str:
     out_m = measures.overshoot(e)
-    return f"fence overshot by {out_m:.2f} m" if out_m > FENCE_M else ""
+    return f"fence overshot by {out_m:.2f} m" if out_m > most_m else ""
 
 
 def _numbers(e: Evidence) -> str:

@@ -9,11 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.faults.injector import TAKEN_OVER
 from sitl.faults.meddler import OURS, Meddler
 from sitl.faults.wire import Wire, decode, modes_told
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+
+HANDED_S = 0.3  # after the pilot's switch the last setpoint has been sent, row E1
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,22 @@ class Evidence:
         return np.asarray(np.linalg.norm(self.velocity_mps, axis=1))
 
     @cached_property
+    def answered_for(self) -> Bools:
+        """Whether the product has to answer for where the vehicle is (K,). It may say no word to one that a pilot took, whose
+        sticks nobody touches here: without a position it drifts for as long as it is watched.
+        """
+        return (self.stamp_s < self.notes.get(TAKEN_OVER, math.inf) + HANDED_S) | self.ours | self.landing
+
+    @cached_property
+    def clearance_m(self) -> float:
+        """Least true clearance to the scene, inf for none."""
+        counts = np.interp(self.hull_s, self.stamp_s, self.answered_for) > 0.5
+        return float(self.hull_m[counts].min(initial=math.inf))
+
+    @cached_property
     def box_m(self) -> float:
         """The nearest that the hull came to an obstacle of the trouble, inf without one."""
-        return float(self.boxes_m.min(initial=math.inf))
+        return float(self.boxes_m[self.answered_for].min(initial=math.inf))
 
     @cached_property
     def ours(self) -> Bools:

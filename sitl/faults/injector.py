@@ -15,6 +15,8 @@ from sitl.line import SerialLine
 from sitl.poses import PoseRecord
 from sitl.world import World
 
+TAKEN_OVER = "taken over"  # note: the instant of the pilot's switch
+
 
 class Needs(Flag):
     """What a trouble wants of the flight that it is in, or a flight has to give."""

@@ -257,7 +257,7 @@ def speed_from(late_s: float) -> Measure:
 
 def clearance(e: Evidence) -> float:
     """Least true clearance (m) to the scene and to what appeared in it."""
-    return min(float(e.hull_m.min()) if len(e.hull_m) else math.inf, e.box_m)
+    return min(e.clearance_m, e.box_m)
 
 
 def past_obstacle(e: Evidence) -> float:
@@ -274,7 +274,7 @@ def stopped_short(e: Evidence) -> float:
 
 def overshoot(e: Evidence) -> float:
     """Farthest (m) out of the fence, of the vehicle's middle."""
-    aloft = e.position_m[e.armed]
+    aloft = e.position_m[e.armed & e.answered_for]
     if not len(aloft):
         return 0.0
     return float(max(np.maximum(e.limits.fence_min_m - aloft, aloft - e.limits.fence_max_m).max(), 0.0))

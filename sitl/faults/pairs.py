@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from sitl.faults import measures as m
 from sitl.faults.bars import STREAMS, down, holds, lands
+from sitl.faults.everywhere import FENCE_M
 from sitl.faults.injector import Injector
 from sitl.faults.measures import Measure
 from sitl.faults.postponed import Postponed
@@ -24,6 +25,10 @@ REACTIONS = {  # worst first: what of a row's own bars holds whatever else goes 
     "E5": (Bar("charge left", m.battery_left, 0.10, "", at_least=True), down(160.0)),
     "A1": (holds(0.6),),
 }
+# PX4 says its mode ten times a second as long as it is asked to, and that does not arrive either: once a second by itself.
+UNHEARD = {"D2+E1": (Bar("stream ends", m.streams_after, 1.3, "s", ardupilot=0.3),)}
+# Pushed by 2.5 m/s² while it lands by itself, without a word of ours or without a position: it goes where the push takes it.
+PUSHED_M = {"B1+F2": 1.0, "D2+F2": 1.0}
 _WATCHED_S = 60.0  # where neither asks for a reaction
 
 
@@ -33,15 +38,17 @@ def pair(first: Row, second: Row) -> Row:
     """
     by_id = {row.id: row for row in (first, second)}
     worse = next((by_id[name] for name in REACTIONS if name in by_id), None)
+    name = f"{first.id}+{second.id}"
     return Row(
-        f"{first.id}+{second.id}",
+        name,
         f"{first.hazard}, {second.hazard}",
         f"{first.injection}; up to {APART_S:g} s before or after it: {second.injection}",
         lambda n: _both(first, second, n),
-        (STREAMS, *(_reaction(worse.id) if worse else ())),
+        (STREAMS, *(_since(worse.id, UNHEARD.get(name, REACTIONS[worse.id])) if worse else ())),
         onset=_stricter(first.onset, second.onset),
         arena=second.arena if first.arena == "hall" else first.arena,
         longest_s=worse.longest_s if worse else _WATCHED_S,
+        overshoot_m=PUSHED_M.get(name, FENCE_M),
     )
 
 
@@ -58,14 +65,12 @@ def _both(first: Row, second: Row, number: int) -> Sequence[Injector]:
     ]
 
 
-def _reaction(row: str) -> list[Bar]:
-    """A row's bars, each told and measured from the moment on that its own trouble began."""
-    return [
-        dataclasses.replace(bar, name=f"{bar.name} after {row}", measure=_since(row, bar.measure)) for bar in REACTIONS[row]
-    ]
+def _since(row: str, bars: Sequence[Bar]) -> list[Bar]:
+    """Each told and measured from the moment on that a row's own trouble began."""
+    return [dataclasses.replace(bar, name=f"{bar.name} after {row}", measure=_from(row, bar.measure)) for bar in bars]
 
 
-def _since(row: str, measure: Measure) -> Measure:
+def _from(row: str, measure: Measure) -> Measure:
     """NaN where the row's trouble never began."""
     return lambda e: measure(dataclasses.replace(e, onset_s=e.notes[row])) if row in e.notes else math.nan
 

@@ -11,6 +11,7 @@ from fault_evidence import evidence, rewired, spoilt
 
 from sitl.faults.everywhere import violations
 from sitl.faults.evidence import Evidence
+from sitl.faults.table import TABLE
 from sitl.faults.wire import Order
 
 Spoil = Callable[[Evidence], Evidence]
@@ -22,13 +23,13 @@ def hovering(e: Evidence) -> Evidence:
     place = np.tile([1.0, 0.0, 1.0], (len(t), 1))
     return dataclasses.replace(
         e, stamp_s=t, position_m=place, velocity_mps=np.zeros_like(place), armed=np.ones(len(t), bool),
-        mode=("OFFBOARD",) * len(t), end_s=90.0,
+        mode=("OFFBOARD",) * len(t), boxes_m=np.full(len(t), np.inf), end_s=90.0,
     )  # fmt: skip
 
 
 SPOILS: dict[str, Spoil] = {
     "contact": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.0)),
-    "contact: clearance": lambda e: dataclasses.replace(e, boxes_m=np.full(1, 0.0)),
+    "contact: clearance": lambda e: dataclasses.replace(e, boxes_m=np.zeros(len(e.stamp_s))),
     "fence overshot": lambda e: dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 1), 3.4)),
     "NaN": lambda e: rewired(e, not_finite=1),
     "m/s²": lambda e: rewired(e, acceleration_mps2=spoilt(e.wire.acceleration_mps2, (100, 0), 2.1)),
@@ -84,3 +85,11 @@ def test_stamps_that_leap_hide_no_jump(leap_ms: float) -> None:
     jumps = SPOILS["jumps 0"](evidence())
     stamps = jumps.wire.setpoint_stamp_ms + np.where(jumps.wire.setpoint_s > 7.0, leap_ms, 0.0)
     assert any("jumps 0" in words for words in violations(rewired(jumps, setpoint_stamp_ms=stamps)))
+
+
+def test_a_row_may_allow_more_of_the_fence_and_is_held_to_that() -> None:
+    e = evidence()
+    out = dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 1), 3.5))
+    assert violations(out) == violations(out, 0.30) == ["fence overshot by 0.50 m"]
+    assert violations(out, 0.51) == []
+    assert all(row.overshoot_m == 0.30 for row in TABLE), "none but a pair of two troubles"

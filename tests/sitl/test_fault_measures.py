@@ -11,6 +11,7 @@ from fault_evidence import BOOT_S, DT_S, evidence, rewired, spoilt
 
 from sitl.faults import measures as m
 from sitl.faults.evidence import Evidence
+from sitl.faults.injector import TAKEN_OVER
 from sitl.faults.wire import Order
 
 NEAR = 2.5 * DT_S
@@ -105,7 +106,7 @@ def test_speed_clearance_and_fence() -> None:
     assert m.speed_from(1.0)(e) == pytest.approx(0.5)
     assert m.speed_from(5.5)(e) == 0.0
     assert m.clearance(e) == 0.5
-    assert m.clearance(dataclasses.replace(e, boxes_m=np.full(1, 0.2))) == pytest.approx(0.2)
+    assert m.clearance(dataclasses.replace(e, boxes_m=np.full(len(e.stamp_s), 0.2))) == pytest.approx(0.2)
     assert m.overshoot(e) == 0.0
     assert m.overshoot(dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 0), 8.4))) == pytest.approx(0.4)
     out = np.where((e.stamp_s > 6.0) & (e.stamp_s < 8.0), 2.9, 0.0)
@@ -113,6 +114,25 @@ def test_speed_clearance_and_fence() -> None:
         2.0, abs=0.1
     )
     assert m.setpoint_jump(rewired(e, position_m=spoilt(e.wire.position_m, (200, 1), 0.7))) == pytest.approx(0.7, abs=0.02)
+
+
+def test_where_a_vehicle_drifts_that_a_pilot_took_is_not_answered_for() -> None:
+    e = evidence()
+    near = dataclasses.replace(
+        e,
+        mode=tuple("OFFBOARD" if s < 6.0 else "ALTCTL" for s in e.stamp_s),
+        hull_m=np.where(e.hull_s < 9.1, 0.5, 0.0),
+        boxes_m=np.where(e.stamp_s < 9.1, 0.4, 0.0),
+        position_m=e.position_m + np.where(e.stamp_s < 9.1, 0.0, 9.0)[:, None],
+    )
+    assert m.clearance(near) == 0.0, "no pilot took it: the autopilot did that by itself"
+    assert m.overshoot(near) > 5.0
+    taken = dataclasses.replace(near, notes={TAKEN_OVER: 8.7})
+    assert (m.clearance(taken), m.overshoot(taken)) == (0.4, 0.0)
+    late = dataclasses.replace(near, notes={TAKEN_OVER: 8.9})
+    assert (m.clearance(late), m.overshoot(late) > 5.0) == (0.0, True), "it may have heard us until then"
+    back = dataclasses.replace(taken, mode=tuple("ALTCTL" if 6.0 < s < 9.05 else "OFFBOARD" for s in e.stamp_s))
+    assert (m.clearance(back), m.overshoot(back) > 5.0) == (0.0, True), "it is ours again"
 
 
 def test_moving_on_and_going_back() -> None:

@@ -110,7 +110,7 @@ def test_a_flight_is_held_to_its_bars() -> None:
     verdict = judge(ROW, evidence(), [])
     assert verdict.passed(ROW, "px4")
     assert not verdict.passed(ROW, "ardupilot"), "whose bar is higher"
-    assert not judge(ROW, evidence(boxes_m=np.full(1, 0.3)), []).passed(ROW, "px4")
+    assert not judge(ROW, evidence(boxes_m=np.full(600, 0.3)), []).passed(ROW, "px4")
     assert not judge(ROW, evidence(), ["contact"]).passed(ROW, "px4")
     assert not judge(ROW, evidence(onset_s=math.inf), []).passed(ROW, "px4"), "a trouble that never came proves nothing"
 
