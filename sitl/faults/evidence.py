@@ -73,7 +73,7 @@ class Evidence:
         """Whether the product has to answer for where the vehicle is (K,). It may say no word to one that a pilot took, whose
         sticks nobody touches here: without a position it drifts for as long as it is watched.
         """
-        return (self.stamp_s < self.notes.get(TAKEN_OVER, math.inf) + HANDED_S) | self.ours | self.landing
+        return (self.stamp_s < self.notes.get(TAKEN_OVER, math.inf) + HANDED_S) | self.ours
 
     @cached_property
     def clearance_m(self) -> float:

@@ -131,6 +131,8 @@ def test_where_a_vehicle_drifts_that_a_pilot_took_is_not_answered_for() -> None:
     assert (m.clearance(taken), m.overshoot(taken)) == (0.4, 0.0)
     late = dataclasses.replace(near, notes={TAKEN_OVER: 8.9})
     assert (m.clearance(late), m.overshoot(late) > 5.0) == (0.0, True), "it may have heard us until then"
+    fallen = dataclasses.replace(taken, mode=tuple("ALTCTL" if 6.0 < s < 9.05 else "LAND" for s in e.stamp_s))
+    assert (m.clearance(fallen), m.overshoot(fallen)) == (0.4, 0.0), "the autopilot landed what the pilot had"
     back = dataclasses.replace(taken, mode=tuple("ALTCTL" if 6.0 < s < 9.05 else "OFFBOARD" for s in e.stamp_s))
     assert (m.clearance(back), m.overshoot(back) > 5.0) == (0.0, True), "it is ours again"
 
