@@ -207,6 +207,28 @@ def test_a_way_home_that_the_guard_stopped_is_begun_again_a_few_times(desk: Desk
         desk.refusals += 1
     desk.run(60.0, until=Phase.DONE)
     assert (desk.distance_m() < 0.1) is ends_at_home
+    assert desk.conductor.close() == ("completed" if ends_at_home else "aborted: stopped 4 times on its way home")
+
+
+def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.distance_m() < 1.0:
+        desk.run(0.5)
+    desk.conductor.request_return()
+    while desk.speed_mps() > 1e-6:
+        desk.run(0.1)
+    while desk.speed_mps() < 0.1:
+        desk.run(0.1)
+    before, away_m = desk.intent.trajectory, desk.distance_m()
+    desk.voxels.closed = True
+    desk.run(2.0)
+    assert before is not None
+    assert desk.intent.trajectory is not None
+    assert desk.intent.trajectory.identifier != before.identifier
+    desk.run(60.0, until=Phase.DONE)
+    assert desk.distance_m() > away_m - 0.6, "where it came to rest"
+    assert desk.conductor.close().startswith("aborted: ")
 
 
 def test_it_does_not_stop_between_plans(desk: Desk) -> None:

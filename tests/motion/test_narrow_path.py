@@ -53,7 +53,7 @@ def test_it_stays_clear_by_its_own_measure_until_the_map_takes_that_away() -> No
 @pytest.mark.parametrize("leave_s", [5.0, 6.5, 1e3], ids=["at rest", "in motion", "past the end"])
 def test_a_motion_that_is_left_for_a_narrow_path_is_held_to_that(leave_s: float) -> None:
     begun = MOTION.through(straight([-3.0, MIDDLE_M, 1.5], [-1.0, MIDDLE_M, 1.5]), GAP, at(-3.0), 5.0, np.inf, 1)
-    assert isinstance(begun, Trajectory) and begun.clearance_m is None
+    assert isinstance(begun, Trajectory) and begun.clearance_m == 0.35
     here = begun.setpoint_at(leave_s).position_m
     path = dataclasses.replace(straight(here.tolist(), [3.0, MIDDLE_M, 1.5]), clearance_m=ROOM_M)
     left = MOTION.onward(path, GAP, begun, leave_s, np.inf, 2)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_recon.mission.bearing import nose_ahead
 from uav_recon.mission.course import Departure
 from uav_recon.protocols import Executor, Motion, Pending, Planner
 from uav_recon.types.frames import FloatArray
@@ -42,18 +43,19 @@ class Decider:
         return self._submit(lambda: self._onward(self._planner.plan(request), request, departure, identifier))
 
     def way_home(self, request: PlanRequest, rest: Setpoint, home: Viewpoint, identifier: int) -> Pending[Decision]:
-        """The shortest clear way to the pad."""
-        return self._submit(lambda: self._flown(self._planner.route(request, home), request, rest, np.inf, identifier))
+        """The shortest clear way to the pad, nose ahead."""
+        return self._submit(lambda: self._homed(self._planner.route(request, home), request, rest, self._motion, identifier))
 
     def way_back(
         self, request: PlanRequest, rest: Setpoint, crumbs: tuple[FloatArray, ...], home: Viewpoint, identifier: int
     ) -> Pending[Decision]:
-        """Back along the breadcrumbs: where the vehicle has been is free, though a map with ghosts may want more room there."""
+        """Back along the breadcrumbs, nose ahead. Where the vehicle has been is free, though a map with ghosts may want more
+        room there.
+        """
         waypoints = np.array([rest.position_m, *crumbs, home.position_world])
         revision, epoch = request.voxels.revision, request.voxels.map_epoch
         path = ViewPath((home,), (waypoints,), PlanMode.EXPLORE, revision, epoch, (), 0.0, 0.0)
-        motion = self._retreat
-        return self._submit(lambda: Decision(path, motion.through(path, request.voxels, rest, 0.0, np.inf, identifier)))
+        return self._submit(lambda: self._homed(path, request, rest, self._retreat, identifier))
 
     def _submit(self, work: Callable[[], Decision]) -> Pending[Decision]:
         return self._executor.submit(work, self._plan_cost_s)
@@ -72,3 +74,11 @@ class Decider:
         if isinstance(path, NothingLeft):
             return Decision(path, path.reason)
         return Decision(path, self._motion.through(path, request.voxels, rest, 0.0, spacing_m, identifier))
+
+    def _homed(
+        self, path: ViewPath | NothingLeft, request: PlanRequest, rest: Setpoint, motion: Motion, identifier: int
+    ) -> Decision:
+        if isinstance(path, NothingLeft):
+            return Decision(path, path.reason)
+        ahead = nose_ahead(path, rest.yaw_rad)
+        return Decision(ahead, motion.through(ahead, request.voxels, rest, 0.0, np.inf, identifier))

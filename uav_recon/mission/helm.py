@@ -50,12 +50,14 @@ class Helm:
         self.course.trajectory = self._braking
         self._captures.cancel_after(now_s)
 
-    def brake_if_blocked(self, now_s: float, voxels: VoxelMap) -> None:
-        """Check what is left of the way against a newer map, once for each map."""
+    def brake_if_blocked(self, now_s: float, voxels: VoxelMap) -> bool:
+        """Check what is left of the way against a newer map, once for each map; whether it brakes."""
         trajectory = self.course.trajectory
         if trajectory is None or trajectory is self._braking or voxels.revision == self._checked_revision:
-            return
+            return False
         self._checked_revision = voxels.revision
-        if not self._motion.still_clear(trajectory, now_s, voxels):
-            self._account.refusal(now_s, "the map shows an obstacle on the way")
-            self.brake(now_s)
+        if self._motion.still_clear(trajectory, now_s, voxels):
+            return False
+        self._account.refusal(now_s, "the map shows an obstacle on the way")
+        self.brake(now_s)
+        return True

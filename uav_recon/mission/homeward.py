@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 
@@ -18,14 +17,13 @@ from uav_recon.types.tasks import PlanRequest, Viewpoint
 from uav_recon.types.trajectory import Trajectory
 from uav_recon.types.vehicle import VehicleState
 
-_LOOK_M = 1.0  # farther ways are flown with the nose ahead, for the camera to see where it is to land
 _PLACES = 3  # tried, then home is the least bad
-_REFUSED = 3  # ways that the guard stopped: then it lands where it is
+_REFUSED = 3  # ways that the guard or the map may stop
 
 
 class Homeward:
     """Brings the vehicle over the pad, or over another place where something stands on the pad, once. no_way: what is known
-    leads nowhere; lost: the breadcrumbs do not either.
+    leads nowhere; lost: the breadcrumbs do not either, or it was stopped too often. Then it lands where it is.
     """
 
     def __init__(self, helm: Helm, decider: Decider, account: Account, site: LandingSite) -> None:
@@ -45,25 +43,25 @@ class Homeward:
         self._decision, self.under_way, self.no_way = None, False, False
 
     def think_again(self) -> None:
-        """The guard stopped it on its way: from where it hovers now, a few times."""
+        """The guard or the map stopped it on its way: from where it hovers then, a few times."""
         if self.under_way:
-            self._refused += 1
-            self.under_way = self._refused > _REFUSED
+            self.under_way, self._refused = False, self._refused + 1
 
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap, along_breadcrumbs: bool) -> None:
         """From rest: think, then fly; and think again where something turns out to stand on the place."""
         course = self._helm.course
         if self.under_way:
-            self._look_at_place(now_s, voxels)
+            self._watch(now_s, voxels)
             return
         if not course.at_rest(now_s):
+            return
+        if self._refused > _REFUSED:
+            self.lost = f"stopped {self._refused} times on its way home"
             return
         if self._decision is None:
             rest = course.rest(vehicle)
             self._place = self._site.home if along_breadcrumbs else self._site.choose(voxels, self._bad)
-            east_m, north_m = (self._place - rest.position_m)[:2].tolist()
-            yaw_rad = math.atan2(north_m, east_m) if math.hypot(east_m, north_m) > _LOOK_M else rest.yaw_rad
-            home = Viewpoint(self._place, yaw_rad, rest.camera_pitch_down_rad)
+            home = Viewpoint(self._place, rest.yaw_rad, rest.camera_pitch_down_rad)
             request, identifier = PlanRequest(voxels, None, rest.position_m, rest.yaw_rad, 0), course.next_identifier()
             if along_breadcrumbs:
                 self._decision = self._decider.way_back(request, rest, course.way_back(home.position_world), home, identifier)
@@ -82,9 +80,11 @@ class Homeward:
         else:
             self.no_way = True
 
-    def _look_at_place(self, now_s: float, voxels: VoxelMap) -> None:
-        """Brake and choose another, as long as there are others to try."""
-        if len(self._bad) < _PLACES and self._site.is_occupied(voxels, self._place):
+    def _watch(self, now_s: float, voxels: VoxelMap) -> None:
+        """Brake and think again where the way is blocked, or the place, as long as there are others to try."""
+        if not self._helm.course.at_rest(now_s) and self._helm.brake_if_blocked(now_s, voxels):
+            self.think_again()
+        elif len(self._bad) < _PLACES and self._site.is_occupied(voxels, self._place):
             self._bad = (*self._bad, self._place)
             self._account.refusal(now_s, f"something stands at the landing place {self._place[0]:.1f} {self._place[1]:.1f} m")
             self.under_way = False

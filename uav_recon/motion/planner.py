@@ -70,7 +70,8 @@ class MotionPlanner:
         entry = Entry.resting(start, self._pacer.box)
         course = Course.through(entry.place, path.waypoints_world, path.viewpoints)
         flight = self._clear(course, None, entry, self._space(voxels), views_at_spacing_m, path.clearance_m)
-        return flight if isinstance(flight, str) else flight.trajectory(start_s, path.map_epoch, identifier, path.clearance_m)
+        kept_m = self._asked_m(path.clearance_m)
+        return flight if isinstance(flight, str) else flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
 
     def onward(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
@@ -86,11 +87,11 @@ class MotionPlanner:
             return fault
         at = max(int((leave_s - flying.start_s) / flying.step_s + 1e-6), 0)  # past its end it rests
         entry, space = Entry.leaving(flying, at, self._pacer.box, self._pacer.most()), self._space(voxels)
-        start_s = flying.start_s + (at - entry.left + 1) * flying.step_s
+        start_s, kept_m = flying.start_s + (at - entry.left + 1) * flying.step_s, self._asked_m(path.clearance_m)
         if not entry.is_moving:
             course = Course.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints)
             still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m)
-            return still if isinstance(still, str) else still.trajectory(start_s, path.map_epoch, identifier, path.clearance_m)
+            return still if isinstance(still, str) else still.trajectory(start_s, path.map_epoch, identifier, kept_m)
         for overrun in OVERRUNS if _leads_on(path, entry) else OVERRUNS[-1:]:
             rolled, begin = self._pacer.begun(entry, overrun)
             course = Course.through(begin, _ahead(path, entry, begin), path.viewpoints)
@@ -98,7 +99,7 @@ class MotionPlanner:
                 course = course.after(rolled, overrun >= 1.0)
             flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m)
             if isinstance(flight, Flight):
-                return flight.trajectory(start_s, path.map_epoch, identifier, path.clearance_m)
+                return flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier)
 
     def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:

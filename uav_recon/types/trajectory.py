@@ -33,7 +33,7 @@ class Trajectory:
 
     position_m, velocity_mps, acceleration_mps2: (N, 3) in odom; yaw_rad (N,) unwrapped; yaw_rate_radps (N,);
     camera_pitch_down_rad (N,). Sample i is at start_s + i * step_s. views_s: instants, relative to start_s, at which
-    a view is to be captured. clearance_m: as of the path that it was made of.
+    a view is to be captured. clearance_m: that it keeps, None = not said.
     """
 
     start_s: float
