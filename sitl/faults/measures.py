@@ -140,8 +140,9 @@ def commands_once_known(e: Evidence) -> float:
 
 
 def _after_takeover(e: Evidence) -> list[Order]:
+    """Out of our mode or out of a landing: a pilot may want the vehicle back from either."""
     theirs = e.armed & ~e.ours & ~e.landing
-    k = np.flatnonzero(theirs[1:] & e.ours[:-1]) + 1
+    k = np.flatnonzero(theirs[1:] & (e.ours | (e.landing & e.armed))[:-1]) + 1
     if not len(k):
         return []
     known = [stamp_s for stamp_s, _, _ in e.heard if stamp_s >= e.stamp_s[k[0]]]

@@ -67,6 +67,17 @@ def test_what_is_allowed_is_no_violation() -> None:
     assert violations(rewired(quiet, orders=reset.wire.orders[:2])) == [], "a pilot may take over"
 
 
+def test_a_pilot_who_takes_the_vehicle_out_of_our_landing_keeps_it() -> None:
+    e = evidence()
+    kept = dataclasses.replace(e, mode=tuple("POSCTL" if t > 16.0 else m for t, m in zip(e.stamp_s, e.mode, strict=True)))
+    again = rewired(kept, orders=(*e.wire.orders, Order(17.0, 176, 1.0, 4.0)))
+    assert violations(kept) == [], "the order to land came before"
+    assert violations(again) == ["1 mode or arm commands after the pilot took over"]
+    known_s = next(s for s, _, _ in e.heard if s > 16.0)
+    under_way = rewired(kept, orders=(*e.wire.orders, Order(known_s + 0.01, 176, 1.0, 4.0)))
+    assert violations(under_way) == [], "sent before it could have heard"
+
+
 def test_setpoints_that_arrive_together_were_sent_apart() -> None:
     flown = evidence()
     brake = spoilt(
