@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from fault_evidence import evidence, rewired, spoilt
+from fault_evidence import DT_S, evidence, rewired, spoilt
 
 from sitl.faults.everywhere import violations
 from sitl.faults.evidence import Evidence
@@ -89,6 +89,35 @@ def test_setpoints_that_arrive_together_were_sent_apart() -> None:
     assert violations(held_up) == []
     together = spoilt(flown.wire.setpoint_stamp_ms, 150, float(flown.wire.setpoint_stamp_ms[151]) - 1.0)
     assert any("velocity jumps" in words for words in violations(rewired(held_up, setpoint_stamp_ms=together)))
+
+
+def ramped(speed_mps: float, acceleration_mps2: float) -> Evidence:
+    """From 7 s on setpoints go faster and faster aside for 1 s, and then on so fast."""
+    e = evidence()
+    since_s = np.clip(e.wire.setpoint_s - 7.0, 0.0, 1.0)
+    gone_m = np.cumsum(np.where((e.wire.setpoint_s > 7.0) & (e.wire.setpoint_s < 7.5), speed_mps, 0.0)) * DT_S
+    aside, push = np.array([0.0, 1.0, 0.0]), np.minimum(since_s * acceleration_mps2, 1.0)
+    return rewired(
+        e, position_m=e.wire.position_m * [0.0, 0.0, 1.0] + gone_m[:, None] * aside,
+        velocity_mps=e.wire.velocity_mps * [0.0, 0.0, 1.0] + push[:, None] * aside,
+    )  # fmt: skip
+
+
+def test_what_each_frame_may_be_off_does_not_add_up_over_a_while() -> None:
+    assert violations(ramped(1.2, 2.0)) == []
+    assert any("setpoint jumps" in words for words in violations(ramped(2.2, 0.0)))
+    assert any("velocity jumps" in words for words in violations(ramped(0.0, 4.2)))
+
+
+def test_a_pilot_that_starts_anew_may_begin_elsewhere_also_over_a_while() -> None:
+    e = evidence()
+    anew = np.where(e.wire.setpoint_s > 8.0, 0.9, 0.0)
+    keep = (e.wire.setpoint_s < 7.4) | (e.wire.setpoint_s > 8.0)
+    parts = {
+        name: getattr(e.wire, name)[keep] for name in ("setpoint_s", "setpoint_stamp_ms", "velocity_mps", "yaw_rate_radps")
+    }
+    moved = (e.wire.position_m + anew[:, None] * (0.0, 1.0, 0.0))[keep]
+    assert violations(rewired(e, **parts, position_m=moved, acceleration_mps2=e.wire.acceleration_mps2[keep])) == []
 
 
 @pytest.mark.parametrize("leap_ms", [200.0, 5000.0])
