@@ -14,6 +14,7 @@ Measure = Callable[[Evidence], float]
 _STILL_MPS = 0.02  # of a setpoint
 _BRAKING_MPS2 = 0.8  # what slows down more gently than this, on the mean, is flying on
 _RESTING_MPS = 0.12  # of the vehicle, gusts included
+_ASIDE_M, _BACK_M = 0.2, 0.3  # of the way flown, whose corners are rounded (0.15 m measured); of the place left
 _OLDEST_POSE_S = 0.15
 _FLOWN_M = 2.0  # from the pad: a mission that goes anywhere goes farther, 3.4 m at least
 _ARM, _SET_MODE = 400, 176
@@ -120,13 +121,23 @@ def setpoint_jump(e: Evidence) -> float:
 
 
 def retreat_after(e: Evidence) -> float:
-    """Seconds from the trouble to the first motion after a rest that goes back along the way."""
+    """Seconds from the trouble to the first motion after a rest, where that goes back along the way; inf for one elsewhere."""
     w = e.wire
     speed, after = np.linalg.norm(w.velocity_mps, axis=1), w.setpoint_s >= e.onset_s
     still = np.flatnonzero(after & (speed <= _STILL_MPS))
     moving = np.flatnonzero(after & (speed > 0.05))
     moving = moving[moving > still[0]] if len(still) else moving[:0]
-    return float(w.setpoint_s[moving[0]]) - e.onset_s if len(moving) else math.inf
+    begun_s = float(w.setpoint_s[moving[0]]) if len(moving) else math.inf
+    return begun_s - e.onset_s if len(moving) and _goes_back(e, begun_s) else math.inf
+
+
+def _goes_back(e: Evidence, from_s: float) -> bool:
+    """Whether the vehicle truly leaves the place where it is, and the way that it flew to there nowhere until it lands."""
+    until_s = from_s + e.since(e.landing | ~e.armed, from_s)
+    way = e.position_m[e.armed & (e.stamp_s <= from_s)]
+    gone = e.position_m[(e.stamp_s >= from_s) & (e.stamp_s <= until_s)]
+    aside = [float(np.linalg.norm(way - place, axis=1).min()) for place in gone]
+    return max(aside) <= _ASIDE_M and float(np.linalg.norm(gone - way[-1], axis=1).max()) >= _BACK_M
 
 
 def commands(after_s: float = 0.0, kinds: frozenset[int] = MODE_OR_ARM) -> Measure:
