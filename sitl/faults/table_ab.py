@@ -190,6 +190,7 @@ TABLE_B = (
         lambda n: [Altered(CLOSURES[n % 3])],
         (
             Bar("step of ODOMETRY", m.pose_step, 0.05, "m"),
+            Bar("motion of the error", m.pose_error_step(10.0), 0.10, "m"),
             Bar("reset counter", m.resets, 1.0, ""),
         ),
         times=3,
