@@ -214,10 +214,28 @@ TABLE_B = (
     ),
     Row(
         "B8",
-        "stamps are wrong",
-        "poses 0.1, 0.3, 1 s late; a frozen stamp; 5 s in the future",
-        lambda n: [(Later(0.1), Later(0.3), Later(1.0), Frozen(), Altered(stamped(5.0)))[n % 5]],
-        (Bar("oldest pose sent", m.pose_age, 0.15, "s"),),
+        "poses are late",
+        "poses 0.1 s late",
+        lambda n: [Later(0.1)],
+        (
+            Bar("oldest pose sent", m.pose_age, 0.15, "s"),
+            Bar("motion of the error", m.pose_error_step(), 0.05, "m"),
+            NO_FAILSAFE,
+        ),
+        onset=FAST,
+    ),
+    Row(
+        "B8l",
+        "stamps too old, wrong",
+        "poses 0.3, 1 s late; a frozen stamp; 5 s in the future",
+        lambda n: [(Later(0.3), Later(1.0), Frozen(), Altered(stamped(5.0)))[n % 4]],
+        (
+            Bar("oldest pose sent", m.pose_age, 0.15, "s"),
+            Bar("motion of the error", m.pose_error_step(), 0.05, "m"),
+            holds(0.3),
+            lands(1.2),
+        ),
+        onset=FAST,
     ),
     Row(
         "B9",
