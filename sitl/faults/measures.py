@@ -194,6 +194,21 @@ def pose_error_step(for_s: float = 3.0) -> Measure:
     return measure
 
 
+def heading_error_step(for_s: float = 3.0) -> Measure:
+    """How far (degrees) the error of ODOMETRY's heading against truth moved within so long after the trouble."""
+
+    def measure(e: Evidence) -> float:
+        w = e.wire
+        k = np.flatnonzero((w.odometry_s >= e.onset_s - 0.1) & (w.odometry_s <= e.onset_s + for_s))
+        if len(k) < 2:
+            return math.inf
+        error_rad = w.odometry_yaw_rad[k] - np.interp(w.odometry_s[k], e.stamp_s, np.unwrap(e.yaw_rad))
+        moved_rad = np.remainder(error_rad - error_rad[0] + math.pi, math.tau) - math.pi
+        return math.degrees(float(np.abs(moved_rad).max()))
+
+    return measure
+
+
 def pose_step(e: Evidence) -> float:
     """Longest step (m) of ODOMETRY beyond what the vehicle flew, while the reset counter stays as it is."""
     w = e.wire

@@ -242,7 +242,11 @@ TABLE_B = (
         "heading flips once",
         "one pose turned by 180, 90, 15 degrees",
         lambda n: [Altered(turned((180.0, 90.0, 15.0)[n % 3]), count=1)],
-        (Bar("motion of the error", m.pose_error_step(2.0), 0.05, "m"), NO_FAILSAFE),
+        (
+            Bar("motion of the error", m.pose_error_step(2.0), 0.05, "m"),
+            Bar("heading off", m.heading_error_step(2.0), 2.0, "deg"),
+            NO_FAILSAFE,
+        ),
     ),
     Row(
         "B9p",

@@ -22,8 +22,8 @@ def hovering(e: Evidence) -> Evidence:
     t = np.arange(0.0, 90.0, 1.0 / 30.0)
     place = np.tile([1.0, 0.0, 1.0], (len(t), 1))
     return dataclasses.replace(
-        e, stamp_s=t, position_m=place, velocity_mps=np.zeros_like(place), armed=np.ones(len(t), bool),
-        mode=("OFFBOARD",) * len(t), boxes_m=np.full(len(t), np.inf), end_s=90.0,
+        e, stamp_s=t, position_m=place, velocity_mps=np.zeros_like(place), yaw_rad=np.zeros(len(t)),
+        armed=np.ones(len(t), bool), mode=("OFFBOARD",) * len(t), boxes_m=np.full(len(t), np.inf), end_s=90.0,
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.faults.farlink import FarProxy
@@ -115,6 +116,17 @@ def test_the_capture_is_in_the_worlds_axes() -> None:
     assert wire.not_finite == 1
     order = bytes(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1.0, 21196.0, 0, 0, 0, 0, 0).pack(VOICE))
     assert decode([(1.0, order)]).orders[0].second == 21196.0
+
+
+@pytest.mark.parametrize("from_north_deg", [0.0, 30.0, 90.0, 179.0, -91.0])
+def test_the_heading_of_odometry_is_in_the_worlds_axes(from_north_deg: float) -> None:
+    half = math.radians(from_north_deg) / 2.0
+    quat = [math.cos(half), 0.0, 0.0, math.sin(half)]
+    pose = mavlink.MAVLink_odometry_message(0, 20, 12, 1.0, 2.0, -3.0, quat, *[0.0] * 6, [0.0] * 21, [0.0] * 21)
+    wire = decode([(3.0, bytes(pose.pack(VOICE)))])
+    expected = math.remainder(math.radians(90.0 - from_north_deg), math.tau)
+    assert wire.odometry_yaw_rad == pytest.approx([expected], abs=1e-6)
+    np.testing.assert_allclose(wire.odometry_m[0], [2.0, 1.0, 3.0])
 
 
 def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from fault_evidence import BOOT_S, DT_S, evidence, rewired
+from fault_evidence import BOOT_S, DT_S, evidence, rewired, turning
 
 from sitl.faults.evidence import Evidence
 from sitl.faults.table import ROWS
@@ -41,7 +41,8 @@ def losing_the_pose(last_s: float = 5.4) -> Evidence:
     flown = dataclasses.replace(e, velocity_mps=speed, position_m=place, mode=mode, armed=e.stamp_s < 12.0)
     return rewired(
         flown, setpoint_s=e.stamp_s[said], position_m=place[said], velocity_mps=speed[said],
-        odometry_s=e.stamp_s[fed], odometry_m=place[fed] + 0.01, odometry_stamp_us=(e.stamp_s[fed] - BOOT_S) * 1e6,
+        odometry_s=e.stamp_s[fed], odometry_m=place[fed] + 0.01,
+        odometry_yaw_rad=turning(e.stamp_s[fed]), odometry_stamp_us=(e.stamp_s[fed] - BOOT_S) * 1e6,
         reset_counter=np.zeros(np.count_nonzero(fed)),
     )  # fmt: skip
 
@@ -55,3 +56,13 @@ def test_poses_too_old_for_use_are_answered_as_lost_ones() -> None:
     assert broken("B8l", losing_the_pose()) == set()
     assert broken("B8l", late(losing_the_pose(), 0.3)) == {"motion of the error"}
     assert broken("B8l", evidence()) == {"hold commanded", "landing mode"}
+
+
+def test_a_heading_that_reaches_the_wire_for_one_pose_breaks_b9() -> None:
+    e = evidence()
+    flipped = np.isclose(e.wire.odometry_s, 6.0, atol=1e-6)
+    assert np.count_nonzero(flipped) == 1
+    assert broken("B9", e) == set()
+    assert broken("B9", rewired(e, odometry_yaw_rad=e.wire.odometry_yaw_rad + np.where(flipped, np.pi, 0.0))) == {"heading off"}
+    assert broken("B9", rewired(e, odometry_yaw_rad=e.wire.odometry_yaw_rad - np.where(flipped, 0.05, 0.0))) == {"heading off"}
+    assert broken("B9", rewired(e, odometry_yaw_rad=np.full(len(flipped), np.nan))) == {"heading off"}
