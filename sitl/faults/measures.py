@@ -260,6 +260,11 @@ def _dated(e: Evidence) -> tuple[F64, Bools]:
     return w.odometry_s[after], np.abs(age_s) > _OLDEST_POSE_S
 
 
+def poses_until(e: Evidence) -> float:
+    """Seconds from the trouble to the last ODOMETRY on the wire."""
+    return max(float(e.wire.odometry_s[-1]) - e.onset_s, 0.0) if len(e.wire.odometry_s) else 0.0
+
+
 def poses_again_after(late_s: float) -> Measure:
     """Seconds from the end of a trouble of late_s to the first ODOMETRY on the wire."""
 

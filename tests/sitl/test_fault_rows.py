@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 from fault_evidence import BOOT_S, DT_S, evidence, rewired, turning
 
 from sitl.faults.evidence import Evidence
@@ -66,3 +67,13 @@ def test_a_heading_that_reaches_the_wire_for_one_pose_breaks_b9() -> None:
     assert broken("B9", rewired(e, odometry_yaw_rad=e.wire.odometry_yaw_rad + np.where(flipped, np.pi, 0.0))) == {"heading off"}
     assert broken("B9", rewired(e, odometry_yaw_rad=e.wire.odometry_yaw_rad - np.where(flipped, 0.05, 0.0))) == {"heading off"}
     assert broken("B9", rewired(e, odometry_yaw_rad=np.full(len(flipped), np.nan))) == {"heading off"}
+
+
+@pytest.mark.parametrize("row", ["B1", "B7"])
+def test_odometry_that_goes_on_without_poses_breaks(row: str) -> None:
+    assert broken(row, losing_the_pose()) - {"drift"} == set()
+    assert "ODOMETRY ends" in broken(row, losing_the_pose(last_s=6.0))
+    still = losing_the_pose()
+    repeated = still.wire.odometry_m.copy()
+    repeated[still.wire.odometry_s > 5.0] = repeated[still.wire.odometry_s <= 5.0][-1]
+    assert "motion of the error" in broken(row, rewired(still, odometry_m=repeated)), "the last pose, under new stamps"
