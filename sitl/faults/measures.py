@@ -91,6 +91,21 @@ def slowest_second(e: Evidence) -> float:
     return float((np.searchsorted(stamps, starts + 1.0) - np.searchsorted(stamps, starts)).min())
 
 
+def longest_gap_arrived(e: Evidence) -> float:
+    """Longest seconds between setpoints at the autopilot from the trouble on, while the vehicle follows them."""
+    until_s = e.onset_s + min(e.since(~e.ours, e.onset_s), e.end_s - e.onset_s)
+    inside = e.arrived_s[(e.arrived_s >= e.onset_s - 0.1) & (e.arrived_s <= until_s)]
+    return float(np.diff(np.append(inside, until_s)).max()) if len(inside) else math.inf
+
+
+def slowest_ten_seconds_arrived(e: Evidence) -> float:
+    """Fewest setpoints a second at the autopilot, over any ten seconds from the trouble on, while the vehicle follows them."""
+    until_s = e.onset_s + min(e.since(~e.ours, e.onset_s), e.end_s - e.onset_s)
+    starts = np.arange(e.onset_s, until_s - 10.0, 0.1)
+    counts = np.searchsorted(e.arrived_s, starts + 10.0) - np.searchsorted(e.arrived_s, starts)
+    return float(counts.min()) / 10.0 if len(counts) else 0.0
+
+
 def noted(name: str) -> Measure:
     """What an injector measured itself; inf if it came to nothing."""
     return lambda e: e.notes.get(name, math.inf)

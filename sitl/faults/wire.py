@@ -96,6 +96,16 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
     )  # fmt: skip
 
 
+def setpoints_in(arrived: Sequence[tuple[float, bytes]]) -> F64:
+    """Instants (N,) of the setpoints among whole frames, of those alone that are not spoilt."""
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    kind = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+    whole = [(stamp_s, frame) for stamp_s, frame in arrived if message_id(frame) == kind]
+    told = [stamp_s for stamp_s, frame in whole for m in parser.parse_buffer(frame) or () if m.get_msgId() == kind]
+    return np.array(told, dtype=np.float64)
+
+
 def modes_told(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tuple[float, int, bool]]:
     """(instant, custom mode, armed) of each HEARTBEAT of the vehicle that reached the product."""
     parser = mavlink.MAVLink(None)

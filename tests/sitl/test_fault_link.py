@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import Injector
 from sitl.faults.link import Late, Proxy, frames, message_id
-from sitl.faults.wire import decode, modes_told
+from sitl.faults.wire import decode, modes_told, setpoints_in
 from sitl.faults.wires import Corrupted, Jitter, Loss, Repeated, Rewritten, version
 from sitl.transport import PipeEnd, UdpPeer, pipe
 
@@ -157,3 +157,16 @@ def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:
     finally:
         end.close()
         product.close()
+
+
+def test_setpoints_are_counted_where_they_arrive_and_sound() -> None:
+    proxy, clock, _ = proxied(Jitter(0.3, seed=1))
+    proxy.write(heartbeat(1) + setpoint(1.0))
+    assert len(decode(proxy.sent).setpoint_s) == 1
+    assert setpoints_in(proxy.arrived).tolist() == []
+    clock[0] = 0.31
+    proxy.forward()
+    assert setpoints_in(proxy.arrived).tolist() == [0.31]
+    spoilt = bytearray(setpoint(2.0))
+    spoilt[20] ^= 1
+    assert setpoints_in([(1.0, bytes(spoilt)), (2.0, setpoint(3.0))]).tolist() == [2.0]

@@ -77,3 +77,13 @@ def test_odometry_that_goes_on_without_poses_breaks(row: str) -> None:
     repeated = still.wire.odometry_m.copy()
     repeated[still.wire.odometry_s > 5.0] = repeated[still.wire.odometry_s <= 5.0][-1]
     assert "motion of the error" in broken(row, rewired(still, odometry_m=repeated)), "the last pose, under new stamps"
+
+
+def test_setpoints_that_do_not_arrive_break_d3() -> None:
+    e = evidence(onset_s=2.0)
+    lost = np.arange(len(e.arrived_s)) % 5 > 1
+    hole = (e.arrived_s > 8.0) & (e.arrived_s < 8.6)
+    few, gap = "setpoints that arrive in a second, of ten", "gap between those that arrive"
+    assert broken("D3", e) & {few, gap} == set()
+    assert broken("D3", dataclasses.replace(e, arrived_s=e.arrived_s[~lost])) & {few, gap} == {few}
+    assert broken("D3", dataclasses.replace(e, arrived_s=e.arrived_s[~hole])) & {few, gap} == {gap}
