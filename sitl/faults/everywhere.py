@@ -10,7 +10,7 @@ from sitl.faults.evidence import Bools, Evidence
 
 Indices = NDArray[np.int64]
 
-CONTACT_M, FENCE_M = 1e-3, 0.30
+CONTACT_M, CLEAR_M, FENCE_M = 1e-3, 0.10, 0.30
 AIRBORNE_M, UNATTENDED_S = 0.15, 60.0
 _STEP_M, _SPEED_MPS, _PUSH_MPS2, _TURN_RADPS = 0.03, 0.06, 1e-3, 1e-3  # what single floats and 30 Hz may add
 _INSIDE_M = 0.02
@@ -21,14 +21,16 @@ _WHILE_S = 0.4
 
 def violations(e: Evidence, overshoot_m: float = FENCE_M) -> list[str]:
     """What was broken, in words with figures; empty for a flight that kept all of it. overshoot_m: of the fence, at most."""
-    checks = (_contact, _numbers, _speed, _steps, _place, _authority, _disarm, _end)
+    checks = (_clear, _numbers, _speed, _steps, _place, _authority, _disarm, _end)
     told = (check(e) for check in checks)
     return [said for said in (*told, _fence(e, overshoot_m)) if said]
 
 
-def _contact(e: Evidence) -> str:
+def _clear(e: Evidence) -> str:
     least_m = measures.clearance(e)
-    return f"contact: clearance {least_m:.3f} m" if least_m < CONTACT_M else ""
+    if least_m < CONTACT_M:
+        return f"contact: clearance {least_m:.3f} m"
+    return f"clearance {least_m:.3f} m of {CLEAR_M:.2f}" if least_m < CLEAR_M - 1e-9 else ""
 
 
 def _fence(e: Evidence, most_m: float) -> str:
@@ -83,8 +85,10 @@ def _leaps(e: Evidence, i: Indices, j: Indices) -> str:
 def _anew(e: Evidence) -> Bools:
     """Of each setpoint but the first (N - 1,): a reset of the pose moved it along, or a pilot began anew with it."""
     w = e.wire
-    resets = w.odometry_s[1:][np.diff(w.reset_counter) != 0]
-    return np.logical_or.reduce([np.diff(w.setpoint_s) >= 0.5, *(abs(w.setpoint_s[1:] - s) < 0.1 for s in resets)])
+    anew: Bools = np.diff(w.setpoint_s) >= 0.5
+    for reset_s in w.odometry_s[1:][np.diff(w.reset_counter) != 0]:
+        anew |= np.abs(w.setpoint_s[1:] - reset_s) < 0.1
+    return anew
 
 
 def _place(e: Evidence) -> str:

@@ -30,6 +30,8 @@ def hovering(e: Evidence) -> Evidence:
 SPOILS: dict[str, Spoil] = {
     "contact": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.0)),
     "contact: clearance": lambda e: dataclasses.replace(e, boxes_m=np.zeros(len(e.stamp_s))),
+    "clearance 0.090 m": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.09)),
+    "clearance 0.080 m": lambda e: dataclasses.replace(e, boxes_m=np.full(len(e.stamp_s), 0.08)),
     "fence overshot": lambda e: dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 1), 3.4)),
     "NaN": lambda e: rewired(e, not_finite=1),
     "m/s²": lambda e: rewired(e, acceleration_mps2=spoilt(e.wire.acceleration_mps2, (100, 0), 2.1)),
