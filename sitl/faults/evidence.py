@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sitl.faults.injector import TAKEN_OVER
 from sitl.faults.meddler import OURS, Meddler
-from sitl.faults.wire import Wire, decode, modes_told
+from sitl.faults.wire import Wire, decode, modes_told, setpoints_in
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -35,11 +35,12 @@ class Limits:
 class Evidence:
     """One flight. Instants on the world's clock; onset_s: when the trouble began, inf if it never came to that.
 
-    stamp_s (K,), position_m and velocity_mps (K, 3), armed (K,), mode (K,) of each turn; hull_s (H,) and hull_m (H,): true
-    clearance where it counts. heard: (instant, custom mode, armed) of heartbeats that reached the product. boxes_m (K,):
-    how near the hull is to the obstacles of the trouble, inf without one and on the ground. notes: what the injectors measured
-    themselves, by its name. firmware: version of a real one, "" for none. stop_reason: why the product says that it ended, for
-    a judge that asks whether it said so; "" for nothing.
+    stamp_s (K,), position_m and velocity_mps (K, 3), yaw_rad (K,), armed (K,), mode (K,) of each turn; hull_s (H,) and hull_m
+    (H,): true clearance where it counts. arrived_s (A,): of setpoints at the autopilot, behind the troubles. heard: (instant,
+    custom mode, armed) of heartbeats that reached the product. boxes_m (K,): how near the hull is to the obstacles of the
+    trouble, inf without one and on the ground. notes: what the injectors measured themselves, by its name. firmware: version
+    of a real one, "" for none. stop_reason: why the product says that it ended, for a judge that asks whether it said so; ""
+    for nothing.
     """
 
     onset_s: float
@@ -47,6 +48,7 @@ class Evidence:
     stamp_s: F64
     position_m: F64
     velocity_mps: F64
+    yaw_rad: F64
     armed: Bools
     mode: tuple[str, ...]
     hull_s: F64
@@ -56,6 +58,7 @@ class Evidence:
     failsafes: tuple[str, ...]
     texts: tuple[str, ...]
     wire: Wire
+    arrived_s: F64
     heard: tuple[tuple[float, int, bool], ...]
     limits: Limits
     boot_s: float = 0.0
@@ -118,6 +121,7 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
         stamp_s=stamps,
         position_m=positions,
         velocity_mps=np.array([m.velocity_mps for m in ledger]).reshape(-1, 3),
+        yaw_rad=np.array([m.yaw_rad for m in ledger]),
         armed=armed,
         mode=tuple(m.mode for m in ledger),
         hull_s=hull_s,
@@ -127,6 +131,7 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
         failsafes=tuple(world.flyer.failsafes),
         texts=tuple(world.flyer.texts),
         wire=decode(tap.sent),
+        arrived_s=setpoints_in(tap.arrived),
         heard=tuple(modes_told(tap.heard)),
         limits=limits,
         boot_s=world.flyer.boot_s,

@@ -9,14 +9,13 @@ from sitl.transport import ByteEnd
 
 
 class FarProxy:
-    """As link.Proxy, from the other side. sent and heard: (instant, bytes) of what the product wrote, when it arrived, and
-    was given to read.
-    """
+    """As link.Proxy, from the other side: sent has the instants at which datagrams came, before the troubles."""
 
     def __init__(self, end: ByteEnd, now_s: Callable[[], float], up: Fate, down: Fate) -> None:
         self._end, self._now_s, self._up, self._down = end, now_s, up, down
         self._rising, self._falling = Queue(), Queue()
         self.sent: list[tuple[float, bytes]] = []
+        self.arrived: list[tuple[float, bytes]] = []
         self.heard: list[tuple[float, bytes]] = []
 
     @property
@@ -31,7 +30,9 @@ class FarProxy:
             self.sent.append((self._end.arrival_s or now_s, data))
             for frame in frames(data):
                 self._rising.put(now_s, self._up(frame))
-        return b"".join(self._rising.take(now_s))
+        ready = self._rising.take(now_s)
+        self.arrived += [(now_s, frame) for frame in ready]
+        return b"".join(ready)
 
     def write(self, data: bytes) -> None:
         """What the autopilot says, as far as the troubles leave it."""

@@ -52,9 +52,12 @@ Fate = Callable[[bytes], Late[bytes]]
 
 
 class Tap(Protocol):
-    """A proxy, at either end. sent and heard: (instant, bytes) of what the product wrote and was given to read."""
+    """A proxy, at either end. sent and heard: (instant, bytes) of what the product wrote and was given to read; arrived: of the
+    frames of it that the troubles left to the autopilot, when it could read them.
+    """
 
     sent: list[tuple[float, bytes]]
+    arrived: list[tuple[float, bytes]]
     heard: list[tuple[float, bytes]]
 
     def forward(self) -> None:
@@ -90,13 +93,14 @@ class Queue:
 
 
 class Proxy:
-    """Stands at the product's end. sent and heard: (instant, bytes) of what the product wrote and was given to read."""
+    """Stands at the product's end; see Tap."""
 
     def __init__(self, end: Bytes, now_s: Callable[[], float], up: Fate, down: Fate) -> None:
         self._end, self._now_s, self._up, self._down = end, now_s, up, down
         self._rising, self._falling = Queue(), Queue()
         self._forged: list[bytes] = []
         self.sent: list[tuple[float, bytes]] = []
+        self.arrived: list[tuple[float, bytes]] = []
         self.heard: list[tuple[float, bytes]] = []
 
     def read(self) -> bytes:
@@ -120,7 +124,9 @@ class Proxy:
 
     def forward(self) -> None:
         """Let late frames arrive; once a turn."""
-        for frame in self._rising.take(self._now_s()):
+        now_s = self._now_s()
+        for frame in self._rising.take(now_s):
+            self.arrived.append((now_s, frame))
             self._end.write(frame)
 
     def forge(self, data: bytes) -> None:

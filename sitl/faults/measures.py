@@ -14,6 +14,7 @@ Measure = Callable[[Evidence], float]
 _STILL_MPS = 0.02  # of a setpoint
 _BRAKING_MPS2 = 0.8  # what slows down more gently than this, on the mean, is flying on
 _RESTING_MPS = 0.12  # of the vehicle, gusts included
+_ASIDE_M, _BACK_M = 0.2, 0.3  # of the way flown, whose corners are rounded (0.15 m measured); of the place left
 _OLDEST_POSE_S = 0.15
 _FLOWN_M = 2.0  # from the pad: a mission that goes anywhere goes farther, 3.4 m at least
 _ARM, _SET_MODE = 400, 176
@@ -90,6 +91,21 @@ def slowest_second(e: Evidence) -> float:
     return float((np.searchsorted(stamps, starts + 1.0) - np.searchsorted(stamps, starts)).min())
 
 
+def longest_gap_arrived(e: Evidence) -> float:
+    """Longest seconds between setpoints at the autopilot from the trouble on, while the vehicle follows them."""
+    until_s = e.onset_s + min(e.since(~e.ours, e.onset_s), e.end_s - e.onset_s)
+    inside = e.arrived_s[(e.arrived_s >= e.onset_s - 0.1) & (e.arrived_s <= until_s)]
+    return float(np.diff(np.append(inside, until_s)).max()) if len(inside) else math.inf
+
+
+def slowest_ten_seconds_arrived(e: Evidence) -> float:
+    """Fewest setpoints a second at the autopilot, over any ten seconds from the trouble on, while the vehicle follows them."""
+    until_s = e.onset_s + min(e.since(~e.ours, e.onset_s), e.end_s - e.onset_s)
+    starts = np.arange(e.onset_s, until_s - 10.0, 0.1)
+    counts = np.searchsorted(e.arrived_s, starts + 10.0) - np.searchsorted(e.arrived_s, starts)
+    return float(counts.min()) / 10.0 if len(counts) else 0.0
+
+
 def noted(name: str) -> Measure:
     """What an injector measured itself; inf if it came to nothing."""
     return lambda e: e.notes.get(name, math.inf)
@@ -120,13 +136,23 @@ def setpoint_jump(e: Evidence) -> float:
 
 
 def retreat_after(e: Evidence) -> float:
-    """Seconds from the trouble to the first motion after a rest that goes back along the way."""
+    """Seconds from the trouble to the first motion after a rest, where that goes back along the way; inf for one elsewhere."""
     w = e.wire
     speed, after = np.linalg.norm(w.velocity_mps, axis=1), w.setpoint_s >= e.onset_s
     still = np.flatnonzero(after & (speed <= _STILL_MPS))
     moving = np.flatnonzero(after & (speed > 0.05))
     moving = moving[moving > still[0]] if len(still) else moving[:0]
-    return float(w.setpoint_s[moving[0]]) - e.onset_s if len(moving) else math.inf
+    begun_s = float(w.setpoint_s[moving[0]]) if len(moving) else math.inf
+    return begun_s - e.onset_s if len(moving) and _goes_back(e, begun_s) else math.inf
+
+
+def _goes_back(e: Evidence, from_s: float) -> bool:
+    """Whether the vehicle truly leaves the place where it is, and the way that it flew to there nowhere until it lands."""
+    until_s = from_s + e.since(e.landing | ~e.armed, from_s)
+    way = e.position_m[e.armed & (e.stamp_s <= from_s)]
+    gone = e.position_m[(e.stamp_s >= from_s) & (e.stamp_s <= until_s)]
+    aside = [float(np.linalg.norm(way - place, axis=1).min()) for place in gone]
+    return max(aside) <= _ASIDE_M and float(np.linalg.norm(gone - way[-1], axis=1).max()) >= _BACK_M
 
 
 def commands(after_s: float = 0.0, kinds: frozenset[int] = MODE_OR_ARM) -> Measure:
@@ -140,8 +166,9 @@ def commands_once_known(e: Evidence) -> float:
 
 
 def _after_takeover(e: Evidence) -> list[Order]:
+    """Out of our mode or out of a landing: a pilot may want the vehicle back from either."""
     theirs = e.armed & ~e.ours & ~e.landing
-    k = np.flatnonzero(theirs[1:] & e.ours[:-1]) + 1
+    k = np.flatnonzero(theirs[1:] & (e.ours | (e.landing & e.armed))[:-1]) + 1
     if not len(k):
         return []
     known = [stamp_s for stamp_s, _, _ in e.heard if stamp_s >= e.stamp_s[k[0]]]
@@ -178,6 +205,21 @@ def pose_error_step(for_s: float = 3.0) -> Measure:
         truth = np.stack([np.interp(w.odometry_s[k], e.stamp_s, e.position_m[:, axis]) for axis in range(3)], axis=1)
         error = w.odometry_m[k] - truth
         return float(np.linalg.norm(error - error[0], axis=1).max())
+
+    return measure
+
+
+def heading_error_step(for_s: float = 3.0) -> Measure:
+    """How far (degrees) the error of ODOMETRY's heading against truth moved within so long after the trouble."""
+
+    def measure(e: Evidence) -> float:
+        w = e.wire
+        k = np.flatnonzero((w.odometry_s >= e.onset_s - 0.1) & (w.odometry_s <= e.onset_s + for_s))
+        if len(k) < 2:
+            return math.inf
+        error_rad = w.odometry_yaw_rad[k] - np.interp(w.odometry_s[k], e.stamp_s, np.unwrap(e.yaw_rad))
+        moved_rad = np.remainder(error_rad - error_rad[0] + math.pi, math.tau) - math.pi
+        return math.degrees(float(np.abs(moved_rad).max()))
 
     return measure
 
@@ -231,6 +273,11 @@ def _dated(e: Evidence) -> tuple[F64, Bools]:
     after = w.odometry_s >= e.onset_s
     age_s = w.odometry_s[after] - e.boot_s - w.odometry_stamp_us[after] * 1e-6
     return w.odometry_s[after], np.abs(age_s) > _OLDEST_POSE_S
+
+
+def poses_until(e: Evidence) -> float:
+    """Seconds from the trouble to the last ODOMETRY on the wire."""
+    return max(float(e.wire.odometry_s[-1]) - e.onset_s, 0.0) if len(e.wire.odometry_s) else 0.0
 
 
 def poses_again_after(late_s: float) -> Measure:

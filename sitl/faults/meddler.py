@@ -43,6 +43,7 @@ class Moment:
     stamp_s: float
     position_m: tuple[float, float, float]
     velocity_mps: tuple[float, float, float]
+    yaw_rad: float
     armed: bool
     mode: str
 
@@ -98,7 +99,7 @@ class Meddler:
         """Before anything else moves in a turn."""
         at, truth = self.theatre, self.theatre.world.flyer.truth()
         at.now_s = now_s
-        self.ledger.append(Moment(now_s, truth.position, truth.velocity, truth.armed, truth.mode))
+        self.ledger.append(Moment(now_s, truth.position, truth.velocity, yaw_of(truth.quat_wxyz), truth.armed, truth.mode))
         self._watch(self.ledger[-1])
         for injector in self._injectors:
             injector.turn(at, now_s - self.onset_s)

@@ -166,7 +166,13 @@ TABLE_D = (
         "bad link",
         "20 % lost both ways; up to 0.3 s late; 0.3 s holes",
         lambda n: [(Loss("both", share=0.2, seed=n), Jitter(0.3, n), Loss("both", 0.3))[n % 3]],
-        (NO_FAILSAFE, STEADY, COMPLETES),
+        (
+            NO_FAILSAFE,
+            STEADY,
+            Bar("setpoints that arrive in a second, of ten", m.slowest_ten_seconds_arrived, 20.0, "1/s", at_least=True),
+            Bar("gap between those that arrive", m.longest_gap_arrived, 0.5, "s"),  # at which the autopilot takes over
+            COMPLETES,
+        ),
         longest_s=120.0,
         views=SHORT_VIEWS,
     ),

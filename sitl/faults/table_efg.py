@@ -31,6 +31,7 @@ AT_BOOT = Onset((0.0, 0.0), at_boot=True)
 ANY = Onset((0.0, 15.0), speed_mps=0.0)
 FAST = Onset(speed_mps=0.6)
 PILOT_MODES = (("POSCTL", "POSHOLD"), ("ALTCTL", "ALT_HOLD"), ("STABILIZED", "STABILIZE"), ("LOITER",))
+AROUND_LAND_S = (0.0, 0.04, 1.5, 0.02, 0.06, 0.7, 0.08, 0.1)  # of the pilot's switch, after the operator's key
 PARAMETERS = (  # of either firmware, with values that come with it
     (("COM_OBL_RC_ACT", 0), ("FS_GCS_ENABLE", 0)),
     (("COM_OF_LOSS_T", 5.0), ("FS_GCS_TIMEOUT", 5)),
@@ -62,8 +63,8 @@ TABLE_E = (
     Row(
         "E1b",
         "pilot switches as we ask for a mode",
-        "around the operator's landing, 50 ms before to after",
-        lambda n: [Abort(), Takeover(*PILOT_MODES[n % 3], later_s=0.02 * (n % 6))],
+        "as the operator's landing is asked for, within 0.1 s, and out of that landing",
+        lambda n: [Abort(), Takeover(*PILOT_MODES[n % 3], later_s=AROUND_LAND_S[n % len(AROUND_LAND_S)])],
         (
             Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
             Bar("stream ends", m.streams_after, 0.5, "s"),

@@ -39,8 +39,8 @@ class Wire:
     """All in the world's ENU axes and clock.
 
     setpoint_s (N,), of its arrival; setpoint_stamp_ms (N,), as its sender dates it; position_m, velocity_mps,
-    acceleration_mps2 (N, 3); yaw_rate_radps (N,). odometry_s (M,) and odometry_m (M, 3), odometry_stamp_us (M,) on the
-    autopilot's clock, reset_counter (M,). texts: (instant, STATUSTEXT).
+    acceleration_mps2 (N, 3); yaw_rate_radps (N,). odometry_s (M,), odometry_m (M, 3) and odometry_yaw_rad (M,), -pi to pi;
+    odometry_stamp_us (M,) on the autopilot's clock, reset_counter (M,). texts: (instant, STATUSTEXT).
     not_finite: setpoints, poses and commands with a NaN or an infinity in them.
     """
 
@@ -52,6 +52,7 @@ class Wire:
     yaw_rate_radps: F64
     odometry_s: F64
     odometry_m: F64
+    odometry_yaw_rad: F64
     odometry_stamp_us: F64
     reset_counter: F64
     orders: tuple[Order, ...]
@@ -78,7 +79,7 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
                     (stamp_s, float(m.time_boot_ms), *place, *speed, *push, m.yaw_rate if not m.type_mask & 2048 else 0.0)
                 )
             elif kind == "ODOMETRY":
-                odometry.append((stamp_s, *_enu(m), float(m.time_usec), float(m.reset_counter)))
+                odometry.append((stamp_s, *_enu(m), _yaw_rad(m), float(m.time_usec), float(m.reset_counter)))
             elif kind in {"COMMAND_LONG", "COMMAND_INT"}:
                 orders.append(Order(stamp_s, m.command, m.param1, m.param2))
             elif kind == "SET_MODE":
@@ -87,11 +88,22 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
                 texts.append((stamp_s, str(m.text)))
             not_finite += kind in _CHECKED and not math.isfinite(sum(_numbers(m)))  # one that is none spoils the sum
     s = np.array(setpoints, dtype=np.float64).reshape(-1, 12)
-    o = np.array(odometry, dtype=np.float64).reshape(-1, 6)
+    o = np.array(odometry, dtype=np.float64).reshape(-1, 7)
     return Wire(
         s[:, 0], s[:, 1], s[:, 2:5], s[:, 5:8], s[:, 8:11], s[:, 11], o[:, 0], o[:, 1:4], o[:, 4], o[:, 5],
+        o[:, 6],
         tuple(orders), tuple(texts), not_finite,
     )  # fmt: skip
+
+
+def setpoints_in(arrived: Sequence[tuple[float, bytes]]) -> F64:
+    """Instants (N,) of the setpoints among whole frames, of those alone that are not spoilt."""
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    kind = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+    whole = [(stamp_s, frame) for stamp_s, frame in arrived if message_id(frame) == kind]
+    told = [stamp_s for stamp_s, frame in whole for m in parser.parse_buffer(frame) or () if m.get_msgId() == kind]
+    return np.array(told, dtype=np.float64)
 
 
 def modes_told(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tuple[float, int, bool]]:
@@ -123,3 +135,10 @@ def _numbers(m: mavlink.MAVLink_message) -> list[float]:
 def _enu(m: mavlink.MAVLink_odometry_message) -> tuple[float, float, float]:
     """LOCAL_FRD of a product without a compass has north along the world's y, as LOCAL_NED has."""
     return (m.y, m.x, -m.z) if all(map(math.isfinite, (m.x, m.y, m.z))) else (math.nan,) * 3
+
+
+def _yaw_rad(m: mavlink.MAVLink_odometry_message) -> float:
+    """From the world's x, towards its y; of a quaternion with north along that y. NaN where a number is none."""
+    w, x, y, z = m.q
+    from_north = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return math.remainder(math.pi / 2.0 - from_north, math.tau) if math.isfinite(from_north) else math.nan

@@ -26,12 +26,19 @@ def evidence(**changes: Any) -> Evidence:
     armed = t < 18.0
     mode = tuple("OFFBOARD" if s < 15.0 else "LAND" for s in t)
     plain = Evidence(
-        onset_s=ONSET_S, end_s=END_S, stamp_s=t, position_m=place, velocity_mps=speed, armed=armed, mode=mode,
-        hull_s=t[:400], hull_m=np.full(400, 0.5), boxes_m=np.full(len(t), math.inf), battery=0.8, failsafes=(), texts=(),
-        wire=wire(t[t < 15.0], place[t < 15.0], speed[t < 15.0]), heard=tuple((s, 6 << 16, True) for s in t), limits=LIMITS,
+        onset_s=ONSET_S, end_s=END_S, stamp_s=t, position_m=place, velocity_mps=speed, yaw_rad=turning(t), armed=armed,
+        mode=mode, hull_s=t[:400], hull_m=np.full(400, 0.5), boxes_m=np.full(len(t), math.inf), battery=0.8,
+        failsafes=(), texts=(),
+        wire=wire(t[t < 15.0], place[t < 15.0], speed[t < 15.0]), arrived_s=t[t < 15.0],
+        heard=tuple((s, 6 << 16, True) for s in t), limits=LIMITS,
         boot_s=BOOT_S,
     )  # fmt: skip
     return dataclasses.replace(plain, **changes)
+
+
+def turning(t: Any) -> Any:
+    """Heading (rad), 0.7 rad/s from 4 s on."""
+    return 0.7 * np.maximum(t - 4.0, 0.0)
 
 
 def wire(t: Any, place: Any, speed: Any, **changes: Any) -> Wire:
@@ -40,7 +47,9 @@ def wire(t: Any, place: Any, speed: Any, **changes: Any) -> Wire:
     said = Wire(
         setpoint_s=t, setpoint_stamp_ms=np.floor((t - BOOT_S) * 1e3),
         position_m=place, velocity_mps=speed, acceleration_mps2=zero, yaw_rate_radps=np.zeros(len(t)),
-        odometry_s=t, odometry_m=place + 0.01, odometry_stamp_us=(t - BOOT_S) * 1e6, reset_counter=np.zeros(len(t)),
+        odometry_s=t, odometry_m=place + 0.01,
+        odometry_yaw_rad=np.remainder(turning(t) + 0.01 + np.pi, 2.0 * np.pi) - np.pi,
+        odometry_stamp_us=(t - BOOT_S) * 1e6, reset_counter=np.zeros(len(t)),
         orders=(Order(0.5, 176, 1.0, 6.0), Order(0.8, 400, 1.0, 0.0), Order(15.0, 176, 1.0, 4.0)),
         texts=((6.0, "holding"),), not_finite=0,
     )  # fmt: skip

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from fault_evidence import evidence, rewired, spoilt
+from fault_evidence import DT_S, evidence, rewired, spoilt
 
 from sitl.faults.everywhere import violations
 from sitl.faults.evidence import Evidence
@@ -22,14 +22,16 @@ def hovering(e: Evidence) -> Evidence:
     t = np.arange(0.0, 90.0, 1.0 / 30.0)
     place = np.tile([1.0, 0.0, 1.0], (len(t), 1))
     return dataclasses.replace(
-        e, stamp_s=t, position_m=place, velocity_mps=np.zeros_like(place), armed=np.ones(len(t), bool),
-        mode=("OFFBOARD",) * len(t), boxes_m=np.full(len(t), np.inf), end_s=90.0,
+        e, stamp_s=t, position_m=place, velocity_mps=np.zeros_like(place), yaw_rad=np.zeros(len(t)),
+        armed=np.ones(len(t), bool), mode=("OFFBOARD",) * len(t), boxes_m=np.full(len(t), np.inf), end_s=90.0,
     )  # fmt: skip
 
 
 SPOILS: dict[str, Spoil] = {
     "contact": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.0)),
     "contact: clearance": lambda e: dataclasses.replace(e, boxes_m=np.zeros(len(e.stamp_s))),
+    "clearance 0.090 m": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.09)),
+    "clearance 0.080 m": lambda e: dataclasses.replace(e, boxes_m=np.full(len(e.stamp_s), 0.08)),
     "fence overshot": lambda e: dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 1), 3.4)),
     "NaN": lambda e: rewired(e, not_finite=1),
     "m/s²": lambda e: rewired(e, acceleration_mps2=spoilt(e.wire.acceleration_mps2, (100, 0), 2.1)),
@@ -67,6 +69,17 @@ def test_what_is_allowed_is_no_violation() -> None:
     assert violations(rewired(quiet, orders=reset.wire.orders[:2])) == [], "a pilot may take over"
 
 
+def test_a_pilot_who_takes_the_vehicle_out_of_our_landing_keeps_it() -> None:
+    e = evidence()
+    kept = dataclasses.replace(e, mode=tuple("POSCTL" if t > 16.0 else m for t, m in zip(e.stamp_s, e.mode, strict=True)))
+    again = rewired(kept, orders=(*e.wire.orders, Order(17.0, 176, 1.0, 4.0)))
+    assert violations(kept) == [], "the order to land came before"
+    assert violations(again) == ["1 mode or arm commands after the pilot took over"]
+    known_s = next(s for s, _, _ in e.heard if s > 16.0)
+    under_way = rewired(kept, orders=(*e.wire.orders, Order(known_s + 0.01, 176, 1.0, 4.0)))
+    assert violations(under_way) == [], "sent before it could have heard"
+
+
 def test_setpoints_that_arrive_together_were_sent_apart() -> None:
     flown = evidence()
     brake = spoilt(
@@ -78,6 +91,35 @@ def test_setpoints_that_arrive_together_were_sent_apart() -> None:
     assert violations(held_up) == []
     together = spoilt(flown.wire.setpoint_stamp_ms, 150, float(flown.wire.setpoint_stamp_ms[151]) - 1.0)
     assert any("velocity jumps" in words for words in violations(rewired(held_up, setpoint_stamp_ms=together)))
+
+
+def ramped(speed_mps: float, acceleration_mps2: float) -> Evidence:
+    """From 7 s on setpoints go faster and faster aside for 1 s, and then on so fast."""
+    e = evidence()
+    since_s = np.clip(e.wire.setpoint_s - 7.0, 0.0, 1.0)
+    gone_m = np.cumsum(np.where((e.wire.setpoint_s > 7.0) & (e.wire.setpoint_s < 7.5), speed_mps, 0.0)) * DT_S
+    aside, push = np.array([0.0, 1.0, 0.0]), np.minimum(since_s * acceleration_mps2, 1.0)
+    return rewired(
+        e, position_m=e.wire.position_m * [0.0, 0.0, 1.0] + gone_m[:, None] * aside,
+        velocity_mps=e.wire.velocity_mps * [0.0, 0.0, 1.0] + push[:, None] * aside,
+    )  # fmt: skip
+
+
+def test_what_each_frame_may_be_off_does_not_add_up_over_a_while() -> None:
+    assert violations(ramped(1.2, 2.0)) == []
+    assert any("setpoint jumps" in words for words in violations(ramped(2.2, 0.0)))
+    assert any("velocity jumps" in words for words in violations(ramped(0.0, 4.2)))
+
+
+def test_a_pilot_that_starts_anew_may_begin_elsewhere_also_over_a_while() -> None:
+    e = evidence()
+    anew = np.where(e.wire.setpoint_s > 8.0, 0.9, 0.0)
+    keep = (e.wire.setpoint_s < 7.4) | (e.wire.setpoint_s > 8.0)
+    parts = {
+        name: getattr(e.wire, name)[keep] for name in ("setpoint_s", "setpoint_stamp_ms", "velocity_mps", "yaw_rate_radps")
+    }
+    moved = (e.wire.position_m + anew[:, None] * (0.0, 1.0, 0.0))[keep]
+    assert violations(rewired(e, **parts, position_m=moved, acceleration_mps2=e.wire.acceleration_mps2[keep])) == []
 
 
 @pytest.mark.parametrize("leap_ms", [200.0, 5000.0])

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import Injector
 from sitl.faults.link import Late, Proxy, frames, message_id
-from sitl.faults.wire import decode, modes_told
+from sitl.faults.wire import decode, modes_told, setpoints_in
 from sitl.faults.wires import Corrupted, Jitter, Loss, Repeated, Rewritten, version
 from sitl.transport import PipeEnd, UdpPeer, pipe
 
@@ -117,6 +118,17 @@ def test_the_capture_is_in_the_worlds_axes() -> None:
     assert decode([(1.0, order)]).orders[0].second == 21196.0
 
 
+@pytest.mark.parametrize("from_north_deg", [0.0, 30.0, 90.0, 179.0, -91.0])
+def test_the_heading_of_odometry_is_in_the_worlds_axes(from_north_deg: float) -> None:
+    half = math.radians(from_north_deg) / 2.0
+    quat = [math.cos(half), 0.0, 0.0, math.sin(half)]
+    pose = mavlink.MAVLink_odometry_message(0, 20, 12, 1.0, 2.0, -3.0, quat, *[0.0] * 6, [0.0] * 21, [0.0] * 21)
+    wire = decode([(3.0, bytes(pose.pack(VOICE)))])
+    expected = math.remainder(math.radians(90.0 - from_north_deg), math.tau)
+    assert wire.odometry_yaw_rad == pytest.approx([expected], abs=1e-6)
+    np.testing.assert_allclose(wire.odometry_m[0], [2.0, 1.0, 3.0])
+
+
 def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:
     trouble, clock = Jitter(0.3, seed=1), [0.0]
     end = UdpPeer(remote=None)
@@ -145,3 +157,16 @@ def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:
     finally:
         end.close()
         product.close()
+
+
+def test_setpoints_are_counted_where_they_arrive_and_sound() -> None:
+    proxy, clock, _ = proxied(Jitter(0.3, seed=1))
+    proxy.write(heartbeat(1) + setpoint(1.0))
+    assert len(decode(proxy.sent).setpoint_s) == 1
+    assert setpoints_in(proxy.arrived).tolist() == []
+    clock[0] = 0.31
+    proxy.forward()
+    assert setpoints_in(proxy.arrived).tolist() == [0.31]
+    spoilt = bytearray(setpoint(2.0))
+    spoilt[20] ^= 1
+    assert setpoints_in([(1.0, bytes(spoilt)), (2.0, setpoint(3.0))]).tolist() == [2.0]

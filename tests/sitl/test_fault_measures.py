@@ -137,13 +137,31 @@ def test_where_a_vehicle_drifts_that_a_pilot_took_is_not_answered_for() -> None:
     assert (m.clearance(back), m.overshoot(back) > 5.0) == (0.0, True), "it is ours again"
 
 
-def test_moving_on_and_going_back() -> None:
+def going_after_a_rest(*, along: float, aside: float) -> Evidence:
+    """At rest from 5.2 to 7 s, then 0.5 m/s on along its way (back where negative) or aside of it until 9 s."""
+    e = evidence()
+    going = (e.stamp_s >= 7.0) & (e.stamp_s < 9.0)
+    speed = np.where(((e.stamp_s < 5.2) | (e.stamp_s > 15.0))[:, None], e.velocity_mps, 0.0)
+    speed[going, :2] = (along, aside)
+    place, n = np.cumsum(speed, axis=0) * DT_S, len(e.wire.setpoint_s)
+    flown = dataclasses.replace(e, velocity_mps=speed, position_m=place)
+    return rewired(flown, velocity_mps=speed[:n], position_m=place[:n], odometry_m=place[:n])
+
+
+def test_a_retreat_goes_back_along_the_way() -> None:
+    assert m.retreat_after(going_after_a_rest(along=-0.5, aside=0.0)) == pytest.approx(2.0, abs=NEAR)
+    assert m.retreat_after(going_after_a_rest(along=0.5, aside=0.0)) == math.inf, "it flies on"
+    assert m.retreat_after(going_after_a_rest(along=-0.3, aside=0.4)) == math.inf, "nearer to the pad, but not as it came"
+    assert m.retreat_after(going_after_a_rest(along=-0.1, aside=0.0)) == math.inf, "it does not get away"
+    stays = evidence()
+    assert m.retreat_after(rewired(stays, velocity_mps=np.zeros_like(stays.wire.velocity_mps))) == math.inf
+
+
+def test_moving_on() -> None:
     e = evidence()
     pause = (e.wire.setpoint_s > 5.2) & (e.wire.setpoint_s < 7.0)
     paused = rewired(e, velocity_mps=np.where(pause[:, None], 0.0, e.wire.velocity_mps))
     assert m.moves_again_after(0.5)(paused) == pytest.approx(1.5, abs=NEAR)
-    assert m.retreat_after(paused) == pytest.approx(2.0, abs=NEAR)
-    assert m.retreat_after(rewired(e, velocity_mps=np.zeros_like(e.wire.velocity_mps))) == math.inf
 
 
 def test_how_a_flight_ended() -> None:

@@ -1,0 +1,89 @@
+"""Rows of the table on flights that never were: what a row is there for breaks one of its own bars, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from fault_evidence import BOOT_S, DT_S, evidence, rewired, turning
+
+from sitl.faults.evidence import Evidence
+from sitl.faults.table import ROWS
+
+
+def broken(row: str, e: Evidence) -> set[str]:
+    """Names of a row's bars that such a flight does not hold."""
+    return {bar.name for bar in ROWS[row].bars if not bar.holds(bar.measure(e), "px4")}
+
+
+def test_odometry_that_takes_up_a_jump_slowly_breaks_b4() -> None:
+    e = evidence()
+    taken_m = np.clip(0.1 * (e.wire.odometry_s - 6.0), 0.0, 0.5)
+    assert broken("B4", e) == set()
+    assert broken("B4", rewired(e, odometry_m=e.wire.odometry_m + taken_m[:, None] * (1, 0, 0))) == {"motion of the error"}
+
+
+def late(e: Evidence, by_s: float) -> Evidence:
+    """Poses of so long ago under new stamps, from the trouble on."""
+    w = e.wire
+    old_s = np.where(w.odometry_s >= e.onset_s, w.odometry_s - by_s, w.odometry_s)
+    return rewired(e, odometry_m=np.stack([np.interp(old_s, w.odometry_s, w.odometry_m[:, k]) for k in range(3)], axis=1))
+
+
+def losing_the_pose(last_s: float = 5.4) -> Evidence:
+    """Brakes from 5.1 s on and lands at 6.1 s; no ODOMETRY after last_s."""
+    e = evidence()
+    speed = e.velocity_mps.copy()
+    speed[:, 0] = np.where(e.stamp_s < 5.1, speed[:, 0], np.clip(0.5 - (e.stamp_s - 5.1), 0.0, 0.5))
+    place = np.cumsum(speed, axis=0) * DT_S
+    mode = tuple("OFFBOARD" if s < 6.1 else "LAND" for s in e.stamp_s)
+    said, fed = e.stamp_s < 6.1, e.stamp_s <= last_s
+    flown = dataclasses.replace(e, velocity_mps=speed, position_m=place, mode=mode, armed=e.stamp_s < 12.0)
+    return rewired(
+        flown, setpoint_s=e.stamp_s[said], position_m=place[said], velocity_mps=speed[said],
+        odometry_s=e.stamp_s[fed], odometry_m=place[fed] + 0.01,
+        odometry_yaw_rad=turning(e.stamp_s[fed]), odometry_stamp_us=(e.stamp_s[fed] - BOOT_S) * 1e6,
+        reset_counter=np.zeros(np.count_nonzero(fed)),
+    )  # fmt: skip
+
+
+def test_old_poses_under_new_stamps_break_b8() -> None:
+    assert broken("B8", evidence()) == set()
+    assert broken("B8", late(evidence(), 0.12)) == {"motion of the error"}
+
+
+def test_poses_too_old_for_use_are_answered_as_lost_ones() -> None:
+    assert broken("B8l", losing_the_pose()) == set()
+    assert broken("B8l", late(losing_the_pose(), 0.3)) == {"motion of the error"}
+    assert broken("B8l", evidence()) == {"hold commanded", "landing mode"}
+
+
+def test_a_heading_that_reaches_the_wire_for_one_pose_breaks_b9() -> None:
+    e = evidence()
+    flipped = np.isclose(e.wire.odometry_s, 6.0, atol=1e-6)
+    assert np.count_nonzero(flipped) == 1
+    assert broken("B9", e) == set()
+    assert broken("B9", rewired(e, odometry_yaw_rad=e.wire.odometry_yaw_rad + np.where(flipped, np.pi, 0.0))) == {"heading off"}
+    assert broken("B9", rewired(e, odometry_yaw_rad=e.wire.odometry_yaw_rad - np.where(flipped, 0.05, 0.0))) == {"heading off"}
+    assert broken("B9", rewired(e, odometry_yaw_rad=np.full(len(flipped), np.nan))) == {"heading off"}
+
+
+@pytest.mark.parametrize("row", ["B1", "B7"])
+def test_odometry_that_goes_on_without_poses_breaks(row: str) -> None:
+    assert broken(row, losing_the_pose()) - {"drift"} == set()
+    assert "ODOMETRY ends" in broken(row, losing_the_pose(last_s=6.0))
+    still = losing_the_pose()
+    repeated = still.wire.odometry_m.copy()
+    repeated[still.wire.odometry_s > 5.0] = repeated[still.wire.odometry_s <= 5.0][-1]
+    assert "motion of the error" in broken(row, rewired(still, odometry_m=repeated)), "the last pose, under new stamps"
+
+
+def test_setpoints_that_do_not_arrive_break_d3() -> None:
+    e = evidence(onset_s=2.0)
+    lost = np.arange(len(e.arrived_s)) % 5 > 1
+    hole = (e.arrived_s > 8.0) & (e.arrived_s < 8.6)
+    few, gap = "setpoints that arrive in a second, of ten", "gap between those that arrive"
+    assert broken("D3", e) & {few, gap} == set()
+    assert broken("D3", dataclasses.replace(e, arrived_s=e.arrived_s[~lost])) & {few, gap} == {few}
+    assert broken("D3", dataclasses.replace(e, arrived_s=e.arrived_s[~hole])) & {few, gap} == {gap}
