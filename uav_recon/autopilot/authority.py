@@ -9,6 +9,7 @@ from uav_recon.autopilot.personality import Personality
 from uav_recon.autopilot.telemetry import Telemetry
 from uav_recon.types.vehicle import FlightPhase
 
+_IDLE = (FlightPhase.CONNECTING, FlightPhase.READY)
 IN_THE_AIR = (FlightPhase.FLYING, FlightPhase.LANDING)
 
 _LATE_ARM_S = 5.0
@@ -31,7 +32,7 @@ class Authority:
 
     def __init__(self, firmware: Personality) -> None:
         self._firmware = firmware
-        self._arm_asked_s = -math.inf
+        self._arm_asked_s = self._idle_s = -math.inf
         self._reboots = 0
 
     def asked_to_arm(self, now_s: float) -> None:
@@ -39,9 +40,13 @@ class Authority:
         self._arm_asked_s = now_s
 
     def watch(self, phase: FlightPhase, t: Telemetry, now_s: float) -> Loss | None:
-        """What the autopilot's state means for the phase we are in, None for nothing."""
+        """What the autopilot's state means for the phase we are in, None for nothing. Motors are ours only in the attempt that
+        asked for them.
+        """
         rebooted, self._reboots = t.reboots != self._reboots, t.reboots
-        if phase in (FlightPhase.CONNECTING, FlightPhase.READY) and t.armed:
+        if phase in _IDLE:
+            self._idle_s = now_s
+        if phase in (*_IDLE, FlightPhase.ARMING) and t.armed and self._arm_asked_s <= self._idle_s:
             ours = self._firmware.is_ours(t.custom_mode)
             if ours and now_s - self._arm_asked_s < _LATE_ARM_S:
                 return Loss(FlightPhase.LANDING, "armed after the request was withdrawn")
