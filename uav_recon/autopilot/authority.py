@@ -50,11 +50,11 @@ class Authority:
             ours = self._firmware.is_ours(t.custom_mode)
             if ours and now_s - self._arm_asked_s < _LATE_ARM_S:
                 return Loss(FlightPhase.LANDING, "armed after the request was withdrawn")
-            return _yield("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
+            return yielded("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
         if phase in IN_THE_AIR and rebooted:
-            return _yield("the autopilot restarted in flight")
+            return yielded("the autopilot restarted in flight")
         if phase in IN_THE_AIR and now_s - t.heard_s > _LINK_LOST_S:
-            return _yield("the autopilot is silent", abandoned=True)
+            return yielded("the autopilot is silent", abandoned=True)
         if phase is not FlightPhase.FLYING:
             return None
         if not t.armed:
@@ -62,9 +62,10 @@ class Authority:
         if self._firmware.is_landing(t.custom_mode):
             return Loss(FlightPhase.LANDING, f"the autopilot lands: {t.warning}")
         if not self._firmware.is_ours(t.custom_mode):
-            return _yield(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
+            return yielded(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
         return None
 
 
-def _yield(why: str, abandoned: bool = False) -> Loss:
+def yielded(why: str, abandoned: bool = False) -> Loss:
+    """Never ours again."""
     return Loss(FlightPhase.YIELDED, f"yielded: {why}", abandoned)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.autopilot.authority import IN_THE_AIR, Authority
+from uav_recon.autopilot.authority import IN_THE_AIR, Authority, Loss
 from uav_recon.autopilot.briefing import Briefing, Origin
 from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.herald import Herald
@@ -160,9 +160,7 @@ class Pilot:
     def _judge(self, now_s: float) -> None:
         loss = self._authority.watch(self.phase, self._link.telemetry, now_s)
         if loss is not None:
-            self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
-            if loss.abandoned:
-                self._link.stop_heartbeats()
+            self._lose(loss)
         if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
             self._grounded = self._lift_off.fault(now_s, self._link.telemetry)
         if self.phase is FlightPhase.FLYING:
@@ -197,6 +195,11 @@ class Pilot:
             self._landing = Landing(landing_seen, lifted=self._lift_off is None or self._lift_off.lifted)
         if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
             self._mandate.forsake()
+
+    def _lose(self, loss: Loss) -> None:
+        self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
+        if loss.abandoned:
+            self._link.stop_heartbeats()
 
     def _advance(self, now_s: float) -> None:
         """One step of the sequence for the phase we are in."""
@@ -260,12 +263,10 @@ class Pilot:
 
     def _land(self, now_s: float) -> None:
         landing = self._landing = self._landing or Landing(seen=False)
-        phase = landing.step(self._link, now_s)
+        loss = landing.step(self._link, now_s)
         self._note = landing.alert or self._note
-        if phase is FlightPhase.YIELDED:
-            self._enter(phase, f"yielded: mode changed to {self._firmware.mode_name(self._link.telemetry.custom_mode)}")
-        elif phase is FlightPhase.LANDED:
-            self._enter(phase, "")
+        if loss is not None:
+            self._lose(loss)
 
     # ---- stream and tell --------------------------------------------------------------------------------------
 
