@@ -1,9 +1,10 @@
-"""The last rung: a landing that is asked for, and handed to the firmware if it is not taken up."""
+"""The last rung: a landing that is asked for, never over a human's head, and handed to the firmware if it is not taken up."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from flight_rig import ARM, MODE, SETPOINT, TICK_S, Rig
 from test_flight_ardupilot import CopterRig
 
@@ -45,3 +46,42 @@ def test_a_refused_landing_is_handed_to_ardupilot() -> None:
     assert rig.autopilot.failsafes == ["GCS Failsafe: LAND"], "its answer to a heartbeat that ends"
     rig.run(12.0)
     assert not rig.autopilot.truth().armed
+
+
+@pytest.mark.parametrize("wish", ["the operator's", "the mission's", "the ladder's"])
+@pytest.mark.parametrize("deaf_s", [1.2, 2.0, 2.9])
+def test_no_landing_is_sent_over_a_human_unseen(hovering: Rig, wish: str, deaf_s: float) -> None:
+    hovering.tap.deaf = True
+    deaf_since_s = hovering.clock.now_s()
+    hovering.run(0.3)
+    hovering.px4.pilot_takes_over("POSCTL")
+    hovering.poses = wish != "the ladder's"
+    hovering.run(0.3)
+    if wish == "the operator's":
+        hovering.pilot.request_land()
+    elif wish == "the mission's":
+        hovering.intent = (Goal.LAND, None)
+    hovering.run(deaf_s - 0.6)
+    hovering.tap.deaf = False
+    hovering.until(FlightPhase.YIELDED, 0.3)
+    assert hovering.tap.since(deaf_since_s)[ASKED] == 0
+
+
+def test_a_landing_wished_for_while_deaf_is_asked_for_when_it_hears_again(hovering: Rig) -> None:
+    hovering.tap.deaf = True
+    hovering.run(0.7)
+    hovering.pilot.request_land()
+    hovering.run(0.8)
+    hovering.tap.deaf = False
+    hovering.run(0.4)
+    assert hovering.px4.truth().mode == "LAND"
+    hovering.until(FlightPhase.LANDED, 15.0)
+
+
+def test_a_landing_wished_for_while_deaf_for_good_is_the_firmwares(hovering: Rig) -> None:
+    hovering.tap.deaf = True
+    hovering.run(0.7)
+    hovering.pilot.request_land()
+    hovering.until(FlightPhase.YIELDED, 2.5)
+    hovering.run(1.5)
+    assert hovering.px4.truth().mode == "LAND"
