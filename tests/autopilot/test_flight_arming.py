@@ -65,3 +65,34 @@ def test_a_mode_that_a_human_chooses_before_ours_shows_is_not_asked_away(arming:
     arming.run(6.0)
     assert "mode changed to POSCTL" in arming.state.note
     assert not any(arming.tap.since(ready_s + TICK_S)[order] for order in ORDERS)
+
+
+@pytest.mark.parametrize("heard", [True, False])
+def test_a_pilot_told_to_end_waits_for_motors_that_may_still_start(arming: Rig, heard: bool) -> None:
+    """SIGTERM just after the request: a process that ended there would leave an armed vehicle to nobody."""
+    while not arming.tap.since(0)[f"COMMAND_LONG {ARM}"]:
+        arming.step()
+    arming.tap.deaf = True
+    arming.pilot.request_land()
+    arming.run(1.0)
+    assert arming.px4.truth().armed
+    arming.tap.deaf = not heard
+    begin_s = arming.clock.now_s()
+    while arming.pilot.in_flight and arming.clock.now_s() - begin_s < 15.0:
+        arming.step()
+    if heard:
+        assert not arming.px4.truth().armed
+        assert arming.pilot.phase is FlightPhase.LANDED
+    else:
+        assert arming.px4.truth().mode == "LAND", "by itself, since nothing was streamed"
+
+
+def test_a_pilot_whose_request_for_motors_came_to_nothing_ends(arming: Rig) -> None:
+    vars(arming.px4._state.commander)["request_arming"] = lambda *request: 1
+    while not arming.tap.since(0)[f"COMMAND_LONG {ARM}"]:
+        arming.step()
+    arming.pilot.request_land()
+    arming.run(4.8)
+    assert arming.pilot.in_flight
+    arming.run(0.4)
+    assert not arming.pilot.in_flight

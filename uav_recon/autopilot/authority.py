@@ -39,6 +39,10 @@ class Authority:
         """Motors that start within a while are ours."""
         self._arm_asked_s = now_s
 
+    def motors_may_start(self, now_s: float) -> bool:
+        """Whether that while is not over."""
+        return now_s - self._arm_asked_s < _LATE_ARM_S
+
     def watch(self, phase: FlightPhase, t: Telemetry, now_s: float) -> Loss | None:
         """What the autopilot's state means for the phase we are in, None for nothing. Motors are ours only in the attempt that
         asked for them.
@@ -48,7 +52,7 @@ class Authority:
             self._idle_s = now_s
         if phase in (*_IDLE, FlightPhase.ARMING) and t.armed and self._arm_asked_s <= self._idle_s:
             ours = self._firmware.is_ours(t.custom_mode)
-            if ours and now_s - self._arm_asked_s < _LATE_ARM_S:
+            if (ours or self._firmware.is_landing(t.custom_mode)) and self.motors_may_start(now_s):
                 return Loss(FlightPhase.LANDING, "armed after the request was withdrawn")
             return yielded("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
         if phase in IN_THE_AIR and rebooted:

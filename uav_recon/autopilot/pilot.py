@@ -130,8 +130,10 @@ class Pilot:
 
     @property
     def in_flight(self) -> bool:
-        """Whether the vehicle is, or may be, in the air by our doing."""
-        return self.phase in (FlightPhase.ARMING, *IN_THE_AIR)
+        """Whether the vehicle is, or may be, in the air by our doing, or may still start its motors by it."""
+        over = self.phase in (FlightPhase.LANDED, FlightPhase.YIELDED)
+        motors = not over and self._authority.motors_may_start(self._clock.now_s())
+        return motors or self.phase in (FlightPhase.ARMING, *IN_THE_AIR)
 
     @property
     def _refusals(self) -> int:
