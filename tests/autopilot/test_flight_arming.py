@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import pytest
-from flight_rig import ARM, MODE, SETPOINT, TICK_S, Rig
+from flight_rig import ARM, MODE, SETPOINT, TAKEOFF_LAG_S, TICK_S, Rig
 
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
@@ -96,3 +96,15 @@ def test_a_pilot_whose_request_for_motors_came_to_nothing_ends(arming: Rig) -> N
     assert arming.pilot.in_flight
     arming.run(0.4)
     assert not arming.pilot.in_flight
+
+
+def test_somebody_who_passes_while_it_arms_does_not_end_the_flight(arming: Rig) -> None:
+    arming.run(0.2)
+    for n in range(60):
+        arming.wall_m = 2.4 - 0.008 * n
+        arming.step()
+    arming.wall_m = 9.0
+    arming.until(FlightPhase.FLYING, 8.0)
+    arming.run(arming.fly((0.0, 0.0, 1.1)).duration_s + TAKEOFF_LAG_S)
+    assert arming.pilot.phase is FlightPhase.FLYING
+    assert arming.height_m == pytest.approx(1.1, abs=0.05)

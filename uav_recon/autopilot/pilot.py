@@ -153,7 +153,8 @@ class Pilot:
             self._steering.rebase(self._situation(now_s), _RESET_REST_S)
             self._lookout.forget()
         self._lookout.step(self._poses.pose, now_s)
-        self._steering.evasion.hear(self._lookout.intruder)
+        if self.phase in IN_THE_AIR:  # what passes while it arms is none of its business: it stands, and gives way to nobody
+            self._steering.evasion.hear(self._lookout.intruder)
         fault = self._mandate.hear(now_s)
         if fault:
             self._note = f"refused: {fault}"
