@@ -167,7 +167,8 @@ class Pilot:
         if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
             self._grounded = self._lift_off.fault(now_s, self._link.telemetry)
         if self.phase is FlightPhase.FLYING:
-            before, (self._rung, self._low) = self._rung, self._ladder.step(self._health(now_s))
+            before, (self._rung, low) = self._rung, self._ladder.step(self._health(now_s))
+            self._low = low if self._link.time_known or not low else f"{low}: the autopilot's clock is in doubt"
             self._note = self._low if self._rung > before else self._note
             if self._poses.pose is not None and self._rung < Rung.RETREAT:
                 self._steering.was_at(self._poses.pose.odom_from_body)
@@ -186,7 +187,8 @@ class Pilot:
 
     def _health(self, now_s: float) -> Health:
         inside = self._guard.envelope.fence.holds(self._position_m)
-        ages_s = (now_s - self._poses.sound_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
+        pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # it flies by no others
+        ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         return Health(now_s, *ages_s, inside, self._refusals, self._poses.lost, self._poses.wrong)
 
     # ---- act --------------------------------------------------------------------------------------------------
