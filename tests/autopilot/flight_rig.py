@@ -61,7 +61,7 @@ class Tap:
         self._inner, self._clock = inner, clock
         self._parser = mavlink.MAVLink(None)
         self.sent: list[tuple[float, Any]] = []
-        self.deaf = False
+        self.deaf = self.mute = False
 
     def read(self) -> bytes:
         data = self._inner.read()
@@ -70,7 +70,8 @@ class Tap:
     def write(self, data: bytes) -> None:
         for message in self._parser.parse_buffer(data) or []:
             self.sent.append((self._clock.now_s(), message))
-        self._inner.write(data)
+        if not self.mute:
+            self._inner.write(data)
 
     def wait(self, timeout_s: float) -> None:
         self._inner.wait(timeout_s)

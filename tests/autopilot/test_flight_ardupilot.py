@@ -174,3 +174,22 @@ def test_a_take_off_that_is_withdrawn_lands() -> None:
     rig.until(FlightPhase.LANDED, 15.0)
     assert not rig.autopilot.truth().armed
     assert rig.tap.since(0)[SETPOINT] < 30, "none but those that hold while LAND is not seen yet"
+
+
+def test_a_vehicle_that_a_human_armed_while_our_mode_was_lost_stays_his() -> None:
+    rig = CopterRig()
+    rig.until(FlightPhase.READY, 30.0)
+    rig.tap.mute = True
+    rig.intent = (Goal.FLY, None)
+    rig.until(FlightPhase.ARMING, 2.0)
+    rig.run(0.3)
+    rig.tap.mute = False
+    rig.autopilot.pilot_takes_over("LOITER")
+    assert isinstance(rig.autopilot, ArduCopter)
+    state = rig.autopilot._state
+    assert state.commander.request_arming(True, False, state.condition()) == 0
+    rig.until(FlightPhase.YIELDED, 0.3)
+    yielded_s = rig.clock.now_s()
+    rig.run(6.0)
+    assert mode_of(rig) == "LOITER"
+    assert not any(rig.tap.since(yielded_s + TICK_S)[order] for order in ORDERS)

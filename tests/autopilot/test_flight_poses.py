@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 import pytest
@@ -98,6 +99,46 @@ def test_a_reset_of_odom_holds_the_new_place(hovering: Rig) -> None:
     assert rig.state.trajectory_id == -1, "what was planned in the old odom is not taken up again"
     assert np.linalg.norm(np.array(rig.px4.truth().position) - start) < 0.45
     assert rig.pilot.phase is FlightPhase.FLYING
+
+
+class Late:
+    """A link on which everything comes so late that no round trip tells of the autopilot's clock any more."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._clock, self._inner = rig.clock, rig.tap._inner
+        self._under_way: deque[tuple[float, bytes]] = deque()
+
+    def read(self) -> bytes:
+        self._under_way.append((self._clock.now_s() + 0.03, self._inner.read()))
+        data = b""
+        while self._under_way and self._under_way[0][0] <= self._clock.now_s():
+            data += self._under_way.popleft()[1]
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._inner.write(data)
+
+    def wait(self, timeout_s: float) -> None:
+        self._inner.wait(timeout_s)
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+def test_poses_that_no_clock_lets_us_feed_hold_then_land(hovering: Rig) -> None:
+    """One answer contradicts, none comes to clear it up: the autopilot hears of no pose, however good ours are."""
+    doubt_s, clock = under_way(hovering), hovering.pilot._link._timesync
+    now_ns = int(doubt_s * 1e9)
+    clock.observe(now_ns - 10_000_000, clock.autopilot_ns(doubt_s) + 300_000_000, now_ns)
+    hovering.tap._inner = Late(hovering)
+    hovering.run(0.9)
+    assert hovering.pilot.phase is FlightPhase.FLYING
+    _, places = setpoints(hovering, doubt_s + 0.8)
+    assert np.ptp(places, axis=0).max() < 1e-6, "held"
+    hovering.until(FlightPhase.LANDING, 0.3)
+    hovering.until(FlightPhase.LANDED, 25.0)
+    assert hovering.tap.since(doubt_s + 0.05)["ODOMETRY"] == 0
+    assert hovering.state.note == "no pose for 1.0 s: the autopilot's clock is in doubt"
 
 
 @pytest.mark.parametrize("fault", ["old", "future", "repeated", "lost", "nan"])

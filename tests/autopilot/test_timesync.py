@@ -101,3 +101,16 @@ def test_instants_before_the_autopilots_boot_are_its_zero() -> None:
     sync = TimeSyncFilter()
     exchange(sync, 9000.0, 0.0, 0.0, offset_ns=-8_000 * MS)
     assert sync.autopilot_ns(3.0) == 0
+
+
+@pytest.mark.parametrize("told_ns", [2**63 - 1, 2**62])
+def test_a_clock_that_no_autopilot_has_is_not_heard(told_ns: int) -> None:
+    """It was believed after five times, and our answer to the next question did not fit its field."""
+    sync = TimeSyncFilter()
+    for i in range(10):
+        exchange(sync, 100.0 * i, 1.0, 1.0)
+    for i in range(8):
+        sync.observe((2000 + i) * MS, told_ns, (2001 + i) * MS)
+    assert sync.converged
+    assert sync.restarts == 0
+    assert abs(sync.autopilot_ns(3.0) - (3000 * MS + OFFSET_NS)) < MS

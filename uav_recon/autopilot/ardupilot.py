@@ -83,7 +83,9 @@ def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
 
 
 class TakeOff:
-    """GUIDED, motors, and a climb by command; each is believed when it is seen. The climb is asked for once."""
+    """GUIDED, motors, and a climb by command; each is believed when it is seen. The climb is asked for once. A mode that is
+    neither the one it began in nor ours is somebody's choice.
+    """
 
     LIFT_S = 5.0  # a real one is 0.2 m up 3.95 s after the order: its motors alone take three
     ARRIVED_M, CLIMB_S = 0.10, 12.0
@@ -92,17 +94,19 @@ class TakeOff:
         self.streams, self.reason = False, ""
         self._start_s = now_s
         self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
+        self._mode_before: int | None = None
         self._mode_seen, self._ground_m = False, math.nan
         self._climb_s, self._lift_off = math.inf, LiftOff(math.nan)
 
     def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
         """What has been reached, and the command to send now. No setpoint may be sent before it is ARMED."""
+        self._mode_before = t.custom_mode if self._mode_before is None else self._mode_before
+        if not is_ours(t.custom_mode) and (self._mode_seen or t.custom_mode != self._mode_before):
+            return self._give_up(f"mode changed to {mode_name(t.custom_mode)}")
         if not self._mode_seen:
             if not (is_ours(t.custom_mode) and t.heartbeat_s > self._mode.asked_s > -math.inf):
                 return self._ask(self._mode, now_s, f"mode stays {mode_name(t.custom_mode)}", t)
             self._mode_seen = True
-        if not is_ours(t.custom_mode):
-            return self._give_up(f"mode changed to {mode_name(t.custom_mode)}")
         if not t.armed:
             if self._climb_s < math.inf:
                 return self._give_up(f"disarmed before it flew{': ' + t.warning if t.warning else ''}")

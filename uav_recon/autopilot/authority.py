@@ -9,6 +9,7 @@ from uav_recon.autopilot.personality import Personality
 from uav_recon.autopilot.telemetry import Telemetry
 from uav_recon.types.vehicle import FlightPhase
 
+_IDLE = (FlightPhase.CONNECTING, FlightPhase.READY)
 IN_THE_AIR = (FlightPhase.FLYING, FlightPhase.LANDING)
 
 _LATE_ARM_S = 5.0
@@ -31,25 +32,33 @@ class Authority:
 
     def __init__(self, firmware: Personality) -> None:
         self._firmware = firmware
-        self._arm_asked_s = -math.inf
+        self._arm_asked_s = self._idle_s = -math.inf
         self._reboots = 0
 
     def asked_to_arm(self, now_s: float) -> None:
         """Motors that start within a while are ours."""
         self._arm_asked_s = now_s
 
+    def motors_may_start(self, now_s: float) -> bool:
+        """Whether that while is not over."""
+        return now_s - self._arm_asked_s < _LATE_ARM_S
+
     def watch(self, phase: FlightPhase, t: Telemetry, now_s: float) -> Loss | None:
-        """What the autopilot's state means for the phase we are in, None for nothing."""
+        """What the autopilot's state means for the phase we are in, None for nothing. Motors are ours only in the attempt that
+        asked for them.
+        """
         rebooted, self._reboots = t.reboots != self._reboots, t.reboots
-        if phase in (FlightPhase.CONNECTING, FlightPhase.READY) and t.armed:
+        if phase in _IDLE:
+            self._idle_s = now_s
+        if phase in (*_IDLE, FlightPhase.ARMING) and t.armed and self._arm_asked_s <= self._idle_s:
             ours = self._firmware.is_ours(t.custom_mode)
-            if ours and now_s - self._arm_asked_s < _LATE_ARM_S:
+            if (ours or self._firmware.is_landing(t.custom_mode)) and self.motors_may_start(now_s):
                 return Loss(FlightPhase.LANDING, "armed after the request was withdrawn")
-            return _yield("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
+            return yielded("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
         if phase in IN_THE_AIR and rebooted:
-            return _yield("the autopilot restarted in flight")
+            return yielded("the autopilot restarted in flight")
         if phase in IN_THE_AIR and now_s - t.heard_s > _LINK_LOST_S:
-            return _yield("the autopilot is silent", abandoned=True)
+            return yielded("the autopilot is silent", abandoned=True)
         if phase is not FlightPhase.FLYING:
             return None
         if not t.armed:
@@ -57,9 +66,10 @@ class Authority:
         if self._firmware.is_landing(t.custom_mode):
             return Loss(FlightPhase.LANDING, f"the autopilot lands: {t.warning}")
         if not self._firmware.is_ours(t.custom_mode):
-            return _yield(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
+            return yielded(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
         return None
 
 
-def _yield(why: str, abandoned: bool = False) -> Loss:
+def yielded(why: str, abandoned: bool = False) -> Loss:
+    """Never ours again."""
     return Loss(FlightPhase.YIELDED, f"yielded: {why}", abandoned)

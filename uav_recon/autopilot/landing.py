@@ -1,15 +1,21 @@
-"""The last rung that is ours: ask for LAND until it is seen, then leave it alone until the motors stop."""
+"""The last rung that is ours: ask for LAND until it is seen, then leave it alone until the motors stop. Asked for in vain, the
+landing is the firmware's, whose own failsafe lands what nobody flies.
+"""
 
 from __future__ import annotations
 
 import math
 
+from uav_recon.autopilot.authority import Loss, yielded
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.personality import DISARM
+from uav_recon.autopilot.telemetry import Telemetry
 from uav_recon.types.vehicle import FlightPhase
 
 _AGAIN_S = 1.5  # longer than the heartbeat's period, so a human's mode is seen before we ask again
 _MODE_FRESH_S, _MODE_WAIT_S = 0.05, 0.1  # an operator who asks to land waits for no more than 0.15 s
+_HEARD_S = 0.5  # a human may have taken over unseen in a longer silence
+_IN_VAIN_S = 5.0  # three requests, and the answer to the last
 _GROUND_FRESH_S = 0.5
 _STUCK_S, _STILL_M = 10.0, 0.05
 _WANDER_MPS = 0.03  # an estimate's own at rest; a landing comes down ten times as fast
@@ -23,29 +29,33 @@ class Landing:
     def __init__(self, seen: bool, lifted: bool = True) -> None:
         self.seen, self._lifted = seen, lifted
         self._disarm_asked_s = -math.inf
-        self._asked_s = -math.inf
-        self._wait_s = math.inf
+        self._asked_s = self._deaf_s = -math.inf
+        self._wait_s = self._in_vain_s = math.inf
         self._height_m, self._still_s, self._watched_s = math.nan, math.inf, math.inf
         self.alert = ""
 
-    def step(self, link: Link, now_s: float) -> FlightPhase:
-        """LANDING while it lasts, LANDED, or YIELDED when somebody chose another mode."""
+    def step(self, link: Link, now_s: float) -> Loss | None:
+        """None while it lasts; LANDED, or YIELDED when somebody chose another mode, or the autopilot does not heed us."""
         t, firmware = link.telemetry, link.firmware
         if not t.armed:
-            return FlightPhase.LANDED
+            return Loss(FlightPhase.LANDED, "")
         stands = not self._lifted and now_s - t.on_ground_s <= _GROUND_FRESH_S
         if stands and now_s - self._disarm_asked_s >= _AGAIN_S:
             self._disarm_asked_s = now_s
             link.command(now_s, DISARM[0], *DISARM[1])
         if firmware.is_landing(t.custom_mode):
-            self.seen = True
+            self.seen, self._in_vain_s = True, math.inf
             self._watch_descent(float(t.position_m[2]), now_s)
-        elif not firmware.is_ours(t.custom_mode):
-            return FlightPhase.YIELDED
-        elif now_s - self._asked_s >= _AGAIN_S and self._mode_is_current(t.heartbeat_s, now_s):
+            return None
+        if not firmware.is_ours(t.custom_mode):
+            return yielded(f"mode changed to {firmware.mode_name(t.custom_mode)}")
+        self._in_vain_s = min(self._in_vain_s, now_s + _IN_VAIN_S)
+        if now_s > self._in_vain_s:
+            return yielded(f"LAND is not heeded in {_IN_VAIN_S:.0f} s: the autopilot's failsafe is to land", abandoned=True)
+        if self._mode_is_current(t, now_s) and now_s - self._asked_s >= _AGAIN_S:
             self._asked_s = now_s
             link.command(now_s, firmware.land[0], *firmware.land[1])
-        return FlightPhase.LANDING
+        return None
 
     def _watch_descent(self, height_m: float, now_s: float) -> None:
         """A landing that does not come down any more, and is not over.
@@ -61,8 +71,12 @@ class Landing:
         if now_s - self._still_s >= _STUCK_S:
             self.alert = "landing does not end: switch the motors off"
 
-    def _mode_is_current(self, heartbeat_s: float, now_s: float) -> bool:
-        """Whether no human can have taken over unseen: the mode was told this instant, or is not told often."""
+    def _mode_is_current(self, t: Telemetry, now_s: float) -> bool:
+        """Whether no human can have taken over unseen: the mode was told this instant, or is not told often; and since the last
+        silence and request.
+        """
+        if now_s - t.heard_s > _HEARD_S:
+            self._deaf_s = now_s
         self._wait_s = min(self._wait_s, now_s)
         waited = now_s - self._wait_s >= _MODE_WAIT_S
-        return heartbeat_s > self._asked_s and (waited or now_s - heartbeat_s < _MODE_FRESH_S)
+        return t.heartbeat_s > max(self._asked_s, self._deaf_s) and (waited or now_s - t.heartbeat_s < _MODE_FRESH_S)

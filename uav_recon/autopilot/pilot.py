@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.autopilot.authority import IN_THE_AIR, Authority
+from uav_recon.autopilot.authority import IN_THE_AIR, Authority, Loss
 from uav_recon.autopilot.briefing import Briefing, Origin
 from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.herald import Herald
@@ -130,8 +130,10 @@ class Pilot:
 
     @property
     def in_flight(self) -> bool:
-        """Whether the vehicle is, or may be, in the air by our doing."""
-        return self.phase in (FlightPhase.ARMING, *IN_THE_AIR)
+        """Whether the vehicle is, or may be, in the air by our doing, or may still start its motors by it."""
+        over = self.phase in (FlightPhase.LANDED, FlightPhase.YIELDED)
+        motors = not over and self._authority.motors_may_start(self._clock.now_s())
+        return motors or self.phase in (FlightPhase.ARMING, *IN_THE_AIR)
 
     @property
     def _refusals(self) -> int:
@@ -151,7 +153,8 @@ class Pilot:
             self._steering.rebase(self._situation(now_s), _RESET_REST_S)
             self._lookout.forget()
         self._lookout.step(self._poses.pose, now_s)
-        self._steering.evasion.hear(self._lookout.intruder)
+        if self.phase in IN_THE_AIR:  # what passes while it arms is none of its business: it stands, and gives way to nobody
+            self._steering.evasion.hear(self._lookout.intruder)
         fault = self._mandate.hear(now_s)
         if fault:
             self._note = f"refused: {fault}"
@@ -160,13 +163,12 @@ class Pilot:
     def _judge(self, now_s: float) -> None:
         loss = self._authority.watch(self.phase, self._link.telemetry, now_s)
         if loss is not None:
-            self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
-            if loss.abandoned:
-                self._link.stop_heartbeats()
+            self._lose(loss)
         if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
             self._grounded = self._lift_off.fault(now_s, self._link.telemetry)
         if self.phase is FlightPhase.FLYING:
-            before, (self._rung, self._low) = self._rung, self._ladder.step(self._health(now_s))
+            before, (self._rung, low) = self._rung, self._ladder.step(self._health(now_s))
+            self._low = low if self._link.time_known or not low else f"{low}: the autopilot's clock is in doubt"
             self._note = self._low if self._rung > before else self._note
             if self._poses.pose is not None and self._rung < Rung.RETREAT:
                 self._steering.was_at(self._poses.pose.odom_from_body)
@@ -185,7 +187,8 @@ class Pilot:
 
     def _health(self, now_s: float) -> Health:
         inside = self._guard.envelope.fence.holds(self._position_m)
-        ages_s = (now_s - self._poses.sound_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
+        pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # it flies by no others
+        ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         return Health(now_s, *ages_s, inside, self._refusals, self._poses.lost, self._poses.wrong)
 
     # ---- act --------------------------------------------------------------------------------------------------
@@ -197,6 +200,11 @@ class Pilot:
             self._landing = Landing(landing_seen, lifted=self._lift_off is None or self._lift_off.lifted)
         if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
             self._mandate.forsake()
+
+    def _lose(self, loss: Loss) -> None:
+        self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
+        if loss.abandoned:
+            self._link.stop_heartbeats()
 
     def _advance(self, now_s: float) -> None:
         """One step of the sequence for the phase we are in."""
@@ -260,12 +268,10 @@ class Pilot:
 
     def _land(self, now_s: float) -> None:
         landing = self._landing = self._landing or Landing(seen=False)
-        phase = landing.step(self._link, now_s)
+        loss = landing.step(self._link, now_s)
         self._note = landing.alert or self._note
-        if phase is FlightPhase.YIELDED:
-            self._enter(phase, f"yielded: mode changed to {self._firmware.mode_name(self._link.telemetry.custom_mode)}")
-        elif phase is FlightPhase.LANDED:
-            self._enter(phase, "")
+        if loss is not None:
+            self._lose(loss)
 
     # ---- stream and tell --------------------------------------------------------------------------------------
 

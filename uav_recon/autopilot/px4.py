@@ -81,7 +81,9 @@ def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
 
 
 class Arming:
-    """From a running stream to armed in OFFBOARD: the mode first, then the motors, three tries each."""
+    """From a running stream to armed in OFFBOARD: the mode first, then the motors, three tries each. A mode that is neither
+    the one it began in nor ours is somebody's choice.
+    """
 
     STREAM_S = 1.0
 
@@ -89,19 +91,21 @@ class Arming:
         self.streams, self.reason = True, ""
         self._start_s = now_s
         self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
-        self._mode_seen_s = math.inf
+        self._mode_before: int | None = None
+        self._mode_seen = False
 
     def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
         """What has been reached, and the command to send now. Setpoints must be streaming all the while."""
-        if now_s - self._start_s < self.STREAM_S:
-            return Outcome.PENDING, None
-        if self._mode_seen_s == math.inf:
-            if not (is_ours(t.custom_mode) and t.heartbeat_s > self._mode.asked_s > -math.inf):
-                return self._ask(self._mode, now_s, f"mode stays {mode_name(t.custom_mode)}", t)
-            self._mode_seen_s = now_s
-        if not is_ours(t.custom_mode):
+        self._mode_before = t.custom_mode if self._mode_before is None else self._mode_before
+        if not is_ours(t.custom_mode) and (self._mode_seen or t.custom_mode != self._mode_before):
             self.reason = f"arming given up: mode changed to {mode_name(t.custom_mode)}"
             return Outcome.GIVEN_UP, None
+        if now_s - self._start_s < self.STREAM_S:
+            return Outcome.PENDING, None
+        if not self._mode_seen:
+            if not (is_ours(t.custom_mode) and t.heartbeat_s > self._mode.asked_s > -math.inf):
+                return self._ask(self._mode, now_s, f"mode stays {mode_name(t.custom_mode)}", t)
+            self._mode_seen = True
         if t.armed:
             return Outcome.ARMED, None
         return self._ask(self._arm, now_s, "motors stay off", t)

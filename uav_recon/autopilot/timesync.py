@@ -6,6 +6,7 @@ from collections import deque
 
 _NS = 1_000_000_000
 _CONTRADICTS_NS = _NS // 10
+_END_NS = 1 << 62  # 146 years: what goes on from there soon fits no field of 63 bits
 _ENOUGH = 5  # exchanges running that say the same against the estimate
 
 
@@ -38,7 +39,7 @@ class TimeSyncFilter:
     def observe(self, sent_ns: int, autopilot_ns: int, now_ns: int) -> None:
         """One answer: what we sent, what the autopilot's clock said, and when it came back."""
         round_trip = now_ns - sent_ns
-        if not 0 <= round_trip <= self._round_trip_ns:
+        if not (0 <= round_trip <= self._round_trip_ns and autopilot_ns < _END_NS):
             return
         offset = autopilot_ns - (sent_ns + now_ns) // 2
         if self._samples and abs(offset - self._offset_ns) > _CONTRADICTS_NS:

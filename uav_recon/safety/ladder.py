@@ -39,7 +39,7 @@ class Patience:
 class Health:
     """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far.
 
-    pose_age_s: of the newest pose that was neither lost nor wrong. lost, wrong: why the pose is, '' while it is not.
+    pose_age_s: of the newest pose neither lost nor wrong, or since any was fed if longer. lost, wrong: why, '' while it is not.
     """
 
     now_s: float
