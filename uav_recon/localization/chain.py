@@ -105,8 +105,8 @@ class Chain:
         """The newest node that is not younger than a timely stamp."""
         return self._nodes[self._before(stamp_s)]
 
-    def meet(self, said: Sighting, noise: PoseNoise) -> Arrival:
-        """Carried from the node before a timely pose to the pose."""
+    def meet(self, said: Sighting, noise: PoseNoise) -> Arrival | None:
+        """Carried from the node before a timely pose to the pose; None where the track no longer goes back to that node."""
         return self._meet(self.before(said.stamp_s), said, noise)
 
     def reaches(self, stamp_s: float) -> bool:
@@ -130,7 +130,9 @@ class Chain:
         later = [self._nodes.pop() for _ in range(len(self._nodes) - 1 - k)]
         self._append(met)
         for node in reversed(later):
-            self._append(self._meet(self._nodes[-1], node.sighting, node.noise))
+            again = self._meet(self._nodes[-1], node.sighting, node.noise)
+            if again is not None:
+                self._append(again)
         while self._nodes[-1].stamp_s - self._nodes[0].stamp_s > _HISTORY_S:
             self._nodes.popleft()
 
@@ -147,13 +149,13 @@ class Chain:
             return node, carry(node.estimate, base, here, node.noise), here
         return node, self._bent(node, self._nodes[k + 1], base, here), here
 
-    def _meet(self, node: Node, said: Sighting, noise: PoseNoise) -> Arrival:
+    def _meet(self, node: Node, said: Sighting, noise: PoseNoise) -> Arrival | None:
         inertial = self._inertial(node.stamp_s, said.stamp_s)
         if not inertial:
             self._coast_to(said.stamp_s)
         base, here = self._track.at(node.stamp_s), self._track.at(said.stamp_s)
-        assert base is not None  # nodes are younger than the track
-        assert here is not None
+        if base is None or here is None:
+            return None
         return against(said, noise, carry(node.estimate.carried_on(inertial), base, here, node.noise), here)
 
     def _append(self, met: Arrival) -> None:

@@ -74,6 +74,8 @@ class FusionFilter:
         if self._chain.newest is None:
             return self._begin(said, noise)
         met = self._chain.meet(said, noise)
+        if met is None:
+            return self._found_again(said, noise)
         reason = self._doubtful(met, self._chain.before(said.stamp_s))
         if reason and not self._proven(met):
             self.rejected[reason] += 1
@@ -141,6 +143,15 @@ class FusionFilter:
             self._watch.begin(said.stamp_s)
         self._settle(met)
         return True
+
+    def _found_again(self, said: Sighting, noise: PoseNoise) -> bool:
+        """After a silence longer than the track is kept: nothing stands against a source that agrees with itself."""
+        if said.stamp_s >= self.newest_pose_s:
+            self._trial.hear(said, said, inertial=False)
+            if self._trial.stands(RETURN):
+                return self._begin(said, noise, self._trial.velocity_mps())
+        self.rejected["unproven"] += 1
+        return False
 
     def _settle(self, met: Arrival) -> None:
         """It goes on from where the track leads."""
