@@ -100,7 +100,7 @@ def test_a_reset_of_odom_holds_the_new_place(hovering: Rig) -> None:
     assert rig.pilot.phase is FlightPhase.FLYING
 
 
-@pytest.mark.parametrize("fault", ["old", "future", "repeated", "lost", "nan"])
+@pytest.mark.parametrize("fault", ["old", "future", "repeated", "lost", "nan", "huge"])
 def test_bad_poses_are_not_fed(fault: str) -> None:
     rig = Rig()
     rig.until(FlightPhase.READY, 20.0)
@@ -111,7 +111,8 @@ def test_bad_poses_are_not_fed(fault: str) -> None:
         stamp = {"old": now - 0.16, "future": now + 5.0, "repeated": begin}.get(fault, now)
         velocity = np.full(3, math.nan if fault == "nan" else 0.0)
         quality = 0 if fault == "lost" else 100
-        rig.channels.odom.publish(StampedPose(stamp, Pose.identity(), velocity, quality=quality))
+        covariance = np.diag([0.85e39 if fault == "huge" else 1e-4] * 3 + [1e-5] * 3)
+        rig.channels.odom.publish(StampedPose(stamp, Pose.identity(), velocity, covariance, quality))
         rig.step()
     assert rig.tap.since(begin + 0.02)["ODOMETRY"] <= (1 if fault == "repeated" else 0)
     rig.run(1.0)

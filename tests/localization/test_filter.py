@@ -122,7 +122,8 @@ NOW_S = MOTION.start_s + 3.0
         (_pose(NOW_S - 1.5), "stamp"),
         (replace(_pose(NOW_S - 0.05), stamp_s=0.0), "stamp"),
         (_pose(NOW_S - 0.05, offset_m=0.55), "jump"),
-        (_pose(NOW_S - 0.05, offset_m=-1e9), "jump"),
+        (_pose(NOW_S - 0.05, offset_m=-9e3), "jump"),
+        (_pose(NOW_S - 0.05, offset_m=-1e9), "out of range"),
         (_pose(NOW_S - 0.05, turn_rad=0.6), "turn"),
     ],
 )
@@ -135,6 +136,18 @@ def test_what_cannot_be_true_never_enters(pose: StampedPose, reason: str) -> Non
     assert after
     np.testing.assert_array_equal(before.odom_from_body.matrix(), after.odom_from_body.matrix())
     assert fusion.rejected == {reason: 1}
+
+
+def test_what_a_source_claims_to_have_drifted_is_passed_on_within_reason() -> None:
+    fusion = FusionFilter()
+    for n in range(30):
+        stamp_s = n / 15
+        fusion.add_imu([ImuSample(stamp_s + k / 200, np.zeros(3), np.array([0.0, 0.0, GRAVITY_MPS2])) for k in range(14)])
+        assert fusion.add_pose(replace(_pose_at(stamp_s), covariance=np.diag([1e4] * 6)), stamp_s)
+    odom = fusion.odom_at(2.0)
+    assert odom is not None
+    assert np.all(odom.covariance.diagonal() < [100.0] * 3 + [10.0] * 3)
+    assert np.all(odom.covariance.diagonal() > [80.0] * 3 + [8.0] * 3)
 
 
 def test_a_duplicate_never_enters() -> None:

@@ -30,6 +30,7 @@ from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
 _CREDIBLE_M = 0.1  # standard deviation of a track that may stand against a pose source
 _TURN_OF_MAP_RAD = math.radians(12.0)  # more is no correction of a map, but a tracker that has lost its heading
 _STEADY_RAD = math.radians(3.0)  # standard deviation of a heading that a gyro still knows, long after the place is lost
+_LARGEST_DRIFT = np.repeat((10.0**2, math.pi**2), 3)  # m², rad²: of what a source claims, no more is passed on
 _OVERTURNED_RAD = math.radians(30.0)  # no gyro loses so much
 
 
@@ -37,8 +38,8 @@ class FusionFilter:
     """Fuses; costs 0.02 ms an inertial sample, 0.3 ms a pose, 0.1 ms an answer on one core.
 
     pose_lost_s: an answer farther than this after the newest pose has quality 0. ``rejected`` counts what was turned down,
-    by reason: not finite, stamp, duplicate, quality, jump, turn, speed, reset, unproven (the first after a loss), and "imu ..."
-    for inertial samples.
+    by reason: not finite, out of range, stamp, duplicate, quality, jump, turn, speed, reset, unproven (the first after a loss),
+    and "imu ..." for inertial samples.
     """
 
     def __init__(self, pose_lost_s: float = 0.5, gates: Gates | None = None) -> None:
@@ -197,7 +198,7 @@ def _quaternion(pose: Pose) -> Quaternion:
 
 
 def _with_drift(covariance: FloatArray, claimed: FloatArray) -> FloatArray:
-    """Covariance (6, 6) of position and rotation vector: the filter's own, and what the source may have drifted."""
+    """Covariance (6, 6) of position and rotation vector: the filter's own, and what the source may well have drifted."""
     out: FloatArray = covariance[SEEN]
-    out.flat[:: len(out) + 1] += (1.0 - WHITE_SHARE) * np.diagonal(claimed)
+    out.flat[:: len(out) + 1] += (1.0 - WHITE_SHARE) * np.minimum(np.diagonal(claimed), _LARGEST_DRIFT)
     return out
