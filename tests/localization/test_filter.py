@@ -166,16 +166,18 @@ def test_inertial_nonsense_never_enters() -> None:
         ImuSample(newest.stamp_s + 0.01, zero, np.array([np.inf, 0, 0])),
         ImuSample(float("nan"), zero, up),
         ImuSample(newest.stamp_s + 0.01, np.array([100.0, 0, 0]), up),
+        ImuSample(newest.stamp_s + 0.01, zero, np.array([0.0, -160.1, 0.0])),
         newest,
         replace(newest, stamp_s=newest.stamp_s - 0.1),
+        replace(newest, stamp_s=newest.stamp_s + 3600.0),
     ]
     before = fusion.odom_at(NOW_S + 0.03)
-    fusion.add_imu(bad)
+    fusion.add_imu(bad, newest.stamp_s + 0.02)
     after = fusion.odom_at(NOW_S + 0.03)
     assert before
     assert after
     np.testing.assert_array_equal(before.odom_from_body.matrix(), after.odom_from_body.matrix())
-    assert fusion.rejected == {"imu not finite": 4, "imu stamp": 2}
+    assert fusion.rejected == {"imu not finite": 4, "imu force": 1, "imu stamp": 3}
 
 
 def test_poses_out_of_order_end_in_the_same_place() -> None:

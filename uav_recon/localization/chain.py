@@ -25,7 +25,8 @@ from uav_recon.types.frames import FloatArray
 
 _HISTORY_S = 2.0  # kept for late poses and frames
 _IMU_GAP_S = 0.05
-_FASTEST_RADPS = 35.0  # any gyro is saturated there
+_FASTEST_RADPS, _HARDEST_MPS2 = 35.0, 160.0  # any gyro and any accelerometer (16 g) is saturated there
+_FUTURE_S = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +72,10 @@ class Chain:
         """None before the first."""
         return self._nodes[-1] if self._nodes else None
 
-    def hear(self, samples: list[ImuSample]) -> None:
-        """Take inertial samples, oldest first; what is not finite or not newer than the one before is counted and left out."""
+    def hear(self, samples: list[ImuSample], now_s: float) -> None:
+        """Take inertial samples, oldest first; what no sensor can say, and what is not newer than the one before or of a time
+        to come, is counted and left out.
+        """
         estimate = self._nodes[-1].estimate if self._nodes else None
         bias = estimate.gyro_bias_radps if estimate is not None and estimate.inertial else (0.0, 0.0, 0.0)
         for sample in samples:
@@ -82,7 +85,10 @@ class Chain:
             if not math.isfinite(stamp_s + gx + gy + gz + fx + fy + fz) or max(abs(gx), abs(gy), abs(gz)) > _FASTEST_RADPS:
                 self._rejected["imu not finite"] += 1
                 continue
-            if stamp_s <= self._track.newest_s:
+            if max(abs(fx), abs(fy), abs(fz)) > _HARDEST_MPS2:
+                self._rejected["imu force"] += 1
+                continue
+            if not self._track.newest_s < stamp_s <= now_s + _FUTURE_S:
                 self._rejected["imu stamp"] += 1
                 continue
             if stamp_s - self._imu_s > _IMU_GAP_S:

@@ -61,9 +61,11 @@ class FusionFilter:
         """The estimate after the newest fused pose and its normalised innovation squared; None before the first."""
         return None if self._chain.newest is None else (self._chain.newest.estimate, self._chain.newest.nis)
 
-    def add_imu(self, samples: list[ImuSample]) -> None:
-        """Take inertial samples, oldest first; what is not finite or not newer than the one before is counted and left out."""
-        self._chain.hear(samples)
+    def add_imu(self, samples: list[ImuSample], now_s: float = math.inf) -> None:
+        """Take inertial samples, oldest first; what no sensor can say, and what is not newer than the one before or later than
+        now_s, is counted and left out.
+        """
+        self._chain.hear(samples, now_s)
 
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
         """Fuse a pose of the source at its own stamp; now_s bounds what stamps are believed. False if it was turned down."""
