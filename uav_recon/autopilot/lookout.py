@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TypeVar
 
 from uav_recon.autopilot.intruder import Intruder, Neighbourhood
+from uav_recon.autopilot.posefeed import newest
 from uav_recon.protocols import Channel
 from uav_recon.safety.knownfree import KnownFree
 from uav_recon.safety.proximity import Ahead
@@ -14,8 +14,6 @@ from uav_recon.safety.sight import Sight
 from uav_recon.types.maps import FreeSpace
 from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import StampedPose
-
-T = TypeVar("T")
 
 _FUTURE_S = 0.1
 _PAST_S, _BESIDE_S = 0.5, 0.04  # poses are kept for so long; one so far from a frame's stamp is not its pose
@@ -32,7 +30,8 @@ class Lookout:
     ) -> None:
         self._free, self._nearby, self._sight = free, nearby, sight
         self._radius_m, self._height_m = hull_radius_m, hull_height_m
-        self._free_sequence = self._nearby_sequence = -1
+        self._free_heard: FreeSpace | None = None
+        self._nearby_heard: Nearby | None = None
         self.known_free: KnownFree | None = None
         self.ahead: Ahead | None = None
         self._believed_s, self._neighbourhood = -math.inf, Neighbourhood()
@@ -48,12 +47,12 @@ class Lookout:
             self._past.append(pose)
         while self._past and now_s - self._past[0].stamp_s > _PAST_S:
             self._past.popleft()
-        free = _newest(self._free, self._free_sequence)
-        self._free_sequence = self._free.sequence()
+        free = newest(self._free, self._free_heard)
         if free is not None:
+            self._free_heard = free
             self.known_free = KnownFree(free, self._radius_m, self._height_m)
-        nearby = _newest(self._nearby, self._nearby_sequence)
-        self._nearby_sequence = self._nearby.sequence()
+        nearby = newest(self._nearby, self._nearby_heard)
+        self._nearby_heard = nearby or self._nearby_heard
         if nearby is None or not Ahead.tells(nearby) or not nearby.stamp_s <= now_s + _FUTURE_S:
             return
         if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
@@ -73,13 +72,3 @@ class Lookout:
     def depth_age_s(self, now_s: float) -> float:
         """Seconds since the newest frame that says anything and is believed, infinity before the first."""
         return now_s - self._believed_s
-
-
-def _newest(channel: Channel[T], seen: int) -> T | None:
-    """The newest value if it is another than the one seen."""
-    if channel.sequence() == seen:
-        return None
-    try:
-        return channel.latest()
-    except ValueError:
-        return None
