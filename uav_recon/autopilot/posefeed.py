@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TypeVar
 
 from uav_recon.autopilot.link import Link
@@ -18,12 +19,14 @@ _UNSOUND = (PoseHealth.LOST, PoseHealth.WRONG)
 class PoseFeed:
     """Holds the newest pose that is fit to be believed; sound_s is the stamp of the newest one that was neither lost nor wrong.
 
-    ``refused`` counts those that were not fit.
+    ``refused`` counts those that were not fit. The autopilot hears of each time that odom begins anew: where the source did not
+    count it, as one that was started again cannot, the reset counter that is fed does.
     """
 
     def __init__(self, odom: Channel[StampedPose], link: Link, gate: PoseGate) -> None:
         self._odom, self._link, self._gate = odom, link, gate
         self._heard: StampedPose | None = None
+        self._uncounted = 0
         self.pose: StampedPose | None = None
         self.refused, self.sound_s = 0, -math.inf
 
@@ -47,9 +50,11 @@ class PoseFeed:
         if not verdict.good:
             self.refused += 1
             return False
+        if verdict.anew and self.pose is not None:
+            self._uncounted += pose.reset_counter == self.pose.reset_counter
         self.pose = pose
         self.sound_s = self.sound_s if pose.health in _UNSOUND else pose.stamp_s
-        self._link.feed_pose(pose, now_s)
+        self._link.feed_pose(replace(pose, reset_counter=(pose.reset_counter + self._uncounted) % 256), now_s)
         return verdict.anew
 
     def _why(self, health: PoseHealth) -> str:
