@@ -7,6 +7,7 @@ from collections import deque
 
 from uav_recon.autopilot.intruder import Intruder, Neighbourhood
 from uav_recon.autopilot.posefeed import newest
+from uav_recon.autopilot.soundness import tells_of_depth, tells_of_space
 from uav_recon.protocols import Channel
 from uav_recon.safety.knownfree import KnownFree
 from uav_recon.safety.proximity import Ahead
@@ -50,10 +51,11 @@ class Lookout:
         free = newest(self._free, self._free_heard)
         if free is not None:
             self._free_heard = free
-            self.known_free = KnownFree(free, self._radius_m, self._height_m)
+            if tells_of_space(free):
+                self.known_free = KnownFree(free, self._radius_m, self._height_m)
         nearby = newest(self._nearby, self._nearby_heard)
         self._nearby_heard = nearby or self._nearby_heard
-        if nearby is None or not Ahead.tells(nearby) or not nearby.stamp_s <= now_s + _FUTURE_S:
+        if nearby is None or not (tells_of_depth(nearby) and Ahead.tells(nearby)) or not nearby.stamp_s <= now_s + _FUTURE_S:
             return
         if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
             self.ahead = Ahead(nearby, self._radius_m)
