@@ -66,7 +66,8 @@ class Lookout:
                 self.intruder = self._neighbourhood.look(nearby, then.odom_from_body)
 
     def forget(self) -> None:
-        """Odom itself jumped: what was seen in it stands elsewhere now."""
+        """Odom itself jumped: what was seen and mapped in it stands elsewhere now."""
+        self.known_free = None
         self._neighbourhood.forget()
         self._past.clear()
         self.intruder = None
