@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import struct
 import zlib
 from collections.abc import Callable
@@ -206,6 +207,22 @@ def test_no_bytes_crash_a_reader(kind: type[Any], data: bytes) -> None:
         decode(data, kind)
     except ValueError:
         return
+
+
+@pytest.mark.parametrize("at", [0, 1, 2, 3, 4, 5, 6, 7, 9])
+def test_nothing_is_no_number_and_no_array(at: int) -> None:
+    tree = [5.0, [0, 1], 2, 3, 100, 0, 0, "good", "", [[4, 5], 0]]
+    tree[at] = None
+    with pytest.raises(ValueError, match="not a"):
+        decode(_record(tree), StampedPose)
+
+
+def _record(tree: list[Any]) -> bytes:
+    genuine = encode(StampedPose(5.0, Pose.identity(), np.zeros(3)))
+    (length,) = struct.unpack_from("<I", genuine)
+    assert json.loads(genuine[4 : 4 + length]) == [5.0, [0, 1], 2, 3, 100, 0, 0, "good", "", [[4, 5], 0]]
+    head = json.dumps(tree).encode()
+    return struct.pack("<I", len(head)) + head + genuine[4 + length :]
 
 
 def test_deep_nesting_is_refused() -> None:

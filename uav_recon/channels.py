@@ -163,12 +163,12 @@ def _fields(kind: type) -> list[tuple[str, Any]]:
 
 
 def _decode(tree: Any, kind: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
-    if kind is type(None) or tree is None:
-        return None
     origin = typing.get_origin(kind)
     if origin is np.ndarray:
         return arrays[tree]
-    if origin in (types.UnionType, typing.Union):
+    if origin in (types.UnionType, typing.Union):  # of a kind and nothing
+        if tree is None:
+            return None
         (inner,) = [a for a in typing.get_args(kind) if a is not type(None)]
         return _decode(tree, inner, arrays)
     if origin is tuple:

@@ -7,9 +7,10 @@ from collections import deque
 
 import numpy as np
 import pytest
-from flight_rig import MODE, Rig, setpoints
+from flight_rig import GRID, MODE, Rig, setpoints, smooth_way
 
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
 
@@ -82,23 +83,31 @@ def test_poses_that_come_back_do_not_stop_a_landing(hovering: Rig) -> None:
 
 
 def test_a_reset_of_odom_holds_the_new_place(hovering: Rig) -> None:
-    """The source begins anew 0.4 m aside and says so: the setpoint follows in the same tick, no flight back."""
+    """The source begins anew 0.4 m aside and says so: the setpoint follows in the same tick, no flight back, and after a second
+    of rest it lands: what is known free was mapped in the old odom.
+    """
     rig = hovering
     rig.fly((2.0, 0.0, 1.1), identifier=2)
     rig.run(2.0)
     rig.poses = False
     begin, start = rig.clock.now_s(), np.array(rig.px4.truth().position)
-    for turn in range(400):
+    phases = []
+    for turn in range(2500):
         if turn % 3 == 0:
             truth = rig.px4.truth()
             pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position) + np.array([0.0, 0.4, 0.0]))
             rig.channels.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity), reset_counter=1))
         rig.step()
-    _, places = setpoints(rig, begin + 0.05)
+        phases.append(rig.pilot.phase)
+    assert phases[98] is FlightPhase.FLYING
+    assert phases[105] is FlightPhase.LANDING
+    assert phases[-1] is FlightPhase.LANDED
+    times, places = setpoints(rig, begin + 0.05)
+    assert len(times) >= 28, "held by our own setpoints for a second"
     assert np.abs(places[:, 1] - 0.4).max() < 0.12
     assert rig.state.trajectory_id == -1, "what was planned in the old odom is not taken up again"
-    assert np.linalg.norm(np.array(rig.px4.truth().position) - start) < 0.45
-    assert rig.pilot.phase is FlightPhase.FLYING
+    assert np.linalg.norm((np.array(rig.px4.truth().position) - start)[:2]) < 0.45
+    assert "odom began anew" in rig.state.note
 
 
 class Late:
@@ -141,7 +150,28 @@ def test_poses_that_no_clock_lets_us_feed_hold_then_land(hovering: Rig) -> None:
     assert hovering.state.note == "no pose for 1.0 s: the autopilot's clock is in doubt"
 
 
-@pytest.mark.parametrize("fault", ["old", "future", "repeated", "lost", "nan"])
+def test_nothing_is_cleared_on_a_map_of_the_old_odom(hovering: Rig) -> None:
+    """Odom begins anew 1.5 m aside: a way that is free in the old map leads into a wall 2.2 m off."""
+    rig = hovering
+    middle_m = GRID.origin_world_m[1] + (np.arange(GRID.shape[1]) + 0.5) * GRID.resolution_m
+    rig.free[:, np.abs(middle_m) >= 2.2, :] = False
+    rig.publish_free()
+    rig.poses = False
+    for turn in range(2500):
+        if turn % 3 == 0:
+            truth = rig.px4.truth()
+            pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position) + np.array([0.0, -1.5, 0.0]))
+            rig.channels.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity), reset_counter=1))
+        if turn == 20:
+            rig.intent = (Goal.FLY, smooth_way(rig.clock.now_s() + 0.1, [(0.0, -1.5, 1.1), (0.0, 1.7, 1.1)], 7))
+        if turn % 50 == 0:
+            rig.publish_free()
+        rig.step()
+    assert max(place[1] for _, place in rig.track) < 0.3
+    assert rig.pilot.phase is FlightPhase.LANDED
+
+
+@pytest.mark.parametrize("fault", ["old", "future", "repeated", "lost", "nan", "huge"])
 def test_bad_poses_are_not_fed(fault: str) -> None:
     rig = Rig()
     rig.until(FlightPhase.READY, 20.0)
@@ -152,7 +182,8 @@ def test_bad_poses_are_not_fed(fault: str) -> None:
         stamp = {"old": now - 0.16, "future": now + 5.0, "repeated": begin}.get(fault, now)
         velocity = np.full(3, math.nan if fault == "nan" else 0.0)
         quality = 0 if fault == "lost" else 100
-        rig.channels.odom.publish(StampedPose(stamp, Pose.identity(), velocity, quality=quality))
+        covariance = np.diag([0.85e39 if fault == "huge" else 1e-4] * 3 + [1e-5] * 3)
+        rig.channels.odom.publish(StampedPose(stamp, Pose.identity(), velocity, covariance, quality))
         rig.step()
     assert rig.tap.since(begin + 0.02)["ODOMETRY"] <= (1 if fault == "repeated" else 0)
     rig.run(1.0)

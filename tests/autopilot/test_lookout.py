@@ -3,12 +3,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from uav_recon.autopilot.lookout import Lookout
 from uav_recon.channels import MemoryChannel
 from uav_recon.safety.sight import Sight
 from uav_recon.types.camera import body_from_camera
-from uav_recon.types.maps import FreeSpace
+from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import Pose, StampedPose
 
@@ -54,3 +55,30 @@ def test_a_frame_that_comes_late_was_taken_where_the_vehicle_was_then() -> None:
     channel.publish(_nearby(5.4, 4.0))
     lookout.step(None, 5.4)
     assert not sight.saw_free((0.0, 3.0, 0.0), 5.4), "no pose of that time is known"
+
+
+@pytest.mark.parametrize(
+    ("origin_m", "resolution_m"),
+    [((0.0, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.0), math.nan), ((math.nan, 0.0, 0.0), 0.1), ((0.0, 0.0), 0.1)],
+)
+def test_a_free_space_that_makes_no_sense_leaves_the_one_before_it(origin_m: tuple[float, ...], resolution_m: float) -> None:
+    channel = MemoryChannel(FreeSpace)
+    lookout = Lookout(channel, MemoryChannel(Nearby), Sight(10.0, 0.2), 0.2, 0.2)
+    bits = np.packbits(np.ones((30, 30, 30), dtype=np.bool_))
+    channel.publish(FreeSpace(GridSpec(np.zeros(3), 0.1, (30, 30, 30)), bits, 1))
+    lookout.step(None, 5.0)
+    channel.publish(FreeSpace(GridSpec(np.array(origin_m), resolution_m, (30, 30, 30)), bits, 2))
+    lookout.step(None, 5.1)
+    assert lookout.known_free is not None
+    assert lookout.known_free.admits((1.0, 1.0, 1.0), (2.0, 1.0, 1.0))
+    assert not lookout.known_free.admits((1.0, 1.0, 1.0), (4.0, 1.0, 1.0))
+
+
+def test_a_picture_that_makes_no_sense_is_none() -> None:
+    channel = MemoryChannel(Nearby)
+    lookout = Lookout(MemoryChannel(FreeSpace), channel, Sight(10.0, 0.2), 0.2, 0.2)
+    for n, cells in enumerate((np.full(16, 2.0, np.float32), np.zeros((0, 0), np.float32))):
+        channel.publish(Nearby(5.0 + n, MOUNT, cells, (0.95, 0.55), 0.9))
+        lookout.step(None, 5.0 + n)
+    assert lookout.ahead is None
+    assert lookout.depth_age_s(6.0) == math.inf

@@ -97,6 +97,19 @@ def test_setpoints_carry_everything(p: FloatArray, v: FloatArray, a: FloatArray,
     assert (m.type_mask, m.coordinate_frame, m.target_system, m.target_component, m.time_boot_ms) == (2496, 1, 7, 1, 5)
 
 
+@pytest.mark.parametrize("size", [1e38, 3.5e38, 0.85e39, 1e300])
+def test_a_number_that_no_float32_holds_raises_nothing_and_goes_out_as_the_largest(size: float) -> None:
+    encoder, wide, most = Encoder(245, 191), np.array([size, -size, size]), min(size, float(np.finfo(np.float32).max))
+    m = written(encoder.odometry(StampedPose(5.0, Pose.identity(), np.zeros(3), np.diag([size] * 6)), 1, 1))
+    assert m.pose_covariance[0] == pytest.approx(most)
+    m = written(encoder.odometry(StampedPose(5.0, Pose.identity(), wide), 1, 1))
+    assert (m.vx, m.vy, m.vz) == pytest.approx((most, most, -most))
+    m = written(encoder.odometry(StampedPose(5.0, Pose.from_yaw(0.0, wide), np.zeros(3)), 1, 1))
+    assert (m.x, m.y, m.z) == pytest.approx((-most, most, -most))
+    m = written(encoder.setpoint(7, Setpoint(wide, wide, wide, size, -size, 0.0), 0, 0))
+    assert (m.x, m.afy, m.vz, m.yaw_rate) == pytest.approx((-most, most, -most, most))
+
+
 @pytest.mark.parametrize(
     ("flags", "horizontal", "good"),
     [(0x33F, 0.4, True), (0x33F, 1.0, False), (0x25, 0.0, False), (0xA5, 0.0, False), (0x400, 0.0, False), (0x73F, 0.1, False)],

@@ -96,6 +96,22 @@ def test_coasting_turns_at_its_rate() -> None:
     np.testing.assert_allclose(logarithm(b.gyro_from_body), [0.0, 0.0, 1.0], atol=1e-12)
 
 
+def test_what_no_propeller_pushes_is_summed_up_whatever_is_forgotten() -> None:
+    track, hover, blow = InertialTrack(), (0.0, 0.0, 9.8), (0.0, -40.0, 30.0)
+    for k in range(3):
+        track.push(k * 0.01, (0.0, 0.0, 0.0), hover)
+    for k in range(3, 9):
+        track.push(k * 0.01, (0.0, 0.0, 0.0), blow)
+    for k in range(9, 5000):
+        track.push(k * 0.01, (0.0, 0.0, 0.0), (18.0, 0.0, 20.0))  # as hard as a vehicle flies
+        if k == 20:
+            before, after = _between(track, 0.015, 0.15)
+            assert before.knocks_mps == 0.0
+            assert after.knocks_mps == pytest.approx(50.0 * 0.06, abs=0.4)  # its edges are cut in halves
+    assert track.oldest_s > 1.0
+    assert _between(track, 25.0, 49.0)[1].knocks_mps == 0.0
+
+
 def test_before_its_beginning_a_track_knows_nothing() -> None:
     track = InertialTrack()
     assert track.at(0.0) is None

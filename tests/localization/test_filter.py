@@ -9,9 +9,10 @@ from figure_eight import Event, FigureEight, events
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from uav_recon.localization.attitude import GRAVITY_MPS2
 from uav_recon.localization.filter import FusionFilter
 from uav_recon.types.camera import ImuSample
-from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
 SETTLED_S = 5.0
 MOTION = FigureEight()
@@ -121,7 +122,8 @@ NOW_S = MOTION.start_s + 3.0
         (_pose(NOW_S - 1.5), "stamp"),
         (replace(_pose(NOW_S - 0.05), stamp_s=0.0), "stamp"),
         (_pose(NOW_S - 0.05, offset_m=0.55), "jump"),
-        (_pose(NOW_S - 0.05, offset_m=-1e9), "jump"),
+        (_pose(NOW_S - 0.05, offset_m=-9e3), "jump"),
+        (_pose(NOW_S - 0.05, offset_m=-1e9), "out of range"),
         (_pose(NOW_S - 0.05, turn_rad=0.6), "turn"),
     ],
 )
@@ -134,6 +136,18 @@ def test_what_cannot_be_true_never_enters(pose: StampedPose, reason: str) -> Non
     assert after
     np.testing.assert_array_equal(before.odom_from_body.matrix(), after.odom_from_body.matrix())
     assert fusion.rejected == {reason: 1}
+
+
+def test_what_a_source_claims_to_have_drifted_is_passed_on_within_reason() -> None:
+    fusion = FusionFilter()
+    for n in range(30):
+        stamp_s = n / 15
+        fusion.add_imu([ImuSample(stamp_s + k / 200, np.zeros(3), np.array([0.0, 0.0, GRAVITY_MPS2])) for k in range(14)])
+        assert fusion.add_pose(replace(_pose_at(stamp_s), covariance=np.diag([1e4] * 6)), stamp_s)
+    odom = fusion.odom_at(2.0)
+    assert odom is not None
+    assert np.all(odom.covariance.diagonal() < [100.0] * 3 + [10.0] * 3)
+    assert np.all(odom.covariance.diagonal() > [80.0] * 3 + [8.0] * 3)
 
 
 def test_a_duplicate_never_enters() -> None:
@@ -152,16 +166,18 @@ def test_inertial_nonsense_never_enters() -> None:
         ImuSample(newest.stamp_s + 0.01, zero, np.array([np.inf, 0, 0])),
         ImuSample(float("nan"), zero, up),
         ImuSample(newest.stamp_s + 0.01, np.array([100.0, 0, 0]), up),
+        ImuSample(newest.stamp_s + 0.01, zero, np.array([0.0, -160.1, 0.0])),
         newest,
         replace(newest, stamp_s=newest.stamp_s - 0.1),
+        replace(newest, stamp_s=newest.stamp_s + 3600.0),
     ]
     before = fusion.odom_at(NOW_S + 0.03)
-    fusion.add_imu(bad)
+    fusion.add_imu(bad, newest.stamp_s + 0.02)
     after = fusion.odom_at(NOW_S + 0.03)
     assert before
     assert after
     np.testing.assert_array_equal(before.odom_from_body.matrix(), after.odom_from_body.matrix())
-    assert fusion.rejected == {"imu not finite": 4, "imu stamp": 2}
+    assert fusion.rejected == {"imu not finite": 4, "imu force": 1, "imu stamp": 3}
 
 
 def test_poses_out_of_order_end_in_the_same_place() -> None:
@@ -219,6 +235,44 @@ def test_a_short_gap_is_bridged_by_the_imu() -> None:
     odom = fusion.odom_at(gap_end_s)
     assert odom
     assert np.linalg.norm(odom.odom_from_body.translation_m - MOTION.position(gap_end_s)) < 0.06
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 3.0])
+@pytest.mark.parametrize(("imu_hz", "silent_s"), [(200, 12.0), (200, 25.0), (400, 5.0), (400, 60.0), (1000, 5.0)])
+def test_a_source_that_was_silent_longer_than_the_track_is_kept_is_believed_again(
+    imu_hz: int, silent_s: float, offset_m: float
+) -> None:
+    fusion, returns_s, counters = FusionFilter(), 5.0 + silent_s, []
+    for n in range(int((returns_s + 2.0) * imu_hz)):
+        t = n / imu_hz
+        fusion.add_imu([ImuSample(t, np.zeros(3), np.array([0.0, 0.0, GRAVITY_MPS2]))])
+        if n % (imu_hz // 20) == 0 and not 5.0 <= t < returns_s:
+            fusion.add_pose(StampedPose(t, Pose.from_yaw(0.0, np.array([offset_m * (t > 5.0), 0.0, 1.0])), np.zeros(3)), t)
+            odom = fusion.odom_at(t)
+            if returns_s <= t < returns_s + 0.9:
+                assert odom is None or odom.quality == 0  # on trial
+            elif odom is not None:
+                counters.append(odom.reset_counter)
+    odom = fusion.odom_at(returns_s + 2.0)
+    assert odom is not None
+    assert (odom.health, odom.quality) == (PoseHealth.GOOD, 100)
+    assert odom.odom_from_body.translation_m == pytest.approx([offset_m, 0.0, 1.0], abs=0.02)
+    assert set(counters) == {0, 1}  # odom began anew, and said so
+
+
+def test_a_track_that_no_longer_reaches_the_poses_kept_is_no_accident() -> None:
+    fusion, end_s = FusionFilter(), 4.0
+    hover = np.array([0.0, 0.0, GRAVITY_MPS2])
+    for n in range(int(end_s * 20)):
+        fusion.add_imu([ImuSample(n / 20, np.zeros(3), hover)])
+        fusion.add_pose(_pose_at(n / 20), n / 20)
+    fusion.add_imu([ImuSample(end_s - 0.05 + 1e-6 * (n + 1), np.zeros(3), hover) for n in range(5000)])  # a burst
+    assert not fusion.add_pose(_pose_at(end_s - 0.52), end_s)  # late: between two poses, before anything that the track knows
+    assert [fusion.add_pose(_pose_at(end_s + n / 20), end_s + n / 20) for n in range(40)][-1]
+
+
+def _pose_at(stamp_s: float) -> StampedPose:
+    return StampedPose(stamp_s, Pose.from_yaw(0.0, np.array([0.0, 0.0, 1.0])), np.zeros(3))
 
 
 def test_scattered_poses_are_never_taken_back() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -169,6 +170,15 @@ def test_a_source_that_moves_its_map_is_felt_by_no_map_and_no_autopilot(world: W
     for posed in frames:
         truth = MOTION.pose(posed.frame.stamp_s) @ BODY_FROM_DEPTH
         np.testing.assert_allclose(posed.world_from_depth.matrix(), truth.matrix(), atol=0.02)
+
+
+def test_an_inertial_sample_of_the_future_spoils_none_of_those_after_it(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    def imu(right: Callable[[], list[ImuSample]] = world.imu) -> list[ImuSample]:
+        return [replace(sample, stamp_s=sample.stamp_s + 3600.0 * (0.999 < sample.stamp_s % 2.0 < 1.001)) for sample in right()]
+
+    monkeypatch.setattr(world, "imu", imu)
+    _, seen = _run(world, 6.0)
+    assert {odom.health for odom in seen.odom} == {PoseHealth.GOOD}
 
 
 def test_frames_with_impossible_stamps_are_dropped(world: World) -> None:

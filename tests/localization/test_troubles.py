@@ -253,6 +253,46 @@ def test_a_track_that_lost_where_down_is_does_not_stand_against_the_poses(tilt_d
     assert told.fusion.correction.epoch == 0  # no map turns about the horizon
 
 
+@pytest.mark.parametrize(("force_mps2", "lasts_s"), [(39.0, 0.02), (78.0, 0.01), (150.0, 0.005), (1e6, 0.005)])
+def test_a_force_that_no_propeller_has_is_doubted_by_as_much(force_mps2: float, lasts_s: float) -> None:
+    """An accelerometer that lies, with poses that are right: odometry bends for a tenth of a second and goes on."""
+
+    def struck(sample: ImuSample, since_s: float) -> ImuSample:
+        lies = 0.5 - 1e-6 <= since_s < 0.5 + lasts_s - 1e-6
+        return replace(sample, specific_force_mps2=np.array([force_mps2, 0.0, 9.8])) if lies else sample
+
+    told = fly(undisturbed, inertial=struck)
+    assert told.error_m(0.0) < 0.12
+    assert told.error_m(0.8) < 0.05
+    assert told.healths(0.0) == {GOOD}
+    assert told.resets() == told.fusion.correction.epoch == 0
+
+
+def test_a_blow_that_was_one_is_followed_at_once() -> None:
+    """0.6 m/s within 20 ms, seen by the accelerometer and by the poses."""
+    push, blow_s, lasts_s = np.array([0.6, 0.0, 0.0]), ONSET_S + 0.5, 0.02
+
+    def felt(sample: ImuSample, since_s: float) -> ImuSample:
+        during = 0.5 - 1e-6 <= since_s < 0.5 + lasts_s - 1e-6
+        force = MOTION.attitude(sample.stamp_s).inv().apply(push / lasts_s)
+        return replace(sample, specific_force_mps2=sample.specific_force_mps2 + during * force)
+
+    def moved_m(stamp_s: float) -> np.ndarray:
+        return push * max(stamp_s - blow_s - 0.5 * lasts_s, 0.0)
+
+    def seen(pose: StampedPose, since_s: float) -> StampedPose:
+        place_m = pose.odom_from_body.translation_m + moved_m(pose.stamp_s)
+        return replace(pose, odom_from_body=Pose(pose.odom_from_body.quat_wxyz, place_m))
+
+    told = fly(seen, inertial=felt, seconds=2.0)
+    errors_m = [
+        np.linalg.norm(error_m - moved_m(stamp_s)) for error_m, stamp_s in zip(told.errors_m, told.stamps_s, strict=True)
+    ]
+    assert max(errors_m) < 0.06
+    assert told.healths(0.0) == {GOOD}
+    assert told.resets() == told.fusion.correction.epoch == 0
+
+
 def test_without_inertial_samples_there_is_no_witness_and_it_says_so() -> None:
     told = fly(undisturbed, imu=False)
     assert told.healths(0.0) == {DEGRADED}

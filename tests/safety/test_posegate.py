@@ -57,15 +57,22 @@ def test_old_and_future_stamps_are_not(now_s: float, good: bool) -> None:
         ({"velocity_odom_mps": np.zeros(4)}, "malformed"),
         ({"covariance": np.eye(3)}, "malformed"),
         ({"covariance": np.eye(7)}, "malformed"),
-        ({"velocity_odom_mps": np.full(3, math.nan)}, "not finite"),
-        ({"covariance": np.full((6, 6), math.inf)}, "not finite"),
+        ({"velocity_odom_mps": np.full(3, math.nan)}, "out of range"),
+        ({"velocity_odom_mps": np.array([0.0, 0.0, -10_001.0])}, "out of range"),
+        ({"odom_from_body": Pose.from_yaw(0.0, np.array([0.0, 1e300, 0.0]))}, "out of range"),
+        ({"odom_from_body": Pose.from_yaw(0.0, np.array([-10_001.0, 0.0, 0.0]))}, "out of range"),
+        ({"covariance": np.full((6, 6), math.nan)}, "out of range"),
+        ({"covariance": np.full((6, 6), math.inf)}, "out of range"),
+        ({"covariance": np.diag([1e-4] * 5 + [0.85e39])}, "out of range"),
+        ({"covariance": np.diag([10_001.0] + [1e-4] * 5)}, "out of range"),
+        ({"covariance": np.diag([1e-4] * 5 + [-10_001.0])}, "out of range"),
         ({"quality": 0}, "of no quality"),
         ({"quality": -1}, "of no quality"),
     ],
 )
 def test_what_is_unfit_by_itself_is_named(changes: dict[str, Any], why: str) -> None:
-    usual: dict[str, Any] = {"velocity_odom_mps": np.zeros(3)}
-    bad = StampedPose(0.1, Pose.identity(), **{**usual, **changes})
+    usual: dict[str, Any] = {"odom_from_body": Pose.identity(), "velocity_odom_mps": np.zeros(3)}
+    bad = StampedPose(0.1, **{**usual, **changes})
     assert judge(settled(), bad) == Verdict(False, why=why)
 
 
@@ -73,6 +80,11 @@ def test_the_least_quality_the_oldest_and_the_earliest_stamp_are_believed() -> N
     assert PoseGate(0.8).judge(pose(0.0, quality=1), 0.0).good
     assert PoseGate(0.8).judge(pose(0.0), 0.15).good
     assert PoseGate(0.8).judge(pose(0.0), -0.05).good
+
+
+def test_the_largest_numbers_are_believed() -> None:
+    largest = pose(0.0, (1e4, -1e4, 1e4), velocity=(1e4, 0.0, -1e4), covariance=np.full((6, 6), 1e4))
+    assert PoseGate(0.8).judge(largest, 0.0).good
 
 
 def test_a_covariance_that_is_none_widens_nothing_and_raises_nothing() -> None:

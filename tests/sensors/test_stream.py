@@ -69,6 +69,16 @@ def test_wrong_stamps_are_dropped_and_counted(path: Path, writer: StreamWriter, 
     assert camera.poll() is not None
 
 
+def test_a_stamp_of_the_future_costs_two_frames_and_no_more(path: Path, writer: StreamWriter) -> None:
+    camera, got = StreamCamera(path), []
+    for k in range(30):
+        writer.write_frame(100.0 + k / 15 if k != 10 else 1e6, _depth(1000), RGB)
+        frame = camera.poll()
+        got += [k] if frame is not None and frame.stamp_s < 1e6 else []
+    assert got == [*range(10), *range(12, 30)]
+    assert camera.dropped_frames == 1
+
+
 def test_inertial_samples_come_once_and_in_order(path: Path, writer: StreamWriter) -> None:
     camera = StreamCamera(path)
     for k in range(7):

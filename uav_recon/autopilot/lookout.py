@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TypeVar
 
 from uav_recon.autopilot.intruder import Intruder, Neighbourhood
+from uav_recon.autopilot.posefeed import newest
+from uav_recon.autopilot.soundness import tells_of_depth, tells_of_space
 from uav_recon.protocols import Channel
 from uav_recon.safety.knownfree import KnownFree
 from uav_recon.safety.proximity import Ahead
@@ -14,8 +15,6 @@ from uav_recon.safety.sight import Sight
 from uav_recon.types.maps import FreeSpace
 from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import StampedPose
-
-T = TypeVar("T")
 
 _FUTURE_S = 0.1
 _PAST_S, _BESIDE_S = 0.5, 0.04  # poses are kept for so long; one so far from a frame's stamp is not its pose
@@ -32,7 +31,8 @@ class Lookout:
     ) -> None:
         self._free, self._nearby, self._sight = free, nearby, sight
         self._radius_m, self._height_m = hull_radius_m, hull_height_m
-        self._free_sequence = self._nearby_sequence = -1
+        self._free_heard: FreeSpace | None = None
+        self._nearby_heard: Nearby | None = None
         self.known_free: KnownFree | None = None
         self.ahead: Ahead | None = None
         self._believed_s, self._neighbourhood = -math.inf, Neighbourhood()
@@ -48,13 +48,14 @@ class Lookout:
             self._past.append(pose)
         while self._past and now_s - self._past[0].stamp_s > _PAST_S:
             self._past.popleft()
-        free = _newest(self._free, self._free_sequence)
-        self._free_sequence = self._free.sequence()
+        free = newest(self._free, self._free_heard)
         if free is not None:
-            self.known_free = KnownFree(free, self._radius_m, self._height_m)
-        nearby = _newest(self._nearby, self._nearby_sequence)
-        self._nearby_sequence = self._nearby.sequence()
-        if nearby is None or not Ahead.tells(nearby) or not nearby.stamp_s <= now_s + _FUTURE_S:
+            self._free_heard = free
+            if tells_of_space(free):
+                self.known_free = KnownFree(free, self._radius_m, self._height_m)
+        nearby = newest(self._nearby, self._nearby_heard)
+        self._nearby_heard = nearby or self._nearby_heard
+        if nearby is None or not (tells_of_depth(nearby) and Ahead.tells(nearby)) or not nearby.stamp_s <= now_s + _FUTURE_S:
             return
         if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
             self.ahead = Ahead(nearby, self._radius_m)
@@ -65,7 +66,8 @@ class Lookout:
                 self.intruder = self._neighbourhood.look(nearby, then.odom_from_body)
 
     def forget(self) -> None:
-        """Odom itself jumped: what was seen in it stands elsewhere now."""
+        """Odom itself jumped: what was seen and mapped in it stands elsewhere now."""
+        self.known_free = None
         self._neighbourhood.forget()
         self._past.clear()
         self.intruder = None
@@ -73,13 +75,3 @@ class Lookout:
     def depth_age_s(self, now_s: float) -> float:
         """Seconds since the newest frame that says anything and is believed, infinity before the first."""
         return now_s - self._believed_s
-
-
-def _newest(channel: Channel[T], seen: int) -> T | None:
-    """The newest value if it is another than the one seen."""
-    if channel.sequence() == seen:
-        return None
-    try:
-        return channel.latest()
-    except ValueError:
-        return None

@@ -49,7 +49,7 @@ class Mandate:
 
     def forsake(self) -> None:
         """Fly this trajectory no more: the mission has to propose another one."""
-        self._forsaken, self.trajectory = _key(self.trajectory), None
+        self._forsaken, self.trajectory = _key(self.trajectory) or self._forsaken, None  # twice is not never
 
     def age_s(self, now_s: float) -> float:
         """Seconds since the mission last wanted anything, infinity before the first.

@@ -34,6 +34,7 @@ from uav_recon.types.pose import StampedPose
 from uav_recon.types.trajectory import Setpoint
 
 _BUFFER_LIMIT = 1 << 16
+_LARGEST = float(np.finfo(np.float32).max)
 _UPPER = np.triu_indices(6)
 # (m/s)² and (rad/s)²: the pose filter publishes neither; PX4 reads the first three of the diagonal
 _TWIST_COVARIANCE = np.diag([0.1**2] * 3 + [100.0] * 3)[_UPPER].tolist()
@@ -113,7 +114,8 @@ class Encoder:
         Quality is clipped to 1..100 (0 would say "unknown").
         """
         velocity_body = pose.odom_from_body.rotation().T @ pose.velocity_odom_mps
-        payload = _ODOMETRY.unpacker.pack(
+        payload = _packed(
+            _ODOMETRY,
             time_us,
             *swap_world(pose.odom_from_body.translation_m.tolist()),
             *swap_attitude(pose.odom_from_body.quat_wxyz.tolist()),
@@ -131,7 +133,8 @@ class Encoder:
 
     def setpoint(self, target: int, setpoint: Setpoint, time_boot_ms: int, mask: int) -> bytes:
         """SET_POSITION_TARGET_LOCAL_NED; mask: the bits of what is to be ignored, 0 = nothing."""
-        payload = _SETPOINT.unpacker.pack(
+        payload = _packed(
+            _SETPOINT,
             time_boot_ms % (1 << 32),
             *swap_world(setpoint.position_m.tolist()),
             *swap_world(setpoint.velocity_mps.tolist()),
@@ -178,6 +181,16 @@ class Encoder:
         frame = framed(kind, payload, self._mavlink.seq, self._mavlink.srcSystem, self._mavlink.srcComponent)
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return frame
+
+
+def _packed(kind: Any, *fields: float) -> bytes:
+    """Fields in the order of the wire. Whoever speaks has bounded his numbers; one that a float32 cannot hold raises nothing
+    all the same, and goes out as the largest that it can.
+    """
+    try:
+        return bytes(kind.unpacker.pack(*fields))
+    except OverflowError:
+        return bytes(kind.unpacker.pack(*(min(max(f, -_LARGEST), _LARGEST) if isinstance(f, float) else f for f in fields)))
 
 
 def _value(identifier: int, frame: bytes) -> Message | None:

@@ -38,6 +38,7 @@ _LINK_HOLD_S = 0.5
 _LONGEST_NOTE = 200
 _TICK_S = 0.01
 _RESET_REST_S = 1.0
+_ANEW = "odom began anew: the map does not fit it"  # nor can the mission tell what of it does
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +101,7 @@ class Pilot:
         self._grounded = ""  # why the take-off is no good
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
         self._land_wanted, self._held = "", False
+        self._anew_s = math.inf  # since when the flight goes on in another odom than it began in
 
     def step(self) -> None:
         """One turn: listen, feed, judge, act, stream, tell."""
@@ -152,6 +154,7 @@ class Pilot:
             self._note = "pose source was reset: holding"
             self._steering.rebase(self._situation(now_s), _RESET_REST_S)
             self._lookout.forget()
+            self._anew_s = min(self._anew_s, now_s) if self.in_flight else math.inf
         self._lookout.step(self._poses.pose, now_s)
         if self.phase in IN_THE_AIR:  # what passes while it arms is none of its business: it stands, and gives way to nobody
             self._steering.evasion.hear(self._lookout.intruder)
@@ -229,6 +232,7 @@ class Pilot:
             if blocked:
                 self._abandon_arming(f"take-off refused: {blocked}")
                 return
+            self._anew_s = math.inf
             self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
             self._lift_off = LiftOff(float(self._link.telemetry.position_m[2]))
             self._ladder, self._rung, self._low = Ladder(self._patience), Rung.FLY, ""
@@ -259,6 +263,7 @@ class Pilot:
 
     def _fly(self, now_s: float) -> None:
         wanted = "the mission asks to land" if self._mandate.goal(now_s) is Goal.LAND else ""
+        wanted = _ANEW if now_s - self._anew_s >= _RESET_REST_S else wanted
         wanted = f"take-off given up: {self._grounded}" if self._grounded else wanted
         blocked = ": ".join(filter(None, (self._low, self._steering.blocked))) if self._steering.blocked else ""
         why = self._land_wanted or (self._low if self._rung is Rung.LAND else "") or blocked or wanted

@@ -1,4 +1,6 @@
-"""What makes a motion unfit to be flown before anybody asks where it leads: shapes, numbers, rest at its end."""
+"""What makes a motion unfit to be flown before anybody asks where it leads: shapes, numbers, rest at its end; and what is said
+of the space around unfit to be asked.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +8,13 @@ import math
 
 import numpy as np
 
+from uav_recon.types.maps import FreeSpace
+from uav_recon.types.nearby import Nearby
 from uav_recon.types.trajectory import Trajectory
 
 _REST_MPS = 0.05
+_LARGEST = 1e6  # m, m/s, m/s², rad, rad/s: no flight needs more, and no arithmetic overflows below it
+_FINEST_M, _COARSEST_M = 0.01, 2.0  # of known-free space
 
 
 def fault_of(trajectory: Trajectory) -> str:
@@ -22,6 +28,24 @@ def fault_of(trajectory: Trajectory) -> str:
         return "trajectory has no time axis"
     if not all(bool(np.isfinite(array).all()) for array in vectors + scalars):
         return "trajectory is not finite"
+    if any(bool((np.abs(array) > _LARGEST).any()) for array in vectors + scalars):
+        return "trajectory has numbers beyond all reason"
     if not float(np.linalg.norm(trajectory.velocity_mps[-1])) <= _REST_MPS:
         return "trajectory does not end at rest"
     return ""
+
+
+def tells_of_space(space: FreeSpace) -> bool:
+    """Whether known-free space makes sense: a grid of voxels that a hull can be compared with, and a bit for each."""
+    grid, bits = space.grid, space.bits
+    if grid.origin_world_m.shape != (3,) or not bool((np.abs(grid.origin_world_m) <= _LARGEST).all()):
+        return False
+    if not _FINEST_M <= grid.resolution_m <= _COARSEST_M or min(grid.shape) < 1:
+        return False
+    return bits.shape == (-(-math.prod(grid.shape) // 8),)
+
+
+def tells_of_depth(nearby: Nearby) -> bool:
+    """Whether what is near makes sense: cells in rows and columns, in a field of view that has a width and a height."""
+    cells, (wide, high) = nearby.range_m, nearby.half_tan
+    return cells.ndim == 2 and cells.size > 0 and 0.0 < wide <= _LARGEST and 0.0 < high <= _LARGEST

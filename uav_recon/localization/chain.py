@@ -25,7 +25,8 @@ from uav_recon.types.frames import FloatArray
 
 _HISTORY_S = 2.0  # kept for late poses and frames
 _IMU_GAP_S = 0.05
-_FASTEST_RADPS = 35.0  # any gyro is saturated there
+_FASTEST_RADPS, _HARDEST_MPS2 = 35.0, 160.0  # any gyro and any accelerometer (16 g) is saturated there
+_FUTURE_S = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +72,10 @@ class Chain:
         """None before the first."""
         return self._nodes[-1] if self._nodes else None
 
-    def hear(self, samples: list[ImuSample]) -> None:
-        """Take inertial samples, oldest first; what is not finite or not newer than the one before is counted and left out."""
+    def hear(self, samples: list[ImuSample], now_s: float) -> None:
+        """Take inertial samples, oldest first; what no sensor can say, and what is not newer than the one before or of a time
+        to come, is counted and left out.
+        """
         estimate = self._nodes[-1].estimate if self._nodes else None
         bias = estimate.gyro_bias_radps if estimate is not None and estimate.inertial else (0.0, 0.0, 0.0)
         for sample in samples:
@@ -82,7 +85,10 @@ class Chain:
             if not math.isfinite(stamp_s + gx + gy + gz + fx + fy + fz) or max(abs(gx), abs(gy), abs(gz)) > _FASTEST_RADPS:
                 self._rejected["imu not finite"] += 1
                 continue
-            if stamp_s <= self._track.newest_s:
+            if max(abs(fx), abs(fy), abs(fz)) > _HARDEST_MPS2:
+                self._rejected["imu force"] += 1
+                continue
+            if not self._track.newest_s < stamp_s <= now_s + _FUTURE_S:
                 self._rejected["imu stamp"] += 1
                 continue
             if stamp_s - self._imu_s > _IMU_GAP_S:
@@ -105,8 +111,8 @@ class Chain:
         """The newest node that is not younger than a timely stamp."""
         return self._nodes[self._before(stamp_s)]
 
-    def meet(self, said: Sighting, noise: PoseNoise) -> Arrival:
-        """Carried from the node before a timely pose to the pose."""
+    def meet(self, said: Sighting, noise: PoseNoise) -> Arrival | None:
+        """Carried from the node before a timely pose to the pose; None where the track no longer goes back to that node."""
         return self._meet(self.before(said.stamp_s), said, noise)
 
     def reaches(self, stamp_s: float) -> bool:
@@ -130,7 +136,9 @@ class Chain:
         later = [self._nodes.pop() for _ in range(len(self._nodes) - 1 - k)]
         self._append(met)
         for node in reversed(later):
-            self._append(self._meet(self._nodes[-1], node.sighting, node.noise))
+            again = self._meet(self._nodes[-1], node.sighting, node.noise)
+            if again is not None:
+                self._append(again)
         while self._nodes[-1].stamp_s - self._nodes[0].stamp_s > _HISTORY_S:
             self._nodes.popleft()
 
@@ -147,13 +155,13 @@ class Chain:
             return node, carry(node.estimate, base, here, node.noise), here
         return node, self._bent(node, self._nodes[k + 1], base, here), here
 
-    def _meet(self, node: Node, said: Sighting, noise: PoseNoise) -> Arrival:
+    def _meet(self, node: Node, said: Sighting, noise: PoseNoise) -> Arrival | None:
         inertial = self._inertial(node.stamp_s, said.stamp_s)
         if not inertial:
             self._coast_to(said.stamp_s)
         base, here = self._track.at(node.stamp_s), self._track.at(said.stamp_s)
-        assert base is not None  # nodes are younger than the track
-        assert here is not None
+        if base is None or here is None:
+            return None
         return against(said, noise, carry(node.estimate.carried_on(inertial), base, here, node.noise), here)
 
     def _append(self, met: Arrival) -> None:

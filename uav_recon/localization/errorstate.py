@@ -126,13 +126,17 @@ def carry_mean(state: Estimate, base: InertialState, here: InertialState) -> Est
 
 
 def carry(state: Estimate, base: InertialState, here: InertialState, noise: PoseNoise) -> Estimate:
-    """The state and its covariance carried from ``base`` to ``here``."""
+    """The state and its covariance carried from ``base`` to ``here``. A knock between them counts, and so does that it may be
+    none: as much white acceleration as makes its whole change of velocity one standard deviation.
+    """
     carried, dp, dv = _carry_mean(state, base, here)
     carrier = WITH_IMU if state.inertial else WITHOUT_IMU
     before, after = state.odom_from_body(base), state.odom_from_body(here)
     walks = (noise.position_walk, noise.attitude_walk)
-    densities = (carrier.acceleration**2, carrier.offset_walk**2, carrier.rate**2, carrier.bias_walk**2, *walks)
-    transition, walk = dynamics(here.stamp_s - base.stamp_s, state.inertial, before, after, dp, dv, densities)
+    dt, knocks_mps = here.stamp_s - base.stamp_s, here.knocks_mps - base.knocks_mps
+    white = carrier.acceleration**2 + (knocks_mps**2 / dt if knocks_mps > 0.0 else 0.0)
+    densities = (white, carrier.offset_walk**2, carrier.rate**2, carrier.bias_walk**2, *walks)
+    transition, walk = dynamics(dt, state.inertial, before, after, dp, dv, densities)
     _, covariance = predict(_NOTHING, state.covariance, transition, walk)
     return carried._replace(covariance=covariance)
 

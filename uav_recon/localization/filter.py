@@ -30,6 +30,7 @@ from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
 _CREDIBLE_M = 0.1  # standard deviation of a track that may stand against a pose source
 _TURN_OF_MAP_RAD = math.radians(12.0)  # more is no correction of a map, but a tracker that has lost its heading
 _STEADY_RAD = math.radians(3.0)  # standard deviation of a heading that a gyro still knows, long after the place is lost
+_LARGEST_DRIFT = np.repeat((10.0**2, math.pi**2), 3)  # m², rad²: of what a source claims, no more is passed on
 _OVERTURNED_RAD = math.radians(30.0)  # no gyro loses so much
 
 
@@ -37,8 +38,8 @@ class FusionFilter:
     """Fuses; costs 0.02 ms an inertial sample, 0.3 ms a pose, 0.1 ms an answer on one core.
 
     pose_lost_s: an answer farther than this after the newest pose has quality 0. ``rejected`` counts what was turned down,
-    by reason: not finite, stamp, duplicate, quality, jump, turn, speed, reset, unproven (the first after a loss), and "imu ..."
-    for inertial samples.
+    by reason: not finite, out of range, stamp, duplicate, quality, jump, turn, speed, reset, unproven (the first after a loss),
+    and "imu ..." for inertial samples.
     """
 
     def __init__(self, pose_lost_s: float = 0.5, gates: Gates | None = None) -> None:
@@ -60,9 +61,11 @@ class FusionFilter:
         """The estimate after the newest fused pose and its normalised innovation squared; None before the first."""
         return None if self._chain.newest is None else (self._chain.newest.estimate, self._chain.newest.nis)
 
-    def add_imu(self, samples: list[ImuSample]) -> None:
-        """Take inertial samples, oldest first; what is not finite or not newer than the one before is counted and left out."""
-        self._chain.hear(samples)
+    def add_imu(self, samples: list[ImuSample], now_s: float = math.inf) -> None:
+        """Take inertial samples, oldest first; what no sensor can say, and what is not newer than the one before or later than
+        now_s, is counted and left out.
+        """
+        self._chain.hear(samples, now_s)
 
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
         """Fuse a pose of the source at its own stamp; now_s bounds what stamps are believed. False if it was turned down."""
@@ -74,6 +77,8 @@ class FusionFilter:
         if self._chain.newest is None:
             return self._begin(said, noise)
         met = self._chain.meet(said, noise)
+        if met is None:
+            return self._found_again(said, noise)
         reason = self._doubtful(met, self._chain.before(said.stamp_s))
         if reason and not self._proven(met):
             self.rejected[reason] += 1
@@ -142,6 +147,15 @@ class FusionFilter:
         self._settle(met)
         return True
 
+    def _found_again(self, said: Sighting, noise: PoseNoise) -> bool:
+        """After a silence longer than the track is kept: nothing stands against a source that agrees with itself."""
+        if said.stamp_s >= self.newest_pose_s:
+            self._trial.hear(said, said, inertial=False)
+            if self._trial.stands(RETURN):
+                return self._begin(said, noise, self._trial.velocity_mps())
+        self.rejected["unproven"] += 1
+        return False
+
     def _settle(self, met: Arrival) -> None:
         """It goes on from where the track leads."""
         self._trial.clear()
@@ -186,7 +200,7 @@ def _quaternion(pose: Pose) -> Quaternion:
 
 
 def _with_drift(covariance: FloatArray, claimed: FloatArray) -> FloatArray:
-    """Covariance (6, 6) of position and rotation vector: the filter's own, and what the source may have drifted."""
+    """Covariance (6, 6) of position and rotation vector: the filter's own, and what the source may well have drifted."""
     out: FloatArray = covariance[SEEN]
-    out.flat[:: len(out) + 1] += (1.0 - WHITE_SHARE) * np.diagonal(claimed)
+    out.flat[:: len(out) + 1] += (1.0 - WHITE_SHARE) * np.minimum(np.diagonal(claimed), _LARGEST_DRIFT)
     return out

@@ -13,6 +13,7 @@ from uav_recon.types.pose import StampedPose
 
 _OLDEST_S, _FUTURE_S = 1.0, 0.01
 _SAME_STAMP_S = 1e-4
+_FARTHEST_M, _LARGEST_VARIANCE = 1e4, 1e4  # per number, m² or rad²: a source that says so much knows nothing
 _STEP_M = 0.03  # a vehicle follows a step of its odometry at once
 CONTRADICTIONS = ("jump", "turn", "speed")  # what a source says against the track, or against itself
 _PLAUSIBLE_NIS = 22.46  # 99.9 % of the innovations of six numbers (chi-square)
@@ -66,6 +67,8 @@ def unfit(pose: StampedPose, now_s: float) -> str:
     """What is wrong with a pose by itself."""
     if pose.covariance.shape != (6, 6) or not (math.isfinite(pose.stamp_s) and np.isfinite(pose.covariance).all()):
         return "not finite"
+    if np.abs(pose.odom_from_body.translation_m).max() > _FARTHEST_M or np.abs(pose.covariance).max() > _LARGEST_VARIANCE:
+        return "out of range"
     if pose.quality <= 0:
         return "quality"
     return "" if now_s - _OLDEST_S <= pose.stamp_s <= now_s + _FUTURE_S else "stamp"

@@ -59,7 +59,7 @@ class Perception:
         """Read what came, publish what is due."""
         now_s = self._clock.now_s()
         self._mount.observe()
-        self._fusion.add_imu(self._camera.imu())
+        self._fusion.add_imu(self._camera.imu(), self._clock.now_s())  # read before the clock: none is of a time to come
         for pose in self._poses.poses():
             self._fusion.add_pose(pose, now_s)
         if self._rate.due(now_s):

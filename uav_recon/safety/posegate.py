@@ -14,7 +14,7 @@ _FUTURE_S = 0.05
 _JUMP_M, _WIDEST_M = 0.10, 0.30  # beside where the last pose and its velocity lead; three sigma between these bounds
 _TURN_RAD = math.radians(8.0)
 _PUSH_MPS2 = 1.0  # acceleration that the prediction does not know
-_FASTEST_MPS = 2.0
+_FASTEST_MPS, _LARGEST = 2.0, 1e4  # whatever the unit, no number is larger; NaN is not within it either
 _PATIENCE = 3  # refused in a row: the track is lost
 _PROOF, _PROOF_S = 20, 1.0  # a track found again is believed after so many that agree, over so long
 
@@ -93,6 +93,6 @@ def _unfit(pose: StampedPose, now_s: float) -> str:
         return f"{now_s - pose.stamp_s:.2f} s old"
     if pose.velocity_odom_mps.shape != (3,) or pose.covariance.shape != (6, 6):
         return "malformed"
-    if not (np.isfinite(pose.velocity_odom_mps).all() and np.isfinite(pose.covariance).all()):
-        return "not finite"
+    if not (np.abs(np.hstack((pose.odom_from_body.translation_m, pose.velocity_odom_mps, *pose.covariance))) <= _LARGEST).all():
+        return "out of range"
     return "" if pose.quality > 0 else "of no quality"

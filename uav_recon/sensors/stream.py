@@ -76,7 +76,8 @@ class _Stream:
 class StreamCamera(_Stream):
     """Camera protocol over a stream. Raises StreamError (one line) if the file is not a stream or its optics make no sense.
 
-    dropped_frames: stamps that were not finite, or not newer than the frame before.
+    dropped_frames: stamps that were not finite, or not newer than the frame before, handed on or not: one wrong stamp, of the
+    future say, costs itself and one frame more.
     """
 
     def __init__(self, path: Path, depth_min_m: float = 0.3, depth_max_m: float = 6.0) -> None:
@@ -84,7 +85,7 @@ class StreamCamera(_Stream):
         self._table = depth_table(depth_min_m, depth_max_m)
         self._optics = _optics(self._reader, path)
         self._imu_read = 0
-        self._newest_s = -math.inf
+        self._before_s = -math.inf
         self.dropped_frames = 0
 
     def poll(self) -> Frame | None:
@@ -96,10 +97,10 @@ class StreamCamera(_Stream):
                 self._optics = _optics(self._reader, self._path)
             return None
         self._read, self._empty = raw.sequence, 0
-        if not math.isfinite(raw.stamp_s) or raw.stamp_s <= self._newest_s:
+        before_s, self._before_s = self._before_s, raw.stamp_s if math.isfinite(raw.stamp_s) else self._before_s
+        if not before_s < raw.stamp_s < math.inf:
             self.dropped_frames += 1
             return None
-        self._newest_s = raw.stamp_s
         return self._frame(raw)
 
     def imu(self) -> list[ImuSample]:
