@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from rich.console import Console
 
@@ -27,13 +27,15 @@ from uav_recon import run
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
 from uav_recon.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
-from uav_recon.protocols import ByteLink, Mapper
+from uav_recon.protocols import ByteLink, Mapper, Pending
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.recording.mapfile import save_map
 from uav_recon.recording.timelapse import Timelapse
 
 if TYPE_CHECKING:
     from uav_recon.recording.recorder import Recorder
+
+T = TypeVar("T")
 
 START_S = 1000.0
 LONGEST_S = 3600.0
@@ -68,7 +70,7 @@ class Meddling(Protocol):
         ...
 
     def runs(self, stage: str) -> bool:
-        """Whether pilot, perception or mission makes its turn."""
+        """Whether pilot, perception or mission makes its turn, and a call of the planner returns."""
         ...
 
     def restarts(self, stage: str) -> bool:
@@ -117,6 +119,35 @@ class Nobody:
 NOBODY = Nobody()
 
 
+class Call(Generic[T]):
+    """Work handed to the planner's thread: not done while that does not run."""
+
+    def __init__(self, inner: Pending[T], meddler: Meddling) -> None:
+        self._inner, self._meddler = inner, meddler
+
+    def done(self) -> bool:
+        """Whether it has returned."""
+        return self._meddler.runs("planner") and self._inner.done()
+
+    def result(self) -> T:
+        """What it returned."""
+        return self._inner.result()
+
+
+class Calls:
+    """The executor of the mission's plans, in which a call may hang."""
+
+    def __init__(self, inner: InlineExecutor, meddler: Meddling) -> None:
+        self._inner, self._meddler = inner, meddler
+
+    def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
+        """Start work."""
+        return Call(self._inner.submit(work, cost_s), self._meddler)
+
+    def close(self) -> None:
+        """Nothing runs here."""
+
+
 def fly_in_lockstep(
     options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool], timelapse: bool = True,
     meddler: Meddling = NOBODY,
@@ -130,7 +161,7 @@ def fly_in_lockstep(
     run.warm_up(config)
     mapper = _mapper(options, config)
     log, journal = MemoryTlog(options.out / "flight.tlog"), FlightLog(options.out)
-    link, executor = meddler.link(ours), InlineExecutor(clock)
+    link, executor = meddler.link(ours), Calls(InlineExecutor(clock), meddler)
     pilot = run.make_pilot(config, wires, link, log, clock)
     perception = run.make_perception(config, wires, clock)
     conductor = run.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)

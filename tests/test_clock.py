@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
+from concurrent.futures import CancelledError
 
 import pytest
 from hypothesis import given
@@ -103,3 +106,53 @@ def test_threaded_work_never_overlaps_and_raises_at_its_result() -> None:
         c.result()
     assert order == [1, 2]
     executor.close()
+
+
+def test_work_that_does_not_return_keeps_nobody_from_ending() -> None:
+    executor = ThreadExecutor("plan", patience_s=0.05)
+    begun, gate = threading.Event(), threading.Event()
+
+    def stick() -> bool:
+        begun.set()
+        return gate.wait(60.0)
+
+    stuck = executor.submit(stick, cost_s=0.0)
+    behind = executor.submit(lambda: 1 // 0, cost_s=0.0)
+    assert begun.wait(60.0)
+    executor.close()
+    assert not stuck.done()
+    gate.set()
+    assert stuck.result()
+    with pytest.raises(CancelledError):
+        behind.result()
+
+
+PROGRAM = """
+import threading
+from uav_recon.clock import ThreadExecutor
+executor = ThreadExecutor("plan", patience_s=0.05)
+begun = threading.Event()
+executor.submit(lambda: (begun.set(), threading.Event().wait()), cost_s=0.0)
+begun.wait(60.0)
+executor.close()
+"""
+
+
+def test_a_process_ends_beside_work_that_does_not_return() -> None:
+    assert subprocess.run([sys.executable, "-c", PROGRAM], timeout=60.0, check=False).returncode == 0
+
+
+def test_what_runs_is_waited_for() -> None:
+    executor = ThreadExecutor("write")
+    begun, gate, done = threading.Event(), threading.Event(), []
+
+    def write() -> None:
+        begun.set()
+        gate.wait(60.0)
+        done.append(1)
+
+    executor.submit(write, cost_s=0.0)
+    assert begun.wait(60.0)
+    threading.Timer(0.05, gate.set).start()
+    executor.close()
+    assert done == [1]

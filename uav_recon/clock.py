@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
+from queue import SimpleQueue
 from typing import Generic, TypeVar
 
 from uav_recon.protocols import Clock, Pending
@@ -95,16 +97,39 @@ class InlineExecutor:
 
 
 class ThreadExecutor:
-    """Real time: one worker thread, so plans never overlap."""
+    """Real time: one worker thread, so plans never overlap. patience_s: how long close() waits for the work that runs; None:
+    until it has returned. Work that never does is left behind, and ends with the process.
+    """
 
-    def __init__(self, name: str) -> None:
-        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix=name)
+    def __init__(self, name: str, patience_s: float | None = None) -> None:
+        self._patience_s = patience_s
+        self._work: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
 
     def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
         """Start work on the thread."""
-        future: Future[T] = self._pool.submit(work)
+        future: Future[T] = Future()
+        self._work.put(lambda: self._do(work, future))
         return future
 
     def close(self) -> None:
-        """Wait for running work and end."""
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        """Wait for running work and end; what has not begun is cancelled."""
+        self._closed = True
+        self._work.put(None)
+        self._thread.join(self._patience_s)
+
+    def _run(self) -> None:
+        while (work := self._work.get()) is not None:
+            work()
+
+    def _do(self, work: Callable[[], T], future: Future[T]) -> None:
+        if self._closed:
+            future.cancel()
+        if not future.set_running_or_notify_cancel():
+            return
+        try:
+            future.set_result(work())
+        except BaseException as error:  # whoever asks for the result gets it
+            future.set_exception(error)

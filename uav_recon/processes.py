@@ -23,6 +23,7 @@ from uav_recon.config import Config
 
 PERCEPTION_RATE_HZ = 100.0
 MISSION_RATE_HZ = 30.0
+PLANNER_PATIENCE_S = 2.0  # of a process that ends: a call that does not return is not waited for
 RECORDER_RATE_HZ = 10.0
 
 
@@ -135,7 +136,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     except PriorError as error:
         raise run.Failure(str(error), run.EXIT_CONFIG) from None
     recorder = _start_recorder(config_path, folder)
-    journal, executor = FlightLog(folder), ThreadExecutor("planner")
+    journal, executor = FlightLog(folder), ThreadExecutor("planner", PLANNER_PATIENCE_S)
     try:
         run.warm_up(config)
         conductor = run.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)

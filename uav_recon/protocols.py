@@ -66,7 +66,7 @@ class Executor(Protocol):
         ...
 
     def close(self) -> None:
-        """Wait for running work and end."""
+        """Wait for running work, for a while, and end."""
         ...
 
 

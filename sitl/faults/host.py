@@ -8,7 +8,9 @@ from sitl.faults.injector import Injector, Needs, Theatre
 
 
 class Stall(Injector):
-    """Stages stand still for a while, as under SIGSTOP; for ever by default, as under SIGKILL."""
+    """Stages stand still for a while, as under SIGSTOP; for ever by default, as under SIGKILL. The stage planner is a call
+    that does not return, in a mission that runs.
+    """
 
     needs = Needs.STAGES
 

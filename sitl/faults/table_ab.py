@@ -60,6 +60,15 @@ TABLE_A = (
         live=lambda n: [Stopped("mission", 30.0)],
     ),
     Row(
+        "A2h",
+        "planner hangs",
+        "a call to the planner does not return; the mission's own loop goes on",
+        lambda n: [Stall("planner")],
+        (lands(40.0), lands_no_sooner(20.0), down(60.0), STREAMS, NO_FAILSAFE, NO_JUMP),
+        onset=FAST,
+        longest_s=70.0,
+    ),
+    Row(
         "A3",
         "mission crashes",
         "mission dies at speed; its supervisor has a new one running after 5 s",

@@ -45,3 +45,21 @@ def test_the_way_back_cuts_loops_and_ends_at_the_start() -> None:
     assert np.linalg.norm(back[-1][:2]) < 1e-9
     assert steps.max() <= 1.5 * BREADCRUMB_M + 1e-9
     assert steps.sum() < 2.5  # the circle of 6.3 m is not flown again
+
+
+def test_the_way_back_is_that_of_plain_loops_over_all_pairs() -> None:
+    rng = np.random.default_rng(5)
+    course, here = Course(0.0), np.array([0.0, 0.0, 1.0])
+    for goal in rng.uniform((-4.0, -4.0, 0.6), (4.0, 4.0, 1.8), (12, 3)):
+        for share in np.linspace(0.0, 1.0, 40):
+            course.follow(vehicle_at(*(here + share * (goal - here))))
+        here = goal
+    home, reach_m = np.array([0.0, 0.0, 1.0]), 1.5 * BREADCRUMB_M
+    crumbs = course.breadcrumbs[::-1]
+    crumbs = crumbs[: 1 + max(i for i, crumb in enumerate(crumbs) if np.linalg.norm(crumb - home) <= reach_m)]
+    way, i = [], 0
+    while i < len(crumbs):
+        way.append(crumbs[i])
+        i = max((j for j in range(i + 1, len(crumbs)) if np.linalg.norm(crumbs[j] - crumbs[i]) <= reach_m), default=i + 1)
+    assert 10 < len(way) < len(crumbs)
+    np.testing.assert_array_equal(course.way_back(home), way)

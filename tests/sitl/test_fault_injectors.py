@@ -14,6 +14,7 @@ from sitl.faults.injector import Depth, Injector
 from sitl.faults.meddler import off_nose_rad
 from sitl.faults.obstacle import Furnished, Obstacle
 from sitl.faults.table import ROWS, TABLE
+from sitl.fly_lockstep import Calls, Nobody
 from sitl.mesh import joined
 from sitl.poses import PoseRecord
 from sitl.raster import Renderer
@@ -21,6 +22,7 @@ from sitl.rotation import yaw_of
 from sitl.solids import Workshop
 from sitl.texture import plain
 from sitl.transform import body_from_camera
+from uav_recon.clock import InlineExecutor, ManualClock
 
 
 def record(stamp_s: float = 10.0) -> PoseRecord:
@@ -109,6 +111,22 @@ def test_stages_stall_and_crash() -> None:
     assert crash.stalls(0.5, "pilot")
     assert not crash.restarts(0.5, "pilot")
     assert [crash.restarts(1.0, "pilot"), crash.restarts(1.1, "pilot")] == [True, False]
+
+
+def test_a_call_of_the_planner_hangs_while_the_mission_runs() -> None:
+    hung, clock = Stall("planner"), ManualClock(0.0)
+
+    class Hung(Nobody):
+        def runs(self, stage: str) -> bool:
+            return not hung.stalls(clock.now_s(), stage)
+
+    free, stuck = (Calls(InlineExecutor(clock), meddler).submit(lambda: 7, 0.1) for meddler in (Nobody(), Hung()))
+    assert not free.done()
+    clock.advance_to(1.0)
+    assert free.done() and free.result() == 7
+    assert not stuck.done()
+    assert Hung().runs("mission")
+    assert ROWS["A2h"].flown(live=False)
 
 
 def test_an_obstacle_is_seen_and_felt() -> None:

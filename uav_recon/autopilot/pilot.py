@@ -21,6 +21,7 @@ from uav_recon.autopilot.personality import ARM, Arming, Outcome, Personality
 from uav_recon.autopilot.posefeed import PoseFeed
 from uav_recon.autopilot.steering import Steering
 from uav_recon.autopilot.tlog import FrameLog, NoLog
+from uav_recon.autopilot.vain import InVain
 from uav_recon.clock import RateKeeper
 from uav_recon.protocols import ByteLink, Channel, Clock
 from uav_recon.safety.envelope import Vec3
@@ -92,6 +93,7 @@ class Pilot:
         hull = (airframe.hull_radius_m, airframe.hull_height_m)
         self._lookout = Lookout(channels.free, channels.nearby, sight, *hull)
         self._authority, self._steering = Authority(link.firmware), Steering(guard, self._mandate, airframe.hover_height_m)
+        self._in_vain = InVain(patience.intent_land_s)
         self._ladder, self._rung, self._low = Ladder(patience), Rung.FLY, ""  # where it stands, and why no higher
         self.phase = FlightPhase.CONNECTING
         self._note, self._herald = "", Herald(link)
@@ -192,7 +194,8 @@ class Pilot:
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # it flies by no others
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
-        return Health(now_s, *ages_s, inside, self._refusals, self._poses.lost, self._poses.wrong)
+        refused_s = self._in_vain.refused_s
+        return Health(now_s, *ages_s, inside, self._refusals, self._poses.lost, self._poses.wrong, refused_s)
 
     # ---- act --------------------------------------------------------------------------------------------------
 
@@ -236,6 +239,7 @@ class Pilot:
             self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
             self._lift_off = LiftOff(float(self._link.telemetry.position_m[2]))
             self._ladder, self._rung, self._low = Ladder(self._patience), Rung.FLY, ""
+            self._in_vain = InVain(self._patience.intent_land_s, self._refusals)
             self._steering.rebase(here, rest_s=0.0)
 
     def _arm(self, now_s: float) -> None:
@@ -289,6 +293,7 @@ class Pilot:
         linked = now_s - self._link.telemetry.heard_s <= _LINK_HOLD_S
         steered = linked and not self._held and self.phase is FlightPhase.FLYING
         cleared, refusal = self._steering.steer(self._rung if steered else Rung.HOLD, self._situation(now_s))
+        self._in_vain.heed(self._refusals, self._steering.moves, now_s)
         if refusal is not None:
             self._note = f"refused: {refusal.reason}"
         if self._lift_off is not None and self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:

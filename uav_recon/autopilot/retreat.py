@@ -13,7 +13,8 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 IDENTIFIER = -2  # of the pilot's own trajectory; a mission counts from one
 
 _APART_M = 0.2
-_MOST = 5000  # a kilometre
+_MOST = 5000  # a kilometre; beyond it the older half is forgotten
+_LONGEST_S = 60.0  # of a way: a retreat ends in a landing after land_timeout_s, which is no longer than this
 _STEP_S = 0.05
 _SMOOTH_S = 0.4  # width of each of two box averages: speed over width bounds the acceleration
 _SHARE = 0.9  # of the speed allowed: what sampling adds
@@ -25,39 +26,50 @@ class Breadcrumbs:
     """Places (odom, m) where the vehicle was in flight, and the way back along them."""
 
     def __init__(self) -> None:
-        self._crumbs: list[FloatArray] = []
+        self._places_m, self._count = np.empty((_MOST, 3)), 0  # oldest first
 
     def drop(self, odom_from_body: Pose) -> None:
         """Note where the vehicle is."""
-        place, crumbs = odom_from_body.translation_m, self._crumbs
-        if len(crumbs) < _MOST and (not crumbs or math.hypot(*(place - crumbs[-1]).tolist()) > _APART_M):
-            crumbs.append(place)
+        place_m, places_m, count = odom_from_body.translation_m, self._places_m, self._count
+        if count and math.hypot(*(place_m - places_m[count - 1]).tolist()) <= _APART_M:
+            return
+        if count == _MOST:
+            count = _MOST // 2
+            places_m[:count] = places_m[_MOST - count :]
+        places_m[count] = place_m
+        self._count = count + 1
 
     def forget(self) -> None:
         """Odom itself jumped: these places are others now."""
-        self._crumbs.clear()
+        self._count = 0
 
     def way_back(
         self, rest: Setpoint, height_m: float, start_s: float, speed_mps: float, map_epoch: int, nose_first: bool
     ) -> Trajectory:
-        """From rest back to the first crumb at a height or above it, at rest there; just a hold if there is none.
+        """From rest back towards the first crumb at a height or above it, as far as can be flown before it lands, at rest
+        there; just a hold if there is none.
 
         nose_first: turned to where it goes, so that depth sees the way; otherwise the heading is kept. Loops are cut out, and
         so is the part that an earlier way back has flown. Corners are rounded by two box averages, so place, velocity and
-        heading stay continuous.
+        heading stay continuous. It is made within a turn of the pilot's loop, so what it costs does not grow with the flight.
         """
-        places = [rest.position_m, *self._from_the_pad(height_m)]
-        corners, i = [], 0
-        while i < len(places):
-            corners.append(places[i])
-            near = [j for j in range(i + 1, len(places)) if np.linalg.norm(places[j] - places[i]) <= 1.5 * _APART_M]
-            i = near[-1] if near else i + 1
-        return flown(np.array(corners), rest, start_s, speed_mps, map_epoch, nose_first, IDENTIFIER)
+        corners = self._corners(rest.position_m, height_m, _SHARE * speed_mps * _LONGEST_S)
+        return flown(corners, rest, start_s, speed_mps, map_epoch, nose_first, IDENTIFIER)
 
-    def _from_the_pad(self, height_m: float) -> list[FloatArray]:
-        """Newest first, without the climb."""
-        climbed = next((n for n, crumb in enumerate(self._crumbs) if crumb[2] >= height_m), len(self._crumbs))
-        return self._crumbs[climbed:][::-1]
+    def _corners(self, place_m: FloatArray, height_m: float, most_m: float) -> FloatArray:
+        """From a place (3,), newest first, without loops and without the climb, until they are most_m long: (N, 3)."""
+        places_m = self._places_m[: self._count]
+        high = places_m[:, 2] >= height_m
+        places_m = places_m[int(np.argmax(high)) if high.any() else len(places_m) :]
+        corners, left_m = [place_m], most_m
+        while len(places_m) and left_m > 0.0:
+            off_m = places_m - place_m
+            near = np.einsum("ij,ij->i", off_m, off_m) <= (1.5 * _APART_M) ** 2
+            oldest = int(np.argmax(near)) if near.any() else len(places_m) - 1
+            left_m -= math.hypot(*off_m[oldest].tolist())
+            place_m, places_m = places_m[oldest], places_m[:oldest]
+            corners.append(place_m)
+        return np.array(corners)
 
 
 def flown(

@@ -24,7 +24,8 @@ _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends t
 
 class Steering:
     """Keeps the breadcrumbs. ``blocked``: why there is no way back or aside any more, '' while there is one. ``gave_way``
-    counts what was not flown on because something stood there all of a sudden, and each step aside.
+    counts what was not flown on because something stood there all of a sudden, and each step aside. ``moves``: the newest
+    setpoint is of a motion, and not of a hold.
     """
 
     def __init__(self, guard: Guard, mandate: Mandate, hover_height_m: float) -> None:
@@ -40,7 +41,7 @@ class Steering:
         self._aside: Trajectory | None = None
         self._giving = False  # something near decides what is flown
         self.evasion = Evasion(guard)
-        self.blocked, self.gave_way = "", 0
+        self.blocked, self.gave_way, self.moves = "", 0, False
 
     def was_at(self, odom_from_body: Pose) -> None:
         """In flight, and not on the way back."""
@@ -56,6 +57,7 @@ class Steering:
 
     def steer(self, rung: Rung, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
         """The guard's word for this instant. What it turned down is not proposed again."""
+        self.moves = False
         before, self._giving = self._giving, rung <= Rung.HOLD and self._gives_way(situation)
         if self._giving:
             cleared, refusal = self._give_way(situation)
@@ -68,7 +70,7 @@ class Steering:
             cleared, refusal = self._retreat(situation)
         else:
             cleared, refusal = self._guard.clear(None, situation)
-        self._flown, self._flown_s = cleared.setpoint, situation.now_s
+        self._flown, self._flown_s, self.moves = cleared.setpoint, situation.now_s, self.moves and refusal is None
         return cleared, refusal
 
     def _fly(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
@@ -148,5 +150,6 @@ class Steering:
             age_s = min(now_s - self._flown_s, _LONGEST_AGE_S)
             self._handover = Handover(self._flown, age_s, trajectory, now_s) if self._flown else None
         sample = trajectory.setpoint_at(now_s)
+        self.moves = bool(np.any(sample.velocity_mps)) or sample.yaw_rate_radps != 0.0
         wanted = self._handover.apply(sample, now_s) if self._handover else sample
         return Proposal(wanted, trajectory.identifier, trajectory.map_epoch, retreating)

@@ -22,6 +22,7 @@ from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 FRAME_TIMEOUT_S = 1.0
+PLAN_LATE_S = 20.0  # a planner that has not answered for so long does not answer any more
 VIEW_LATE_S = 0.6  # a view that no frame met for so long is given up
 LIFT_M, LIFTED_M = 0.3, 0.2  # of a take-off: so high first, and what counts as off the floor
 PROGRESS_PERIOD_S, MAP_PERIOD_S, FREE_PERIOD_S = 0.2, 1.0, 0.2
@@ -38,6 +39,7 @@ class Conductor:
         self._captures, self._course = Captures(VIEW_LATE_S), Course(orders.camera_pitch_down_rad)
         self._helm = Helm(stages.motion, self._course, self._captures, self._account)
         decider = Decider(stages.planner, stages.motion, stages.retreat, executor, orders.plan_cost_s, orders.view_spacing_m)
+        self._decider = decider
         self._survey = Survey(stages, wires, orders, self._helm, decider, self._account)
         site = LandingSite(orders.takeoff_height_m, -orders.vehicle_height_m / 2, orders.clear_radius_m)
         self._homeward = Homeward(self._helm, decider, self._account, site)
@@ -90,6 +92,7 @@ class Conductor:
             self._course.follow(vehicle)
             self._hear_guard(now_s, vehicle)
             self._hear_release(now_s, vehicle)
+            self._hear_no_planner(now_s)
             self._account.hear(self.phase, vehicle)
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
@@ -153,6 +156,11 @@ class Conductor:
         elif self._released and self.phase is Phase.TAKEOFF:
             self._course.trajectory, self._risen = None, False
         self._released = False
+
+    def _hear_no_planner(self, now_s: float) -> None:
+        """Everything that is flown comes from it, the way home too."""
+        if self._decider.waiting_s(now_s) > PLAN_LATE_S:
+            self.request_abort(f"the planner has not answered for {PLAN_LATE_S:.0f} s")
 
     def _facts(self, now_s: float, vehicle: VehicleState) -> Facts:
         return Facts(

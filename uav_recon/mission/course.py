@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.types.frames import FloatArray
+from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
@@ -84,12 +84,18 @@ class Course:
 
     def way_back(self, home_world: FloatArray) -> tuple[FloatArray, ...]:
         """Breadcrumbs from here to a place (3,) over the pad, newest first, loops and the climb to that place cut out."""
-        there = [i for i, crumb in enumerate(self.breadcrumbs) if np.linalg.norm(crumb - home_world) <= BREADCRUMB_M * 1.5]
-        crumbs = self.breadcrumbs[there[0] if there else 0 :][::-1]
+        crumbs = np.array(self.breadcrumbs).reshape(-1, 3)
+        there = _near(crumbs, home_world)
+        left = crumbs[there[0] if len(there) else 0 :]
         way: list[FloatArray] = []
-        i = 0
-        while i < len(crumbs):
-            way.append(crumbs[i])
-            near = [j for j in range(i + 1, len(crumbs)) if np.linalg.norm(crumbs[j] - crumbs[i]) <= BREADCRUMB_M * 1.5]
-            i = near[-1] if near else i + 1
+        while len(left):
+            way.append(left[-1])
+            near = _near(left[:-1], left[-1])
+            left = left[: near[0] + 1 if len(near) else -1]
         return tuple(way)
+
+
+def _near(crumbs: FloatArray, place_m: FloatArray) -> IntArray:
+    """Which of the crumbs (N, 3) are as good as at a place (3,), oldest first."""
+    off_m = crumbs - place_m
+    return np.flatnonzero(np.einsum("ij,ij->i", off_m, off_m) <= (1.5 * BREADCRUMB_M) ** 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -37,6 +38,14 @@ class Decider:
     ) -> None:
         self._planner, self._motion, self._retreat, self._executor = planner, motion, retreat, executor
         self._plan_cost_s, self._view_spacing_m = plan_cost_s, view_spacing_m
+        self._unanswered: list[tuple[float, Pending[Decision]]] = []  # since when, infinity until that is asked
+
+    def waiting_s(self, now_s: float) -> float:
+        """For how long the oldest decision has not come, also one that nobody waits for any more: those after it wait for it.
+        To be asked in each step; 0 for none.
+        """
+        self._unanswered = [(min(since_s, now_s), each) for since_s, each in self._unanswered if not each.done()]
+        return max((now_s - since_s for since_s, _ in self._unanswered), default=0.0)
 
     def next_views(self, request: PlanRequest, departure: Departure, identifier: int) -> Pending[Decision]:
         """Where to look next, from rest or out of the present motion."""
@@ -58,7 +67,9 @@ class Decider:
         return self._submit(lambda: self._homed(path, request, rest, self._retreat, identifier))
 
     def _submit(self, work: Callable[[], Decision]) -> Pending[Decision]:
-        return self._executor.submit(work, self._plan_cost_s)
+        decision = self._executor.submit(work, self._plan_cost_s)
+        self._unanswered.append((math.inf, decision))
+        return decision
 
     def _onward(self, path: ViewPath | NothingLeft, request: PlanRequest, departure: Departure, identifier: int) -> Decision:
         if departure.flying is None:

@@ -240,8 +240,7 @@ class Guard:
         if proposal is None or not fault:
             self._refused = None
             return None
-        if self._refused != proposal.trajectory_id:
-            self.refusals += 1
+        self.refusals += self._refused != proposal.trajectory_id
         self._refused = proposal.trajectory_id
         return Refusal(fault, instead)
 

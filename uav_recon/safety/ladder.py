@@ -40,6 +40,7 @@ class Health:
     """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far.
 
     pose_age_s: of the newest pose neither lost nor wrong, or since any was fed if longer. lost, wrong: why, '' while it is not.
+    refused_s: with no motion between.
     """
 
     now_s: float
@@ -50,6 +51,7 @@ class Health:
     refusals: int
     lost: str = ""
     wrong: str = ""
+    refused_s: float = 0.0
 
 
 class Ladder:
@@ -75,8 +77,7 @@ class Ladder:
         self._healthy_since_s = min(self._healthy_since_s, health.now_s) if rung is Rung.FLY else math.inf
         wait_s = _HEALTH_S if health.now_s - self._retreat_s > _BARELY_S else 0.0
         well = rung is Rung.FLY and health.now_s - self._healthy_since_s >= wait_s
-        recovered = self._rung <= Rung.HOLD or (self._rung is Rung.RETREAT and well)
-        if rung >= self._rung or recovered:
+        if rung >= self._rung or self._rung is Rung.HOLD or (self._rung is Rung.RETREAT and well):
             self._retreat_s = self._retreat_s if self._rung is Rung.RETREAT else health.now_s
             self._rung, self._why = rung, why
         return self._rung, self._why
@@ -87,6 +88,7 @@ class Ladder:
             ("no pose", health.pose_age_s, (p.pose_hold_s, math.inf, p.pose_land_s)),
             ("mission silent", health.intent_age_s, (p.intent_hold_s, p.intent_retreat_s, p.intent_land_s)),
             ("no depth", health.depth_age_s, (p.depth_hold_s, p.depth_retreat_s, p.depth_land_s)),
+            ("refused", health.refused_s, (math.inf, math.inf, p.intent_land_s)),
         )
         rungs = [_rung_of(age_s, limits_s) for _, age_s, limits_s in silences]
         if (rung := max(rungs)) < Rung.LAND and over:
