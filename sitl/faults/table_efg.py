@@ -25,6 +25,7 @@ from sitl.faults.host import Abort, DiskFull, Madness
 from sitl.faults.load import NoSpace
 from sitl.faults.row import SHORT_VIEWS, Bar, Row
 from sitl.faults.signals import RECORDER, ChildStruck
+from sitl.faults.takeover import mode_taken_back
 from sitl.faults.trouble import Onset
 from sitl.faults.wires import SYS_STATUS, Forger, Gauge, Loss, Refused, Rewritten, version
 
@@ -66,6 +67,7 @@ TABLE_E = (
         "around the operator's landing, 50 ms before to after",
         lambda n: [Abort(), Takeover(*PILOT_MODES[n % 3], later_s=0.02 * (n % 6))],
         (
+            Bar("turns in another mode", mode_taken_back, 0.0, ""),
             Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
             Bar("stream ends", m.streams_after, 0.5, "s"),
         ),
