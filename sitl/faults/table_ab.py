@@ -107,6 +107,7 @@ TABLE_A = (
         lambda n: [Crash("pilot", back_s=(0.2, 1.0, 3.0)[n % 3])],
         (NO_ORDER, down(60.0)),
         live=lambda n: [Killed("pilot", for_s=(0.2, 1.0, 3.0)[n % 3])],
+        stands_s=20.0,  # and it does not take off again
     ),
     Row(
         "A8",
