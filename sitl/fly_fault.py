@@ -156,7 +156,8 @@ def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str
     config = options.config(scene, folder)
     product_config.save(config, options.out / "config.toml")
     troubles = [
-        Trouble(row.id, [*row.injectors(stage.number), *hostile(row.id, config)], row.onset, row.longest_s) for row in rows
+        Trouble(row.id, [*row.injectors(stage.number), *hostile(row.id, config)], row.onset, row.longest_s, row.stands_s)
+        for row in rows
     ]
     meddler = Meddler(troubles, stage.number, split=split)
     fly_in_lockstep(options, config, scene, Console(quiet=True), meddler.lands, timelapse=False, meddler=meddler)

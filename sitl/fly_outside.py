@@ -53,7 +53,7 @@ class Order:
 def fly(order: Order) -> Evidence:
     """Run until there is nothing left to see. Raises OSError if a port cannot be had, FirmwareError."""
     options, row = WorldOptions.load(Path(order.world)), ROWS[order.row]
-    trouble = Trouble(row.id, row.troubles(order.number, live=True), row.onset, row.longest_s)
+    trouble = Trouble(row.id, row.troubles(order.number, live=True), row.onset, row.longest_s, row.stands_s)
     meddler = Meddler([trouble], order.number, LONGEST_WAIT_S)
     with contextlib.ExitStack() as ends:
         line = None if order.line is None else SerialLine(Path(order.line))

@@ -20,7 +20,7 @@ _POSE_FRAMES = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_LOCAL_NED)
 
 
 class Commands(Requests):
-    """PX4's own: setpoints, poses, TIMESYNC, modes, arming and the origin."""
+    """PX4's own: heartbeats, setpoints, poses, TIMESYNC, modes, arming and the origin."""
 
     def __init__(self, state: State, server: MavlinkServer, seed: int) -> None:
         super().__init__(state, server)
@@ -28,6 +28,7 @@ class Commands(Requests):
         self._random = random.Random(seed)
         self.poses_refused = 0
         self._handlers |= {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
             mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self._setpoint,
             mavlink.MAVLINK_MSG_ID_ODOMETRY: self._odometry,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._timesync,
@@ -36,6 +37,10 @@ class Commands(Requests):
         }
 
     # -- streams --------------------------------------------------------------------------------------------------
+
+    def _heartbeat(self, message: Heard, _arrival_s: float) -> None:
+        if message.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER:
+            self._s.commander.companion.heard(self._s.now_s)
 
     def _setpoint(self, message: Heard, arrival_s: float) -> None:
         """Masked fields become NaN; a setpoint that controls nothing is no proof of life (PX4 mavlink_receiver)."""

@@ -75,13 +75,34 @@ class OffboardStream:
         return now_s - self.last_s < self.timeout_s and now_s - self._since_s >= _OFFBOARD_PROOF_S
 
 
+class MissionComputer:
+    """Its heartbeats: when they stop PX4 says so, and does nothing else. Sleeps until the first. say as the commander's."""
+
+    def __init__(self, say: Callable[[int, str], None]) -> None:
+        self._say, self._heard_s, self._lost = say, math.inf, False
+        self.timeout_s = 5.0
+
+    def heard(self, now_s: float) -> None:
+        """One came."""
+        self._heard_s = now_s
+        if self._lost:
+            self._lost = False
+            self._say(INFO, "Connection to mission computer regained")
+
+    def step(self, now_s: float) -> None:
+        """Tell once of a silence of COM_OBC_LOSS_T."""
+        if not self._lost and now_s - self._heard_s > self.timeout_s:
+            self._lost = True
+            self._say(CRITICAL, "Connection to mission computer lost")
+
+
 class Commander:
     """Mode and arming state. say(severity, text) sends a STATUSTEXT."""
 
     def __init__(self, parameters: Parameters, seed: int, say: Callable[[int, str], None]) -> None:
         self._random = random.Random(seed)
         self._say = say
-        self.stream = OffboardStream()
+        self.stream, self.companion = OffboardStream(), MissionComputer(say)
         self.mode = Mode.LOITER
         self.armed = False
         self.armed_at_s = math.inf
@@ -100,7 +121,7 @@ class Commander:
     def configure(self, parameters: Parameters) -> None:
         """Take over changed parameters. Raises ValueError for a failsafe action that is not simulated."""
         p = parameters
-        self.stream.timeout_s = p["COM_OF_LOSS_T"]
+        self.stream.timeout_s, self.companion.timeout_s = p["COM_OF_LOSS_T"], p["COM_OBC_LOSS_T"]
         self._offboard_action = p.integer("COM_OBL_RC_ACT")
         self._act_delay_s = p["COM_FAIL_ACT_T"]
         self._disarm_land_s, self._disarm_preflight_s = p["COM_DISARM_LAND"], p["COM_DISARM_PRFLT"]
@@ -182,8 +203,9 @@ class Commander:
     # -- 50 Hz ----------------------------------------------------------------------------------------------------
 
     def step(self, condition: Condition) -> None:
-        """Engage a pending OFFBOARD, look for trouble, disarm after landing."""
+        """Miss the companion, engage a pending OFFBOARD, look for trouble, disarm after landing."""
         now = condition.now_s
+        self.companion.step(now)
         self._invalid_since_s = math.inf if condition.position_valid else min(self._invalid_since_s, now)
         pending = self._wanted is Mode.OFFBOARD and self.mode is not Mode.OFFBOARD
         if pending and self.stream.available(now) and (condition.position_valid or not self.armed):

@@ -19,7 +19,7 @@ from sitl.d435i import pinhole
 from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.link import Bytes, Late, Proxy, Tap
-from sitl.faults.trouble import Onset, Trouble
+from sitl.faults.trouble import STANDS_S, Onset, Trouble
 from sitl.poses import PoseRecord
 from sitl.rotation import yaw_of
 from sitl.transform import body_from_camera, world_from_body
@@ -29,7 +29,6 @@ from sitl.world import Outlet, World
 T = TypeVar("T")
 OURS = ("OFFBOARD", "GUIDED")
 AIRBORNE_M = 0.9
-_REST_S = 2.0  # watched for so long after the motors stopped
 LONGEST_WAIT_S = 120.0  # for a trouble's moment
 _SEEN_RAD = math.radians(25.0)  # off the nose, 1 m away a person still is in a picture that is 43 degrees wide each way
 
@@ -65,7 +64,7 @@ class Meddler:
     ) -> None:  # fmt: skip
         self._troubles, self._split = list(troubles), split
         self._injectors: Sequence[Injector] = ()
-        self._longest_s, self._longest_wait_s = math.inf, longest_wait_s
+        self._longest_s, self._stands_s, self._longest_wait_s = math.inf, STANDS_S, longest_wait_s
         self._dice = random.Random(seed * 7919 + 17)
         self._share = self._dice.random()  # of the time in which a trouble may begin
         self._airborne_s, self._flown, self._disarmed_s = math.inf, False, math.inf
@@ -131,7 +130,7 @@ class Meddler:
         late = now_s - self.onset_s > self._longest_s or (
             self.onset_s == math.inf and now_s - self._begun_s > self._longest_wait_s
         )
-        landed = self._flown and now_s - self._disarmed_s > _REST_S
+        landed = self._flown and now_s - self._disarmed_s > self._stands_s
         ended = late or landed or (finished and not self._flown)
         if ended:
             self.end_s = now_s
@@ -171,7 +170,7 @@ class Meddler:
     def _meet(self, trouble: Trouble, now_s: float) -> None:
         """From here on this flight is its own."""
         self._troubles, self.onset_s, self._longest_s = [trouble], now_s, trouble.longest_s
-        self._injectors = trouble.injectors
+        self._injectors, self._stands_s = trouble.injectors, trouble.stands_s
         for injector in self._injectors:
             injector.begin(self.theatre)
 

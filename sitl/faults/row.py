@@ -13,7 +13,7 @@ from sitl.faults.everywhere import FENCE_M
 from sitl.faults.evidence import Evidence
 from sitl.faults.injector import Injector, Needs
 from sitl.faults.measures import Measure
-from sitl.faults.trouble import Onset
+from sitl.faults.trouble import STANDS_S, Onset
 from sitl.scene import HULL_RADIUS_M
 
 Arena = Literal["hall", "pen", "corridor"]
@@ -56,9 +56,9 @@ class Bar:
 class Row:
     """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere. why: it
     cannot be flown in lockstep. live: its injectors in real time, where that is another flight. longest_s: watched so long
-    after the trouble began. times: in lockstep it is flown so many times as often as a row is. radii_m: of the hull, cases take
-    turns. variant: of the planner. overshoot_m: of the fence, at most. A flight with a real firmware is any whose troubles need
-    nothing but what that firmware has.
+    after the trouble began, and stands_s once the motors stand. times: in lockstep it is flown so many times as often as a row
+    is. radii_m: of the hull, cases take turns. variant: of the planner. overshoot_m: of the fence, at most. A flight with a
+    real firmware is any whose troubles need nothing but what that firmware has.
     """
 
     id: str
@@ -77,6 +77,7 @@ class Row:
     variant: str = "adaptive"
     radii_m: tuple[float, ...] = (HULL_RADIUS_M,)
     overshoot_m: float = FENCE_M
+    stands_s: float = STANDS_S
 
     def radius_m(self, number: int) -> float:
         """Of the hull in its n-th flight."""

@@ -118,6 +118,7 @@ TABLE_A = (
         lambda n: [Crash("pilot", back_s=(0.2, 1.0, 3.0)[n % 3])],
         (NO_ORDER, down(60.0)),
         live=lambda n: [Killed("pilot", for_s=(0.2, 1.0, 3.0)[n % 3])],
+        stands_s=20.0,  # and it does not take off again
     ),
     Row(
         "A8",
@@ -270,12 +271,25 @@ TABLE_B = (
     Row(
         "B10",
         "few poses",
-        "6 poses a second; 3 of them",
-        lambda n: [Thinned((6.0, 3.0)[n % 2])],
+        "6 poses a second",
+        lambda n: [Thinned(6.0)],
         (
             Bar("ODOMETRY in a second", m.pose_rate, 28.0, "1/s", at_least=True),
             Bar("speed 1.5 s later", m.speed_from(2.5), 0.3, "m/s"),
         ),
+        longest_s=30.0,
+    ),
+    Row(
+        "B10b",
+        "too few poses",
+        "3 poses a second, at speed",
+        lambda n: [Thinned(3.0)],
+        (
+            Bar("ODOMETRY in a second", m.pose_rate, 28.0, "1/s", at_least=True),
+            holds(2.0),  # one second is what their number is taken over
+            Bar("speed from 3 s on", m.speed_from(3.0), 0.02, "m/s"),
+        ),
+        onset=FAST,
         longest_s=30.0,
     ),
     Row("B11", "nothing to track", "dark, blank wall, blur", why="needs a tracker on pictures: waits for perception"),

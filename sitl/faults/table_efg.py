@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from signal import SIGSTOP
 
 from sitl.faults import measures as m
@@ -24,8 +25,9 @@ from sitl.faults.host import Abort, DiskFull, Madness
 from sitl.faults.load import NoSpace
 from sitl.faults.row import SHORT_VIEWS, Bar, Row
 from sitl.faults.signals import RECORDER, ChildStruck
+from sitl.faults.takeover import mode_taken_back
 from sitl.faults.trouble import Onset
-from sitl.faults.wires import Forger, Loss, Refused, Rewritten, version
+from sitl.faults.wires import SYS_STATUS, Forger, Gauge, Loss, Refused, Rewritten, version
 
 AT_BOOT = Onset((0.0, 0.0), at_boot=True)
 ANY = Onset((0.0, 15.0), speed_mps=0.0)
@@ -66,6 +68,7 @@ TABLE_E = (
         "as the operator's landing is asked for, within 0.1 s, and out of that landing",
         lambda n: [Abort(), Takeover(*PILOT_MODES[n % 3], later_s=AROUND_LAND_S[n % len(AROUND_LAND_S)])],
         (
+            Bar("turns in another mode", mode_taken_back, 0.0, ""),
             Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
             Bar("stream ends", m.streams_after, 0.5, "s"),
         ),
@@ -113,6 +116,24 @@ TABLE_E = (
             down(160.0),  # a flight that a single jump rightly does not end takes so long
         ),
         longest_s=160.0,
+    ),
+    Row(
+        "E5b",
+        "battery's gauge slips",
+        "six times for 2 s it says 20 % less, down to 20 %; nothing; 24 %",
+        lambda n: [Gauge(*((5.0 * k, 5.0 * k + 2.0, (0.20, 0.0, 0.24)[n % 3]) for k in range(6)))],
+        (Bar("disarmed not before", m.disarmed_after(), 60.0, "s", at_least=True), RETURNS),
+        longest_s=180.0,
+    ),
+    Row(
+        "E5c",
+        "battery's gauge is lost",
+        "it says that it does not know; nothing of it comes; it says full where it was at 60 %",
+        lambda n: [
+            (Gauge((0.0, 1e9, math.nan)), Loss("down", only=(SYS_STATUS,)), Gauge((0.0, 5.0, 0.6), (5.0, 1e9, 1.0)))[n % 3]
+        ],
+        (down(60.0), RETURNS),
+        longest_s=180.0,
     ),
     Row(
         "E6",

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from sitl.faults.injector import Injector
 
+STANDS_S = 2.0
+
 
 @dataclass(frozen=True)
 class Onset:
@@ -31,9 +33,12 @@ class Onset:
 
 @dataclass(frozen=True)
 class Trouble:
-    """What goes wrong in a flight of a row, when it begins, and how long the flight is watched from then on."""
+    """What goes wrong in a flight of a row, when it begins, how long the flight is watched from then on, and how long (s) once
+    the motors stand.
+    """
 
     row: str
     injectors: Sequence[Injector]
     onset: Onset = Onset()
     longest_s: float = 60.0
+    stands_s: float = STANDS_S

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable
 
@@ -10,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.faults.injector import Injector, Needs, Theatre
 from sitl.faults.link import Late, Tap, message_id
 
-_COMMAND_LONG = 76
+_COMMAND_LONG, SYS_STATUS = 76, 1
 
 
 class Loss(Injector):
@@ -157,6 +158,22 @@ class Rewritten(Injector):
     def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
         """The others go through."""
         return [(0.0, self._change(frame) if message_id(frame) == self._kind else frame)]
+
+
+class Gauge(Injector):
+    """SYS_STATUS tells another share of the battery in some spells: from and until (s) and the share, NaN for unknown."""
+
+    def __init__(self, *spells: tuple[float, float, float]) -> None:
+        self._spells = spells
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """The frame keeps its number, or it would be taken for one that comes late."""
+        told = [share for from_s, until_s, share in self._spells if from_s <= since_s < until_s]
+        if not told or message_id(frame) != SYS_STATUS:
+            return [(0.0, frame)]
+        message, voice = mavlink.MAVLink(None).decode(bytearray(frame)), mavlink.MAVLink(None, 1, 1)
+        message.battery_remaining, voice.seq = -1 if math.isnan(told[0]) else round(told[0] * 100), frame[4]
+        return [(0.0, bytes(message.pack(voice)))]
 
 
 def version(major: int, minor: int, patch: int) -> Callable[[bytes], bytes]:

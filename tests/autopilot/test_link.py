@@ -235,6 +235,17 @@ def test_what_comes_late_or_twice_undoes_nothing(pair: tuple[Link, Wire]) -> Non
     assert link.telemetry.stale_frames == 1
 
 
+def test_a_battery_that_is_told_no_more_is_not_known(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.hear(heartbeat())
+    far.hear(wire.MAVLink_sys_status_message(0, 0, 0, 0, 15000, 0, 62, 0, 0, 0, 0, 0, 0))
+    link.receive(5.0)
+    assert link.telemetry.battery_at(5.9) == 0.62
+    far.hear(heartbeat())
+    link.receive(6.0)
+    assert math.isnan(link.telemetry.battery_at(6.1)), "other words go on"
+
+
 def test_a_reboot_forgets_the_origin(pair: tuple[Link, Wire]) -> None:
     link, far = pair
     converge(link, far)

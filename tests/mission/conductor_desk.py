@@ -149,7 +149,7 @@ class Desk:
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
-        self.note, self.stands = "", False
+        self.note, self.stands, self.battery = "", False, 0.9
         self.seen: list[Phase] = []
         self._place_m = np.zeros(3)
         self.epoch = 0
@@ -202,8 +202,8 @@ class Desk:
         self.planner.was_at(position)
         armed = self.phase is FlightPhase.FLYING
         self.wires.vehicle.publish(
-            VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase, 0.9,
-                         self.human, float("nan"), 1, self.refusals, self.note)
+            VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase,
+                         self.battery, self.human, float("nan"), 1, self.refusals, self.note)
         )  # fmt: skip
 
     def _frame(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -73,6 +74,34 @@ def test_frames_lost_holds_and_goes_on_when_they_are_back(desk: Desk) -> None:
     desk.frames = True
     desk.run(120.0, until=Phase.DONE)
     assert desk.conductor.close() == "completed"
+
+
+def test_a_battery_that_falls_for_a_moment_ends_nothing_and_one_that_stays_low_ends_the_survey(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.battery = 0.20
+    desk.run(2.5)
+    desk.battery = 0.40
+    desk.run(2.5)
+    assert desk.seen[-1] is Phase.SURVEY
+    desk.battery = 0.20
+    desk.run(3.5, until=Phase.RETURN)
+    desk.run(120.0, until=Phase.DONE)
+
+
+@pytest.mark.parametrize("without_frames", [False, True])
+def test_a_battery_of_which_nothing_is_heard_any_more_brings_it_home(tmp_path: Path, desk: Desk, without_frames: bool) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.frames = not without_frames
+    desk.battery = math.nan
+    desk.run(4.8)
+    assert desk.seen[-1] is (Phase.HOLD if without_frames else Phase.SURVEY)
+    desk.run(0.5, until=Phase.RETURN)
+    desk.run(120.0, until=Phase.DONE)
+    assert desk.conductor.close() == "completed"
+    desk.journal.close()
+    assert read_timeline(tmp_path).outcomes[-1].stop_reason.startswith("battery unknown")
 
 
 def test_an_abort_lands_at_once(desk: Desk) -> None:

@@ -35,7 +35,6 @@ class Copilot(Companion):
         self._codec = mavlink.MAVLink(None, self.system, 191)
         self.type_mask = PLACE_SPEED_YAW
         self.pose_frame = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_BODY_FRD)
-        self.heartbeats = True
         self.heartbeats_as: int | None = None
         for message_id, rate_hz in ASKED.items():
             if rate_hz:
@@ -50,8 +49,6 @@ class Copilot(Companion):
         return self.autopilot
 
     def send_heartbeat(self) -> None:
-        if not self.heartbeats:
-            return
         self._codec.srcSystem = self.heartbeats_as or self.system
         super().send_heartbeat()
         self._codec.srcSystem = self.system

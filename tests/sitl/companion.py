@@ -47,6 +47,7 @@ class Companion:
         self.pose_age_s = 0.0
         self.stamp_shift_s = 0.0
         self.answer_timesync = True
+        self.heartbeats = True
         self.setpoint: Callable[[float], tuple[Any, ...]] | None = None
         self.setpoint_hz = 30.0
         self.type_mask = 0
@@ -117,7 +118,7 @@ class Companion:
             self._next_setpoint_s = max(self._next_setpoint_s + 1.0 / self.setpoint_hz, self.now_s)
             target = self.setpoint(self.now_s)
             self.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, self.type_mask, *target))
-        if self._ticks % 100 == 0:
+        if self.heartbeats and self._ticks % 100 == 0:
             self.send_heartbeat()
 
     def send_heartbeat(self) -> None:

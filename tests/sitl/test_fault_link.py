@@ -12,7 +12,7 @@ from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import Injector
 from sitl.faults.link import Late, Proxy, frames, message_id
 from sitl.faults.wire import decode, modes_told, setpoints_in
-from sitl.faults.wires import Corrupted, Jitter, Loss, Repeated, Rewritten, version
+from sitl.faults.wires import Corrupted, Gauge, Jitter, Loss, Repeated, Rewritten, version
 from sitl.transport import PipeEnd, UdpPeer, pipe
 
 VOICE = mavlink.MAVLink(None, 245, 191)
@@ -87,6 +87,17 @@ def test_repeats_and_errors() -> None:
     proxy, _, theirs = proxied(Corrupted(1.0))
     proxy.write(setpoint(1.0))
     assert theirs.read() != setpoint(1.0)
+
+
+def test_a_gauge_slips_in_its_spells_alone_and_every_frame_keeps_its_number() -> None:
+    proxy, clock, theirs = proxied(Gauge((1.0, 2.0, 0.2), (3.0, 9.0, math.nan)))
+    voice, told = mavlink.MAVLink(None, 1, 1), []
+    for k in range(5):
+        voice.seq, clock[0] = 40 + k, float(k)
+        theirs.write(bytes(mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 15000, 0, 71, 0, 0, 0, 0, 0, 0).pack(voice)))
+        heard = mavlink.MAVLink(None).decode(bytearray(proxy.read()))
+        told.append((heard.battery_remaining, heard.voltage_battery, heard.get_seq()))
+    assert told == [(71, 15000, 40), (20, 15000, 41), (71, 15000, 42), (-1, 15000, 43), (-1, 15000, 44)]
 
 
 def test_another_firmware_is_told() -> None:

@@ -12,6 +12,7 @@ from fault_evidence import BOOT_S, DT_S, evidence, rewired, spoilt
 from sitl.faults import measures as m
 from sitl.faults.evidence import Evidence
 from sitl.faults.injector import TAKEN_OVER
+from sitl.faults.takeover import mode_taken_back
 from sitl.faults.wire import Order
 
 NEAR = 2.5 * DT_S
@@ -180,6 +181,35 @@ def test_how_a_flight_ended() -> None:
     taken = tuple("OFFBOARD" if t > 8.0 else mode for t, mode in zip(e.stamp_s, kept, strict=True))
     assert m.mode_lost(dataclasses.replace(e, mode=taken)) > 100
     assert m.position_mode(dataclasses.replace(e, mode=kept)) > 0
+
+
+def raced(*lands: tuple[float, float], asked_s: tuple[float, ...] = ()) -> Evidence:
+    """A pilot switches at 8 s and the product hears of it at 8.2 s; it lands between these instants, and was asked to then."""
+    e = evidence()
+
+    def mode(t: float) -> str:
+        landing = any(from_s <= t < until_s for from_s, until_s in lands)
+        return "LAND" if landing else "POSCTL" if t > 8.0 else "OFFBOARD"
+
+    flown = dataclasses.replace(
+        e, mode=tuple(map(mode, e.stamp_s)), notes={TAKEN_OVER: 8.0}, heard=((7.9, 6 << 16, True), (8.2, 3 << 16, True)),
+    )  # fmt: skip
+    return rewired(flown, orders=tuple(Order(s, 176, 1.0, 4.0) for s in asked_s))
+
+
+def test_the_mode_stays_the_pilots_but_for_a_landing_that_nobody_could_know_better_than_to_ask_for() -> None:
+    assert mode_taken_back(raced(asked_s=(7.97,))) == 0, "the pilot came after it"
+    assert mode_taken_back(raced((7.99, 8.2), asked_s=(7.97,))) == 0, "and took it back"
+    assert mode_taken_back(raced((8.15, 99.0), asked_s=(8.1,))) == 0, "on its way as the pilot switched"
+    assert mode_taken_back(raced((8.0, 99.0), asked_s=(7.99,))) == 0, "the pilot's mode never showed"
+    assert mode_taken_back(raced((8.35, 99.0), asked_s=(8.3,))) > 200, "it knew by then"
+    assert mode_taken_back(raced((9.7, 99.0), asked_s=(8.1, 9.6))) > 200, "that it had asked before is no excuse"
+    assert mode_taken_back(raced((9.0, 99.0))) > 200, "nobody asked"
+    assert mode_taken_back(raced((8.0, 99.0))) == math.inf
+    assert mode_taken_back(evidence()) == math.inf
+    back = raced((8.15, 9.0), asked_s=(8.1,))
+    again = tuple("OFFBOARD" if t > 9.0 else mode for t, mode in zip(back.stamp_s, back.mode, strict=True))
+    assert mode_taken_back(dataclasses.replace(back, mode=again)) > 200, "it flies on by itself"
 
 
 def test_stopping_short_of_what_appears_is_measured_until_the_vehicle_rests() -> None:

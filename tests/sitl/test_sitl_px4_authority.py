@@ -65,8 +65,23 @@ def test_without_an_origin_there_is_no_fence_at_all() -> None:
     assert c.px4.failsafes == []
 
 
-def test_heartbeats_that_stop_do_nothing() -> None:
+LOST, BACK = "Connection to mission computer lost", "Connection to mission computer regained"
+
+
+def test_heartbeats_that_stop_are_warned_of_once_and_nothing_else_comes_of_it() -> None:
     c = flying()
-    c._ticks += 1  # heartbeats go out on every hundredth tick only; setpoints and poses go on
-    c.run(3.0)
+    c.heartbeats = False  # setpoints and poses go on
+    assert 3.9 < seconds_until(c, lambda: LOST in c.texts, 6.0) < 5.1  # the last one was up to a second before
+    c.run(10.0)
     assert truth_mode(c) == "OFFBOARD"
+    assert c.px4.failsafes == []
+    assert c.texts.count(LOST) == 1
+    c.heartbeats = True
+    c.run(1.1)
+    assert BACK in c.texts
+
+
+def test_nobody_is_missed_whose_heartbeats_never_stopped() -> None:
+    c = flying()
+    c.run(10.0)
+    assert not {LOST, BACK} & set(c.texts)

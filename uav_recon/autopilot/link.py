@@ -206,7 +206,7 @@ class Link:
             case LandedState():
                 t.on_ground_s = now_s if message.on_ground else -math.inf
             case SystemStatus():
-                t.prearm_good, t.battery_fraction = message.prearm_good, message.battery_fraction
+                t.prearm_good, t.battery_fraction, t.battery_s = message.prearm_good, message.battery_fraction, now_s
             case LocalPosition():
                 t.position_m, t.velocity_mps = message.position_m, message.velocity_mps
             case Attitude():

@@ -314,7 +314,7 @@ class Pilot:
                 armed=t.armed,
                 mode=self._firmware.mode_name(t.custom_mode),
                 phase=self.phase,
-                battery_fraction=t.battery_fraction,
+                battery_fraction=t.battery_at(now_s),
                 human_in_control=self.phase is FlightPhase.YIELDED,
                 camera_pitch_down_rad=t.camera_pitch_down_rad if self._airframe.gimbal else math.nan,
                 trajectory_id=-1 if trajectory is None else trajectory.identifier,

@@ -10,6 +10,8 @@ import numpy as np
 from uav_recon.autopilot.messages import ParameterValue
 from uav_recon.types.frames import FloatArray
 
+_BATTERY_FRESH_S = 1.0  # it is told twice a second
+
 
 @dataclass(slots=True)
 class Telemetry:
@@ -27,6 +29,7 @@ class Telemetry:
     prearm_good: bool = False
     origin_known: bool = False
     battery_fraction: float = math.nan
+    battery_s: float = -math.inf
     position_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     velocity_mps: FloatArray = field(default_factory=lambda: np.zeros(3))
     quat_wxyz: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
@@ -40,3 +43,7 @@ class Telemetry:
     clock_answers: int = 0  # given to its questions for our clock, at once
     parameters: dict[str, ParameterValue] = field(default_factory=dict)  # those that were asked for, by name
     failure: str = ""  # why the byte link failed last
+
+    def battery_at(self, now_s: float) -> float:
+        """Share that is left, NaN where it is not told (any more)."""
+        return self.battery_fraction if now_s - self.battery_s <= _BATTERY_FRESH_S else math.nan

@@ -6,6 +6,7 @@ import numpy as np
 
 from uav_recon.mission.account import Account
 from uav_recon.mission.captures import Captures
+from uav_recon.mission.charge import Charge
 from uav_recon.mission.course import Course
 from uav_recon.mission.decider import Decider
 from uav_recon.mission.events import Facts, observe
@@ -43,6 +44,7 @@ class Conductor:
         self._survey = Survey(stages, wires, orders, self._helm, decider, self._account)
         site = LandingSite(orders.takeoff_height_m, -orders.vehicle_height_m / 2, orders.clear_radius_m)
         self._homeward = Homeward(self._helm, decider, self._account, site)
+        self._charge = Charge()
         self.phase = Phase.IDLE
         self.map: VoxelMap | None = None
         self._frame_sequence, self._frame_s = 0, -np.inf
@@ -90,6 +92,7 @@ class Conductor:
         self._map_newest_frame(now_s)
         if vehicle is not None:
             self._course.follow(vehicle)
+            self._charge.hear(now_s, vehicle.battery_fraction, flying=vehicle.armed)
             self._hear_guard(now_s, vehicle)
             self._hear_release(now_s, vehicle)
             self._hear_no_planner(now_s)
@@ -177,6 +180,8 @@ class Conductor:
             max_flight_s=self._orders.max_flight_s,
             homing=self._homeward.under_way,
             no_way_home=self._homeward.no_way,
+            charge=self._charge.left,
+            charge_lost=self._charge.lost(now_s),
             hold=self._hold,
             go_home=self._go_home,
         )
@@ -199,7 +204,8 @@ class Conductor:
             return f"view budget of {self._orders.views} spent, {left}"
         if now_s - self._took_off_s > self._orders.max_flight_s:
             return f"flight time of {self._orders.max_flight_s:.0f} s spent, {left}"
-        return f"{'the operator asked to return' if self._go_home else 'battery low'}, {left}"
+        battery = "unknown" if self._charge.lost(now_s) else "low"
+        return f"{'the operator asked to return' if self._go_home else f'battery {battery}'}, {left}"
 
     # -- act ----------------------------------------------------------------------------------------------------------
 

@@ -20,6 +20,7 @@ class Event(Enum):
     VIEWS_SPENT = "the view budget is spent"
     TIME_SPENT = "the flight time is spent"
     BATTERY_LOW = "the battery is low"
+    BATTERY_LOST = "nothing credible was heard of the battery for too long"
     AT_HOME = "over the pad"
     NO_WAY_HOME = "no way home is known"
     ABORTED = "the operator asked to land"
@@ -56,6 +57,7 @@ EFFECTS: dict[Event, Effect] = {
     Event.VIEWS_SPENT: Effect.RETURN,
     Event.TIME_SPENT: Effect.RETURN,
     Event.BATTERY_LOW: Effect.RETURN,
+    Event.BATTERY_LOST: Effect.RETURN,
     Event.CALLED_HOME: Effect.RETURN,
     Event.HELD: Effect.HOLD,
     Event.FRAMES_LOST: Effect.HOLD,
@@ -83,6 +85,8 @@ class Facts:
     max_flight_s: float
     homing: bool  # a way home was handed out
     no_way_home: bool
+    charge: float  # share of the battery that is left for sure; NaN: it never said
+    charge_lost: bool
     hold: bool = False  # the operator's word stands
     go_home: bool = False
 
@@ -91,7 +95,7 @@ class Facts:
 OWN_WISHES = frozenset(
     {
         Event.AIRBORNE, Event.FRAMES_BACK, Event.NOTHING_LEFT, Event.VIEWS_SPENT, Event.TIME_SPENT, Event.BATTERY_LOW,
-        Event.AT_HOME, Event.NO_WAY_HOME, Event.CALLED_HOME,
+        Event.BATTERY_LOST, Event.AT_HOME, Event.NO_WAY_HOME, Event.CALLED_HOME,
     }
 )  # fmt: skip
 
@@ -113,7 +117,8 @@ def observe(facts: Facts) -> frozenset[Event]:
         Event.NOTHING_LEFT: facts.nothing_left,
         Event.VIEWS_SPENT: facts.views_left <= 0 and facts.at_rest,
         Event.TIME_SPENT: facts.flight_s > facts.max_flight_s,
-        Event.BATTERY_LOW: vehicle.battery_fraction < LOW_BATTERY,  # NaN compares false: unknown is the autopilot's to judge
+        Event.BATTERY_LOW: facts.charge < LOW_BATTERY,  # NaN compares false: unknown from the first is the autopilot's to judge
+        Event.BATTERY_LOST: facts.charge_lost,
         Event.AT_HOME: facts.homing and facts.at_rest,
         Event.NO_WAY_HOME: facts.no_way_home,
         Event.ABORTED: facts.abort,

@@ -35,6 +35,7 @@ _HEARD: dict[Phase, frozenset[Event]] = {
             Event.ABORTED,
             Event.PILOT_LANDS,
             Event.BATTERY_LOW,
+            Event.BATTERY_LOST,
             Event.TIME_SPENT,
             Event.TOUCHED_DOWN,
             Event.CALLED_HOME,

@@ -1,0 +1,39 @@
+"""How much of the battery is left, as far as its gauge can be believed (HAZARDS, E5)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+_LASTS_S = 3.0  # a fall that is true stays; a sag under load and a word that is wrong do not
+_RISE = 0.10  # nobody charges it in flight; a gauge that goes by the voltage takes back so much of a sag
+_LOST_S = 5.0
+
+
+class Charge:
+    """One mission's. hear() whatever is said, step by step; left is the most that was said in the last seconds.
+
+    So a fall counts once it has lasted, whatever its size, and what is too much to be true counts as nothing said.
+    """
+
+    def __init__(self) -> None:
+        self._heard: deque[tuple[float, float]] = deque()  # instants (s) and shares; the first one held at the window's begin
+
+    @property
+    def left(self) -> float:
+        """Share, 0 to 1; NaN before any was heard."""
+        return max((share for _, share in self._heard), default=math.nan)
+
+    def lost(self, now_s: float) -> bool:
+        """Whether nothing credible came for too long. Of a battery that never said anything there is nothing to lose."""
+        return bool(self._heard) and now_s - self._heard[-1][0] > _LOST_S
+
+    def hear(self, now_s: float, share: float, flying: bool) -> None:
+        """The gauge's word, NaN for none. On the ground it may be another battery."""
+        if not flying:
+            self._heard.clear()
+        if not 0.0 <= share <= 1.0 or share > self.left + _RISE:  # NaN never is
+            return
+        self._heard.append((now_s, share))
+        while len(self._heard) > 1 and self._heard[1][0] <= now_s - _LASTS_S:
+            self._heard.popleft()
