@@ -220,6 +220,11 @@ class MotionConfig(Section):
     focal_px: Positive = 460.0  # of the images that are kept
     blur_distance_m: Positive = 1.5  # at which surfaces are looked at
 
+    def at_most(self, speed_mps: float) -> MotionConfig:
+        """The same, nowhere faster than that."""
+        names = ("speed_mps", "tight_speed_mps", "climb_mps", "descent_mps")
+        return self.model_copy(update={name: min(getattr(self, name), speed_mps) for name in names})
+
 
 class MissionConfig(Section):
     """What to do with the flight."""

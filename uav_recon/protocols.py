@@ -231,6 +231,14 @@ class Motion(Protocol):
         ...
 
 
+class PacedMotion(Motion, Protocol):
+    """Motion that is told how fast it may be."""
+
+    def allow(self, most_mps: float) -> None:
+        """What is planned from now on stays below this speed (m/s)."""
+        ...
+
+
 class Journal(Protocol):
     """The flight's own account: one line per event, crash-safe. Never blocks for long, never raises in flight."""
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.neural.trainer import Trainer
     from uav_recon.mapping.voxels import Voxels
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.motion.planner import MotionPlanner
+    from uav_recon.motion.paced import Paced
     from uav_recon.planning.camera import CameraGeometry
     from uav_recon.planning.narrows import ThroughNarrows
     from uav_recon.recording.recorder import Recorder
@@ -44,6 +44,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
 NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more
+SLOW_SHARE = 0.8  # of what the guard lets pass with a degraded pose: what leads over from one motion to the next adds to it
 INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
 RETREAT_M = 0.10  # from the hull, on ways home that no other leads: the vehicle came by there, whatever the map says now
 
@@ -305,14 +306,17 @@ def camera_geometry(config: Config) -> CameraGeometry:
     )
 
 
-def make_motion(config: Config, clearance_m: float) -> MotionPlanner:
-    """Trajectories inside the guard's fence."""
+def make_motion(config: Config, clearance_m: float) -> Paced:
+    """Trajectories inside the guard's fence, slow as long as the guard lets nothing pass that is faster than a retreat."""
+    from uav_recon.motion.paced import Paced
     from uav_recon.motion.planner import MotionPlanner
 
     safety = config.safety
     inset_m = safety.fence_inset_m + INSIDE_M
     low_m, high_m = np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m
-    return MotionPlanner(config.motion, clearance_m, low_m, high_m, safety.max_acceleration_mps2)
+    paces = (config.motion, config.motion.at_most(SLOW_SHARE * safety.retreat_speed_mps))
+    usual, slow = (MotionPlanner(pace, clearance_m, low_m, high_m, safety.max_acceleration_mps2) for pace in paces)
+    return Paced(usual, slow, config.motion.speed_mps)
 
 
 def make_coverage(config: Config, voxels: Voxels) -> Coverage:
@@ -347,9 +351,8 @@ def make_conductor(
     mission = config.mission
     voxels, planner = make_voxels(config), make_planner(config, timer)
     clearance_m = config.planner.clearance_m
-    motion = make_motion(config, clearance_m)
     retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m)
-    retreat = make_motion(config, retreat_m)
+    motion, retreat = make_motion(config, clearance_m), make_motion(config, retreat_m)
     orders = Orders(
         views=mission.views,
         survey_views=mission.survey_views,

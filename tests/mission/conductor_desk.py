@@ -15,6 +15,7 @@ from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.machine import Phase
 from uav_recon.mission.orders import MissionWires, Orders, Stages
 from uav_recon.motion import MotionPlanner
+from uav_recon.motion.paced import Paced
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
@@ -145,11 +146,11 @@ class Desk:
         motion = MotionPlanner(MotionConfig(), 0.35)
         orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1)
         self.retreat = Asked(MotionConfig(), 0.30)
-        stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, motion, self.retreat)
+        stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, self.paced(motion), self.paced(self.retreat))
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
-        self.note, self.stands, self.battery = "", False, 0.9
+        self.note, self.stands, self.battery, self.most_mps = "", False, 0.9, math.inf
         self.seen: list[Phase] = []
         self._place_m = np.zeros(3)
         self.epoch = 0
@@ -187,6 +188,11 @@ class Desk:
         """Level, from the pad."""
         return math.hypot(*self._place_m[:2])
 
+    @staticmethod
+    def paced(usual: MotionPlanner) -> Paced:
+        """With a slow one beside it."""
+        return Paced(usual, MotionPlanner(MotionConfig(speed_mps=0.2, tight_speed_mps=0.2), 0.35), 1.0)
+
     def _vehicle(self) -> None:
         intent = self.wires.intent.latest()
         position, yaw = self._place_m, 0.0
@@ -203,7 +209,7 @@ class Desk:
         armed = self.phase is FlightPhase.FLYING
         self.wires.vehicle.publish(
             VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase,
-                         self.battery, self.human, float("nan"), 1, self.refusals, self.note)
+                         self.battery, self.human, float("nan"), 1, self.refusals, self.note, self.most_mps)
         )  # fmt: skip
 
     def _frame(self) -> None:

@@ -260,6 +260,28 @@ def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(
     assert desk.conductor.close().startswith("aborted: ")
 
 
+def test_where_nothing_fast_is_let_pass_nothing_fast_is_planned_until_it_is_again(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.speed_mps() < 0.3:
+        desk.run(0.1)
+    desk.most_mps = 0.25
+    desk.refusals += 1
+    desk.run(0.2)
+    slow = [desk.speed_mps()]
+    for _ in range(100):
+        desk.run(0.1)
+        slow.append(desk.speed_mps())
+    assert 0.1 < max(slow) < 0.25
+    assert desk.planner.left, "it was not there yet"
+    desk.most_mps = math.inf
+    fast = []
+    for _ in range(100):
+        desk.run(0.1)
+        fast.append(desk.speed_mps())
+    assert max(fast) > 0.3
+
+
 def test_it_does_not_stop_between_plans(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(60.0, until=Phase.SURVEY)

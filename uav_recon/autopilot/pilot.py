@@ -320,6 +320,7 @@ class Pilot:
                 trajectory_id=-1 if trajectory is None else trajectory.identifier,
                 refusals=self._refusals,
                 note=self._note[:_LONGEST_NOTE],
+                most_mps=self._guard.bounds.retreat_mps if pose and pose.health is not PoseHealth.GOOD else math.inf,
             )
         )
 

@@ -92,6 +92,8 @@ class Conductor:
         self._map_newest_frame(now_s)
         if vehicle is not None:
             self._course.follow(vehicle)
+            self._stages.motion.allow(vehicle.most_mps)
+            self._stages.retreat.allow(vehicle.most_mps)
             self._charge.hear(now_s, vehicle.battery_fraction, flying=vehicle.armed)
             self._hear_guard(now_s, vehicle)
             self._hear_release(now_s, vehicle)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from uav_recon.protocols import Channel, Mapper, Motion, Planner, ViewBudget, Voxels
+from uav_recon.protocols import Channel, Mapper, PacedMotion, Planner, ViewBudget, Voxels
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection
@@ -21,8 +21,8 @@ class Stages:
     budget: ViewBudget
     mapper: Mapper
     planner: Planner
-    motion: Motion
-    retreat: Motion
+    motion: PacedMotion
+    retreat: PacedMotion
 
 
 @dataclass(frozen=True)

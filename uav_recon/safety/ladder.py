@@ -39,8 +39,7 @@ class Patience:
 class Health:
     """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far.
 
-    pose_age_s: of the newest pose neither lost nor wrong, or since any was fed if longer. lost, wrong: why, '' while it is not.
-    refused_s: with no motion between.
+    pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: why, or ''. refused_s: without motion.
     """
 
     now_s: float

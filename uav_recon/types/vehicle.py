@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -29,7 +30,8 @@ class VehicleState:
 
     battery_fraction: NaN if it is not told. camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount.
     trajectory_id: the trajectory being flown, -1 for none. refusals: proposals turned down by the guard so far.
-    note: the newest reason in words (refused arming, failsafe, refusal), '' for none.
+    note: the newest reason in words (refused arming, failsafe, refusal), '' for none. most_mps: the fastest that the guard
+    lets pass now.
     """
 
     stamp_s: float
@@ -44,6 +46,7 @@ class VehicleState:
     trajectory_id: int
     refusals: int
     note: str
+    most_mps: float = math.inf
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity_world_mps", frozen(np.asarray(self.velocity_world_mps, dtype=np.float64)))

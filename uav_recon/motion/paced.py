@@ -1,0 +1,61 @@
+"""Motion at the pace that is allowed now: with a degraded pose the guard lets nothing fast pass, so nothing fast is planned."""
+
+from __future__ import annotations
+
+import math
+
+from uav_recon.motion.planner import MotionPlanner
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import VoxelMap
+from uav_recon.types.tasks import ViewPath
+from uav_recon.types.trajectory import Setpoint, Trajectory
+
+
+class Paced:
+    """One of two planners, the usual or a slow one for when less than usual_mps is allowed. What is flown already is braked and
+    checked by the usual one, whose limits of acceleration hold for both.
+    """
+
+    def __init__(self, usual: MotionPlanner, slow: MotionPlanner, usual_mps: float) -> None:
+        self._usual, self._slow, self._usual_mps = usual, slow, usual_mps
+        self._most_mps = math.inf
+
+    def allow(self, most_mps: float) -> None:
+        """What is planned from now on stays below this speed, as far as the slow one does."""
+        self._most_mps = most_mps
+
+    @property
+    def _motion(self) -> MotionPlanner:
+        return self._usual if self._most_mps >= self._usual_mps else self._slow
+
+    def through(
+        self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
+    ) -> Trajectory | str:
+        """From rest, as Motion says."""
+        return self._motion.through(path, voxels, start, start_s, views_at_spacing_m, identifier)
+
+    def onward(
+        self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
+    ) -> Trajectory | str:
+        """Out of a motion, as Motion says."""
+        return self._motion.onward(path, voxels, flying, leave_s, views_at_spacing_m, identifier)
+
+    def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
+        """On the spot: as fast as ever."""
+        return self._usual.turn(start, start_s, total_yaw_rad, views, identifier)
+
+    def line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
+        """Straight, rest to rest."""
+        return self._motion.line(start, goal_m, yaw_rad, start_s, identifier)
+
+    def stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
+        """Brake along the same path."""
+        return self._usual.stop(trajectory, now_s, identifier)
+
+    def warm_up(self) -> None:
+        """Compile the kernels, which both use."""
+        self._usual.warm_up()
+
+    def still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
+        """Whether what is left of it is clear in a newer map."""
+        return self._usual.still_clear(trajectory, now_s, voxels)
