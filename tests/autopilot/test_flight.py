@@ -142,11 +142,12 @@ def test_a_mission_that_never_stops_proposing_nonsense_is_not_heard(hovering: Ri
 
 def test_a_push_over_the_fence_that_lasts_lands(hovering: Rig) -> None:
     hovering.poses = False
-    for turn in range(500):
+    for turn in range(800):
         if turn % 3 == 0:
-            truth = hovering.px4.truth()
-            pose = Pose(np.array(truth.quat_wxyz), np.array([-3.2, 0.0, 1.1]))
-            hovering.channels.odom.publish(StampedPose(truth.stamp_s, pose, np.zeros(3), reset_counter=1))
+            truth, x_m = hovering.px4.truth(), -min(0.01 * turn, 3.2)
+            pose = Pose(np.array(truth.quat_wxyz), np.array([x_m, 0.0, 1.1]))
+            velocity = np.array([-1.0 if x_m > -3.2 else 0.0, 0.0, 0.0])
+            hovering.channels.odom.publish(StampedPose(truth.stamp_s, pose, velocity))
         hovering.step()
     assert hovering.pilot.phase is FlightPhase.LANDING
     assert "outside the fence" in hovering.state.note
