@@ -6,6 +6,7 @@ import numpy as np
 
 from sitl.faults import measures
 from sitl.faults.evidence import Evidence
+from sitl.faults.telling import untold
 
 CONTACT_M, FENCE_M = 1e-3, 0.30
 AIRBORNE_M, UNATTENDED_S = 0.15, 60.0
@@ -17,7 +18,7 @@ _PERIOD_S = 1.0 / 30.0  # of setpoints
 
 def violations(e: Evidence, overshoot_m: float = FENCE_M) -> list[str]:
     """What was broken, in words with figures; empty for a flight that kept all of it. overshoot_m: of the fence, at most."""
-    checks = (_contact, _numbers, _speed, _steps, _place, _authority, _disarm, _end)
+    checks = (_contact, _numbers, _speed, _steps, _place, _authority, _disarm, _end, untold)
     told = (check(e) for check in checks)
     return [said for said in (*told, _fence(e, overshoot_m)) if said]
 

@@ -42,7 +42,7 @@ def wire(t: Any, place: Any, speed: Any, **changes: Any) -> Wire:
         position_m=place, velocity_mps=speed, acceleration_mps2=zero, yaw_rate_radps=np.zeros(len(t)),
         odometry_s=t, odometry_m=place + 0.01, odometry_stamp_us=(t - BOOT_S) * 1e6, reset_counter=np.zeros(len(t)),
         orders=(Order(0.5, 176, 1.0, 6.0), Order(0.8, 400, 1.0, 0.0), Order(15.0, 176, 1.0, 4.0)),
-        texts=((6.0, "holding"),), not_finite=0,
+        texts=((6.0, "holding"), (15.1, "landing")), not_finite=0,
     )  # fmt: skip
     return dataclasses.replace(said, **changes)
 
