@@ -33,6 +33,11 @@ def stops(within_m: float, late_s: float = 0.0) -> Bar:
     return Bar("stop distance", m.stopped_within(late_s), within_m, "m")
 
 
+def told(within_s: float, ardupilot: float | None = None) -> Bar:
+    """The first STATUSTEXT; within a second of the reaction itself (G7)."""
+    return Bar("told", m.told_after(), within_s, "s", ardupilot=ardupilot)
+
+
 def clear(at_least_m: float) -> Bar:
     """True clearance in the whole flight."""
     return Bar("clearance", m.clearance, at_least_m, "m", at_least=True)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sitl.faults import measures
 from sitl.faults.evidence import Bools, Evidence
+from sitl.faults.telling import untold
 
 Indices = NDArray[np.int64]
 
@@ -21,7 +22,7 @@ _WHILE_S = 0.4
 
 def violations(e: Evidence, overshoot_m: float = FENCE_M) -> list[str]:
     """What was broken, in words with figures; empty for a flight that kept all of it. overshoot_m: of the fence, at most."""
-    checks = (_clear, _numbers, _speed, _steps, _place, _authority, _disarm, _end)
+    checks = (_clear, _numbers, _speed, _steps, _place, _authority, _disarm, _end, untold)
     told = (check(e) for check in checks)
     return [said for said in (*told, _fence(e, overshoot_m)) if said]
 

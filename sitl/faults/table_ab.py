@@ -6,7 +6,20 @@ import os
 from signal import SIGKILL, SIGSTOP
 
 from sitl.faults import measures as m
-from sitl.faults.bars import NO_FAILSAFE, NO_JUMP, NO_ORDER, STEADY, STREAMS, clear, down, holds, lands, lands_no_sooner, stops
+from sitl.faults.bars import (
+    NO_FAILSAFE,
+    NO_JUMP,
+    NO_ORDER,
+    STEADY,
+    STREAMS,
+    clear,
+    down,
+    holds,
+    lands,
+    lands_no_sooner,
+    stops,
+    told,
+)
 from sitl.faults.host import Crash, Stall
 from sitl.faults.load import BUSY, THRASHING, Toil, Weighed
 from sitl.faults.row import Bar, Row
@@ -39,7 +52,16 @@ TABLE_A = (
         "planner stalls 5 s",
         "mission stands still for 5 s at speed",
         lambda n: [Stall("mission", for_s=5.0)],
-        (holds(0.6), stops(0.6), STEADY, STREAMS, NO_FAILSAFE, NO_JUMP, Bar("flies on", m.moves_again_after(5.0), 1.0, "s")),
+        (
+            holds(0.6),
+            stops(0.6),
+            STEADY,
+            STREAMS,
+            NO_FAILSAFE,
+            NO_JUMP,
+            Bar("flies on", m.moves_again_after(5.0), 1.0, "s"),
+            told(1.6),
+        ),
         onset=FAST,
         live=lambda n: [Stopped("mission", 5.0)],
         times=3,
@@ -174,7 +196,7 @@ TABLE_B = (
         "pose stops",
         "no pose any more, at speed",
         lambda n: [Silence()],
-        (holds(0.3), lands(1.2), Bar("drift", m.drift_landing, 0.8, "m"), down(30.0), *NEVER_REPEATS),
+        (holds(0.3), lands(1.2), Bar("drift", m.drift_landing, 0.8, "m"), down(30.0), told(1.3), *NEVER_REPEATS),
         onset=FAST,
         times=3,
     ),

@@ -13,6 +13,7 @@ from sitl.faults.bars import (
     down,
     holds,
     lands,
+    told,
 )
 from sitl.faults.body import Reboot
 from sitl.faults.cartographer import FREED, Cartographer
@@ -55,7 +56,7 @@ TABLE_C = (
         "frames lost for 3 s",
         "no frame for 3 s at speed",
         lambda n: [Dark(3.0)],
-        (holds(0.4), STREAMS, COMPLETES),
+        (holds(0.4), STREAMS, COMPLETES, told(1.4)),
         onset=FAST,
         longest_s=180.0,
         views=30,
@@ -158,7 +159,7 @@ TABLE_D = (
         "nothing said for 3 s",
         "product to autopilot lost for 3 s",
         lambda n: [Loss("up", 3.0)],
-        (lands(1.3, ardupilot=2.5), NO_ORDER, down(30.0)),
+        (lands(1.3, ardupilot=2.5), NO_ORDER, down(30.0), told(2.3, ardupilot=3.5)),
         onset=FAST,
     ),
     Row(

@@ -18,6 +18,7 @@ from sitl.faults.bars import (
     clear,
     down,
     lands,
+    told,
 )  # fmt: skip
 from sitl.faults.body import Battery, HeldDown, Parameter, Push, Takeover, TransmitterLost, Unnoticed
 from sitl.faults.eye import Stands
@@ -181,7 +182,7 @@ TABLE_E = (
         "operator's key",
         "pressed once",
         lambda n: [Abort()],
-        (Bar("command to land", m.asked_to_land, 0.15, "s"), lands(0.5), down(30.0)),
+        (Bar("command to land", m.asked_to_land, 0.15, "s"), lands(0.5), down(30.0), told(1.15)),
         onset=ANY,
     ),
 )

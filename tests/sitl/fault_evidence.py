@@ -51,7 +51,7 @@ def wire(t: Any, place: Any, speed: Any, **changes: Any) -> Wire:
         odometry_yaw_rad=np.remainder(turning(t) + 0.01 + np.pi, 2.0 * np.pi) - np.pi,
         odometry_stamp_us=(t - BOOT_S) * 1e6, reset_counter=np.zeros(len(t)),
         orders=(Order(0.5, 176, 1.0, 6.0), Order(0.8, 400, 1.0, 0.0), Order(15.0, 176, 1.0, 4.0)),
-        texts=((6.0, "holding"),), not_finite=0,
+        texts=((6.0, "holding"), (15.1, "landing")), not_finite=0,
     )  # fmt: skip
     return dataclasses.replace(said, **changes)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,20 @@ def hovering(e: Evidence) -> Evidence:
     )  # fmt: skip
 
 
+def taken(e: Evidence, **said: Any) -> Evidence:
+    """A pilot switches at 9.9 s, the product hears of it at 10 s and sends no setpoint any more."""
+    theirs = dataclasses.replace(
+        e, mode=tuple("POSCTL" if t > 9.9 else "OFFBOARD" for t in e.stamp_s),
+        heard=tuple((t, 3 << 16 if t >= 10.0 else 6 << 16, True) for t in range(20)),
+    )  # fmt: skip
+    sent = e.wire.setpoint_s < 10.0
+    streams = {
+        name: getattr(e.wire, name)[sent]
+        for name in ("setpoint_s", "setpoint_stamp_ms", "position_m", "velocity_mps", "acceleration_mps2", "yaw_rate_radps")
+    }
+    return rewired(theirs, orders=e.wire.orders[:2], **streams, **said)
+
+
 SPOILS: dict[str, Spoil] = {
     "contact": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.0)),
     "contact: clearance": lambda e: dataclasses.replace(e, boxes_m=np.zeros(len(e.stamp_s))),
@@ -47,6 +62,8 @@ SPOILS: dict[str, Spoil] = {
     "motors to stop": lambda e: rewired(e, orders=(*e.wire.orders, Order(9.0, 400, 0.0, 21196.0))),
     "disarmed in the air": lambda e: dataclasses.replace(e, armed=e.stamp_s < 9.0),
     "hovers": hovering,
+    "landing asked for 10.0 s after the trouble and not told": lambda e: rewired(e, texts=e.wire.texts[:1]),
+    "another's mode 5.0 s after the trouble and not told": lambda e: taken(e, texts=((12.0, "yielded"),)),
 }
 
 
@@ -78,6 +95,16 @@ def test_a_pilot_who_takes_the_vehicle_out_of_our_landing_keeps_it() -> None:
     known_s = next(s for s, _, _ in e.heard if s > 16.0)
     under_way = rewired(kept, orders=(*e.wire.orders, Order(known_s + 0.01, 176, 1.0, 4.0)))
     assert violations(under_way) == [], "sent before it could have heard"
+
+
+def test_what_was_told_in_time_or_could_not_be_known_is_no_violation() -> None:
+    assert violations(taken(evidence(), texts=((10.9, "yielded"),))) == []
+    deaf = taken(evidence(), texts=())
+    assert violations(dataclasses.replace(deaf, heard=deaf.heard[:10])) == [], "it never heard of it"
+    dead = rewired(deaf, setpoint_s=deaf.wire.setpoint_s - 0.6)
+    assert violations(dead) == [], "it had no part in it"
+    landing = tuple("LAND" if t > 15.2 else "OFFBOARD" for t in evidence().stamp_s)
+    assert violations(evidence(mode=landing)) == [], "the mode that it asked for"
 
 
 def test_setpoints_that_arrive_together_were_sent_apart() -> None:

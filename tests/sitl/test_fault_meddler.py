@@ -17,9 +17,10 @@ TURN_S = 1.0 / 60.0
 
 def watched_s(trouble: Trouble, lands_s: float, lifts_again_s: float = 1e9) -> tuple[float, bool]:
     """Until when a flight is watched that is up at 1 s, and whether the motors ran at the end."""
-    meddler, seen = Meddler([trouble], seed=1), Any
+    meddler = Meddler([trouble], seed=1)
     world = SimpleNamespace(flyer=SimpleNamespace(truth=lambda: None))
-    meddler.theatre = seen = SimpleNamespace(world=world, now_s=0.0, notes={})  # type: ignore[assignment]
+    seen: Any = SimpleNamespace(world=world, now_s=0.0, notes={})
+    meddler.theatre = seen
     meddler._begun_s = 0.0
     for turn in range(60 * 200):
         now_s = seen.now_s = turn * TURN_S
@@ -33,7 +34,9 @@ def watched_s(trouble: Trouble, lands_s: float, lifts_again_s: float = 1e9) -> t
 @pytest.mark.parametrize("stands_s", [2.0, 20.0])
 def test_a_landed_vehicle_is_watched_for_as_long_as_its_row_says(stands_s: float) -> None:
     trouble = Trouble("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, stands_s)
-    assert watched_s(trouble, lands_s=12.0) == (pytest.approx(12.0 + stands_s, abs=0.05), False)
+    end_s, armed = watched_s(trouble, lands_s=12.0)
+    assert end_s == pytest.approx(12.0 + stands_s, abs=0.05)
+    assert not armed
 
 
 def test_one_that_starts_its_motors_again_is_seen_to() -> None:

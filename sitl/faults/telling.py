@@ -1,0 +1,48 @@
+"""Whether the people at a ground station were told of what the product did: a STATUSTEXT within a second (HAZARDS, G7)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sitl.faults.evidence import Evidence
+
+_LAND = (176, 21)  # DO_SET_MODE and NAV_LAND; in the air the product asks for no other mode
+_TOLD_S = 1.0 + 0.05  # and a turn or two of the pilot's loop
+_ALOFT_M = 0.3
+_BEFORE_S = 0.5  # it may say so first, and ask when it knows the mode of this instant
+_FLYING_S = 0.5  # who streamed so lately had the vehicle, and lives
+_OURS_S = 3.0  # a landing so soon after it was asked for is what was asked for
+
+
+def untold(e: Evidence) -> str:
+    """The first reaction that nobody was told of in time, in words; '' for none."""
+    asked = [o.stamp_s for o in e.wire.orders if o.command in _LAND and _aloft(e, o.stamp_s)]
+    due = [("landing asked for", asked[0], asked[0])] if asked else []
+    due += [("another's mode", lost_s, heard_s) for lost_s, heard_s in _lost(e, asked)]
+    said = [stamp_s for stamp_s, _ in e.wire.texts]
+    for what, from_s, known_s in due:
+        told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in said)
+        if not told and known_s + _TOLD_S < e.end_s:
+            return f"{what} {known_s - e.onset_s:.1f} s after the trouble and not told within {_TOLD_S:.2f} s"
+    return ""
+
+
+def _aloft(e: Evidence, stamp_s: float) -> bool:
+    """Whether it was off the ground, where the flight's own mode has been asked for."""
+    return bool(np.interp(stamp_s, e.stamp_s, e.position_m[:, 2]) > _ALOFT_M)
+
+
+def _lost(e: Evidence, asked: list[float]) -> list[tuple[float, float]]:
+    """Each instant in which the vehicle left our mode unasked, under our setpoints, and in which the product heard of it."""
+    left = np.flatnonzero(e.ours[:-1] & ~e.ours[1:] & e.armed[1:]) + 1
+    found = []
+    for lost_s in e.stamp_s[left].tolist():
+        flown = ((e.wire.setpoint_s > lost_s - _FLYING_S) & (e.wire.setpoint_s <= lost_s)).any()
+        ours = any(0.0 <= lost_s - stamp_s < _OURS_S for stamp_s in asked)
+        before = next((mode for stamp_s, mode, _ in reversed(e.heard) if stamp_s < lost_s), None)
+        heard_s = next((stamp_s for stamp_s, mode, _ in e.heard if stamp_s >= lost_s and mode != before), math.inf)
+        if flown and not ours:
+            found.append((lost_s, heard_s))
+    return found
