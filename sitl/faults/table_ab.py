@@ -6,6 +6,7 @@ import os
 from signal import SIGKILL, SIGSTOP
 
 from sitl.faults import measures as m
+from sitl.faults import odometry
 from sitl.faults.bars import (
     NO_FAILSAFE,
     NO_JUMP,
@@ -44,7 +45,10 @@ GONE_AND_BACK = tuple(((0.5, 2.0, 10.0)[n % 3], (0.0, 0.3, 1.0)[(n + n // 3) % 3
 CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
 SPOILT = tuple(spoilt(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp"))
 # Inertial samples carry a pose on over the 0.33 s that B10 asks for, and pose_lost_s ends that; a pose that stays is none.
-NEVER_REPEATS = (Bar("ODOMETRY ends", m.poses_until, 0.5, "s"), Bar("motion of the error", m.pose_error_step(), 0.05, "m"))
+NEVER_REPEATS = (
+    Bar("ODOMETRY ends", odometry.poses_until, 0.5, "s"),
+    Bar("motion of the error", odometry.pose_error_step(), 0.05, "m"),
+)
 
 TABLE_A = (
     Row(
@@ -215,7 +219,7 @@ TABLE_B = (
         "pose spike",
         "one pose off by 0.5 m",
         lambda n: [Altered(moved(x=0.5), count=1)],
-        (Bar("motion of the error", m.pose_error_step(2.0), 0.05, "m"), NO_FAILSAFE),
+        (Bar("motion of the error", odometry.pose_error_step(2.0), 0.05, "m"), NO_FAILSAFE),
     ),
     Row(
         "B4",
@@ -223,9 +227,9 @@ TABLE_B = (
         "every pose off by 0.5 m, 2 m, odom turned by 10 degrees",
         lambda n: [Altered(CLOSURES[n % 3])],
         (
-            Bar("step of ODOMETRY", m.pose_step, 0.05, "m"),
-            Bar("motion of the error", m.pose_error_step(10.0), 0.10, "m"),
-            Bar("reset counter", m.resets, 1.0, ""),
+            Bar("step of ODOMETRY", odometry.pose_step, 0.05, "m"),
+            Bar("motion of the error", odometry.pose_error_step(10.0), 0.10, "m"),
+            Bar("reset counter", odometry.resets, 1.0, ""),
         ),
         times=3,
     ),
@@ -253,8 +257,8 @@ TABLE_B = (
         "poses 0.1 s late",
         lambda n: [Later(0.1)],
         (
-            Bar("oldest pose sent", m.pose_age, 0.15, "s"),
-            Bar("motion of the error", m.pose_error_step(), 0.05, "m"),
+            Bar("oldest pose sent", odometry.pose_age, 0.15, "s"),
+            Bar("motion of the error", odometry.pose_error_step(), 0.05, "m"),
             NO_FAILSAFE,
         ),
         onset=FAST,
@@ -265,8 +269,8 @@ TABLE_B = (
         "poses 0.3, 1 s late; a frozen stamp; 5 s in the future",
         lambda n: [(Later(0.3), Later(1.0), Frozen(), Altered(stamped(5.0)))[n % 4]],
         (
-            Bar("oldest pose sent", m.pose_age, 0.15, "s"),
-            Bar("motion of the error", m.pose_error_step(), 0.05, "m"),
+            Bar("oldest pose sent", odometry.pose_age, 0.15, "s"),
+            Bar("motion of the error", odometry.pose_error_step(), 0.05, "m"),
             holds(0.3),
             lands(1.2),
         ),
@@ -278,8 +282,8 @@ TABLE_B = (
         "one pose turned by 180, 90, 15 degrees",
         lambda n: [Altered(turned((180.0, 90.0, 15.0)[n % 3]), count=1)],
         (
-            Bar("motion of the error", m.pose_error_step(2.0), 0.05, "m"),
-            Bar("heading off", m.heading_error_step(2.0), 2.0, "deg"),
+            Bar("motion of the error", odometry.pose_error_step(2.0), 0.05, "m"),
+            Bar("heading off", odometry.heading_error_step(2.0), 2.0, "deg"),
             NO_FAILSAFE,
         ),
     ),
@@ -296,7 +300,7 @@ TABLE_B = (
         "6 poses a second",
         lambda n: [Thinned(6.0)],
         (
-            Bar("ODOMETRY in a second", m.pose_rate, 28.0, "1/s", at_least=True),
+            Bar("ODOMETRY in a second", odometry.pose_rate, 28.0, "1/s", at_least=True),
             Bar("speed 1.5 s later", m.speed_from(2.5), 0.3, "m/s"),
         ),
         longest_s=30.0,
@@ -307,7 +311,7 @@ TABLE_B = (
         "3 poses a second, at speed",
         lambda n: [Thinned(3.0)],
         (
-            Bar("ODOMETRY in a second", m.pose_rate, 28.0, "1/s", at_least=True),
+            Bar("ODOMETRY in a second", odometry.pose_rate, 28.0, "1/s", at_least=True),
             holds(2.0),  # one second is what their number is taken over
             Bar("speed from 3 s on", m.speed_from(3.0), 0.02, "m/s"),
         ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sitl.faults import measures as m
+from sitl.faults import odometry
 from sitl.faults.bars import (
     COMPLETES,
     NO_FAILSAFE,
@@ -200,7 +201,7 @@ TABLE_D = (
         "D6",
         "serial line unplugged",
         "the device is gone for 1 s at speed",
-        bars=(holds(0.3, late_s=1.0), Bar("poses again after", m.poses_again_after(1.0), 2.0, "s"), down(120.0)),
+        bars=(holds(0.3, late_s=1.0), Bar("poses again after", odometry.poses_again_after(1.0), 2.0, "s"), down(120.0)),
         onset=FAST,
         longest_s=125.0,
         views=SHORT_VIEWS,
@@ -215,8 +216,8 @@ TABLE_D = (
         (
             NO_ORDER,
             Bar("stream ends", m.streams_after, 1.2, "s"),
-            Bar("poses dated wrongly", m.misdated_for, 0.15, "s"),
-            Bar("poses dated rightly", m.dated_after, 1.0, "s"),
+            Bar("poses dated wrongly", odometry.misdated_for, 0.15, "s"),
+            Bar("poses dated rightly", odometry.dated_after, 1.0, "s"),
         ),
         longest_s=20.0,
     ),

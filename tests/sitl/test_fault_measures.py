@@ -10,6 +10,7 @@ import pytest
 from fault_evidence import BOOT_S, DT_S, evidence, rewired, spoilt
 
 from sitl.faults import measures as m
+from sitl.faults import odometry
 from sitl.faults.evidence import Evidence
 from sitl.faults.injector import TAKEN_OVER
 from sitl.faults.takeover import mode_taken_back
@@ -69,23 +70,23 @@ def test_a_hole_in_the_stream_is_measured() -> None:
 
 def test_poses_on_the_wire() -> None:
     e = evidence()
-    assert m.pose_error_step()(e) < 0.02
-    assert m.pose_step(e) < 0.02
-    assert m.pose_age(e) < 1e-3
-    assert m.pose_rate(e) >= 29
+    assert odometry.pose_error_step()(e) < 0.02
+    assert odometry.pose_step(e) < 0.02
+    assert odometry.pose_age(e) < 1e-3
+    assert odometry.pose_rate(e) >= 29
     jumped = rewired(e, odometry_m=e.wire.odometry_m + np.where(e.wire.odometry_s > 6.0, 0.5, 0.0)[:, None] * (1, 0, 0))
-    assert m.pose_error_step()(jumped) == pytest.approx(0.5, abs=0.03)
-    assert m.pose_step(jumped) == pytest.approx(0.5, abs=0.03)
+    assert odometry.pose_error_step()(jumped) == pytest.approx(0.5, abs=0.03)
+    assert odometry.pose_step(jumped) == pytest.approx(0.5, abs=0.03)
     told = rewired(jumped, reset_counter=np.where(e.wire.odometry_s > 6.0, 1.0, 0.0))
-    assert m.pose_step(told) < 0.02
-    assert m.resets(told) == 1
-    assert m.pose_age(rewired(e, odometry_stamp_us=(e.wire.odometry_s - BOOT_S - 0.4) * 1e6)) == pytest.approx(0.4)
-    assert (m.misdated_for(e), m.dated_after(e)) == (0.0, 0.0)
+    assert odometry.pose_step(told) < 0.02
+    assert odometry.resets(told) == 1
+    assert odometry.pose_age(rewired(e, odometry_stamp_us=(e.wire.odometry_s - BOOT_S - 0.4) * 1e6)) == pytest.approx(0.4)
+    assert (odometry.misdated_for(e), odometry.dated_after(e)) == (0.0, 0.0)
     anew = np.where((e.wire.odometry_s > 6.0) & (e.wire.odometry_s < 6.5), 30e6, 0.0)
-    assert m.misdated_for(rewired(e, odometry_stamp_us=e.wire.odometry_stamp_us + anew)) == pytest.approx(1.5, abs=0.05)
-    assert m.dated_after(rewired(e, odometry_stamp_us=e.wire.odometry_stamp_us - 1e6)) == math.inf
+    assert odometry.misdated_for(rewired(e, odometry_stamp_us=e.wire.odometry_stamp_us + anew)) == pytest.approx(1.5, abs=0.05)
+    assert odometry.dated_after(rewired(e, odometry_stamp_us=e.wire.odometry_stamp_us - 1e6)) == math.inf
     few = rewired(e, odometry_s=e.wire.odometry_s[::6], odometry_m=e.wire.odometry_m[::6])
-    assert m.pose_rate(few) <= 6
+    assert odometry.pose_rate(few) <= 6
 
 
 def test_orders_are_counted() -> None:
