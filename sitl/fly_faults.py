@@ -21,7 +21,7 @@ from sitl.faults.soak import SOAKS
 from sitl.faults.table import NAMED, PAIRS, ROWS, TABLE
 from sitl.fly_case import one_thread
 from sitl.fly_fault import FaultCase, FaultRecord, Stage, fly
-from sitl.fly_options import AUTOPILOTS, UsageError, check_program
+from sitl.fly_options import AUTOPILOTS, UsageError, check_jobs, check_program
 from uav_recon import run
 
 BOTH = "both"
@@ -68,7 +68,8 @@ class FaultOptions:
             how = "in real time" if firmware is None else f"with a real {autopilot}"
             raise UsageError(f"--only {only}: not flown {how}; {', '.join(r.id for r in TABLE if flown(r))} are")
         one_by_one = live or firmware is not None
-        return FaultOptions(rows, personalities, seeds, 1 if one_by_one else jobs, json, out, one_by_one, firmware, seed0)
+        jobs = 1 if one_by_one else check_jobs(jobs)
+        return FaultOptions(rows, personalities, seeds, jobs, json, out, one_by_one, firmware, seed0)
 
     def cases(self, row: Row, autopilot: str) -> list[FaultCase]:
         """The flights of a row; none for one that cannot be flown here."""

@@ -26,6 +26,7 @@ RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
 HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.20, 0.35  # between the hull and what is not known free, in a plan
 BLIND_MPS = 1.2  # not asked for: planned motion looks at its views, and four fifths of it go elsewhere
 FENCE_MARGIN_M = 0.10  # between the hull and the fence: what is left of the other when the vehicle strays
+JOB_GB = 0.8  # of a process that flies in lockstep
 NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
 
 
@@ -168,6 +169,19 @@ class SimOptions:
             return parse(tree, "sim")
         except ConfigError as error:
             raise run.Failure(str(error), run.EXIT_CONFIG) from None
+
+
+def check_jobs(jobs: int) -> int:
+    """Raises UsageError for more processes than this machine has memory for."""
+    most = max(2, int(memory_gb() / JOB_GB))
+    if not 1 <= jobs <= most:
+        raise UsageError(f"--jobs {jobs}: want 1 to {most}; each may take {JOB_GB:g} GB of memory")
+    return jobs
+
+
+def memory_gb() -> float:
+    """Of this machine."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 def check_program(firmware: Path) -> None:

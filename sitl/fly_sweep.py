@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree, one_thread
-from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError
+from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs
 from uav_recon import run
 
 RANDOM, BUILT_IN = "random", "built-in"  # words for scenes: a new flat with each seed; the room of `sim`
@@ -58,7 +58,8 @@ class SweepOptions:
             raise UsageError(f"--variants {variants}: want some of {', '.join(VARIANTS)}")
         if camera not in CAMERAS:
             raise UsageError(f"--camera {camera}: want one of {', '.join(CAMERAS)}")
-        return SweepOptions(flights, seed0, tuple(scenes.split(",")), sizes, names, mount, camera, views, jobs, json, truth)
+        words, jobs = tuple(scenes.split(",")), check_jobs(jobs)
+        return SweepOptions(flights, seed0, words, sizes, names, mount, camera, views, jobs, json, truth)
 
     def cases(self) -> Iterator[Case]:
         """All flights, in order."""

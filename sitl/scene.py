@@ -25,6 +25,8 @@ TAKEOFF_HEIGHT_M = 1.10
 PAD_TOP_M = 0.40  # below this the hull's own radius is enough
 OPEN_SHARE = 0.005
 MAX_EXTENT_M = 100.0
+MOST_M3 = 30_000.0  # in voxels of 0.1 m: 30 million, what the product maps at most
+MOST_M2 = 12_000.0  # of surface: it is looked at every centimetre or two
 GENERATED = "random:"  # and a seed
 
 Numbers = tuple[float, ...]
@@ -102,6 +104,7 @@ def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m
         fence_min, fence_max = bounds[:3], bounds[3:]
         if not ((fence_min < scene_from_world_m) & (scene_from_world_m < fence_max)).all():
             raise SceneError(f"{name}: the start lies outside the fence {_text(fence_min)} to {_text(fence_max)}")
+        _check_size(name, "fence", fence_max - fence_min)
     else:
         _check_closed(name, Renderer(vertices, mesh.faces, mesh.rgb))
     arrays = (
@@ -170,6 +173,18 @@ def _check_mesh(name: str, mesh: Mesh) -> None:
     extent = np.ptp(mesh.vertices, axis=0)
     if extent.max() > MAX_EXTENT_M:
         raise SceneError(f"{name}: {extent.max():.0f} m across; more than {MAX_EXTENT_M:.0f} m (is the file in metres?)")
+    _check_size(name, "scene", extent)
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    area_m2 = 0.5 * float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
+    if area_m2 > MOST_M2:
+        raise SceneError(f"{name}: a surface of {area_m2:.0f} m2; want at most {MOST_M2:.0f} (is the file in metres?)")
+
+
+def _check_size(name: str, what: str, size_m: F64) -> None:
+    """Everything that maps, cuts truth or measures keeps arrays of this volume."""
+    volume_m3 = float(np.prod(size_m))
+    if volume_m3 > MOST_M3:
+        raise SceneError(f"{name}: a {what} of {_text(size_m)} m holds {volume_m3:.0f} m3; want at most {MOST_M3:.0f}")
 
 
 def _check_column(name: str, vertices: F32, faces: I32, radius_m: float) -> None:

@@ -109,15 +109,15 @@ def contradictions() -> Iterator[Mutant]:
         ("pose_timeout_s", "pose_land_s"),
     ):
         yield Mutant(flown("safety", high, load(FLOWN).model_dump()["safety"][low] - 0.01), (low, "<="))
-    for key, limit in (
-        ("speed_mps", "max_speed_mps"),
-        ("tight_speed_mps", "max_speed_mps"),
-        ("climb_mps", "max_speed_mps"),
-        ("descent_mps", "max_speed_mps"),
-        ("acceleration_mps2", "max_acceleration_mps2"),
-        ("yaw_rate_degps", "max_yaw_rate_degps"),
+    for key, most, limit in (
+        ("speed_mps", 3.0, "max_speed_mps"),
+        ("tight_speed_mps", 3.0, "max_speed_mps"),
+        ("climb_mps", 3.0, "max_speed_mps"),
+        ("descent_mps", 3.0, "max_speed_mps"),
+        ("acceleration_mps2", 5.0, "max_acceleration_mps2"),
+        ("yaw_rate_degps", 120.0, "max_yaw_rate_degps"),
     ):
-        yield Mutant(flown("motion", key, 999.0), (f"motion.{key}", f"safety.{limit}"))
+        yield Mutant(flown("motion", key, most), (f"motion.{key}", f"safety.{limit}"))
     for section, key, value, limit in (
         ("camera", "depth_min_m", 6.0, "camera.depth_max_m"),
         ("camera", "depth_max_m", 0.1, "camera.depth_max_m"),
@@ -134,6 +134,8 @@ def contradictions() -> Iterator[Mutant]:
         ("link", "url", "udp:10.41.1.1:14540", "link.peer_host"),
     ):
         yield Mutant(flown(section, key, value), (limit,))
+    tree = flown("safety", "fence_max_m", [400.0, 400.0, 50.0])
+    yield Mutant(tree, ("voxels.resolution_m", "safety.fence_max_m"))
     for axis in range(3):
         corner_m = list(load(FLOWN).safety.fence_min_m)
         corner_m[axis] = load(FLOWN).safety.fence_max_m[axis] - 0.5

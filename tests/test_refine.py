@@ -135,6 +135,12 @@ def test_a_wrong_word_is_one_line_with_the_range(flight: Path, arguments: tuple[
     assert call(flight, *arguments) == (2, f"uav-recon: {words}\n")
 
 
+def test_more_processes_than_there_is_memory_for_are_refused(flight: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uav_recon.refine.memory_gb", lambda: 7.6)
+    line = "uav-recon: --processes 8: want 1 to 7; each may take 1 GB of memory\n"
+    assert call(flight, "--processes", "8") == (2, line)
+
+
 def test_a_folder_that_is_no_flight_is_one_line(tmp_path: Path) -> None:
     assert call(tmp_path / "none") == (2, f"uav-recon: {tmp_path / 'none'}: no such flight folder\n")
     code, said = call(tmp_path)

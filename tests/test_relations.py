@@ -12,6 +12,7 @@ from uav_recon.config import ConfigError, load, parse
 from uav_recon.relations import RELATIONS, WRITTEN_RELATIONS
 
 FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
+EDGE = "the edge of 30 million voxels from safety.fence_min_m to safety.fence_max_m with voxels.margin_m around"
 BORDERS: tuple[tuple[str, str, float, float, str], ...] = (  # section, key, last that passes, first that does not, of what
     ("motion", "speed_mps", 1.0, 1.01, "at most safety.max_speed_mps, which is 1"),
     ("motion", "tight_speed_mps", 1.0, 1.01, "at most safety.max_speed_mps, which is 1"),
@@ -25,6 +26,7 @@ BORDERS: tuple[tuple[str, str, float, float, str], ...] = (  # section, key, las
     ("voxels", "distance_cap_m", 0.4, 0.399, "at least planner.clearance_m, which is 0.4"),
     ("mission", "takeoff_height_m", 1.9, 1.91, "at most safety.fence_max_m.2 - safety.fence_inset_m, which is 1.9"),
     ("mission", "takeoff_height_m", 0.9, 0.89, "at least safety.fence_min_m.2 + safety.fence_inset_m, which is 0.9"),
+    ("voxels", "resolution_m", 0.1, 0.0999, f"at least {EDGE}, which is 0.1"),
     ("camera", "depth_min_m", 5.99, 6.0, "less than camera.depth_max_m, which is 6"),
     ("camera", "depth_min_m", 4.99, 5.0, "less than voxels.max_range_m, which is 5"),
     ("localization", "frame_wait_s", 0.299, 0.3, "less than safety.depth_timeout_s, which is 0.3"),
@@ -39,6 +41,10 @@ AROUND: dict[str, dict[str, dict[str, Any]]] = {
     "less than camera.depth_max_m, which is 6": {"voxels": {"max_range_m": 9.0}},
     "at least safety.fence_min_m.2 + safety.fence_inset_m, which is 0.9": {"safety": {"fence_min_m": [-3.5, -3.5, 0.6]}},
     "at least 1 / safety.pose_timeout_s, which is 25": {"safety": {"pose_timeout_s": 0.04}},
+    f"at least {EDGE}, which is 0.1": {
+        "safety": {"fence_min_m": [-50.0, -50.0, -0.2], "fence_max_m": [50.0, 50.0, 2.8], "fence_corners_m": []},
+        "voxels": {"margin_m": 0.0},
+    },
     "less than planner.shell_max_m, which is 1.5": {"planner": {"shell_max_m": 1.5}},
 }
 

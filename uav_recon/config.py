@@ -141,10 +141,10 @@ class CameraConfig(Section):
     gimbal_limit_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 60.0  # gimbal range, both ways
     horizontal_fov_deg: Annotated[float, Field(gt=10.0, lt=170.0)] = 87.0  # of the depth image
     vertical_fov_deg: Annotated[float, Field(gt=10.0, lt=170.0)] = 58.0  # of the depth image
-    depth_min_m: Positive = 0.3  # nearer returns are not believed
-    depth_max_m: Positive = 6.0  # farther returns are not believed
+    depth_min_m: Annotated[float, Field(gt=0.0, le=10.0)] = 0.3  # nearer returns are not believed
+    depth_max_m: Annotated[float, Field(gt=0.0, le=20.0)] = 6.0  # farther returns are not believed
     depth_noise_px: Annotated[float, Field(gt=0.0, le=1.0)] = 0.04  # rms disparity error in pixels of the delivered depth image
-    baseline_m: Positive = 0.05  # stereo baseline
+    baseline_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.05  # stereo baseline
 
 
 class LocalizationConfig(Section):
@@ -159,9 +159,9 @@ class VoxelConfig(Section):
     """Occupancy map."""
 
     resolution_m: Annotated[float, Field(ge=0.05, le=0.3)] = 0.1  # voxel edge
-    max_range_m: Positive = 5.0  # depth beyond it frees up to it, but marks nothing
-    distance_cap_m: Positive = 1.1  # the distance field saturates here
-    takeoff_radius_m: Positive = 0.6  # operator's word: free from the pad to the clearance above take-off height
+    max_range_m: Annotated[float, Field(gt=0.0, le=20.0)] = 5.0  # depth beyond it frees up to it, but marks nothing
+    distance_cap_m: Annotated[float, Field(gt=0.0, le=5.0)] = 1.1  # the distance field saturates here
+    takeoff_radius_m: Annotated[float, Field(gt=0.0, le=5.0)] = 0.6  # the operator's word: free to above take-off height
     margin_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3  # map beyond the fence, to see its walls
 
 
@@ -183,18 +183,18 @@ class PlannerConfig(Section):
 
     variant: VariantName = "adaptive"  # V5, V4, V3, V2, V1 of the paper, and its baselines
     preset: Literal["auto", "bhxhp", "rosser", "convoy"] = "auto"  # auto: from the fence box and the camera
-    shell_min_m: Positive = 0.8  # d_r, nearest viewpoint to a task
-    shell_max_m: Positive = 2.5  # d_f, farthest
+    shell_min_m: Annotated[float, Field(gt=0.0, le=20.0)] = 0.8  # d_r, nearest viewpoint to a task
+    shell_max_m: Annotated[float, Field(gt=0.0, le=20.0)] = 2.5  # d_f, farthest
     clearance_m: Annotated[float, Field(ge=0.3, le=1.0)] = 0.35  # d_s, body centre to anything not known free
-    local_radius_m: Positive = 2.0  # R_loc
-    cluster_radius_m: Positive = 1.1  # R_clu
+    local_radius_m: Annotated[float, Field(gt=0.0, le=100.0)] = 2.0  # R_loc
+    cluster_radius_m: Annotated[float, Field(gt=0.0, le=20.0)] = 1.1  # R_clu
     max_reconstruct_tasks: Annotated[int, Field(ge=1, le=100)] = 10  # N_rec
-    min_visible: Annotated[int, Field(ge=1)] = 20  # N_min
-    near_distance_m: Positive = 1.5  # d_near
-    near_count: Annotated[int, Field(ge=0)] = 3  # explore if more frontiers than this are near ...
+    min_visible: Annotated[int, Field(ge=1, le=100000)] = 20  # N_min
+    near_distance_m: Annotated[float, Field(gt=0.0, le=100.0)] = 1.5  # d_near
+    near_count: Annotated[int, Field(ge=0, le=100000)] = 3  # explore if more frontiers than this are near ...
     near_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.2  # ... and their share is larger
-    horizon_m: Positive = 5.0  # L_exec
-    view_spacing_m: Positive | None = None  # l_res; unset: views on the way are taken where surface is new
+    horizon_m: Annotated[float, Field(gt=0.0, le=100.0)] = 5.0  # L_exec
+    view_spacing_m: Annotated[float, Field(ge=0.05, le=100.0)] | None = None  # l_res; unset: on the way where surface is new
     end_factor: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0  # alpha, once no frontier is left
     downsample: Annotated[int, Field(ge=1, le=50)] = 5  # N_down
     worth_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.05  # of the best gain per second so far: flown for no less
@@ -207,18 +207,18 @@ class MotionConfig(Section):
     focal_px * exposure_s * (turning + speed / blur_distance_m) pixels; at a view that stays below blur_px.
     """
 
-    speed_mps: Positive = 1.0  # in the open
-    tight_speed_mps: Positive = 0.7  # where clearance is the planning distance
-    climb_mps: Positive = 0.6  # upwards, inside the autopilot's MPC_Z_VEL_MAX_UP, WP_SPD_UP
-    descent_mps: Positive = 0.4  # downwards, inside the autopilot's MPC_Z_VEL_MAX_DN, WP_SPD_DN
-    acceleration_mps2: Positive = 1.2  # along and across
-    yaw_rate_degps: Positive = 45.0  # rotation
-    yaw_acceleration_degps2: Positive = 90.0  # rotation
-    smoothing_s: Positive = 0.4  # total width of the smoothing that bounds the jerk
-    blur_px: Positive = 2.0  # most that the image may move during the exposure of a view
-    exposure_s: Positive = 0.008  # of the camera in indoor light
-    focal_px: Positive = 460.0  # of the images that are kept
-    blur_distance_m: Positive = 1.5  # at which surfaces are looked at
+    speed_mps: Annotated[float, Field(ge=0.05, le=3.0)] = 1.0  # in the open
+    tight_speed_mps: Annotated[float, Field(ge=0.05, le=3.0)] = 0.7  # where clearance is the planning distance
+    climb_mps: Annotated[float, Field(ge=0.05, le=3.0)] = 0.6  # upwards, inside the autopilot's MPC_Z_VEL_MAX_UP, WP_SPD_UP
+    descent_mps: Annotated[float, Field(ge=0.05, le=3.0)] = 0.4  # downwards, inside the autopilot's MPC_Z_VEL_MAX_DN, WP_SPD_DN
+    acceleration_mps2: Annotated[float, Field(ge=0.05, le=5.0)] = 1.2  # along and across
+    yaw_rate_degps: Annotated[float, Field(ge=1.0, le=120.0)] = 45.0  # rotation
+    yaw_acceleration_degps2: Annotated[float, Field(ge=1.0, le=1000.0)] = 90.0  # rotation
+    smoothing_s: Annotated[float, Field(gt=0.0, le=5.0)] = 0.4  # total width of the smoothing that bounds the jerk
+    blur_px: Annotated[float, Field(ge=0.1, le=1000.0)] = 2.0  # most that the image may move during the exposure of a view
+    exposure_s: Annotated[float, Field(gt=0.0, le=0.1)] = 0.008  # of the camera in indoor light
+    focal_px: Annotated[float, Field(gt=0.0, le=5000.0)] = 460.0  # of the images that are kept
+    blur_distance_m: Annotated[float, Field(ge=0.1, le=20.0)] = 1.5  # at which surfaces are looked at
 
     def at_most(self, speed_mps: float) -> MotionConfig:
         """The same, nowhere faster than that."""

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 REFINED, MESH_PLY, MESH_GLB = "refined", "mesh.ply", "mesh.glb"
 STOP_FILE, LOCK_FILE = ".stop", ".lock"
 STEPS, VOXEL_M, SAVE_EVERY_S, PROCESSES = (1, 1_000_000), (0.005, 0.05), (1.0, 3600.0), (1, 64)
+PROCESS_GB = 1.0  # of memory that one may take
 RAYS = {"cpu": 1024, "cuda": 4096}  # of a step and a process
 SLICE_STEPS = 20  # between two looks at the clock and at Ctrl-C
 TEXEL_VOXELS = 0.5  # side of a texel
@@ -60,6 +61,11 @@ class RefineOptions:
         _in_range("--save-every", self.save_every_s, SAVE_EVERY_S)
         if self.processes is not None:
             _in_range("--processes", self.processes, PROCESSES)
+            most = max(2, int(memory_gb() / PROCESS_GB))
+            if self.processes > most:
+                raise Failure(
+                    f"--processes {self.processes}: want 1 to {most}; each may take {PROCESS_GB:g} GB of memory", EXIT_USAGE
+                )
         if not self.flight.is_dir():
             raise Failure(f"{self.flight}: no such flight folder", EXIT_USAGE)
         if not (self.flight / "keyframes" / "poses.json").is_file():
@@ -83,6 +89,11 @@ def refine(wanted: RefineOptions) -> int:
         _state(_checkpoints(wanted, kind)[2])  # what is wrong is said here, once
         return _under_torchrun(wanted, processes)
     return _Work(wanted, team.Team(kind), kind).run()
+
+
+def memory_gb() -> float:
+    """Of this machine."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 def _in_range(name: str, value: float, allowed: tuple[float, float]) -> None:

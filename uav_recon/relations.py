@@ -13,6 +13,9 @@ _HOLDS: dict[str, Callable[[float, float], bool]] = {
 }
 
 
+MOST_VOXELS = 30e6  # a channel of 64 MB takes 33 million
+
+
 class Relation(NamedTuple):
     """A key, how it must stand to a limit, that in words, and what it comes to. rounding: what floats may lose of a sum."""
 
@@ -21,6 +24,13 @@ class Relation(NamedTuple):
     limit: str
     of: Callable[[Any], float]
     rounding: float = 0.0
+
+
+def _volume_m3(config: Any) -> float:
+    """Of the box that is mapped."""
+    safety, around_m = config.safety, 2.0 * config.voxels.margin_m
+    x, y, z = (high - low + around_m for low, high in zip(safety.fence_min_m, safety.fence_max_m, strict=True))
+    return float(x * y * z)
 
 
 def _to(key: str, must_be: str, limit: str) -> Relation:
@@ -56,6 +66,13 @@ RELATIONS = (
         "at least",
         "safety.fence_min_m.2 + safety.fence_inset_m",
         lambda c: c.safety.fence_min_m[2] + c.safety.fence_inset_m,
+        rounding=1e-9,
+    ),
+    Relation(
+        "voxels.resolution_m",  # or neither memory nor the channels would hold the map
+        "at least",
+        "the edge of 30 million voxels from safety.fence_min_m to safety.fence_max_m with voxels.margin_m around",
+        lambda c: (_volume_m3(c) / MOST_VOXELS) ** (1 / 3),
         rounding=1e-9,
     ),
     _to("camera.depth_min_m", "less than", "camera.depth_max_m"),

@@ -91,6 +91,14 @@ def test_an_open_scene_needs_a_fence() -> None:
         (ROOM, START, (0, 0, 0, 5, 4), "want a fence of 6 numbers"),
         (Mesh(ROOM.vertices, ROOM.faces[:0], ROOM.rgb), START, None, "empty"),
         (Mesh(ROOM.vertices * 100, ROOM.faces, ROOM.rgb), START, None, "500 m across"),
+        (box((0, 0, 0), (90, 90, 20)), START, None, r"scene of \(90.00, 90.00, 20.00\) m holds 162000 m3; want at most 30000"),
+        (box((0, 0, 0), (99, 99, 2.5)), START, None, "a surface of 20592 m2; want at most 12000"),
+        (
+            ROOM,
+            START,
+            (-100, -100, -1, 100, 100, 9),
+            r"fence of \(200.00, 200.00, 10.00\) m holds 400000 m3; want at most 30000",
+        ),
         (
             Mesh(np.where(ROOM.vertices > 4.5, np.float32(np.nan), ROOM.vertices), ROOM.faces, ROOM.rgb),
             START,

@@ -27,7 +27,7 @@ from uav_recon.bench.calibration import calibrate
 from uav_recon.bench.mapper import PRINTED_WIDTH, write_json
 from uav_recon.bench.tables import narrow_table
 from uav_recon.config import Config
-from uav_recon.run import Failure
+from uav_recon.run import EXIT_USAGE, Failure
 from uav_recon.types.frames import FloatArray
 
 MINUTES = (0.1, 120.0)
@@ -71,7 +71,7 @@ def steadiness(arrivals_s: FloatArray, begin_s: float, end_s: float) -> Steadine
 def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path | None) -> int:
     """Measure, print, write JSON; returns 1 if a bar is missed, or if the control keeps them all. Raises Failure."""
     if not MINUTES[0] <= minutes <= MINUTES[1]:
-        raise Failure(f"--minutes {minutes:g}: want {MINUTES[0]:g} to {MINUTES[1]:g}")
+        raise Failure(f"--minutes {minutes:g}: want {MINUTES[0]:g} to {MINUTES[1]:g}", EXIT_USAGE)
     if autopilot not in AUTOPILOTS:
         raise Failure(f"--autopilot {autopilot}: want one of {', '.join(AUTOPILOTS)}")
     if json is not None and not json.parent.is_dir():
