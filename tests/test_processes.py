@@ -181,3 +181,41 @@ def test_after_a_kill_the_next_pilot_finds_its_place_free(pilot: subprocess.Pope
     again.terminate()
     assert again.communicate(timeout=20) == ("", "")
     assert not (folder / "operator.socket").exists()
+
+
+def perception_of(source: str, config: Path) -> subprocess.Popen[str]:
+    tree = configuration.load(config).model_dump(mode="json", exclude_none=True)
+    tree["camera"]["source"] = source
+    configuration.save(configuration.parse(tree, "test"), config)
+    return start("perception", config)
+
+
+def test_perception_says_what_it_waits_for_and_ends_on_sigterm_meanwhile(config: Path) -> None:
+    process = perception_of("stream", config)
+    assert process.stderr is not None
+    said = process.stderr.readline()
+    assert "waiting for a camera stream" in said
+    assert str(config.parent / "run" / "camera.stream") in said
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert len(said.splitlines()) == 1, said
+    assert "ended while waiting" in said
+
+
+def test_a_stream_file_of_another_kind_is_told_at_once(config: Path) -> None:
+    (config.parent / "run").mkdir()
+    (config.parent / "run" / "camera.stream").write_bytes(b"x" * 5000)
+    process = perception_of("stream", config)
+    assert process.stderr is not None
+    assert "not a camera stream" in process.stderr.readline()
+    process.terminate()
+    process.communicate(timeout=20)
+
+
+def test_a_missing_camera_is_told_before_anything_is_waited_for(config: Path) -> None:
+    process = perception_of("realsense", config)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert len(said.splitlines()) == 1, said
+    assert "is not connected" in said

@@ -107,7 +107,7 @@ def perception(config_path: Path) -> int:
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires = run.file_wires(config.runtime.folder)
     claim("perception", config)
-    the_perception = run.make_perception(config, wires, clock)
+    the_perception = run.make_perception(config, wires, clock, lambda: stop.asked)
     notify.ready()
     _loop(the_perception.step, PERCEPTION_RATE_HZ, clock, lambda: stop.asked)
     return 0
