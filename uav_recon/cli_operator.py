@@ -13,8 +13,10 @@ from uav_recon.cli_exit import exit_with
 
 EXIT_NOBODY, FLOWN = 69, Path("/etc/uav_recon/config.toml")
 
-ConfigOption = Annotated[Path, typer.Option("--config", help="What says where the pilot listens.")]
-SocketOption = Annotated[Path | None, typer.Option("--socket", help="Where the pilot listens. Default: as the config says.")]
+ConfigOption = Annotated[Path, typer.Option("--config", readable=False, help="What says where the pilot listens.")]
+SocketOption = Annotated[
+    Path | None, typer.Option("--socket", readable=False, help="Where the pilot listens. Default: as the config says.")
+]
 
 
 def register(app: typer.Typer) -> None:
