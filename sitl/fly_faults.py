@@ -23,6 +23,7 @@ from sitl.fly_case import one_thread
 from sitl.fly_fault import FaultCase, FaultRecord, Stage, fly
 from sitl.fly_options import AUTOPILOTS, UsageError, check_program
 from uav_recon import run
+from uav_recon.usage import looked_at, need_file, need_folder
 
 BOTH = "both"
 FIRMWARE_OFFERS = {"px4": Needs.PROCESSES | Needs.LINE, "ardupilot": Needs.PROCESSES | Needs.LINE | Needs.STICKS}
@@ -107,9 +108,12 @@ def faults(options: FaultOptions) -> int:
     """Fly them; returns 1 if any row failed, else 0. Raises run.Failure."""
     console, results = Console(), list[Result]()
     groups = options.groups()
-    taken = [case.out for group in groups for case in group if case.out is not None and case.out.exists()]
+    with looked_at(f"--out {options.out}"):
+        taken = [case.out for group in groups for case in group if case.out is not None and case.out.exists()]
     if taken:
         raise UsageError(f"--out {options.out}: holds flights already, {taken[0].name} for one")
+    need_file("--json", options.json)
+    need_folder("--out", options.out)
     one_thread()
     with contextlib.closing(_fly_all(groups, options.jobs, console)) as records:
         for result in _results(options, records):
@@ -121,6 +125,8 @@ def faults(options: FaultOptions) -> int:
     for said in sorted({r.firmware for r in flown if r.firmware}):
         console.print(f"firmware: {options.autopilots[0]} {said}", markup=False, highlight=False)
     console.print(f"{len(flown)} rows flown, {len(bad)} failed, {len(results) - len(flown)} not flown here")
+    if not flown:
+        raise UsageError("nothing was flown: none of these rows can be flown here")
     return 1 if bad else 0
 
 

@@ -16,8 +16,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree, one_thread
-from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError
+from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError, mount_pitch_deg
+from sitl.scene import GENERATED
 from uav_recon import run
+from uav_recon.usage import looked_at, need_file
 
 RANDOM, BUILT_IN = "random", "built-in"  # words for scenes: a new flat with each seed; the room of `sim`
 BAD_SHOWN = 20
@@ -58,6 +60,9 @@ class SweepOptions:
             raise UsageError(f"--variants {variants}: want some of {', '.join(VARIANTS)}")
         if camera not in CAMERAS:
             raise UsageError(f"--camera {camera}: want one of {', '.join(CAMERAS)}")
+        mount_pitch_deg(mount)
+        for word in scenes.split(","):
+            _check_scene(word)
         return SweepOptions(flights, seed0, tuple(scenes.split(",")), sizes, names, mount, camera, views, jobs, json, truth)
 
     def cases(self) -> Iterator[Case]:
@@ -69,9 +74,19 @@ class SweepOptions:
             yield Case(scene, seed, radius_m, variant, self.mount, self.camera, self.views)
 
 
+def _check_scene(word: str) -> None:
+    """Raises UsageError unless this is a scene, or may be one."""
+    with looked_at(f"--scenes {word}"):
+        there = Path(word).exists()
+    seed = word.removeprefix(GENERATED) if word.startswith(GENERATED) else ""
+    if not (word in (RANDOM, BUILT_IN) or seed.isdecimal() or (word and there)):
+        raise UsageError(f"--scenes {word}: no such scene; want {RANDOM}, {GENERATED}SEED, {BUILT_IN}, folders, meshes")
+
+
 def sweep(options: SweepOptions) -> int:
     """Fly what the account lacks; returns 1 if any flight touched something or broke, else 0. Raises run.Failure."""
     console = Console()
+    need_file("--json", options.json)
     records = _load(options.json)
     known = {record.case for record in records}
     todo = [case for case in options.cases() if case not in known]
@@ -113,10 +128,12 @@ def _fly_all(todo: list[Case], truth: bool, jobs: int) -> Iterator[Record]:
 
 
 def _load(path: Path | None) -> list[Record]:
-    if path is None or not path.exists():
+    if path is None:
         return []
     try:
         return [from_tree(tree) for tree in json.loads(path.read_text(encoding="utf-8"))["flights"]]
+    except FileNotFoundError:
+        return []
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise run.Failure(f"--json {path}: not the account of a sweep ({error})", run.EXIT_USAGE) from None
 

@@ -138,11 +138,15 @@ def _generated(path: str, fine: bool) -> tuple[str, Mesh, Numbers]:
 
 
 def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:
-    if not path.exists():
+    try:
+        there, folder = path.exists(), path.is_dir()
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
+    if not there:
         raise SceneError(f"{path}: no such scene")
     start: Numbers | None = None
     name, file = path.stem, path
-    if path.is_dir():
+    if folder:
         description = path / "scene.json"
         try:
             entry = json.loads(description.read_text())

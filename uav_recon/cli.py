@@ -224,8 +224,12 @@ def bench_planner(
             help="Folder of a recorded stream: meta.json, poses.npy, depth_WxH.npz. Default: a built-in building.",
         ),
     ] = None,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Which of the stream's image sizes.")] = "640x480",
-    stride: Annotated[int, typer.Option(help="Every so many pixels of a row and of a column, 1 to 8.")] = 2,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Which of the stream's image sizes. Default: 640x480.")
+    ] = None,
+    stride: Annotated[
+        int | None, typer.Option(help="Every so many of the stream's pixels, across and down, 1 to 8. Default: 2.")
+    ] = None,
     scale: Annotated[bool, typer.Option("--scale", help="Growth: the same building once, ten and a hundred times.")] = False,
     json: JsonOption = None,
 ) -> None:

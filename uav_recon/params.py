@@ -24,6 +24,7 @@ from uav_recon.autopilot.transport import LinkError, open_link
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import LinkConfig
 from uav_recon.protocols import ByteLink, Clock
+from uav_recon.usage import looked_at
 
 T = TypeVar("T")
 
@@ -54,7 +55,9 @@ class ParamsOptions:
             raise run.Failure(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", run.EXIT_CONFIG)
         if autopilot is not None and link is not None:
             return ParamsOptions(autopilot, link, file)
-        if not config.exists():
+        with looked_at(str(config), run.EXIT_CONFIG):
+            there = config.exists()
+        if not there:
             raise run.Failure(
                 f"give --autopilot and --link, or a --config that says them ({config} is not there)", run.EXIT_CONFIG
             )

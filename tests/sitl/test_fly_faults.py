@@ -94,6 +94,13 @@ def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: 
     )
 
 
+@pytest.mark.parametrize("row", ["B6", "A5", "G8"])
+def test_where_nothing_is_flown_at_all_nothing_has_passed(row: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(UsageError, match="nothing was flown"):
+        faults(FaultOptions.parse(only=row, autopilot="px4", seeds=1))
+    assert f"{row:4} px4" in capsys.readouterr().out
+
+
 def test_flights_that_are_there_are_not_flown_over(tmp_path: Path) -> None:
     (tmp_path / "A1-px4-0").mkdir()
     with pytest.raises(UsageError, match="holds flights already, A1-px4-0"):
