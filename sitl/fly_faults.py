@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import json
-import multiprocessing
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sitl.crew import crew
 from sitl.faults.injector import Needs
 from sitl.faults.page import write_page
 from sitl.faults.result import Result, result_of
@@ -141,10 +141,10 @@ def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Gene
     )
     with (
         Progress(*columns, console=console, disable=not console.is_terminal) as progress,
-        ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool,
+        crew(jobs) as hands,
     ):
         task = progress.add_task("", total=sum(map(len, groups)))
-        for future in as_completed([pool.submit(fly, group) for group in groups]):
+        for future in as_completed([hands.submit(fly, group) for group in groups]):
             for record in future.result():
                 if record.trace and record.case.out is not None:
                     record.case.out.mkdir(parents=True, exist_ok=True)

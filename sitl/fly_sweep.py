@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
-import multiprocessing
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sitl.crew import crew
 from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree, one_thread
 from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError, mount_pitch_deg
 from sitl.scene import GENERATED
@@ -105,15 +105,15 @@ def sweep(options: SweepOptions) -> int:
 
 def _fly_all(todo: list[Case], truth: bool, jobs: int) -> Iterator[Record]:
     """Records as they come. Where a process died, each flight that was under way is flown again alone: whose fault was it?"""
-    waiting, spawn = list(reversed(todo)), multiprocessing.get_context("spawn")
+    waiting = list(reversed(todo))
     while waiting:
         suspects: list[Case] = []
-        with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+        with crew(jobs) as hands:
             flying: dict[Future[Record], Case] = {}
             while flying or (waiting and not suspects):
                 while waiting and not suspects and len(flying) < jobs:
                     case = waiting.pop()
-                    flying[pool.submit(fly_case, case, truth)] = case
+                    flying[hands.submit(fly_case, case, truth)] = case
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
                     case = flying.pop(future)
                     try:

@@ -10,6 +10,8 @@ import typer
 
 from uav_recon import run
 
+EXIT_INTERRUPTED = 130
+
 
 def exit_with(work: Callable[[], Any]) -> None:
     """Do the work and end with the code it gives; a Failure becomes its line and its code."""
@@ -18,4 +20,7 @@ def exit_with(work: Callable[[], Any]) -> None:
     except run.Failure as failure:
         print(f"uav-recon: {failure}", file=sys.stderr)
         raise typer.Exit(failure.code) from None
+    except KeyboardInterrupt:
+        print("uav-recon: interrupted", file=sys.stderr)
+        raise typer.Exit(EXIT_INTERRUPTED) from None
     raise typer.Exit(code or 0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -220,9 +219,6 @@ def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
         raise run.Failure(f"{error}{held}", run.EXIT_CONFIG) from None
     try:
         return work(Vehicle(link, options, clock, gate))
-    except KeyboardInterrupt:
-        print(file=sys.stderr)
-        raise run.Failure("interrupted", 130) from None
     finally:
         link.close()
         gate.close()
