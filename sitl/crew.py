@@ -9,6 +9,7 @@ import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing.process import BaseProcess
 from typing import ParamSpec, TypeVar
 
@@ -30,7 +31,7 @@ class Crew:
         """Do it once a process is free."""
         heeded = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # by one that is started here, until it signs on
         try:
-            return self._pool.submit(_done, work, *args, **kwargs)
+            return self._pool.submit(_done, partial(work, *args, **kwargs))
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, heeded)
 
@@ -67,9 +68,9 @@ def _leave(*_: object) -> None:
     raise SystemExit(1)  # through every `with`, so that no folder is left behind
 
 
-def _done(work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+def _done(work: Callable[[], T]) -> T:
     try:
-        return work(*args, **kwargs)
+        return work()
     finally:
         if signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:  # dismissed: the pool's own loop would go on
             os._exit(1)

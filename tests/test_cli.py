@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 import typer
 
-from uav_recon.cli import app
+from uav_recon.cli import app, main
+from uav_recon.cli_exit import exit_with
 
 
 def callbacks(group: typer.Typer) -> Iterator[Callable[..., Any]]:
@@ -30,3 +31,52 @@ def test_a_path_is_judged_by_who_opens_it(command: Callable[..., Any]) -> None:
             kind, said = typing.get_args(hint)
             assert not said.exists, name
             assert not (said.readable and Path in (kind, *typing.get_args(kind))), name
+
+
+def test_an_interrupt_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    def work() -> int:
+        raise KeyboardInterrupt
+
+    with pytest.raises(typer.Exit) as ended:
+        exit_with(work)
+    assert ended.value.exit_code == 130
+    assert capsys.readouterr().err == "uav-recon: interrupted\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("sim --views 3", "--views 3: want 4 to 5000"),
+        ("sim --views=5001", "--views 5001: want 4 to 5000"),
+        ("sim --views many", "--views many: want 4 to 5000"),
+        ("sim --seed -1", "--seed -1: want 0 or more"),
+        ("faults --jobs 257", "--jobs 257: want 1 to 256"),
+        ("sim --radius wide", "--radius wide: "),
+        ("sim --nope", "no such option: --nope"),
+        ("review", "missing argument"),
+        ("fly", "no such command"),
+    ],
+)
+def test_what_the_parser_refuses_is_one_line(
+    words: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["uav-recon", *words.split()])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    told = capsys.readouterr()
+    assert ended.value.code == 2
+    assert told.out == ""
+    assert told.err.startswith(f"uav-recon: {said}"), told.err
+    assert len(told.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("words", "code"), [("--help", 0), ("sim --help", 0), ("", 2), ("review /nowhere", 2)])
+def test_everything_else_ends_as_it_did(
+    words: str, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["uav-recon", *words.split()])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == code
+    told = capsys.readouterr()
+    assert "Usage" in told.out + told.err or words.startswith("review")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from uav_recon import processes
-from uav_recon.cli_exit import exit_with
+from uav_recon.cli_exit import end, exit_with
 from uav_recon.cli_faults import faults
 from uav_recon.cli_operator import register
 from uav_recon.cli_params import params
@@ -382,7 +382,7 @@ def bench_uncertainty(
 
 def main() -> None:
     """Entry point."""
-    app()
+    end(app)
 
 
 if __name__ == "__main__":
