@@ -55,7 +55,9 @@ class FaultOptions:
         unknown = [name for name in names or () if name not in NAMED]
         if unknown:
             there_are = f"{', '.join(row.id for row in (*TABLE, *SOAKS))}, and pairs as {PAIRS[0].id}"
-            raise UsageError(f"--only {only}: no row {', '.join(unknown)}; there are {there_are}")
+            raise UsageError(
+                f"--only {only}: no row {', '.join(name or repr(name) for name in unknown)}; there are {there_are}"
+            )
         if autopilot not in (*AUTOPILOTS, BOTH):
             raise UsageError(f"--autopilot {autopilot}: want one of {', '.join((*AUTOPILOTS, BOTH))}")
         if firmware is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +29,7 @@ from uav_recon.usage import looked_at
 T = TypeVar("T")
 
 EXIT_DIFFERENT, EXIT_SILENT = 1, 69
-HEARTBEAT_S, FRESH_S, TURN_S = 10.0, 3.0, 0.02
+HEARTBEAT_S, SAID_S, FRESH_S, TURN_S = 10.0, 1.5, 3.0, 0.02
 WRITE_TRIES = 3  # for one parameter
 _HEARTBEAT = 0  # message id
 _IN_USE = re.compile("in use|busy", re.IGNORECASE)
@@ -128,9 +129,13 @@ class Vehicle:
         return Compared(one, told, math.nan if told is None else self._form.value_of(told))
 
     def _await_heartbeat(self) -> None:
-        t, start_s = self._link.telemetry, self._clock.now_s()
+        t, start_s, said = self._link.telemetry, self._clock.now_s(), False
         while t.system == 0:
-            if self._turn() - start_s > HEARTBEAT_S:
+            waited_s = self._turn() - start_s
+            if waited_s > SAID_S and not said:
+                said = True
+                print(f"uav-recon: {self._options.link}: waiting for a heartbeat", file=sys.stderr)
+            if waited_s > HEARTBEAT_S:
                 raise run.Failure(f"{self._options.link}: no autopilot heard within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
         if t.firmware_family != _FAMILY_OF[self._options.autopilot]:
             name = _FAMILIES.get(t.firmware_family, f"MAV_AUTOPILOT {t.firmware_family}")

@@ -217,5 +217,5 @@ def _pose_sigma(words: str) -> tuple[float, float]:
     except ValueError:
         centimetres = degrees = -1.0
     if not (0.0 <= centimetres <= CENTIMETRES and 0.0 <= degrees <= DEGREES):
-        raise UsageError(f"--pose-noise {words}: want CM,DEG, at most {CENTIMETRES:g} and {DEGREES:g}")
+        raise UsageError(f"--pose-noise {words}: want CM,DEG, 0 or more and at most {CENTIMETRES:g} and {DEGREES:g}")
     return centimetres * 0.01, math.radians(degrees)
