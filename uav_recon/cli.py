@@ -17,7 +17,7 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Put a drone on the floor of an unknown room; get back a watertight, coloured, metric model of it.\n\n"
+    help="Put a drone on the floor of an unknown room; get back a coloured, metric model of it.\n\n"
     "Try `uav-recon sim` first: it flies a whole mission in a built-in room on this machine.",
 )
 
@@ -41,7 +41,9 @@ JsonOption = Annotated[
 def sim(
     scene: Annotated[
         str | None,
-        typer.Option(help="Folder with scene.json, or a .ply/.obj/.glb mesh in metres, z up. Default: the built-in room."),
+        typer.Option(
+            help="Folder with scene.json, .ply/.obj/.glb/.stl mesh in metres, z up, or random:SEED. Default: the built-in room."
+        ),
     ] = None,
     start: Annotated[
         str | None,
@@ -88,7 +90,7 @@ def sim(
         ),
     ] = "agreement",
     radius: Annotated[
-        float, typer.Option(help="Radius of the vehicle in metres; distances to obstacles and fence follow.")
+        float, typer.Option(help="Radius of the vehicle in metres, 0.05 to 0.6; distances to obstacles and fence follow.")
     ] = 0.20,
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="One process on a simulated clock: repeatable and fast.")
