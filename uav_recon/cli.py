@@ -35,6 +35,12 @@ FlightArgument = Annotated[Path, typer.Argument(metavar="FLIGHT", readable=False
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", readable=False, help="Write everything that was measured.")
 ]
+SceneOption = Annotated[
+    str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
+]
+PoseNoiseOption = Annotated[
+    str, typer.Option(metavar="CM,DEG", help="Standard deviation, each axis, of the poses that the mapper is told.")
+]
 
 
 @app.command()
@@ -243,9 +249,7 @@ def bench_planner(
 
 @bench.command("tasks")
 def bench_tasks(
-    flight: Annotated[
-        Path, typer.Argument(metavar="FLIGHT", readable=False, help="Folder of a flight with the neural mapper.")
-    ],
+    flight: FlightArgument,
     json: JsonOption = None,
 ) -> None:
     """What it costs to find views of the learned surface, along a flight that was flown; all on one thread."""
@@ -256,9 +260,7 @@ def bench_tasks(
 
 @bench.command("mapper")
 def bench_mapper(
-    scene: Annotated[
-        str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
-    ] = None,
+    scene: SceneOption = None,
     views: Annotated[int, typer.Option(help="How many views, from random places that the vehicle can reach.")] = 80,
     camera: Annotated[
         str, typer.Option(help="d435i (colour narrower than depth) or wide (one registered RGB-D camera).")
@@ -267,9 +269,7 @@ def bench_mapper(
     mount: Annotated[str, typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount; a gimbal looks at random tilts.")] = (
         "fixed:15"
     ),
-    pose_noise: Annotated[
-        str, typer.Option(metavar="CM,DEG", help="Standard deviation, each axis, of the poses that the mapper is told.")
-    ] = "0,0",
+    pose_noise: PoseNoiseOption = "0,0",
     exposure: Annotated[
         float, typer.Option(metavar="EV", help="Random exposure of each picture, uniform in ± this, of linear light.")
     ] = 0.0,
@@ -299,9 +299,7 @@ def bench_mapper(
 
 @bench.command("endurance")
 def bench_endurance(
-    scene: Annotated[
-        str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
-    ] = None,
+    scene: SceneOption = None,
     hours: Annotated[float, typer.Option(help="So long the mapper is given keyframes, as fast as it takes them.")] = 2.0,
     period_s: Annotated[float, typer.Option("--period-s", help="Seconds between two keyframes of that time.")] = 1.5,
     views: Annotated[int, typer.Option(help="How many different views there are; they come again and again.")] = 160,
@@ -344,18 +342,14 @@ def bench_setpoints(
 
 @bench.command("uncertainty")
 def bench_uncertainty(
-    scene: Annotated[
-        str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
-    ] = None,
+    scene: SceneOption = None,
     after: Annotated[
         str, typer.Option(metavar="N,N,...", help="Views after which the unfinished map is asked, with commas between.")
     ] = "20,30",
     camera: Annotated[str, typer.Option(help="d435i or wide, as `bench mapper` has them.")] = "d435i",
     depth_noise: Annotated[str, typer.Option(help="d435i, paper, kinect or none.")] = "d435i",
     mount: Annotated[str, typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount.")] = "fixed:15",
-    pose_noise: Annotated[
-        str, typer.Option(metavar="CM,DEG", help="Standard deviation, each axis, of the poses that the mapper is told.")
-    ] = "0,0",
+    pose_noise: PoseNoiseOption = "0,0",
     steps_per_view: Annotated[int, typer.Option(help="Training steps after each view.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of places, noise and learning.")] = 0,
     json: JsonOption = None,
