@@ -90,3 +90,25 @@ def test_what_is_there_stays_as_it_is(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "b", "held.json"]
     with pytest.raises(UsageError, match="no such folder"):
         need_file("--json", tmp_path / "c" / "x.json")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "bench mapper --views 1",
+        "bench mapper --mount foo",
+        "bench mapper --camera fast",
+        "bench endurance --hours 0",
+        "bench uncertainty --after x",
+        "bench setpoints --minutes 0",
+        "bench setpoints --autopilot inav",
+        "bench tasks /nowhere",
+        "bench planner --stride 0",
+        "review /nowhere",
+        "refine /nowhere",
+        "sweep --mount foo",
+        "faults --only Z9",
+    ],
+)
+def test_a_bad_option_has_the_same_exit_code_everywhere(words: str) -> None:
+    assert says(*words.split())[0] == 2
