@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import json
-import multiprocessing
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sitl.crew import crew
 from sitl.faults.injector import Needs
 from sitl.faults.page import write_page
 from sitl.faults.result import Result, result_of
@@ -23,6 +23,7 @@ from sitl.fly_case import one_thread
 from sitl.fly_fault import FaultCase, FaultRecord, Stage, fly
 from sitl.fly_options import AUTOPILOTS, UsageError, check_jobs, check_program
 from uav_recon import run
+from uav_recon.usage import looked_at, need_file, need_folder
 
 BOTH = "both"
 FIRMWARE_OFFERS = {"px4": Needs.PROCESSES | Needs.LINE, "ardupilot": Needs.PROCESSES | Needs.LINE | Needs.STICKS}
@@ -54,7 +55,9 @@ class FaultOptions:
         unknown = [name for name in names or () if name not in NAMED]
         if unknown:
             there_are = f"{', '.join(row.id for row in (*TABLE, *SOAKS))}, and pairs as {PAIRS[0].id}"
-            raise UsageError(f"--only {only}: no row {', '.join(unknown)}; there are {there_are}")
+            raise UsageError(
+                f"--only {only}: no row {', '.join(name or repr(name) for name in unknown)}; there are {there_are}"
+            )
         if autopilot not in (*AUTOPILOTS, BOTH):
             raise UsageError(f"--autopilot {autopilot}: want one of {', '.join((*AUTOPILOTS, BOTH))}")
         if firmware is not None:
@@ -108,9 +111,12 @@ def faults(options: FaultOptions) -> int:
     """Fly them; returns 1 if any row failed, else 0. Raises run.Failure."""
     console, results = Console(), list[Result]()
     groups = options.groups()
-    taken = [case.out for group in groups for case in group if case.out is not None and case.out.exists()]
+    with looked_at(f"--out {options.out}"):
+        taken = [case.out for group in groups for case in group if case.out is not None and case.out.exists()]
     if taken:
         raise UsageError(f"--out {options.out}: holds flights already, {taken[0].name} for one")
+    need_file("--json", options.json)
+    need_folder("--out", options.out)
     one_thread()
     with contextlib.closing(_fly_all(groups, options.jobs, console)) as records:
         for result in _results(options, records):
@@ -122,6 +128,8 @@ def faults(options: FaultOptions) -> int:
     for said in sorted({r.firmware for r in flown if r.firmware}):
         console.print(f"firmware: {options.autopilots[0]} {said}", markup=False, highlight=False)
     console.print(f"{len(flown)} rows flown, {len(bad)} failed, {len(results) - len(flown)} not flown here")
+    if not flown:
+        raise UsageError("nothing was flown: none of these rows can be flown here")
     return 1 if bad else 0
 
 
@@ -136,10 +144,10 @@ def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Gene
     )
     with (
         Progress(*columns, console=console, disable=not console.is_terminal) as progress,
-        ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool,
+        crew(jobs) as hands,
     ):
         task = progress.add_task("", total=sum(map(len, groups)))
-        for future in as_completed([pool.submit(fly, group) for group in groups]):
+        for future in as_completed([hands.submit(fly, group) for group in groups]):
             for record in future.result():
                 if record.trace and record.case.out is not None:
                     record.case.out.mkdir(parents=True, exist_ok=True)

@@ -15,6 +15,9 @@ from sitl.fly_world import WorldOptions
 from sitl.scene import HULL_HEIGHT_M, Scene
 from uav_recon import run
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
+from uav_recon.usage import UsageError, looked_at
+
+__all__ = ["SimOptions", "UsageError"]
 
 NOISES = ("d435i", "paper", "kinect", "none")
 CAMERAS = ("d435i", "wide", "fast")
@@ -28,12 +31,6 @@ BLIND_MPS = 1.2  # not asked for: planned motion looks at its views, and four fi
 FENCE_MARGIN_M = 0.10  # between the hull and the fence: what is left of the other when the vehicle strays
 JOB_GB = 0.8  # of a process that flies in lockstep
 NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
-
-
-class UsageError(run.Failure):
-    """An option that makes no sense; exit code 2."""
-
-    code = 2
 
 
 @dataclass(frozen=True)
@@ -94,7 +91,7 @@ class SimOptions:
             fence=None if f is None else (f[0], f[1], f[2], f[3], f[4], f[5]),
             views=views if views is not None else BUILT_IN_VIEWS if scene is None else SCENE_VIEWS,
             seed=seed, out=folder.absolute(), autopilot=autopilot, variant=variant, mount=mount,
-            mount_pitch_down_deg=_mount(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
+            mount_pitch_down_deg=mount_pitch_deg(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
             radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
             firmware=None if firmware is None else firmware.absolute(),
         )  # fmt: skip
@@ -105,7 +102,7 @@ class SimOptions:
             self.out.mkdir(parents=True, exist_ok=True)
             (self.out / "logs").mkdir(exist_ok=True)
         except OSError as error:
-            raise run.Failure(f"--out {self.out}: cannot be written ({error.strerror})") from None
+            raise UsageError(f"--out {self.out}: cannot be written ({error.strerror})") from None
         if (self.out / "report.json").exists() or (self.out / "timeline.jsonl").exists():
             raise UsageError(f"--out {self.out}: holds a flight already")
 
@@ -186,8 +183,10 @@ def memory_gb() -> float:
 
 def check_program(firmware: Path) -> None:
     """Raises UsageError for a firmware that cannot be started."""
-    if not firmware.is_file():
-        raise UsageError(f"--firmware {firmware}: no such file")
+    with looked_at(f"--firmware {firmware}"):
+        folder, there = firmware.is_dir(), firmware.is_file()
+    if not there:
+        raise UsageError(f"--firmware {firmware}: {'is a folder, want the binary in it' if folder else 'no such file'}")
     if not os.access(firmware, os.X_OK):
         raise UsageError(f"--firmware {firmware}: not executable")
 
@@ -215,7 +214,8 @@ def _numbers(name: str, text: str | None, count: int) -> tuple[float, ...] | Non
     return numbers
 
 
-def _mount(text: str) -> float | None:
+def mount_pitch_deg(text: str) -> float | None:
+    """The tilt of a fixed mount, down is plus; None for a gimbal. Raises UsageError."""
     if text == "gimbal":
         return None
     kind, _, degrees = text.partition(":")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
-import multiprocessing
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,12 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sitl.crew import crew
 from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree, one_thread
-from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs
+from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs, mount_pitch_deg
+from sitl.scene import GENERATED
 from uav_recon import run
+from uav_recon.usage import looked_at, need_file
 
 RANDOM, BUILT_IN = "random", "built-in"  # words for scenes: a new flat with each seed; the room of `sim`
 BAD_SHOWN = 20
@@ -58,7 +60,10 @@ class SweepOptions:
             raise UsageError(f"--variants {variants}: want some of {', '.join(VARIANTS)}")
         if camera not in CAMERAS:
             raise UsageError(f"--camera {camera}: want one of {', '.join(CAMERAS)}")
+        mount_pitch_deg(mount)
         words, jobs = tuple(scenes.split(",")), check_jobs(jobs)
+        for word in words:
+            _check_scene(word)
         return SweepOptions(flights, seed0, words, sizes, names, mount, camera, views, jobs, json, truth)
 
     def cases(self) -> Iterator[Case]:
@@ -70,9 +75,19 @@ class SweepOptions:
             yield Case(scene, seed, radius_m, variant, self.mount, self.camera, self.views)
 
 
+def _check_scene(word: str) -> None:
+    """Raises UsageError unless this is a scene, or may be one."""
+    with looked_at(f"--scenes {word}"):
+        there = Path(word).exists()
+    seed = word.removeprefix(GENERATED) if word.startswith(GENERATED) else ""
+    if not (word in (RANDOM, BUILT_IN) or seed.isdecimal() or (word and there)):
+        raise UsageError(f"--scenes {word}: no such scene; want {RANDOM}, {GENERATED}SEED, {BUILT_IN}, folders, meshes")
+
+
 def sweep(options: SweepOptions) -> int:
     """Fly what the account lacks; returns 1 if any flight touched something or broke, else 0. Raises run.Failure."""
     console = Console()
+    need_file("--json", options.json)
     records = _load(options.json)
     known = {record.case for record in records}
     todo = [case for case in options.cases() if case not in known]
@@ -91,15 +106,15 @@ def sweep(options: SweepOptions) -> int:
 
 def _fly_all(todo: list[Case], truth: bool, jobs: int) -> Iterator[Record]:
     """Records as they come. Where a process died, each flight that was under way is flown again alone: whose fault was it?"""
-    waiting, spawn = list(reversed(todo)), multiprocessing.get_context("spawn")
+    waiting = list(reversed(todo))
     while waiting:
         suspects: list[Case] = []
-        with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+        with crew(jobs) as hands:
             flying: dict[Future[Record], Case] = {}
             while flying or (waiting and not suspects):
                 while waiting and not suspects and len(flying) < jobs:
                     case = waiting.pop()
-                    flying[pool.submit(fly_case, case, truth)] = case
+                    flying[hands.submit(fly_case, case, truth)] = case
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
                     case = flying.pop(future)
                     try:
@@ -114,10 +129,12 @@ def _fly_all(todo: list[Case], truth: bool, jobs: int) -> Iterator[Record]:
 
 
 def _load(path: Path | None) -> list[Record]:
-    if path is None or not path.exists():
+    if path is None:
         return []
     try:
         return [from_tree(tree) for tree in json.loads(path.read_text(encoding="utf-8"))["flights"]]
+    except FileNotFoundError:
+        return []
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise run.Failure(f"--json {path}: not the account of a sweep ({error})", run.EXIT_USAGE) from None
 

@@ -20,13 +20,18 @@ def leashed(command: list[str]) -> list[str]:
 
 
 def main(parent: int, command: list[str]) -> None:
-    """Put on the leash, see that somebody holds it, and become the command. Raises OSError if either cannot be."""
+    """Put on the leash, and become the command. Raises OSError if either cannot be."""
+    put_on(parent)
+    os.execvp(command[0], command)  # noqa: S606 - our own programs
+
+
+def put_on(parent: int) -> None:
+    """From here on this process ends with its parent; now, if that is another one already. Raises OSError if it cannot be."""
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
     if os.getppid() != parent:  # it went before the leash was on
         sys.exit(1)
-    os.execvp(command[0], command)  # noqa: S606 - our own programs
 
 
 if __name__ == "__main__":

@@ -135,17 +135,21 @@ def _text(values: NDArray[Any]) -> str:
 def _generated(path: str, fine: bool) -> tuple[str, Mesh, Numbers]:
     words = path.removeprefix(GENERATED)
     if not words.isdecimal():
-        raise SceneError(f"{path}: want {GENERATED}SEED with a whole number")
+        raise SceneError(f"{path}: want {GENERATED}SEED with a whole number, 0 or more")
     mesh, start = generated_room(int(words), fine)
     return f"random-{int(words)}", mesh, start
 
 
 def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:
-    if not path.exists():
+    try:
+        there, folder = path.exists(), path.is_dir()
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
+    if not there:
         raise SceneError(f"{path}: no such scene")
     start: Numbers | None = None
     name, file = path.stem, path
-    if path.is_dir():
+    if folder:
         description = path / "scene.json"
         try:
             entry = json.loads(description.read_text())
@@ -155,8 +159,12 @@ def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:
                 start = (float(s["x"]), float(s["y"]), float(s["z"]), math.degrees(float(s["yaw"])))
         except OSError as error:
             raise SceneError(f"{description}: cannot be read ({error.strerror})") from None
-        except (ValueError, KeyError, TypeError) as error:
-            raise SceneError(f"{description}: not a scene description ({type(error).__name__}: {error})") from None
+        except ValueError as error:
+            raise SceneError(f"{description}: not a scene description ({error})") from None
+        except (KeyError, TypeError):
+            raise SceneError(
+                f"{description}: not a scene description (want name, file and a start with x, y, z, yaw)"
+            ) from None
     try:
         return name, read_mesh(file), start
     except MeshError as error:

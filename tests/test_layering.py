@@ -25,7 +25,7 @@ ALLOWED = {
     "evaluation": {"types", "geometry", "evaluation"},
     "notify": set(),
 }
-ROOTS = {"run", "run_desk", "processes", "refine", "params", "bench"} | {
+ROOTS = {"run", "run_desk", "processes", "refine", "params", "bench", "usage"} | {
     "cli",
     "cli_exit",
     "cli_faults",
@@ -36,14 +36,15 @@ ROOT_IMPORTS = {
     "cli": {"run", "processes", "refine", "bench", "cli_exit", "cli_faults", "cli_params", "cli_operator"},
     "cli_operator": {"run", "run_desk", "cli_exit", "operator"},
     "run_desk": {*ALLOWED, "run"},
-    "processes": {*ALLOWED, "run", "run_desk"},
+    "usage": {"run"},
+    "processes": {*ALLOWED, "run", "run_desk", "usage"},
     "cli_exit": {"run"},
     "cli_params": {"params", "cli_exit"},
     "cli_faults": {"cli_exit"},
-    "params": {*ALLOWED, "run"},
+    "params": {*ALLOWED, "run", "usage"},
     "run": set(ALLOWED),
-    "refine": {*ALLOWED, "run", "processes"},
-    "bench": {*ALLOWED, "run", "processes", "bench"},
+    "refine": {*ALLOWED, "run", "processes", "usage"},
+    "bench": {*ALLOWED, "run", "processes", "bench", "usage"},
 }
 HEAVY = {
     "torch": {"uav_recon/mapping/neural/tensor"},

@@ -180,12 +180,13 @@ def test_a_fraction_does_not_go_where_the_vehicle_has_an_integer() -> None:
     assert caught.value.code == 78
 
 
-def test_silence_and_the_wrong_firmware_are_one_line() -> None:
+def test_silence_and_the_wrong_firmware_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     silent = Bench("px4")
     silent.mute = True
     with pytest.raises(run.Failure, match="no autopilot heard within 10 s") as caught:
         silent.vehicle()
     assert caught.value.code == 69
+    assert capsys.readouterr().err == "uav-recon: memory: waiting for a heartbeat\n"
     other = Bench("ardupilot")
     other.options = ParamsOptions("px4", "memory", None)
     with pytest.raises(run.Failure, match="--autopilot px4: the vehicle is ArduPilot") as caught:

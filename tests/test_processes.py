@@ -131,7 +131,8 @@ def say(word: str, config: Path) -> subprocess.CompletedProcess[str]:
 def test_an_operator_is_told_how_it_stands_and_what_is_missing(pilot: subprocess.Popen[str], config: Path) -> None:
     told = say("status", config)
     assert told.returncode == 0, told.stderr
-    assert told.stdout.splitlines()[:2] == ["pilot     connecting", "mission   silent"]
+    lines = told.stdout.splitlines()
+    assert lines[:5] == ["pilot     connecting", "mission   silent", "mode      -", "battery   -", "position  -"]
     assert json.loads(say("status --json", config).stdout)["pilot"] == "connecting"
     for word, why in (
         ("start", "not ready: no heartbeat from the autopilot"),
@@ -181,3 +182,79 @@ def test_after_a_kill_the_next_pilot_finds_its_place_free(pilot: subprocess.Pope
     again.terminate()
     assert again.communicate(timeout=20) == ("", "")
     assert not (folder / "operator.socket").exists()
+
+
+def perception_of(source: str, config: Path) -> subprocess.Popen[str]:
+    tree = configuration.load(config).model_dump(mode="json", exclude_none=True)
+    tree["camera"]["source"] = source
+    configuration.save(configuration.parse(tree, "test"), config)
+    return start("perception", config)
+
+
+def test_perception_says_what_it_waits_for_and_ends_on_sigterm_meanwhile(config: Path) -> None:
+    process = perception_of("stream", config)
+    assert process.stderr is not None
+    said = process.stderr.readline()
+    assert "waiting for a camera stream" in said
+    assert str(config.parent / "run" / "camera.stream") in said
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert len(said.splitlines()) == 1, said
+    assert "ended while waiting" in said
+
+
+def test_a_stream_file_of_another_kind_is_told_at_once(config: Path) -> None:
+    (config.parent / "run").mkdir()
+    (config.parent / "run" / "camera.stream").write_bytes(b"x" * 5000)
+    process = perception_of("stream", config)
+    assert process.stderr is not None
+    assert "not a camera stream" in process.stderr.readline()
+    process.terminate()
+    process.communicate(timeout=20)
+
+
+def test_a_missing_camera_is_told_before_anything_is_waited_for(config: Path) -> None:
+    process = perception_of("realsense", config)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert len(said.splitlines()) == 1, said
+    assert "is not connected" in said
+
+
+def test_a_lock_that_cannot_be_one_is_a_fault_of_the_place(config: Path) -> None:
+    (config.parent / "run" / "pilot.lock").mkdir(parents=True)
+    process = start("pilot", config)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 78
+    assert said == f"uav-recon: {config.parent / 'run' / 'pilot.lock'}: cannot be opened (Is a directory)\n"
+
+
+@pytest.mark.parametrize("word", ["status", "land"])
+@pytest.mark.parametrize(
+    "answer",
+    [
+        {"ok": True},
+        {"ok": True, "said": 3},
+        {"ok": False},
+        {"ok": True, "said": "", "status": {"pilot": "ready", "colour": "red"}},
+        {"ok": True, "said": "", "status": {"pilot": "ready"}},
+        {"ok": True, "said": "", "status": {"pilot": "ready", "mission": "silent", "battery": "much"}},
+        {"ok": True, "said": "", "status": [1]},
+    ],
+)
+def test_a_socket_of_somebody_else_is_told(word: str, answer: dict[str, object], tmp_path: Path) -> None:
+    if word == "land" and "status" in answer:
+        return  # it asks for no status
+    path = tmp_path / "socket"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as desk:
+        desk.bind(str(path))
+        desk.listen(1)
+        command = [sys.executable, "-m", "uav_recon.cli", word, "--socket", str(path)]
+        caller = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        connection, _ = desk.accept()
+        with connection:
+            connection.recv(100)
+            connection.sendall(json.dumps(answer).encode() + b"\n")
+            said = caller.communicate(timeout=30)
+    assert (caller.returncode, *said) == (69, "", f"uav-recon: {path}: whoever answers there is not the pilot\n")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from uav_recon import processes
-from uav_recon.cli_exit import exit_with
+from uav_recon.cli_exit import end, exit_with
 from uav_recon.cli_faults import faults
 from uav_recon.cli_operator import register
 from uav_recon.cli_params import params
@@ -17,7 +17,7 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Put a drone on the floor of an unknown room; get back a watertight, coloured, metric model of it.\n\n"
+    help="Put a drone on the floor of an unknown room; get back a coloured, metric model of it.\n\n"
     "Try `uav-recon sim` first: it flies a whole mission in a built-in room on this machine.",
 )
 
@@ -26,9 +26,20 @@ app.add_typer(bench, name="bench")
 app.add_typer(params, name="params")
 register(app)
 
-ConfigOption = Annotated[Path, typer.Option("--config", help="TOML config; see systemd/config.toml for every key.")]
+# who opens a path judges it, in one line and with the exit code that it has: readable=False
+ConfigOption = Annotated[Path, typer.Option("--config", readable=False, help="TOML config; uav_recon/config.py has every key.")]
 FlightOption = Annotated[
-    Path | None, typer.Option("--flight", help="Flight folder; default: a dated one below recording.folder.")
+    Path | None, typer.Option("--flight", readable=False, help="Flight folder; default: a dated one below recording.folder.")
+]
+FlightArgument = Annotated[Path, typer.Argument(metavar="FLIGHT", readable=False, help="A flight folder.")]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", readable=False, help="Write everything that was measured.")
+]
+SceneOption = Annotated[
+    str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
+]
+PoseNoiseOption = Annotated[
+    str, typer.Option(metavar="CM,DEG", help="Standard deviation, each axis, of the poses that the mapper is told.")
 ]
 
 
@@ -36,7 +47,9 @@ FlightOption = Annotated[
 def sim(
     scene: Annotated[
         str | None,
-        typer.Option(help="Folder with scene.json, or a .ply/.obj/.glb mesh in metres, z up. Default: the built-in room."),
+        typer.Option(
+            help="Folder with scene.json, .ply/.obj/.glb/.stl mesh in metres, z up, or random:SEED. Default: the built-in room."
+        ),
     ] = None,
     start: Annotated[
         str | None,
@@ -53,7 +66,7 @@ def sim(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of wind, noise and learning; one seed, one lockstep flight.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Flight folder. Default: flights/SCENE-DATE.")] = None,
+    out: Annotated[Path | None, typer.Option(readable=False, help="Flight folder. Default: flights/SCENE-DATE.")] = None,
     autopilot: Annotated[str, typer.Option(help="Firmware personality: px4 or ardupilot.")] = "px4",
     variant: Annotated[
         str,
@@ -83,7 +96,7 @@ def sim(
         ),
     ] = "agreement",
     radius: Annotated[
-        float, typer.Option(help="Radius of the vehicle in metres; distances to obstacles and fence follow.")
+        float, typer.Option(help="Radius of the vehicle in metres, 0.05 to 0.6; distances to obstacles and fence follow.")
     ] = 0.20,
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="One process on a simulated clock: repeatable and fast.")
@@ -93,8 +106,9 @@ def sim(
     firmware: Annotated[
         Path | None,
         typer.Option(
+            readable=False,
             help="A real firmware's simulation binary in the simulated autopilot's place: ArduCopter SITL, or bin/px4 of a "
-            "build with SIH. Its vehicle flies in its own physics, and the camera follows."
+            "build with SIH. Its vehicle flies in its own physics, and the camera follows.",
         ),
     ] = None,
 ) -> None:
@@ -130,7 +144,7 @@ def sweep(
     views: Annotated[int | None, typer.Option(min=4, max=5000, help="View budget. Default: as `sim`.")] = None,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; one core each.")] = 2,
     json: Annotated[
-        Path | None, typer.Option(help="Account to write, and to go on with: what it holds is not flown again.")
+        Path | None, typer.Option(readable=False, help="Account to write, and to go on with: what it holds is not flown again.")
     ] = None,
     truth: Annotated[
         bool, typer.Option("--truth", help="Measure explored fraction and recall too: up to a minute for each new scene.")
@@ -182,14 +196,14 @@ def record(config: ConfigOption = Path("/etc/uav_recon/config.toml"), flight: Fl
 
 
 @app.command()
-def review(flight: Annotated[Path, typer.Argument(help="A flight folder.")]) -> None:
+def review(flight: FlightArgument) -> None:
     """Open a flight in the rerun viewer: map, path, model, camera and figures on one timeline."""
     exit_with(lambda: processes.review(flight))
 
 
 @app.command()
 def refine(
-    flight: Annotated[Path, typer.Argument(help="A flight folder.")],
+    flight: FlightArgument,
     steps: Annotated[int, typer.Option(help="Training steps, 1 to 1000000.")] = 8000,
     voxel: Annotated[float, typer.Option(help="Edge of the mesh's triangles in metres, 0.005 to 0.05.")] = 0.01,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda; auto takes every GPU there is.")] = "auto",
@@ -213,12 +227,19 @@ def refine(
 def bench_planner(
     stream: Annotated[
         Path | None,
-        typer.Option(help="Folder of a recorded stream: meta.json, poses.npy, depth_WxH.npz. Default: a built-in building."),
+        typer.Option(
+            readable=False,
+            help="Folder of a recorded stream: meta.json, poses.npy, depth_WxH.npz. Default: a built-in building.",
+        ),
     ] = None,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Which of the stream's image sizes.")] = "640x480",
-    stride: Annotated[int, typer.Option(help="Every so many pixels of a row and of a column, 1 to 8.")] = 2,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Which of the stream's image sizes. Default: 640x480.")
+    ] = None,
+    stride: Annotated[
+        int | None, typer.Option(help="Every so many of the stream's pixels, across and down, 1 to 8. Default: 2.")
+    ] = None,
     scale: Annotated[bool, typer.Option("--scale", help="Growth: the same building once, ten and a hundred times.")] = False,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """What a frame costs from fusion to tour, and how good the answers are; all on one thread."""
     from uav_recon.bench import planner as bench_of_planner
@@ -228,8 +249,8 @@ def bench_planner(
 
 @bench.command("tasks")
 def bench_tasks(
-    flight: Annotated[Path, typer.Argument(metavar="FLIGHT", help="Folder of a flight with the neural mapper.")],
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+    flight: FlightArgument,
+    json: JsonOption = None,
 ) -> None:
     """What it costs to find views of the learned surface, along a flight that was flown; all on one thread."""
     from uav_recon.bench import tasks
@@ -239,9 +260,7 @@ def bench_tasks(
 
 @bench.command("mapper")
 def bench_mapper(
-    scene: Annotated[
-        str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
-    ] = None,
+    scene: SceneOption = None,
     views: Annotated[int, typer.Option(help="How many views, from random places that the vehicle can reach.")] = 80,
     camera: Annotated[
         str, typer.Option(help="d435i (colour narrower than depth) or wide (one registered RGB-D camera).")
@@ -250,16 +269,14 @@ def bench_mapper(
     mount: Annotated[str, typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount; a gimbal looks at random tilts.")] = (
         "fixed:15"
     ),
-    pose_noise: Annotated[
-        str, typer.Option(metavar="CM,DEG", help="Standard deviation, each axis, of the poses that the mapper is told.")
-    ] = "0,0",
+    pose_noise: PoseNoiseOption = "0,0",
     exposure: Annotated[
         float, typer.Option(metavar="EV", help="Random exposure of each picture, uniform in ± this, of linear light.")
     ] = 0.0,
     steps_per_view: Annotated[int, typer.Option(help="Training steps after each view.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of places, noise and learning; one seed, one result.")] = 0,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """How well, how fast and how honestly the mapper learns a scene; a TSDF at 2 cm on the same frames beside it.
 
@@ -282,9 +299,7 @@ def bench_mapper(
 
 @bench.command("endurance")
 def bench_endurance(
-    scene: Annotated[
-        str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
-    ] = None,
+    scene: SceneOption = None,
     hours: Annotated[float, typer.Option(help="So long the mapper is given keyframes, as fast as it takes them.")] = 2.0,
     period_s: Annotated[float, typer.Option("--period-s", help="Seconds between two keyframes of that time.")] = 1.5,
     views: Annotated[int, typer.Option(help="How many different views there are; they come again and again.")] = 160,
@@ -292,7 +307,7 @@ def bench_endurance(
     depth_noise: Annotated[str, typer.Option(help="d435i, paper, kinect or none.")] = "d435i",
     steps_per_view: Annotated[int, typer.Option(help="Training steps after each view.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of places, noise, order and learning.")] = 0,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Whether memory, disk and time per view stay what they are over hours of keyframes, and accuracy what it was.
 
@@ -314,7 +329,7 @@ def bench_setpoints(
         bool, typer.Option("--negative", help="The control: the pilot as a thread of the load. It must miss the bars.")
     ] = False,
     autopilot: Annotated[str, typer.Option(help="px4 or ardupilot.")] = "px4",
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """How steadily setpoints arrive beside training, four busy threads, a disk that is written, and the recorder.
 
@@ -327,21 +342,17 @@ def bench_setpoints(
 
 @bench.command("uncertainty")
 def bench_uncertainty(
-    scene: Annotated[
-        str | None, typer.Option(help="Scene as `sim` has it: a folder, a mesh, random:SEED. Default: the built-in room.")
-    ] = None,
+    scene: SceneOption = None,
     after: Annotated[
         str, typer.Option(metavar="N,N,...", help="Views after which the unfinished map is asked, with commas between.")
     ] = "20,30",
     camera: Annotated[str, typer.Option(help="d435i or wide, as `bench mapper` has them.")] = "d435i",
     depth_noise: Annotated[str, typer.Option(help="d435i, paper, kinect or none.")] = "d435i",
     mount: Annotated[str, typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount.")] = "fixed:15",
-    pose_noise: Annotated[
-        str, typer.Option(metavar="CM,DEG", help="Standard deviation, each axis, of the poses that the mapper is told.")
-    ] = "0,0",
+    pose_noise: PoseNoiseOption = "0,0",
     steps_per_view: Annotated[int, typer.Option(help="Training steps after each view.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of places, noise and learning.")] = 0,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything that was measured.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Which measure of uncertainty ranks true errors: AUSE and Spearman of each, on unfinished maps.
 
@@ -367,7 +378,7 @@ def bench_uncertainty(
 
 def main() -> None:
     """Entry point."""
-    app()
+    end(app)
 
 
 if __name__ == "__main__":

@@ -25,9 +25,9 @@ def faults(
         int, typer.Option("--seed0", min=0, help="First seed; one that missed is flown again with --seeds 1.")
     ] = 0,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; one core each.")] = 2,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write every figure.")] = None,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", readable=False, help="Write every figure.")] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the report faults.html and the flights. Default: keep none.")
+        Path | None, typer.Option(readable=False, help="Folder for the report faults.html and the flights. Default: keep none.")
     ] = None,
     real_time: Annotated[
         bool, typer.Option("--real-time", help="Rows of real processes and signals, one flight at a time, a minute each.")
@@ -36,6 +36,7 @@ def faults(
         Path | None,
         typer.Option(
             metavar="PATH",
+            readable=False,
             help="A real firmware's simulation binary as `sim` has it, in real time; say which with --autopilot. Flies the "
             "rows whose trouble can be had there.",
         ),

@@ -13,8 +13,10 @@ from uav_recon.cli_exit import exit_with
 
 EXIT_NOBODY, FLOWN = 69, Path("/etc/uav_recon/config.toml")
 
-ConfigOption = Annotated[Path, typer.Option("--config", help="What says where the pilot listens.")]
-SocketOption = Annotated[Path | None, typer.Option("--socket", help="Where the pilot listens. Default: as the config says.")]
+ConfigOption = Annotated[Path, typer.Option("--config", readable=False, help="What says where the pilot listens.")]
+SocketOption = Annotated[
+    Path | None, typer.Option("--socket", readable=False, help="Where the pilot listens. Default: as the config says.")
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -55,7 +57,7 @@ def status(
 def _order(word: str, config: Path, socket: Path | None) -> int:
     answer = _call(word, config, socket)
     if not answer["ok"]:
-        raise run.Failure(f"{word} refused: {answer.get('said', '')}")
+        raise run.Failure(f"{word} refused: {answer['said']}")
     print(answer["said"])
     return 0
 
@@ -65,8 +67,8 @@ def _status(config: Path, socket: Path | None, as_json: bool) -> int:
 
     answer = _call("status", config, socket)
     if not answer["ok"]:
-        raise run.Failure(f"status refused: {answer.get('said', '')}")
-    print(text.dumps(answer["status"]) if as_json else "\n".join(Status(**answer["status"]).lines()))
+        raise run.Failure(f"status refused: {answer['said']}")
+    print(text.dumps(answer["status"]) if as_json else "\n".join(Status.told(answer["status"]).lines()))
     return 0
 
 

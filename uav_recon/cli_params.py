@@ -13,12 +13,15 @@ from uav_recon.cli_exit import exit_with
 params = typer.Typer(no_args_is_help=True, help="The vehicle's parameters: read back, compared with a file, written.")
 
 ConfigOption = Annotated[
-    Path, typer.Option("--config", help="What says autopilot, link and file, where they are not given here.")
+    Path, typer.Option("--config", readable=False, help="What says autopilot, link and file, where they are not given here.")
 ]
 AutopilotOption = Annotated[str | None, typer.Option(help="Firmware personality: px4 or ardupilot.")]
 LinkOption = Annotated[str | None, typer.Option(help="udp:HOST:PORT (listens there) or serial:DEVICE:BAUD.")]
 FileOption = Annotated[
-    Path | None, typer.Option(help=".params of QGroundControl, .param of Mission Planner. Default: that of firmware_params/.")
+    Path | None,
+    typer.Option(
+        readable=False, help=".params of QGroundControl, .param of Mission Planner. Default: that of firmware_params/."
+    ),
 ]
 FLOWN = Path("/etc/uav_recon/config.toml")
 

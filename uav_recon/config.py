@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from uav_recon import relations
+from uav_recon.types.address import link_address
 from uav_recon.types.polygon import Polygon
 
 if sys.version_info >= (3, 11):
@@ -23,11 +24,12 @@ else:
 
 Coordinate = Annotated[float, Field(ge=-500.0, le=500.0)]  # m
 Vec3 = tuple[Coordinate, Coordinate, Coordinate]
-LinkUrl = Annotated[str, Field(pattern=r"^(udp|serial):.+:\d+$")]
+LinkUrl = Annotated[str, AfterValidator(link_address)]
 Host = Annotated[str, Field(pattern=r"^\d{1,3}(\.\d{1,3}){3}$")]
 VariantName = Literal["adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp"]
 UncertaintyName = Literal["agreement", "paper", "colour", "information", "product"]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+PLAINLY = {"extra_forbidden": "unknown key", "string_pattern_mismatch": "want four numbers with dots between them"}
 
 
 class ConfigError(Exception):
@@ -295,7 +297,7 @@ def parse(tree: dict[str, Any], source: str) -> Config:
         where = ".".join(str(part) for part in first["loc"])
         value = first.get("input")
         shown = "" if isinstance(value, dict) or value is None else f" (got {value!r})"
-        fault = first["msg"].removeprefix("Value error, ")
+        fault = PLAINLY.get(first["type"], first["msg"].removeprefix("Value error, "))
         raise ConfigError(f"{source}: {where}{where and ': '}{fault[0].lower()}{fault[1:]}{shown}") from None
 
 

@@ -24,11 +24,12 @@ from uav_recon.autopilot.transport import LinkError, open_link
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import LinkConfig
 from uav_recon.protocols import ByteLink, Clock
+from uav_recon.usage import looked_at
 
 T = TypeVar("T")
 
 EXIT_DIFFERENT, EXIT_SILENT = 1, 69
-HEARTBEAT_S, FRESH_S, TURN_S = 10.0, 3.0, 0.02
+HEARTBEAT_S, SAID_S, FRESH_S, TURN_S = 10.0, 1.5, 3.0, 0.02
 WRITE_TRIES = 3  # for one parameter
 _HEARTBEAT = 0  # message id
 _IN_USE = re.compile("in use|busy", re.IGNORECASE)
@@ -54,7 +55,9 @@ class ParamsOptions:
             raise run.Failure(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", run.EXIT_CONFIG)
         if autopilot is not None and link is not None:
             return ParamsOptions(autopilot, link, file)
-        if not config.exists():
+        with looked_at(str(config), run.EXIT_CONFIG):
+            there = config.exists()
+        if not there:
             raise run.Failure(
                 f"give --autopilot and --link, or a --config that says them ({config} is not there)", run.EXIT_CONFIG
             )
@@ -126,9 +129,13 @@ class Vehicle:
         return Compared(one, told, math.nan if told is None else self._form.value_of(told))
 
     def _await_heartbeat(self) -> None:
-        t, start_s = self._link.telemetry, self._clock.now_s()
+        t, start_s, said = self._link.telemetry, self._clock.now_s(), False
         while t.system == 0:
-            if self._turn() - start_s > HEARTBEAT_S:
+            waited_s = self._turn() - start_s
+            if waited_s > SAID_S and not said:
+                said = True
+                print(f"uav-recon: {self._options.link}: waiting for a heartbeat", file=sys.stderr)
+            if waited_s > HEARTBEAT_S:
                 raise run.Failure(f"{self._options.link}: no autopilot heard within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
         if t.firmware_family != _FAMILY_OF[self._options.autopilot]:
             name = _FAMILIES.get(t.firmware_family, f"MAV_AUTOPILOT {t.firmware_family}")
@@ -217,9 +224,6 @@ def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
         raise run.Failure(f"{error}{held}", run.EXIT_CONFIG) from None
     try:
         return work(Vehicle(link, options, clock, gate))
-    except KeyboardInterrupt:
-        print(file=sys.stderr)
-        raise run.Failure("interrupted", 130) from None
     finally:
         link.close()
         gate.close()

@@ -20,6 +20,7 @@ from uav_recon import config as configuration
 from uav_recon import notify, run, run_desk
 from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
 from uav_recon.config import Config
+from uav_recon.usage import UsageError, looked_at
 
 PERCEPTION_RATE_HZ = 100.0
 MISSION_RATE_HZ = 30.0
@@ -61,9 +62,12 @@ def claim(name: str, config: Config) -> None:
 
 def claim_file(path: Path, otherwise: str) -> int:
     """Hold a lock file until this process ends, or closes what comes back. Raises Failure with exit code 75 and these words
-    if another holds it.
+    if another holds it, with 78 if it cannot be one.
     """
-    lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    try:
+        lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise run.Failure(f"{path}: cannot be opened ({error.strerror})", run.EXIT_CONFIG) from None
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -108,7 +112,7 @@ def perception(config_path: Path) -> int:
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires = run.file_wires(config.runtime.folder)
     claim("perception", config)
-    the_perception = run.make_perception(config, wires, clock)
+    the_perception = run.make_perception(config, wires, clock, lambda: stop.asked)
     notify.ready()
     _loop(the_perception.step, PERCEPTION_RATE_HZ, clock, lambda: stop.asked)
     return 0
@@ -178,10 +182,15 @@ def record(config_path: Path, flight: Path | None) -> int:
 
 
 def review(flight: Path) -> int:
-    """Open a flight in the viewer."""
-    from uav_recon.recording.review import ReviewError
+    """Open a flight in the viewer. Raises Failure, with exit code 2 where there is none to be seen."""
+    from uav_recon.recording.review import ReviewError, recording_path
     from uav_recon.recording.review import review as open_review
 
+    try:
+        with looked_at(str(flight)):
+            recording_path(flight)
+    except ReviewError as error:
+        raise UsageError(str(error)) from None
     try:
         open_review(flight)
     except ReviewError as error:

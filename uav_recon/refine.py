@@ -23,6 +23,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from uav_recon import run
 from uav_recon.processes import Stop, claim_file
 from uav_recon.run import EXIT_USAGE, Failure
+from uav_recon.usage import looked_at
 
 if TYPE_CHECKING:
     from uav_recon.config import Config
@@ -66,9 +67,11 @@ class RefineOptions:
                 raise Failure(
                     f"--processes {self.processes}: want 1 to {most}; each may take {PROCESS_GB:g} GB of memory", EXIT_USAGE
                 )
-        if not self.flight.is_dir():
+        with looked_at(str(self.flight)):
+            folder, views = self.flight.is_dir(), (self.flight / "keyframes" / "poses.json").is_file()
+        if not folder:
             raise Failure(f"{self.flight}: no such flight folder", EXIT_USAGE)
-        if not (self.flight / "keyframes" / "poses.json").is_file():
+        if not views:
             raise Failure(f"{self.flight}: has no keyframes (keyframes/poses.json): not a flight with views", EXIT_USAGE)
         return self
 

@@ -44,7 +44,6 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
 NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more
-SLOW_SHARE = 0.8  # of what the guard lets pass with a degraded pose: what leads over from one motion to the next adds to it
 INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
 RETREAT_M = 0.10  # from the hull, on ways home that no other leads: the vehicle came by there, whatever the map says now
 
@@ -204,13 +203,13 @@ def _envelope(config: Config) -> Envelope:
 # -- perception ---------------------------------------------------------------------------------------------------------
 
 
-def make_perception(config: Config, wires: Wires, clock: Clock) -> Perception:
-    """The loop next to the camera. Raises Failure if there is no camera."""
+def make_perception(config: Config, wires: Wires, clock: Clock, stopped: Callable[[], bool] = lambda: False) -> Perception:
+    """The loop next to the camera. Raises Failure if there is none; with exit code 0 once stopped() while it waits for one."""
     from uav_recon.localization.filter import FusionFilter
     from uav_recon.localization.mount import FixedMount, GimbalMount
     from uav_recon.localization.perception import Perception
 
-    camera, poses = _camera(config, clock)
+    camera, poses = _camera(config, clock, stopped)
     position = np.array(config.camera.position_body_m)
     pitch_rad = math.radians(config.camera.pitch_down_deg)
     mount = (
@@ -223,7 +222,7 @@ def make_perception(config: Config, wires: Wires, clock: Clock) -> Perception:
     return Perception(camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, clock, rate_hz, wait_s)
 
 
-def _camera(config: Config, clock: Clock) -> tuple[Camera, PoseSource]:
+def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[Camera, PoseSource]:
     from uav_recon.sensors.stream import StreamCamera, StreamError, StreamPoses, open_stream
 
     near_m, far_m = config.camera.depth_min_m, config.camera.depth_max_m
@@ -238,18 +237,20 @@ def _camera(config: Config, clock: Clock) -> tuple[Camera, PoseSource]:
             folder = config.camera.recording
             return RecordedCamera(folder, clock, near_m, far_m), RecordedPoses(folder, clock, tilted)
         path = config.runtime.folder / config.camera.stream
-        open_stream(path, clock, CAMERA_WAIT_S)  # poses come through it, whatever the camera
         if config.camera.source == "stream":
+            open_stream(path, clock, CAMERA_WAIT_S, stopped)
             return StreamCamera(path, near_m, far_m), StreamPoses(path)
-        from uav_recon.sensors.realsense import RealSenseCamera
+        from uav_recon.sensors.realsense import RealSenseCamera, need_camera
 
+        need_camera(config.camera.recording)
+        open_stream(path, clock, CAMERA_WAIT_S, stopped)  # poses come through it
         playback, body_from_depth = config.camera.recording, tilted if fixed else None
         return (
             RealSenseCamera(clock, playback=playback, depth_min_m=near_m, depth_max_m=far_m, body_from_depth=body_from_depth),
             StreamPoses(path),
         )
     except StreamError as error:
-        raise Failure(str(error)) from None
+        raise Failure(str(error), 0 if stopped() else EXIT_FAILURE) from None
 
 
 # -- the mission --------------------------------------------------------------------------------------------------------
@@ -308,7 +309,7 @@ def camera_geometry(config: Config) -> CameraGeometry:
 
 def make_motion(config: Config, clearance_m: float) -> Paced:
     """Trajectories inside the guard's fence, slow as long as the guard lets nothing pass that is faster than a retreat."""
-    from uav_recon.motion.paced import Paced
+    from uav_recon.motion.paced import SLOW_SHARE, Paced
     from uav_recon.motion.planner import MotionPlanner
 
     safety = config.safety

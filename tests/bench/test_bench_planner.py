@@ -72,3 +72,10 @@ def test_the_shared_stream_meets_what_does_not_depend_on_the_machine(tmp_path: P
     assert result["path_lengths"]["p95_excess"] <= 0.04
     for tasks in ("10", "20", "30", "50"):
         assert result["tour"][tasks]["gap"] <= 0.002
+
+
+@pytest.mark.parametrize(("option", "value"), [("--size", "foo"), ("--stride", "0"), ("--stride", "99")])
+def test_what_is_of_a_stream_is_refused_without_one(option: str, value: str) -> None:
+    code, out, err = bench(option, value)
+    assert (code, out) == (2, "")
+    assert err == f"uav-recon: {option} {value}: is of a --stream, and none is given\n"

@@ -77,3 +77,11 @@ def test_meta_without_a_room_is_named(tmp_path: Path) -> None:
     (folder / "meta.json").write_text(json.dumps(meta))
     with pytest.raises(Failure, match="room"):
         load(folder, SIZE, 1)
+
+
+def test_meta_without_a_size_is_told(tmp_path: Path) -> None:
+    folder = write_stream(tmp_path / "s")
+    (folder / "meta.json").write_text("{}")
+    with pytest.raises(Failure, match=r"meta\.json: names no image size") as raised:
+        load(folder, SIZE, 1)
+    assert raised.value.code == 2

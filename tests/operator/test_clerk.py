@@ -160,3 +160,12 @@ def test_what_is_not_known_is_a_dash() -> None:
         1.0, Pose.identity(), np.zeros(3), False, "LAND", FlightPhase.LANDED, float("nan"), False, 0.0, -1, 0, ""
     )
     assert Status.of(1.0, battery, None, None, False).battery is None
+
+
+def test_what_nobody_has_told_yet_is_not_known() -> None:
+    at = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
+    silent = VehicleState(0.9, at, np.zeros(3), False, "", FlightPhase.CONNECTING, 0.5, False, float("nan"), -1, 0, "")
+    told = Status.of(1.0, silent, None, None, False)
+    assert (told.mode, told.armed, told.position_m) == (None, None, None)
+    told = Status.of(1.0, silent, StampedPose(0.95, at, np.zeros(3), quality=97), None, False)
+    assert told.position_m == (0.0, 0.0, 0.0)

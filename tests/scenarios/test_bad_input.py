@@ -66,7 +66,7 @@ def test_an_option_out_of_range_names_what_is_allowed(option: str, value: str) -
 
 
 def test_an_output_folder_that_cannot_be_written() -> None:
-    says_one_line(uav_recon("sim", "--out", "/dev/null/flight"), 1, "/dev/null/flight")
+    says_one_line(uav_recon("sim", "--out", "/dev/null/flight"), 2, "/dev/null/flight")
 
 
 def test_a_folder_that_holds_a_flight_is_not_overwritten(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_a_missing_config_is_exit_78(tmp_path: Path) -> None:
 
 
 def test_a_review_of_nothing(tmp_path: Path) -> None:
-    says_one_line(uav_recon("review", str(tmp_path / "none")), 1, "none")
+    says_one_line(uav_recon("review", str(tmp_path / "none")), 2, "none")
 
 
 def test_help_teaches() -> None:

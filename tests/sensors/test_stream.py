@@ -175,6 +175,23 @@ def test_opening_gives_up_in_one_line(path: Path, clock: ManualClock) -> None:
     assert "\n" not in str(error.value)
 
 
+def test_opening_says_once_why_it_waits_and_ends_when_asked(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path.write_bytes(b"x" * 5000)
+    clock = _Appears(path, 1e9)
+    with pytest.raises(StreamError, match=r"camera\.stream: ended while waiting for it"):
+        open_stream(path, clock, 5.0, lambda: clock.now_s() > 11.0)
+    assert clock.now_s() < 11.2
+    assert [record.message for record in caplog.records] == [
+        f"waiting for a camera stream: {path}: not a camera stream (want UAVSTRM1 at its start)"
+    ]
+
+
+def test_a_stream_behind_a_link_is_one_line(path: Path, writer: StreamWriter) -> None:
+    path.with_name("link").symlink_to(path)
+    with pytest.raises(StreamError, match="link: cannot be mapped"):
+        StreamCamera(path.with_name("link"))
+
+
 @pytest.mark.parametrize(
     ("offset", "value", "message"),
     [

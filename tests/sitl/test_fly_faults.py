@@ -94,13 +94,25 @@ def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: 
     )
 
 
+@pytest.mark.parametrize("row", ["B6", "A5", "G9"])
+def test_where_nothing_is_flown_at_all_nothing_has_passed(row: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(UsageError, match="nothing was flown"):
+        faults(FaultOptions.parse(only=row, autopilot="px4", seeds=1))
+    told = capsys.readouterr().out
+    assert row in told
+    assert "not flown: " in told
+
+
 def test_flights_that_are_there_are_not_flown_over(tmp_path: Path) -> None:
     (tmp_path / "A1-px4-0").mkdir()
     with pytest.raises(UsageError, match="holds flights already, A1-px4-0"):
         faults(FaultOptions.parse(only="A1", autopilot="px4", seeds=1, out=tmp_path))
 
 
-@pytest.mark.parametrize(("words", "named"), [({"only": "A1,Z9"}, "Z9"), ({"autopilot": "inav"}, "autopilot")])
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [({"only": "A1,Z9"}, "Z9"), ({"only": "A1,"}, "no row ''"), ({"autopilot": "inav"}, "autopilot")],
+)
 def test_a_word_that_is_unknown_is_told(words: dict[str, str], named: str) -> None:
     with pytest.raises(UsageError, match=named):
         FaultOptions.parse(**words)  # type: ignore[arg-type]
@@ -157,7 +169,8 @@ def test_what_never_came_is_null_and_breaks_the_bar() -> None:
 def test_a_row_that_cannot_be_flown_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert json.dumps(result_of(ROWS["A5"], "px4", []).tree()), "one that has bars, but flies in real time alone"
     options = FaultOptions.parse(only="G7", autopilot="px4", jobs=1, json=tmp_path / "f.json", out=tmp_path / "out")
-    assert faults(options) == 0
+    with pytest.raises(UsageError, match="nothing was flown"):
+        faults(options)
     assert "not flown: T3" in capsys.readouterr().out
     row = json.loads((tmp_path / "f.json").read_text())["rows"][0]
     assert set(row) >= {"id", "tier", "autopilot", "seeds", "passed", "figure", "bar", "unit"}

@@ -56,6 +56,7 @@ def test_a_firmware_that_cannot_be_flown_is_said_so_in_one_line(tmp_path: Path) 
     program.chmod(0o755)
     for words, named in (
         ({"firmware": tmp_path / "none"}, "none: no such file"),
+        ({"firmware": tmp_path}, "is a folder, want the binary"),
         ({"firmware": plain}, "readme: not executable"),
         ({"firmware": program, "lockstep": True}, "real time"),
         ({"firmware": program, "mount": "gimbal"}, "fixed:DEG"),

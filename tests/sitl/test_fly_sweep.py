@@ -44,6 +44,11 @@ def test_flights_go_through_everything_before_the_next_seed() -> None:
         ({"radii": "9"}, "radii"),
         ({"variants": "fast"}, "variants"),
         ({"camera": "d415"}, "camera"),
+        ({"mount": "foo"}, "--mount foo: want fixed:DEG"),
+        ({"scenes": "/nope"}, "--scenes /nope: no such scene; want random, random:SEED, built-in, folders, meshes"),
+        ({"scenes": ""}, "--scenes : no such scene"),
+        ({"scenes": "random,"}, "--scenes : no such scene"),
+        ({"scenes": "random:-1"}, "--scenes random:-1: no such scene"),
     ],
 )
 def test_a_word_out_of_range_is_told(words: dict[str, str], named: str) -> None:
@@ -73,9 +78,10 @@ def test_a_contact_is_bad_and_silence_is_not() -> None:
 
 def test_a_sweep_goes_on_where_its_account_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     account = tmp_path / "sweep.json"
-    options = SweepOptions.parse(flights=2, scenes="/nowhere", jobs=1, json=account)
+    (tmp_path / "empty").mkdir()
+    options = SweepOptions.parse(flights=2, scenes=str(tmp_path / "empty"), jobs=1, json=account)
     assert sweep(options) == 1
-    assert "no such scene" in capsys.readouterr().out
+    assert "scene.json: cannot be read" in capsys.readouterr().out
     held = json.loads(account.read_text())["flights"]
     assert [tree["case"]["seed"] for tree in held] == [0, 1]
     for tree in held:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -190,3 +191,15 @@ def test_shared_scenes_load(name: str) -> None:
     assert scene.name == name
     assert -0.16 < scene.vertices[:, 2].min() < -0.08
     assert len(scene.faces) > 200_000
+
+
+def test_what_is_wrong_with_a_file_is_not_said_in_pythons_words(tmp_path: Path) -> None:
+    (tmp_path / "garb.ply").write_bytes(b"ply\n")
+    (tmp_path / "scene.json").write_text('{"name": "x", "file": "garb.ply", "start": 3}')
+    for scene, words in (
+        (tmp_path / "garb.ply", "garb.ply: cannot be read as a mesh (damaged, or of another kind)"),
+        (tmp_path, "scene.json: not a scene description (want name, file and a start with x, y, z, yaw)"),
+        ("random:-1", "random:-1: want random:SEED with a whole number, 0 or more"),
+    ):
+        with pytest.raises(SceneError, match=re.escape(words)):
+            load_scene(scene)

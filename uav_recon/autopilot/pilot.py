@@ -312,7 +312,7 @@ class Pilot:
                 world_from_body=world_from_body,
                 velocity_world_mps=velocity,
                 armed=t.armed,
-                mode=self._firmware.mode_name(t.custom_mode),
+                mode=self._firmware.mode_name(t.custom_mode) if math.isfinite(t.heartbeat_s) else "",
                 phase=self.phase,
                 battery_fraction=t.battery_at(now_s),
                 human_in_control=self.phase is FlightPhase.YIELDED,

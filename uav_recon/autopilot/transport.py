@@ -13,11 +13,11 @@ from typing import Any
 
 from uav_recon.autopilot.gate import Gate
 from uav_recon.protocols import ByteLink, Clock
+from uav_recon.types.address import BAUDS, EVERYWHERE
 
 PEER_SILENT_S = 3.0  # by then the pilot has given up a flight: only now may the vehicle speak from another address
 _READ_BUDGET = 1 << 16
 _LOOK_AGAIN_S = 0.5
-_BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 921600, 1000000, 1500000, 2000000, 3000000)
 
 
 class LinkError(Exception):
@@ -45,7 +45,7 @@ class UdpLink:
     """
 
     def __init__(self, host: str, port: int, gate: Gate, clock: Clock, peer_host: str | None = None) -> None:
-        if host in ("0.0.0.0", "::", "*", ""):  # noqa: S104  (refused, not used)
+        if host in (*EVERYWHERE, ""):
             raise LinkError(f"link udp:{host}:{port}: name one address; listening on every network would let anybody fly")
         if not 0 < port < 65536:
             raise LinkError(f"link udp:{host}:{port}: a port is 1 to 65535")
@@ -113,8 +113,8 @@ class SerialLink:
 
     def __init__(self, device: str, baud: int, clock: Clock) -> None:
         """Raises LinkError for a line that is not there to begin with, or is none."""
-        if baud not in _BAUDS:
-            raise LinkError(f"link serial:{device}:{baud}: baud must be one of {', '.join(map(str, _BAUDS))}")
+        if baud not in BAUDS:
+            raise LinkError(f"link serial:{device}:{baud}: baud must be one of {', '.join(map(str, BAUDS))}")
         self._device, self._speed, self._clock = device, getattr(termios, f"B{baud}"), clock
         self._pending, self._look_s = bytearray(), -math.inf
         self.dropped_writes = 0

@@ -26,7 +26,7 @@ from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.mapping.neural.process.checkpoint import Checkpoints
 from uav_recon.mapping.neural.trainer import Trainer
 from uav_recon.mapping.neural.views.replay import MOST_VIEWS
-from uav_recon.run import EXIT_USAGE, Failure
+from uav_recon.usage import UsageError
 
 PARTS = 10
 HOURS = (0.01, 10.0)
@@ -64,9 +64,7 @@ class Endurance:
 def bench_endurance(wanted: MapperBench, hours: float, period_s: float) -> int:
     """Measure, print a table, write JSON. Raises Failure in one line for bad input."""
     if not HOURS[0] <= hours <= HOURS[1] or not 0.1 <= period_s <= 60.0:
-        raise Failure(
-            f"--hours {hours:g} --period-s {period_s:g}: want {HOURS[0]:g} to {HOURS[1]:g} h, 0.1 to 60 s", EXIT_USAGE
-        )
+        raise UsageError(f"--hours {hours:g} --period-s {period_s:g}: want {HOURS[0]:g} to {HOURS[1]:g} h, 0.1 to 60 s")
     options, console = wanted.checked(), Console(stderr=True)
     with console.status("loading ...") as status:
         scene = mapper_scene.load(options, lambda what: status.update(f"{what} ..."))

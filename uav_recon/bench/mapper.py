@@ -16,7 +16,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from uav_recon.bench import machine, mapper_baseline, mapper_run, mapper_scene, mapper_tables
 from uav_recon.bench.calibration import calibrate
 from uav_recon.evaluation.surface import Surface
-from uav_recon.run import EXIT_FAILURE, EXIT_USAGE, Failure
+from uav_recon.run import EXIT_FAILURE, Failure
+from uav_recon.usage import UsageError, need_file
 
 PRINTED_WIDTH = 100  # where no terminal says
 VIEWS, STEPS = (4, 2000), (1, 200)
@@ -45,18 +46,17 @@ class MapperBench:
 
     def checked(self) -> mapper_scene.SceneOptions:
         """Raises Failure in one line."""
-        if self.json is not None and not self.json.parent.is_dir():
-            raise Failure(f"--json {self.json}: no such folder {self.json.parent}")
+        need_file("--json", self.json)
         if not VIEWS[0] <= self.views <= VIEWS[1]:
-            raise Failure(f"--views {self.views}: want {VIEWS[0]} to {VIEWS[1]}", EXIT_USAGE)
+            raise UsageError(f"--views {self.views}: want {VIEWS[0]} to {VIEWS[1]}")
         if not STEPS[0] <= self.steps_per_view <= STEPS[1]:
-            raise Failure(f"--steps-per-view {self.steps_per_view}: want {STEPS[0]} to {STEPS[1]}", EXIT_USAGE)
+            raise UsageError(f"--steps-per-view {self.steps_per_view}: want {STEPS[0]} to {STEPS[1]}")
         if not 0.0 <= self.exposure <= MOST_EV:
-            raise Failure(f"--exposure {self.exposure:g}: want 0 to {MOST_EV:g}", EXIT_USAGE)
+            raise UsageError(f"--exposure {self.exposure:g}: want 0 to {MOST_EV:g}")
         if self.device == "cuda":
-            raise Failure("--device cuda: the mapper has no CUDA path yet; want cpu")
+            raise UsageError("--device cuda: the mapper has no CUDA path yet; want cpu")
         if self.device != "cpu":
-            raise Failure(f"--device {self.device}: want cpu or cuda")
+            raise UsageError(f"--device {self.device}: want cpu or cuda")
         return mapper_scene.SceneOptions(
             self.scene, self.views, self.camera, self.depth_noise, self.mount, _pose_sigma(self.pose_noise), self.seed
         )
@@ -217,5 +217,5 @@ def _pose_sigma(words: str) -> tuple[float, float]:
     except ValueError:
         centimetres = degrees = -1.0
     if not (0.0 <= centimetres <= CENTIMETRES and 0.0 <= degrees <= DEGREES):
-        raise Failure(f"--pose-noise {words}: want CM,DEG, at most {CENTIMETRES:g} and {DEGREES:g}", EXIT_USAGE)
+        raise UsageError(f"--pose-noise {words}: want CM,DEG, 0 or more and at most {CENTIMETRES:g} and {DEGREES:g}")
     return centimetres * 0.01, math.radians(degrees)

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from uav_recon.evaluation.surface import Surface
-from uav_recon.run import Failure
 from uav_recon.sensors.stream import depth_table
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.pose import Pose
+from uav_recon.usage import UsageError
 
 if TYPE_CHECKING:
     from sitl.captures import Captures
@@ -86,14 +86,14 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
     from sitl.surface import area_weighted_samples
 
     if options.camera not in CAMERAS:
-        raise Failure(f"--camera {options.camera}: want one of {', '.join(CAMERAS)}")
+        raise UsageError(f"--camera {options.camera}: want one of {', '.join(CAMERAS)}")
     wanted = SimOptions.parse(
         scene=options.scene, seed=options.seed, mount=options.mount, depth_noise=options.depth_noise, camera=options.camera
     )
     try:
         scene = load_scene(wanted.scene)
     except SceneError as error:
-        raise Failure(str(error)) from None
+        raise UsageError(str(error)) from None
     say("cutting truth to what the vehicle could see")
     cut = truth_cut(wanted, scene)
     pitch_deg = wanted.mount_pitch_down_deg

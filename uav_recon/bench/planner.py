@@ -17,12 +17,13 @@ from rich.progress import Progress, TaskID
 from uav_recon.bench import building, growth, machine, pathlengths, tables, tours
 from uav_recon.bench.agreement import agreement
 from uav_recon.bench.calibration import Calibration, calibrate
-from uav_recon.bench.recording import Recording, load
+from uav_recon.bench.recording import SIZE, STRIDE, Recording, load
 from uav_recon.bench.replay import judged_views, mapped_of, timed_plans, timed_stages
 from uav_recon.bench.stages import MOUNTS_RAD, STAGES, warm_up
 from uav_recon.planning.tour import tour
 from uav_recon.run import EXIT_FAILURE, Failure
 from uav_recon.types.maps import UNKNOWN
+from uav_recon.usage import UsageError, need_file
 
 PRINTED_WIDTH = 110  # where no terminal says
 GOOD_VIEW = 0.95  # of what the best random view sees
@@ -31,11 +32,13 @@ Result = dict[str, Any]
 T = TypeVar("T")
 
 
-def bench_planner(stream: Path | None, size: str, stride: int, scale: bool, json_path: Path | None) -> int:
-    """Measure, print tables, write JSON. Raises Failure in one line for bad input."""
-    if json_path is not None and not json_path.parent.is_dir():
-        raise Failure(f"--json {json_path}: no such folder {json_path.parent}")
-    recording = building.fly_through() if stream is None else load(stream, size, stride)
+def bench_planner(stream: Path | None, size: str | None, stride: int | None, scale: bool, json_path: Path | None) -> int:
+    """Measure, print tables, write JSON. size and stride are a stream's. Raises Failure in one line for bad input."""
+    need_file("--json", json_path)
+    for option, value in (("--size", size), ("--stride", stride)):
+        if stream is None and value is not None:
+            raise UsageError(f"{option} {value}: is of a --stream, and none is given")
+    recording = building.fly_through() if stream is None else load(stream, size or SIZE, STRIDE if stride is None else stride)
     began_s = time.perf_counter()
     warm_up(recording)
     compile_s = time.perf_counter() - began_s

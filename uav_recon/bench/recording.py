@@ -16,16 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.run import EXIT_USAGE, Failure
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, ByteArray, FloatArray
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
+from uav_recon.usage import UsageError, looked_at
 
 RESOLUTION_M = 0.1
 # In such a stream a zero is "no return within the range": the recording says that space is free up to it. From a real camera
 # a zero is a hole, and unknown. A depth this many ranges away frees up to the range and marks nothing.
 FAR_RANGES = 4.0
+SIZE, STRIDE = "640x480", 2  # where nothing else is asked for
 MAX_STRIDE = 8
 _NO_COLOUR = np.zeros((1, 1, 3), dtype=np.uint8)
 
@@ -59,25 +60,27 @@ def recorded(depth_m: AnyArray, world_from_camera: Pose, lens: Intrinsics, seque
     return PosedFrame(Frame(stamp_s, sequence, depth_m, lens, _NO_COLOUR, lens, Pose.identity()), world_from_camera)
 
 
-def load(folder: Path, size: str, stride: int) -> Recording:
-    """Read a stream at one of its sizes ('640x480'). Raises Failure in one line for what is wrong."""
-    if not folder.is_dir():
-        raise Failure(
-            f"--stream {folder}: no such folder; want a folder with meta.json, poses.npy and depth_WxH.npz", EXIT_USAGE
-        )
+def load(folder: Path, size: str = SIZE, stride: int = STRIDE) -> Recording:
+    """Read a stream at one of its sizes. Raises UsageError in one line for what is wrong."""
+    with looked_at(f"--stream {folder}"):
+        there = folder.is_dir()
+    if not there:
+        raise UsageError(f"--stream {folder}: no such folder; want a folder with meta.json, poses.npy and depth_WxH.npz")
     if not 1 <= stride <= MAX_STRIDE:
-        raise Failure(f"--stride {stride}: want 1 to {MAX_STRIDE}", EXIT_USAGE)
+        raise UsageError(f"--stride {stride}: want 1 to {MAX_STRIDE}")
     meta = _meta(folder / "meta.json")
     sizes = sorted(key for key in meta if re.fullmatch(r"\d+x\d+", key))
+    if not sizes:
+        raise UsageError(f"{folder / 'meta.json'}: names no image size (a key as {SIZE} with fx, fy, cx, cy)")
     if size not in sizes:
-        raise Failure(f"--size {size}: want one of {', '.join(sizes)}, the sizes of {folder / 'meta.json'}", EXIT_USAGE)
+        raise UsageError(f"--size {size}: want one of {', '.join(sizes)}, the sizes of {folder / 'meta.json'}")
     width, height = map(int, size.split("x"))
     try:
         focal = {key: float(meta[size][key]) for key in ("fx", "fy", "cx", "cy")}
         low_m, high_m = np.array(meta["room"], dtype=np.float64)
         max_range_m = float(meta["max_range_m"])
     except (KeyError, TypeError, ValueError) as error:
-        raise Failure(f"{folder / 'meta.json'}: {error}; want room, max_range_m and {size} with fx, fy, cx, cy") from None
+        raise UsageError(f"{folder / 'meta.json'}: {error}; want room, max_range_m and {size} with fx, fy, cx, cy") from None
     lens = Intrinsics(**focal, width=width, height=height)
     poses = _array(folder / "poses.npy")
     depth_mm = _array(folder / f"depth_{size}.npz", "depth_mm")
@@ -100,11 +103,11 @@ def _meta(path: Path) -> dict[str, Any]:
     try:
         meta = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise Failure(f"{path}: cannot be read ({error.strerror})", EXIT_USAGE) from None
+        raise UsageError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError as error:
-        raise Failure(f"{path}: not JSON: {error}") from None
+        raise UsageError(f"{path}: not JSON: {error}") from None
     if not isinstance(meta, dict):
-        raise Failure(f"{path}: want an object with room, max_range_m and sizes")
+        raise UsageError(f"{path}: want an object with room, max_range_m and sizes")
     return meta
 
 
@@ -114,14 +117,14 @@ def _array(path: Path, key: str | None = None) -> AnyArray:
             loaded = np.load(file, allow_pickle=False)
             return np.asarray(loaded if key is None else loaded[key])
     except OSError as error:
-        raise Failure(f"{path}: cannot be read ({error.strerror or error})", EXIT_USAGE) from None
+        raise UsageError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise Failure(f"{path}: not the array that it should be: {error}") from None
+        raise UsageError(f"{path}: not the array that it should be: {error}") from None
 
 
 def _expect(path: Path, array: AnyArray, shape: tuple[int, ...]) -> None:
     if array.shape != shape:
-        raise Failure(f"{path}: shape {array.shape}, want {shape}")
+        raise UsageError(f"{path}: shape {array.shape}, want {shape}")
 
 
 def _reference(folder: Path, grid: GridSpec) -> ByteArray | None:
@@ -131,7 +134,7 @@ def _reference(folder: Path, grid: GridSpec) -> ByteArray | None:
     try:
         values = np.fromfile(path, dtype=np.int8)
     except OSError as error:
-        raise Failure(f"{path}: cannot be read ({error.strerror})") from None
+        raise UsageError(f"{path}: cannot be read ({error.strerror})") from None
     if values.size != int(np.prod(grid.shape)):
-        raise Failure(f"{path}: {values.size} voxels, want {int(np.prod(grid.shape))} for {grid.shape}")
+        raise UsageError(f"{path}: {values.size} voxels, want {int(np.prod(grid.shape))} for {grid.shape}")
     return values.astype(np.uint8).reshape(grid.shape)

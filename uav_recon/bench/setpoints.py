@@ -27,8 +27,9 @@ from uav_recon.bench.calibration import calibrate
 from uav_recon.bench.mapper import PRINTED_WIDTH, write_json
 from uav_recon.bench.tables import narrow_table
 from uav_recon.config import Config
-from uav_recon.run import EXIT_USAGE, Failure
+from uav_recon.run import Failure
 from uav_recon.types.frames import FloatArray
+from uav_recon.usage import UsageError, need_file
 
 MINUTES = (0.1, 120.0)
 BARS_MS = {"p99": 50.0, "p99.9": 75.0, "max": 250.0}
@@ -71,11 +72,10 @@ def steadiness(arrivals_s: FloatArray, begin_s: float, end_s: float) -> Steadine
 def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path | None) -> int:
     """Measure, print, write JSON; returns 1 if a bar is missed, or if the control keeps them all. Raises Failure."""
     if not MINUTES[0] <= minutes <= MINUTES[1]:
-        raise Failure(f"--minutes {minutes:g}: want {MINUTES[0]:g} to {MINUTES[1]:g}", EXIT_USAGE)
+        raise UsageError(f"--minutes {minutes:g}: want {MINUTES[0]:g} to {MINUTES[1]:g}")
     if autopilot not in AUTOPILOTS:
-        raise Failure(f"--autopilot {autopilot}: want one of {', '.join(AUTOPILOTS)}")
-    if json is not None and not json.parent.is_dir():
-        raise Failure(f"--json {json}: no such folder {json.parent}")
+        raise UsageError(f"--autopilot {autopilot}: want one of {', '.join(AUTOPILOTS)}")
+    need_file("--json", json)
     status = Console(stderr=True)
     with status.status("loading ...") as now:
         measured = measure(minutes * 60.0, negative, autopilot, lambda what: now.update(f"{what} ..."))

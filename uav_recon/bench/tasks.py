@@ -34,6 +34,7 @@ from uav_recon.recording.timelapse import load_states
 from uav_recon.run import Failure
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements
+from uav_recon.usage import UsageError, looked_at, need_file
 
 PRINTED_WIDTH = 100  # where no terminal says
 SEED = 20240321
@@ -44,10 +45,13 @@ Result = dict[str, Any]
 
 def bench_tasks(flight: Path, json_path: Path | None) -> int:
     """Measure, print a table, write JSON. Raises Failure in one line for a folder that is no whole flight."""
-    if json_path is not None and not json_path.parent.is_dir():
-        raise Failure(f"--json {json_path}: no such folder {json_path.parent}")
-    if not flight.is_dir():
-        raise Failure(f"{flight}: no such flight folder")
+    need_file("--json", json_path)
+    with looked_at(str(flight)):
+        folder, flown = flight.is_dir(), (flight / "config.toml").is_file()
+    if not folder:
+        raise UsageError(f"{flight}: no such flight folder")
+    if not flown:
+        raise UsageError(f"{flight}: has no config.toml: not a flight")
     times, tasks, elements = _measure(flight)
     calibration = calibrate()
     result: Result = {
@@ -76,7 +80,7 @@ def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]]
     """Milliseconds and number of tasks of each plan, by phase, and how many elements the last surface has."""
     config, voxels = run.load_config(flight / "config.toml"), load_map(flight)
     if voxels is None:
-        raise Failure(f"{flight}: has no voxels.npz: not a flight that ended")
+        raise UsageError(f"{flight}: has no voxels.npz: not a flight that ended")
     low, high = np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m)
     camera = run.camera_geometry(config)
     planner = derived(config.planner, low, high, camera)
@@ -111,10 +115,10 @@ def _moments(flight: Path) -> Iterator[tuple[tuple[FloatArray, FloatArray, Float
     try:
         keyframes = KeyframeFolder(flight / "keyframes")
     except KeyframeError as error:
-        raise Failure(str(error)) from None
+        raise UsageError(str(error)) from None
     states, random = load_states(flight), np.random.default_rng(SEED)
     if not states or not len(keyframes):
-        raise Failure(f"{flight}: has no states of the surface, or no keyframes: not a flight with a mapper")
+        raise UsageError(f"{flight}: has no states of the surface, or no keyframes: not a flight with a mapper")
     stamps = np.array([keyframes.stamp_s(n) for n in range(len(keyframes))])
     for state in states:
         last = keyframes.load(max(int(np.searchsorted(stamps, state.stamp_s)) - 1, 0))

@@ -15,7 +15,7 @@ from uav_recon.bench.calibration import calibrate
 from uav_recon.bench.mapper import VIEWS, MapperBench, ticking, write_json
 from uav_recon.bench.uncertainty_score import ause, spearman
 from uav_recon.mapping.neural.trainer import Trainer
-from uav_recon.run import EXIT_USAGE, Failure
+from uav_recon.usage import UsageError
 
 PRINTED_WIDTH = 100  # where no terminal says
 RANDOM_SEED = 20240320
@@ -30,7 +30,7 @@ def views_of(words: str) -> tuple[int, ...]:
     except ValueError:
         views = ()
     if not views or not 1 <= views[0] <= views[-1] <= VIEWS[1]:
-        raise Failure(f"--after {words}: want numbers of views with commas between them, 1 to {VIEWS[1]}", EXIT_USAGE)
+        raise UsageError(f"--after {words}: want numbers of views with commas between them, 1 to {VIEWS[1]}")
     return views
 
 

@@ -10,6 +10,8 @@ from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
+SLOW_SHARE = 0.8  # of what is let pass with a degraded pose: what leads over from one motion to the next adds to it
+
 
 class Paced:
     """One of two planners, the usual or a slow one for when less than usual_mps is allowed. What is flown already is braked and

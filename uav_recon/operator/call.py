@@ -7,6 +7,8 @@ import socket
 from pathlib import Path
 from typing import Any
 
+from uav_recon.operator.status import Status
+
 ANSWER_S = 3.0
 _LONGEST_ANSWER = 1 << 16
 
@@ -40,6 +42,17 @@ def call(path: Path, word: str) -> dict[str, Any]:
         answer = json.loads(heard)
     except ValueError:
         raise CallError(f"{path}: the pilot hung up") from None
-    if not isinstance(answer, dict) or not isinstance(answer.get("ok"), bool):
+    if not _is_the_pilots(answer, word):
         raise CallError(f"{path}: whoever answers there is not the pilot")
-    return answer
+    return dict(answer)
+
+
+def _is_the_pilots(answer: Any, word: str) -> bool:
+    if not (isinstance(answer, dict) and isinstance(answer.get("ok"), bool) and isinstance(answer.get("said"), str)):
+        return False
+    try:
+        if word == "status" and answer["ok"]:
+            Status.told(answer.get("status"))
+    except ValueError:
+        return False
+    return True

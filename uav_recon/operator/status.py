@@ -45,14 +45,14 @@ class Status:
         if vehicle is None:
             return Status("starting", "silent")
         x, y, z = (_finite(v, 2) for v in vehicle.world_from_body.translation_m.tolist())
-        told = progress if mission_hears else None
+        told, heard = progress if mission_hears else None, bool(vehicle.mode)
         return Status(
             pilot=vehicle.phase.value,
             mission=told.phase if told is not None else "starting" if mission_hears else "silent",
-            mode=vehicle.mode,
-            armed=vehicle.armed,
+            mode=vehicle.mode if heard else None,
+            armed=vehicle.armed if heard else None,
             battery=_finite(vehicle.battery_fraction, 2),
-            position_m=None if x is None or y is None or z is None else (x, y, z),
+            position_m=None if pose is None or x is None or y is None or z is None else (x, y, z),
             pose_quality=None if pose is None else pose.quality,
             pose_age_s=None if pose is None else _finite(now_s - pose.stamp_s, 2),
             views=None if told is None else told.views,
@@ -62,6 +62,16 @@ class Status:
             refusals=vehicle.refusals,
             note=vehicle.note,
         )
+
+    @staticmethod
+    def told(tree: Any) -> Status:
+        """What as_json gave. Raises ValueError for anything else."""
+        try:
+            status = Status(**tree)
+            status.lines()
+        except (TypeError, ValueError, IndexError) as error:
+            raise ValueError(f"not a status: {error}") from None
+        return status
 
     def as_json(self) -> dict[str, Any]:
         """For a line of JSON."""

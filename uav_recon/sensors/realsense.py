@@ -40,6 +40,11 @@ def _library() -> Any:
     return pyrealsense2
 
 
+def need_camera(playback: Path | None = None) -> None:
+    """Raises RealSenseError where opening would: no library, no camera, no such recording."""
+    _settings(_library(), None, playback)
+
+
 class ClockOffset:
     """Carries device stamps to the monotonic clock: the shortest delay between stamp and arrival seen lately counts as none.
 
@@ -89,7 +94,7 @@ class RealSenseCamera:
         self.dropped_frames = 0
         self._newest_s, self._pair_s, self._number = -math.inf, 0.6 / fps, -1
         self._pipeline = self._rs.pipeline()
-        settings = self._settings(serial, playback)
+        settings = _settings(self._rs, serial, playback)
         if playback is None:
             settings.enable_stream(self._rs.stream.depth, width, height, self._rs.format.z16, fps)
             settings.enable_stream(self._rs.stream.color, width, height, self._rs.format.rgb8, fps)
@@ -111,7 +116,9 @@ class RealSenseCamera:
         self._imu = None
         gyro = self._gyro(profile)
         if body_from_depth is not None and gyro is not None:
-            self._imu = _Imu(self, self._settings(serial, playback), body_from_depth.rotation() @ _depth_from_imu(gyro, depth))
+            self._imu = _Imu(
+                self, _settings(self._rs, serial, playback), body_from_depth.rotation() @ _depth_from_imu(gyro, depth)
+            )
 
     def poll(self) -> Frame | None:
         """The newest frame that was not handed out yet. Raises RealSenseError if the camera is gone."""
@@ -166,20 +173,6 @@ class RealSenseCamera:
         streams = [stream for sensor in sensors for stream in sensor.get_stream_profiles()]
         return next((stream for stream in streams if stream.stream_type() == self._rs.stream.gyro), None)
 
-    def _settings(self, serial: str | None, playback: Path | None) -> Any:
-        settings = self._rs.config()
-        if playback is not None:
-            if not playback.is_file():
-                raise RealSenseError(f"{playback}: no such recording")
-            settings.enable_device_from_file(str(playback), repeat_playback=False)
-            return settings
-        serials = [device.get_info(self._rs.camera_info.serial_number) for device in self._rs.context().query_devices()]
-        if not serials or (serial is not None and serial not in serials):
-            seen = ", ".join(serials) or "none"
-            raise RealSenseError(f"RealSense camera {serial or 'of any serial'} is not connected (seen: {seen})")
-        settings.enable_device(serial or serials[0])
-        return settings
-
 
 class _Imu:
     """The motion streams in a pipeline of their own: the video pipeline would hand out only the newest of them."""
@@ -220,6 +213,21 @@ class _Imu:
 
     def close(self) -> None:
         self._pipeline.stop()
+
+
+def _settings(library: Any, serial: str | None, playback: Path | None) -> Any:
+    settings = library.config()
+    if playback is not None:
+        if not playback.is_file():
+            raise RealSenseError(f"{playback}: no such recording")
+        settings.enable_device_from_file(str(playback), repeat_playback=False)
+        return settings
+    serials = [device.get_info(library.camera_info.serial_number) for device in library.context().query_devices()]
+    if not serials or (serial is not None and serial not in serials):
+        seen = ", ".join(serials) or "none"
+        raise RealSenseError(f"RealSense camera {serial or 'of any serial'} is not connected (seen: {seen})")
+    settings.enable_device(serial or serials[0])
+    return settings
 
 
 def _intrinsics(theirs: Any) -> Intrinsics:

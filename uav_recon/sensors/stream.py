@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,20 +17,28 @@ from uav_recon.types.pose import Pose, StampedPose
 
 __all__ = ["StreamCamera", "StreamError", "StreamPoses", "depth_table", "open_stream"]
 
+_log = logging.getLogger(__name__)
 _POLL_S = 0.05
 _EMPTY_POLLS = 8  # so many in a row before the file is looked at: 0.1 s at 100 Hz
 
 
-def open_stream(path: Path, clock: Clock, timeout_s: float) -> StreamReader:
-    """Wait until a stream stands at ``path`` and open it. Raises StreamError, one line, when the time is over."""
-    start_s = clock.now_s()
+def open_stream(path: Path, clock: Clock, timeout_s: float, stopped: Callable[[], bool] = lambda: False) -> StreamReader:
+    """Wait until a stream stands at ``path`` and open it; what is waited for is logged. Raises StreamError, one line, when
+    the time is over, or once stopped() says so.
+    """
+    start_s, said = clock.now_s(), ""
     attempts = max(1, math.ceil(timeout_s / _POLL_S))
     for attempt in range(attempts):  # counted, so that it ends on any clock
         try:
             return StreamReader(path)
-        except StreamError:
+        except StreamError as error:
             if attempt + 1 == attempts:
                 break
+            if str(error) != said:
+                said = str(error)
+                _log.warning("waiting for a camera stream: %s", said)
+        if stopped():
+            raise StreamError(f"{path}: ended while waiting for it")
         clock.sleep_until(start_s + (attempt + 1) * _POLL_S)
     try:
         return StreamReader(path)

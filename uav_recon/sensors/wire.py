@@ -199,7 +199,10 @@ class StreamReader:
             specs.append(CameraSpec(width, height, fx, fy, cx, cy))
         q = [float(x) for x in head["rgb_from_depth"][0]]
         self.header = StreamHeader(specs[0], specs[1], (q[0], q[1], q[2], q[3], q[4], q[5], q[6]))
-        self._stream = _Stream(path, self.header, create=False)
+        try:
+            self._stream = _Stream(path, self.header, create=False)
+        except OSError as error:
+            raise StreamError(f"{path}: cannot be mapped ({error.strerror})") from None
         self._written = {name: self._stream.header[name] for name in ("frames", "imu", "poses")}  # asked at every poll
 
     def frame(self, after: int = 0) -> RawFrame | None:

@@ -28,7 +28,8 @@ class FlightPhase(Enum):
 class VehicleState:
     """Telemetry in our frames; world = odom at epoch 0.
 
-    battery_fraction: NaN if it is not told. camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount.
+    mode: '' until the autopilot has told it, and whether it is armed. battery_fraction: NaN if unknown.
+    camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount.
     trajectory_id: the trajectory being flown, -1 for none. refusals: proposals turned down by the guard so far.
     note: the newest reason in words (refused arming, failsafe, refusal), '' for none. most_mps: the fastest that the guard
     lets pass now.
