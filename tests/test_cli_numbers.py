@@ -14,7 +14,7 @@ from uav_recon.cli import app
         ("bench mapper --views 100000", "--views 100000: want 4 to 2000"),
         ("bench mapper --steps-per-view 100000", "--steps-per-view 100000: want 1 to 200"),
         ("bench mapper --exposure 1e9", "--exposure 1e+09: want 0 to 2"),
-        ("bench mapper --pose-noise 1e9,0", "--pose-noise 1e9,0: want CM,DEG, at most 10 and 5"),
+        ("bench mapper --pose-noise 1e9,0", "--pose-noise 1e9,0: want CM,DEG, 0 or more and at most 10 and 5"),
         ("bench endurance --views 100000", "--views 100000: want 4 to 2000"),
         ("bench endurance --hours 1e9", "--hours 1e+09 --period-s 1.5: want "),
         ("bench uncertainty --after 20,100000", "--after 20,100000: want numbers of views with commas between them, 1 to 2000"),
