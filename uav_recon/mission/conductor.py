@@ -267,7 +267,7 @@ class Conductor:
 
     def close(self) -> str:
         """Write the last line of the journal; returns the outcome."""
-        home = self.phase is Phase.DONE and self._homeward.under_way and not self._abort
+        home = self.phase is Phase.DONE and self._homeward.under_way and not self._account.aborted
         why = self._account.aborted or self._account.note or self.phase.value
         outcome = "completed" if home else f"aborted: {why}"
         self._account.close(self._clock.now_s(), outcome)

@@ -99,7 +99,7 @@ OWN_WISHES = frozenset(
     }
 )  # fmt: skip
 
-LOW_BATTERY = 0.25
+LOW_BATTERY = 0.30  # a fall is believed after 3 s, and the autopilot lands at 0.2
 
 
 def observe(facts: Facts) -> frozenset[Event]:

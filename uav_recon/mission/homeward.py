@@ -14,7 +14,7 @@ from uav_recon.protocols import Pending
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import PlanRequest, Viewpoint
-from uav_recon.types.trajectory import Trajectory
+from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
 _PLACES = 3  # tried, then home is the least bad
@@ -23,7 +23,8 @@ _REFUSED = 3  # ways that the guard or the map may stop
 
 class Homeward:
     """Brings the vehicle over the pad, or over another place where something stands on the pad, once. no_way: what is known
-    leads nowhere; lost: the breadcrumbs do not either, or it was stopped too often. Then it lands where it is.
+    leads nowhere. Where the breadcrumbs do not either, or it was stopped too often, it goes to the nearest floor that is good
+    to land on; lost: there is none, and it lands where it is.
     """
 
     def __init__(self, helm: Helm, decider: Decider, account: Account, site: LandingSite) -> None:
@@ -32,7 +33,7 @@ class Homeward:
         self._decision: Pending[Decision] | None = None
         self._refused = 0
         self.under_way = self.no_way = False
-        self.lost = ""
+        self._aside = self.lost = ""
 
     def interrupt(self) -> None:
         """Forget what is being thought about: the phase has changed."""
@@ -56,18 +57,10 @@ class Homeward:
         if not course.at_rest(now_s):
             return
         if self._refused > _REFUSED:
-            self.lost = f"stopped {self._refused} times on its way home"
-            return
+            self._give_up(f"stopped {self._refused} times on its way home")
         if self._decision is None:
-            rest = course.rest(vehicle)
-            self._place = self._site.home if along_breadcrumbs else self._site.choose(voxels, self._bad)
-            home = Viewpoint(self._place, rest.yaw_rad, rest.camera_pitch_down_rad)
-            request, identifier = PlanRequest(voxels, None, rest.position_m, rest.yaw_rad, 0), course.next_identifier()
-            if along_breadcrumbs:
-                self._decision = self._decider.way_back(request, rest, course.way_back(home.position_world), home, identifier)
-            else:
-                self._decision = self._decider.way_home(request, rest, home, identifier)
-        if not self._decision.done():
+            self._decision = self._think(course.rest(vehicle), voxels, along_breadcrumbs)
+        if self._decision is None or not self._decision.done():
             return
         decision, self._decision = self._decision.result(), None
         if isinstance(decision.motion, Trajectory):
@@ -75,10 +68,33 @@ class Homeward:
             self._helm.fly(dataclasses.replace(decision.motion, views_s=np.zeros(0)), now_s)  # home is no view
             return
         self._account.refusal(now_s, decision.motion)
-        if along_breadcrumbs:
-            self.lost = f"no way back: {decision.motion}"
+        if along_breadcrumbs or self._aside:
+            self._give_up(f"no way back: {decision.motion}")
         else:
             self.no_way = True
+
+    def _think(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[Decision] | None:
+        """None where there is nothing to think of."""
+        course, here_m = self._helm.course, rest.position_m
+        place = self._site.near(voxels, here_m) if self._aside else self._site.home if along_breadcrumbs else None
+        if self._aside and place is None:
+            self.lost = self._aside
+        if self.lost:
+            return None
+        self._place = self._site.choose(voxels, self._bad) if place is None else place
+        goal = Viewpoint(self._place, rest.yaw_rad, rest.camera_pitch_down_rad)
+        request, identifier = PlanRequest(voxels, None, here_m, rest.yaw_rad, 0), course.next_identifier()
+        if along_breadcrumbs and not self._aside:
+            return self._decider.way_back(request, rest, course.way_back(goal.position_world), goal, identifier)
+        return self._decider.way_home(request, rest, goal, identifier)
+
+    def _give_up(self, why: str) -> None:
+        """Not home: aside, and from there nowhere else."""
+        if self._aside:
+            self.lost = self._aside
+        else:
+            self._aside, self._refused = why, _REFUSED
+            self._account.aborted = self._account.aborted or why
 
     def _watch(self, now_s: float, voxels: VoxelMap) -> None:
         """Brake and think again where the way is blocked, or the place, as long as there are others to try."""

@@ -35,15 +35,20 @@ class LandingSite:
         """
         if not self.is_occupied(voxels, self.home):
             return self.home
+        good = self.near(voxels, self.home, unwanted)
+        return self.home if good is None else good
+
+    def near(self, voxels: VoxelMap, here: FloatArray, unwanted: tuple[FloatArray, ...] = ()) -> FloatArray | None:
+        """The good place (3,) nearest to one, level; None if there is none within REACH_M."""
         offsets = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)
         across, along = np.meshgrid(offsets, offsets, indexing="ij")
         away = np.hypot(across, along).ravel()
         for n in np.argsort(away, kind="stable"):
-            place: FloatArray = self.home + np.array([across.flat[n], along.flat[n], 0.0])
+            place: FloatArray = np.array([here[0] + across.flat[n], here[1] + along.flat[n], self.home[2]])
             tried = any(np.linalg.norm(place - other) < PATCH_M / 2 for other in unwanted)
             if away[n] <= REACH_M and not tried and self._is_good(voxels, place):
                 return place
-        return self.home
+        return None
 
     def _is_good(self, voxels: VoxelMap, place: FloatArray) -> bool:
         patch, over = self._above(voxels, place, PATCH_M / 2), self._above(voxels, place, self._room_m)
