@@ -119,7 +119,7 @@ class _Together:
 def record_of(case: FaultCase, evidence: Evidence) -> FaultRecord:
     """Judged."""
     row = ROWS[case.row]
-    verdict = judge(row, evidence, violations(evidence, row.overshoot_m))
+    verdict = judge(row, evidence, violations(evidence, row.room))
     return FaultRecord(case, verdict, float(evidence.end_s - evidence.stamp_s[0]), firmware=evidence.firmware)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +13,7 @@ from sitl.faults.telling import untold
 
 Indices = NDArray[np.int64]
 
-CONTACT_M, CLEAR_M, FENCE_M = 1e-3, 0.10, 0.30
+CONTACT_M = 1e-3
 AIRBORNE_M, UNATTENDED_S = 0.15, 60.0
 _STEP_M, _SPEED_MPS, _PUSH_MPS2, _TURN_RADPS = 0.03, 0.06, 1e-3, 1e-3  # what single floats and 30 Hz may add
 _INSIDE_M = 0.02
@@ -20,18 +22,29 @@ _PERIOD_S = 1.0 / 30.0  # of setpoints
 _WHILE_S = 0.4
 
 
-def violations(e: Evidence, overshoot_m: float = FENCE_M) -> list[str]:
-    """What was broken, in words with figures; empty for a flight that kept all of it. overshoot_m: of the fence, at most."""
-    checks = (_clear, _numbers, _speed, _steps, _place, _authority, _disarm, _end, untold)
+@dataclass(frozen=True)
+class Room:
+    """What a flight keeps around it: clear_m of the scene, at least; overshoot_m of the fence, at most."""
+
+    clear_m: float = 0.10
+    overshoot_m: float = 0.30
+
+
+USUAL = Room()
+
+
+def violations(e: Evidence, room: Room = USUAL) -> list[str]:
+    """What was broken, in words with figures; empty for a flight that kept all of it."""
+    checks = (_numbers, _speed, _steps, _place, _authority, _disarm, _end, untold)
     told = (check(e) for check in checks)
-    return [said for said in (*told, _fence(e, overshoot_m)) if said]
+    return [said for said in (_clear(e, room.clear_m), *told, _fence(e, room.overshoot_m)) if said]
 
 
-def _clear(e: Evidence) -> str:
-    least_m = measures.clearance(e)
-    if least_m < CONTACT_M:
-        return f"contact: clearance {least_m:.3f} m"
-    return f"clearance {least_m:.3f} m of {CLEAR_M:.2f}" if least_m < CLEAR_M - 1e-9 else ""
+def _clear(e: Evidence, least_m: float) -> str:
+    kept_m = measures.clearance(e)
+    if kept_m < CONTACT_M:
+        return f"contact: clearance {kept_m:.3f} m"
+    return f"clearance {kept_m:.3f} m of {least_m:.2f}" if kept_m < least_m - 1e-9 else ""
 
 
 def _fence(e: Evidence, most_m: float) -> str:

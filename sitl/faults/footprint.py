@@ -19,7 +19,7 @@ _MEGABYTE = 1e6
 
 class Footprints(Injector):
     """Notes for each process "NAME MB/h" and "NAME descriptors", and how many "ended" within for_s; all samples go to
-    soak.json, and a chart of them to soak.svg, beside the flight's config.
+    soak.json, and a chart of them to soak.svg, beside the flight's config. A soak that is cut short leaves them in soak.csv.
     """
 
     needs = Needs.PROCESSES
@@ -36,6 +36,7 @@ class Footprints(Injector):
         self._due_s = since_s + PERIOD_S
         for name in PROCESSES:
             self._look(name, roster_of(at), since_s)
+        self._keep(at, since_s)
         at.notes["ended"] = float(self._ended)
 
     def end(self, at: Theatre) -> None:
@@ -47,6 +48,16 @@ class Footprints(Injector):
         told = {name: vars(track) for name, track in self._tracks.items()}
         at.config.with_name("soak.json").write_text(json.dumps(told), encoding="utf-8")
         at.config.with_name("soak.svg").write_text(draw(self._tracks), encoding="utf-8")
+
+    def _keep(self, at: Theatre, since_s: float) -> None:
+        """One line a second."""
+        assert at.config is not None
+        tracks = [self._tracks.get(name) for name in PROCESSES]
+        words = ",".join(f"{track.memory_mb[-1]:.3f},{track.descriptors[-1]}" if track else "," for track in tracks)
+        with at.config.with_name("soak.csv").open("a", encoding="utf-8") as lines:
+            if not lines.tell():
+                lines.write("s," + ",".join(f"{name} MB,{name} descriptors" for name in PROCESSES) + "\n")
+            lines.write(f"{since_s:.1f},{words}\n")
 
     def _look(self, name: str, roster: Roster, since_s: float) -> None:
         if name not in self._tracks:

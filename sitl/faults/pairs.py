@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from sitl.faults import measures as m
 from sitl.faults.bars import STREAMS, down, holds, lands
-from sitl.faults.everywhere import FENCE_M
+from sitl.faults.everywhere import USUAL, Room
 from sitl.faults.injector import Injector
 from sitl.faults.measures import Measure
 from sitl.faults.postponed import Postponed
@@ -48,7 +48,7 @@ def pair(first: Row, second: Row) -> Row:
         onset=_stricter(first.onset, second.onset),
         arena=second.arena if first.arena == "hall" else first.arena,
         longest_s=worse.longest_s if worse else _WATCHED_S,
-        overshoot_m=PUSHED_M.get(name, FENCE_M),
+        room=Room(overshoot_m=PUSHED_M[name]) if name in PUSHED_M else USUAL,
     )
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from sitl.faults.everywhere import FENCE_M
+from sitl.faults.everywhere import USUAL, Room
 from sitl.faults.evidence import Evidence
 from sitl.faults.injector import Injector, Needs
 from sitl.faults.measures import Measure
@@ -57,7 +57,7 @@ class Row:
     """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere. why: it
     cannot be flown in lockstep. live: its injectors in real time, where that is another flight. longest_s: watched so long
     after the trouble began, and stands_s once the motors stand. times: in lockstep it is flown so many times as often as a row
-    is. radii_m: of the hull, cases take turns. variant: of the planner. overshoot_m: of the fence, at most. A flight with a
+    is. radii_m: of the hull, cases take turns. variant: of the planner. room: that it keeps. A flight with a
     real firmware is any whose troubles need nothing but what that firmware has.
     """
 
@@ -76,7 +76,7 @@ class Row:
     times: int = 1
     variant: str = "adaptive"
     radii_m: tuple[float, ...] = (HULL_RADIUS_M,)
-    overshoot_m: float = FENCE_M
+    room: Room = USUAL
     stands_s: float = STANDS_S
 
     def radius_m(self, number: int) -> float:

@@ -21,6 +21,7 @@ from sitl.faults.bars import (
     told,
 )  # fmt: skip
 from sitl.faults.body import Battery, HeldDown, Parameter, Push, Takeover, TransmitterLost, Unnoticed
+from sitl.faults.everywhere import Room
 from sitl.faults.eye import Stands
 from sitl.faults.host import Abort, DiskFull, Madness
 from sitl.faults.load import NoSpace
@@ -225,9 +226,10 @@ TABLE_F = (
         "way home closed",
         "a wall stands across the hall behind it, and the battery is low",
         lambda n: [Stands((2.0, 0.0, 1.4), (0.1, 3.5, 1.5)), Battery(0.24)],
-        (clear(0.05), down(90.0)),  # no contact; where pictures are not believed at first it feels its way back to 0.09 m
+        (clear(0.05), down(90.0)),
         onset=Onset((8.0, 12.0), away_m=4.5),
         longest_s=100.0,
+        room=Room(clear_m=0.05),  # no contact; where pictures are not believed at first it feels its way back to 0.09 m
     ),
     Row(
         "F6",

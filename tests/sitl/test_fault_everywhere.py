@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fault_evidence import DT_S, evidence, rewired, spoilt
 
-from sitl.faults.everywhere import violations
+from sitl.faults.everywhere import Room, violations
 from sitl.faults.evidence import Evidence
 from sitl.faults.table import TABLE
 from sitl.faults.wire import Order
@@ -159,6 +159,6 @@ def test_stamps_that_leap_hide_no_jump(leap_ms: float) -> None:
 def test_a_row_may_allow_more_of_the_fence_and_is_held_to_that() -> None:
     e = evidence()
     out = dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 1), 3.5))
-    assert violations(out) == violations(out, 0.30) == ["fence overshot by 0.50 m"]
-    assert violations(out, 0.51) == []
-    assert all(row.overshoot_m == 0.30 for row in TABLE), "none but a pair of two troubles"
+    assert violations(out) == violations(out, Room(overshoot_m=0.30)) == ["fence overshot by 0.50 m"]
+    assert violations(out, Room(overshoot_m=0.51)) == []
+    assert all(row.room.overshoot_m == 0.30 for row in TABLE), "none but a pair of two troubles"

@@ -138,7 +138,7 @@ def test_each_pair_is_held_to_what_its_worse_row_does_and_to_its_stream() -> Non
         gentler = {"D2+E1": (1.3, 0.3)}.get(row.id)
         limits = [(bar.limit, bar.ardupilot) for bar in (REACTIONS[worse] if worse else ())]
         assert [(bar.limit, bar.ardupilot) for bar in row.bars[1:]] == ([gentler] if gentler else limits), row.id
-        assert row.overshoot_m == (1.0 if row.id in ("B1+F2", "D2+F2") else 0.30), row.id
+        assert row.room.overshoot_m == (1.0 if row.id in ("B1+F2", "D2+F2") else 0.30), row.id
     assert [bar.name for bar in ROWS["B1+E1"].bars] == ["setpoint gap", "stream ends after E1"], "a pilot's hand beats all"
     assert [bar.name for bar in ROWS["C1+F2"].bars] == ["setpoint gap"]
 

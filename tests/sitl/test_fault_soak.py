@@ -87,6 +87,11 @@ def test_a_descriptor_that_comes_and_goes_is_none_that_is_kept() -> None:
     assert track([1.0] * 40, [9] * 20 + [10] * 20).more_descriptors() == 1.0
 
 
+def resident_mb(folder: Path) -> float:
+    """The pilot's newest."""
+    return float(json.loads((folder / "soak.json").read_text())["pilot"]["memory_mb"][-1])
+
+
 def test_a_process_that_grows_is_seen_to(tmp_path: Path, holder: subprocess.Popen[str]) -> None:
     at, footprints = theatre(tmp_path), Footprints(for_s=40.0)
     for second in range(41):
@@ -103,6 +108,10 @@ def test_a_process_that_grows_is_seen_to(tmp_path: Path, holder: subprocess.Pope
     assert (at.notes["ended"], "mission MB/h" in at.notes) == (0.0, False)
     assert len(json.loads((tmp_path / "soak.json").read_text())["pilot"]["since_s"]) == 41
     assert "pilot" in (tmp_path / "soak.svg").read_text()
+    lines = (tmp_path / "soak.csv").read_text().splitlines()
+    assert lines[0].startswith("s,pilot MB,pilot descriptors,perception MB,")
+    assert len(lines) == 42
+    assert [float(word) for word in lines[41].split(",")[:2]] == pytest.approx([40.0, resident_mb(tmp_path)], abs=1e-3)
 
 
 def test_a_process_that_ends_is_counted_once(tmp_path: Path, holder: subprocess.Popen[str]) -> None:
