@@ -19,7 +19,7 @@ from uav_recon.motion.paced import Paced
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.maps import FREE, FreeSpace, GridSpec, SurfaceElements, VoxelMap
+from uav_recon.types.maps import FREE, OCCUPIED, FreeSpace, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
@@ -30,9 +30,10 @@ LENS = Intrinsics(10.0, 10.0, 1.5, 1.5, 4, 4)
 
 
 class OpenSpace:
-    """Voxels that are free everywhere, or nowhere once `closed`."""
+    """Voxels that are free everywhere over a floor, or nowhere once `closed`; `table`: what stands on the floor."""
 
     closed = False
+    table: tuple[slice, slice, slice] | None = None
     revision = epoch = 0
 
     def integrate(self, posed: PosedFrame) -> int:
@@ -48,6 +49,10 @@ class OpenSpace:
 
     def snapshot(self) -> VoxelMap:
         state = np.full(GRID.shape, 0 if self.closed else FREE, np.uint8)
+        if not self.closed:
+            state[:, :, 7:9] = OCCUPIED
+        if self.table is not None:
+            state[self.table] = OCCUPIED
         return VoxelMap.whole(GRID, state, np.where(state == FREE, 100, 0).astype(np.uint8), self.revision, self.epoch)
 
     def explored_m3(self) -> float:

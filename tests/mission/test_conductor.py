@@ -239,6 +239,26 @@ def test_a_way_home_that_the_guard_stopped_is_begun_again_a_few_times(desk: Desk
     assert desk.conductor.close() == ("completed" if ends_at_home else "aborted: stopped 4 times on its way home")
 
 
+def test_what_is_stopped_too_often_lands_beside_the_table_that_it_hovers_over(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.distance_m() < 1.0:
+        desk.run(0.5)
+    desk.conductor.request_return()
+    middle = desk._place_m
+    i, j = ((middle[:2] + 3.0) / 0.1).astype(int)
+    desk.voxels.table = (slice(i - 8, i + 8), slice(j - 8, j + 8), slice(9, 15))
+    stopped = [desk._place_m]
+    for _ in range(10):
+        desk.run(0.6)
+        desk.refusals += 1
+        stopped.append(desk._place_m)
+    assert all(np.max(np.abs(place - middle)[:2]) < 0.8 for place in stopped[:8]), "over the table"
+    desk.run(60.0, until=Phase.DONE)
+    assert 0.45 < np.max(np.abs(desk._place_m - middle)[:2]) - 0.8 < 1.5, "beside it, on the floor"
+    assert desk.conductor.close() == "aborted: stopped 4 times on its way home"
+
+
 def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(60.0, until=Phase.SURVEY)

@@ -93,3 +93,21 @@ def test_no_farther_than_it_may_go() -> None:
     state[np.hypot(x, y) < REACH_M + 0.2, :6] = OCCUPIED
     voxels = VoxelMap.whole(wide, state, np.where(state == FREE, 100, 0).astype(np.uint8), revision=1)
     np.testing.assert_array_equal(SITE.choose(voxels), SITE.home)
+
+
+def test_near_where_it_is_on_the_floor_and_not_on_the_table_below() -> None:
+    state = room()
+    here = np.array([-1.5, 2.0, 1.7])
+    near = SITE.near(mapped(state), here)
+    assert near is not None
+    np.testing.assert_allclose(near, [-1.5, 2.0, 1.0])
+    fill(state, (-2.0, 1.5, -0.1), (-1.0, 2.5, 0.7))
+    beside = SITE.near(mapped(state), here)
+    assert beside is not None
+    assert gap_m(beside, (-2.0, 1.5), (-1.0, 2.5)) >= PATCH_M / 2 - 0.05
+    assert np.hypot(*(beside - here)[:2]) < 2.0
+    again = SITE.near(mapped(state), here, (beside,))
+    assert again is not None
+    assert np.linalg.norm(again - beside) >= PATCH_M / 2
+    state[:, :, :2] = UNKNOWN
+    assert SITE.near(mapped(state), here) is None, "no floor is known"

@@ -74,15 +74,17 @@ class Homeward:
             self.no_way = True
 
     def _think(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[Decision] | None:
-        """None where there is nothing to think of."""
+        """None where nothing is left to try."""
         course, here_m = self._helm.course, rest.position_m
-        place = self._site.near(voxels, here_m) if self._aside else self._site.home if along_breadcrumbs else None
-        if self._aside and place is None:
+        if self._aside:
+            place = self._site.near(voxels, here_m, self._bad)
+        else:
+            place = self._site.home if along_breadcrumbs else self._site.choose(voxels, self._bad)
+        if place is None:
             self.lost = self._aside
-        if self.lost:
             return None
-        self._place = self._site.choose(voxels, self._bad) if place is None else place
-        goal = Viewpoint(self._place, rest.yaw_rad, rest.camera_pitch_down_rad)
+        self._place = place
+        goal = Viewpoint(place, rest.yaw_rad, rest.camera_pitch_down_rad)
         request, identifier = PlanRequest(voxels, None, here_m, rest.yaw_rad, 0), course.next_identifier()
         if along_breadcrumbs and not self._aside:
             return self._decider.way_back(request, rest, course.way_back(goal.position_world), goal, identifier)
