@@ -15,14 +15,9 @@ from uav_recon.clock import InlineExecutor
 from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.machine import Phase
 from uav_recon.recording.flightlog import read_timeline
-from uav_recon.types.camera import Intrinsics
-from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
-
-GRID = GridSpec(np.array([-3.0, -3.0, -1.0]), 0.1, (60, 60, 40))
-LENS = Intrinsics(10.0, 10.0, 1.5, 1.5, 4, 4)
 
 
 @pytest.fixture()
@@ -186,15 +181,6 @@ def test_a_human_with_the_sticks_ends_the_mission(desk: Desk) -> None:
     assert desk.intent.goal is Goal.STANDBY
 
 
-def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
-    desk.planner.no_way_home = True
-    desk.conductor.request_start()
-    desk.run(120.0, until=Phase.DONE)
-    assert Phase.RETREAT in desk.seen
-    assert desk.retreat.ways == 1
-    assert desk.conductor.close() == "completed"
-
-
 def test_an_obstacle_on_the_way_brakes(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(60.0, until=Phase.SURVEY)
@@ -222,62 +208,6 @@ def test_a_refused_trajectory_is_not_flown_on(desk: Desk) -> None:
     assert after is not None
     assert after.identifier != before.identifier
     assert dataclasses.asdict(after)["views_s"].size == 0
-
-
-@pytest.mark.parametrize(("times", "ends_at_home"), [(2, True), (10, False)])
-def test_a_way_home_that_the_guard_stopped_is_begun_again_a_few_times(desk: Desk, times: int, ends_at_home: bool) -> None:
-    desk.conductor.request_start()
-    desk.run(60.0, until=Phase.SURVEY)
-    while desk.distance_m() < 1.0:
-        desk.run(0.5)
-    desk.conductor.request_return()
-    for _ in range(times):
-        desk.run(0.6)
-        desk.refusals += 1
-    desk.run(60.0, until=Phase.DONE)
-    assert (desk.distance_m() < 0.1) is ends_at_home
-    assert desk.conductor.close() == ("completed" if ends_at_home else "aborted: stopped 4 times on its way home")
-
-
-def test_what_is_stopped_too_often_lands_beside_the_table_that_it_hovers_over(desk: Desk) -> None:
-    desk.conductor.request_start()
-    desk.run(60.0, until=Phase.SURVEY)
-    while desk.distance_m() < 1.0:
-        desk.run(0.5)
-    desk.conductor.request_return()
-    middle = desk._place_m
-    i, j = ((middle[:2] + 3.0) / 0.1).astype(int)
-    desk.voxels.table = (slice(i - 8, i + 8), slice(j - 8, j + 8), slice(9, 15))
-    stopped = [desk._place_m]
-    for _ in range(10):
-        desk.run(0.6)
-        desk.refusals += 1
-        stopped.append(desk._place_m)
-    assert all(np.max(np.abs(place - middle)[:2]) < 0.8 for place in stopped[:8]), "over the table"
-    desk.run(60.0, until=Phase.DONE)
-    assert 0.45 < np.max(np.abs(desk._place_m - middle)[:2]) - 0.8 < 1.5, "beside it, on the floor"
-    assert desk.conductor.close() == "aborted: stopped 4 times on its way home"
-
-
-def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(desk: Desk) -> None:
-    desk.conductor.request_start()
-    desk.run(60.0, until=Phase.SURVEY)
-    while desk.distance_m() < 1.0:
-        desk.run(0.5)
-    desk.conductor.request_return()
-    while desk.speed_mps() > 1e-6:
-        desk.run(0.1)
-    while desk.speed_mps() < 0.1:
-        desk.run(0.1)
-    before, away_m = desk.intent.trajectory, desk.distance_m()
-    desk.voxels.closed = True
-    desk.run(2.0)
-    assert before is not None
-    assert desk.intent.trajectory is not None
-    assert desk.intent.trajectory.identifier != before.identifier
-    desk.run(60.0, until=Phase.DONE)
-    assert desk.distance_m() > away_m - 0.6, "where it came to rest"
-    assert desk.conductor.close().startswith("aborted: ")
 
 
 def test_where_nothing_fast_is_let_pass_nothing_fast_is_planned_until_it_is_again(desk: Desk) -> None:
@@ -368,18 +298,6 @@ def test_a_hold_outlasts_the_end_of_the_flight_time_but_not_a_human(desk: Desk) 
     desk.run(0.2, until=Phase.YIELDED)
 
 
-def test_a_hold_on_the_way_home_is_no_arrival(desk: Desk) -> None:
-    desk.conductor.request_start()
-    desk.run(120.0, until=Phase.RETURN)
-    desk.run(1.0)
-    desk.conductor.request_hold()
-    desk.run(30.0)
-    assert desk.conductor.phase is Phase.HOLD
-    desk.conductor.resume()
-    desk.run(60.0, until=Phase.DONE)
-    assert desk.conductor.close() == "completed"
-
-
 def test_a_take_off_that_was_held_begins_again_where_it_is(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(30.0, until=Phase.TAKEOFF)
@@ -395,15 +313,3 @@ def test_a_take_off_that_was_held_begins_again_where_it_is(desk: Desk) -> None:
     assert again is not None and again.identifier > first.identifier
     assert again.start_s == pytest.approx(desk.clock.now_s(), abs=0.2)
     desk.run(30.0, until=Phase.SURVEY)
-
-
-def test_the_operator_calls_it_home(desk: Desk) -> None:
-    desk.conductor.request_start()
-    desk.run(30.0, until=Phase.SURVEY)
-    desk.conductor.request_hold()
-    desk.run(1.0, until=Phase.HOLD)
-    desk.conductor.request_return()
-    desk.run(0.2, until=Phase.RETURN)
-    desk.run(60.0, until=Phase.DONE)
-    assert desk.conductor.close() == "completed"
-    assert read_timeline(desk.folder).outcomes[-1].stop_reason.startswith("the operator asked to return")
