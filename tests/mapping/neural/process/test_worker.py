@@ -20,7 +20,7 @@ from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.mapping.neural.process.checkpoint import EVERY_VIEWS
 from uav_recon.mapping.neural.process.child import CHECKPOINT, LOG_FILE, NICENESS
-from uav_recon.mapping.neural.process.vigil import ASLEEP_S
+from uav_recon.mapping.neural.process.vigil import ASLEEP_S, LOOK_S
 from uav_recon.mapping.neural.process.worker import RESTARTS, ProcessMapper
 from uav_recon.mapping.neural.views.intake import Refusal
 
@@ -28,13 +28,13 @@ CONFIG = MapperConfig(steps_per_view=10, idle_steps_hz=5.0, polish_steps=20, mes
 PATIENCE_S = 120.0
 
 
-def _wait(condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
+def _wait(condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S, every_s: float = 0.01) -> None:
     deadline = time.monotonic() + patience_s
     pause = __import__("threading").Event()
     while not condition():
         if time.monotonic() > deadline:
             raise AssertionError(f"{what} did not happen within {patience_s} s")
-        pause.wait(0.01)
+        pause.wait(every_s)
 
 
 @pytest.fixture
@@ -49,13 +49,13 @@ def _revision(mapper: ProcessMapper) -> int:
     return 0 if surface is None else surface.revision
 
 
-def test_a_child_that_hangs_is_replaced(mapper: ProcessMapper) -> None:
+def test_a_child_that_hangs_is_replaced_while_views_keep_coming(mapper: ProcessMapper) -> None:
     for view in tour(3):
         assert mapper.add(view)
     _wait(mapper.ready, "ready")
-    hung = mapper.pid
+    hung, another = mapper.pid, tour(6)[4]
     os.kill(hung, signal.SIGSTOP)
-    _wait(lambda: mapper.pid != hung, "another child", ASLEEP_S + 20.0)
+    _wait(lambda: mapper.add(another) and mapper.pid != hung, "another child", ASLEEP_S + 20.0, every_s=0.6 * LOOK_S)
     _wait(mapper.ready, "the second child")
     before = _revision(mapper)
     assert mapper.add(tour(6)[5])

@@ -15,6 +15,7 @@ from collections import Counter
 from pathlib import Path
 
 from uav_recon.channels import FileChannel
+from uav_recon.clock import RateKeeper
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.mapping.neural.process.child import (
@@ -164,11 +165,13 @@ class ProcessMapper:
         return ChildProcess(self._order, self._folder / LOG_FILE, self._notes.put)
 
     def _serve(self) -> None:
+        looks = RateKeeper(1.0 / LOOK_S, time.monotonic())
         while True:
-            try:
-                note = self._notes.get(timeout=LOOK_S)
-            except queue.Empty:
+            if looks.due(time.monotonic()):
                 self._look_after_child()
+            try:
+                note = self._notes.get(timeout=max(0.0, looks.next_s() - time.monotonic()))
+            except queue.Empty:
                 continue
             if isinstance(note, PosedFrame):
                 self._hand_over(note)
