@@ -52,9 +52,9 @@ class Result:
         """Words for each broken bar."""
         return [self._words(bar, figure) for bar, figure in self.figures if not bar.holds(figure, self.autopilot)]
 
-    def words(self) -> list[str]:
-        """One for each bar."""
-        return [self._words(bar, figure) for bar, figure in self.figures]
+    def used(self) -> list[tuple[str, float]]:
+        """For each bar its words, and the share of it that is used up: above 1 it is broken; infinity: it never came."""
+        return [(self._words(bar, figure), bar.badness(figure, self.autopilot)) for bar, figure in self.figures]
 
     def _words(self, bar: Bar, figure: float) -> str:
         said = "never" if math.isinf(figure) else "-" if math.isnan(figure) else f"{figure:.2f}"

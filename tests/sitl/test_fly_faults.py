@@ -184,3 +184,12 @@ def test_the_page_tells_figures_and_keeps_its_tags() -> None:
     assert "gap 0.30 &lt;= 0.25 s" in page
     assert "a &lt;hazard&gt;" in page
     assert "contact &lt;1&gt;" in page
+
+
+def test_the_page_shows_how_much_of_each_bar_is_used_up_and_how_to_fly_what_missed() -> None:
+    page = render([result_of(ROW, "px4", [Verdict((0.1, 0.5), ()), Verdict((0.3, 0.5), ())], first=7)])
+    assert '<i class="over"><u style="width:100%"></u></i>gap 0.30' in page
+    assert '<i><u style="width:80%"></u></i>clear' in page
+    assert "faults --only X1 --autopilot px4 --seeds 1 --seed0 8" in page
+    assert "--seed0 7" not in page
+    assert "missed: X1 px4" in page
