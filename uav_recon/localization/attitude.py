@@ -158,8 +158,8 @@ class InertialTrack:
         self._last, self._measured = (rate_radps, force_mps2), True
         newest = self._count - 1
         force_gyro = rotate(self._quaternion(newest), force_mps2)
-        rate = _length(rate_radps)
-        whirl = rate if rate > _WHIRL_RADPS else 0.0
+        turning = _length(rate_radps)
+        whirl = turning if turning > _WHIRL_RADPS else 0.0
         self._step[newest] = (*rate_radps, *force_gyro, *bias_radps, _knock_mps2(force_mps2), whirl)
 
     def coast(self, stamp_s: float, rate_radps: Vector) -> None:
