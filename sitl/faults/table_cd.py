@@ -36,6 +36,7 @@ from sitl.faults.eye import (
 from sitl.faults.host import Crash
 from sitl.faults.injector import Injector
 from sitl.faults.row import SHORT_VIEWS, Bar, Row
+from sitl.faults.signals import Killed
 from sitl.faults.trouble import Onset
 from sitl.faults.wires import Corrupted, Garbage, Jitter, Loss, Repeated, Unplugged
 
@@ -79,6 +80,7 @@ TABLE_C = (
         lambda n: [Crash("perception", back_s=2.0)],
         (holds(0.3), lands(1.2), down(30.0)),
         onset=FAST,
+        live=lambda n: [Killed("perception", for_s=0.0)],  # and its supervisor starts it again
     ),
     Row(
         "C3",
