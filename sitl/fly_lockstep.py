@@ -183,6 +183,8 @@ def fly_in_lockstep(
             world.step(now_s)
             if world.frame_due(now_s):
                 world.develop(world.expose(now_s))
+            if meddler.restarts("perception"):
+                perception = run.make_perception(config, wires, clock)
             if meddler.runs("perception"):
                 perception.step()
             if meddler.restarts("mission"):

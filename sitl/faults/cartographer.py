@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.faults.injector import Injector, Theatre
+from sitl.faults.injector import Injector, Needs, Theatre
 
-FREED = "known occupied freed"
+FREED, AGAIN = "known occupied freed", "frames mapped again"
 _FREE, _OCCUPIED = 1, 2
 
 
@@ -32,6 +33,30 @@ class Cartographer(Injector):
         known = at.channels.voxels.latest()
         if self._walls is not None and self._walls.any():
             at.notes[FREED] = 100.0 * float((known.state[self._walls] == _FREE).mean())
+
+
+class Tally(Injector):
+    """No trouble: notes how many frames reach the map that it had before, by their pictures; noise makes each another one."""
+
+    needs = Needs.STAGES
+
+    def __init__(self) -> None:
+        self._sequence, self._seen = -1, set[bytes]()
+
+    def begin(self, at: Theatre) -> None:
+        """None so far."""
+        at.notes[AGAIN] = 0.0
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Perception and mission both ran in the turn before; at most one frame comes in a turn."""
+        sequence = at.channels.frames.sequence()
+        posed = at.channels.frames.latest() if sequence != self._sequence else None
+        self._sequence = sequence
+        if posed is None:
+            return
+        picture = hashlib.sha256(posed.frame.depth_m.tobytes()).digest()
+        at.notes[AGAIN] += picture in self._seen
+        self._seen.add(picture)
 
 
 def filled(grid: Any, points_m: NDArray[np.float32]) -> NDArray[np.bool_]:

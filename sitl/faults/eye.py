@@ -65,6 +65,18 @@ class Shuffled(Injector):
         return [(0.35 if self._count % 3 == 0 else 0.0, frame), (0.05, frame)]
 
 
+class Redated(Injector):
+    """Stamps go by another clock for a while: the picture is right, and so is when it comes."""
+
+    def __init__(self, off_s: float, for_s: float = 1e9) -> None:
+        self._off_s, self._for_s = off_s, for_s
+
+    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+        """As many seconds off."""
+        off_s = self._off_s if since_s < self._for_s else 0.0
+        return [(0.0, dataclasses.replace(frame, stamp_s=frame.stamp_s + off_s))]
+
+
 class FrozenPicture(Injector):
     """The same picture again and again under new stamps, as a hung sensor gives it."""
 

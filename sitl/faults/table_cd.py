@@ -17,7 +17,7 @@ from sitl.faults.bars import (
     told,
 )
 from sitl.faults.body import Reboot
-from sitl.faults.cartographer import FREED, Cartographer
+from sitl.faults.cartographer import AGAIN, FREED, Cartographer, Tally
 from sitl.faults.eye import (
     Appears,
     Approaches,
@@ -25,6 +25,7 @@ from sitl.faults.eye import (
     FrozenPicture,
     LateFrames,
     Painted,
+    Redated,
     Shuffled,
     bit_errors,
     constant,
@@ -35,11 +36,13 @@ from sitl.faults.eye import (
 from sitl.faults.host import Crash
 from sitl.faults.injector import Injector
 from sitl.faults.row import SHORT_VIEWS, Bar, Row
+from sitl.faults.signals import Killed
 from sitl.faults.trouble import Onset
 from sitl.faults.wires import Corrupted, Garbage, Jitter, Loss, Repeated, Unplugged
 
 FAST = Onset(speed_mps=0.6)
 STILL = Onset(speed_mps=0.0, view_m=3.8)
+ONCE = Bar("frames mapped again", m.noted(AGAIN), 0.0, "")
 
 TABLE_C = (
     Row(
@@ -77,6 +80,7 @@ TABLE_C = (
         lambda n: [Crash("perception", back_s=2.0)],
         (holds(0.3), lands(1.2), down(30.0)),
         onset=FAST,
+        live=lambda n: [Killed("perception", for_s=0.0)],  # and its supervisor starts it again
     ),
     Row(
         "C3",
@@ -108,10 +112,28 @@ TABLE_C = (
         "C7",
         "frames repeated and out of order",
         "each twice, every third behind the next",
-        lambda n: [Shuffled()],
-        (COMPLETES,),
+        lambda n: [Shuffled(), Tally()],
+        (COMPLETES, ONCE),
         longest_s=90.0,
         views=SHORT_VIEWS,
+    ),
+    Row(
+        "C7b",
+        "stamps of another clock for 1 s",
+        "an hour ago or ahead, for 1 s at speed",
+        lambda n: [Redated((-3600.0, 3600.0)[n % 2], 1.0), Tally()],
+        (holds(0.4), STREAMS, COMPLETES, ONCE),
+        onset=FAST,
+        longest_s=180.0,
+        views=30,
+    ),
+    Row(
+        "C7c",
+        "stamps of another clock",
+        "an hour ago or ahead, at speed and for good",
+        lambda n: [Redated((-3600.0, 3600.0)[n % 2]), Tally()],
+        (holds(0.4), Bar("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5), ONCE),
+        onset=FAST,
     ),
     Row(
         "C8",

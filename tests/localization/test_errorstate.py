@@ -95,6 +95,17 @@ def test_carried_in_two_steps_or_in_one_the_noise_is_the_same() -> None:
     np.testing.assert_allclose(np.diagonal(once), np.diagonal(twice), rtol=0.02)
 
 
+def test_a_whirl_is_one_standard_deviation_of_attitude() -> None:
+    track = _track(1.0)
+    base = track.at(MOTION.start_s + 0.9)
+    assert base
+    calm = base._replace(stamp_s=base.stamp_s + 0.05)
+    whirled = calm._replace(whirls_rad=base.whirls_rad + 0.2)
+    start = Estimate.at_rest(base, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), QUIET, inertial=True)
+    before, after = (carry(start, base, here, QUIET).covariance.diagonal() for here in (calm, whirled))
+    np.testing.assert_allclose(after - before, [*[0.0] * 6, *[0.04] * 3, *[0.0] * 6], atol=1e-12)
+
+
 def test_a_pose_pulls_by_the_share_of_the_variances() -> None:
     """One number by hand: track 4 cm², pose 1 cm², 10 cm apart: 8 cm."""
     track = _track(0.1)

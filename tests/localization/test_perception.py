@@ -31,6 +31,8 @@ class World:
     poses_until_s: float = 1e9
     moved_from_s: float = 1e9  # from then on the source's map is half a metre off
     frame_stamp_shift_s: float = 0.0
+    shift_from_s: float = 0.0  # of the flight
+    shift_to_s: float = 1e9
     _frame: int = 0
     _pose: int = 0
     _sample: int = 0
@@ -42,7 +44,9 @@ class World:
     def poll(self) -> Frame | None:
         if self._since_s() < 0.02 + self._frame / 15:
             return None
-        stamp_s = MOTION.start_s + self._frame / 15 + self.frame_stamp_shift_s
+        taken_s = self._frame / 15
+        shift_s = self.frame_stamp_shift_s if self.shift_from_s <= taken_s < self.shift_to_s else 0.0
+        stamp_s = MOTION.start_s + taken_s + shift_s
         self._frame += 1
         self.given.append(stamp_s)
         return Frame(
@@ -186,6 +190,36 @@ def test_frames_with_impossible_stamps_are_dropped(world: World) -> None:
     perception, seen = _run(world, 2.0)
     assert seen.frames == []
     assert perception.dropped_frames == len(world.given)
+
+
+def test_each_frame_is_mapped_once_however_often_it_comes(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each comes twice, and every third once more behind its successors; no stamp is wrong."""
+    right, again, kept = world.poll, list[Frame](), list[Frame]()
+
+    def poll() -> Frame | None:
+        frame = right()
+        if frame is None:
+            return again.pop(0) if again else None
+        kept.append(frame)
+        again.extend([frame, *([kept[-4]] if frame.sequence % 3 == 0 and len(kept) > 3 else []), frame])
+        return frame
+
+    monkeypatch.setattr(world, "poll", poll)
+    perception, seen = _run(world)
+    stamps_s = [posed.frame.stamp_s for _, posed in seen.frames]
+    assert len(stamps_s) > 55
+    assert stamps_s == sorted(set(stamps_s))
+    assert perception.dropped_frames > 60
+
+
+@pytest.mark.parametrize("off_s", [-3600.0, 3600.0, 0.5])
+def test_stamps_of_another_clock_shut_out_none_of_those_after_it(world: World, off_s: float) -> None:
+    world.shift_from_s, world.shift_to_s, world.frame_stamp_shift_s = 1.0, 2.0, off_s
+    _perception, seen = _run(world)
+    since_s = np.array([posed.frame.stamp_s for _, posed in seen.frames]) - MOTION.start_s
+    assert np.count_nonzero(since_s < 1.0) >= 13
+    assert not np.any((since_s > 1.0) & (since_s < 2.0 - 1e-6))
+    assert np.count_nonzero(since_s >= 2.0 - 1e-6) >= 28
 
 
 def test_a_step_without_anything_is_quiet() -> None:

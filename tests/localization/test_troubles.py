@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from troubled_flight import MOTION, ONSET_S, Trouble, fly, shifted
 
 from uav_recon.types.camera import ImuSample
@@ -291,6 +292,57 @@ def test_a_blow_that_was_one_is_followed_at_once() -> None:
     assert max(errors_m) < 0.06
     assert told.healths(0.0) == {GOOD}
     assert told.resets() == told.fusion.correction.epoch == 0
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("rate_radps", "lasts_s"), [(11.0, 0.005), (30.0, 0.005), (-34.0, 0.005), (30.0, 0.015), (30.0, 0.02)])
+def test_a_rate_that_no_vehicle_has_is_doubted_by_as_much(axis: int, rate_radps: float, lasts_s: float) -> None:
+    """A gyro that lies, with poses that are right: odometry is silent until the next of them, and goes on."""
+
+    def whirled(sample: ImuSample, since_s: float) -> ImuSample:
+        lies = 0.5 - 1e-6 <= since_s < 0.5 + lasts_s - 1e-6
+        return replace(sample, gyro_radps=np.where(lies & (np.arange(3) == axis), rate_radps, sample.gyro_radps))
+
+    told = fly(undisturbed, inertial=whirled, may_be_silent=True)
+    assert told.error_m(0.0) < 0.03
+    assert math.degrees(max(told.turns_rad)) < 0.6
+    assert 0.5 <= min(told.silent_s) <= max(told.silent_s) < 0.65  # poses come 15 times a second, 0.06 s late
+    assert told.healths(0.0) == {GOOD}
+    assert told.resets() == told.fusion.correction.epoch == told.fusion.rejected.total() == 0
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_blow_that_turned_it_is_followed(axis: int) -> None:
+    """12 rad/s for 50 ms, 34 degrees, felt by the gyro and seen by the poses."""
+    blow_s, rate_radps, lasts_s = ONSET_S + 0.5, 12.0 * np.eye(3)[axis], 0.05
+    ramp_s = np.array([-0.005, 0.0, lasts_s - 0.005, lasts_s])  # as the samples beside it have it
+
+    def turned(stamp_s: float) -> Rotation:
+        at_s = np.clip(stamp_s - blow_s, ramp_s[0], ramp_s[-1])
+        fine_s = np.linspace(ramp_s[0], at_s, 200)
+        share = np.trapezoid(np.interp(fine_s, ramp_s, [0.0, 1.0, 1.0, 0.0]), fine_s)
+        return Rotation.from_rotvec(rate_radps * share)
+
+    def felt(sample: ImuSample, since_s: float) -> ImuSample:
+        during, turn = 0.5 - 1e-6 <= since_s < 0.5 + lasts_s - 1e-6, turned(sample.stamp_s).inv()
+        rate, force = turn.apply(sample.gyro_radps) + during * rate_radps, turn.apply(sample.specific_force_mps2)
+        return replace(sample, gyro_radps=rate, specific_force_mps2=force)
+
+    def seen(pose: StampedPose, since_s: float) -> StampedPose:
+        attitude = Rotation.from_quat(pose.odom_from_body.quat_wxyz, scalar_first=True) * turned(pose.stamp_s)
+        return replace(pose, odom_from_body=Pose(attitude.as_quat(scalar_first=True), pose.odom_from_body.translation_m))
+
+    told = fly(seen, inertial=felt, seconds=2.0, may_be_silent=True)
+    off_rad = [
+        (Rotation.from_quat(odom.odom_from_body.quat_wxyz, scalar_first=True)
+         * (MOTION.attitude(odom.stamp_s) * turned(odom.stamp_s)).inv()).magnitude()
+        for odom in told.odom
+    ]  # fmt: skip
+    assert math.degrees(max(off_rad)) < 3.0  # its own noise and drift among it, once only a pose tells
+    assert told.error_m(0.0) < 0.05
+    assert 0.5 <= min(told.silent_s) <= max(told.silent_s) < 0.7
+    assert told.healths(0.0) == {GOOD}
+    assert told.resets() == told.fusion.correction.epoch == told.fusion.rejected.total() == 0
 
 
 def test_without_inertial_samples_there_is_no_witness_and_it_says_so() -> None:

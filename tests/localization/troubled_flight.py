@@ -40,6 +40,7 @@ class Told:
     odom: list[StampedPose] = field(default_factory=list)
     errors_m: list[NDArray[np.float64]] = field(default_factory=list)
     turns_rad: list[float] = field(default_factory=list)
+    silent_s: list[float] = field(default_factory=list)  # seconds since the onset at which nothing was said
     fusion: FusionFilter = field(default_factory=FusionFilter)
 
     def since(self, seconds: float) -> int:
@@ -77,6 +78,7 @@ def fly(
     *,
     imu: bool = True,
     inertial: Callable[[ImuSample, float], ImuSample] = lambda sample, _: sample,
+    may_be_silent: bool = False,
 ) -> Told:
     """trouble: what becomes of each pose stamped after the onset, which comes ``late_s`` later than it would; inertial: the
     same of each inertial sample.
@@ -86,6 +88,10 @@ def fly(
     for event in sorted((event for event in stream if event is not None), key=lambda event: event.arrival_s):
         while event.arrival_s > due_s:
             odom = told.fusion.odom_at(due_s)
+            if may_be_silent and odom is None:
+                told.silent_s.append(due_s - ONSET_S)
+                due_s += 1 / 30
+                continue
             assert odom
             told.stamps_s.append(due_s)
             told.odom.append(odom)

@@ -5,14 +5,17 @@ import gc
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pyrealsense2 as rs
 import pytest
 from scipy.spatial.transform import Rotation
 
-from uav_recon.clock import MonotonicClock
+from uav_recon.clock import ManualClock, MonotonicClock
+from uav_recon.sensors import realsense
 from uav_recon.sensors.realsense import ClockOffset, RealSenseCamera, RealSenseError
 from uav_recon.types.camera import BODY_FROM_OPTICAL, Frame, ImuSample
 from uav_recon.types.pose import Pose
@@ -202,3 +205,67 @@ def test_the_clock_offset_is_the_shortest_delay_and_survives_a_reset() -> None:
         if k % 2000 > 300:
             errors.append(stamp_s - t)
     assert 0.0035 < np.min(errors) <= np.max(errors) < 0.007
+
+
+class _Live:
+    """A camera that never was: frames stamped by the device's clock or by the machine's, 5 ms old when they are polled."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.clock, self.wall_from_clock_s, self.late_by_s = ManualClock(100.0), 1.7e9, 0.005
+        self._rs, self._number = MagicMock(), 0
+        monkeypatch.setattr(realsense, "_library", lambda: self._rs)
+        self._rs.context.return_value.query_devices.return_value = [MagicMock()]
+        self._rs.pipeline.return_value.start.return_value.get_stream.side_effect = self._stream
+        self._rs.pipeline.return_value.start.return_value.get_device.return_value.query_sensors.return_value = []
+        self._rs.pipeline.return_value.poll_for_frames.side_effect = self._frames
+        self.system = False
+        self.camera = RealSenseCamera(self.clock, wall_s=lambda: self.clock.now_s() + self.wall_from_clock_s)
+
+    def _stream(self, kind: Any) -> Any:
+        stream = MagicMock()
+        stream.as_video_stream_profile.return_value = stream
+        stream.intrinsics = SimpleNamespace(fx=5.0, fy=5.0, ppx=3.5, ppy=2.5, width=8, height=6)
+        stream.format.return_value = self._rs.format.z16 if kind is self._rs.stream.depth else self._rs.format.rgb8
+        stream.get_extrinsics_to.return_value = SimpleNamespace(rotation=np.eye(3).ravel().tolist(), translation=[0.0] * 3)
+        return stream
+
+    def _frames(self) -> Any:
+        self._number += 1
+        taken_s = self.clock.now_s() - self.late_by_s
+        frame, domains = MagicMock(), self._rs.timestamp_domain
+        frame.get_timestamp.return_value = 1e3 * (taken_s + (self.wall_from_clock_s if self.system else -90.0))
+        frame.get_frame_timestamp_domain.return_value = domains.system_time if self.system else domains.hardware_clock
+        frame.get_frame_number.return_value = self._number
+        frame.get_data.return_value = np.zeros((6, 8), np.uint16)
+        return SimpleNamespace(get_depth_frame=lambda: frame, get_color_frame=lambda: frame)
+
+    def poll(self, seconds: float) -> list[tuple[float, float]]:
+        """When frames came, and how old their stamps said that they were."""
+        out = []
+        for _ in range(round(30 * seconds)):
+            self.clock.advance_to(self.clock.now_s() + 1 / 30)
+            frame = self.camera.poll()
+            if frame is not None:
+                out.append((self.clock.now_s(), self.clock.now_s() - frame.stamp_s))
+        return out
+
+
+def test_stamps_that_go_over_to_another_clock_are_waited_with_for_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    live = _Live(monkeypatch)
+    assert len(live.poll(1.0)) == 30
+    for system in (True, False):
+        live.system, changed_s = system, live.clock.now_s()
+        came = live.poll(2.0)
+        assert 0.5 <= came[0][0] - changed_s < 0.6
+        assert len(came) >= 44
+        assert all(-1e-6 <= age_s <= 0.006 for _, age_s in came), "on our clock whichever the camera goes by"
+
+
+def test_a_wall_clock_that_is_set_back_costs_two_frames_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    live = _Live(monkeypatch)
+    live.system = True
+    assert len(live.poll(1.0)) == 30
+    live.late_by_s = -3600.0  # taken before the machine's clock was set back by an hour, polled after it
+    assert live.poll(1 / 30)[0][1] == pytest.approx(-3600.0, abs=1e-3)
+    live.late_by_s = 0.005
+    assert len(live.poll(1.0)) == 29

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import math
+import random
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from sitl.d435i import FAST_DEPTH_SPEC
 from sitl.faults import eye, tracker
+from sitl.faults.cartographer import AGAIN, Tally
 from sitl.faults.host import Crash, Stall
-from sitl.faults.injector import Depth, Injector
+from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.meddler import off_nose_rad
 from sitl.faults.obstacle import Furnished, Obstacle
 from sitl.faults.table import ROWS, TABLE
 from sitl.fly_lockstep import Calls, Nobody
+from sitl.fly_wires import DirectChannel
 from sitl.mesh import joined
 from sitl.poses import PoseRecord
 from sitl.raster import Renderer
@@ -84,11 +89,25 @@ def test_frames_are_lost_repeated_and_late() -> None:
     assert eye.Dark(0.3).depth(0.2, frame()) == []
     assert eye.LateFrames(0.5).depth(0.0, frame())[0][0] == 0.5
     assert len(eye.Shuffled().depth(0.0, frame())) == 2
+    redated = eye.Redated(-3600.0, 1.0)
+    assert [redated.depth(since_s, frame(5000.0))[0][1].stamp_s for since_s in (0.0, 0.9, 1.0)] == [1400.0, 1400.0, 5000.0]
     hung = eye.FrozenPicture()
     first = hung.depth(0.0, frame(1.0))[0][1]
     later = Depth(2.0, np.full((4, 6), 500, np.uint16), first.rgb)
     assert (hung.depth(0.1, later)[0][1].depth_mm == first.depth_mm).all()
     assert hung.depth(0.2, later)[0][1].stamp_s == 2.0
+
+
+def test_a_frame_that_is_mapped_again_is_counted_by_its_picture() -> None:
+    frames = DirectChannel[Any]()
+    at = Theatre(cast("Any", None), dice=random.Random(), channels=SimpleNamespace(frames=frames))
+    tally = Tally()
+    tally.begin(at)
+    for picture in (1.0, None, 2.0, 1.0, 1.0):
+        if picture is not None:
+            frames.publish(SimpleNamespace(frame=SimpleNamespace(depth_m=np.full((2, 2), picture, np.float32))))
+        tally.turn(at, 0.0)
+    assert at.notes == {AGAIN: 2.0}
 
 
 @pytest.mark.parametrize(

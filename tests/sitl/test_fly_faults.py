@@ -33,7 +33,7 @@ def test_rows_come_in_the_tables_order() -> None:
     assert cases[1].out == Path("/somewhere/A1-px4-1")
     assert options.cases(ROWS["A4"], "px4") == []
     assert FaultOptions.parse().autopilots == AUTOPILOTS
-    assert {row.id for row in FaultOptions.parse(live=True).rows} == {*(f"A{k}" for k in range(1, 12)), "D6", "G2", "G3"}
+    assert {row.id for row in FaultOptions.parse(live=True).rows} == {*(f"A{k}" for k in range(1, 12)), "C2", "D6", "G2", "G3"}
     with pytest.raises(UsageError, match="B4: not flown in real time"):
         FaultOptions.parse(only="B4", live=True)
     assert FaultOptions.parse().rows == TABLE

@@ -31,6 +31,8 @@ IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 _ZERO: Vector = (0.0, 0.0, 0.0)
 GRAVITY_MPS2 = 9.80665
 _KNOCK_MPS2 = 30.0  # no propeller pushes harder: a blow, or a sensor that lies
+_WHIRL_RADPS = 10.0  # firmware turns at 4 at most; a sample of 5 ms that lies by less is within the gate of 3 degrees
+_RANGE_RADPS = 17.5  # 1000 degrees/s: what a D435i's gyro can say; one that says more counts as one that says so much
 _CAPACITY = 4096  # 20 s at 200 Hz, between two halvings
 
 
@@ -87,8 +89,8 @@ def logarithm(q: Quaternion) -> Vector:
 
 
 class InertialState(NamedTuple):
-    """The track at one instant: gyro_from_body, V (m/s) and X (m) in the gyro frame, B (rad, body axes); and the part of V that
-    came of forces harder than any propeller's, summed up whatever its direction.
+    """The track at one instant: gyro_from_body, V (m/s) and X (m) in the gyro frame, B (rad, body axes); and what came of
+    forces harder than any propeller's and of turning faster than any vehicle's, summed up whatever its direction.
     """
 
     stamp_s: float
@@ -97,6 +99,7 @@ class InertialState(NamedTuple):
     position_integral: Vector
     bias_integral: Vector
     knocks_mps: float = 0.0
+    whirls_rad: float = 0.0
 
 
 class InertialTrack:
@@ -111,8 +114,8 @@ class InertialTrack:
         self._gap_s = gap_s
         self._count = 0
         self._stamp = np.empty(_CAPACITY)
-        self._state = np.empty((_CAPACITY, 14))  # q, V, X, B and knocks at the sample
-        self._step = np.zeros((_CAPACITY, 10))  # rate (body), force (gyro frame), bias and knock to the next sample
+        self._state = np.empty((_CAPACITY, 15))  # q, V, X, B, knocks and whirls at the sample
+        self._step = np.zeros((_CAPACITY, 11))  # rate (body), force (gyro frame), bias, knock and whirl to the next sample
         self._last: tuple[Vector, Vector] = (_ZERO, _ZERO)  # newest rate without bias, and force
         self._measured = False  # whether the newest sample came from an IMU
 
@@ -133,11 +136,13 @@ class InertialTrack:
         """Append a sample: body rate, body specific force, and the gyro's bias as known now. Stamps must increase."""
         self._make_room()
         i = self._count - 1
-        rate_radps = (rate_radps[0] - bias_radps[0], rate_radps[1] - bias_radps[1], rate_radps[2] - bias_radps[2])
+        rx, ry, rz = (rate_radps[0] - bias_radps[0], rate_radps[1] - bias_radps[1], rate_radps[2] - bias_radps[2])
+        share = _RANGE_RADPS / max(_length((rx, ry, rz)), _RANGE_RADPS)
+        rate_radps = (share * rx, share * ry, share * rz)
         if i >= 0:
             dt = stamp_s - float(self._stamp[i])
             if self._measured and dt > self._gap_s:
-                self._step[i] = (*_ZERO, *self.hover_force_gyro, *bias_radps, 0.0)
+                self._step[i] = (*_ZERO, *self.hover_force_gyro, *bias_radps, 0.0, 0.0)
             elif self._measured:
                 (px, py, pz), (fx, fy, fz) = self._last
                 rate = (0.5 * (px + rate_radps[0]), 0.5 * (py + rate_radps[1]), 0.5 * (pz + rate_radps[2]))
@@ -145,14 +150,17 @@ class InertialTrack:
                 middle = multiply(
                     self._quaternion(i), exponential((0.5 * dt * rate[0], 0.5 * dt * rate[1], 0.5 * dt * rate[2]))
                 )
-                self._step[i] = (*rate, *rotate(middle, force), *bias_radps, _knock_mps2(force))
+                whirl = _length(rate) if max(_length(self._last[0]), _length(rate_radps)) > _WHIRL_RADPS else 0.0
+                self._step[i] = (*rate, *rotate(middle, force), *bias_radps, _knock_mps2(force), whirl)
             self._append(self._advance(i, stamp_s))
         else:
             self._append(InertialState(stamp_s, IDENTITY, _ZERO, _ZERO, _ZERO))
         self._last, self._measured = (rate_radps, force_mps2), True
         newest = self._count - 1
         force_gyro = rotate(self._quaternion(newest), force_mps2)
-        self._step[newest] = (*rate_radps, *force_gyro, *bias_radps, _knock_mps2(force_mps2))
+        turning = _length(rate_radps)
+        whirl = turning if turning > _WHIRL_RADPS else 0.0
+        self._step[newest] = (*rate_radps, *force_gyro, *bias_radps, _knock_mps2(force_mps2), whirl)
 
     def coast(self, stamp_s: float, rate_radps: Vector) -> None:
         """Append a sample without an IMU: turning at ``rate_radps``, not accelerating.
@@ -161,7 +169,7 @@ class InertialTrack:
         """
         self._make_room()
         rx, ry, rz = rate_radps
-        step = (rx, ry, rz, *self.hover_force_gyro, -rx, -ry, -rz, 0.0)
+        step = (rx, ry, rz, *self.hover_force_gyro, -rx, -ry, -rz, 0.0, 0.0)
         if self._count:
             i = self._count - 1
             if self._measured and stamp_s - float(self._stamp[i]) > self._gap_s:
@@ -178,7 +186,7 @@ class InertialTrack:
             return None
         i = int(self._stamp[: self._count].searchsorted(stamp_s, side="right")) - 1
         if i == self._count - 1 and self._measured and stamp_s - self._stamp[i] > self._gap_s:
-            return self._advance(i, stamp_s, (*_ZERO, *self.hover_force_gyro, *self._step[i, 6:9].tolist(), 0.0))
+            return self._advance(i, stamp_s, (*_ZERO, *self.hover_force_gyro, *self._step[i, 6:9].tolist(), 0.0, 0.0))
         return self._advance(i, stamp_s)
 
     def _quaternion(self, i: int) -> Quaternion:
@@ -188,8 +196,8 @@ class InertialTrack:
     def _advance(self, i: int, stamp_s: float, step: tuple[float, ...] | None = None) -> InertialState:
         """Sample i carried along its own step, or another one, to ``stamp_s``."""
         dt = stamp_s - float(self._stamp[i])
-        w, x, y, z, vx, vy, vz, px, py, pz, bx, by, bz, knocks = self._state[i].tolist()
-        rx, ry, rz, ax, ay, az, gx, gy, gz, knock = self._step[i].tolist() if step is None else step
+        w, x, y, z, vx, vy, vz, px, py, pz, bx, by, bz, knocks, whirls = self._state[i].tolist()
+        rx, ry, rz, ax, ay, az, gx, gy, gz, knock, whirl = self._step[i].tolist() if step is None else step
         half = 0.5 * dt * dt
         return InertialState(
             stamp_s,
@@ -198,12 +206,14 @@ class InertialTrack:
             (px + vx * dt + ax * half, py + vy * dt + ay * half, pz + vz * dt + az * half),
             (bx + gx * dt, by + gy * dt, bz + gz * dt),
             knocks + knock * dt,
+            whirls + whirl * dt,
         )
 
     def _append(self, state: InertialState) -> None:
         self._stamp[self._count] = state.stamp_s
         self._state[self._count] = (
-            *state.gyro_from_body, *state.velocity_integral, *state.position_integral, *state.bias_integral, state.knocks_mps,
+            *state.gyro_from_body, *state.velocity_integral, *state.position_integral, *state.bias_integral,
+            state.knocks_mps, state.whirls_rad,
         )  # fmt: skip
         self._count += 1
 
@@ -225,6 +235,9 @@ class InertialTrack:
 
 def _knock_mps2(force_mps2: Vector) -> float:
     """How hard a blow is, 0 for a force that a vehicle flies by."""
-    x, y, z = force_mps2
-    force = math.sqrt(x * x + y * y + z * z)
+    force = _length(force_mps2)
     return force if force > _KNOCK_MPS2 else 0.0
+
+
+def _length(v: Vector) -> float:
+    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])

@@ -25,7 +25,7 @@ from uav_recon.types.frames import FloatArray
 
 _HISTORY_S = 2.0  # kept for late poses and frames
 _IMU_GAP_S = 0.05
-_FASTEST_RADPS, _HARDEST_MPS2 = 35.0, 160.0  # any gyro and any accelerometer (16 g) is saturated there
+_FASTEST_RADPS, _HARDEST_MPS2 = 35.0, 160.0  # any gyro (2000 degrees/s) and any accelerometer (16 g) is saturated there
 _FUTURE_S = 0.01
 
 
@@ -143,17 +143,20 @@ class Chain:
             self._nodes.popleft()
 
     def at(self, stamp_s: float) -> tuple[Node, Estimate, InertialState] | None:
-        """The node before an instant, and the estimate and the track there; None where too long ago."""
+        """The node before an instant, and the estimate and the track there; None where too long ago, or where the attitude is a
+        guess: since a whirl until the next node, and before it too once that node is known, for the way is bent as a whole.
+        """
         if not self._nodes or stamp_s < self._nodes[0].stamp_s:
             return None
         k = self._before(stamp_s)
-        node = self._nodes[k]
+        node, after = self._nodes[k], self._nodes[k + 1] if k + 1 < len(self._nodes) else None
         base, here = self._track.at(node.stamp_s), self._track.at(stamp_s)
-        if base is None or here is None:
+        there = here if after is None else self._track.at(after.stamp_s)
+        if base is None or here is None or there is None or _guessed(base, here, there):
             return None
-        if k + 1 == len(self._nodes):
+        if after is None:
             return node, carry(node.estimate, base, here, node.noise), here
-        return node, self._bent(node, self._nodes[k + 1], base, here), here
+        return node, _bent(node, after, base, here, there), here
 
     def _meet(self, node: Node, said: Sighting, noise: PoseNoise) -> Arrival | None:
         inertial = self._inertial(node.stamp_s, said.stamp_s)
@@ -175,21 +178,6 @@ class Chain:
         self._nodes.append(node)
         self._fused(node.stamp_s, node.nis)
         self._track.hover_force_gyro = rotate(conjugate(node.estimate.odom_from_gyro), (0.0, 0.0, GRAVITY_MPS2))
-
-    def _bent(self, node: Node, after: Node, base: InertialState, here: InertialState) -> Estimate:
-        """The way from a node, bent so that it ends at the next."""
-        there = self._track.at(after.stamp_s)
-        state = carry_mean(node.estimate, base, here)
-        if there is None:
-            return state
-        share = (here.stamp_s - node.stamp_s) / (after.stamp_s - node.stamp_s)
-        end, goal = carry_mean(node.estimate, base, there), after.estimate
-        turn = logarithm(multiply(goal.odom_from_gyro, conjugate(end.odom_from_gyro)))
-        return state._replace(
-            position_m=_towards(state.position_m, end.position_m, goal.position_m, share),
-            velocity_mps=_towards(state.velocity_mps, end.velocity_mps, goal.velocity_mps, share),
-            odom_from_gyro=multiply(exponential((share * turn[0], share * turn[1], share * turn[2])), state.odom_from_gyro),
-        )
 
     def _before(self, stamp_s: float) -> int:
         k = len(self._nodes) - 1
@@ -213,6 +201,24 @@ def against(said: Sighting, noise: PoseNoise, carried: Estimate, here: InertialS
     """A pose and an estimate carried to its instant."""
     residual = innovation(carried, here, said.position_m, said.odom_from_body)
     return Arrival(said, noise, carried, here, residual, spread(carried, noise))
+
+
+def _guessed(base: InertialState, here: InertialState, there: InertialState) -> bool:
+    """Whether nobody knows which way the body looks at ``here``, between a node and the next or the present."""
+    return here.stamp_s > base.stamp_s and there.whirls_rad > base.whirls_rad
+
+
+def _bent(node: Node, after: Node, base: InertialState, here: InertialState, there: InertialState) -> Estimate:
+    """The way from a node, bent so that it ends at the next."""
+    state = carry_mean(node.estimate, base, here)
+    share = (here.stamp_s - node.stamp_s) / (after.stamp_s - node.stamp_s)
+    end, goal = carry_mean(node.estimate, base, there), after.estimate
+    turn = logarithm(multiply(goal.odom_from_gyro, conjugate(end.odom_from_gyro)))
+    return state._replace(
+        position_m=_towards(state.position_m, end.position_m, goal.position_m, share),
+        velocity_mps=_towards(state.velocity_mps, end.velocity_mps, goal.velocity_mps, share),
+        odom_from_gyro=multiply(exponential((share * turn[0], share * turn[1], share * turn[2])), state.odom_from_gyro),
+    )
 
 
 def _towards(here: Vector, end: Vector, goal: Vector, share: float) -> Vector:

@@ -126,16 +126,17 @@ def carry_mean(state: Estimate, base: InertialState, here: InertialState) -> Est
 
 
 def carry(state: Estimate, base: InertialState, here: InertialState, noise: PoseNoise) -> Estimate:
-    """The state and its covariance carried from ``base`` to ``here``. A knock between them counts, and so does that it may be
-    none: as much white acceleration as makes its whole change of velocity one standard deviation.
+    """The state and its covariance carried from ``base`` to ``here``. A knock or a whirl between them counts, and so does that
+    it may be none: as much white acceleration, or rate, as makes its whole change of velocity, or turn, one standard deviation.
     """
     carried, dp, dv = _carry_mean(state, base, here)
     carrier = WITH_IMU if state.inertial else WITHOUT_IMU
     before, after = state.odom_from_body(base), state.odom_from_body(here)
     walks = (noise.position_walk, noise.attitude_walk)
-    dt, knocks_mps = here.stamp_s - base.stamp_s, here.knocks_mps - base.knocks_mps
-    white = carrier.acceleration**2 + (knocks_mps**2 / dt if knocks_mps > 0.0 else 0.0)
-    densities = (white, carrier.offset_walk**2, carrier.rate**2, carrier.bias_walk**2, *walks)
+    dt = here.stamp_s - base.stamp_s
+    white = carrier.acceleration**2 + _doubt(here.knocks_mps - base.knocks_mps, dt)
+    rate = carrier.rate**2 + _doubt(here.whirls_rad - base.whirls_rad, dt)
+    densities = (white, carrier.offset_walk**2, rate, carrier.bias_walk**2, *walks)
     transition, walk = dynamics(dt, state.inertial, before, after, dp, dv, densities)
     _, covariance = predict(_NOTHING, state.covariance, transition, walk)
     return carried._replace(covariance=covariance)
@@ -168,6 +169,11 @@ def correct(state: Estimate, residual: FloatArray, noise: PoseNoise, doubt: floa
         offset_mps2=(cx + e[12], cy + e[13], cz + e[14]),
         covariance=covariance,
     )
+
+
+def _doubt(change: float, dt: float) -> float:
+    """Density of the white noise that comes to a change within dt."""
+    return change**2 / dt if change > 0.0 else 0.0
 
 
 def _measured(noise: PoseNoise) -> FloatArray:

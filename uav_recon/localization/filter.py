@@ -89,7 +89,9 @@ class FusionFilter:
         return True
 
     def odom_at(self, stamp_s: float) -> StampedPose | None:
-        """Where the body was (or is) at an instant; smooth between poses. None before the first pose or too long ago."""
+        """Where the body was (or is) at an instant; smooth between poses. None before the first pose, too long ago, and where
+        the gyro says that it turned as no vehicle turns, until a pose has told: about a tenth of a second.
+        """
         newest, found = self._chain.newest, self._chain.at(stamp_s)
         if newest is None or found is None:
             return None

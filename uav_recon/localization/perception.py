@@ -25,10 +25,10 @@ class Perception:
 
     Odometry is published at rate_hz, stamped now, with its health and odom's place in the world. When no pose came for the
     filter's pose_lost_s, a last one with quality 0 is published and then none, until poses come again. A frame waits until a
-    pose at or after its stamp was fused, or frame_wait_s; one whose own pose is not known is dropped, and so is one that is
-    not believed. What is near in it is published at once, pose or no pose, believed or not. Odometry that depth contradicts
-    is wrong: the quality stays, for it is better than none to land by. ``published_odom``, ``published_frames`` and
-    ``dropped_frames`` count.
+    pose at or after its stamp was fused, or frame_wait_s; one whose own pose is not known is dropped, so is one that is not
+    believed, and one that is not newer than all before it: it was mapped, or its place is gone. What is near in a frame is
+    published at once, pose or no pose, believed or not. Odometry that depth contradicts is wrong: the quality stays, for it
+    is better than none to land by. ``published_odom``, ``published_frames`` and ``dropped_frames`` count.
     """
 
     def __init__(
@@ -52,6 +52,7 @@ class Perception:
             part.warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._waiting: deque[Frame] = deque()
+        self._newest_frame_s = -math.inf  # never later than now: no stamp of another clock can shut out those after it
         self._said_lost = True
         self.published_odom = self.published_frames = self.dropped_frames = 0
 
@@ -82,9 +83,11 @@ class Perception:
         frame = self._camera.poll()
         if frame is None:
             return
-        if not (math.isfinite(frame.stamp_s) and now_s - 1.0 <= frame.stamp_s <= now_s + 0.01):
+        timely = now_s - 1.0 <= frame.stamp_s <= now_s + 0.01
+        if not (timely and frame.stamp_s > self._newest_frame_s):
             self.dropped_frames += 1
             return
+        self._newest_frame_s = frame.stamp_s
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if body_from_depth is not None:
             believed = self._believes(frame, body_from_depth)

@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
 _WINDOW_S = 10.0  # the clock offset follows 20 ppm of drift to 0.2 ms
+_SETTLES_S = 0.5  # after a change of the clock that stamps go by (HAZARDS, C7)
 
 
 class RealSenseError(StreamError):
@@ -72,8 +73,9 @@ class RealSenseCamera:
     """Camera protocol over librealsense. Raises RealSenseError (one line) if there is no such camera or it goes away.
 
     serial: None takes the first camera found. playback: a .db3 file instead of a camera. body_from_depth: the fixed mount,
-    only used to turn inertial samples into body axes; None gives none. dropped_frames: repeated, out of order, or without
-    a colour image of their own instant. Opening takes seconds; poll() and imu() never block.
+    only used to turn inertial samples into body axes; None gives none. dropped_frames: not newer than the one before, without
+    a colour image of their own instant, or less than half a second after stamps went over to another clock (the device's, this
+    machine's, or the latter as librealsense reckons it). Opening takes seconds; poll() and imu() never block.
     """
 
     def __init__(
@@ -92,7 +94,8 @@ class RealSenseCamera:
         self._rs = _library()
         self._clock, self._wall_s, self._offset, self._live = clock, wall_s, ClockOffset(), playback is None
         self.dropped_frames = 0
-        self._newest_s, self._pair_s, self._number = -math.inf, 0.6 / fps, -1
+        self._before_s, self._pair_s, self._number = -math.inf, 0.6 / fps, -1
+        self._domain, self._settled_s = cast("Any", None), -math.inf
         self._pipeline = self._rs.pipeline()
         settings = _settings(self._rs, serial, playback)
         if playback is None:
@@ -135,11 +138,12 @@ class RealSenseCamera:
             self.dropped_frames += 1
             return None
         self._number = int(depth.get_frame_number())
+        settled = self._settled(depth.get_frame_timestamp_domain())
         stamp_s = self.stamp_s(depth)
-        if stamp_s <= self._newest_s:
+        before_s, self._before_s = self._before_s, stamp_s
+        if stamp_s <= before_s or not settled:
             self.dropped_frames += 1
             return None
-        self._newest_s = stamp_s
         return Frame(
             stamp_s,
             self._number,
@@ -167,6 +171,14 @@ class RealSenseCamera:
             return stamp_s + now_s - self._wall_s()  # already on this machine's wall clock
         return self._offset.monotonic_s(stamp_s, now_s)
 
+    def _settled(self, domain: Any) -> bool:
+        """Whether stamps go by the clock that they went by half a second ago; the first one counts as settled."""
+        now_s = self._clock.now_s()
+        if domain != self._domain:
+            self._settled_s = now_s if self._domain is None else now_s + _SETTLES_S
+            self._domain, self._offset = domain, ClockOffset()
+        return now_s >= self._settled_s
+
     def _gyro(self, profile: Any) -> Any:
         """The gyro's profile on the opened device, None without one."""
         sensors = [sensor for sensor in profile.get_device().query_sensors() if sensor.is_motion_sensor()]
@@ -181,7 +193,6 @@ class _Imu:
         self._camera, self._rs, self._body_from_imu = camera, camera._rs, body_from_imu
         self._queue: deque[tuple[bool, float, tuple[float, float, float]]] = deque(maxlen=4096)  # gyro?, stamp, data
         self._force: FloatArray | None = None
-        self._newest_s = -math.inf
         settings.enable_stream(self._rs.stream.accel)
         settings.enable_stream(self._rs.stream.gyro)
         self._pipeline = self._rs.pipeline()
@@ -199,15 +210,14 @@ class _Imu:
             self._queue.append((gyro, self._camera.stamp_s(motion), (data.x, data.y, data.z)))
 
     def samples(self) -> list[ImuSample]:
-        """One sample per gyro reading, with the newest specific force before it (lever arm neglected)."""
+        """One sample per gyro reading, with the newest specific force before it (lever arm neglected), as they came."""
         out: list[ImuSample] = []
         while self._queue:
             gyro, stamp_s, data = self._queue.popleft()
             turned = self._body_from_imu @ np.array(data)
             if not gyro:
                 self._force = turned
-            elif self._force is not None and stamp_s > self._newest_s:
-                self._newest_s = stamp_s
+            elif self._force is not None:
                 out.append(ImuSample(stamp_s, turned, self._force))
         return out
 
