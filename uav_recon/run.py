@@ -365,6 +365,7 @@ def make_conductor(
         camera_pitch_down_rad=math.radians(config.camera.pitch_down_deg),
         max_flight_s=mission.max_flight_s,
         plan_cost_s=mission.plan_cost_s,
+        clearance_m=clearance_m,
     )
     channels = MissionWires(
         wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
