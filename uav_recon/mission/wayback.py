@@ -39,5 +39,5 @@ def _clear(here: FloatArray, there: FloatArray, voxels: VoxelMap, clearance_m: f
     shares = np.linspace(0.0, 1.0, 2 + int(farthest_m / voxels.grid.resolution_m))
     points: FloatArray = here + shares[None, :, None] * (there - here)[:, None, :]
     index: IntArray = voxels.grid.index(points)
-    clear: BoolArray = (voxels.distance_m(index) >= clearance_m).all(axis=1)
+    clear: BoolArray = np.all(voxels.distance_m(index) >= clearance_m, axis=1)
     return clear
