@@ -349,9 +349,8 @@ def make_conductor(
     from uav_recon.mission.conductor import Conductor
     from uav_recon.mission.orders import MissionWires, Orders, Stages
 
-    mission = config.mission
+    mission, clearance_m = config.mission, config.planner.clearance_m
     voxels, planner = make_voxels(config), make_planner(config, timer)
-    clearance_m = config.planner.clearance_m
     retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m)
     motion, retreat = make_motion(config, clearance_m), make_motion(config, retreat_m)
     orders = Orders(
@@ -365,6 +364,7 @@ def make_conductor(
         camera_pitch_down_rad=math.radians(config.camera.pitch_down_deg),
         max_flight_s=mission.max_flight_s,
         plan_cost_s=mission.plan_cost_s,
+        clearance_m=clearance_m,
     )
     channels = MissionWires(
         wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,

@@ -1,4 +1,6 @@
-"""Where faults are flown: a hall with room to be fast in, a pen inside it, and two small rooms with a tight gap between."""
+"""Where faults are flown: a hall with room to be fast in, a pen inside it, two small rooms with a tight gap between, and a
+gallery to be far from home in.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,14 @@ LENGTH_M, WIDTH_M, HEIGHT_M = 10.0, 7.0, 2.8
 START = (1.4, 3.5, 1.2, 0.0)
 PEN = (0.4, 1.0, 0.0, 8.4, 6.0, 2.6)
 SMALL_M = (5.8, 2.8, 2.4)  # of both rooms: soon looked round in
+GALLERY_M = (32.0, 3.5, 2.8)
 GAP, GAP_WIDTH_M = Gap(1.2, 2.2), 0.9
 _WALLS = checks((0.8, 0.8, 0.75), (0.6, 0.62, 0.65), 0.4)
 
 
 def arena(name: str, radius_m: float) -> Scene:
-    """hall, pen or corridor. The start is the same in all."""
-    pieces = _corridor() if name == "corridor" else _hall()
+    """hall, pen, corridor or gallery. The start is the same in all."""
+    pieces = {"corridor": _corridor, "gallery": _gallery}.get(name, _hall)()
     return place(name, joined(pieces), START, PEN if name == "pen" else None, radius_m)
 
 
@@ -42,6 +45,15 @@ def _hall() -> list[Mesh]:
         w.box((4.2, 1.2, 0.0), (4.7, 1.7, HEIGHT_M), grey),
         w.box((6.5, 5.0, 0.0), (7.0, 5.5, HEIGHT_M), grey),
         w.box((7.6, 1.4, 0.0), (9.0, 2.0, 0.8), grey),
+    ]
+
+
+def _gallery() -> list[Mesh]:
+    w, grey, (_, middle, *_) = Workshop(fine=False), plain((0.5, 0.5, 0.55)), START
+    pillars = [(9.0, 0.9), (16.0, -0.9), (23.0, 0.9)]
+    return [
+        *_shell(*GALLERY_M),
+        *(w.box((x, middle + y - 0.2, 0.0), (x + 0.4, middle + y + 0.2, GALLERY_M[2]), grey) for x, y in pillars),
     ]
 
 

@@ -35,12 +35,12 @@ class Limits:
 class Evidence:
     """One flight. Instants on the world's clock; onset_s: when the trouble began, inf if it never came to that.
 
-    stamp_s (K,), position_m and velocity_mps (K, 3), yaw_rad (K,), armed (K,), mode (K,) of each turn; hull_s (H,) and hull_m
-    (H,): true clearance where it counts. arrived_s (A,): of setpoints at the autopilot, behind the troubles. heard: (instant,
-    custom mode, armed) of heartbeats that reached the product. boxes_m (K,): how near the hull is to the obstacles of the
-    trouble, inf without one and on the ground. notes: what the injectors measured themselves, by its name. firmware: version
-    of a real one, "" for none. stop_reason: why the product says that it ended, for a judge that asks whether it said so; ""
-    for nothing.
+    stamp_s (K,), position_m and velocity_mps (K, 3), yaw_rad (K,), armed (K,), mode (K,), charge (K,; share of the battery)
+    of each turn; hull_s (H,) and hull_m (H,): true clearance where it counts. arrived_s (A,): of setpoints at the
+    autopilot, behind the troubles. heard: (instant, custom mode, armed) of heartbeats that reached the product. boxes_m
+    (K,): how near the hull is to the obstacles of the trouble, inf without one and on the ground. notes: what the injectors
+    measured themselves, by its name. firmware: version of a real one, "" for none. stop_reason: why the product says that
+    it ended, for a judge that asks whether it said so; "" for nothing.
     """
 
     onset_s: float
@@ -54,7 +54,7 @@ class Evidence:
     hull_s: F64
     hull_m: F64
     boxes_m: F64
-    battery: float
+    charge: F64
     failsafes: tuple[str, ...]
     texts: tuple[str, ...]
     wire: Wire
@@ -127,7 +127,7 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
         hull_s=hull_s,
         hull_m=hull_m,
         boxes_m=boxes_m,
-        battery=world.flyer.battery_fraction,
+        charge=np.array([m.charge for m in ledger]),
         failsafes=tuple(world.flyer.failsafes),
         texts=tuple(world.flyer.texts),
         wire=decode(tap.sent),

@@ -275,7 +275,7 @@ def motors_ran(e: Evidence) -> float:
 
 def battery_left(e: Evidence) -> float:
     """Charge at the end, as a share."""
-    return e.battery
+    return float(e.charge[-1])
 
 
 def from_pad(e: Evidence) -> float:

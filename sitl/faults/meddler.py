@@ -45,6 +45,7 @@ class Moment:
     yaw_rad: float
     armed: bool
     mode: str
+    charge: float  # share of the battery
 
 
 def alone(row: str) -> bool:
@@ -96,9 +97,10 @@ class Meddler:
 
     def turn(self, now_s: float) -> None:
         """Before anything else moves in a turn."""
-        at, truth = self.theatre, self.theatre.world.flyer.truth()
-        at.now_s = now_s
-        self.ledger.append(Moment(now_s, truth.position, truth.velocity, yaw_of(truth.quat_wxyz), truth.armed, truth.mode))
+        at, flyer = self.theatre, self.theatre.world.flyer
+        at.now_s, truth = now_s, flyer.truth()
+        yaw_rad, charge = yaw_of(truth.quat_wxyz), flyer.battery_fraction
+        self.ledger.append(Moment(now_s, truth.position, truth.velocity, yaw_rad, truth.armed, truth.mode, charge))
         self._watch(self.ledger[-1])
         for injector in self._injectors:
             injector.turn(at, now_s - self.onset_s)

@@ -25,6 +25,7 @@ from sitl.faults.everywhere import Room
 from sitl.faults.eye import Stands
 from sitl.faults.host import Abort, DiskFull, Madness
 from sitl.faults.load import NoSpace
+from sitl.faults.reserve import reserve, turned_at
 from sitl.faults.row import SHORT_VIEWS, Bar, Row
 from sitl.faults.signals import RECORDER, ChildStruck
 from sitl.faults.takeover import mode_taken_back
@@ -136,6 +137,23 @@ TABLE_E = (
         ],
         (down(60.0), RETURNS),
         longest_s=180.0,
+    ),
+    Row(
+        "E5d",
+        "small battery, far from home",
+        "one of five and a half minutes, 90 % of it there at boot, in a gallery of 32 m",
+        lambda n: [Battery(0.90, 0.003)],
+        (
+            Bar("reserve of the way home", reserve, 1.3, "", at_least=True),
+            Bar("turned back at", turned_at, 10.0, "m", at_least=True),
+            Bar("charge left", m.battery_left, 0.20, "", at_least=True),
+            RETURNS,
+        ),
+        onset=AT_BOOT,
+        arena="gallery",
+        longest_s=300.0,
+        views=120,
+        variant="explore",
     ),
     Row(
         "E6",

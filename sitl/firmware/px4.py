@@ -17,7 +17,8 @@ _TRUTH_PORT = 19410  # where its start script sends SIH's display
 _MODEL = "sihsim_quadx"
 # What a bench would set up for its airframe. Drag, N s/m on 1 kg: chosen, not measured, less than half of its own 1.0.
 # Noise: as its simulated sensor has it over 10 ms, three to six times what the estimator expects of one.
-_BENCH = {"SIH_KDV": "0.4", "EKF2_ACC_NOISE": "1.0", "EKF2_GYR_NOISE": "0.09"}
+# Its battery would be half empty after 30 s and stay so, from which a mission turns back: 21 minutes, as the simulated one's.
+_BENCH = {"SIH_KDV": "0.4", "EKF2_ACC_NOISE": "1.0", "EKF2_GYR_NOISE": "0.09", "SIM_BAT_DRAIN": "1260"}
 _NAMES = {mode.value: mode.name for mode in Mode}
 
 

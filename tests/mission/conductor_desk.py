@@ -149,7 +149,7 @@ class Desk:
         )  # fmt: skip
         self.voxels, self.planner, self.mapper = OpenSpace(), ThreeViews(), Sketchbook()
         motion = MotionPlanner(MotionConfig(), 0.35)
-        orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1)
+        orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35)
         self.retreat = Asked(MotionConfig(), 0.30)
         stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, self.paced(motion), self.paced(self.retreat))
         self.folder, self.journal = folder, FlightLog(folder)

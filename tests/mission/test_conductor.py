@@ -79,7 +79,7 @@ def test_a_battery_that_falls_for_a_moment_ends_nothing_and_one_that_stays_low_e
     desk.battery = 0.40
     desk.run(2.5)
     assert desk.seen[-1] is Phase.SURVEY
-    desk.battery = 0.20
+    desk.battery = 0.24
     desk.run(3.5, until=Phase.RETURN)
     desk.run(120.0, until=Phase.DONE)
 

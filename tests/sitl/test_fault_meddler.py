@@ -25,7 +25,7 @@ def watched_s(trouble: Trouble, lands_s: float, lifts_again_s: float = 1e9) -> t
     for turn in range(60 * 200):
         now_s = seen.now_s = turn * TURN_S
         armed = 1.0 <= now_s < lands_s or now_s >= lifts_again_s
-        meddler._watch(Moment(now_s, (0.0, 0.0, 1.2 if armed else 0.0), (0.0, 0.0, 0.0), 0.0, armed, "OFFBOARD"))
+        meddler._watch(Moment(now_s, (0.0, 0.0, 1.2 if armed else 0.0), (0.0, 0.0, 0.0), 0.0, armed, "OFFBOARD", 0.9))
         if meddler.over(finished=now_s >= lands_s):
             return now_s, armed
     raise AssertionError("never over")

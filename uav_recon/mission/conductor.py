@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.mission.account import Account
+from uav_recon.mission.ascent import Ascent
 from uav_recon.mission.captures import Captures
-from uav_recon.mission.charge import Charge
 from uav_recon.mission.course import Course
 from uav_recon.mission.decider import Decider
 from uav_recon.mission.events import Facts, observe
@@ -15,6 +15,7 @@ from uav_recon.mission.homeward import Homeward
 from uav_recon.mission.landingsite import LandingSite
 from uav_recon.mission.machine import Phase, advance
 from uav_recon.mission.orders import MissionWires, Orders, Stages
+from uav_recon.mission.steward import Steward
 from uav_recon.mission.survey import Survey
 from uav_recon.protocols import Clock, Executor, Journal
 from uav_recon.types.camera import PosedFrame
@@ -25,7 +26,6 @@ from uav_recon.types.vehicle import FlightPhase, VehicleState
 FRAME_TIMEOUT_S = 1.0
 PLAN_LATE_S = 20.0  # a planner that has not answered for so long does not answer any more
 VIEW_LATE_S = 0.6  # a view that no frame met for so long is given up
-LIFT_M, LIFTED_M = 0.3, 0.2  # of a take-off: so high first, and what counts as off the floor
 PROGRESS_PERIOD_S, MAP_PERIOD_S, FREE_PERIOD_S = 0.2, 1.0, 0.2
 
 
@@ -39,19 +39,18 @@ class Conductor:
         self._account = Account(journal, orders.views)
         self._captures, self._course = Captures(VIEW_LATE_S), Course(orders.camera_pitch_down_rad)
         self._helm = Helm(stages.motion, self._course, self._captures, self._account)
+        self._ascent = Ascent(self._helm, stages.motion, orders.takeoff_height_m)
         decider = Decider(stages.planner, stages.motion, stages.retreat, executor, orders.plan_cost_s, orders.view_spacing_m)
         self._decider = decider
         self._survey = Survey(stages, wires, orders, self._helm, decider, self._account)
         site = LandingSite(orders.takeoff_height_m, -orders.vehicle_height_m / 2, orders.clear_radius_m)
         self._homeward = Homeward(self._helm, decider, self._account, site)
-        self._charge = Charge()
+        self._steward = Steward(self._course, site.home, orders.clearance_m)
         self.phase = Phase.IDLE
         self.map: VoxelMap | None = None
         self._frame_sequence, self._frame_s = 0, -np.inf
         self._map_epoch, self._correction_sequence = 0, wires.correction.sequence()  # what stands there is of another flight
         self._surface_revision, self._refusals = -1, 0
-        self._took_off_s = np.inf
-        self._risen = False  # off the floor, and told to climb to where it flies
         self._reported_s = self._map_published_s = self._free_published_s = -np.inf
         self._free_revision, self._proposed = -1, self._course.trajectory
         self._start = self._abort = self._hold = self._go_home = self._released = False
@@ -94,10 +93,10 @@ class Conductor:
             self._course.follow(vehicle)
             self._stages.motion.allow(vehicle.most_mps)
             self._stages.retreat.allow(vehicle.most_mps)
-            self._charge.hear(now_s, vehicle.battery_fraction, flying=vehicle.armed)
             self._hear_guard(now_s, vehicle)
             self._hear_release(now_s, vehicle)
             self._hear_no_planner(now_s)
+            self._hear_battery(now_s, vehicle)
             self._account.hear(self.phase, vehicle)
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
@@ -159,7 +158,7 @@ class Conductor:
         if self._released and self.phase is Phase.HOLD:
             self._helm.hold(now_s, vehicle)
         elif self._released and self.phase is Phase.TAKEOFF:
-            self._course.trajectory, self._risen = None, False
+            self._ascent.begin_again()
         self._released = False
 
     def _hear_no_planner(self, now_s: float) -> None:
@@ -167,23 +166,34 @@ class Conductor:
         if self._decider.waiting_s(now_s) > PLAN_LATE_S:
             self.request_abort(f"the planner has not answered for {PLAN_LATE_S:.0f} s")
 
+    def _hear_battery(self, now_s: float, vehicle: VehicleState) -> None:
+        """Not to take off with it, or to land where it is; and where a held vehicle would turn back, its operator is told."""
+        steward = self._steward
+        steward.hear(now_s, vehicle, self.map)
+        starting, flying = self._start and self.phase is Phase.READY, vehicle.phase is FlightPhase.FLYING
+        if ends := steward.ends(starting, flying):
+            self.request_abort(ends)
+        elif self._hold and flying and steward.left < steward.needed:
+            self._account.note = steward.why()
+
     def _facts(self, now_s: float, vehicle: VehicleState) -> Facts:
         return Facts(
             vehicle=vehicle,
             start=self._start and self.map is not None,
             abort=self._abort,
             at_rest=self._helm.at_rest(now_s),
-            took_off=self._risen,
+            took_off=self._ascent.risen,
             frame_age_s=now_s - self._frame_s,
             frame_timeout_s=FRAME_TIMEOUT_S,
             nothing_left=bool(self._account.stop_reason),
             views_left=self._account.views_left,
-            flight_s=now_s - self._took_off_s,
+            flight_s=now_s - self._ascent.begun_s,
             max_flight_s=self._orders.max_flight_s,
             homing=self._homeward.under_way,
             no_way_home=self._homeward.no_way,
-            charge=self._charge.left,
-            charge_lost=self._charge.lost(now_s),
+            charge=self._steward.left,
+            charge_needed=self._steward.needed,
+            charge_lost=self._steward.lost,
             hold=self._hold,
             go_home=self._go_home,
         )
@@ -201,19 +211,19 @@ class Conductor:
         self._homeward.interrupt()
 
     def _why_return(self, now_s: float) -> str:
-        left = f"{self._account.frontiers} frontiers left in the last plan"
+        why = "the operator asked to return" if self._go_home else self._steward.why()
         if self._account.views_left <= 0:
-            return f"view budget of {self._orders.views} spent, {left}"
-        if now_s - self._took_off_s > self._orders.max_flight_s:
-            return f"flight time of {self._orders.max_flight_s:.0f} s spent, {left}"
-        battery = "unknown" if self._charge.lost(now_s) else "low"
-        return f"{'the operator asked to return' if self._go_home else f'battery {battery}'}, {left}"
+            why = f"view budget of {self._orders.views} spent"
+        elif now_s - self._ascent.begun_s > self._orders.max_flight_s:
+            why = f"flight time of {self._orders.max_flight_s:.0f} s spent"
+        self._account.note = why
+        return f"{why}, {self._account.frontiers} frontiers left in the last plan"
 
     # -- act ----------------------------------------------------------------------------------------------------------
 
     def _act(self, now_s: float, vehicle: VehicleState) -> None:
         if self.phase is Phase.TAKEOFF:
-            self._take_off(now_s, vehicle)
+            self._ascent.step(now_s, vehicle)
         elif self.map is None:
             return
         elif self.phase is Phase.SURVEY:
@@ -222,18 +232,6 @@ class Conductor:
             self._homeward.step(now_s, vehicle, self.map, along_breadcrumbs=self.phase is Phase.RETREAT)
             if self._homeward.lost:
                 self.request_abort(self._homeward.lost)
-
-    def _take_off(self, now_s: float, vehicle: VehicleState) -> None:
-        """Off the floor first, then up: the setpoint is not to climb away from an autopilot that still ramps its thrust up."""
-        resting = self._course.trajectory is None or self._helm.at_rest(now_s)
-        if not resting or self._risen or vehicle.phase is not FlightPhase.FLYING:
-            return
-        start = self._course.rest(vehicle)
-        self._risen = bool(start.position_m[2] >= LIFTED_M)
-        goal = np.array([*start.position_m[:2], self._orders.takeoff_height_m if self._risen else LIFT_M])
-        self._took_off_s = min(self._took_off_s, now_s)
-        up = self._stages.motion.line(start, goal, start.yaw_rad, now_s, self._course.next_identifier())
-        self._helm.fly(up, now_s)
 
     # -- tell ---------------------------------------------------------------------------------------------------------
 

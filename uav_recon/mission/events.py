@@ -19,7 +19,7 @@ class Event(Enum):
     NOTHING_LEFT = "no task is worth a flight"
     VIEWS_SPENT = "the view budget is spent"
     TIME_SPENT = "the flight time is spent"
-    BATTERY_LOW = "the battery is low"
+    BATTERY_LOW = "the battery is low for the way home"
     BATTERY_LOST = "nothing credible was heard of the battery for too long"
     AT_HOME = "over the pad"
     NO_WAY_HOME = "no way home is known"
@@ -86,6 +86,7 @@ class Facts:
     homing: bool  # a way home was handed out
     no_way_home: bool
     charge: float  # share of the battery that is left for sure; NaN: it never said
+    charge_needed: float  # share at which it has to turn back
     charge_lost: bool
     hold: bool = False  # the operator's word stands
     go_home: bool = False
@@ -98,8 +99,6 @@ OWN_WISHES = frozenset(
         Event.BATTERY_LOST, Event.AT_HOME, Event.NO_WAY_HOME, Event.CALLED_HOME,
     }
 )  # fmt: skip
-
-LOW_BATTERY = 0.30  # a fall is believed after 3 s, and the autopilot lands at 0.2
 
 
 def observe(facts: Facts) -> frozenset[Event]:
@@ -117,7 +116,8 @@ def observe(facts: Facts) -> frozenset[Event]:
         Event.NOTHING_LEFT: facts.nothing_left,
         Event.VIEWS_SPENT: facts.views_left <= 0 and facts.at_rest,
         Event.TIME_SPENT: facts.flight_s > facts.max_flight_s,
-        Event.BATTERY_LOW: facts.charge < LOW_BATTERY,  # NaN compares false: unknown from the first is the autopilot's to judge
+        Event.BATTERY_LOW: facts.charge
+        < facts.charge_needed,  # NaN compares false: unknown from the first is the autopilot's to judge
         Event.BATTERY_LOST: facts.charge_lost,
         Event.AT_HOME: facts.homing and facts.at_rest,
         Event.NO_WAY_HOME: facts.no_way_home,

@@ -42,7 +42,9 @@ class MissionWires:
 
 @dataclass(frozen=True)
 class Orders:
-    """What this mission is to do, in SI units. clear_radius_m: about every place where the vehicle flew nothing is."""
+    """What this mission is to do, in SI units. clear_radius_m: about every place where the vehicle flew nothing is.
+    clearance_m: what planned ways keep from anything.
+    """
 
     views: int
     survey_views: int
@@ -54,3 +56,4 @@ class Orders:
     camera_pitch_down_rad: float
     max_flight_s: float
     plan_cost_s: float
+    clearance_m: float

@@ -1,0 +1,36 @@
+"""The take-off: off the floor first, then up to where it flies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.mission.helm import Helm
+from uav_recon.protocols import Motion
+from uav_recon.types.vehicle import FlightPhase, VehicleState
+
+LIFT_M, LIFTED_M = 0.3, 0.2  # so high first, and what counts as off the floor
+
+
+class Ascent:
+    """The setpoint is not to climb away from an autopilot that still ramps its thrust up. height_m: over the pad's zero."""
+
+    def __init__(self, helm: Helm, motion: Motion, height_m: float) -> None:
+        self._helm, self._motion, self._height_m = helm, motion, height_m
+        self.begun_s = np.inf
+        self.risen = False  # off the floor, and told to climb to where it flies
+
+    def begin_again(self) -> None:
+        """From wherever it is."""
+        self._helm.course.trajectory, self.risen = None, False
+
+    def step(self, now_s: float, vehicle: VehicleState) -> None:
+        """From rest, once it flies."""
+        course = self._helm.course
+        resting = course.trajectory is None or self._helm.at_rest(now_s)
+        if not resting or self.risen or vehicle.phase is not FlightPhase.FLYING:
+            return
+        start = course.rest(vehicle)
+        self.risen = bool(start.position_m[2] >= LIFTED_M)
+        goal = np.array([*start.position_m[:2], self._height_m if self.risen else LIFT_M])
+        self.begun_s = min(self.begun_s, now_s)
+        self._helm.fly(self._motion.line(start, goal, start.yaw_rad, now_s, course.next_identifier()), now_s)

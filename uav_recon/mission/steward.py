@@ -1,0 +1,72 @@
+"""Keeps account of the battery: what is left of it for sure, what the way home needs, and why it is the end of a flight."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.mission.charge import Charge
+from uav_recon.mission.course import Course
+from uav_recon.mission.reserve import LAND_AT, LOW, TAKE_OFF, Burn, flight_s, least_for
+from uav_recon.mission.wayback import length_m
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import VoxelMap
+from uav_recon.types.vehicle import VehicleState
+
+_LOOK_S = 1.0  # the way home is measured so often
+_SLOWER = 0.8  # of what the guard lets pass, that much is planned with
+
+
+class Steward:
+    """One mission's. home_m: place (3,) over the pad; clearance_m: what planned ways keep of anything. hear() in each step."""
+
+    def __init__(self, course: Course, home_m: FloatArray, clearance_m: float) -> None:
+        self._course, self._home_m, self._clearance_m = course, home_m, clearance_m
+        self._charge, self._burn = Charge(), Burn()
+        self._looked_s, self._way_m, self._pace_mps, self._now_s = -math.inf, 0.0, math.inf, 0.0
+
+    def hear(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap | None) -> None:
+        """The gauge's word, and where the vehicle is: to be called when the course has followed it."""
+        self._now_s, self._pace_mps = now_s, _SLOWER * vehicle.most_mps
+        self._charge.hear(now_s, vehicle.battery_fraction, flying=vehicle.armed)
+        self._burn.hear(now_s, self._charge.left, flying=vehicle.armed)
+        if vehicle.armed and now_s - self._looked_s >= _LOOK_S:
+            self._looked_s, course = now_s, self._course
+            way = np.array([course.position_world, *course.way_back(self._home_m), self._home_m])
+            self._way_m = length_m(way, voxels, self._clearance_m)
+
+    @property
+    def left(self) -> float:
+        """Share that is left for sure; NaN before any was heard."""
+        return self._charge.left
+
+    @property
+    def lost(self) -> bool:
+        """Whether nothing credible was heard for too long."""
+        return self._charge.lost(self._now_s)
+
+    @property
+    def needed(self) -> float:
+        """Share at which it has to turn back: for the way home, and no less than LOW while nothing can be reckoned."""
+        need = least_for(flight_s(self._way_m, self._pace_mps), self._burn.per_s(self._now_s))
+        return need if self._burn.reckoned(self._now_s) else max(need, LOW)
+
+    def ends(self, starting: bool, flying: bool) -> str:
+        """Why there is no flight, or none any more; '' where there is. Of a gauge that never spoke the autopilot is judge."""
+        if starting and self.left < TAKE_OFF:
+            return f"battery at {_percent(self.left)}: a flight needs {_percent(TAKE_OFF)}"
+        return f"battery at {_percent(self.left)}: landing where it is" if flying and self.left <= LAND_AT else ""
+
+    def why(self) -> str:
+        """Why it returns, in words with figures."""
+        if self.lost:
+            return "battery unknown"
+        per_s, home_s = self._burn.per_s(self._now_s), flight_s(self._way_m, self._pace_mps)
+        if self.left >= least_for(home_s, per_s):
+            return f"battery at {_percent(self.left)}, and how fast it falls is not known yet"
+        return f"battery at {_percent(self.left)}: the way home of {self._way_m:.0f} m needs {_percent(home_s * per_s)}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
