@@ -17,6 +17,7 @@ from sitl.faults.bars import (
     STREAMS,
     clear,
     down,
+    holds,
     lands,
     told,
 )  # fmt: skip
@@ -29,7 +30,7 @@ from sitl.faults.row import SHORT_VIEWS, Bar, Row
 from sitl.faults.signals import RECORDER, ChildStruck
 from sitl.faults.takeover import mode_taken_back
 from sitl.faults.trouble import Onset
-from sitl.faults.wires import SYS_STATUS, Forger, Gauge, Loss, Refused, Rewritten, version
+from sitl.faults.wires import SYS_STATUS, Forger, Gauge, Loss, Refused, Rewritten, SecondAutopilot, version
 
 AT_BOOT = Onset((0.0, 0.0), at_boot=True)
 ANY = Onset((0.0, 15.0), speed_mps=0.0)
@@ -102,9 +103,28 @@ TABLE_E = (
         "forged commands",
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
         lambda n: [Forger(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
-        (NO_FAILSAFE, COMPLETES),
+        (NO_FAILSAFE, COMPLETES, told(1.0)),
         longest_s=90.0,
         views=SHORT_VIEWS,
+        times=2,
+    ),
+    Row(
+        "E4b",
+        "second autopilot",
+        "another with the vehicle's own name speaks for 10 s: in our mode, with motors and without",
+        lambda n: [SecondAutopilot(SecondAutopilot.OURS, armed=n % 2 == 0)],
+        (holds(1.0), told(1.0), NO_FAILSAFE, COMPLETES),
+        longest_s=120.0,
+        views=SHORT_VIEWS,
+    ),
+    Row(
+        "E4c",
+        "second autopilot's mode",
+        "another with the vehicle's own name says for 10 s, and says once, that a pilot flies it; and that it lands",
+        lambda n: [SecondAutopilot((SecondAutopilot.PILOTS, SecondAutopilot.LANDING)[n % 4 // 2], once=n % 2 == 1)],
+        (told(1.0), lands(5.0), down(30.0)),
+        longest_s=45.0,
+        times=2,
     ),
     Row(
         "E5",

@@ -149,6 +149,44 @@ class Forger(Injector):
             proxy_of(at).forge(bytes(message.pack(self._voice, force_mavlink1=self._version_1)))
 
 
+class SecondAutopilot(Injector):
+    """Another autopilot on the link with the vehicle's own name: it counts its frames and its time itself, stands elsewhere,
+    and says that it is in a mode; once, or ten times a second with all the rest. modes: HEARTBEAT's on PX4 and on ArduPilot.
+    """
+
+    OURS, PILOTS, LANDING = (6 << 16, 4), (3 << 16, 5), (6 << 24 | 4 << 16, 9)
+
+    def __init__(self, modes: tuple[int, int], armed: bool = True, for_s: float = 10.0, once: bool = False) -> None:
+        self._modes, self._armed, self._for_s, self._once = modes, armed, for_s, once
+        self._voice, self._turns = mavlink.MAVLink(None, 1, 1), 0
+        self._heartbeat: mavlink.MAVLink_message | None = None
+
+    def begin(self, at: Theatre) -> None:
+        """Of the vehicle's kind."""
+        px4 = at.world.flyer.truth().mode == "OFFBOARD"
+        family, mode, base = 12 if px4 else 3, self._modes[0 if px4 else 1], 1 | 128 * self._armed
+        self._heartbeat = mavlink.MAVLink_heartbeat_message(2, family, base, mode, 4, 3)
+        if self._once:
+            self._say(at, self._heartbeat)
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Booted a quarter of an hour ago."""
+        if self._once or since_s >= self._for_s:
+            return
+        boot_ms = int((900.0 + since_s) * 1000)
+        if self._turns % 10 == 0:
+            self._say(at, self._heartbeat)
+        if self._turns % 3 == 0:
+            self._say(at, mavlink.MAVLink_local_position_ned_message(boot_ms, 3.0, -2.0, -1.5, 0.3, 0.0, 0.0))
+            self._say(at, mavlink.MAVLink_attitude_quaternion_message(boot_ms, 0.6, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0))
+        self._turns += 1
+
+    def _say(self, at: Theatre, message: mavlink.MAVLink_message | None) -> None:
+        assert message is not None
+        proxy_of(at).forge(bytes(message.pack(self._voice)))
+        self._voice.seq = (self._voice.seq + 1) % 256
+
+
 class Rewritten(Injector):
     """Frames of one kind from the autopilot are replaced by what a function makes of them."""
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+from uav_recon.autopilot.intrusion import TWO
 from uav_recon.autopilot.telemetry import Telemetry
 
 DO_SET_MODE, ARM_DISARM = 176, 400
@@ -78,6 +79,8 @@ def missing_to_follow(
         return f"the autopilot is not {name} (MAV_AUTOPILOT {t.firmware_family})"
     if t.twin_heard:
         return "another companion speaks with our id"
+    if t.doubled:
+        return TWO
     if t.version is None:
         return "firmware version unknown"
     if t.version < oldest:
