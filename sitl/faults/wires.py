@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.faults.injector import Injector, Needs, Theatre
-from sitl.faults.link import Late, Tap, message_id
+from sitl.faults.link import Late, Tap, frames, message_id
 
 _COMMAND_LONG, SYS_STATUS = 76, 1
 
@@ -166,7 +166,8 @@ class SecondAutopilot(Injector):
         px4 = at.world.flyer.truth().mode == "OFFBOARD"
         family, mode, base = 12 if px4 else 3, self._modes[0 if px4 else 1], 1 | 128 * self._armed
         self._heartbeat = mavlink.MAVLink_heartbeat_message(2, family, base, mode, 4, 3)
-        if self._once:
+        if self._once:  # and of all numbers the one that is due
+            self._voice.seq = (frames(proxy_of(at).heard[-1][1])[-1][4] + 1) % 256
             self._say(at, self._heartbeat)
 
     def turn(self, at: Theatre, since_s: float) -> None:

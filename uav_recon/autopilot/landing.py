@@ -49,6 +49,7 @@ class Landing:
             return None
         if not firmware.is_ours(t.custom_mode):
             return yielded(f"mode changed to {firmware.mode_name(t.custom_mode)}")
+        self.alert = "our mode goes on: LAND is asked for" if self.seen else self.alert
         self._in_vain_s = min(self._in_vain_s, now_s + _IN_VAIN_S)
         if now_s > self._in_vain_s:
             return yielded(f"LAND is not heeded in {_IN_VAIN_S:.0f} s: the autopilot's failsafe is to land", abandoned=True)
