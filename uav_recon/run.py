@@ -126,7 +126,8 @@ def make_gate(config: LinkConfig, clock: Clock) -> Gate:
     from uav_recon.autopilot.signing import KeyFileError, open_signature
     from uav_recon.autopilot.stamps import StampsError
 
-    allowed, key = AllowList(config.vehicle_system, config.vehicle_component, config.gimbal_component), config.signing_key
+    ids = (config.vehicle_system, config.vehicle_component, config.gimbal_component, config.autopilot_uid or "")
+    allowed, key = AllowList(*ids), config.signing_key
     try:
         return Gate(allowed, open_signature(key, config.signing_link_id, config.signing_stamps, clock) if key else None)
     except (KeyFileError, StampsError) as error:

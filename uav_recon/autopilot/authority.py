@@ -58,6 +58,8 @@ class Authority:
             if (ours or self._firmware.is_landing(t.custom_mode)) and self.motors_may_start(now_s):
                 return Loss(FlightPhase.LANDING, "armed after the request was withdrawn")
             return yielded("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
+        if t.stranger and phase in (FlightPhase.ARMING, *IN_THE_AIR):
+            return yielded(t.stranger, abandoned=True)
         if phase in IN_THE_AIR and rebooted:
             return yielded("the autopilot restarted in flight")
         if phase in IN_THE_AIR and now_s - t.heard_s > _LINK_LOST_S:
@@ -77,8 +79,8 @@ class Authority:
         outlives our heartbeats.
         """
         self._yielded_s = min(self._yielded_s, now_s)
-        if t.doubled:
-            return yielded(f"{TWO}: its failsafe is to land", abandoned=True)
+        if t.stranger or t.doubled:
+            return yielded(f"{t.stranger or TWO}: its failsafe is to land", abandoned=True)
         back = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s <= _BACK_S
         return yielded("our mode goes on: its failsafe is to land", abandoned=True) if back else None
 

@@ -6,6 +6,7 @@ import math
 
 from uav_recon.autopilot.double import Double
 from uav_recon.autopilot.gate import NOT_AN_AUTOPILOT, Gate
+from uav_recon.autopilot.identity import Identity
 from uav_recon.autopilot.intrusion import OLD_FRAMES, TWO, Intrusions
 from uav_recon.autopilot.mavlink import Decoder, Encoder
 from uav_recon.autopilot.messages import (
@@ -42,7 +43,7 @@ _NS = 1_000_000_000
 _PROMPT_NS = 25_000_000  # a question is answered so soon, or its round trip is too long to be learned from
 # Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most; the question for its mode.
 _CHATTER_HZ = (5.0, 10.0, 50.0, 10.0, 10.0)
-_HEARTBEAT = 0.0
+_HEARTBEAT, _AUTOPILOT_VERSION = 0.0, 148.0
 
 
 class Link:
@@ -67,6 +68,7 @@ class Link:
         self._own = (system, component)
         self._decoder, self._encoder = Decoder(), Encoder(system, component)
         self._timesync, self._succession, self._double = TimeSyncFilter(), Succession(), Double()
+        self._identity = Identity(gate.uid)
         keepers = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
         self._heartbeat, self._sync, self._resync, self._gimbal, self._mode = keepers
         self._asked_parameters: set[str] = set()
@@ -106,6 +108,8 @@ class Link:
         if self.telemetry.system and (self._resync if self._timesync.lost else self._sync).due(now_s):
             self._send(self._encoder.timesync(0, int(now_s * _NS)), now_s)
         self.ask_mode(now_s)
+        if self._identity.asks(now_s):
+            self.command(now_s, _REQUEST_MESSAGE, _AUTOPILOT_VERSION)
 
     def ask_mode(self, now_s: float) -> None:
         """For a HEARTBEAT, where it does not come often by itself."""
@@ -117,8 +121,8 @@ class Link:
         self.mute = True
 
     def feed_pose(self, pose: StampedPose, now_s: float) -> None:
-        """ODOMETRY on the autopilot's clock; nothing before that clock is known, and nothing while it is in doubt."""
-        if not self.time_known:
+        """ODOMETRY on the autopilot's clock; nothing before it is known, while it is in doubt, or for another."""
+        if not self.time_known or self.telemetry.stranger:
             return
         time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000
         self._send(self._encoder.odometry(pose, time_us, self.firmware.pose_frame), now_s)
@@ -199,6 +203,7 @@ class Link:
                 t.stale_frames += 1
                 return
             t.heard_s = now_s
+            self._identity.hear(now_s, self._timesync.lost)
             self._take(message, now_s)
         elif isinstance(message, GimbalAttitude):
             t.camera_pitch_down_rad = message.pitch_down_rad
@@ -224,6 +229,8 @@ class Link:
                 t.origin_known = True
             case Firmware():
                 t.version = message.version
+                self._identity.told(message.uid)
+                t.stranger = self._identity.fault
             case StatusText():
                 t.warning = message.text if message.severity <= _WARNING else t.warning
             case GimbalAttitude():

@@ -79,8 +79,8 @@ def missing_to_follow(
         return f"the autopilot is not {name} (MAV_AUTOPILOT {t.firmware_family})"
     if t.twin_heard:
         return "another companion speaks with our id"
-    if t.doubled:
-        return TWO
+    if t.doubled or t.stranger:
+        return t.stranger or TWO
     if t.version is None:
         return "firmware version unknown"
     if t.version < oldest:
