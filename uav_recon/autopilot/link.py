@@ -41,9 +41,9 @@ _DEAF_S = 2.0
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _NS = 1_000_000_000
 _PROMPT_NS = 25_000_000  # a question is answered so soon, or its round trip is too long to be learned from
-# Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most; the question for its mode.
-_CHATTER_HZ = (5.0, 10.0, 50.0, 10.0, 10.0)
-_HEARTBEAT, _AUTOPILOT_VERSION = 0.0, 148.0
+# Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most.
+_CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
+_AUTOPILOT_VERSION = 148.0
 
 
 class Link:
@@ -70,7 +70,8 @@ class Link:
         self._timesync, self._succession, self._double = TimeSyncFilter(), Succession(), Double()
         self._identity = Identity(gate.uid)
         keepers = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
-        self._heartbeat, self._sync, self._resync, self._gimbal, self._mode = keepers
+        self._heartbeat, self._sync, self._resync, self._gimbal = keepers
+        self._polled = [(identifier, RateKeeper(rate_hz, start_s)) for identifier, rate_hz in firmware.polled_hz]
         self._asked_parameters: set[str] = set()
         self.telemetry, self.intrusions = Telemetry(), Intrusions(self._own)
 
@@ -107,14 +108,15 @@ class Link:
             self._send(self._encoder.heartbeat(), now_s)
         if self.telemetry.system and (self._resync if self._timesync.lost else self._sync).due(now_s):
             self._send(self._encoder.timesync(0, int(now_s * _NS)), now_s)
-        self.ask_mode(now_s)
+        self.poll(now_s)
         if self._identity.asks(now_s):
             self.command(now_s, _REQUEST_MESSAGE, _AUTOPILOT_VERSION)
 
-    def ask_mode(self, now_s: float) -> None:
-        """For a HEARTBEAT, where it does not come often by itself."""
-        if self.telemetry.system and self.firmware.asks_mode and self._mode.due(now_s):
-            self.command(now_s, _REQUEST_MESSAGE, _HEARTBEAT)
+    def poll(self, now_s: float) -> None:
+        """For what does not come often enough by itself."""
+        for identifier, keeper in self._polled:
+            if self.telemetry.system and keeper.due(now_s):
+                self.command(now_s, _REQUEST_MESSAGE, float(identifier))
 
     def stop_heartbeats(self) -> None:
         """From now on the autopilot is to take us for dead, and to land by itself where it is ours no more."""

@@ -49,7 +49,7 @@ class Personality:
 
     missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, '' for
     nothing. pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: what of a setpoint it is to ignore. streams_hz: messages to
-    ask for; asked_once: once; asks_mode: HEARTBEAT one by one, for its rate cannot be set.
+    ask for; asked_once: once; polled_hz: one by one, so often, where a rate cannot be set.
     """
 
     mode_name: Callable[[int], str]
@@ -63,7 +63,7 @@ class Personality:
     setpoint_mask: int
     streams_hz: tuple[tuple[int, float], ...]
     asked_once: tuple[int, ...]
-    asks_mode: bool
+    polled_hz: tuple[tuple[int, float], ...]
 
 
 def missing_to_follow(
