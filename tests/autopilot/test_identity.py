@@ -98,9 +98,9 @@ def test_an_answer_that_is_lost_is_asked_for_again(hovering: Rig) -> None:
     hovering.tap.mute = True
     hovering.run(0.2)
     hovering.tap.mute = False
-    assert hovering.pilot.phase is FlightPhase.FLYING
+    phases = [hovering.pilot.phase]
     hovering.run(0.6)
-    assert hovering.pilot.phase is FlightPhase.YIELDED
+    assert [*phases, hovering.pilot.phase] == [FlightPhase.FLYING, FlightPhase.YIELDED]
 
 
 def test_another_vehicle_on_the_ground_is_not_flown_until_the_first_is_back() -> None:

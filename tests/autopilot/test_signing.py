@@ -205,7 +205,12 @@ def test_a_wall_clock_that_is_set_in_flight_is_not_felt_by_a_signed_link(
 ) -> None:
     rig, wire_bytes = WallRig(tmp_path, monkeypatch), list[bytes]()
     write = rig.tap.write
-    monkeypatch.setattr(rig.tap, "write", lambda data: (wire_bytes.append(data), write(data)))
+
+    def keep(data: bytes) -> None:
+        wire_bytes.append(data)
+        write(data)
+
+    monkeypatch.setattr(rig.tap, "write", keep)
     rig.airborne()
     for wall_s in (NOW_S + 3600.0, NOW_S - 3600.0, 0.0, NOW_S):
         rig.wall_s = wall_s
