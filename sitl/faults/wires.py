@@ -151,13 +151,14 @@ class Forger(Injector):
 
 class SecondAutopilot(Injector):
     """Another autopilot on the link with the vehicle's own name: it counts its frames and its time itself, stands elsewhere,
-    and says that it is in a mode; once, or ten times a second with all the rest. modes: HEARTBEAT's on PX4 and on ArduPilot.
+    and says that it is in a mode, ten times a second; or briefly, and nothing else, with the numbers that are due. modes:
+    HEARTBEAT's on PX4 and on ArduPilot.
     """
 
     OURS, PILOTS, LANDING = (6 << 16, 4), (3 << 16, 5), (6 << 24 | 4 << 16, 9)
 
-    def __init__(self, modes: tuple[int, int], armed: bool = True, for_s: float = 10.0, once: bool = False) -> None:
-        self._modes, self._armed, self._for_s, self._once = modes, armed, for_s, once
+    def __init__(self, modes: tuple[int, int], armed: bool = True, for_s: float = 10.0, briefly: bool = False) -> None:
+        self._modes, self._armed, self._for_s, self._briefly = modes, armed, for_s, briefly
         self._voice, self._turns = mavlink.MAVLink(None, 1, 1), 0
         self._heartbeat: mavlink.MAVLink_message | None = None
 
@@ -166,13 +167,13 @@ class SecondAutopilot(Injector):
         px4 = at.world.flyer.truth().mode == "OFFBOARD"
         family, mode, base = 12 if px4 else 3, self._modes[0 if px4 else 1], 1 | 128 * self._armed
         self._heartbeat = mavlink.MAVLink_heartbeat_message(2, family, base, mode, 4, 3)
-        if self._once:  # and of all numbers the one that is due
-            self._voice.seq = (frames(proxy_of(at).heard[-1][1])[-1][4] + 1) % 256
-            self._say(at, self._heartbeat)
 
     def turn(self, at: Theatre, since_s: float) -> None:
         """Booted a quarter of an hour ago."""
-        if self._once or since_s >= self._for_s:
+        if self._briefly and since_s < 0.1:
+            self._voice.seq = (frames(proxy_of(at).heard[-1][1])[-1][4] + 16) % 256
+            self._say(at, self._heartbeat)
+        if self._briefly or since_s >= self._for_s:
             return
         boot_ms = int((900.0 + since_s) * 1000)
         if self._turns % 10 == 0:
