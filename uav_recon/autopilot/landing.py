@@ -22,8 +22,9 @@ _WANDER_MPS = 0.03  # an estimate's own at rest; a landing comes down ten times 
 
 
 class Landing:
-    """There is no way back up. ``seen``: the autopilot lands, and wants no more setpoints. ``alert``: what a human has to know or
-    see to: the motors are never stopped from here, but of a vehicle that has not ``lifted`` and whose autopilot says so too.
+    """There is no way back up. ``seen``: the autopilot lands, and wants no more setpoints. ``alert``: what a human has to
+    know, or see to: the motors are never stopped from here, but of a vehicle that has not ``lifted`` and whose autopilot says
+    so too.
     """
 
     def __init__(self, seen: bool, lifted: bool = True) -> None:
