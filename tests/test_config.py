@@ -42,6 +42,7 @@ def _refused(tree: dict[str, Any]) -> str:
         ("link", "setpoint_rate_hz", 5.0, "link.setpoint_rate_hz: "),
         ("link", "vehicle_system", 245, "link.vehicle_system: input should be less than or equal to 244 (got 245)"),
         ("link", "vehicle_component", 0, "link.vehicle_component: input should be greater than or equal to 1 (got 0)"),
+        ("link", "autopilot_uid", "none", "link.autopilot_uid: want a number in hex, greater than 0 (got 'none')"),
         ("link", "gimbal_component", 256, "link.gimbal_component: input should be less than or equal to 255 (got 256)"),
         ("link", "url", "tcp:h:14540", "link.url: want udp:HOST:PORT or serial:DEVICE:BAUD (got 'tcp:h:14540')"),
         ("link", "url", "udp:127.0.0.1:99999", "link.url: want a port of 1 to 65535"),

@@ -24,6 +24,21 @@ else:
 
 Coordinate = Annotated[float, Field(ge=-500.0, le=500.0)]  # m
 Vec3 = tuple[Coordinate, Coordinate, Coordinate]
+
+
+def _hexadecimal(text: str) -> str:
+    if not text:
+        return ""
+    try:
+        number = int(text, 16)
+    except ValueError:
+        number = 0
+    if number <= 0:
+        raise ValueError("want a number in hex, greater than 0")
+    return f"{number:x}"
+
+
+Uid = Annotated[str, AfterValidator(_hexadecimal)]
 LinkUrl = Annotated[str, AfterValidator(link_address)]
 Host = Annotated[str, Field(pattern=r"^\d{1,3}(\.\d{1,3}){3}$")]
 VariantName = Literal["adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp"]
@@ -121,6 +136,7 @@ class LinkConfig(Section):
     vehicle_system: Annotated[int, Field(ge=1, le=244)] = 1  # MAVLink system id of the vehicle; 245 is ours; no other is heard
     vehicle_component: Annotated[int, Field(ge=1, le=255)] = 1  # of its autopilot
     gimbal_component: Annotated[int, Field(ge=1, le=255)] = 154  # of its gimbal: heard about its own angle
+    autopilot_uid: Uid = ""  # of its hardware, in hex, as AUTOPILOT_VERSION tells it; unset: whoever answers
     signing_key: Path | None = None  # file, 0600: 32 bytes or a passphrase; signed frames alone count then. ArduPilot only
     signing_link_id: Annotated[int, Field(ge=0, le=255)] = 1  # of our frames; each link that shares the key has its own
     signing_stamps: Path = Path("/var/lib/uav_recon/signing.json")  # what was signed when: no restart makes a frame good again

@@ -147,7 +147,7 @@ class Vehicle:
         self._link.wait(TURN_S)
         now_s = self._clock.now_s()
         self._link.receive(now_s)
-        self._link.ask_mode(now_s)
+        self._link.poll(now_s)
         if self._link.telemetry.failure:
             raise run.Failure(f"{self._options.link}: {self._link.telemetry.failure}", EXIT_SILENT)
         return now_s

@@ -120,15 +120,15 @@ def load_config(path: Path) -> Config:
 # -- the pilot ----------------------------------------------------------------------------------------------------------
 
 
-def make_gate(config: LinkConfig, clock: Clock) -> Gate:
+def make_gate(way: LinkConfig, clock: Clock) -> Gate:
     """Who may speak on the link. Raises Failure with exit code 78 for a key or stamps that cannot be used."""
     from uav_recon.autopilot.gate import AllowList, Gate
     from uav_recon.autopilot.signing import KeyFileError, open_signature
     from uav_recon.autopilot.stamps import StampsError
 
-    allowed, key = AllowList(config.vehicle_system, config.vehicle_component, config.gimbal_component), config.signing_key
+    ids, key = AllowList(way.vehicle_system, way.vehicle_component, way.gimbal_component, way.autopilot_uid), way.signing_key
     try:
-        return Gate(allowed, open_signature(key, config.signing_link_id, config.signing_stamps, clock) if key else None)
+        return Gate(ids, open_signature(key, way.signing_link_id, way.signing_stamps, clock) if key else None)
     except (KeyFileError, StampsError) as error:
         raise Failure(f"link.{error}", EXIT_CONFIG) from None
 

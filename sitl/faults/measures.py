@@ -230,6 +230,13 @@ def overshoot(e: Evidence) -> float:
     return float(max(np.maximum(e.limits.fence_min_m - aloft, aloft - e.limits.fence_max_m).max(), 0.0))
 
 
+def landing_after_leaving(e: Evidence) -> float:
+    """Seconds from leaving the fence itself, level, to the autopilot's landing mode; inf for a vehicle that never left."""
+    low, high = np.array(e.limits.fence_min_m), np.array(e.limits.fence_max_m)
+    out = ((e.position_m < low) | (e.position_m > high))[:, :2].any(axis=1) & e.ours & (e.stamp_s >= e.onset_s)
+    return e.since(e.landing, float(e.stamp_s[int(np.argmax(out))])) if out.any() else math.inf
+
+
 def back_inside(e: Evidence) -> float:
     """Longest seconds without a break outside the inset fence before the landing, after the trouble."""
     low, high = np.array(e.limits.fence_min_m) + e.limits.inset_m, np.array(e.limits.fence_max_m) - e.limits.inset_m

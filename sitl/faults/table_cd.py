@@ -215,7 +215,7 @@ TABLE_D = (
         "garbage",
         "1 MB/s of random bytes for 10 s, then a fifth of the frames spoilt",
         lambda n: [Garbage(1_000_000, 10.0), Corrupted(0.2, n)],
-        (NO_FAILSAFE, STEADY, COMPLETES),
+        (NO_FAILSAFE, STEADY, STREAMS, COMPLETES),
         longest_s=120.0,
         views=SHORT_VIEWS,
     ),

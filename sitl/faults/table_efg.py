@@ -6,7 +6,7 @@ import math
 from signal import SIGSTOP
 
 from sitl.faults import measures as m
-from sitl.faults.arena import GAP
+from sitl.faults.arena import GAP, PEN, START
 from sitl.faults.bars import (
     COMPLETES,
     NEVER_ARMED,
@@ -17,10 +17,11 @@ from sitl.faults.bars import (
     STREAMS,
     clear,
     down,
+    holds,
     lands,
     told,
 )  # fmt: skip
-from sitl.faults.body import Battery, HeldDown, Parameter, Push, Takeover, TransmitterLost, Unnoticed
+from sitl.faults.body import Battery, Dragged, HeldDown, Parameter, Push, Takeover, TransmitterLost, Unnoticed
 from sitl.faults.everywhere import Room
 from sitl.faults.eye import Stands
 from sitl.faults.host import Abort, DiskFull, Madness
@@ -30,7 +31,7 @@ from sitl.faults.row import SHORT_VIEWS, Bar, Row
 from sitl.faults.signals import RECORDER, ChildStruck
 from sitl.faults.takeover import mode_taken_back
 from sitl.faults.trouble import Onset
-from sitl.faults.wires import SYS_STATUS, Forger, Gauge, Loss, Refused, Rewritten, version
+from sitl.faults.wires import SYS_STATUS, Forger, Gauge, Loss, Refused, Rewritten, SecondAutopilot, version
 
 AT_BOOT = Onset((0.0, 0.0), at_boot=True)
 ANY = Onset((0.0, 15.0), speed_mps=0.0)
@@ -103,9 +104,28 @@ TABLE_E = (
         "forged commands",
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
         lambda n: [Forger(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
-        (NO_FAILSAFE, COMPLETES),
+        (NO_FAILSAFE, COMPLETES, told(1.0)),
         longest_s=90.0,
         views=SHORT_VIEWS,
+        times=2,
+    ),
+    Row(
+        "E4b",
+        "second autopilot",
+        "another with the vehicle's own name speaks for 10 s: in our mode, with motors and without",
+        lambda n: [SecondAutopilot(SecondAutopilot.OURS, armed=n % 2 == 0)],
+        (holds(1.0), told(1.0), NO_FAILSAFE, COMPLETES),
+        longest_s=120.0,
+        views=SHORT_VIEWS,
+    ),
+    Row(
+        "E4c",
+        "second autopilot's mode",
+        "another with the vehicle's own name says for 10 s, and for 0.1 s, that a pilot flies it; and that it lands",
+        lambda n: [SecondAutopilot((SecondAutopilot.PILOTS, SecondAutopilot.LANDING)[n % 4 // 2], briefly=n % 2 == 1)],
+        (told(1.0), lands(5.0), down(30.0)),
+        longest_s=45.0,
+        times=2,
     ),
     Row(
         "E5",
@@ -229,6 +249,20 @@ TABLE_F = (
         arena="pen",
         onset=FAST,
     ),
+    Row(
+        "F2b",
+        "pushed out and kept there",
+        "as much as it takes to hold it 0.2 m outside the fence, until it is down, in a pen inside the hall",
+        lambda n: [Dragged(PEN[4] - START[1] + 0.25)],
+        (
+            Bar("landing mode after leaving", m.landing_after_leaving, 3.5, "s"),
+            Bar("landing mode not before", m.landing_after_leaving, 2.8, "s", at_least=True),
+            STREAMS,
+            down(30.0),
+        ),
+        arena="pen",
+        onset=FAST,
+    ),
     Row("F3", "fence makes no sense", "bad corners", why="no flight: tests of the config hold it"),
     Row(
         "F4",
@@ -266,7 +300,10 @@ TABLE_F = (
 
 TABLE_G = (
     Row(
-        "G1", "wall clock jumps", "an hour forth and back", why="needs the right to set the clock; no clock of the wall is read"
+        "G1",
+        "wall clock jumps",
+        "an hour forth and back",
+        why="no clock of the wall is read in flight: a signed flight under one that is set, in tests, holds it",
     ),
     Row(
         "G2",

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.faults.injector import Injector, Needs, Theatre
-from sitl.faults.link import Late, Tap, message_id
+from sitl.faults.link import Late, Tap, frames, message_id
 
 _COMMAND_LONG, SYS_STATUS = 76, 1
 
@@ -147,6 +147,46 @@ class Forger(Injector):
             mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0),
         ):
             proxy_of(at).forge(bytes(message.pack(self._voice, force_mavlink1=self._version_1)))
+
+
+class SecondAutopilot(Injector):
+    """Another autopilot on the link with the vehicle's own name: it counts its frames and its time itself, stands elsewhere,
+    and says that it is in a mode, ten times a second; or briefly, and nothing else, with the numbers that are due. modes:
+    HEARTBEAT's on PX4 and on ArduPilot.
+    """
+
+    OURS, PILOTS, LANDING = (6 << 16, 4), (3 << 16, 5), (6 << 24 | 4 << 16, 9)
+
+    def __init__(self, modes: tuple[int, int], armed: bool = True, for_s: float = 10.0, briefly: bool = False) -> None:
+        self._modes, self._armed, self._for_s, self._briefly = modes, armed, for_s, briefly
+        self._voice, self._turns = mavlink.MAVLink(None, 1, 1), 0
+        self._heartbeat: mavlink.MAVLink_message | None = None
+
+    def begin(self, at: Theatre) -> None:
+        """Of the vehicle's kind."""
+        px4 = at.world.flyer.truth().mode == "OFFBOARD"
+        family, mode, base = 12 if px4 else 3, self._modes[0 if px4 else 1], 1 | 128 * self._armed
+        self._heartbeat = mavlink.MAVLink_heartbeat_message(2, family, base, mode, 4, 3)
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Booted a quarter of an hour ago."""
+        if self._briefly and since_s < 0.1:
+            self._voice.seq = (frames(proxy_of(at).heard[-1][1])[-1][4] + 16) % 256
+            self._say(at, self._heartbeat)
+        if self._briefly or since_s >= self._for_s:
+            return
+        boot_ms = int((900.0 + since_s) * 1000)
+        if self._turns % 10 == 0:
+            self._say(at, self._heartbeat)
+        if self._turns % 3 == 0:
+            self._say(at, mavlink.MAVLink_local_position_ned_message(boot_ms, 3.0, -2.0, -1.5, 0.3, 0.0, 0.0))
+            self._say(at, mavlink.MAVLink_attitude_quaternion_message(boot_ms, 0.6, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0))
+        self._turns += 1
+
+    def _say(self, at: Theatre, message: mavlink.MAVLink_message | None) -> None:
+        assert message is not None
+        proxy_of(at).forge(bytes(message.pack(self._voice)))
+        self._voice.seq = (self._voice.seq + 1) % 256
 
 
 class Rewritten(Injector):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import resource
 import sys
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from uav_recon.autopilot.px4 import PX4
 from uav_recon.autopilot.tlog import NoLog
 
 BURST = 1 << 15  # bytes: a thirtieth of a second of a megabyte a second
+_TAKEN_S = 0.010  # for a burst, so that a turn with a third of it in it leaves the stream its time
 TELEMETRY_HZ = 60.0  # positions and attitudes in turn, thirty times a second each, as we ask for them
 TRUE, STRANGERS = (1, 1), ((42, 1), (1, 77), (255, 190))
 
@@ -49,12 +51,13 @@ ORDERS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """effects: what changed of what the link holds true, and what it said; heard_after_s of each burst; grown_bytes of the
-    process, and what waited in the decoder at most.
+    """effects: what changed of what the link holds true, and what it said; heard_after_s of each burst, and taken_s, the
+    processor's time for it; grown_bytes of the process, and what waited in the decoder at most.
     """
 
     effects: list[str]
     heard_after_s: list[float]
+    taken_s: list[float]
     grown_bytes: int
     waited_bytes: int
 
@@ -140,7 +143,7 @@ def heard_after_s(link: Link, far: Wire, count: int, now_s: float) -> float:
 def bombard(size: int, forged: int, seed: int) -> Outcome:
     """size: bytes in all; forged: frames among them."""
     rng, (link, far) = np.random.default_rng(seed), flying()
-    before, after_s, effects, waited = held_true(link), [], [], 0
+    before, after_s, taken_s, effects, waited = held_true(link), [], [], [], 0
     bursts, lies = max(size // BURST, 1), forgeries()
     started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for count in range(2, bursts + 2):
@@ -150,14 +153,16 @@ def bombard(size: int, forged: int, seed: int) -> Outcome:
         now_s = 3.0 + 0.1 * count
         for n, piece in enumerate(pieces):
             far.inbox += (lies[(count * len(pieces) + n) % len(lies)] if n else b"") + piece.tobytes()
+        begun_s = time.process_time()
         link.receive(now_s)
+        taken_s.append(time.process_time() - begun_s)
         waited = max(waited, len(link._decoder._buffer))
         after_s.append(heard_after_s(link, far, count, now_s))
         now = held_true(link)
         effects += [f"{name}: {before[name]} became {now[name]}" for name in before if now[name] != before[name]]
         before = now
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - started) * 1024
-    return Outcome(effects + ["the link spoke"] * bool(far.sent), after_s, grown, waited)
+    return Outcome(effects + ["the link spoke"] * bool(far.sent), after_s, taken_s, grown, waited)
 
 
 if __name__ == "__main__":
@@ -165,9 +170,10 @@ if __name__ == "__main__":
         int(word) for word in [*sys.argv[1:], *("10000000", "500", "1")[len(sys.argv) - 1 :]]
     )
     found = bombard(bytes_wanted, frames_wanted, chosen)
-    late_s = np.array(found.heard_after_s)
+    late_s, taken_s = np.array(found.heard_after_s), float(np.quantile(found.taken_s, 0.99))
     print(f"{len(late_s) * BURST} bytes, {frames_wanted} forged frames: {len(found.effects)} effects")
     print(f"heard again after {np.median(late_s) * 1e3:.0f} ms, {late_s.max() * 1e3:.0f} ms at most")
+    print(f"{BURST} bytes, {BURST * 1e-3:.0f} ms of a megabyte a second, are taken in within {taken_s * 1e3:.1f} ms (99 %)")
     print(f"process grown by {found.grown_bytes / 1e6:.1f} MB, {found.waited_bytes} bytes waiting at most")
     print(*found.effects, sep="\n", end="")
-    sys.exit(bool(found.effects) or late_s.max() > 0.05 or found.grown_bytes > 5e6)
+    sys.exit(bool(found.effects) or late_s.max() > 0.05 or found.grown_bytes > 5e6 or taken_s > _TAKEN_S)

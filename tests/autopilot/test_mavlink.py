@@ -152,6 +152,21 @@ def test_what_the_autopilot_says() -> None:
     assert read(wire.MAVLink_gps_global_origin_message(1, 2, 3)) == OriginSet()
     version = 1 << 24 | 15 << 16 | 4 << 8 | 255
     assert read(wire.MAVLink_autopilot_version_message(0, version, 0, 0, 0, *[[0] * 8] * 3, 0, 0, 0)) == Firmware((1, 15, 4))
+
+
+@pytest.mark.parametrize(
+    ("uid", "uid2", "told"),
+    [
+        (0, [], ""),
+        (0x5349, [], "0000000000005349"),
+        (0x5349, [0, 1, 0xAB], "0001ab" + 15 * "00"),
+        (1 << 63, [], "8" + 15 * "0"),
+    ],
+)
+def test_the_hardware_is_named_by_its_longer_uid(uid: int, uid2: list[int], told: str) -> None:
+    longer = [*uid2, *[0] * (18 - len(uid2))]
+    message = wire.MAVLink_autopilot_version_message(0, 1 << 24, 0, 0, 0, *[[0] * 8] * 3, 0, 0, uid, longer)
+    assert read(message) == Firmware((1, 0, 0), told)
     assert read(wire.MAVLink_statustext_message(3, b"no \x1b[31mGPS\xff")) == StatusText(3, "no [31mGPS\ufffd")
 
 

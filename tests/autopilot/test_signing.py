@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 import os
 from pathlib import Path
@@ -22,7 +23,7 @@ from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.mavlink import Decoder, Encoder
 from uav_recon.autopilot.px4 import PX4
-from uav_recon.autopilot.signing import KeyFileError, Signature, read_key
+from uav_recon.autopilot.signing import KeyFileError, Signature, open_signature, read_key
 from uav_recon.autopilot.stamps import UNITS_PER_S, Stamps
 from uav_recon.autopilot.tlog import NoLog
 from uav_recon.clock import InlineExecutor, ManualClock
@@ -178,6 +179,51 @@ def test_a_signed_handshake_arms_and_takes_off(tmp_path: Path) -> None:
     names = {Tap.name(message) for _, message in rig.tap.sent}
     assert {f"COMMAND_LONG {MODE}", f"COMMAND_LONG {ARM}"} <= names
     assert (rig.end.refused, len(rig.end.believed) > 300) == (0, True)
+
+
+class WallRig(SignedRig):
+    """One whose key and stamps are files, and whose wall clock is set in flight, the whole process's too."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.wall_s, self.asked_s = NOW_S, list[float]()
+        monkeypatch.setattr("time.time", self.wall)
+        key = folder / "key"
+        key.write_bytes(KEY)
+        key.chmod(0o600)
+        super().__init__(folder)
+
+    def wall(self) -> float:
+        self.asked_s.append(self.wall_s)
+        return self.wall_s
+
+    def gate(self) -> Gate:
+        return Gate(seal=open_signature(self._folder / "key", 1, self._folder / "stamps", self.clock, self.wall))
+
+
+def test_a_wall_clock_that_is_set_in_flight_is_not_felt_by_a_signed_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, wire_bytes = WallRig(tmp_path, monkeypatch), list[bytes]()
+    write = rig.tap.write
+
+    def keep(data: bytes) -> None:
+        wire_bytes.append(data)
+        write(data)
+
+    monkeypatch.setattr(rig.tap, "write", keep)
+    rig.airborne()
+    for wall_s in (NOW_S + 3600.0, NOW_S - 3600.0, 0.0, NOW_S):
+        rig.wall_s = wall_s
+        refused, believed = rig.end.refused, len(rig.end.believed)
+        rig.run(7.0)  # longer than the stamps' file is ahead of them
+        assert rig.end.refused == refused
+        assert len(rig.end.believed) - believed > 200, "it goes on being heard"
+        assert rig.clock.now_s() - rig.pilot._link.telemetry.heard_s < 0.15, "and hears"
+    stamps = [Signature._stamp(frame) for frame in wire_bytes]
+    assert all(after > before for before, after in itertools.pairwise(stamps))
+    assert rig.autopilot.failsafes == []
+    assert rig.pilot.phase is FlightPhase.FLYING
+    assert rig.asked_s.count(NOW_S) == len(rig.asked_s), "no clock of the wall is read in flight"
 
 
 def test_with_another_key_nobody_hears_anybody(tmp_path: Path) -> None:

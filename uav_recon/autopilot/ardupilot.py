@@ -141,5 +141,5 @@ class TakeOff:
 ARDUPILOT = Personality(
     mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, TakeOff,
     land=LAND, pose_frame=LOCAL_FRD, setpoint_mask=ALL_BUT_YAW_RATE, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
-    asks_mode=False,
+    polled_hz=(),
 )  # fmt: skip

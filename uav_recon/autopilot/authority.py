@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from uav_recon.autopilot.intrusion import TWO
 from uav_recon.autopilot.personality import Personality
 from uav_recon.autopilot.telemetry import Telemetry
 from uav_recon.types.vehicle import FlightPhase
@@ -14,6 +15,7 @@ IN_THE_AIR = (FlightPhase.FLYING, FlightPhase.LANDING)
 
 _LATE_ARM_S = 5.0
 _LINK_LOST_S = 3.0
+_BACK_S = 1.0  # after a mode that was not ours: so soon no human gives the vehicle back
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,7 @@ class Authority:
         self._firmware = firmware
         self._arm_asked_s = self._idle_s = -math.inf
         self._reboots = 0
+        self._yielded_s = math.inf
 
     def asked_to_arm(self, now_s: float) -> None:
         """Motors that start within a while are ours."""
@@ -55,6 +58,8 @@ class Authority:
             if (ours or self._firmware.is_landing(t.custom_mode)) and self.motors_may_start(now_s):
                 return Loss(FlightPhase.LANDING, "armed after the request was withdrawn")
             return yielded("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
+        if t.stranger and phase in (FlightPhase.ARMING, *IN_THE_AIR):
+            return yielded(t.stranger, abandoned=True)
         if phase in IN_THE_AIR and rebooted:
             return yielded("the autopilot restarted in flight")
         if phase in IN_THE_AIR and now_s - t.heard_s > _LINK_LOST_S:
@@ -68,6 +73,16 @@ class Authority:
         if not self._firmware.is_ours(t.custom_mode):
             return yielded(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
         return None
+
+    def unattended(self, t: Telemetry, now_s: float) -> Loss | None:
+        """Of a vehicle that was yielded: where the mode that it was yielded to was forged, nobody flies it. A human's mode
+        outlives our heartbeats.
+        """
+        self._yielded_s = min(self._yielded_s, now_s)
+        if t.stranger or t.doubled:
+            return yielded(f"{t.stranger or TWO}: its failsafe is to land", abandoned=True)
+        back = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s <= _BACK_S
+        return yielded("our mode goes on: its failsafe is to land", abandoned=True) if back else None
 
 
 def yielded(why: str, abandoned: bool = False) -> Loss:

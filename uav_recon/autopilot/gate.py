@@ -15,11 +15,14 @@ _MOST_NAMES = 32
 
 @dataclass(frozen=True, slots=True)
 class AllowList:
-    """MAVLink ids of the vehicle: its system, and in it the components of its autopilot and of its gimbal."""
+    """MAVLink ids of the vehicle: its system, and in it the components of its autopilot and of its gimbal. uid: of the
+    autopilot's hardware, in hex; '' for whoever answers.
+    """
 
     system: int = 1
     autopilot: int = 1
     gimbal: int = 154
+    uid: str = ""
 
 
 class Gate:
@@ -29,6 +32,11 @@ class Gate:
         self._allowed, self.seal = allowed or AllowList(), seal or NoSeal()
         self._named: set[str] = set()
         self.refused = 0
+
+    @property
+    def uid(self) -> str:
+        """Of the one autopilot that may be flown, '' for any."""
+        return self._allowed.uid
 
     def greets(self, data: bytes) -> bool:
         """Whether the frames of a datagram hold a heartbeat of the vehicle's autopilot. Changes nothing."""

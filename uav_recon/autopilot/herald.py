@@ -24,3 +24,9 @@ class Herald:
         if note:
             self._said_s = now_s
             self._link.say(now_s, note)
+
+    def cry(self, alarms: list[str], now_s: float) -> None:
+        """What nobody may miss, at once; whoever raises alarms raises few."""
+        for alarm in alarms:
+            self._said = alarm
+            self._link.say(now_s, alarm)

@@ -23,7 +23,8 @@ _WANDER_MPS = 0.03  # an estimate's own at rest; a landing comes down ten times 
 
 class Landing:
     """There is no way back up. ``seen``: the autopilot lands, and wants no more setpoints. ``alert``: what a human has to
-    see to: the motors are never stopped from here, but of a vehicle that has not ``lifted`` and whose autopilot says so too.
+    know, or see to: the motors are never stopped from here, but of a vehicle that has not ``lifted`` and whose autopilot says
+    so too.
     """
 
     def __init__(self, seen: bool, lifted: bool = True) -> None:
@@ -49,6 +50,7 @@ class Landing:
             return None
         if not firmware.is_ours(t.custom_mode):
             return yielded(f"mode changed to {firmware.mode_name(t.custom_mode)}")
+        self.alert = "our mode goes on: LAND is asked for" if self.seen else self.alert
         self._in_vain_s = min(self._in_vain_s, now_s + _IN_VAIN_S)
         if now_s > self._in_vain_s:
             return yielded(f"LAND is not heeded in {_IN_VAIN_S:.0f} s: the autopilot's failsafe is to land", abandoned=True)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 
+from uav_recon.autopilot.double import Double
 from uav_recon.autopilot.gate import NOT_AN_AUTOPILOT, Gate
+from uav_recon.autopilot.identity import Identity
+from uav_recon.autopilot.intrusion import OLD_FRAMES, TWO, Intrusions
 from uav_recon.autopilot.mavlink import Decoder, Encoder
 from uav_recon.autopilot.messages import (
     Ack,
@@ -38,9 +41,9 @@ _DEAF_S = 2.0
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _NS = 1_000_000_000
 _PROMPT_NS = 25_000_000  # a question is answered so soon, or its round trip is too long to be learned from
-# Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most; the question for its mode.
-_CHATTER_HZ = (5.0, 10.0, 50.0, 10.0, 10.0)
-_HEARTBEAT = 0.0
+# Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most.
+_CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
+_AUTOPILOT_VERSION = 148.0
 
 
 class Link:
@@ -61,14 +64,16 @@ class Link:
     ) -> None:
         self._bytes, self._log, self._gate = bytes_link, log, gate
         self.firmware = firmware
-        self._mute = False
+        self.mute = False  # no heartbeat any more
         self._own = (system, component)
         self._decoder, self._encoder = Decoder(), Encoder(system, component)
-        self._timesync, self._succession = TimeSyncFilter(), Succession()
+        self._timesync, self._succession, self._double = TimeSyncFilter(), Succession(), Double()
+        self._identity = Identity(gate.uid)
         keepers = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
-        self._heartbeat, self._sync, self._resync, self._gimbal, self._mode = keepers
+        self._heartbeat, self._sync, self._resync, self._gimbal = keepers
+        self._polled = [(identifier, RateKeeper(rate_hz, start_s)) for identifier, rate_hz in firmware.polled_hz]
         self._asked_parameters: set[str] = set()
-        self.telemetry = Telemetry()
+        self.telemetry, self.intrusions = Telemetry(), Intrusions(self._own)
 
     @property
     def time_known(self) -> bool:
@@ -87,6 +92,11 @@ class Link:
         for received in self._decoder.feed(data):
             self._log.record(now_s, received.frame)
             self._hear(received, now_s)
+        self.telemetry.doubled = self._double.speaks(now_s)
+        if self.telemetry.doubled:
+            self.intrusions.note(TWO)
+        if self._decoder.mavlink1_frames > old_frames:
+            self.intrusions.note(OLD_FRAMES)
         self._gate.refuse("MAVLink 1", self._decoder.mavlink1_frames - old_frames)
 
     def keep_alive(self, now_s: float) -> None:
@@ -94,24 +104,27 @@ class Link:
         it takes us for dead (ArduPilot, two seconds later) is to land before the vehicle is given up for lost.
         """
         deaf = -math.inf < self.telemetry.heard_s < now_s - _DEAF_S
-        if self._heartbeat.due(now_s) and not (self._mute or deaf):
+        if self._heartbeat.due(now_s) and not (self.mute or deaf):
             self._send(self._encoder.heartbeat(), now_s)
         if self.telemetry.system and (self._resync if self._timesync.lost else self._sync).due(now_s):
             self._send(self._encoder.timesync(0, int(now_s * _NS)), now_s)
-        self.ask_mode(now_s)
+        self.poll(now_s)
+        if self._identity.asks(now_s):
+            self.command(now_s, _REQUEST_MESSAGE, _AUTOPILOT_VERSION)
 
-    def ask_mode(self, now_s: float) -> None:
-        """For a HEARTBEAT, where it does not come often by itself."""
-        if self.telemetry.system and self.firmware.asks_mode and self._mode.due(now_s):
-            self.command(now_s, _REQUEST_MESSAGE, _HEARTBEAT)
+    def poll(self, now_s: float) -> None:
+        """For what does not come often enough by itself."""
+        for identifier, keeper in self._polled:
+            if self.telemetry.system and keeper.due(now_s):
+                self.command(now_s, _REQUEST_MESSAGE, float(identifier))
 
     def stop_heartbeats(self) -> None:
         """From now on the autopilot is to take us for dead, and to land by itself where it is ours no more."""
-        self._mute = True
+        self.mute = True
 
     def feed_pose(self, pose: StampedPose, now_s: float) -> None:
-        """ODOMETRY on the autopilot's clock; nothing before that clock is known, and nothing while it is in doubt."""
-        if not self.time_known:
+        """ODOMETRY on the autopilot's clock; nothing before it is known, while it is in doubt, or for another."""
+        if not self.time_known or self.telemetry.stranger:
             return
         time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000
         self._send(self._encoder.odometry(pose, time_us, self.firmware.pose_frame), now_s)
@@ -175,8 +188,10 @@ class Link:
         t, message = self.telemetry, received.message
         if (received.system, received.component) == self._own:
             t.twin_heard = True
+            self.intrusions.hear(received)
             return
         if not self._gate.admits(received):
+            self.intrusions.hear(received)
             return
         from_autopilot = self._gate.is_autopilot(received)
         if isinstance(message, Heartbeat) and from_autopilot and message.autopilot != NOT_AN_AUTOPILOT:
@@ -184,11 +199,13 @@ class Link:
         if t.system == 0 or message is None:
             return
         if from_autopilot:
+            self._double.hear(received, now_s)
             dated = isinstance(message, TimeSync) and message.tc1_ns != 0  # its round trip tells how late it is
-            if not self._succession.is_news(received.frame, now_s) and not dated:
+            if not self._succession.is_news(received.frame, now_s) and not (dated or t.doubled):  # of two, nobody's is older
                 t.stale_frames += 1
                 return
             t.heard_s = now_s
+            self._identity.hear(now_s, self._timesync.lost)
             self._take(message, now_s)
         elif isinstance(message, GimbalAttitude):
             t.camera_pitch_down_rad = message.pitch_down_rad
@@ -197,8 +214,7 @@ class Link:
         t = self.telemetry
         match message:
             case Heartbeat():
-                t.heartbeat_s, t.firmware_family = now_s, message.autopilot
-                t.armed, t.custom_mode = message.armed, message.custom_mode
+                self._take_state(message, now_s)
             case TimeSync():
                 self._synchronise(message, now_s)
             case EstimatorStatus():
@@ -215,6 +231,8 @@ class Link:
                 t.origin_known = True
             case Firmware():
                 t.version = message.version
+                self._identity.told(message.uid)
+                t.stranger = self._identity.fault
             case StatusText():
                 t.warning = message.text if message.severity <= _WARNING else t.warning
             case GimbalAttitude():
@@ -224,6 +242,20 @@ class Link:
                     t.parameters[message.name] = message
             case Ack():
                 t.refused_command = message.command if message.result not in (0, 5) else t.refused_command
+
+    def _take_state(self, message: Heartbeat, now_s: float) -> None:
+        """Motors stand once nobody says that they run. Of two autopilots a mode that is not ours counts before ours, so that a
+        pilot always wins, and ours before a landing, so that nobody talks us out of asking for one.
+        """
+        t, told = self.telemetry, self._double.told(now_s)
+        armed = [mode for runs, mode in told if runs]
+        if armed and not message.armed:
+            return
+        t.heartbeat_s, t.firmware_family = now_s, message.autopilot
+        t.armed, t.custom_mode = message.armed, message.custom_mode
+        if t.doubled:
+            rules = self.firmware
+            t.custom_mode = min(armed or [t.custom_mode], key=lambda mode: rules.is_ours(mode) + 2 * rules.is_landing(mode))
 
     def _synchronise(self, message: TimeSync, now_s: float) -> None:
         """Learn from answers; answer requests in the autopilot's OWN clock, once we know it.

@@ -222,8 +222,9 @@ def _attitude(*quat: float) -> Message | None:
     return Attitude(np.array(swap_attitude(quat))) if good else None
 
 
-def _firmware(number: int) -> Message:
-    return Firmware((number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF))
+def _firmware(number: int, uid: int, uid2: tuple[int, ...]) -> Message:
+    told = bytes(uid2).hex() if any(uid2) else f"{uid:016x}" if uid else ""
+    return Firmware((number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF), told)
 
 
 def _status_text(severity: int, text: bytes) -> Message:
@@ -277,7 +278,7 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
     (wire.MAVLink_attitude_quaternion_message, ("q1", "q2", "q3", "q4"), _attitude),
     (wire.MAVLink_gps_global_origin_message, (), _origin),
     (wire.MAVLink_home_position_message, (), _origin),
-    (wire.MAVLink_autopilot_version_message, ("flight_sw_version",), _firmware),
+    (wire.MAVLink_autopilot_version_message, ("flight_sw_version", "uid", "uid2"), _firmware),
     (wire.MAVLink_statustext_message, ("severity", "text"), _status_text),
     (wire.MAVLink_gimbal_device_attitude_status_message, ("q",), _gimbal),
     (wire.MAVLink_param_value_message, ("param_id", "param_value", "param_type"), _parameter),

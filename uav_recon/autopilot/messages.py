@@ -78,9 +78,10 @@ class OriginSet:
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """Version as (major, minor, patch)."""
+    """Version as (major, minor, patch). uid: of the hardware, in hex; '' where it tells none."""
 
     version: tuple[int, int, int]
+    uid: str = ""
 
 
 @dataclass(frozen=True, slots=True)

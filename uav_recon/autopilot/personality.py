@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+from uav_recon.autopilot.intrusion import TWO
 from uav_recon.autopilot.telemetry import Telemetry
 
 DO_SET_MODE, ARM_DISARM = 176, 400
@@ -48,7 +49,7 @@ class Personality:
 
     missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, '' for
     nothing. pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: what of a setpoint it is to ignore. streams_hz: messages to
-    ask for; asked_once: once; asks_mode: HEARTBEAT one by one, for its rate cannot be set.
+    ask for; asked_once: once; polled_hz: one by one, so often, where a rate cannot be set.
     """
 
     mode_name: Callable[[int], str]
@@ -62,7 +63,7 @@ class Personality:
     setpoint_mask: int
     streams_hz: tuple[tuple[int, float], ...]
     asked_once: tuple[int, ...]
-    asks_mode: bool
+    polled_hz: tuple[tuple[int, float], ...]
 
 
 def missing_to_follow(
@@ -78,6 +79,8 @@ def missing_to_follow(
         return f"the autopilot is not {name} (MAV_AUTOPILOT {t.firmware_family})"
     if t.twin_heard:
         return "another companion speaks with our id"
+    if t.doubled or t.stranger:
+        return t.stranger or TWO
     if t.version is None:
         return "firmware version unknown"
     if t.version < oldest:

@@ -11,6 +11,7 @@ from uav_recon.autopilot.authority import IN_THE_AIR, Authority, Loss
 from uav_recon.autopilot.briefing import Briefing, Origin
 from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.herald import Herald
+from uav_recon.autopilot.intrusion import TWO
 from uav_recon.autopilot.landing import Landing
 from uav_recon.autopilot.liftoff import LiftOff
 from uav_recon.autopilot.link import Link
@@ -115,8 +116,7 @@ class Pilot:
         if self._tick.due(now_s):
             self._stream(now_s)
             self._publish(now_s)
-        if self.phase not in (FlightPhase.CONNECTING, FlightPhase.READY):
-            self._herald.step(self._note, now_s)
+        self._tell(now_s)
         self._link.keep_alive(now_s)
 
     def wait(self) -> None:
@@ -167,6 +167,8 @@ class Pilot:
 
     def _judge(self, now_s: float) -> None:
         loss = self._authority.watch(self.phase, self._link.telemetry, now_s)
+        if self.phase is FlightPhase.YIELDED and not self._link.mute:
+            loss = self._authority.unattended(self._link.telemetry, now_s)
         if loss is not None:
             self._lose(loss)
         if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
@@ -193,9 +195,10 @@ class Pilot:
     def _health(self, now_s: float) -> Health:
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # it flies by no others
+        lost = TWO if self._link.telemetry.doubled else self._poses.lost
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         refused_s = self._in_vain.refused_s
-        return Health(now_s, *ages_s, inside, self._refusals, self._poses.lost, self._poses.wrong, refused_s)
+        return Health(now_s, *ages_s, inside, self._refusals, lost, self._poses.wrong, refused_s)
 
     # ---- act --------------------------------------------------------------------------------------------------
 
@@ -236,6 +239,7 @@ class Pilot:
                 self._abandon_arming(f"take-off refused: {blocked}")
                 return
             self._anew_s = math.inf
+            self._link.intrusions.begin()
             self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
             self._lift_off = LiftOff(float(self._link.telemetry.position_m[2]))
             self._ladder, self._rung, self._low = Ladder(self._patience), Rung.FLY, ""
@@ -245,8 +249,9 @@ class Pilot:
     def _arm(self, now_s: float) -> None:
         arming, t = self._arming, self._link.telemetry
         unfit = self._ladder.step(self._health(now_s))[0] is Rung.LAND
-        if arming is None or self._land_wanted or self._mandate.goal(now_s) is not Goal.FLY or unfit:
-            self._abandon_arming(self._land_wanted or "arming withdrawn")
+        ended = self._land_wanted or (TWO if t.doubled else "")
+        if arming is None or ended or self._mandate.goal(now_s) is not Goal.FLY or unfit:
+            self._abandon_arming(ended or "arming withdrawn")
             return
         outcome, command = arming.step(now_s, t)
         if outcome is Outcome.ARMED:
@@ -299,6 +304,15 @@ class Pilot:
         if self._lift_off is not None and self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:
             self._lift_off.begin(now_s)
         self._link.stream(cleared, now_s, self._airframe.gimbal)
+
+    def _tell(self, now_s: float) -> None:
+        if self.phase in (FlightPhase.CONNECTING, FlightPhase.READY):
+            return
+        alarms = self._link.intrusions.news()
+        self._herald.cry(alarms, now_s)
+        if self.phase is FlightPhase.FLYING and alarms:
+            self._note = alarms[-1]
+        self._herald.step(self._note, now_s)
 
     def _publish(self, now_s: float) -> None:
         t, pose, trajectory = self._link.telemetry, self._poses.pose, self._mandate.trajectory

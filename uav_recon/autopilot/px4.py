@@ -43,6 +43,7 @@ STREAMS_HZ = (
     (245, 5.0),  # EXTENDED_SYS_STATE
     (285, 10.0),  # GIMBAL_DEVICE_ATTITUDE_STATUS
 )
+POLLED_HZ = ((0, 10.0),)  # HEARTBEAT: once a second by itself, whatever it is told (measured): too late for a human's mode
 ASKED_ONCE = (148,)  # AUTOPILOT_VERSION
 
 
@@ -118,5 +119,5 @@ class Arming:
 PX4 = Personality(
     mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, Arming,
     land=LAND, pose_frame=LOCAL_NED, setpoint_mask=0, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
-    asks_mode=True,  # once a second by itself, whatever interval it is told (measured): too late to see a human's mode
+    polled_hz=POLLED_HZ,
 )  # fmt: skip

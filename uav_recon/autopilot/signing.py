@@ -12,6 +12,7 @@ import hmac
 import os
 import stat
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -113,10 +114,12 @@ class Signature:
         return int.from_bytes(frame[1 - _TAIL : -_HASH], "little")
 
 
-def open_signature(key: Path, link_id: int, stamps: Path, clock: Clock) -> Signature:
-    """What a vehicle's key file and its file of stamps say. Raises KeyFileError or StampsError."""
+def open_signature(key: Path, link_id: int, stamps: Path, clock: Clock, wall_s: Callable[[], float] = time.time) -> Signature:
+    """What a vehicle's key file and its file of stamps say. wall_s: seconds since 1970, asked here and never again. Raises
+    KeyFileError or StampsError.
+    """
     secret = read_key(key)
-    return Signature(secret, link_id, Stamps(stamps, time.time(), clock.now_s(), ThreadExecutor("signing")))
+    return Signature(secret, link_id, Stamps(stamps, wall_s(), clock.now_s(), ThreadExecutor("signing")))
 
 
 def read_key(path: Path) -> bytes:

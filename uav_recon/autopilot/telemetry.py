@@ -38,6 +38,8 @@ class Telemetry:
     warning: str = ""  # newest text of severity warning or worse
     pose_fed_s: float = -math.inf
     twin_heard: bool = False  # somebody else speaks with our own id
+    stranger: str = ""  # why the autopilot that answers is not the one that we fly
+    doubled: bool = False  # two autopilots speak with its id: whose word is whose is not known
     reboots: int = 0
     stale_frames: int = 0  # repeated, or overtaken by newer ones
     clock_answers: int = 0  # given to its questions for our clock, at once
