@@ -349,8 +349,7 @@ def make_conductor(
     from uav_recon.mission.conductor import Conductor
     from uav_recon.mission.orders import MissionWires, Orders, Stages
 
-    mission = config.mission
-    voxels, planner = make_voxels(config), make_planner(config, timer)
+    mission, voxels, planner = config.mission, make_voxels(config), make_planner(config, timer)
     clearance_m = config.planner.clearance_m
     retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m)
     motion, retreat = make_motion(config, clearance_m), make_motion(config, retreat_m)
@@ -365,6 +364,7 @@ def make_conductor(
         camera_pitch_down_rad=math.radians(config.camera.pitch_down_deg),
         max_flight_s=mission.max_flight_s,
         plan_cost_s=mission.plan_cost_s,
+        operator_timeout_s=mission.operator_timeout_s or math.inf,
     )
     channels = MissionWires(
         wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,

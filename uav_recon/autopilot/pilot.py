@@ -102,7 +102,7 @@ class Pilot:
         self._lift_off: LiftOff | None = None
         self._grounded = ""  # why the take-off is no good
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
-        self._land_wanted, self._held = "", False
+        self._land_wanted, self._held, self._operator_s = "", False, -math.inf
         self._anew_s = math.inf  # since when the flight goes on in another odom than it began in
 
     def step(self) -> None:
@@ -129,8 +129,14 @@ class Pilot:
         self._land_wanted = self._land_wanted or why
 
     def request_hold(self, hold: bool) -> None:
-        """Stay here, whatever the mission says; or follow it again. Whatever ends a flight still ends it."""
+        """Stay here, whatever the mission says; or follow it again. Whatever ends a flight still ends it, and so does a
+        mission that nobody attends.
+        """
         self._held = hold
+
+    def hear_operator(self) -> None:
+        """A sign of life, by a way that nobody else can speak on: never a HEARTBEAT, which anybody can forge."""
+        self._operator_s = self._clock.now_s()
 
     @property
     def in_flight(self) -> bool:
@@ -163,6 +169,10 @@ class Pilot:
         fault = self._mandate.hear(now_s)
         if fault:
             self._note = f"refused: {fault}"
+        if self._mandate.news and self.phase is FlightPhase.FLYING:
+            self._note = self._mandate.news
+            self._herald.say(self._note, now_s)
+        self._held = self._held and not self._mandate.unattended(now_s)
         self._may_arm = self._may_arm or self._mandate.goal(now_s) is not Goal.FLY
 
     def _judge(self, now_s: float) -> None:
@@ -320,6 +330,7 @@ class Pilot:
                 trajectory_id=-1 if trajectory is None else trajectory.identifier,
                 refusals=self._refusals,
                 note=self._note[:_LONGEST_NOTE],
+                operator_heard_s=self._operator_s,
                 most_mps=self._guard.bounds.retreat_mps if pose and pose.health is not PoseHealth.GOOD else math.inf,
             )
         )

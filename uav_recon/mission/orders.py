@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from uav_recon.protocols import Channel, Mapper, PacedMotion, Planner, ViewBudget, Voxels
@@ -42,7 +43,9 @@ class MissionWires:
 
 @dataclass(frozen=True)
 class Orders:
-    """What this mission is to do, in SI units. clear_radius_m: about every place where the vehicle flew nothing is."""
+    """What this mission is to do, in SI units. clear_radius_m: about every place where the vehicle flew nothing is.
+    operator_timeout_s: of Attendance.
+    """
 
     views: int
     survey_views: int
@@ -54,3 +57,4 @@ class Orders:
     camera_pitch_down_rad: float
     max_flight_s: float
     plan_cost_s: float
+    operator_timeout_s: float = math.inf
