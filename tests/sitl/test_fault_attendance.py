@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -85,16 +86,11 @@ def test_a_way_that_leads_elsewhere_is_astray() -> None:
     assert astray(0.0)(evidence()) == math.inf, "nobody ever attended"
 
 
-def test_every_flight_in_lockstep_has_somebody_who_has_to_attend(flown: product_config.Config) -> None:
-    assert attended(flown).mission.operator_timeout_s == 30.0
-    assert attended(flown).mission.model_copy(update={"operator_timeout_s": None}) == flown.mission
-
-
-@pytest.fixture
-def flown() -> product_config.Config:
-    from test_config import FLOWN
-
-    return product_config.load(FLOWN)
+def test_every_flight_in_lockstep_has_somebody_who_has_to_attend() -> None:
+    flown = product_config.load(Path(__file__).parents[2] / "systemd" / "config.toml")
+    alone = flown.model_copy(update={"mission": flown.mission.model_copy(update={"operator_timeout_s": None})})
+    assert attended(alone).mission.operator_timeout_s == 30.0
+    assert attended(alone) == flown, "nothing else is another"
 
 
 def test_every_second_flight_of_d8_has_a_forger() -> None:
