@@ -8,8 +8,10 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sitl.faults.arena import arena
+from sitl.faults.attendance import TIMEOUT_S
 from sitl.faults.everywhere import violations
 from sitl.faults.evidence import Evidence
 from sitl.faults.meddler import Meddler, alone
@@ -19,6 +21,9 @@ from sitl.faults.trouble import Trouble
 from sitl.fly_evidence import evidence_of
 from sitl.fork import Fork
 from sitl.scene import HULL_RADIUS_M
+
+if TYPE_CHECKING:
+    from uav_recon.config import Config
 
 
 @dataclass(frozen=True)
@@ -153,7 +158,7 @@ def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str
     )
     scene = arena(stage.arena, options.radius_m)
     options.make_folder()
-    config = options.config(scene, folder)
+    config = attended(options.config(scene, folder))
     product_config.save(config, options.out / "config.toml")
     troubles = [
         Trouble(row.id, [*row.injectors(stage.number), *hostile(row.id, config)], row.onset, row.longest_s, row.stands_s)
@@ -162,6 +167,11 @@ def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str
     meddler = Meddler(troubles, stage.number, split=split)
     fly_in_lockstep(options, config, scene, Console(quiet=True), meddler.lands, timelapse=False, meddler=meddler)
     return evidence_of(meddler, config, options.out / "truth.npz", options.radius_m)
+
+
+def attended(config: Config) -> Config:
+    """The same where an operator has to attend, as one does in every flight in lockstep."""
+    return config.model_copy(update={"mission": config.mission.model_copy(update={"operator_timeout_s": TIMEOUT_S})})
 
 
 def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:

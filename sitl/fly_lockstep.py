@@ -23,7 +23,8 @@ from sitl.pace import QUICK, REAL
 from sitl.scene import Scene
 from sitl.transport import pipe
 from sitl.world import World
-from uav_recon import run
+from uav_recon import run, run_desk
+from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
 from uav_recon.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
@@ -31,6 +32,7 @@ from uav_recon.protocols import ByteLink, Mapper, Pending
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.recording.mapfile import save_map
 from uav_recon.recording.timelapse import Timelapse
+from uav_recon.types.operator import GivenOrder
 
 if TYPE_CHECKING:
     from uav_recon.recording.recorder import Recorder
@@ -81,6 +83,10 @@ class Meddling(Protocol):
         """Whether the operator tells the vehicle to stay where it is."""
         ...
 
+    def attends(self) -> bool:
+        """Whether the operator asks how it stands; once a second."""
+        ...
+
     def over(self, finished: bool) -> bool:
         """Whether the flight ends here; finished: the mission says so."""
         ...
@@ -108,6 +114,10 @@ class Nobody:
         return False
 
     def holds(self) -> bool:
+        """Nobody does."""
+        return False
+
+    def attends(self) -> bool:
         """Nobody does."""
         return False
 
@@ -172,6 +182,7 @@ def fly_in_lockstep(
         watchers.append(Timelapse(options.out, wires.surface, clock))
     conductor.request_start()
     mission_rate, record_rate = RateKeeper(MISSION_RATE_HZ, START_S), RateKeeper(RECORDER_RATE_HZ, START_S)
+    operator_rate, orders = RateKeeper(1.0, START_S), MemoryChannel(GivenOrder)
     steps = 0
     started_s, processor_s = time.perf_counter(), time.process_time()
     with Screen(console, wires) as screen:
@@ -199,6 +210,8 @@ def fly_in_lockstep(
             if meddler.restarts("pilot"):
                 pilot = run.make_pilot(config, wires, link, log, clock)
             if meddler.runs("pilot"):
+                if operator_rate.due(now_s) and meddler.attends():
+                    run_desk.make_clerk(wires, pilot, orders, clock).serve("status")
                 pilot.step()
             if record_rate.due(now_s):
                 for watcher in watchers:

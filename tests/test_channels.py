@@ -65,9 +65,10 @@ VALUES = [
     Intent(9.0, Goal.FLY, TRAJECTORY),
     Intent(9.0, Goal.FLY, dataclasses.replace(TRAJECTORY, clearance_m=0.45)),
     Intent(9.0, Goal.STANDBY),
+    Intent(9.0, Goal.FLY, TRAJECTORY, "no operator for 30 s: returning", True),
     Refusal("outside the fence", SETPOINT),
     VehicleState(1.0, POSE, np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, float("nan"), False, float("nan"), -1, 3, ""),
-    VehicleState(1.0, POSE, np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, 0.5, False, 0.2, 4, 3, "slow", 0.3),
+    VehicleState(1.0, POSE, np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, 0.5, False, 0.2, 4, 3, "slow", 0.3, 9.5),
     MissionProgress(1.0, "SURVEY", "explore", 3, 60, 41.5, 12.25, 5, 2, 7, 0.75, "", False),
 ]
 

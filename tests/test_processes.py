@@ -143,6 +143,23 @@ def test_an_operator_is_told_how_it_stands_and_what_is_missing(pilot: subprocess
     assert pilot.poll() is None
 
 
+def test_an_operator_watches_until_he_interrupts_or_the_pilot_is_gone(pilot: subprocess.Popen[str], config: Path) -> None:
+    while say("status", config).returncode != 0:
+        assert pilot.poll() is None
+    command = [sys.executable, "-m", "uav_recon.cli", "status", "--watch", "--config", str(config)]
+    first, second = (subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2))
+    for watcher in (first, second):
+        assert watcher.stdout is not None
+        assert [watcher.stdout.readline()[:34] for _ in range(2)] == ["pilot connecting  mission silent  "] * 2
+    first.send_signal(signal.SIGINT)
+    assert (first.communicate(timeout=20)[1], first.returncode) == ("uav-recon: interrupted\n", 130)
+    pilot.kill()
+    pilot.communicate()
+    *lost, last = second.communicate(timeout=20)[1].splitlines()
+    assert (second.returncode, len(lost)) == (69, 2)
+    assert last == f"uav-recon: {config.parent / 'run' / 'operator.socket'}: no pilot is running there"
+
+
 def test_without_a_pilot_an_operator_is_told_so(config: Path) -> None:
     told = say("hold", config)
     assert told.returncode == 69

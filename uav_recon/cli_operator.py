@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-import json as text
+import json as json_text
+import os
+import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, TypeVar
 
 import typer
 
 from uav_recon import run, run_desk
 from uav_recon.cli_exit import exit_with
+from uav_recon.operator.call import CallError, call
+from uav_recon.operator.status import Status
+from uav_recon.operator.watch import Block, Lines, in_a_line
+
+T = TypeVar("T")
 
 EXIT_NOBODY, FLOWN = 69, Path("/etc/uav_recon/config.toml")
 
@@ -49,13 +57,14 @@ def status(
     config: ConfigOption = FLOWN,
     socket: SocketOption = None,
     json: Annotated[bool, typer.Option("--json", help="One line of JSON.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Again every second until Ctrl-C: the operator attends.")] = False,
 ) -> None:
     """How the flight stands."""
-    exit_with(lambda: _status(config, socket, json))
+    exit_with(lambda: (_watch if watch else _status)(config, socket, json))
 
 
 def _order(word: str, config: Path, socket: Path | None) -> int:
-    answer = _call(word, config, socket)
+    answer = _reached(lambda: call(_path(config, socket), word))
     if not answer["ok"]:
         raise run.Failure(f"{word} refused: {answer['said']}")
     print(answer["said"])
@@ -63,20 +72,40 @@ def _order(word: str, config: Path, socket: Path | None) -> int:
 
 
 def _status(config: Path, socket: Path | None, as_json: bool) -> int:
-    from uav_recon.operator.status import Status
-
-    answer = _call("status", config, socket)
-    if not answer["ok"]:
-        raise run.Failure(f"status refused: {answer['said']}")
-    print(text.dumps(answer["status"]) if as_json else "\n".join(Status.told(answer["status"]).lines()))
+    status = _reached(lambda: _asked(_path(config, socket)))
+    print(_as_json(status) if as_json else "\n".join(status.lines()))
     return 0
 
 
-def _call(word: str, config: Path, socket: Path | None) -> dict[str, Any]:
-    from uav_recon.operator.call import CallError, call
-
-    path = socket or run_desk.operator_socket(run.load_config(config))
+def _watch(config: Path, socket: Path | None, as_json: bool) -> int:
+    path, out = _path(config, socket), sys.stdout
+    plain = as_json or not out.isatty()
+    page = Lines(out, sys.stderr, _as_json if as_json else in_a_line) if plain else Block(out)
     try:
-        return call(path, word)
+        _reached(lambda: run_desk.watch_status(lambda: _asked(path), page))
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())  # or the interpreter complains as it ends
+    return 0
+
+
+def _asked(path: Path) -> Status:
+    """Raises CallError, or Failure where the answer is none."""
+    answer = call(path, "status")
+    if not answer["ok"]:
+        raise run.Failure(f"status refused: {answer['said']}")
+    return Status.told(answer["status"])
+
+
+def _as_json(status: Status) -> str:
+    return json_text.dumps(status.as_json())
+
+
+def _path(config: Path, socket: Path | None) -> Path:
+    return socket or run_desk.operator_socket(run.load_config(config))
+
+
+def _reached(work: Callable[[], T]) -> T:
+    try:
+        return work()
     except CallError as error:
         raise run.Failure(str(error), EXIT_NOBODY) from None

@@ -253,6 +253,7 @@ class MissionConfig(Section):
     max_flight_s: Positive = 900.0  # then it returns
     plan_cost_s: Annotated[float, Field(ge=0.0, le=5.0)] = 0.1  # declared planning cost on a simulated clock
     autostart: bool = False  # true: arm and fly as soon as the pilot is READY; nobody is asked
+    operator_timeout_s: Annotated[float, Field(ge=10.0, le=600.0)] | None = None  # of silence: home; unset: nobody need attend
 
 
 class RecordingConfig(Section):

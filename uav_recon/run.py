@@ -352,7 +352,6 @@ def make_conductor(
     mission, clearance_m = config.mission, config.planner.clearance_m
     voxels, planner = make_voxels(config), make_planner(config, timer)
     retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m)
-    motion, retreat = make_motion(config, clearance_m), make_motion(config, retreat_m)
     orders = Orders(
         views=mission.views,
         survey_views=mission.survey_views,
@@ -365,12 +364,14 @@ def make_conductor(
         max_flight_s=mission.max_flight_s,
         plan_cost_s=mission.plan_cost_s,
         clearance_m=clearance_m,
+        operator_timeout_s=mission.operator_timeout_s or math.inf,
     )
     channels = MissionWires(
         wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
         wires.correction, wires.free,
     )  # fmt: skip
-    stages = Stages(voxels, make_coverage(config, voxels), mapper, planner, motion, retreat)
+    coverage, retreat = make_coverage(config, voxels), make_motion(config, retreat_m)
+    stages = Stages(voxels, coverage, mapper, planner, make_motion(config, clearance_m), retreat)
     return Conductor(stages, channels, orders, executor, journal, clock)
 
 

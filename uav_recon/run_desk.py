@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_recon import run
 from uav_recon.channels import FileChannel
+from uav_recon.clock import MonotonicClock
 from uav_recon.config import Config
 from uav_recon.operator.clerk import Clerk
 from uav_recon.operator.desk import Desk, DeskError
+from uav_recon.operator.status import Status
+from uav_recon.operator.watch import Page, watch
 from uav_recon.protocols import Channel, Clock
 from uav_recon.types.operator import GivenOrder
 
@@ -30,11 +34,20 @@ def operator_socket(config: Config) -> Path:
     return config.runtime.folder / config.runtime.operator
 
 
+def make_clerk(wires: run.Wires, pilot: Pilot, orders: Channel[GivenOrder], clock: Clock) -> Clerk:
+    """Who answers the operator."""
+    return Clerk(pilot, wires.vehicle, wires.intent, wires.progress, wires.odom, orders, clock)
+
+
 def make_desk(config: Config, wires: run.Wires, pilot: Pilot, clock: Clock) -> Desk:
     """Where the pilot hears the operator. Raises Failure if the socket cannot be opened."""
-    orders = operator_orders(config.runtime.folder)
-    clerk = Clerk(pilot, wires.vehicle, wires.intent, wires.progress, wires.odom, orders, clock)
+    clerk = make_clerk(wires, pilot, operator_orders(config.runtime.folder), clock)
     try:
         return Desk(operator_socket(config), clerk.serve, clock)
     except DeskError as error:
         raise run.Failure(f"runtime.operator: {error}", run.EXIT_CONFIG) from None
+
+
+def watch_status(ask: Callable[[], Status], page: Page) -> None:
+    """Once a second by the clock of this machine. Raises CallError once nobody answers any more, whatever else ask raises."""
+    watch(ask, page, MonotonicClock())

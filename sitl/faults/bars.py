@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sitl.faults import attendance
 from sitl.faults import measures as m
 from sitl.faults.row import Bar
 
@@ -52,3 +53,4 @@ COMPLETES = Bar("flights not completed", m.unfinished, 0.0, "")
 RETURNS = Bar("flights not back", m.not_back, 0.0, "")
 NEVER_ARMED = Bar("flights armed", m.armed_at_all, 0.0, "")
 NO_FORCE = Bar("forced commands", m.forced, 0.0, "")
+RETURN_ACTS = Bar("returns", attendance.acts_after, attendance.TIMEOUT_S + 1.0, "s")

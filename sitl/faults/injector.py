@@ -16,6 +16,7 @@ from sitl.poses import PoseRecord
 from sitl.world import World
 
 TAKEN_OVER = "taken over"  # note: the instant of the pilot's switch
+ATTENDED = "attended"  # note: the instant of the operator's last sign of life
 
 
 class Needs(Flag):
@@ -43,6 +44,7 @@ class Theatre:
     now_s: float = 0.0
     hold: bool = False
     abort: bool = False  # the operator has pressed
+    attends: bool = True  # the operator asks how it stands, once a second
     obstacles: list[Obstacle] = field(default_factory=list)
     roster: Roster | None = None
     line: SerialLine | None = None

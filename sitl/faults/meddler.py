@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sitl.d435i import pinhole
 from sitl.faults.farlink import FarProxy
-from sitl.faults.injector import Depth, Injector, Theatre
+from sitl.faults.injector import ATTENDED, Depth, Injector, Theatre
 from sitl.faults.link import Bytes, Late, Proxy, Tap
 from sitl.faults.trouble import STANDS_S, Onset, Trouble
 from sitl.poses import PoseRecord
@@ -121,6 +121,12 @@ class Meddler:
     def holds(self) -> bool:
         """Whether the operator wants the vehicle to stay where it is."""
         return self.theatre.hold
+
+    def attends(self) -> bool:
+        """Whether the operator asks how it stands, now."""
+        if self.theatre.attends:
+            self.theatre.notes[ATTENDED] = self.theatre.now_s
+        return self.theatre.attends
 
     def lands(self) -> bool:
         """Whether the operator wants to land."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from sitl.faults import attendance, odometry
 from sitl.faults import measures as m
-from sitl.faults import odometry
 from sitl.faults.bars import (
     COMPLETES,
     NO_FAILSAFE,
     NO_ORDER,
+    RETURN_ACTS,
+    RETURNS,
     STEADY,
     STREAMS,
     clear,
@@ -243,5 +245,28 @@ TABLE_D = (
         ),
         longest_s=20.0,
     ),
-    Row("D8", "ground station lost", "its heartbeats stop", why="the product has no link to a ground station"),
+    Row(
+        "D8",
+        "operator lost",
+        "nobody asks how it stands any more, in flight; every second time somebody forges a ground station's heartbeats",
+        lambda n: [attendance.Gone(), *([attendance.GroundStation()] if n % 2 else [])],
+        (
+            RETURN_ACTS,
+            Bar("returns not before", attendance.acts_after, attendance.TIMEOUT_S - 1.0, "s", at_least=True),
+            Bar("warned", attendance.warns_after, 6.0, "s"),
+            Bar("way astray", attendance.astray(attendance.TIMEOUT_S), 3.0, "m"),
+            RETURNS,
+            down(120.0),
+        ),
+        longest_s=120.0,
+    ),
+    Row(
+        "D8b",
+        "operator heard now and then",
+        "asks how it stands once in ten seconds",
+        lambda n: [attendance.Rare(10.0)],
+        (COMPLETES, Bar("warnings", attendance.warnings, 1.0, ""), NO_FAILSAFE),
+        longest_s=180.0,
+        views=30,
+    ),
 )

@@ -356,5 +356,5 @@ TABLE_G = (
         views=SHORT_VIEWS,
     ),
     Row("G9", "soak", "two hours in the air", why="run apart: --only G9 --real-time; G9-5min and G9-1min are shorter"),
-    Row("G10", "combinations", "two of A1 B1 B4 C1 D2 E1 E5 F2 G2 at once", why="36 pairs: --only G10 flies them"),
+    Row("G10", "combinations", "two of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2 at once", why="45 pairs: --only G10 flies them"),
 )

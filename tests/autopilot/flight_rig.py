@@ -62,9 +62,10 @@ class Tap:
         self._parser = mavlink.MAVLink(None)
         self.sent: list[tuple[float, Any]] = []
         self.deaf = self.mute = False
+        self.forged = b""  # of somebody else on the line, read once
 
     def read(self) -> bytes:
-        data = self._inner.read()
+        data, self.forged = self._inner.read() + self.forged, b""
         return b"" if self.deaf else data
 
     def write(self, data: bytes) -> None:
@@ -111,6 +112,7 @@ class Rig:
         self.wall_m = 9.0  # what the camera sees, in every cell
         self.pilot = self.new_pilot(log)
         self.intent: tuple[Goal, Trajectory | None] | None = (Goal.STANDBY, None)
+        self.said, self.unattended = "", False
         self.poses, self.health = True, PoseHealth.GOOD
         self.turn = 0
         self.track: list[tuple[float, FloatArray]] = []
@@ -167,7 +169,7 @@ class Rig:
             ranges = np.full((12, 16), self.wall_m, dtype=np.float32)
             self.channels.nearby.publish(Nearby(now, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
         if self.intent is not None and self.turn % 5 == 0:
-            self.channels.intent.publish(Intent(now, *self.intent))
+            self.channels.intent.publish(Intent(now, *self.intent, self.said, self.unattended))
         self.pilot.step()
         self.track.append((now, np.array(truth.position)))
         self.turn += 1

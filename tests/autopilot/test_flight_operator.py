@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from flight_rig import ARM, MODE, Rig, Tap
+from pymavlink.dialects.v20 import common as mavlink
 
 from uav_recon.types.vehicle import FlightPhase
 
@@ -66,3 +69,39 @@ def test_a_human_wins_over_a_hold(hovering: Rig) -> None:
     hovering.run(3.0)
     sent = hovering.tap.since(begin_s)
     assert sent["SET_POSITION_TARGET_LOCAL_NED"] == sent[f"COMMAND_LONG {MODE}"] == sent[f"COMMAND_LONG {ARM}"] == 0
+
+
+def test_forged_heartbeats_of_a_ground_station_are_no_operator(hovering: Rig) -> None:
+    """From systems and components that ground stations have, and from our own; only the desk counts."""
+    voices = [mavlink.MAVLink(None, *ids) for ids in ((255, 190), (255, 0), (245, 191), (1, 190), (42, 1))]
+    beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    for _ in range(20):
+        hovering.tap.forged += b"".join(bytes(beat.pack(voice)) for voice in voices)
+        hovering.run(0.1)
+    assert hovering.pilot.phase is FlightPhase.FLYING
+    assert hovering.state.operator_heard_s == -math.inf
+    hovering.pilot.hear_operator()
+    hovering.run(0.1)
+    assert hovering.state.operator_heard_s == pytest.approx(hovering.clock.now_s() - 0.1, abs=0.02)
+
+
+def test_what_the_mission_has_to_tell_is_told_once_and_its_operators_hold_ends_with_him(hovering: Rig) -> None:
+    hovering.pilot.request_hold(True)
+    way = hovering.fly((0.8, 0.0, 1.1))
+    hovering.said = "no operator for 5 s: returns after 30"
+    hovering.run(3.0)
+    assert hovering.track[-1][1][0] < 0.1, "a warning alone takes no hold away"
+    hovering.said, hovering.unattended = "no operator for 30 s: returning", True
+    hovering.run(way.duration_s + 2.0)
+    way = hovering.fly((0.8, 0.0, 1.1), identifier=2)
+    hovering.run(way.duration_s + 2.0)
+    assert hovering.track[-1][1][0] > 0.5
+    texts = [str(m.text) for _, m in hovering.tap.sent if m.get_type() == "STATUSTEXT"]
+    assert [text for text in texts if "no operator" in text] == [
+        "no operator for 5 s: returns after 30", "no operator for 30 s: returning",
+    ]  # fmt: skip
+    hovering.unattended = False
+    hovering.pilot.request_hold(True)
+    hovering.fly((0.0, 0.0, 1.1), identifier=3)
+    hovering.run(3.0)
+    assert hovering.track[-1][1][0] > 0.4, "who is back may hold it again"

@@ -140,7 +140,7 @@ class Asked(MotionPlanner):
 class Desk:
     """A conductor on a table: the vehicle is wherever its trajectory says, frames come at 10 Hz."""
 
-    def __init__(self, folder: Path, views: int = 50) -> None:
+    def __init__(self, folder: Path, views: int = 50, operator_timeout_s: float = math.inf) -> None:
         self.clock = ManualClock(100.0)
         self.wires = MissionWires(
             MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
@@ -149,13 +149,14 @@ class Desk:
         )  # fmt: skip
         self.voxels, self.planner, self.mapper = OpenSpace(), ThreeViews(), Sketchbook()
         motion = MotionPlanner(MotionConfig(), 0.35)
-        orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35)
+        orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s)
         self.retreat = Asked(MotionConfig(), 0.30)
         stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, self.paced(motion), self.paced(self.retreat))
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
         self.note, self.stands, self.battery, self.most_mps = "", False, 0.9, math.inf
+        self.attended, self._heard_s = False, -math.inf
         self.seen: list[Phase] = []
         self._place_m = np.zeros(3)
         self.epoch = 0
@@ -212,9 +213,10 @@ class Desk:
         self._place_m = position
         self.planner.was_at(position)
         armed = self.phase is FlightPhase.FLYING
+        self._heard_s = self.clock.now_s() if self.attended else self._heard_s
         self.wires.vehicle.publish(
             VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase,
-                         self.battery, self.human, float("nan"), 1, self.refusals, self.note, self.most_mps)
+                         self.battery, self.human, float("nan"), 1, self.refusals, self.note, self.most_mps, self._heard_s)
         )  # fmt: skip
 
     def _frame(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -23,13 +24,14 @@ class Vehicle:
     """A pilot that only notes what is asked of it, and its channels."""
 
     def __init__(self, phase: FlightPhase, mission: bool = True, note: str = "") -> None:
-        self.phase, self.asked = phase, list[str]()
+        self.phase, self.asked, self.heard_s = phase, list[str](), -math.inf
         self.clock = ManualClock(100.0)
         self.intent, self.orders = MemoryChannel(Intent), MemoryChannel(GivenOrder)
         vehicle, progress, odom = MemoryChannel(VehicleState), MemoryChannel(MissionProgress), MemoryChannel(StampedPose)
         at = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 2.0, 1.1]))
         vehicle.publish(VehicleState(99.9, at, np.zeros(3), True, "OFFBOARD", phase, 0.83, False, float("nan"), 1, 2, note))
         odom.publish(StampedPose(99.96, at, np.zeros(3), quality=97))
+        self.progress = progress
         progress.publish(MissionProgress(99.9, "survey", "explore", 31, 120, 42.7, 18.4, 5, 7, 40, 0.2, "", False))
         if mission:
             self.intent.publish(Intent(99.9, Goal.FLY))
@@ -40,6 +42,9 @@ class Vehicle:
 
     def request_hold(self, hold: bool) -> None:
         self.asked.append("hold" if hold else "go on")
+
+    def hear_operator(self) -> None:
+        self.heard_s = self.clock.now_s()
 
     def order(self, word: str) -> tuple[bool, str]:
         answer = self.clerk.serve(word)
@@ -169,3 +174,25 @@ def test_what_nobody_has_told_yet_is_not_known() -> None:
     assert (told.mode, told.armed, told.position_m) == (None, None, None)
     told = Status.of(1.0, silent, StampedPose(0.95, at, np.zeros(3), quality=97), None, False)
     assert told.position_m == (0.0, 0.0, 0.0)
+
+
+def test_who_asks_or_orders_has_been_heard_and_who_babbles_has_not() -> None:
+    flying = Vehicle(FlightPhase.FLYING)
+    flying.order("jump")
+    assert flying.heard_s == -math.inf
+    for word in ("status", "hold", "start"):
+        flying.clock.advance_to(flying.clock.now_s() + 1.0)
+        flying.order(word)
+        assert flying.heard_s == flying.clock.now_s(), word
+    flying.phase = FlightPhase.LANDING
+    flying.clock.advance_to(110.0)
+    assert not flying.order("hold")[0]
+    assert flying.heard_s == 110.0, "a refused order is a sign of life too"
+
+
+def test_on_the_ground_status_says_what_the_mission_waits_for() -> None:
+    for phase, note in ((FlightPhase.READY, "no operator attends"), (FlightPhase.FLYING, "")):
+        waiting = Vehicle(phase)
+        progress = MissionProgress(99.9, "ready", "", 0, 120, 1.0, 0.0, 0, 0, 0, 0.0, "no operator attends", False)
+        waiting.progress.publish(progress)
+        assert waiting.clerk.status().note == note

@@ -20,13 +20,11 @@ class Herald:
         """To be called every turn of a flight with what is to be known."""
         if note == self._said or now_s - self._said_s < _APART_S:
             return
-        self._said = note
         if note:
-            self._said_s = now_s
-            self._link.say(now_s, note)
+            self.say(note, now_s)
+        self._said = note
 
-    def cry(self, alarms: list[str], now_s: float) -> None:
-        """What nobody may miss, at once; whoever raises alarms raises few."""
-        for alarm in alarms:
-            self._said = alarm
-            self._link.say(now_s, alarm)
+    def say(self, note: str, now_s: float) -> None:
+        """At once, also where the next note would take its place in the same turn; who says such things says few."""
+        self._said, self._said_s = note, now_s
+        self._link.say(now_s, note)

@@ -22,10 +22,12 @@ class Mandate:
         self._wanted_s = -math.inf  # stamp of its last wish
         self._forsaken: Key | None = None  # malformed, turned down, or made in an odom that is no more
         self.trajectory: Trajectory | None = None
+        self.news = self._told = ""  # what it has to tell people, once: '' in every other turn
         self.malformed = 0
 
     def hear(self, now_s: float) -> str:
         """Take over the newest intent; why its trajectory cannot be flown, once, '' if it can."""
+        self.news = ""
         try:
             intent = self._channel.latest()
         except ValueError:
@@ -33,6 +35,7 @@ class Mandate:
         if intent is None or intent is self._intent or not -_FUTURE_S <= now_s - intent.stamp_s <= self._fresh_s:
             return ""
         self._intent = intent
+        self.news, self._told = "" if intent.note == self._told else intent.note, intent.note
         self._wanted_s = self._wanted_s if intent.goal is Goal.STANDBY else intent.stamp_s
         trajectory = intent.trajectory if intent.goal is Goal.FLY else None
         if trajectory is None:
@@ -57,6 +60,10 @@ class Mandate:
         One that stands by is silent: in flight it has been started anew, and knows nothing of the flight that it is in.
         """
         return now_s - self._wanted_s
+
+    def unattended(self, now_s: float) -> bool:
+        """Whether a mission that is not silent says that nobody attends any more."""
+        return self._intent is not None and self.age_s(now_s) <= self._fresh_s and self._intent.unattended
 
     def goal(self, now_s: float) -> Goal:
         """What a mission that is not silent wants, STANDBY otherwise."""

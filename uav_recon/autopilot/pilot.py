@@ -103,7 +103,7 @@ class Pilot:
         self._lift_off: LiftOff | None = None
         self._grounded = ""  # why the take-off is no good
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
-        self._land_wanted, self._held = "", False
+        self._land_wanted, self._held, self._operator_s = "", False, -math.inf
         self._anew_s = math.inf  # since when the flight goes on in another odom than it began in
 
     def step(self) -> None:
@@ -129,8 +129,14 @@ class Pilot:
         self._land_wanted = self._land_wanted or why
 
     def request_hold(self, hold: bool) -> None:
-        """Stay here, whatever the mission says; or follow it again. Whatever ends a flight still ends it."""
+        """Stay here, whatever the mission says; or follow it again. Whatever ends a flight still ends it, and so does a
+        mission that nobody attends.
+        """
         self._held = hold
+
+    def hear_operator(self) -> None:
+        """A sign of life, by a way that nobody else can speak on: never a HEARTBEAT, which anybody can forge."""
+        self._operator_s = self._clock.now_s()
 
     @property
     def in_flight(self) -> bool:
@@ -163,6 +169,7 @@ class Pilot:
         fault = self._mandate.hear(now_s)
         if fault:
             self._note = f"refused: {fault}"
+        self._held = self._held and not self._mandate.unattended(now_s)
         self._may_arm = self._may_arm or self._mandate.goal(now_s) is not Goal.FLY
 
     def _judge(self, now_s: float) -> None:
@@ -308,10 +315,12 @@ class Pilot:
     def _tell(self, now_s: float) -> None:
         if self.phase in (FlightPhase.CONNECTING, FlightPhase.READY):
             return
-        alarms = self._link.intrusions.news()
-        self._herald.cry(alarms, now_s)
-        if self.phase is FlightPhase.FLYING and alarms:
-            self._note = alarms[-1]
+        flying = self.phase is FlightPhase.FLYING
+        news = [*self._link.intrusions.news(), *([self._mandate.news] if flying and self._mandate.news else [])]
+        for words in news:
+            self._herald.say(words, now_s)
+        if flying and news:
+            self._note = news[-1]
         self._herald.step(self._note, now_s)
 
     def _publish(self, now_s: float) -> None:
@@ -334,6 +343,7 @@ class Pilot:
                 trajectory_id=-1 if trajectory is None else trajectory.identifier,
                 refusals=self._refusals,
                 note=self._note[:_LONGEST_NOTE],
+                operator_heard_s=self._operator_s,
                 most_mps=self._guard.bounds.retreat_mps if pose and pose.health is not PoseHealth.GOOD else math.inf,
             )
         )

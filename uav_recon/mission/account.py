@@ -61,11 +61,13 @@ class Account:
         self.note = reason
         self.journal.refusal(stamp_s, reason)
 
-    def hear(self, phase: Phase, vehicle: VehicleState) -> None:
-        """On the ground the pilot says why nothing happens or arming was given up; of a landing of its own, why it lands."""
+    def hear(self, phase: Phase, vehicle: VehicleState, waits: str = "") -> None:
+        """On the ground the pilot says why nothing happens or arming was given up, or else it is what a start waits for; of a
+        landing of its own, why it lands.
+        """
         grounded = phase in (Phase.IDLE, Phase.READY) or (phase is Phase.TAKEOFF and vehicle.phase is FlightPhase.READY)
         if grounded or (vehicle.phase is FlightPhase.LANDING and phase is not Phase.LANDING and vehicle.note):
-            self.note = vehicle.note
+            self.note = vehicle.note or (waits if phase in (Phase.IDLE, Phase.READY) else "")
 
     def progress(
         self, stamp_s: float, phase: Phase, explored_m3: float, path_length_m: float, position_world: FloatArray, finished: bool

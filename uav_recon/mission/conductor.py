@@ -6,6 +6,8 @@ import numpy as np
 
 from uav_recon.mission.account import Account
 from uav_recon.mission.ascent import Ascent
+from uav_recon.mission.attendance import Attendance
+from uav_recon.mission.bulletin import Bulletin
 from uav_recon.mission.captures import Captures
 from uav_recon.mission.course import Course
 from uav_recon.mission.decider import Decider
@@ -19,14 +21,14 @@ from uav_recon.mission.steward import Steward
 from uav_recon.mission.survey import Survey
 from uav_recon.protocols import Clock, Executor, Journal
 from uav_recon.types.camera import PosedFrame
-from uav_recon.types.maps import FreeSpace, VoxelMap
+from uav_recon.types.maps import VoxelMap
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 FRAME_TIMEOUT_S = 1.0
 PLAN_LATE_S = 20.0  # a planner that has not answered for so long does not answer any more
 VIEW_LATE_S = 0.6  # a view that no frame met for so long is given up
-PROGRESS_PERIOD_S, MAP_PERIOD_S, FREE_PERIOD_S = 0.2, 1.0, 0.2
+PROGRESS_PERIOD_S = 0.2
 
 
 class Conductor:
@@ -50,10 +52,10 @@ class Conductor:
         self.map: VoxelMap | None = None
         self._frame_sequence, self._frame_s = 0, -np.inf
         self._map_epoch, self._correction_sequence = 0, wires.correction.sequence()  # what stands there is of another flight
-        self._surface_revision, self._refusals = -1, 0
-        self._reported_s = self._map_published_s = self._free_published_s = -np.inf
-        self._free_revision, self._proposed = -1, self._course.trajectory
-        self._start = self._abort = self._hold = self._go_home = self._released = False
+        self._refusals = 0
+        self._bulletin, self._reported_s = Bulletin(wires), -np.inf
+        self._attendance, self._go_home = Attendance(orders.operator_timeout_s), ""  # why it goes home, whatever else there is
+        self._start = self._abort = self._hold = self._released = False
         half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, top_m)
 
@@ -70,9 +72,9 @@ class Conductor:
         """Stay here until resume() or request_return(); the mission's own wishes wait."""
         self._hold = True
 
-    def request_return(self) -> None:
+    def request_return(self, why: str = "the operator asked to return") -> None:
         """Fly home and land; never taken back."""
-        self._go_home = True
+        self._go_home = self._go_home or why
         self.resume()
 
     def resume(self) -> None:
@@ -94,10 +96,11 @@ class Conductor:
             self._stages.motion.allow(vehicle.most_mps)
             self._stages.retreat.allow(vehicle.most_mps)
             self._hear_guard(now_s, vehicle)
+            self._hear_operator(now_s, vehicle)
             self._hear_release(now_s, vehicle)
             self._hear_no_planner(now_s)
             self._hear_battery(now_s, vehicle)
-            self._account.hear(self.phase, vehicle)
+            self._account.hear(self.phase, vehicle, self._attendance.missing if self._start else "")
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
         self._publish(now_s)
@@ -153,6 +156,14 @@ class Conductor:
             self._homeward.think_again()
         self._refusals = vehicle.refusals
 
+    def _hear_operator(self, now_s: float, vehicle: VehicleState) -> None:
+        """Who attends no more holds nothing either."""
+        news = self._attendance.hear(now_s, vehicle.operator_heard_s, flying=vehicle.armed)
+        if news:
+            self._account.refusal(now_s, news)
+        if self._attendance.lost:
+            self.request_return(self._attendance.lost)
+
     def _hear_release(self, now_s: float, vehicle: VehicleState) -> None:
         """The pilot held it where it was, which is not where the course led: go on, or up, from where it is."""
         if self._released and self.phase is Phase.HOLD:
@@ -179,7 +190,7 @@ class Conductor:
     def _facts(self, now_s: float, vehicle: VehicleState) -> Facts:
         return Facts(
             vehicle=vehicle,
-            start=self._start and self.map is not None,
+            start=self._start and self.map is not None and not self._attendance.missing,
             abort=self._abort,
             at_rest=self._helm.at_rest(now_s),
             took_off=self._ascent.risen,
@@ -195,7 +206,7 @@ class Conductor:
             charge_needed=self._steward.needed,
             charge_lost=self._steward.lost,
             hold=self._hold,
-            go_home=self._go_home,
+            go_home=bool(self._go_home),
         )
 
     def _change_phase(self, phase: Phase, now_s: float) -> None:
@@ -211,7 +222,7 @@ class Conductor:
         self._homeward.interrupt()
 
     def _why_return(self, now_s: float) -> str:
-        why = "the operator asked to return" if self._go_home else self._steward.why()
+        why = self._go_home or self._steward.why()
         if self._account.views_left <= 0:
             why = f"view budget of {self._orders.views} spent"
         elif now_s - self._ascent.begun_s > self._orders.max_flight_s:
@@ -238,15 +249,10 @@ class Conductor:
     def _publish(self, now_s: float) -> None:
         grounded = self.phase in (Phase.IDLE, Phase.READY, Phase.DONE, Phase.YIELDED)
         goal = Goal.STANDBY if grounded else Goal.LAND if self.phase is Phase.LANDING else Goal.FLY
-        self._publish_free(now_s)
-        self._wires.intent.publish(Intent(now_s, goal, self._course.trajectory))
-        surface = self._stages.mapper.surface()
-        if surface is not None and surface.revision != self._surface_revision:
-            self._surface_revision = surface.revision
-            self._wires.surface.publish(surface)
-        if self.map is not None and (now_s - self._map_published_s >= MAP_PERIOD_S or self.finished):
-            self._map_published_s = now_s
-            self._wires.voxels.publish(self.map)
+        self._bulletin.free(now_s, self.map, self._course.trajectory)
+        operator = self._attendance
+        self._wires.intent.publish(Intent(now_s, goal, self._course.trajectory, operator.note, bool(operator.lost)))
+        self._bulletin.maps(now_s, self.map, self._stages.mapper, last=self.finished)
         if now_s - self._reported_s >= PROGRESS_PERIOD_S or self.finished:
             self._reported_s = now_s
             explored_m3, course = self._stages.voxels.explored_m3(), self._course
@@ -254,14 +260,6 @@ class Conductor:
                 now_s, self.phase, explored_m3, course.path_length_m, course.position_world, self.finished
             )
             self._wires.progress.publish(progress)
-
-    def _publish_free(self, now_s: float) -> None:
-        """What the guard holds every motion against: never later than a motion that was made of it."""
-        due = now_s - self._free_published_s >= FREE_PERIOD_S or self._course.trajectory is not self._proposed
-        self._proposed = self._course.trajectory
-        if self.map is not None and due and self.map.revision != self._free_revision:
-            self._free_revision, self._free_published_s = self.map.revision, now_s
-            self._wires.free.publish(FreeSpace.of(self.map))
 
     def close(self) -> str:
         """Write the last line of the journal; returns the outcome."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from uav_recon.protocols import Channel, Mapper, PacedMotion, Planner, ViewBudget, Voxels
@@ -43,7 +44,7 @@ class MissionWires:
 @dataclass(frozen=True)
 class Orders:
     """What this mission is to do, in SI units. clear_radius_m: about every place where the vehicle flew nothing is.
-    clearance_m: what planned ways keep from anything.
+    clearance_m: what planned ways keep from anything. operator_timeout_s: of Attendance.
     """
 
     views: int
@@ -57,3 +58,4 @@ class Orders:
     max_flight_s: float
     plan_cost_s: float
     clearance_m: float
+    operator_timeout_s: float = math.inf

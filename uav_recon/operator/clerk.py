@@ -35,6 +35,10 @@ class Helmsman(Protocol):
         """Stay here, whatever the mission says; or follow it again."""
         ...
 
+    def hear_operator(self) -> None:
+        """The operator is there now."""
+        ...
+
 
 class Clerk:
     """Serves the desk. orders: where the mission hears; the other channels are only read."""
@@ -53,14 +57,18 @@ class Clerk:
         self._vehicle, self._intent, self._progress, self._odom = vehicle, intent, progress, odom
 
     def serve(self, word: str) -> Answer:
-        """The answer to a word: status, or an order. An order is carried out before it is answered."""
-        if word == "status":
-            return {"ok": True, "said": "", "status": self.status().as_json()}
+        """The answer to a word: status, or an order. An order is carried out before it is answered.
+
+        Whoever asks for something that there is has been heard, also where it is refused.
+        """
         try:
-            order = Order(word)
+            order = None if word == "status" else Order(word)
         except ValueError:
             words = ", ".join(order.value for order in Order)
             return {"ok": False, "said": f"{word[:20]!r}: want one of {words}, status"}
+        self._pilot.hear_operator()
+        if order is None:
+            return {"ok": True, "said": "", "status": self.status().as_json()}
         refused = self._refusal(order)
         return {"ok": not refused, "said": refused or self._carry_out(order)}
 

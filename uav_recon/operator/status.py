@@ -7,15 +7,15 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from uav_recon.types.pose import StampedPose
-from uav_recon.types.vehicle import MissionProgress, VehicleState
+from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
     """None: not known. Ages in seconds; position in the world frame, metres.
 
-    pilot: its phase; mission: its phase, or "silent". note: the pilot's newest reason in words; refusals: what the guard
-    turned down so far.
+    pilot: its phase; mission: its phase, or "silent". note: the pilot's newest reason in words, or what the mission waits
+    for on the ground; refusals: what the guard turned down so far.
     """
 
     pilot: str
@@ -60,7 +60,7 @@ class Status:
             explored_m3=None if told is None else _finite(told.explored_m3, 1),
             path_m=None if told is None else _finite(told.path_length_m, 1),
             refusals=vehicle.refusals,
-            note=vehicle.note,
+            note=vehicle.note or (told.note if told is not None and vehicle.phase is FlightPhase.READY else ""),
         )
 
     @staticmethod

@@ -91,11 +91,17 @@ class Goal(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intent:
-    """The mission's proposal, renewed at every mission step: stamp_s is the mission's pulse."""
+    """The mission's proposal, renewed at every mission step: stamp_s is the mission's pulse.
+
+    note: what people are to be told of it in flight, '' for nothing. unattended: nobody attends any more, so that no hold of an
+    operator stands.
+    """
 
     stamp_s: float
     goal: Goal
     trajectory: Trajectory | None = None
+    note: str = ""
+    unattended: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

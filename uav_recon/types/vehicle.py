@@ -32,7 +32,7 @@ class VehicleState:
     camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount.
     trajectory_id: the trajectory being flown, -1 for none. refusals: proposals turned down by the guard so far.
     note: the newest reason in words (refused arming, failsafe, refusal), '' for none. most_mps: the fastest that the guard
-    lets pass now.
+    lets pass now. operator_heard_s: when the pilot last answered its operator, companion's clock; -inf: not since it started.
     """
 
     stamp_s: float
@@ -48,6 +48,7 @@ class VehicleState:
     refusals: int
     note: str
     most_mps: float = math.inf
+    operator_heard_s: float = -math.inf
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity_world_mps", frozen(np.asarray(self.velocity_world_mps, dtype=np.float64)))

@@ -1,0 +1,86 @@
+"""A mission whose operator goes: no start, a word, the way home, and no hold that outlasts him."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conductor_desk import Desk
+
+from uav_recon.mission.machine import Phase
+from uav_recon.recording.flightlog import read_timeline
+from uav_recon.types.trajectory import Goal
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    desk = Desk(tmp_path, operator_timeout_s=30.0)
+    yield desk
+    desk.journal.close()
+
+
+def test_a_start_waits_for_an_operator_and_says_so(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(3.0)
+    assert desk.conductor.phase is Phase.READY
+    assert desk.intent.goal is Goal.STANDBY
+    assert desk.progress.note == "no operator attends: uav-recon status --watch"
+    desk.attended = True
+    desk.run(1.0, until=Phase.TAKEOFF)
+    desk.run(0.3)
+    assert desk.progress.note == ""
+
+
+def flying(desk: Desk) -> None:
+    """In the middle of its survey, with views left for minutes."""
+    desk.attended = True
+    desk.conductor.request_start()
+    desk.planner.settled = False
+    desk.run(10.0, until=Phase.SURVEY)
+    desk.conductor.request_hold()  # so that it does not come to an end by itself
+    desk.run(1.0)
+    desk.attended = False
+
+
+def test_half_a_minute_of_silence_ends_a_flight_at_home_also_out_of_a_hold(desk: Desk) -> None:
+    flying(desk)
+    begun_s = desk.clock.now_s()
+    desk.run(29.0)
+    assert desk.conductor.phase is Phase.HOLD
+    assert (desk.intent.note, desk.intent.unattended) == ("no operator for 5 s: returns after 30", False)
+    desk.run(2.0, until=Phase.RETURN)
+    assert desk.clock.now_s() - begun_s == pytest.approx(30.0, abs=0.2)
+    assert (desk.intent.note, desk.intent.unattended) == ("no operator for 30 s: returning", True)
+    desk.run(60.0, until=Phase.DONE)
+    assert desk.distance_m() < 0.1
+    assert desk.conductor.close() == "completed"
+    told = read_timeline(desk.folder)
+    assert told.outcomes[-1].stop_reason.startswith("no operator for 30 s, ")
+    assert [record.reason for record in told.refusals] == [
+        "no operator for 5 s: returns after 30", "no operator for 30 s: returning",
+    ]  # fmt: skip
+
+
+def test_who_comes_back_may_hold_it_and_takes_no_return_back(desk: Desk) -> None:
+    flying(desk)
+    desk.run(31.0, until=Phase.RETURN)
+    desk.attended = True
+    desk.conductor.request_hold()
+    desk.run(1.0)
+    assert desk.conductor.phase is Phase.HOLD
+    assert not desk.intent.unattended, "his hold stands at the pilot too"
+    desk.conductor.resume()
+    desk.run(60.0, until=Phase.DONE)
+    assert desk.distance_m() < 0.1
+
+
+def test_where_nobody_need_attend_nobody_is_missed(tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    desk.conductor.request_start()
+    desk.run(120.0, until=Phase.DONE)
+    desk.journal.close()
+    told = read_timeline(desk.folder)
+    assert not [record for record in told.refusals if "operator" in record.reason]
+    assert dataclasses.astuple(desk.intent)[3:] == ("", False)

@@ -1,0 +1,52 @@
+"""Whether an operator attends, by when the pilot last answered one (HAZARDS, D8). Who only sends HEARTBEAT is none (S7)."""
+
+from __future__ import annotations
+
+import math
+
+WARN_S = 5.0  # of silence
+BACK_S = 5.0  # of signs of life without such a silence between them: a single one ends no warning, so none comes twice
+_FUTURE_S = 0.1
+
+
+class Attendance:
+    """One mission's. hear() what the pilot says, step by step.
+
+    timeout_s: of silence in flight, until it goes home; inf: nobody need attend. One sign of life begins the count anew, but
+    who was missed is back only after BACK_S of them. note: what people are to be told in flight; lost: why it has to go home
+    now; '' for nothing.
+    """
+
+    def __init__(self, timeout_s: float = math.inf) -> None:
+        self._timeout_s, self._warn_s = timeout_s, WARN_S if timeout_s < math.inf else math.inf
+        self._heard_s, self._steady_s = -math.inf, math.inf  # the newest sign, and the first of those without a silence between
+        self._silent_s, self._missed = math.inf, False
+        self.note = self.lost = ""
+
+    @property
+    def missing(self) -> str:
+        """Why no flight begins now, '' for nothing."""
+        return "no operator attends: uav-recon status --watch" if self._silent_s > self._warn_s else ""
+
+    def hear(self, now_s: float, heard_s: float, flying: bool) -> str:
+        """heard_s: when the pilot last heard the operator. Returns what is new in note, '' for nothing."""
+        if self._heard_s < heard_s <= now_s + _FUTURE_S:
+            broken = self._steady_s == math.inf or heard_s - self._heard_s > WARN_S
+            self._steady_s, self._heard_s = heard_s if broken else self._steady_s, heard_s
+        elif flying and self._heard_s == -math.inf:
+            self._heard_s = now_s  # a pilot that has forgotten: nobody knows since when
+        self._silent_s, before = now_s - self._heard_s, self.note
+        self._judge(flying)
+        return self.note if self.note != before else ""
+
+    def _judge(self, flying: bool) -> None:
+        self.lost = f"no operator for {self._timeout_s:.0f} s" if flying and self._silent_s > self._timeout_s else ""
+        if not flying:
+            self._missed, self.note = False, ""
+        elif self.lost:
+            self.note = f"{self.lost}: returning"
+        elif self._silent_s > self._warn_s and not self._missed:
+            self._missed, self._steady_s = True, math.inf
+            self.note = f"no operator for {WARN_S:.0f} s: returns after {self._timeout_s:.0f}"
+        elif self._missed and self._heard_s - self._steady_s >= BACK_S:
+            self._missed, self.note = False, "the operator is back"

@@ -1,0 +1,40 @@
+"""The maps that a mission shows: to the guard, and to whoever looks on."""
+
+from __future__ import annotations
+
+import math
+
+from uav_recon.mission.orders import MissionWires
+from uav_recon.protocols import Mapper
+from uav_recon.types.maps import FreeSpace, VoxelMap
+from uav_recon.types.trajectory import Trajectory
+
+MAP_PERIOD_S, FREE_PERIOD_S = 1.0, 0.2
+
+
+class Bulletin:
+    """Publishes each map when it is new and due."""
+
+    def __init__(self, wires: MissionWires) -> None:
+        self._wires = wires
+        self._surface_revision = self._free_revision = -1
+        self._map_s = self._free_s = -math.inf
+        self._proposed: Trajectory | None = None
+
+    def free(self, now_s: float, voxels: VoxelMap | None, trajectory: Trajectory | None) -> None:
+        """What the guard holds every motion against: never later than a motion that was made of it."""
+        due = now_s - self._free_s >= FREE_PERIOD_S or trajectory is not self._proposed
+        self._proposed = trajectory
+        if voxels is not None and due and voxels.revision != self._free_revision:
+            self._free_revision, self._free_s = voxels.revision, now_s
+            self._wires.free.publish(FreeSpace.of(voxels))
+
+    def maps(self, now_s: float, voxels: VoxelMap | None, mapper: Mapper, last: bool) -> None:
+        """For screens and recorders. last: nothing comes after it."""
+        surface = mapper.surface()
+        if surface is not None and surface.revision != self._surface_revision:
+            self._surface_revision = surface.revision
+            self._wires.surface.publish(surface)
+        if voxels is not None and (now_s - self._map_s >= MAP_PERIOD_S or last):
+            self._map_s = now_s
+            self._wires.voxels.publish(voxels)
