@@ -349,9 +349,8 @@ def make_conductor(
     from uav_recon.mission.conductor import Conductor
     from uav_recon.mission.orders import MissionWires, Orders, Stages
 
-    mission, clearance_m = config.mission, config.planner.clearance_m
-    voxels, planner = make_voxels(config), make_planner(config, timer)
-    retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m)
+    mission, voxels, planner = config.mission, make_voxels(config), make_planner(config, timer)
+    retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m := config.planner.clearance_m)
     orders = Orders(
         views=mission.views,
         survey_views=mission.survey_views,
@@ -370,8 +369,8 @@ def make_conductor(
         wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
         wires.correction, wires.free,
     )  # fmt: skip
-    coverage, retreat = make_coverage(config, voxels), make_motion(config, retreat_m)
-    stages = Stages(voxels, coverage, mapper, planner, make_motion(config, clearance_m), retreat)
+    motions = (make_motion(config, kept_m) for kept_m in (clearance_m, retreat_m))
+    stages = Stages(voxels, make_coverage(config, voxels), mapper, planner, *motions)
     return Conductor(stages, channels, orders, executor, journal, clock)
 
 
