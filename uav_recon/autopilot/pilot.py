@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from uav_recon.autopilot.authority import IN_THE_AIR, Authority, Loss
+from uav_recon.autopilot.awareness import Awareness
 from uav_recon.autopilot.briefing import Briefing, Origin
 from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.herald import Herald
@@ -25,19 +24,17 @@ from uav_recon.autopilot.tlog import FrameLog, NoLog
 from uav_recon.autopilot.vain import InVain
 from uav_recon.clock import RateKeeper
 from uav_recon.protocols import ByteLink, Channel, Clock
-from uav_recon.safety.envelope import Vec3
-from uav_recon.safety.guard import Guard, Situation
-from uav_recon.safety.ladder import Health, Ladder, Patience, Rung
+from uav_recon.safety.guard import Guard
+from uav_recon.safety.ladder import Ladder, Patience, Rung
 from uav_recon.safety.posegate import PoseGate
 from uav_recon.safety.sight import Sight
 from uav_recon.types.maps import FreeSpace
 from uav_recon.types.nearby import Nearby
-from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.pose import StampedPose
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 _LINK_HOLD_S = 0.5
-_LONGEST_NOTE = 200
 _TICK_S = 0.01
 _RESET_REST_S = 1.0
 _ANEW = "odom began anew: the map does not fit it"  # nor can the mission tell what of it does
@@ -94,6 +91,7 @@ class Pilot:
         hull = (airframe.hull_radius_m, airframe.hull_height_m)
         self._lookout = Lookout(channels.free, channels.nearby, sight, *hull)
         self._authority, self._steering = Authority(link.firmware), Steering(guard, self._mandate, airframe.hover_height_m)
+        self._aware = Awareness(link, guard, self._poses, self._mandate, self._lookout, self._steering)
         self._in_vain = InVain(patience.intent_land_s)
         self._ladder, self._rung, self._low = Ladder(patience), Rung.FLY, ""  # where it stands, and why no higher
         self.phase = FlightPhase.CONNECTING
@@ -145,22 +143,12 @@ class Pilot:
         motors = not over and self._authority.motors_may_start(self._clock.now_s())
         return motors or self.phase in (FlightPhase.ARMING, *IN_THE_AIR)
 
-    @property
-    def _refusals(self) -> int:
-        return self._guard.refusals + self._mandate.malformed + self._steering.gave_way
-
-    @property
-    def _position_m(self) -> Vec3:
-        """In odom; its origin before the first pose."""
-        x, y, z = self._poses.pose.odom_from_body.translation_m.tolist() if self._poses.pose else (0.0, 0.0, 0.0)
-        return x, y, z
-
     # ---- listen and judge -------------------------------------------------------------------------------------
 
     def _listen(self, now_s: float) -> None:
         if self._poses.step(now_s):
             self._note = "pose source was reset: holding"
-            self._steering.rebase(self._situation(now_s), _RESET_REST_S)
+            self._steering.rebase(self._aware.situation(now_s), _RESET_REST_S)
             self._lookout.forget()
             self._anew_s = min(self._anew_s, now_s) if self.in_flight else math.inf
         self._lookout.step(self._poses.pose, now_s)
@@ -181,31 +169,11 @@ class Pilot:
         if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
             self._grounded = self._lift_off.fault(now_s, self._link.telemetry)
         if self.phase is FlightPhase.FLYING:
-            before, (self._rung, low) = self._rung, self._ladder.step(self._health(now_s))
+            before, (self._rung, low) = self._rung, self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))
             self._low = low if self._link.time_known or not low else f"{low}: the autopilot's clock is in doubt"
             self._note = self._low if self._rung > before else self._note
             if self._poses.pose is not None and self._rung < Rung.RETREAT:
                 self._steering.was_at(self._poses.pose.odom_from_body)
-
-    def _situation(self, now_s: float) -> Situation:
-        pose, intent_age_s = self._poses.pose, self._mandate.age_s(now_s)
-        free, ahead = self._lookout.known_free, self._lookout.ahead
-        if pose is None:
-            return Situation(now_s, self._position_m, 0.0, np.eye(3), math.inf, intent_age_s, 0, free, ahead)
-        body_from_odom, yaw_rad = pose.odom_from_body.rotation().T, pose.odom_from_body.yaw_rad()
-        age_s = now_s - pose.stamp_s
-        slow = pose.health is not PoseHealth.GOOD
-        return Situation(
-            now_s, self._position_m, yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow
-        )
-
-    def _health(self, now_s: float) -> Health:
-        inside = self._guard.envelope.fence.holds(self._position_m)
-        pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # it flies by no others
-        lost = TWO if self._link.telemetry.doubled else self._poses.lost
-        ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
-        refused_s = self._in_vain.refused_s
-        return Health(now_s, *ages_s, inside, self._refusals, lost, self._poses.wrong, refused_s)
 
     # ---- act --------------------------------------------------------------------------------------------------
 
@@ -240,7 +208,7 @@ class Pilot:
         if self._briefing.missing(now_s):
             self.phase = FlightPhase.CONNECTING
         elif self._mandate.goal(now_s) is Goal.FLY and self._may_arm and not self._land_wanted:
-            here = self._situation(now_s)
+            here = self._aware.situation(now_s)
             blocked = self._guard.fault_of_take_off(here, self._airframe.hover_height_m)
             if blocked:
                 self._abandon_arming(f"take-off refused: {blocked}")
@@ -250,12 +218,12 @@ class Pilot:
             self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
             self._lift_off = LiftOff(float(self._link.telemetry.position_m[2]))
             self._ladder, self._rung, self._low = Ladder(self._patience), Rung.FLY, ""
-            self._in_vain = InVain(self._patience.intent_land_s, self._refusals)
+            self._in_vain = InVain(self._patience.intent_land_s, self._aware.refusals)
             self._steering.rebase(here, rest_s=0.0)
 
     def _arm(self, now_s: float) -> None:
         arming, t = self._arming, self._link.telemetry
-        unfit = self._ladder.step(self._health(now_s))[0] is Rung.LAND
+        unfit = self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))[0] is Rung.LAND
         ended = self._land_wanted or (TWO if t.doubled else "")
         if arming is None or ended or self._mandate.goal(now_s) is not Goal.FLY or unfit:
             self._abandon_arming(ended or "arming withdrawn")
@@ -264,7 +232,7 @@ class Pilot:
         if outcome is Outcome.ARMED:
             self.phase, self._note = FlightPhase.FLYING, ""
             if not arming.streams:
-                self._steering.rebase(self._situation(now_s), rest_s=0.0)
+                self._steering.rebase(self._aware.situation(now_s), rest_s=0.0)
         elif outcome is Outcome.GIVEN_UP:
             self._abandon_arming(arming.reason)
         elif command is not None:
@@ -304,8 +272,8 @@ class Pilot:
             return
         linked = now_s - self._link.telemetry.heard_s <= _LINK_HOLD_S
         steered = linked and not self._held and self.phase is FlightPhase.FLYING
-        cleared, refusal = self._steering.steer(self._rung if steered else Rung.HOLD, self._situation(now_s))
-        self._in_vain.heed(self._refusals, self._steering.moves, now_s)
+        cleared, refusal = self._steering.steer(self._rung if steered else Rung.HOLD, self._aware.situation(now_s))
+        self._in_vain.heed(self._aware.refusals, self._steering.moves, now_s)
         if refusal is not None:
             self._note = f"refused: {refusal.reason}"
         if self._lift_off is not None and self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:
@@ -324,29 +292,8 @@ class Pilot:
         self._herald.step(self._note, now_s)
 
     def _publish(self, now_s: float) -> None:
-        t, pose, trajectory = self._link.telemetry, self._poses.pose, self._mandate.trajectory
-        if pose is not None:
-            world_from_body, velocity = pose.odom_from_body, pose.velocity_odom_mps
-        else:
-            world_from_body, velocity = Pose(t.quat_wxyz, t.position_m), t.velocity_mps
-        self._vehicle.publish(
-            VehicleState(
-                stamp_s=now_s,
-                world_from_body=world_from_body,
-                velocity_world_mps=velocity,
-                armed=t.armed,
-                mode=self._firmware.mode_name(t.custom_mode) if math.isfinite(t.heartbeat_s) else "",
-                phase=self.phase,
-                battery_fraction=t.battery_at(now_s),
-                human_in_control=self.phase is FlightPhase.YIELDED,
-                camera_pitch_down_rad=t.camera_pitch_down_rad if self._airframe.gimbal else math.nan,
-                trajectory_id=-1 if trajectory is None else trajectory.identifier,
-                refusals=self._refusals,
-                note=self._note[:_LONGEST_NOTE],
-                operator_heard_s=self._operator_s,
-                most_mps=self._guard.bounds.retreat_mps if pose and pose.health is not PoseHealth.GOOD else math.inf,
-            )
-        )
+        gimbal = self._airframe.gimbal
+        self._vehicle.publish(self._aware.state(now_s, self.phase, self._note, self._operator_s, gimbal))
 
 
 def make_pilot(
