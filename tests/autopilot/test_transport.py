@@ -229,14 +229,14 @@ def test_a_serial_line_that_went_is_opened_again_once_it_is_back(tmp_path: Path)
             link.read()
         with pytest.raises(OSError, match="No such device"):
             link.write(b"lost")
-    clock.advance_to(clock.now_s() + 0.5)
+    clock.advance_to(clock.now_s() + 0.1)
     assert link.read() == b""
     link.write(b"hello")
     assert os.read(ends[0], 1000) == b"hello", "and nothing of what waited for the line that went"
     unplug(ends)
     with pytest.raises(OSError):
         link.write(b"x")
-    clock.advance_to(clock.now_s() + 0.5)
+    clock.advance_to(clock.now_s() + 0.1)
     with pytest.raises(FileNotFoundError):
         link.read()
     with pytest.raises(OSError, match="No such device"):

@@ -17,7 +17,7 @@ from uav_recon.types.address import BAUDS, EVERYWHERE
 
 PEER_SILENT_S = 3.0  # by then the pilot has given up a flight: only now may the vehicle speak from another address
 _READ_BUDGET = 1 << 16
-_LOOK_AGAIN_S = 0.5
+_LOOK_AGAIN_S = 0.1  # a look costs microseconds, and until the line is back nobody holds the vehicle
 
 
 class LinkError(Exception):
