@@ -11,18 +11,15 @@ _LOST_S = 5.0
 
 
 class Charge:
-    """One mission's. hear() whatever is said, step by step; left is the most that was said in the last seconds.
+    """One mission's. hear() whatever is said, step by step; ``left`` (share, 0 to 1; NaN before any was heard) is the most that
+    was said in the last seconds.
 
     So a fall counts once it has lasted, whatever its size, and what is too much to be true counts as nothing said.
     """
 
     def __init__(self) -> None:
         self._heard: deque[tuple[float, float]] = deque()  # instants (s) and shares; the first one held at the window's begin
-
-    @property
-    def left(self) -> float:
-        """Share, 0 to 1; NaN before any was heard."""
-        return max((share for _, share in self._heard), default=math.nan)
+        self.left = math.nan
 
     def lost(self, now_s: float) -> bool:
         """Whether nothing credible came for too long. Of a battery that never said anything there is nothing to lose."""
@@ -32,8 +29,10 @@ class Charge:
         """The gauge's word, NaN for none. On the ground it may be another battery."""
         if not flying:
             self._heard.clear()
+            self.left = math.nan
         if not 0.0 <= share <= 1.0 or share > self.left + _RISE:  # NaN never is
             return
         self._heard.append((now_s, share))
         while len(self._heard) > 1 and self._heard[1][0] <= now_s - _LASTS_S:
             self._heard.popleft()
+        self.left = max(share for _, share in self._heard)
