@@ -11,6 +11,7 @@ from conductor_desk import Desk
 
 from uav_recon.mission.machine import Phase
 from uav_recon.recording.flightlog import read_timeline
+from uav_recon.types.vehicle import FlightPhase
 
 
 @pytest.fixture()
@@ -27,6 +28,20 @@ def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
     assert Phase.RETREAT in desk.seen
     assert desk.retreat.ways == 1
     assert desk.conductor.close() == "completed"
+
+
+def test_a_landing_of_the_autopilots_own_on_the_way_home_is_not_home(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.distance_m() < 1.0:
+        desk.run(0.5)
+    desk.conductor.request_return()
+    while desk.distance_m() > 0.6:
+        desk.run(0.1)
+    desk.phase, desk.note = FlightPhase.LANDING, "mode changed to AUTO.LAND"
+    desk.run(10.0, until=Phase.DONE)
+    assert desk.distance_m() > 0.3
+    assert desk.conductor.close() == "aborted: mode changed to AUTO.LAND"
 
 
 @pytest.mark.parametrize(("times", "ends_at_home"), [(2, True), (10, False)])

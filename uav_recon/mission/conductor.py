@@ -55,7 +55,7 @@ class Conductor:
         self._refusals = 0
         self._bulletin, self._reported_s = Bulletin(wires), -np.inf
         self._attendance, self._go_home = Attendance(orders.operator_timeout_s), ""  # why it goes home, whatever else there is
-        self._start = self._abort = self._hold = self._released = False
+        self._start = self._abort = self._hold = self._released = self._arrived = False
         half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, top_m)
 
@@ -217,6 +217,8 @@ class Conductor:
             self._account.stop_reason = self._account.stop_reason or self._why_return(now_s)
         if phase in (Phase.HOLD, Phase.RETURN, Phase.RETREAT):
             self._helm.brake(now_s)
+        elif phase is Phase.LANDING:
+            self._arrived = self._homeward.under_way and self._helm.at_rest(now_s)
         self.phase = phase
         self._survey.interrupt()
         self._homeward.interrupt()
@@ -263,7 +265,7 @@ class Conductor:
 
     def close(self) -> str:
         """Write the last line of the journal; returns the outcome."""
-        home = self.phase is Phase.DONE and self._homeward.under_way and not self._account.aborted
+        home = self.phase is Phase.DONE and self._arrived and not self._account.aborted
         why = self._account.aborted or self._account.note or self.phase.value
         outcome = "completed" if home else f"aborted: {why}"
         self._account.close(self._clock.now_s(), outcome)
