@@ -21,6 +21,15 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
     desk.journal.close()
 
 
+def call_home(desk: Desk) -> None:
+    """From a metre away or more."""
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.distance_m() < 1.0:
+        desk.run(0.5)
+    desk.conductor.request_return()
+
+
 def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
     desk.planner.no_way_home = True
     desk.conductor.request_start()
@@ -31,11 +40,7 @@ def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
 
 
 def test_a_landing_of_the_autopilots_own_on_the_way_home_is_not_home(desk: Desk) -> None:
-    desk.conductor.request_start()
-    desk.run(60.0, until=Phase.SURVEY)
-    while desk.distance_m() < 1.0:
-        desk.run(0.5)
-    desk.conductor.request_return()
+    call_home(desk)
     while desk.distance_m() > 0.6:
         desk.run(0.1)
     desk.phase, desk.note = FlightPhase.LANDING, "mode changed to AUTO.LAND"
@@ -46,11 +51,7 @@ def test_a_landing_of_the_autopilots_own_on_the_way_home_is_not_home(desk: Desk)
 
 @pytest.mark.parametrize(("times", "ends_at_home"), [(2, True), (10, False)])
 def test_a_way_home_that_the_guard_stopped_is_begun_again_a_few_times(desk: Desk, times: int, ends_at_home: bool) -> None:
-    desk.conductor.request_start()
-    desk.run(60.0, until=Phase.SURVEY)
-    while desk.distance_m() < 1.0:
-        desk.run(0.5)
-    desk.conductor.request_return()
+    call_home(desk)
     for _ in range(times):
         desk.run(0.6)
         desk.refusals += 1
@@ -60,11 +61,7 @@ def test_a_way_home_that_the_guard_stopped_is_begun_again_a_few_times(desk: Desk
 
 
 def test_what_is_stopped_too_often_lands_beside_the_table_that_it_hovers_over(desk: Desk) -> None:
-    desk.conductor.request_start()
-    desk.run(60.0, until=Phase.SURVEY)
-    while desk.distance_m() < 1.0:
-        desk.run(0.5)
-    desk.conductor.request_return()
+    call_home(desk)
     middle = desk._place_m
     i, j = ((middle[:2] + 3.0) / 0.1).astype(int)
     desk.voxels.table = (slice(i - 8, i + 8), slice(j - 8, j + 8), slice(9, 15))
@@ -80,11 +77,7 @@ def test_what_is_stopped_too_often_lands_beside_the_table_that_it_hovers_over(de
 
 
 def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(desk: Desk) -> None:
-    desk.conductor.request_start()
-    desk.run(60.0, until=Phase.SURVEY)
-    while desk.distance_m() < 1.0:
-        desk.run(0.5)
-    desk.conductor.request_return()
+    call_home(desk)
     while desk.speed_mps() > 1e-6:
         desk.run(0.1)
     while desk.speed_mps() < 0.1:
