@@ -4,6 +4,8 @@ gallery to be far from home in.
 
 from __future__ import annotations
 
+import functools
+
 from sitl.faults.passage import Gap
 from sitl.mesh import Mesh, joined
 from sitl.scene import Scene, place
@@ -19,6 +21,7 @@ GAP, GAP_WIDTH_M = Gap(1.2, 2.2), 0.9
 _WALLS = checks((0.8, 0.8, 0.75), (0.6, 0.62, 0.65), 0.4)
 
 
+@functools.cache  # a campaign flies in the same few, again and again
 def arena(name: str, radius_m: float) -> Scene:
     """hall, pen, corridor or gallery. The start is the same in all."""
     pieces = {"corridor": _corridor, "gallery": _gallery}.get(name, _hall)()

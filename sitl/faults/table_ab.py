@@ -68,6 +68,7 @@ TABLE_A = (
         ),
         onset=FAST,
         live=lambda n: [Stopped("mission", 5.0)],
+        longest_s=20.0,
         times=3,
     ),
     Row(
@@ -220,6 +221,7 @@ TABLE_B = (
         "one pose off by 0.5 m",
         lambda n: [Altered(moved(x=0.5), count=1)],
         (Bar("motion of the error", odometry.pose_error_step(2.0), 0.05, "m"), NO_FAILSAFE),
+        longest_s=20.0,
     ),
     Row(
         "B4",
@@ -231,6 +233,7 @@ TABLE_B = (
             Bar("motion of the error", odometry.pose_error_step(10.0), 0.10, "m"),
             Bar("reset counter", odometry.resets, 1.0, ""),
         ),
+        longest_s=25.0,
         times=3,
     ),
     Row(
@@ -240,7 +243,6 @@ TABLE_B = (
         lambda n: [Altered(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
         (clear(0.10), Bar("alarm", m.told_after(), 10.0, "s")),
         longest_s=80.0,
-        views=30,
     ),
     Row("B6", "height drifts, scale is wrong", "z ramp, scale 0.9 and 1.1", why="waits for perception"),
     Row(
@@ -262,6 +264,7 @@ TABLE_B = (
             NO_FAILSAFE,
         ),
         onset=FAST,
+        longest_s=25.0,
     ),
     Row(
         "B8l",
@@ -286,6 +289,7 @@ TABLE_B = (
             Bar("heading off", odometry.heading_error_step(2.0), 2.0, "deg"),
             NO_FAILSAFE,
         ),
+        longest_s=20.0,
     ),
     Row(
         "B9p",
@@ -303,7 +307,7 @@ TABLE_B = (
             Bar("ODOMETRY in a second", odometry.pose_rate, 28.0, "1/s", at_least=True),
             Bar("speed 1.5 s later", m.speed_from(2.5), 0.3, "m/s"),
         ),
-        longest_s=30.0,
+        longest_s=20.0,
     ),
     Row(
         "B10b",
@@ -316,7 +320,7 @@ TABLE_B = (
             Bar("speed from 3 s on", m.speed_from(3.0), 0.02, "m/s"),
         ),
         onset=FAST,
-        longest_s=30.0,
+        longest_s=20.0,
     ),
     Row("B11", "nothing to track", "dark, blank wall, blur", why="needs a tracker on pictures: waits for perception"),
     Row("B12", "frames mixed up", "axes swapped in the config", why="waits for perception"),

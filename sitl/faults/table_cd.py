@@ -55,7 +55,7 @@ TABLE_C = (
         (COMPLETES, NO_FAILSAFE),
         onset=FAST,
         longest_s=180.0,
-        views=30,
+        views=SHORT_VIEWS,
     ),
     Row(
         "C1b",
@@ -65,7 +65,7 @@ TABLE_C = (
         (holds(0.4), STREAMS, COMPLETES, told(1.4)),
         onset=FAST,
         longest_s=180.0,
-        views=30,
+        views=SHORT_VIEWS,
     ),
     Row(
         "C1c",
@@ -127,7 +127,7 @@ TABLE_C = (
         (holds(0.4), STREAMS, COMPLETES, ONCE),
         onset=FAST,
         longest_s=180.0,
-        views=30,
+        views=SHORT_VIEWS,
     ),
     Row(
         "C7c",
@@ -144,6 +144,7 @@ TABLE_C = (
         lambda n: [Appears(1.0)],
         (holds(0.25), Bar("stops short of it by", m.stopped_short, 0.40, "m", at_least=True), clear(0.10)),
         onset=Onset(speed_mps=0.6, seeing=True),
+        longest_s=25.0,
     ),
     Row(
         "C9",
@@ -170,6 +171,7 @@ TABLE_D = (
         lambda n: [Loss("down", 1.0)],
         (holds(0.6), NO_FAILSAFE, STREAMS),
         onset=FAST,
+        longest_s=20.0,
     ),
     Row(
         "D1b",
@@ -267,6 +269,6 @@ TABLE_D = (
         lambda n: [attendance.Rare(10.0)],
         (COMPLETES, Bar("warnings", attendance.warnings, 1.0, ""), NO_FAILSAFE),
         longest_s=180.0,
-        views=30,
+        views=SHORT_VIEWS,
     ),
 )
