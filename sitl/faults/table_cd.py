@@ -201,7 +201,7 @@ TABLE_D = (
             Bar("gap between those that arrive", m.longest_gap_arrived, 0.5, "s"),  # at which the autopilot takes over
             COMPLETES,
         ),
-        longest_s=120.0,
+        longest_s=360.0,
         views=SHORT_VIEWS,
     ),
     Row(

@@ -113,7 +113,7 @@ TABLE_E = (
         "second autopilot",
         "another with the vehicle's own name speaks for 10 s: in our mode, with motors and without",
         lambda n: [SecondAutopilot(SecondAutopilot.OURS, armed=n % 2 == 0)],
-        (holds(1.0), told(1.0), NO_FAILSAFE, COMPLETES),
+        (holds(1.0), told(1.0), NO_FAILSAFE, RETURNS),
         longest_s=120.0,
         views=SHORT_VIEWS,
     ),

@@ -89,6 +89,23 @@ def test_a_retreat_that_is_blocked_lands(hovering: Rig) -> None:
     assert hovering.px4.truth().position[0] > 0.5
 
 
+def test_what_stands_in_the_way_back_is_not_felt_along(hovering: Rig) -> None:
+    """A wall that came behind it, 0.8 m from where it held: refused once, it lands where it then rests, clear of it."""
+    silent_s, _ = silenced(hovering)
+    hovering.run(silent_s + 5.0 - hovering.clock.now_s())
+    wall_m, before = float(hovering.px4.truth().position[0]) - 0.8, hovering.state.refusals
+    while hovering.pilot.phase is not FlightPhase.LANDING:
+        assert hovering.clock.now_s() - silent_s < 12.0
+        if hovering.px4.truth().velocity[0] < -0.1:  # the nose points back
+            hovering.wall_m = max(float(hovering.px4.truth().position[0]) - wall_m - 0.1, 0.05)
+        hovering.step()
+    assert abs(hovering.px4.truth().velocity[0]) < 0.05, "at rest first"
+    hovering.until(FlightPhase.LANDED, 15.0)
+    assert "retreat blocked" in hovering.state.note
+    assert min(place[0] for at_s, place in hovering.track if at_s >= silent_s) - wall_m >= 0.2 + 0.1
+    assert hovering.state.refusals == before + 1
+
+
 def test_a_retreat_outlives_a_moment_without_poses(hovering: Rig) -> None:
     silent_s, _ = silenced(hovering)
     hovering.run(silent_s + 6.5 - hovering.clock.now_s())
@@ -185,3 +202,33 @@ def test_held_back_on_its_way_it_is_late_and_not_off_it(hovering: Rig) -> None:
     _, places = setpoints(hovering, hovering.clock.now_s() - 0.1)
     assert places[-1][0] - hovering.px4.truth().position[0] > 0.4
     assert "off its way" not in hovering.state.note
+
+
+def test_over_a_slow_link_it_is_flown_slowly(hovering: Rig) -> None:
+    """Answers 0.3 s late: what moves fast is refused and people are told, until ten seconds after the link is quick again."""
+    read, late = hovering.tap.read, list[tuple[float, bytes]]()
+
+    def slowly() -> bytes:
+        late.append((hovering.clock.now_s() + 0.3, read()))
+        due = [data for due_s, data in late if due_s <= hovering.clock.now_s()]
+        del late[: len(due)]
+        return b"".join(due)
+
+    hovering.tap.read = slowly  # type: ignore[method-assign]
+    assert hovering.state.most_mps == math.inf
+    hovering.run(3.0)
+    assert hovering.state.most_mps == 0.3
+    assert any(
+        "the link is slow: there and back takes 0.3" in str(m.text)
+        for _, m in hovering.tap.sent
+        if m.get_type() == "STATUSTEXT"
+    )
+    before = hovering.state.refusals
+    hovering.fly((2.5, 0.0, 1.1), identifier=2)
+    hovering.run(4.0)
+    assert hovering.state.refusals == before + 1
+    assert hovering.px4.truth().position[0] < 0.5
+    hovering.tap.read = read  # type: ignore[method-assign]
+    hovering.run(13.0)
+    assert hovering.state.most_mps == math.inf
+    assert hovering.pilot.phase is FlightPhase.FLYING

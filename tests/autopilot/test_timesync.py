@@ -114,3 +114,20 @@ def test_a_clock_that_no_autopilot_has_is_not_heard(told_ns: int) -> None:
     assert sync.converged
     assert sync.restarts == 0
     assert abs(sync.autopilot_ns(3.0) - (3000 * MS + OFFSET_NS)) < MS
+
+
+def test_the_usual_trip_is_the_median_of_the_last_twenty_whatever_they_took() -> None:
+    """Copies of an answer, and answers to what was asked long ago, tell nothing."""
+    sync = TimeSyncFilter()
+    for i in range(19):
+        exchange(sync, 100.0 * i, 100.0 + 10.0 * i, 50.0)
+    assert sync.usual_trip_s == 0.0, "too few"
+    exchange(sync, 1900.0, 290.0, 50.0)
+    assert sync.usual_trip_s == pytest.approx(0.245)
+    for _ in range(40):
+        exchange(sync, 1900.0, 900.0, 50.0)
+        exchange(sync, 2000.0, 9000.0, 50.0)
+    assert sync.usual_trip_s == pytest.approx(0.245)
+    for i in range(20):
+        exchange(sync, 3000.0 + 100.0 * i, 1.0, 1.0)
+    assert sync.usual_trip_s == pytest.approx(0.002)

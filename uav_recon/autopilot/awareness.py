@@ -43,7 +43,7 @@ class Awareness:
             return Situation(now_s, self._position_m, 0.0, np.eye(3), math.inf, intent_age_s, 0, free, ahead)
         body_from_odom, yaw_rad = pose.odom_from_body.rotation().T, pose.odom_from_body.yaw_rad()
         age_s = now_s - pose.stamp_s
-        slow = pose.health is not PoseHealth.GOOD
+        slow = pose.health is not PoseHealth.GOOD or self._link.telemetry.slow
         return Situation(
             now_s, self._position_m, yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow
         )
@@ -80,7 +80,7 @@ class Awareness:
             refusals=self.refusals,
             note=note[:_LONGEST_NOTE],
             operator_heard_s=operator_s,
-            most_mps=self._guard.bounds.retreat_mps if pose and pose.health is not PoseHealth.GOOD else math.inf,
+            most_mps=self._guard.bounds.retreat_mps if t.slow or (pose and pose.health is not PoseHealth.GOOD) else math.inf,
         )
 
     @property

@@ -38,6 +38,7 @@ from uav_recon.types.pose import StampedPose
 
 _WARNING = 4
 _DEAF_S = 2.0
+_SLOW_TRIP_S, _SLOW_FOR_S = 0.2, 10.0  # 0.1 s each way: at 0.8 m/s the vehicle lags by 0.08 m, at most half of what is planned
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _NS = 1_000_000_000
 _PROMPT_NS = 25_000_000  # a question is answered so soon, or its round trip is too long to be learned from
@@ -69,6 +70,7 @@ class Link:
         self._decoder, self._encoder = Decoder(), Encoder(system, component)
         self._timesync, self._succession, self._double = TimeSyncFilter(), Succession(), Double()
         self._identity = Identity(gate.uid)
+        self._slow_s = -math.inf
         keepers = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
         self._heartbeat, self._sync, self._resync, self._gimbal = keepers
         self._polled = [(identifier, RateKeeper(rate_hz, start_s)) for identifier, rate_hz in firmware.polled_hz]
@@ -92,12 +94,21 @@ class Link:
         for received in self._decoder.feed(data):
             self._log.record(now_s, received.frame)
             self._hear(received, now_s)
+        self._notice_slowness(now_s)
         self.telemetry.doubled = self._double.speaks(now_s)
         if self.telemetry.doubled:
             self.intrusions.note(TWO)
         if self._decoder.mavlink1_frames > old_frames:
             self.intrusions.note(OLD_FRAMES)
         self._gate.refuse("MAVLink 1", self._decoder.mavlink1_frames - old_frames)
+
+    def _notice_slowness(self, now_s: float) -> None:
+        """A link is slow until it has been quick for a while: each change of speed costs a stop."""
+        trip_s = self._timesync.usual_trip_s
+        if trip_s > _SLOW_TRIP_S:
+            self._slow_s = now_s
+            self.intrusions.note("slow link", f"the link is slow: there and back takes {trip_s:.2f} s")
+        self.telemetry.slow = now_s - self._slow_s < _SLOW_FOR_S
 
     def keep_alive(self, now_s: float) -> None:
         """Our heartbeat, and the question for the autopilot's clock. No heartbeat while we are deaf: one that lands only when

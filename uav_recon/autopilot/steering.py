@@ -17,6 +17,8 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
 _WAYS = 3  # ways back that are tried, each from rest: what refused the last may have passed, a late pose or a late turn of ours
+_SETTLES_S = 1.0  # after a refusal the vehicle itself rests too: it follows its setpoints late
+_STANDS_M = 0.3  # before the hull, as the way is refused: what stands there stays, and is not felt along
 _ASTRAY_M = 0.35  # level, ahead of or beside the newest setpoint: something pushes it. Untroubled: within 0.15 m
 _LONGEST_AGE_S = 0.1  # of a setpoint that is carried on by its velocity
 _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
@@ -35,7 +37,7 @@ class Steering:
         self._flown_s = -math.inf
         self._braking = False  # from a refusal to rest: nothing new is taken up on the way
         self._way_back: Trajectory | None = None
-        self._refused_ways = 0
+        self._refused_ways, self._refused_for, self._refused_s = 0, "", -math.inf
         self._handed: Trajectory | None = None  # the trajectory that the handover leads to
         self._handover: Handover | None = None
         self._aside: Trajectory | None = None
@@ -128,20 +130,27 @@ class Steering:
         self._mandate.forsake()
 
     def _retreat(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
-        """From rest back along the breadcrumbs, and a hold where they begin; it ends where ways are refused again and again."""
+        """From rest back along the breadcrumbs, and a hold where they begin; it ends, at rest, where ways are refused again and
+        again, or the first time that something stands in it.
+        """
         way, now_s = self._way_back, situation.now_s
         if way is None or self.blocked:
             cleared, _ = self._guard.clear(None, situation)
             rest = cleared.setpoint
-            if not np.any(rest.velocity_mps):
-                seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_hold_s
-                height_m, speed_mps = _HOVER_SHARE * self._hover_height_m, self._guard.bounds.retreat_mps
-                self._way_back = self._crumbs.way_back(rest, height_m, now_s, speed_mps, situation.map_epoch, seeing)
+            if np.any(rest.velocity_mps) or now_s - self._refused_s < _SETTLES_S:
+                return cleared, None
+            if self._refused_ways >= _WAYS:
+                self.blocked = f"retreat blocked: {self._refused_for}"
+                return cleared, None
+            seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_hold_s
+            height_m, speed_mps = _HOVER_SHARE * self._hover_height_m, self._guard.bounds.retreat_mps
+            self._way_back = self._crumbs.way_back(rest, height_m, now_s, speed_mps, situation.map_epoch, seeing)
             return cleared, None
-        cleared, refusal = self._guard.clear(self._proposal(way, now_s, True), situation)
+        proposal = self._proposal(way, now_s, True)
+        cleared, refusal = self._guard.clear(proposal, situation)
         if refusal is not None:
-            self._way_back, self._refused_ways = None, self._refused_ways + 1
-            self.blocked = f"retreat blocked: {refusal.reason}" if self._refused_ways == _WAYS else ""
+            self._way_back, self._refused_for, self._refused_s = None, refusal.reason, now_s
+            self._refused_ways += _WAYS if _stands_before(proposal.setpoint, situation) else 1
         return cleared, refusal
 
     def _proposal(self, trajectory: Trajectory, now_s: float, retreating: bool) -> Proposal:
@@ -153,3 +162,11 @@ class Steering:
         self.moves = bool(np.any(sample.velocity_mps)) or sample.yaw_rate_radps != 0.0
         wanted = self._handover.apply(sample, now_s) if self._handover else sample
         return Proposal(wanted, trajectory.identifier, trajectory.map_epoch, retreating)
+
+
+def _stands_before(setpoint: Setpoint, situation: Situation) -> bool:
+    """Whether depth, believed or not, shows something close before the hull where it is to go."""
+    speed_mps = float(np.linalg.norm(setpoint.velocity_mps))
+    if situation.ahead is None or speed_mps == 0.0:
+        return False
+    return situation.ahead.room_m(situation.body_from_odom @ setpoint.velocity_mps / speed_mps) < _STANDS_M

@@ -40,6 +40,7 @@ class Telemetry:
     twin_heard: bool = False  # somebody else speaks with our own id
     stranger: str = ""  # why the autopilot that answers is not the one that we fly
     doubled: bool = False  # two autopilots speak with its id: whose word is whose is not known
+    slow: bool = False  # what we say takes so long that the vehicle lags by what planned ways keep from walls
     reboots: int = 0
     stale_frames: int = 0  # repeated, or overtaken by newer ones
     clock_answers: int = 0  # given to its questions for our clock, at once

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import statistics
 from collections import deque
 
 _NS = 1_000_000_000
 _CONTRADICTS_NS = _NS // 10
 _END_NS = 1 << 62  # 146 years: what goes on from there soon fits no field of 63 bits
+_LATEST, _LONGEST_NS = 20, 2 * _NS  # exchanges that tell how slow the link is: of two seconds
 _ENOUGH = 5  # exchanges running that say the same against the estimate
 
 
@@ -22,6 +24,7 @@ class TimeSyncFilter:
     def __init__(self, samples_needed: int = 10, round_trip_s: float = 0.025, window: int = 64) -> None:
         self._needed, self._round_trip_ns = samples_needed, int(round_trip_s * _NS)
         self._samples: deque[tuple[int, int]] = deque(maxlen=window)  # (round trip, offset), ns
+        self._trips: deque[tuple[int, int]] = deque(maxlen=_LATEST)  # (sent, round trip), ns, whatever it took
         self._against: list[tuple[int, int]] = []  # exchanges running that contradict them
         self._newest_ns = self._offset_ns = 0
         self.restarts = 0
@@ -36,9 +39,16 @@ class TimeSyncFilter:
         """Whether it could be used once and cannot now: every exchange counts."""
         return bool(self._against) or (self.restarts > 0 and not self.converged)
 
+    @property
+    def usual_trip_s(self) -> float:
+        """Median round trip of the last exchanges; 0 before there are enough."""
+        return statistics.median(trip for _, trip in self._trips) / _NS if len(self._trips) == _LATEST else 0.0
+
     def observe(self, sent_ns: int, autopilot_ns: int, now_ns: int) -> None:
         """One answer: what we sent, what the autopilot's clock said, and when it came back."""
         round_trip = now_ns - sent_ns
+        if 0 <= round_trip <= _LONGEST_NS and all(sent_ns != before for before, _ in self._trips):
+            self._trips.append((sent_ns, round_trip))
         if not (0 <= round_trip <= self._round_trip_ns and autopilot_ns < _END_NS):
             return
         offset = autopilot_ns - (sent_ns + now_ns) // 2

@@ -71,7 +71,7 @@ class Situation:
     map_epoch: int
     free: KnownFree | None
     ahead: Ahead | None
-    slow: bool = False  # the pose is degraded
+    slow: bool = False  # the pose is degraded, or the link is slow
 
 
 @dataclass(frozen=True, slots=True)
