@@ -1,4 +1,4 @@
-"""Who speaks on the link and may not: told to people once for each kind of intruder and flight, however much they send."""
+"""Who speaks on the link and may not, and what else is wrong with it: told to people once for each kind and flight."""
 
 from __future__ import annotations
 

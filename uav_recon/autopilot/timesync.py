@@ -19,6 +19,7 @@ class TimeSyncFilter:
     One that contradicts the estimate by more than 0.1 s makes it doubtful: it may not be used until an exchange agrees with it
     again, or until five running agree with one another and are believed. A clock that went back belongs to an autopilot that
     rebooted: start again with these five. One that was only set, or stood still for a while, takes what was learned with it.
+    ``usual_trip_s``: median of the last twenty exchanges, whatever they took; 0 before there are so many.
     """
 
     def __init__(self, samples_needed: int = 10, round_trip_s: float = 0.025, window: int = 64) -> None:
@@ -27,6 +28,7 @@ class TimeSyncFilter:
         self._trips: deque[tuple[int, int]] = deque(maxlen=_LATEST)  # (sent, round trip), ns, whatever it took
         self._against: list[tuple[int, int]] = []  # exchanges running that contradict them
         self._newest_ns = self._offset_ns = 0
+        self.usual_trip_s = 0.0
         self.restarts = 0
 
     @property
@@ -39,16 +41,10 @@ class TimeSyncFilter:
         """Whether it could be used once and cannot now: every exchange counts."""
         return bool(self._against) or (self.restarts > 0 and not self.converged)
 
-    @property
-    def usual_trip_s(self) -> float:
-        """Median round trip of the last exchanges; 0 before there are enough."""
-        return statistics.median(trip for _, trip in self._trips) / _NS if len(self._trips) == _LATEST else 0.0
-
     def observe(self, sent_ns: int, autopilot_ns: int, now_ns: int) -> None:
         """One answer: what we sent, what the autopilot's clock said, and when it came back."""
         round_trip = now_ns - sent_ns
-        if 0 <= round_trip <= _LONGEST_NS and all(sent_ns != before for before, _ in self._trips):
-            self._trips.append((sent_ns, round_trip))
+        self._time(sent_ns, round_trip)
         if not (0 <= round_trip <= self._round_trip_ns and autopilot_ns < _END_NS):
             return
         offset = autopilot_ns - (sent_ns + now_ns) // 2
@@ -58,6 +54,13 @@ class TimeSyncFilter:
         self._against, self._newest_ns = [], autopilot_ns
         self._samples.append((round_trip, offset))
         self._offset_ns = min(self._samples)[1]
+
+    def _time(self, sent_ns: int, round_trip: int) -> None:
+        """Of copies of an answer the first one counts."""
+        if 0 <= round_trip <= _LONGEST_NS and all(sent_ns != before for before, _ in self._trips):
+            self._trips.append((sent_ns, round_trip))
+            if len(self._trips) == _LATEST:
+                self.usual_trip_s = statistics.median(trip for _, trip in self._trips) / _NS
 
     def _contradict(self, round_trip: int, offset: int, autopilot_ns: int) -> None:
         if self._against and abs(offset - self._against[-1][1]) > _CONTRADICTS_NS:
