@@ -24,6 +24,11 @@ def lands_no_sooner(after_s: float, late_s: float = 0.0) -> Bar:
     return Bar("landing mode not before", m.landing_after(late_s), after_s, "s", at_least=True)
 
 
+def flies_on(within_s: float, late_s: float) -> Bar:
+    """Setpoints move again, once the trouble of late_s is over."""
+    return Bar("flies on", m.moves_again_after(late_s), within_s, "s")
+
+
 def down(within_s: float) -> Bar:
     """Motors off."""
     return Bar("disarmed", m.disarmed_after(), within_s, "s")

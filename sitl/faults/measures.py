@@ -312,6 +312,11 @@ def unfinished(e: Evidence) -> float:
     return float(bool(not_back(e)) or away_m < _FLOWN_M)
 
 
+def ended_for(word: str) -> Measure:
+    """1 where the product's own reason for the end of the flight says the word, or it gave none."""
+    return lambda e: float(word in e.stop_reason or not e.stop_reason)
+
+
 def not_back(e: Evidence) -> float:
     """1 unless the flight ended with motors off over the pad, and no failsafe had to act."""
     return float(bool(e.armed[-1]) or from_pad(e) > 0.5 or bool(e.failsafes) or not e.armed.any())

@@ -14,6 +14,7 @@ from sitl.faults.bars import (
     STREAMS,
     clear,
     down,
+    flies_on,
     holds,
     lands,
     told,
@@ -52,10 +53,9 @@ TABLE_C = (
         "frames lost for 0.3 s",
         "no frame for 0.3 s",
         lambda n: [Dark(0.3)],
-        (COMPLETES, NO_FAILSAFE),
+        (flies_on(5.0, late_s=0.3), STREAMS, NO_FAILSAFE),
         onset=FAST,
-        longest_s=180.0,
-        views=SHORT_VIEWS,
+        longest_s=12.0,
     ),
     Row(
         "C1b",
@@ -124,10 +124,9 @@ TABLE_C = (
         "stamps of another clock for 1 s",
         "an hour ago or ahead, for 1 s at speed",
         lambda n: [Redated((-3600.0, 3600.0)[n % 2], 1.0), Tally()],
-        (holds(0.4), STREAMS, COMPLETES, ONCE),
+        (holds(0.4), STREAMS, flies_on(5.0, late_s=1.0), ONCE),
         onset=FAST,
-        longest_s=180.0,
-        views=SHORT_VIEWS,
+        longest_s=15.0,
     ),
     Row(
         "C7c",
@@ -171,7 +170,7 @@ TABLE_D = (
         lambda n: [Loss("down", 1.0)],
         (holds(0.6), NO_FAILSAFE, STREAMS),
         onset=FAST,
-        longest_s=20.0,
+        longest_s=12.0,
     ),
     Row(
         "D1b",
@@ -192,8 +191,8 @@ TABLE_D = (
     Row(
         "D3",
         "bad link",
-        "20 % lost both ways; up to 0.3 s late; 0.3 s holes",
-        lambda n: [(Loss("both", share=0.2, seed=n), Jitter(0.3, n), Loss("both", 0.3))[n % 3]],
+        "20 % lost both ways; for a minute up to 0.3 s late; 0.3 s holes",
+        lambda n: [(Loss("both", share=0.2, seed=n), Jitter(0.3, 60.0, n), Loss("both", 0.3))[n % 3]],
         (
             NO_FAILSAFE,
             STEADY,
@@ -201,7 +200,7 @@ TABLE_D = (
             Bar("gap between those that arrive", m.longest_gap_arrived, 0.5, "s"),  # at which the autopilot takes over
             COMPLETES,
         ),
-        longest_s=360.0,
+        longest_s=180.0,
         views=SHORT_VIEWS,
     ),
     Row(
@@ -209,10 +208,10 @@ TABLE_D = (
         "frames repeated and out of order",
         "each three times, up to 0.5 s late",
         lambda n: [Repeated(0.5)],
-        (Bar("arm commands", m.arm_tries, 1.0, ""), NO_FAILSAFE, COMPLETES),
+        (Bar("arm commands", m.arm_tries, 1.0, ""), NO_FAILSAFE, RETURNS),
         onset=Onset((0.0, 0.0), at_boot=True),
         longest_s=240.0,
-        views=SHORT_VIEWS,
+        views=14,
     ),
     Row(
         "D5",

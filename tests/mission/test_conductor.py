@@ -210,6 +210,22 @@ def test_a_refused_trajectory_is_not_flown_on(desk: Desk) -> None:
     assert dataclasses.asdict(after)["views_s"].size == 0
 
 
+def test_no_views_are_taken_while_its_pilot_holds_the_vehicle_elsewhere(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.distance_m() < 0.7 or desk.speed_mps() < 0.3:
+        desk.run(0.1)
+    desk.stands = True
+    desk.run(3.0)  # the way goes on without it
+    taken = len(desk.mapper.stamps)
+    desk.run(20.0)
+    assert len(desk.mapper.stamps) == taken
+    desk.stands = False
+    desk.run(120.0, until=Phase.DONE)
+    assert len(desk.mapper.stamps) > taken
+    assert desk.conductor.close() == "completed"
+
+
 def test_where_nothing_fast_is_let_pass_nothing_fast_is_planned_until_it_is_again(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(60.0, until=Phase.SURVEY)

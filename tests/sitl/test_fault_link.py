@@ -170,6 +170,13 @@ def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:
         product.close()
 
 
+def test_a_link_that_was_late_for_a_while_is_in_time_again() -> None:
+    trouble = Jitter(0.3, for_s=60.0, seed=1)
+    late = [late_s for k in range(50) for late_s, _ in trouble.to_autopilot(59.0 + 0.01 * k, heartbeat(1))]
+    assert 0.2 < max(late) <= 0.3
+    assert [late_s for k in range(50) for late_s, _ in trouble.to_product(60.0 + k, heartbeat(1))] == [0.0] * 50
+
+
 def test_setpoints_are_counted_where_they_arrive_and_sound() -> None:
     proxy, clock, _ = proxied(Jitter(0.3, seed=1))
     proxy.write(heartbeat(1) + setpoint(1.0))

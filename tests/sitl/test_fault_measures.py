@@ -174,6 +174,9 @@ def test_how_a_flight_ended() -> None:
     assert m.unfinished(dataclasses.replace(home, failsafes=("x",))) == 1
     hopped = np.where(home.position_m[:, :1] > 1.9, 0.0, home.position_m)
     assert m.unfinished(dataclasses.replace(home, position_m=hopped)) == 1, "up, and down again"
+    assert m.ended_for("battery")(e) == 1, "it gave no reason"
+    said = {why: dataclasses.replace(home, stop_reason=why) for why in ("battery at 20 %", "view budget of 22 spent")}
+    assert [m.ended_for("battery")(flight) for flight in said.values()] == [1, 0]
     assert m.motors_ran(e) == pytest.approx(18.0, abs=0.1)
     assert m.armed_at_all(e) == 1
     kept = tuple("POSCTL" if t > 5.2 else mode for t, mode in zip(e.stamp_s, e.mode, strict=True))

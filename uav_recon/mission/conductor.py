@@ -139,7 +139,7 @@ class Conductor:
         self._frame_s = now_s
         self._stages.voxels.integrate(posed)
         self.map = self._stages.voxels.snapshot()
-        promised = self._captures.take(posed.frame.stamp_s)
+        promised = self._captures.take(posed.frame.stamp_s) and self._course.is_followed(now_s)
         if self._account.views_left > 0 and (promised or self._worth_a_view(posed)) and self._stages.mapper.add(posed):
             self._stages.budget.keep(posed)
             self._account.view(posed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from uav_recon.types.vehicle import VehicleState
 
 BREADCRUMB_M = 0.2
 ARRIVED_M = 0.15
+ASTRAY_M, ASTRAY_RAD = 0.5, 0.6  # beyond what a vehicle lags behind its setpoints; one that its pilot holds is farther off
 LATE_S = 5.0  # an autopilot that is still away by then will not come nearer by waiting
 
 
@@ -33,6 +35,7 @@ class Course:
         self.breadcrumbs: list[FloatArray] = []
         self._pitch_down_rad = camera_pitch_down_rad
         self.position_world: FloatArray = np.zeros(3)
+        self._yaw_rad = 0.0
         self._placed = False
         self._identifier = 0
 
@@ -46,7 +49,7 @@ class Course:
         position = vehicle.world_from_body.translation_m
         if self._placed and vehicle.armed:
             self.path_length_m += float(np.linalg.norm(position - self.position_world))
-        self.position_world, self._placed = position, True
+        self.position_world, self._yaw_rad, self._placed = position, vehicle.world_from_body.yaw_rad(), True
         if vehicle.armed and (not self.breadcrumbs or np.linalg.norm(position - self.breadcrumbs[-1]) > BREADCRUMB_M):
             self.breadcrumbs.append(position.copy())  # the record that it came in need not live as long
 
@@ -57,6 +60,14 @@ class Course:
         over_s = now_s - self.trajectory.start_s - self.trajectory.duration_s
         away_m = float(np.linalg.norm(self.trajectory.position_m[-1] - self.position_world))
         return over_s >= LATE_S or (over_s >= 0.0 and away_m <= ARRIVED_M)
+
+    def is_followed(self, now_s: float) -> bool:
+        """Whether the vehicle is where the trajectory has it by now, and looks there: what a view is to show is before it."""
+        if self.trajectory is None:
+            return False
+        there = self.trajectory.setpoint_at(now_s)
+        turned_rad = math.remainder(there.yaw_rad - self._yaw_rad, math.tau)
+        return float(np.linalg.norm(there.position_m - self.position_world)) <= ASTRAY_M and abs(turned_rad) <= ASTRAY_RAD
 
     def remaining_s(self, now_s: float) -> float:
         """Seconds until the trajectory comes to rest; 0 without one."""
