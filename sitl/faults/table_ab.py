@@ -274,7 +274,7 @@ TABLE_B = (
         lambda n: [(Later(0.3), Later(1.0), Frozen(), Altered(stamped(5.0)))[n % 4]],
         (
             Bar("oldest pose sent", odometry.pose_age, 0.15, "s"),
-            Bar("motion of the error", odometry.pose_error_step(), 0.05, "m"),
+            Bar("motion of the error", odometry.pose_error_step(), 0.10, "m"),  # as B4: carried through the braking
             holds(0.3),
             lands(1.2),
         ),
