@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import signal
@@ -61,6 +62,7 @@ def _sign_on(chief: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, _leave)
+    logging.getLogger().addHandler(logging.NullHandler())  # what it warns of means nothing between others' lines
 
 
 def _leave(*_: object) -> None:

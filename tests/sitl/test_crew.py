@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
@@ -70,3 +71,9 @@ def test_work_is_done_and_what_it_raises_is_told() -> None:
         assert hands.submit(divmod, 7, 3).result() == (2, 1)
         with pytest.raises(ZeroDivisionError):
             hands.submit(divmod, 1, 0).result()
+
+
+def test_what_a_program_of_theirs_warns_of_is_not_said_on_this_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+    with crew(1) as hands:
+        hands.submit(logging.getLogger("link").warning, "not listened to").result()
+    assert capfd.readouterr() == ("", "")
