@@ -312,11 +312,11 @@ def make_motion(config: Config, clearance_m: float) -> Paced:
     from uav_recon.motion.paced import SLOW_SHARE, Paced
     from uav_recon.motion.planner import MotionPlanner
 
-    safety, inset_m = config.safety, config.safety.fence_inset_m + INSIDE_M
+    safety = config.safety
+    inset_m = safety.fence_inset_m + INSIDE_M
     low_m, high_m = np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m
     paces = (config.motion, config.motion.at_most(SLOW_SHARE * safety.retreat_speed_mps))
-    limits = (low_m, high_m, safety.max_acceleration_mps2, safety.vehicle_radius_m)
-    usual, slow = (MotionPlanner(pace, clearance_m, *limits) for pace in paces)
+    usual, slow = (MotionPlanner(pace, clearance_m, low_m, high_m, safety.max_acceleration_mps2) for pace in paces)
     return Paced(usual, slow, config.motion.speed_mps)
 
 

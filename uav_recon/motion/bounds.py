@@ -7,8 +7,6 @@ import math
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray
 
-RUN_ON_BRAKING_MPS2 = 1.0  # of an autopilot that lands by itself, without a position
-RUN_ON_MPS = 0.2  # never slower on account of what lies ahead: a vehicle has to get on
 CALM_SPANS = 1  # on either side of a view: the frame comes a little late, and smoothing brings in what is around
 ENTRY_SPANS = 2  # in which a motion that is entered beyond a limit by what smoothing costs comes back to it
 
@@ -32,35 +30,21 @@ def _room_speeds(
         out[n] = min(tight_speed, speed) + share * max(speed - tight_speed, 0.0)
 
 
-def run_on_m(speed_mps: float, run_on_s: float) -> float:
-    """Metres that a vehicle goes that flies on for so long and is braked then."""
-    return speed_mps * run_on_s + speed_mps**2 / (2.0 * RUN_ON_BRAKING_MPS2)
-
-
-@kernel
-def run_on_speeds(way_m: AnyArray, run_on_s: float, out: AnyArray) -> None:
-    """The speed (M,) at which run_on_m is the way (M,) that there is."""
-    for n in range(len(out)):
-        fast = RUN_ON_BRAKING_MPS2 * (math.sqrt(run_on_s**2 + 2.0 * way_m[n] / RUN_ON_BRAKING_MPS2) - run_on_s)
-        out[n] = max(fast, RUN_ON_MPS)
-
-
 @kernel
 def caps(
-    slope: AnyArray, along_m: AnyArray, room_m: AnyArray, most_mps: AnyArray, view_node: AnyArray, per_span: int,
-    clearance_m: float, open_m: float, speed: float, tight_speed: float, climb: float, descent: float, rate: float,
-    blur_radps: float, blur_distance_m: float, spread_m: float, entry: AnyArray, braking: float, fastest: float, out: AnyArray,
+    slope: AnyArray, along_m: AnyArray, room_m: AnyArray, view_node: AnyArray, per_span: int, clearance_m: float, open_m: float,
+    speed: float, tight_speed: float, climb: float, descent: float, rate: float, blur_radps: float, blur_distance_m: float,
+    spread_m: float, entry: AnyArray, braking: float, fastest: float, out: AnyArray,
 ) -> None:  # fmt: skip
     """Fill out (M,): the greatest (spans per second)² at each node of a curve with derivatives slope (M, 5) by span.
 
     At the views the image may move by ``blur_radps`` (see MotionConfig): rate of turning plus speed over distance. A motion
-    entered at velocity ``entry`` (5,) that is faster than tight places or views ahead allow may brake down to that. most_mps
-    (M,): what else the speed may not exceed.
+    entered at velocity ``entry`` (5,) that is faster than tight places or views ahead allow may brake down to that.
     """
     _room_speeds(along_m, room_m, clearance_m, open_m, speed, tight_speed, spread_m, out)
     for n in range(len(out)):
         flat = math.sqrt(slope[n, 0] ** 2 + slope[n, 1] ** 2 + slope[n, 2] ** 2)
-        out[n] = min(out[n], most_mps[n]) / max(flat, 1e-9)
+        out[n] /= max(flat, 1e-9)
     for node in view_node:
         for n in range(max((node - CALM_SPANS) * per_span, 0), min((node + CALM_SPANS) * per_span, len(out) - 1) + 1):
             flat = math.sqrt(slope[n, 0] ** 2 + slope[n, 1] ** 2 + slope[n, 2] ** 2)

@@ -74,27 +74,6 @@ def rooms(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyAr
 
 
 @kernel
-def ways_ahead(
-    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, slope: AnyArray,
-    least_m: float, most_m: float, out: AnyArray,
-) -> None:  # fmt: skip
-    """Metres (N,) straight on from each point (N, 3 or more), along its slope (N, 3 or more), to the first place with no more
-    room than ``least_m``: most_m where that is farther, and where nothing moves.
-    """
-    for n in range(len(points)):
-        flat = math.sqrt(slope[n, 0] ** 2 + slope[n, 1] ** 2 + slope[n, 2] ** 2)
-        way_m = most_m if flat < 1e-9 else 0.0
-        while way_m < most_m:
-            share = way_m / flat
-            x, y, z = points[n, 0] + share * slope[n, 0], points[n, 1] + share * slope[n, 1], points[n, 2] + share * slope[n, 2]
-            left_m = room_at(distance2, frame, resolution_m, root, x, y, z) - least_m
-            if left_m <= 0.0:
-                break
-            way_m += max(left_m, 0.5 * resolution_m)
-        out[n] = min(way_m, most_m)
-
-
-@kernel
 def _blocked(
     distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, first: int, least_m: float,
     out: AnyArray,

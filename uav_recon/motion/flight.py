@@ -9,8 +9,8 @@ import numpy as np
 
 from uav_recon.config import MotionConfig
 from uav_recon.motion.band import SPAN_M, SPAN_S, Band
-from uav_recon.motion.bounds import caps, run_on_m, run_on_speeds
-from uav_recon.motion.clearing import ROOT, Space, rooms, ways_ahead
+from uav_recon.motion.bounds import caps
+from uav_recon.motion.clearing import ROOT, Space, rooms
 from uav_recon.motion.entry import Entry
 from uav_recon.motion.pace import FASTEST, PER_SPAN, Curve, fastest, instants, sampled, smoothed
 from uav_recon.motion.replay import STEP_S
@@ -67,12 +67,10 @@ class Pacer:
     blur_radps: float
     blur_distance_m: float
     clearance_m: float
-    hull_m: float
-    run_on_s: float
     box: int
 
     @staticmethod
-    def of(config: MotionConfig, clearance_m: float, hull_m: float) -> Pacer:
+    def of(config: MotionConfig, clearance_m: float) -> Pacer:
         """The limits of a config."""
         return Pacer(
             speed=FULL * config.speed_mps,
@@ -85,8 +83,6 @@ class Pacer:
             blur_radps=FULL * config.blur_px / (config.focal_px * config.exposure_s),
             blur_distance_m=config.blur_distance_m,
             clearance_m=clearance_m,
-            hull_m=hull_m,
-            run_on_s=config.run_on_s,
             box=max(int(config.smoothing_s / 2 / STEP_S) // 2 * 2 + 1, 1),
         )
 
@@ -139,24 +135,14 @@ class Pacer:
         return flight
 
     def _cap(self, curve: Curve, band: Band, entry: Entry, space: Space | None, cap: FloatArray) -> None:
-        room_m, most_mps = np.full(len(cap), np.inf), np.full(len(cap), np.inf)
+        room_m = np.full(len(cap), np.inf)
         if space is not None:
             rooms(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, room_m)
-            self._reckon_with_silence(curve, space, most_mps)
         caps(
-            curve.slope, curve.along_m, room_m, most_mps, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
+            curve.slope, curve.along_m, room_m, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
             self.tight_speed, self.climb, self.descent, self.rate, self.blur_radps, self.blur_distance_m, SPREAD_M,
             entry.velocity, 0.7 * self.acceleration, FASTEST, cap,
         )  # fmt: skip
-
-    def _reckon_with_silence(self, curve: Curve, space: Space, most_mps: FloatArray) -> None:
-        """An autopilot that hears nothing any more flies on for run_on_s, with the velocity that it was told last."""
-        way_m = np.empty_like(most_mps)
-        far_m, least_m = run_on_m(self.speed, self.run_on_s), self.hull_m + 0.5 * space.resolution_m  # to a voxel's side
-        ways_ahead(
-            space.distance2, space.frame, space.resolution_m, ROOT, curve.place, curve.slope, least_m, far_m, way_m
-        )  # fmt: skip
-        run_on_speeds(way_m, self.run_on_s, most_mps)
 
     def _smoothed(self, band: Band, entry: Entry, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float) -> Flight:
         """What the way differs from the entry's own going on is smoothed and added to that."""
