@@ -53,7 +53,7 @@ TABLE_C = (
         "frames lost for 0.3 s",
         "no frame for 0.3 s",
         lambda n: [Dark(0.3)],
-        (flies_on(5.0, late_s=0.3), STREAMS, NO_FAILSAFE),
+        (flies_on(2.0, late_s=0.3), STREAMS, NO_FAILSAFE),
         onset=FAST,
         longest_s=12.0,
     ),
@@ -124,7 +124,7 @@ TABLE_C = (
         "stamps of another clock for 1 s",
         "an hour ago or ahead, for 1 s at speed",
         lambda n: [Redated((-3600.0, 3600.0)[n % 2], 1.0), Tally()],
-        (holds(0.4), STREAMS, flies_on(5.0, late_s=1.0), ONCE),
+        (holds(0.4), STREAMS, flies_on(2.0, late_s=1.0), ONCE),  # sooner than a way back begins
         onset=FAST,
         longest_s=15.0,
     ),

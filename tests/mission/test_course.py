@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from uav_recon.mission.course import BREADCRUMB_M, Course
 from uav_recon.types.pose import Pose
+from uav_recon.types.trajectory import Trajectory
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 
-def vehicle_at(x: float, y: float, z: float = 1.0, *, armed: bool = True) -> VehicleState:
-    pose = Pose.from_yaw(0.0, np.array([x, y, z]))
+def vehicle_at(x: float, y: float, z: float = 1.0, *, armed: bool = True, yaw_rad: float = 0.0) -> VehicleState:
+    pose = Pose.from_yaw(yaw_rad, np.array([x, y, z]))
     return VehicleState(0.0, pose, np.zeros(3), armed, "OFFBOARD", FlightPhase.FLYING, 1.0, False, 0.0, -1, 0, "")
 
 
@@ -21,6 +23,18 @@ def test_path_length_counts_only_flight() -> None:
     course.follow(vehicle_at(6.0, 0.0))
     course.follow(vehicle_at(6.0, 2.0))
     assert course.path_length_m == 3.0
+
+
+@pytest.mark.parametrize(
+    ("x", "yaw_rad", "followed"), [(0.9, 0.0, True), (0.4, 0.0, False), (1.0, 0.5, True), (1.0, -0.7, False), (1.0, 6.2, True)]
+)
+def test_a_vehicle_follows_where_it_is_about_there_and_looks_that_way(x: float, yaw_rad: float, followed: bool) -> None:
+    course = Course(0.0)
+    course.follow(vehicle_at(x, 0.0, yaw_rad=yaw_rad))
+    assert not course.is_followed(10.0), "nothing is flown"
+    places, still, flat = np.array([[0.0, 0.0, 1.0], [2.0, 0.0, 1.0]]), np.zeros((2, 3)), np.zeros(2)
+    course.trajectory = Trajectory(10.0, 2.0, places, still, still, flat, flat, flat, np.zeros(0), 0, 1)
+    assert course.is_followed(11.0) is followed
 
 
 def test_the_way_back_leaves_out_the_climb_from_the_pad() -> None:
