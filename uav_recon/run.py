@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
-NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more
+NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more: 0.15 and what following takes
 INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
 RETREAT_M = 0.10  # from the hull, on ways home that no other leads: the vehicle came by there, whatever the map says now
 
@@ -312,11 +312,11 @@ def make_motion(config: Config, clearance_m: float) -> Paced:
     from uav_recon.motion.paced import SLOW_SHARE, Paced
     from uav_recon.motion.planner import MotionPlanner
 
-    safety = config.safety
-    inset_m = safety.fence_inset_m + INSIDE_M
+    safety, inset_m = config.safety, config.safety.fence_inset_m + INSIDE_M
     low_m, high_m = np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m
     paces = (config.motion, config.motion.at_most(SLOW_SHARE * safety.retreat_speed_mps))
-    usual, slow = (MotionPlanner(pace, clearance_m, low_m, high_m, safety.max_acceleration_mps2) for pace in paces)
+    limits = (low_m, high_m, safety.max_acceleration_mps2, safety.vehicle_radius_m)
+    usual, slow = (MotionPlanner(pace, clearance_m, *limits) for pace in paces)
     return Paced(usual, slow, config.motion.speed_mps)
 
 

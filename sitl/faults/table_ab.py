@@ -140,6 +140,15 @@ TABLE_A = (
         live=lambda n: [Killed("mission", "pilot", "perception")],
     ),
     Row(
+        "A6r",
+        "pilot and mission killed",
+        "as A6, in two rooms of 5.8 m by 2.8 m: what the autopilot flies on by itself stays clear of their walls",
+        lambda n: [Stall("mission", "pilot", "perception")],
+        (clear(0.10), lands(1.3, ardupilot=2.5), down(30.0)),
+        arena="corridor",
+        onset=FAST,
+    ),
+    Row(
         "A7",
         "pilot restarts in the air",
         "pilot dies and is back after 0.2, 1 and 3 s",

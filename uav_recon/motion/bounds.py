@@ -7,6 +7,7 @@ import math
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray
 
+RUN_ON_MPS = 0.2  # never slower on account of what lies ahead: a vehicle has to get on
 CALM_SPANS = 1  # on either side of a view: the frame comes a little late, and smoothing brings in what is around
 ENTRY_SPANS = 2  # in which a motion that is entered beyond a limit by what smoothing costs comes back to it
 
@@ -31,20 +32,28 @@ def _room_speeds(
 
 
 @kernel
+def run_on_speeds(way_m: AnyArray, run_on_s: float, out: AnyArray) -> None:
+    """The speed (M,) from which an autopilot that hears nothing more comes to rest within the way (M,) that there is."""
+    for n in range(len(out)):
+        out[n] = max(way_m[n] / max(run_on_s, 1e-9), RUN_ON_MPS)
+
+
+@kernel
 def caps(
-    slope: AnyArray, along_m: AnyArray, room_m: AnyArray, view_node: AnyArray, per_span: int, clearance_m: float, open_m: float,
-    speed: float, tight_speed: float, climb: float, descent: float, rate: float, blur_radps: float, blur_distance_m: float,
-    spread_m: float, entry: AnyArray, braking: float, fastest: float, out: AnyArray,
+    slope: AnyArray, along_m: AnyArray, room_m: AnyArray, most_mps: AnyArray, view_node: AnyArray, per_span: int,
+    clearance_m: float, open_m: float, speed: float, tight_speed: float, climb: float, descent: float, rate: float,
+    blur_radps: float, blur_distance_m: float, spread_m: float, entry: AnyArray, braking: float, fastest: float, out: AnyArray,
 ) -> None:  # fmt: skip
     """Fill out (M,): the greatest (spans per second)² at each node of a curve with derivatives slope (M, 5) by span.
 
     At the views the image may move by ``blur_radps`` (see MotionConfig): rate of turning plus speed over distance. A motion
-    entered at velocity ``entry`` (5,) that is faster than tight places or views ahead allow may brake down to that.
+    entered at velocity ``entry`` (5,) that is faster than tight places or views ahead allow may brake down to that. most_mps
+    (M,): what else the speed may not exceed.
     """
     _room_speeds(along_m, room_m, clearance_m, open_m, speed, tight_speed, spread_m, out)
     for n in range(len(out)):
         flat = math.sqrt(slope[n, 0] ** 2 + slope[n, 1] ** 2 + slope[n, 2] ** 2)
-        out[n] /= max(flat, 1e-9)
+        out[n] = min(out[n], most_mps[n]) / max(flat, 1e-9)
     for node in view_node:
         for n in range(max((node - CALM_SPANS) * per_span, 0), min((node + CALM_SPANS) * per_span, len(out) - 1) + 1):
             flat = math.sqrt(slope[n, 0] ** 2 + slope[n, 1] ** 2 + slope[n, 2] ** 2)

@@ -74,6 +74,26 @@ def rooms(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyAr
 
 
 @kernel
+def ways_ahead(
+    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, heading: AnyArray,
+    least_m: float, way_m: AnyArray,
+) -> None:  # fmt: skip
+    """Shorten way_m (N,), metres from each point (N, 3 or more) along its heading (N, 3), to where there is no more room than
+    ``least_m``. A heading of no length leads nowhere and is left.
+    """
+    for n in range(len(points)):
+        dx, dy, dz = heading[n, 0], heading[n, 1], heading[n, 2]
+        flat, went_m = math.sqrt(dx * dx + dy * dy + dz * dz), 0.0
+        while flat > 1e-9 and went_m < way_m[n]:
+            share = went_m / flat
+            x, y, z = points[n, 0] + share * dx, points[n, 1] + share * dy, points[n, 2] + share * dz
+            left_m = room_at(distance2, frame, resolution_m, root, x, y, z) - least_m
+            if left_m <= 0.0:
+                way_m[n] = went_m
+            went_m += max(left_m, 0.5 * resolution_m)
+
+
+@kernel
 def _blocked(
     distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, first: int, least_m: float,
     out: AnyArray,

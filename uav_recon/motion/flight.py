@@ -9,10 +9,10 @@ import numpy as np
 
 from uav_recon.config import MotionConfig
 from uav_recon.motion.band import SPAN_M, SPAN_S, Band
-from uav_recon.motion.bounds import caps
-from uav_recon.motion.clearing import ROOT, Space, rooms
+from uav_recon.motion.bounds import caps, run_on_speeds
+from uav_recon.motion.clearing import ROOT, Space, rooms, ways_ahead
 from uav_recon.motion.entry import Entry
-from uav_recon.motion.pace import FASTEST, PER_SPAN, Curve, fastest, instants, sampled, smoothed
+from uav_recon.motion.pace import FASTEST, PER_SPAN, PUSHED_ON_S, TINY, Curve, fastest, instants, sampled, smoothed
 from uav_recon.motion.replay import STEP_S
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.trajectory import Trajectory
@@ -67,10 +67,12 @@ class Pacer:
     blur_radps: float
     blur_distance_m: float
     clearance_m: float
+    hull_m: float
+    run_on_s: float
     box: int
 
     @staticmethod
-    def of(config: MotionConfig, clearance_m: float) -> Pacer:
+    def of(config: MotionConfig, clearance_m: float, hull_m: float) -> Pacer:
         """The limits of a config."""
         return Pacer(
             speed=FULL * config.speed_mps,
@@ -83,6 +85,8 @@ class Pacer:
             blur_radps=FULL * config.blur_px / (config.focal_px * config.exposure_s),
             blur_distance_m=config.blur_distance_m,
             clearance_m=clearance_m,
+            hull_m=hull_m,
+            run_on_s=config.run_on_s,
             box=max(int(config.smoothing_s / 2 / STEP_S) // 2 * 2 + 1, 1),
         )
 
@@ -116,10 +120,11 @@ class Pacer:
         curve = Curve.of(band.control)
         first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
         cap, x, times = np.empty(len(curve.along_m)), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
-        self._cap(curve, band, entry, space, cap)
+        most_mps = self._heeding_silence(curve, space)
+        self._cap(curve, band, entry, space, most_mps, cap)
         share = SHARE
         for _ in range(TRIES):
-            if not fastest(curve.slope, curve.bend, cap, share * self.acceleration, share * self.spin, first, x):
+            if not fastest(curve.slope, curve.bend, cap, most_mps, share * self.acceleration, share * self.spin, first, x):
                 return Flight(entry.rows, np.zeros(0), feasible=False)
             instants(x, times)
             flight = self._smoothed(band, entry, curve, x, times, spacing_m)
@@ -134,15 +139,39 @@ class Pacer:
             share *= 0.98 / excess
         return flight
 
-    def _cap(self, curve: Curve, band: Band, entry: Entry, space: Space | None, cap: FloatArray) -> None:
+    def _cap(
+        self, curve: Curve, band: Band, entry: Entry, space: Space | None, most_mps: FloatArray, cap: FloatArray
+    ) -> None:  # fmt: skip
         room_m = np.full(len(cap), np.inf)
         if space is not None:
             rooms(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, room_m)
         caps(
-            curve.slope, curve.along_m, room_m, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
+            curve.slope, curve.along_m, room_m, most_mps, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
             self.tight_speed, self.climb, self.descent, self.rate, self.blur_radps, self.blur_distance_m, SPREAD_M,
             entry.velocity, 0.7 * self.acceleration, FASTEST, cap,
         )  # fmt: skip
+
+    def _heeding_silence(self, curve: Curve, space: Space | None) -> FloatArray:
+        """Speeds (M,) from which an autopilot that hears nothing any more touches nothing before it is at rest.
+
+        It flies straight on, or where the bend at the greatest speed leads that it keeps.
+        """
+        most_mps = np.full(len(curve.along_m), np.inf)
+        if space is None or self.run_on_s == 0.0:
+            return most_mps
+        slope, bend = curve.slope[:, :3], curve.bend[:, :3]
+        x = np.minimum(
+            (self.speed / np.maximum(np.linalg.norm(slope, axis=1), TINY)) ** 2,
+            self.acceleration / np.maximum(np.linalg.norm(bend, axis=1), TINY),
+        )[:, None]
+        far_m = (self.speed + PUSHED_ON_S * self.acceleration) * self.run_on_s
+        least_m, way_m = self.hull_m + 0.5 * space.resolution_m, np.full_like(most_mps, far_m)  # to a voxel's side
+        for heading in (slope, slope * np.sqrt(x) + PUSHED_ON_S * bend * x):
+            ways_ahead(
+                space.distance2, space.frame, space.resolution_m, ROOT, curve.place, heading, least_m, way_m
+            )  # fmt: skip
+        run_on_speeds(way_m, self.run_on_s, most_mps)
+        return most_mps
 
     def _smoothed(self, band: Band, entry: Entry, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float) -> Flight:
         """What the way differs from the entry's own going on is smoothed and added to that."""

@@ -17,6 +17,7 @@ from uav_recon.types.frames import AnyArray, FloatArray
 
 PER_SPAN = 6  # nodes of the pass in each span
 FASTEST = 10.0  # spans a second: an end of time for a band that does not move
+PUSHED_ON_S = 0.46  # an autopilot makes so much more speed of an acceleration that it keeps: 1 / MPC_XY_VEL_P_ACC, less
 HALVINGS = 16
 TINY = 1e-12
 
@@ -107,10 +108,26 @@ def _reaches(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, 
 
 
 @kernel
+def _gain(slope: AnyArray, bend: AnyArray, most_mps: float, x: float) -> float:
+    """Greatest d²s/dt² with which the speed and PUSHED_ON_S of its gain are at most so much."""
+    a = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
+    if a < TINY or most_mps == np.inf:
+        return 1e9
+    b = slope[0] * bend[0] + slope[1] * bend[1] + slope[2] * bend[2]
+    flat = math.sqrt(a)
+    gain_mps2 = (most_mps - flat * math.sqrt(x)) / PUSHED_ON_S
+    return float((gain_mps2 * flat - b * x) / a)
+
+
+@kernel
 def fastest(
-    slope: AnyArray, bend: AnyArray, cap: AnyArray, acceleration: float, spin: float, first: float, x: AnyArray
-) -> bool:
-    """Fill x (M,), the squared pace at each node: ``first`` at the first, 0 at the last. False if ``first`` is too fast."""
+    slope: AnyArray, bend: AnyArray, cap: AnyArray, most_mps: AnyArray, acceleration: float, spin: float, first: float,
+    x: AnyArray,
+) -> bool:  # fmt: skip
+    """Fill x (M,), the squared pace at each node: ``first`` at the first, 0 at the last. False if ``first`` is too fast.
+
+    most_mps (M,): a speed that what is flown and PUSHED_ON_S of what is gained do not exceed together.
+    """
     last = len(cap) - 1
     width = 2.0 / PER_SPAN
     x[last] = 0.0
@@ -129,7 +146,8 @@ def fastest(
         return False
     x[0] = first
     for n in range(last):
-        _, most = _change(slope[n], bend[n], acceleration, spin, x[n])
+        least, most = _change(slope[n], bend[n], acceleration, spin, x[n])
+        most = max(min(most, _gain(slope[n], bend[n], most_mps[n], x[n])), least)
         x[n + 1] = min(x[n + 1], max(x[n] + width * most, 1e-9))
     x[last] = 0.0
     return True

@@ -39,22 +39,23 @@ class MotionPlanner:
 
     def __init__(
         self, config: MotionConfig, clearance_m: float, low_m: FloatArray | None = None, high_m: FloatArray | None = None,
-        braking_mps2: float | None = None,
+        braking_mps2: float | None = None, hull_m: float = 0.0,
     ) -> None:  # fmt: skip
         """clearance_m: from the body's centre to anything not known free, on a path that does not say what its way keeps;
         tight_speed_mps is flown where there is no more, and NARROW_MPS on a path that says so.
 
         low_m, high_m: (3,) corners of the box that the body's centre stays in; none = no box. braking_mps2: with which a way
-        that turns out to be blocked is left; none = what is planned with.
+        that turns out to be blocked is left; none = what is planned with. hull_m: radius of the vehicle,
+        which touches nothing where its autopilot flies on by itself for config.run_on_s.
         """
         self._low_m = np.full(3, -np.inf) if low_m is None else low_m
         self._high_m = np.full(3, np.inf) if high_m is None else high_m
         self._clearance_m = clearance_m
-        self._pacer = Pacer.of(config, clearance_m)
+        self._pacer = Pacer.of(config, clearance_m, hull_m)
         self._hardness = (braking_mps2 or config.acceleration_mps2) / config.acceleration_mps2
-        self._creeper = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m)
+        self._creeper = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m, hull_m)
         narrow_mps = min(NARROW_MPS, config.tight_speed_mps)
-        self._threader = Pacer.of(config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m)
+        self._threader = Pacer.of(config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m)
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
