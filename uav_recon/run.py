@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
-NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more: 0.15 and what following takes
+NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more
 INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
 RETREAT_M = 0.10  # from the hull, on ways home that no other leads: the vehicle came by there, whatever the map says now
 

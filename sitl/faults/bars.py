@@ -19,6 +19,10 @@ def lands(within_s: float, late_s: float = 0.0, ardupilot: float | None = None) 
     return Bar("landing mode", m.landing_after(late_s), within_s, "s", ardupilot=ardupilot)
 
 
+# PX4 lands 0.6 to 1.3 s after the last setpoint that it heard (measured), and one may be under way when the trouble begins.
+UNHEARD_LANDS = lands(1.35, ardupilot=2.5)
+
+
 def lands_no_sooner(after_s: float, late_s: float = 0.0) -> Bar:
     """Not before its time."""
     return Bar("landing mode not before", m.landing_after(late_s), after_s, "s", at_least=True)

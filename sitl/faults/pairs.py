@@ -8,7 +8,7 @@ import random
 from collections.abc import Sequence
 
 from sitl.faults import measures as m
-from sitl.faults.bars import RETURN_ACTS, STREAMS, down, holds, lands
+from sitl.faults.bars import RETURN_ACTS, STREAMS, UNHEARD_LANDS, down, holds, lands
 from sitl.faults.everywhere import USUAL, Room
 from sitl.faults.injector import Injector
 from sitl.faults.measures import Measure
@@ -20,7 +20,7 @@ PAIRED = ("A1", "B1", "B4", "C1", "D2", "D8", "E1", "E5", "F2", "G2")
 APART_S = 1.0  # at most, between the one trouble and the other
 REACTIONS = {  # worst first: what of a row's own bars holds whatever else goes wrong
     "E1": (Bar("stream ends", m.streams_after, 0.3, "s"),),
-    "D2": (lands(1.3, ardupilot=2.5), down(30.0)),
+    "D2": (UNHEARD_LANDS, down(30.0)),
     "B1": (lands(1.2), down(30.0)),
     "E5": (Bar("charge left", m.battery_left, 0.10, "", at_least=True), down(160.0)),
     "D8": (RETURN_ACTS, down(120.0)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from sitl.faults.evidence import Evidence
 
-_THROUGH_M = 0.3  # behind the gap: the hull is out of it
+_THROUGH_M = 0.3  # before the gap or behind it: the hull is out of it
 _WENT_M = 0.3  # from the pad: who lands at once has looked at nothing
 _TOO_NARROW = re.compile(r"\b[1-9]\d* (too narrow|not reachable)\b")  # counts of the planner's account
 
@@ -20,6 +21,12 @@ class Gap:
 
     begin_m: float
     end_m: float
+
+    def clearance(self, e: Evidence) -> float:
+        """Least metres between the hull and the scene while any of it is in the gap; inf for a vehicle that stays out."""
+        x = np.interp(e.hull_s, e.stamp_s, e.position_m[:, 0])
+        inside = (x >= self.begin_m - _THROUGH_M) & (x <= self.end_m + _THROUGH_M)
+        return float(e.hull_m[inside].min(initial=math.inf))
 
     def untried(self, e: Evidence) -> float:
         """1 unless the vehicle truly flew through, or looked about, stayed outside and said why with counts."""

@@ -12,6 +12,7 @@ from sitl.faults.bars import (
     RETURNS,
     STEADY,
     STREAMS,
+    UNHEARD_LANDS,
     clear,
     down,
     flies_on,
@@ -185,7 +186,7 @@ TABLE_D = (
         "nothing said for 3 s",
         "product to autopilot lost for 3 s",
         lambda n: [Loss("up", 3.0)],
-        (lands(1.3, ardupilot=2.5), NO_ORDER, down(30.0), told(2.3, ardupilot=3.5)),
+        (UNHEARD_LANDS, NO_ORDER, down(30.0), told(2.3, ardupilot=3.5)),
         onset=FAST,
     ),
     Row(

@@ -299,7 +299,12 @@ TABLE_F = (
         "tight passage",
         "a gap of 0.9 m between two rooms, for a span of 0.5 m and one of 0.4 m in turn; nothing else",
         lambda n: [],
-        (clear(0.15), Bar("neither passed nor refused", GAP.untried, 0.0, ""), RETURNS),
+        (
+            Bar("clearance in it", GAP.clearance, 0.15, "m", at_least=True),
+            clear(0.10),
+            Bar("neither passed nor refused", GAP.untried, 0.0, ""),
+            RETURNS,
+        ),
         arena="corridor",
         onset=AT_BOOT,
         longest_s=300.0,
