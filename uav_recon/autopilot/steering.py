@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 _WAYS = 3  # ways back that are tried, each from rest: what refused the last may have passed, a late pose or a late turn of ours
 _SETTLES_S = 1.0  # after a refusal the vehicle itself rests too: it follows its setpoints late
 _STANDS_M = 0.3  # before the hull, as the way is refused: what stands there stays, and is not felt along
-_ASTRAY_M = 0.35  # level, ahead of or beside the newest setpoint: something pushes it. Untroubled: within 0.15 m
+_ASTRAY_M = 0.35  # level, ahead of or beside the newest setpoint in _SOON_S: something pushes it. Untroubled: within 0.17 m
+_SOON_S, _PACED_S = 0.3, 0.2  # as it has gone for so long
 _LONGEST_AGE_S = 0.1  # of a setpoint that is carried on by its velocity
 _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
 
@@ -35,6 +37,7 @@ class Steering:
         self._crumbs = Breadcrumbs()
         self._flown: Setpoint | None = None  # the newest setpoint on the wire
         self._flown_s = -math.inf
+        self._off: deque[tuple[float, float]] = deque()  # (instant, metres) off its way
         self._braking = False  # from a refusal to rest: nothing new is taken up on the way
         self._way_back: Trajectory | None = None
         self._refused_ways, self._refused_for, self._refused_s = 0, "", -math.inf
@@ -80,7 +83,7 @@ class Steering:
         self._braking = self._braking and self._flown is not None and bool(np.any(self._flown.velocity_mps))
         if trajectory is None or self._braking:
             return self._guard.clear(None, situation)
-        off_m = self._off_its_way_m(situation)
+        off_m = self._soon_off_its_way_m(situation)
         astray = off_m > _ASTRAY_M
         cleared, refusal = self._guard.clear(None if astray else self._proposal(trajectory, situation.now_s, False), situation)
         if astray:  # pushed as well as led outwards it would be over the fence before it stops
@@ -89,6 +92,16 @@ class Steering:
             self._braking = True
             self._mandate.forsake()
         return cleared, refusal
+
+    def _soon_off_its_way_m(self, situation: Situation) -> float:
+        """As it goes: who waits until a push has moved it has led it on meanwhile."""
+        now_s, off_m = situation.now_s, self._off_its_way_m(situation)
+        self._off.append((now_s, off_m))
+        while now_s - self._off[0][0] > _PACED_S:
+            self._off.popleft()
+        begun_s, begun_m = self._off[0]
+        whole = now_s - begun_s >= 0.5 * _PACED_S
+        return off_m + _SOON_S * max((off_m - begun_m) / (now_s - begun_s), 0.0) if whole else off_m
 
     def _off_its_way_m(self, situation: Situation) -> float:
         """Level, from where it is told to be: ahead of it or beside it. Behind its setpoints it is late, and not pushed."""
