@@ -28,8 +28,8 @@ REACTIONS = {  # worst first: what of a row's own bars holds whatever else goes 
 }
 # PX4 says its mode ten times a second as long as it is asked to, and that does not arrive either: once a second by itself.
 UNHEARD = {"D2+E1": (Bar("stream ends", m.streams_after, 1.3, "s", ardupilot=0.3),)}
-# Pushed by 2.5 m/s² while it lands by itself, without a word of ours or without a position: it goes where the push takes it, touching
-# nothing.
+# Pushed by 2.5 m/s² while it lands by itself, without a word of ours or without a position: it goes where the push
+# takes it, and touches nothing.
 PUSHED = dict.fromkeys(("B1+F2", "D2+F2"), Room(clear_m=0.0, overshoot_m=1.0))
 _WATCHED_S = 60.0  # where neither asks for a reaction
 

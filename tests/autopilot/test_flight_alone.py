@@ -185,6 +185,8 @@ def test_pushed_off_its_way_it_is_led_no_further_and_flies_on_when_the_push_is_o
     times, places = setpoints(hovering, pushed_s)
     speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(times)
     assert speed[:3].max() > 0.6
+    brakes = int(np.argmax(speed < speed[0] - 0.05))
+    assert times[brakes] - pushed_s <= 0.6, "before it is 0.35 m off, which takes 0.7 s"
     assert speed[-3:].max() == 0.0, "braked to rest, though its way goes on"
     hovering.vehicle.outside_mps2 = (0.0, 0.0, 0.0)
     hovering.run(8.0)

@@ -26,7 +26,7 @@ def test_a_refused_landing_is_handed_to_px4(hovering: Rig) -> None:
     hovering.until(FlightPhase.LANDING, 0.5)
     hovering.until(FlightPhase.YIELDED, 5.2)
     yielded_s = hovering.clock.now_s()
-    assert 3 <= hovering.tap.since(yielded_s - 5.2)[ASKED] <= 4
+    assert 7 <= hovering.tap.since(yielded_s - 5.2)[ASKED] <= 8
     hovering.run(1.5)
     assert hovering.px4.truth().mode == "LAND", "its answer to a stream that ends"
     assert "LAND" in hovering.state.note

@@ -12,10 +12,10 @@ from uav_recon.autopilot.personality import DISARM
 from uav_recon.autopilot.telemetry import Telemetry
 from uav_recon.types.vehicle import FlightPhase
 
-_AGAIN_S = 1.5  # longer than the heartbeat's period, so a human's mode is seen before we ask again
+_AGAIN_S = 0.7  # a fifth of all frames may be lost, the answer late; a human's mode is seen before we ask again in any case
 _MODE_FRESH_S, _MODE_WAIT_S = 0.05, 0.1  # an operator who asks to land waits for no more than 0.15 s
 _HEARD_S = 0.5  # a human may have taken over unseen in a longer silence
-_IN_VAIN_S = 5.0  # three requests, and the answer to the last
+_IN_VAIN_S = 5.0  # seven requests, and the answer to the last
 _GROUND_FRESH_S = 0.5
 _STUCK_S, _STILL_M = 10.0, 0.05
 _WANDER_MPS = 0.03  # an estimate's own at rest; a landing comes down ten times as fast

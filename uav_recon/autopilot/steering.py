@@ -21,7 +21,7 @@ _WAYS = 3  # ways back that are tried, each from rest: what refused the last may
 _SETTLES_S = 1.0  # after a refusal the vehicle itself rests too: it follows its setpoints late
 _STANDS_M = 0.3  # before the hull, as the way is refused: what stands there stays, and is not felt along
 _ASTRAY_M = 0.35  # level, ahead of or beside the newest setpoint in _SOON_S: something pushes it. Untroubled: within 0.17 m
-_SOON_S, _PACED_S = 0.3, 0.2  # as it has gone for so long
+_SOON_S, _PACED_S, _LED_MPS = 0.3, 0.2, 0.2  # as it has gone for so long, while setpoints lead it on
 _LONGEST_AGE_S = 0.1  # of a setpoint that is carried on by its velocity
 _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
 
@@ -94,14 +94,16 @@ class Steering:
         return cleared, refusal
 
     def _soon_off_its_way_m(self, situation: Situation) -> float:
-        """As it goes: who waits until a push has moved it has led it on meanwhile."""
+        """As it goes: to wait until a push has moved it is to lead it on meanwhile. At a hold it is led nowhere, and swings."""
         now_s, off_m = situation.now_s, self._off_its_way_m(situation)
         self._off.append((now_s, off_m))
         while now_s - self._off[0][0] > _PACED_S:
             self._off.popleft()
         begun_s, begun_m = self._off[0]
-        whole = now_s - begun_s >= 0.5 * _PACED_S
-        return off_m + _SOON_S * max((off_m - begun_m) / (now_s - begun_s), 0.0) if whole else off_m
+        led = self._flown is not None and float(np.linalg.norm(self._flown.velocity_mps)) > _LED_MPS
+        if not led or now_s - begun_s < 0.5 * _PACED_S:
+            return off_m
+        return off_m + _SOON_S * max((off_m - begun_m) / (now_s - begun_s), 0.0)
 
     def _off_its_way_m(self, situation: Situation) -> float:
         """Level, from where it is told to be: ahead of it or beside it. Behind its setpoints it is late, and not pushed."""
