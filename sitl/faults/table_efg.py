@@ -174,7 +174,7 @@ TABLE_E = (
         lambda n: [Battery(0.78, 0.003)],
         (
             Bar("reserve of the way home", reserve, 1.3, "", at_least=True),
-            Bar("turned back at", turned_at, 10.0, "m", at_least=True),
+            Bar("turned back at", turned_at, 8.0, "m", at_least=True),
             Bar("charge left", m.battery_left, 0.20, "", at_least=True),
             RETURNS,
         ),

@@ -56,11 +56,16 @@ def test_a_pose_that_is_lost_but_told_holds_at_once_and_lands(hovering: Rig) -> 
     assert np.ptp(places, axis=0).max() < 1e-6, "held"
 
 
-def test_a_pose_that_is_wrong_lands_at_once(hovering: Rig) -> None:
-    """To stand still by it is to move with its error, and the autopilot does so while it comes down."""
+def test_a_pose_that_is_wrong_lands_once_it_rests(hovering: Rig) -> None:
+    """To stand still by it is to move with its error, and the autopilot does so while it comes down. Told to land in motion it
+    would look for its own place to stop, 0.6 s and more farther on.
+    """
     wrong_s = under_way(hovering, PoseHealth.WRONG)
-    hovering.run(0.2)
-    assert hovering.pilot.phase is FlightPhase.LANDING
+    times, places = setpoints(hovering, wrong_s - 0.2)
+    assert np.linalg.norm(places[1] - places[0]) / (times[1] - times[0]) > 0.3, "under way"
+    hovering.until(FlightPhase.LANDING, 0.6)
+    _, places = setpoints(hovering, hovering.clock.now_s() - 0.05)
+    assert np.ptp(places[-2:], axis=0).max() < 0.005, "at rest"
     assert hovering.tap.since(wrong_s)[f"COMMAND_LONG {MODE}"] == 1
     assert hovering.state.note == "poses disagree"
     hovering.until(FlightPhase.LANDED, 15.0)

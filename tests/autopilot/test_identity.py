@@ -8,7 +8,6 @@ from collections.abc import Callable
 import pytest
 from flight_rig import ARM, MODE, SETPOINT, Rig
 from pymavlink.dialects.v20 import common as mavlink
-from test_flight_ardupilot import CopterRig
 
 from uav_recon.autopilot.gate import AllowList, Gate
 from uav_recon.autopilot.identity import Identity
@@ -50,14 +49,6 @@ def silence(rig: Rig, seconds: float) -> None:
     rig.tap.deaf = True
     rig.run(seconds)
     rig.tap.deaf = False
-
-
-@pytest.fixture(scope="module")
-def both_flown_up() -> dict[str, Rig]:
-    rigs = {"px4": Rig(), "ardupilot": CopterRig()}
-    for rig in rigs.values():
-        rig.airborne()
-    return rigs
 
 
 @pytest.fixture(params=["px4", "ardupilot"])

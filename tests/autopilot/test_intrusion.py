@@ -37,14 +37,6 @@ class Crowd:
         voice.seq = (voice.seq + 1) % 256
 
 
-@pytest.fixture(scope="module")
-def both_flown_up() -> dict[str, Rig]:
-    rigs = {"px4": Rig(), "ardupilot": CopterRig()}
-    for rig in rigs.values():
-        rig.airborne()
-    return rigs
-
-
 @pytest.fixture(params=["px4", "ardupilot"])
 def flying(request: pytest.FixtureRequest, both_flown_up: dict[str, Rig]) -> tuple[Rig, Crowd]:
     rig = copy.deepcopy(both_flown_up[request.param])

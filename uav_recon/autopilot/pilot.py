@@ -251,7 +251,8 @@ class Pilot:
         wanted = f"take-off given up: {self._grounded}" if self._grounded else wanted
         blocked = ": ".join(filter(None, (self._low, self._steering.blocked))) if self._steering.blocked else ""
         why = self._land_wanted or (self._low if self._rung is Rung.LAND else "") or blocked or wanted
-        if why:
+        brakes = self._rung is Rung.LAND and not self._land_wanted and not self._steering.at_rest
+        if why and not brakes:  # a firmware told to land in motion looks for its own place to stop, farther on
             self._enter(FlightPhase.LANDING, why)
             self._land(now_s)
 

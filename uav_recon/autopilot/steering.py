@@ -48,6 +48,11 @@ class Steering:
         self.evasion = Evasion(guard)
         self.blocked, self.gave_way, self.moves = "", 0, False
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether the newest setpoint is."""
+        return self._flown is None or not np.any(self._flown.velocity_mps)
+
     def was_at(self, odom_from_body: Pose) -> None:
         """In flight, and not on the way back."""
         self._crumbs.drop(odom_from_body)
@@ -80,7 +85,7 @@ class Steering:
 
     def _fly(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
         trajectory = self._mandate.trajectory
-        self._braking = self._braking and self._flown is not None and bool(np.any(self._flown.velocity_mps))
+        self._braking = self._braking and not self.at_rest
         if trajectory is None or self._braking:
             return self._guard.clear(None, situation)
         off_m = self._soon_off_its_way_m(situation)
