@@ -230,9 +230,7 @@ class MotionConfig(Section):
     climb_mps: Annotated[float, Field(ge=0.05, le=3.0)] = 0.6  # upwards, inside the autopilot's MPC_Z_VEL_MAX_UP, WP_SPD_UP
     descent_mps: Annotated[float, Field(ge=0.05, le=3.0)] = 0.4  # downwards, inside the autopilot's MPC_Z_VEL_MAX_DN, WP_SPD_DN
     acceleration_mps2: Annotated[float, Field(ge=0.05, le=5.0)] = 1.2  # along and across
-    run_on_s: Annotated[float, Field(ge=0.0, le=5.0)] = (
-        1.3  # at each speed, by an autopilot that hears nothing more: room for it
-    )
+    run_on_s: Annotated[float, Field(ge=0.0, le=5.0)] = 1.3  # room for flying on, at each speed, unheard by the autopilot
     yaw_rate_degps: Annotated[float, Field(ge=1.0, le=120.0)] = 45.0  # rotation
     yaw_acceleration_degps2: Annotated[float, Field(ge=1.0, le=1000.0)] = 90.0  # rotation
     smoothing_s: Annotated[float, Field(gt=0.0, le=5.0)] = 0.4  # total width of the smoothing that bounds the jerk

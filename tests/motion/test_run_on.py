@@ -8,7 +8,7 @@ from hall import CLEARANCE_M, CONFIG, HALL, paths, room, room_around, straight, 
 from hypothesis import given, settings
 
 from uav_recon.motion import MotionPlanner
-from uav_recon.motion.bounds import RUN_ON_MPS
+from uav_recon.motion.flight import RUN_ON_MPS
 from uav_recon.motion.pace import PUSHED_ON_S
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import ViewPath

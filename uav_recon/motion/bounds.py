@@ -7,7 +7,6 @@ import math
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray
 
-RUN_ON_MPS = 0.2  # never slower on account of what lies ahead: a vehicle has to get on
 CALM_SPANS = 1  # on either side of a view: the frame comes a little late, and smoothing brings in what is around
 ENTRY_SPANS = 2  # in which a motion that is entered beyond a limit by what smoothing costs comes back to it
 
@@ -29,13 +28,6 @@ def _room_speeds(
             j += 1
         share = min(max((least_m - clearance_m) / open_m, 0.0), 1.0)
         out[n] = min(tight_speed, speed) + share * max(speed - tight_speed, 0.0)
-
-
-@kernel
-def run_on_speeds(way_m: AnyArray, run_on_s: float, out: AnyArray) -> None:
-    """The speed (M,) from which an autopilot that hears nothing more comes to rest within the way (M,) that there is."""
-    for n in range(len(out)):
-        out[n] = max(way_m[n] / max(run_on_s, 1e-9), RUN_ON_MPS)
 
 
 @kernel

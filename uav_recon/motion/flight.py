@@ -9,7 +9,7 @@ import numpy as np
 
 from uav_recon.config import MotionConfig
 from uav_recon.motion.band import SPAN_M, SPAN_S, Band
-from uav_recon.motion.bounds import caps, run_on_speeds
+from uav_recon.motion.bounds import caps
 from uav_recon.motion.clearing import ROOT, Space, rooms, ways_ahead
 from uav_recon.motion.entry import Entry
 from uav_recon.motion.pace import FASTEST, PER_SPAN, PUSHED_ON_S, TINY, Curve, fastest, instants, sampled, smoothed
@@ -19,6 +19,7 @@ from uav_recon.types.trajectory import Trajectory
 
 OPEN_M = 0.3  # full speed where there is so much room beyond the clearance
 SPREAD_M = 0.2  # a tight place is slow from so far before it to so far behind it: what smoothing mixes
+RUN_ON_MPS = 0.2  # never slower on account of what lies ahead: a vehicle has to get on
 SHARE = 0.97  # of the limits of acceleration: the rest covers the distance between nodes ...
 FULL = 0.995  # ... and of those of speed
 TRIES = 4
@@ -156,22 +157,20 @@ class Pacer:
 
         It flies straight on, or where the bend at the greatest speed leads that it keeps.
         """
-        most_mps = np.full(len(curve.along_m), np.inf)
         if space is None or self.run_on_s == 0.0:
-            return most_mps
+            return np.full(len(curve.along_m), np.inf)
         slope, bend = curve.slope[:, :3], curve.bend[:, :3]
         x = np.minimum(
             (self.speed / np.maximum(np.linalg.norm(slope, axis=1), TINY)) ** 2,
             self.acceleration / np.maximum(np.linalg.norm(bend, axis=1), TINY),
         )[:, None]
         far_m = (self.speed + PUSHED_ON_S * self.acceleration) * self.run_on_s
-        least_m, way_m = self.hull_m + 0.5 * space.resolution_m, np.full_like(most_mps, far_m)  # to a voxel's side
+        least_m, way_m = self.hull_m + 0.5 * space.resolution_m, np.full(len(curve.along_m), far_m)  # to a voxel's side
         for heading in (slope, slope * np.sqrt(x) + PUSHED_ON_S * bend * x):
             ways_ahead(
                 space.distance2, space.frame, space.resolution_m, ROOT, curve.place, heading, least_m, way_m
             )  # fmt: skip
-        run_on_speeds(way_m, self.run_on_s, most_mps)
-        return most_mps
+        return np.maximum(way_m / self.run_on_s, RUN_ON_MPS)
 
     def _smoothed(self, band: Band, entry: Entry, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float) -> Flight:
         """What the way differs from the entry's own going on is smoothed and added to that."""
