@@ -109,6 +109,7 @@ def test_ctrl_c_lands_and_still_writes_the_report(tmp_path: Path) -> None:
     assert len(pids) >= 6  # world, pilot, perception, mission, mapper, recorder
     sim.process.send_signal(signal.SIGINT)
     said = sim.end()
+    assert (tmp_path / "f" / "report.json").exists(), said
     report = Report.load(tmp_path / "f" / "report.json")
     assert report.outcome == "aborted: the operator asked to land"
     assert report.safety.contacts == 0
