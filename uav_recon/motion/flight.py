@@ -155,22 +155,24 @@ class Pacer:
     def _heeding_silence(self, curve: Curve, space: Space | None) -> FloatArray:
         """Speeds (M,) from which an autopilot that hears nothing any more touches nothing before it is at rest.
 
-        It flies straight on, or where the bend at the greatest speed leads that it keeps.
+        It flies straight on, or where the bend at the greatest speed leads that it keeps, which makes it faster.
         """
         if space is None or self.run_on_s == 0.0:
             return np.full(len(curve.along_m), np.inf)
         slope, bend = curve.slope[:, :3], curve.bend[:, :3]
-        x = np.minimum(
-            (self.speed / np.maximum(np.linalg.norm(slope, axis=1), TINY)) ** 2,
-            self.acceleration / np.maximum(np.linalg.norm(bend, axis=1), TINY),
-        )[:, None]
+        flat = np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), TINY)
+        across = bend - np.sum(bend * slope, axis=1, keepdims=True) / flat**2 * slope
+        most = np.maximum(np.linalg.norm(bend, axis=1, keepdims=True), TINY)
+        fastest_x = np.minimum((self.speed / flat) ** 2, self.acceleration / most)
+        bent = slope + PUSHED_ON_S * np.sqrt(fastest_x) * across
         far_m = (self.speed + PUSHED_ON_S * self.acceleration) * self.run_on_s
-        least_m, way_m = self.hull_m + 0.5 * space.resolution_m, np.full(len(curve.along_m), far_m)  # to a voxel's side
-        for heading in (slope, slope * np.sqrt(x) + PUSHED_ON_S * bend * x):
-            ways_ahead(
-                space.distance2, space.frame, space.resolution_m, ROOT, curve.place, heading, least_m, way_m
-            )  # fmt: skip
-        return np.maximum(way_m / self.run_on_s, RUN_ON_MPS)
+        least_m, most_mps = self.hull_m + 0.5 * space.resolution_m, np.full(len(slope), np.inf)  # to a voxel's side
+        for heading in (slope, bent):
+            way_m = np.full(len(slope), far_m)
+            ways_ahead(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, heading, least_m, way_m)
+            faster = np.linalg.norm(heading, axis=1) / flat[:, 0]
+            most_mps = np.minimum(most_mps, way_m / (self.run_on_s * np.maximum(faster, 1.0)))
+        return np.maximum(most_mps, RUN_ON_MPS)
 
     def _smoothed(self, band: Band, entry: Entry, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float) -> Flight:
         """What the way differs from the entry's own going on is smoothed and added to that."""
