@@ -26,6 +26,18 @@ def flown_up() -> Rig:
     return rig
 
 
+@pytest.fixture(scope="session")
+def both_flown_up() -> dict[str, Rig]:
+    """Hovering with each firmware: to be copied, not flown."""
+    from flight_rig import Rig
+    from test_flight_ardupilot import CopterRig
+
+    rigs = {"px4": Rig(), "ardupilot": CopterRig()}
+    for rig in rigs.values():
+        rig.airborne()
+    return rigs
+
+
 @pytest.fixture
 def hovering(flown_up: Rig) -> Rig:
     return copy.deepcopy(flown_up)
