@@ -166,13 +166,14 @@ class Pacer:
         fastest_x = np.minimum((self.speed / flat) ** 2, self.acceleration / most)
         bent = slope + PUSHED_ON_S * np.sqrt(fastest_x) * across
         far_m = (self.speed + PUSHED_ON_S * self.acceleration) * self.run_on_s
-        least_m, most_mps = self.hull_m + 0.5 * space.resolution_m, np.full(len(slope), np.inf)  # to a voxel's side
+        least_m = self.hull_m + 0.5 * space.resolution_m  # to a voxel's side
+        most_mps = np.full(len(slope), np.inf)
         for heading in (slope, bent):
             way_m = np.full(len(slope), far_m)
             ways_ahead(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, heading, least_m, way_m)
             faster = np.linalg.norm(heading, axis=1) / flat[:, 0]
             most_mps = np.minimum(most_mps, way_m / (self.run_on_s * np.maximum(faster, 1.0)))
-        return np.maximum(most_mps, RUN_ON_MPS)
+        return np.asarray(np.maximum(most_mps, RUN_ON_MPS))
 
     def _smoothed(self, band: Band, entry: Entry, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float) -> Flight:
         """What the way differs from the entry's own going on is smoothed and added to that."""
