@@ -4,7 +4,8 @@ Depth has 87x58 degrees, colour 69x42 degrees, both 424x240 pixels; the colour i
 infrared imager, in which depth is expressed. Stereo is matched at 848x480 and delivered at half of that, so the disparity
 error is in pixels of the matched picture: sigma_z = z² · 0.08 px / (f · b), with f = 447 px and b = 5 cm 14 mm at 2 m.
 
-Model `fast` is the same device asked for less: depth decimated once more, six pictures a second, colour off.
+Models `fast` and `small` are the same device asked for less: depth decimated once more, six pictures a second, and colour off
+or as small.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ GRAZING_COS, GRAZING_SPREAD = 0.175, 0.02
 MOUNT_M = (0.10, 0.0, 0.0)  # depth imager in the body
 COLOUR_FROM_DEPTH_M = (0.015, 0.0, 0.0)
 
-Model = Literal["d435i", "wide", "fast"]
+Model = Literal["d435i", "wide", "fast", "small"]
 Noise = Literal["d435i", "paper", "kinect", "none"]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -51,16 +52,18 @@ def pinhole(width: int, height: int, horizontal_deg: float, vertical_deg: float)
 DEPTH_SPEC = pinhole(WIDTH, HEIGHT, 87.0, 58.0)
 COLOUR_SPEC = pinhole(WIDTH, HEIGHT, 69.0, 42.0)
 FAST_DEPTH_SPEC = pinhole(WIDTH // 2, HEIGHT // 2, 87.0, 58.0)
+SMALL_COLOUR_SPEC = pinhole(WIDTH // 2, HEIGHT // 2, 69.0, 42.0)
 NO_COLOUR_SPEC = pinhole(4, 2, 69.0, 42.0)
-RATES_HZ: dict[Model, float] = {"d435i": 10.0, "wide": 10.0, "fast": 6.0}
+RATES_HZ: dict[Model, float] = {"d435i": 10.0, "wide": 10.0, "fast": 6.0, "small": 6.0}
 
 
 def stream_header(model: Model) -> StreamHeader:
     """Both cameras and the pose between them; `wide` has one registered camera, `fast` a black stamp for colour."""
     if model == "wide":
         return StreamHeader(DEPTH_SPEC, DEPTH_SPEC, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    if model == "fast":
-        return StreamHeader(FAST_DEPTH_SPEC, NO_COLOUR_SPEC, (1.0, 0.0, 0.0, 0.0, *COLOUR_FROM_DEPTH_M))
+    if model in ("fast", "small"):
+        colour = SMALL_COLOUR_SPEC if model == "small" else NO_COLOUR_SPEC
+        return StreamHeader(FAST_DEPTH_SPEC, colour, (1.0, 0.0, 0.0, 0.0, *COLOUR_FROM_DEPTH_M))
     return StreamHeader(DEPTH_SPEC, COLOUR_SPEC, (1.0, 0.0, 0.0, 0.0, *COLOUR_FROM_DEPTH_M))
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sitl.d435i import Model
 from sitl.faults.arena import arena
 from sitl.faults.attendance import TIMEOUT_S
 from sitl.faults.everywhere import violations
@@ -36,6 +37,7 @@ class Stage:
     views: int
     radius_m: float = HULL_RADIUS_M
     variant: str = "adaptive"
+    camera: Model = "fast"
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class FaultCase:
     def stage(self) -> Stage:
         """Cases with the same one are the same flight until their troubles begin."""
         row = ROWS[self.row]
-        return Stage(self.autopilot, self.number, row.arena, row.views, row.radius_m(self.number), row.variant)
+        return Stage(self.autopilot, self.number, row.arena, row.views, row.radius_m(self.number), row.variant, row.camera)
 
 
 @dataclass(frozen=True)
@@ -152,11 +154,12 @@ def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str
         autopilot=stage.autopilot,
         radius=stage.radius_m,
         variant=stage.variant,
+        camera=stage.camera,
         mapper="stand-in",
         lockstep=True,
         out=folder / "flight",
     )
-    scene = arena(stage.arena, options.radius_m)
+    scene = arena(stage.arena, options.radius_m, painted=stage.camera != "fast")
     options.make_folder()
     config = attended(options.config(scene, folder))
     product_config.save(config, options.out / "config.toml")

@@ -20,7 +20,7 @@ from uav_recon.usage import UsageError, looked_at
 __all__ = ["SimOptions", "UsageError"]
 
 NOISES = ("d435i", "paper", "kinect", "none")
-CAMERAS = ("d435i", "wide", "fast")
+CAMERAS = ("d435i", "wide", "fast", "small")
 MAPPERS = ("neural", "stand-in")
 VARIANTS, UNCERTAINTIES = get_args(VariantName), get_args(UncertaintyName)
 AUTOPILOTS = ("px4", "ardupilot")
@@ -119,7 +119,7 @@ class SimOptions:
     def config(self, scene: Scene, runtime: Path) -> Config:
         """The product's config for this flight. Raises ConfigError."""
         gimbal = self.mount_pitch_down_deg is None
-        noise_px = NOISE_PX[self.depth_noise] / (2.0 if self.camera == "fast" else 1.0)
+        noise_px = NOISE_PX[self.depth_noise] / (2.0 if self.camera in ("fast", "small") else 1.0)
         tree = {
             "safety": {
                 "fence_min_m": [float(x) for x in scene.fence_min],

@@ -115,7 +115,8 @@ def _autopilot(options: WorldOptions, scene: Scene, link: ByteEnd, pace: Pace) -
 
 def _renderer(scene: Scene, camera: d435i.Model) -> Renderer:
     if camera != "fast":
-        return Renderer(scene.vertices, scene.faces, scene.rgb)
+        seen = scene.paint or scene
+        return Renderer(seen.vertices, seen.faces, seen.rgb)
     vertices, faces = merged(scene.vertices, scene.faces)  # it sees no colour
     return Renderer(vertices, faces, np.zeros(vertices.shape, np.uint8))
 

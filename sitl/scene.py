@@ -45,7 +45,8 @@ class Scene:
     """A checked scene in the world: ENU metres, origin at the body centre of the vehicle standing at the start.
 
     vertices (V, 3) float32, faces (F, 3) int32, rgb (V, 3) uint8; fence_min and fence_max (3,) metres;
-    scene_from_world_m (3,) is added to a world point to get the file's own coordinates.
+    scene_from_world_m (3,) is added to a world point to get the file's own coordinates. paint: the same surfaces cut as finely
+    as a camera that sees colour needs them, where these are not.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Scene:
     fence_min: F64
     fence_max: F64
     scene_from_world_m: F64
+    paint: Mesh | None = None
 
 
 def load_scene(

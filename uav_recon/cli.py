@@ -82,8 +82,8 @@ def sim(
     camera: Annotated[
         str | None,
         typer.Option(
-            help="d435i (colour narrower than depth), wide (one registered RGB-D camera) or fast (a d435i at a quarter of its "
-            "pixels, 6 Hz, no colour). Default: d435i, or fast where the mapper is a stand-in."
+            help="d435i (colour narrower than depth), wide (one registered RGB-D camera), fast (a d435i at a quarter of its "
+            "pixels, 6 Hz, no colour) or small (the same in colour). Default: d435i, or fast where the mapper is a stand-in."
         ),
     ] = None,
     mapper: Annotated[
@@ -140,7 +140,7 @@ def sweep(
     radii: Annotated[str, typer.Option(help="Radii of the vehicle in metres, with commas between.")] = "0.20",
     variants: Annotated[str, typer.Option(help="Planner variants as `sim` has them, with commas between.")] = "adaptive",
     mount: Annotated[str, typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount.")] = "fixed:15",
-    camera: Annotated[str, typer.Option(help="d435i, wide or fast.")] = "fast",
+    camera: Annotated[str, typer.Option(help="d435i, wide, fast or small.")] = "fast",
     views: Annotated[int | None, typer.Option(min=4, max=5000, help="View budget. Default: as `sim`.")] = None,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; one core each.")] = 2,
     json: Annotated[

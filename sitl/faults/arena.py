@@ -5,12 +5,15 @@ gallery to be far from home in.
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
+
+import numpy as np
 
 from sitl.faults.passage import Gap
 from sitl.mesh import Mesh, joined
 from sitl.scene import Scene, place
 from sitl.solids import Workshop
-from sitl.texture import checks, plain
+from sitl.texture import plain, wood
 
 LENGTH_M, WIDTH_M, HEIGHT_M = 10.0, 7.0, 2.8
 START = (1.4, 3.5, 1.2, 0.0)
@@ -18,21 +21,26 @@ PEN = (0.4, 1.0, 0.0, 8.4, 6.0, 2.6)
 SMALL_M = (5.8, 2.8, 2.4)  # of both rooms: soon looked round in
 GALLERY_M = (32.0, 3.5, 2.8)
 GAP, GAP_WIDTH_M = Gap(1.2, 2.2), 0.9
-_WALLS = checks((0.8, 0.8, 0.75), (0.6, 0.62, 0.65), 0.4)
+_WALLS, _FLOOR, _GREY = plain((0.80, 0.80, 0.75)), wood((0.55, 0.42, 0.30)), plain((0.50, 0.50, 0.55))
 
 
 @functools.cache  # a campaign flies in the same few, again and again
-def arena(name: str, radius_m: float) -> Scene:
-    """hall, pen, corridor or gallery. The start is the same in all."""
-    pieces = {"corridor": _corridor, "gallery": _gallery}.get(name, _hall)()
-    return place(name, joined(pieces), START, PEN if name == "pen" else None, radius_m)
+def arena(name: str, radius_m: float, painted: bool = False) -> Scene:
+    """hall, pen, corridor or gallery. The start is the same in all. painted: for a camera that sees colour; a second."""
+    pieces = {"corridor": _corridor, "gallery": _gallery}.get(name, _hall)
+    scene = place(name, joined(pieces(Workshop(fine=False))), START, PEN if name == "pen" else None, radius_m)
+    if not painted:
+        return scene
+    fine = joined(pieces(Workshop()))
+    vertices = np.ascontiguousarray(fine.vertices - scene.scene_from_world_m, np.float32)
+    return replace(scene, paint=replace(fine, vertices=vertices))
 
 
-def _shell(x: float, y: float, z: float) -> list[Mesh]:
+def _shell(w: Workshop, x: float, y: float, z: float) -> list[Mesh]:
     """Of a length, a width whose middle is the hall's, and a height."""
-    w, low, high = Workshop(fine=False), 0.5 * (WIDTH_M - y), 0.5 * (WIDTH_M + y)
+    low, high = 0.5 * (WIDTH_M - y), 0.5 * (WIDTH_M + y)
     return [
-        w.patch((0, low, 0), (x, 0, 0), (0, y, 0), _WALLS),
+        w.patch((0, low, 0), (x, 0, 0), (0, y, 0), _FLOOR),
         w.patch((0, low, z), (0, y, 0), (x, 0, 0), _WALLS),
         w.patch((0, low, 0), (0, 0, z), (x, 0, 0), _WALLS),
         w.patch((0, high, 0), (x, 0, 0), (0, 0, z), _WALLS),
@@ -41,31 +49,30 @@ def _shell(x: float, y: float, z: float) -> list[Mesh]:
     ]
 
 
-def _hall() -> list[Mesh]:
-    w, grey = Workshop(fine=False), plain((0.5, 0.5, 0.55))
+def _hall(w: Workshop) -> list[Mesh]:
     return [
-        *_shell(LENGTH_M, WIDTH_M, HEIGHT_M),
-        w.box((4.2, 1.2, 0.0), (4.7, 1.7, HEIGHT_M), grey),
-        w.box((6.5, 5.0, 0.0), (7.0, 5.5, HEIGHT_M), grey),
-        w.box((7.6, 1.4, 0.0), (9.0, 2.0, 0.8), grey),
+        *_shell(w, LENGTH_M, WIDTH_M, HEIGHT_M),
+        w.box((4.2, 1.2, 0.0), (4.7, 1.7, HEIGHT_M), _GREY),
+        w.box((6.5, 5.0, 0.0), (7.0, 5.5, HEIGHT_M), _GREY),
+        w.box((7.6, 1.4, 0.0), (9.0, 2.0, 0.8), _GREY),
     ]
 
 
-def _gallery() -> list[Mesh]:
-    w, grey, (_, middle, *_) = Workshop(fine=False), plain((0.5, 0.5, 0.55)), START
+def _gallery(w: Workshop) -> list[Mesh]:
+    _, middle, *_ = START
     pillars = [(9.0, 0.9), (16.0, -0.9), (23.0, 0.9)]
     return [
-        *_shell(*GALLERY_M),
-        *(w.box((x, middle + y - 0.2, 0.0), (x + 0.4, middle + y + 0.2, GALLERY_M[2]), grey) for x, y in pillars),
+        *_shell(w, *GALLERY_M),
+        *(w.box((x, middle + y - 0.2, 0.0), (x + 0.4, middle + y + 0.2, GALLERY_M[2]), _GREY) for x, y in pillars),
     ]
 
 
-def _corridor() -> list[Mesh]:
-    w, grey, (_, width_m, height_m) = Workshop(fine=False), plain((0.5, 0.5, 0.55)), SMALL_M
+def _corridor(w: Workshop) -> list[Mesh]:
+    _, width_m, height_m = SMALL_M
     (pad_m, middle, *_), half_m = START, 0.5 * GAP_WIDTH_M
     begin, end = pad_m + GAP.begin_m, pad_m + GAP.end_m
     return [
-        *_shell(*SMALL_M),
-        w.box((begin, middle - 0.5 * width_m, 0.0), (end, middle - half_m, height_m), grey),
-        w.box((begin, middle + half_m, 0.0), (end, middle + 0.5 * width_m, height_m), grey),
+        *_shell(w, *SMALL_M),
+        w.box((begin, middle - 0.5 * width_m, 0.0), (end, middle - half_m, height_m), _GREY),
+        w.box((begin, middle + half_m, 0.0), (end, middle + 0.5 * width_m, height_m), _GREY),
     ]

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from sitl.d435i import Model
 from sitl.faults.everywhere import USUAL, Room
 from sitl.faults.evidence import Evidence
 from sitl.faults.injector import Injector, Needs
@@ -57,8 +58,8 @@ class Row:
     """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere. why: it
     cannot be flown in lockstep. live: its injectors in real time, where that is another flight. longest_s: watched so long
     after the trouble began, and stands_s once the motors stand. times: in lockstep it is flown so many times as often as a row
-    is. radii_m: of the hull, cases take turns. variant: of the planner. room: that it keeps. A flight with a
-    real firmware is any whose troubles need nothing but what that firmware has.
+    is. radii_m: of the hull, cases take turns. variant: of the planner. camera: fast, or small where colour matters. room: that
+    it keeps. A flight with a real firmware is any whose troubles need nothing but what that firmware has.
     """
 
     id: str
@@ -75,6 +76,7 @@ class Row:
     live: Callable[[int], Sequence[Injector]] | None = None
     times: int = 1
     variant: str = "adaptive"
+    camera: Model = "fast"
     radii_m: tuple[float, ...] = (HULL_RADIUS_M,)
     room: Room = USUAL
     stands_s: float = STANDS_S

@@ -254,6 +254,7 @@ TABLE_B = (
         lambda n: [Altered(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
         (clear(0.10), Bar("alarm", m.told_after(), 10.0, "s")),
         longest_s=80.0,
+        camera="small",
     ),
     Row("B6", "height drifts, scale is wrong", "z ramp, scale 0.9 and 1.1", why="waits for perception"),
     Row(

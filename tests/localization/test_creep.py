@@ -4,51 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from painted_room import BARE, CAMERA, Paint, camera_at, depth_of, frame_of, moved, plaster, rgb_of
 
 from uav_recon.localization.creep import Creep
 from uav_recon.localization.patches import patches, pull
-from uav_recon.types.camera import Intrinsics, body_from_camera
+from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 
-LENS = Intrinsics.from_fov(212, 120, 1.52, 1.01)
-CAMERA = np.array([LENS.fx, LENS.fy, LENS.cx, LENS.cy])
-BODY_FROM_DEPTH = body_from_camera(np.zeros(3), 0.26)
 PERIOD_S = 1.0 / 6.0
 SMALL_M = np.array([[-3.0, -2.0, 0.0], [3.0, 2.5, 2.6]])
 LARGE_M = np.array([[-9.0, -9.0, 0.0], [4.7, 9.0, 9.0]])
 CABINET_M = np.array([[1.5, 0.7, 0.0], [2.0, 1.2, 2.6]])
 PARTITION_M = np.array([[0.0, -5.0, 0.0], [0.11, 0.8, 9.0]])
-NOISE_PER_M = 0.005  # of depth, per square of the range
-GONE_M = 6.0
-
-
-def _depth(odom_from_depth: Pose, room_m: FloatArray, *boxes_m: FloatArray, seed: int = 0) -> Float32Array:
-    """By slabs, with the noise of a stereo camera: out of the room, and into boxes (2, 3)."""
-    rays, start = LENS.bearings() @ odom_from_depth.rotation().T, odom_from_depth.translation_m
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = np.where(rays > 0, (room_m[1] - start) / rays, (room_m[0] - start) / rays).min(axis=-1)
-        for box_m in boxes_m:
-            near = np.minimum((box_m[0] - start) / rays, (box_m[1] - start) / rays).max(axis=-1)
-            far = np.maximum((box_m[0] - start) / rays, (box_m[1] - start) / rays).min(axis=-1)
-            depth = np.where((near <= far) & (near > 0), np.minimum(near, depth), depth)
-    depth = 1.0 / (1.0 / depth + NOISE_PER_M * np.random.default_rng(seed).standard_normal(depth.shape))
-    return np.where(depth < GONE_M, depth, np.nan).astype(np.float32)
-
-
-def _camera(x: float, y: float, z: float, yaw_rad: float) -> Pose:
-    return Pose.from_yaw(yaw_rad, np.array([x, y, z])) @ BODY_FROM_DEPTH
-
-
-def _moved(pose: Pose, by_m: FloatArray) -> Pose:
-    return Pose(pose.quat_wxyz, pose.translation_m + by_m)
+OPEN_M, BOARD_M = np.array([[-20.0, -20.0, -20.0], [20.0, 20.0, 20.0]]), np.array([[2.0, -19.0, -19.0], [3.0, 19.0, 19.0]])
 
 
 class Flight:
-    """At 6 Hz; odom is off by a velocity from begins_s on."""
+    """At 6 Hz; odom is off by a velocity from begins_s on. paint: what there is is bare without."""
 
-    def __init__(self, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0), begins_s: float = 0.0) -> None:
-        self.creep, self.n, self.peak_mps = Creep(), 0, 0.0
+    def __init__(
+        self, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0), begins_s: float = 0.0, paint: Paint | None = None
+    ) -> None:
+        self.creep, self.n, self.peak_mps, self._paint = Creep(), 0, 0.0, paint
         self._velocity, self._begins_s = np.array(velocity), begins_s
 
     @property
@@ -57,13 +35,15 @@ class Flight:
 
     def see(self, camera: Pose, room_m: FloatArray = SMALL_M, *boxes_m: FloatArray, jump_m: float = 0.0) -> None:
         by_m = self._velocity * max(self.now_s - self._begins_s, 0.0) + (jump_m, 0.0, 0.0)
-        self.creep.hear(self.now_s, _depth(camera, room_m, *boxes_m, seed=self.n), LENS, _moved(camera, by_m))
+        rgb = BARE if self._paint is None else rgb_of(camera, self._paint, room_m, *boxes_m, seed=self.n)
+        frame = frame_of(self.now_s, depth_of(camera, room_m, *boxes_m, seed=self.n), rgb)
+        self.creep.hear(frame, moved(camera, by_m))
         self.peak_mps = max(self.peak_mps, float(np.linalg.norm(self.creep.velocity_mps)))
         self.n += 1
 
     def look_about(self, seconds: float) -> None:
         for _ in range(round(seconds / PERIOD_S)):
-            self.see(_camera(0.3 * np.sin(0.07 * self.n), 0.0, 1.2, 0.5 * np.sin(0.1 * self.n)), SMALL_M, CABINET_M)
+            self.see(camera_at(0.3 * np.sin(0.07 * self.n), 0.0, 1.2, 0.5 * np.sin(0.1 * self.n)), SMALL_M, CABINET_M)
 
 
 @pytest.mark.parametrize("way", [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.05), (0.1, 0.0, 0.0)])
@@ -84,7 +64,7 @@ def test_going_round_a_partition_is_no_creep() -> None:
     flight = Flight()
     for n in range(60):
         turned = np.pi * np.clip((n - 20) / 20, 0.0, 1.0)
-        flight.see(_camera(-0.9 * np.cos(turned), 0.8 + 0.6 * np.sin(turned), 1.2, -0.6 - turned), LARGE_M, PARTITION_M)
+        flight.see(camera_at(-0.9 * np.cos(turned), 0.8 + 0.6 * np.sin(turned), 1.2, -0.6 - turned), LARGE_M, PARTITION_M)
     assert flight.peak_mps < 0.005
 
 
@@ -92,19 +72,37 @@ def test_a_wall_far_off_tells_as_much_as_a_floor_that_is_near() -> None:
     """As it was over a hall's floor: at 4 m the noise of a few pixels made normals of a wall that were none."""
     flight = Flight((0.05, 0.0, 0.0), begins_s=6.0)
     for n in range(72):
-        flight.see(_camera(0.2, 0.02 * n, 1.2, 0.0), LARGE_M)
+        flight.see(camera_at(0.2, 0.02 * n, 1.2, 0.0), LARGE_M)
     assert flight.creep.velocity_mps[0] == pytest.approx(0.045, abs=0.012)
 
 
 def test_along_a_bare_wall_nothing_can_be_told() -> None:
-    far_off_m, wall_m = (
-        np.array([[-20.0, -20.0, -20.0], [20.0, 20.0, 20.0]]),
-        np.array([[2.0, -19.0, -19.0], [3.0, 19.0, 19.0]]),
-    )
     flight = Flight((0.05, 0.05, 0.0))
     for _ in range(84):
-        flight.see(_camera(0.0, 0.0, 1.2, 0.0), far_off_m, wall_m)
+        flight.see(camera_at(0.0, 0.0, 1.2, 0.0), OPEN_M, BOARD_M)
     np.testing.assert_allclose(flight.creep.velocity_mps, (0.045, 0.0, 0.0), atol=0.006)
+
+
+def test_along_a_wall_its_paint_tells() -> None:
+    flight = Flight((0.05, 0.05, 0.0), paint=plaster)
+    for n in range(84):
+        flight.see(camera_at(0.0, 0.05 * n, 1.2, 0.02 * n), OPEN_M, BOARD_M)
+    np.testing.assert_allclose(flight.creep.velocity_mps, (0.045, 0.045, 0.0), atol=0.008)
+
+
+def test_paint_that_stays_does_not_creep() -> None:
+    flight = Flight(paint=plaster)
+    flight.look_about(20.0)
+    assert flight.peak_mps < 0.004
+
+
+def test_what_walks_by_does_not_pull() -> None:
+    """As broad as a third of the picture, painted as the wall is."""
+    flight = Flight(paint=plaster)
+    for n in range(60):
+        person_m = np.array([[1.2, -1.2, 0.0], [1.5, -0.7, 1.8]]) + np.array([0.0, 0.03 * n, 0.0])
+        flight.see(camera_at(0.0, 0.0, 1.2, 0.0), SMALL_M, person_m)
+    assert flight.peak_mps < 0.01
 
 
 def test_views_of_the_first_three_seconds_tell_nothing() -> None:
@@ -120,7 +118,7 @@ def test_what_was_told_fades_and_a_new_odom_begins_anew() -> None:
     flight = Flight((0.05, 0.0, 0.0))
     flight.look_about(12.0)
     for _ in range(150):
-        flight.creep.hear(flight.now_s, np.full((120, 212), np.nan, np.float32), LENS, Pose.identity())
+        flight.creep.hear(frame_of(flight.now_s, np.full((120, 212), np.nan, np.float32)), Pose.identity())
         flight.n += 1
     assert np.linalg.norm(flight.creep.velocity_mps) < 0.01
     flight = Flight((0.05, 0.0, 0.0))
@@ -133,7 +131,7 @@ def test_a_pause_counts_as_a_moment() -> None:
     flight = Flight()
     flight.look_about(4.0)
     flight.n += 12
-    flight.see(_camera(0.0, 0.0, 1.2, 0.0), jump_m=0.05)
+    flight.see(camera_at(0.0, 0.0, 1.2, 0.0), jump_m=0.05)
     assert flight.peak_mps < 0.015
 
 
@@ -142,9 +140,9 @@ def _patches(camera: Pose, depth_m: Float32Array) -> AnyArray:
     return found
 
 
-def test_a_patch_lies_on_its_surface_and_looks_away_from_the_camera() -> None:
-    here = _camera(-0.3, 0.0, 1.2, 0.3)
-    found = _patches(here, _depth(here, LARGE_M))
+def test_a_patch_lies_on_its_surface_and_looks_away_from_thecamera_at() -> None:
+    here = camera_at(-0.3, 0.0, 1.2, 0.3)
+    found = _patches(here, depth_of(here, LARGE_M))
     wall, floor = LARGE_M[1, 0] - found[:, 0], found[:, 2]
     assert len(found) > 250
     assert np.quantile(np.minimum(abs(wall), abs(floor)), 0.99) < 0.15
@@ -153,8 +151,8 @@ def test_a_patch_lies_on_its_surface_and_looks_away_from_the_camera() -> None:
 
 
 def test_the_rim_of_something_is_no_patch() -> None:
-    here = _camera(0.0, 0.9, 1.2, 0.0)
-    found = _patches(here, _depth(here, SMALL_M, CABINET_M))
+    here = camera_at(0.0, 0.9, 1.2, 0.0)
+    found = _patches(here, depth_of(here, SMALL_M, CABINET_M))
     assert len(found) > 200
     planes_m = [*SMALL_M[:, 0], *SMALL_M[:, 1], *SMALL_M[:, 2], *CABINET_M[:, 0], *CABINET_M[:, 1]]
     axes = [0, 0, 1, 1, 2, 2, 0, 0, 1, 1]
@@ -165,8 +163,8 @@ def test_the_rim_of_something_is_no_patch() -> None:
 def test_the_other_face_of_a_board_is_another_surface() -> None:
     """As near to the first as a drift would bring it."""
     board_m = np.array([[0.0, -9.0, 0.0], [0.04, 9.0, 9.0]])
-    before, behind = _camera(-0.8, 0.0, 1.2, 0.0), _camera(0.84, 0.0, 1.2, np.pi)
-    then, depth_m = _patches(before, _depth(before, LARGE_M, board_m)), _depth(behind, LARGE_M, board_m, seed=1)
+    before, behind = camera_at(-0.8, 0.0, 1.2, 0.0), camera_at(0.84, 0.0, 1.2, np.pi)
+    then, depth_m = _patches(before, depth_of(before, LARGE_M, board_m)), depth_of(behind, LARGE_M, board_m, seed=1)
     _, _, held, _ = pull(then, depth_m, CAMERA, behind.rotation(), behind.translation_m, np.zeros(3))
     assert len(then) > 300
     assert held[0, 0] < 1.0
@@ -176,9 +174,9 @@ def test_the_other_face_of_a_board_is_another_surface() -> None:
 def test_what_lies_off_by_more_than_is_expected_does_not_pull(shift_m: float, expected_m: float, explained: bool) -> None:
     """Straight down on a floor."""
     here = Pose.from_yaw(0.0, np.array([0.0, 0.0, 1.2])) @ body_from_camera(np.zeros(3), 1.5)
-    moved, up = _moved(here, np.array([0.0, 0.0, shift_m])), np.array([0.0, 0.0, expected_m])
-    then, depth_m = _patches(here, _depth(here, LARGE_M)), _depth(here, LARGE_M, seed=1)
-    seen, within, held, pulled = pull(then, depth_m, CAMERA, moved.rotation(), moved.translation_m, up)
+    shifted, up = moved(here, np.array([0.0, 0.0, shift_m])), np.array([0.0, 0.0, expected_m])
+    then, depth_m = _patches(here, depth_of(here, LARGE_M)), depth_of(here, LARGE_M, seed=1)
+    seen, within, held, pulled = pull(then, depth_m, CAMERA, shifted.rotation(), shifted.translation_m, up)
     assert seen > 100
     assert (within > 0.95 * seen) if explained else (within == 0)
     if explained:

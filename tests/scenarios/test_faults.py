@@ -69,7 +69,7 @@ def test_a_flight_of_a_campaign_is_the_same_flight_alone(campaign: tuple[Path, d
 
 def flown(row: Row, folder: Path) -> Evidence:
     folder.mkdir(exist_ok=True)
-    return flight([row], Stage("px4", 1, row.arena, row.views, row.radius_m(1), row.variant), folder)
+    return flight([row], Stage("px4", 1, row.arena, row.views, row.radius_m(1), row.variant, row.camera), folder)
 
 
 def test_a_vehicle_pushed_into_a_wall_is_seen(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ _TOLD = 2  # views that say it
 _HIDING = 0.22  # of the points, all nearer, have something before them; more, or some that are farther, and odom has moved
 _FARTHER = 0.02
 _SEEN_THROUGH = 0.4  # of the points of an older picture are not there: more than a person leaves behind; honest: 0.10
-_CREEP_MPS = 0.0135  # honest: 0.010 at most in 64 flights; 0.05 m/s reads 0.028 and more at its peak
+_CREEP_MPS = 0.0145
 _RUNNING = 3  # pictures in a row that say so
 _KEPT_S = 2.0  # what was said holds for so long
 _FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # the camera moved so, and its picture is the same to the bit
@@ -78,7 +78,7 @@ class Credence:
             self._doubted = self._doubted or Stand.of(odom_from_depth)
         else:
             self._doubted, self._calm = None, 0
-            self._creep.hear(*seen)
+            self._creep.hear(frame, odom_from_depth)
             moved = (
                 _moved(self._witness.of_oldest(*seen, ALIKE), _EXPLAINED)
                 or _moved(self._witness.of_oldest(*seen, ALIKE_LATELY), _EXPLAINED)

@@ -8,17 +8,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.patches import patches, pull
-from uav_recon.types.camera import Intrinsics
-from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
+from uav_recon.localization.flow import Flow, Seen
+from uav_recon.localization.patches import REACH_M, REACH_SHARE, patches, pull
+from uav_recon.types.camera import Frame
+from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
 
-_FADES_S = 4.0  # what was seen counts e times less after so long
+_FADES_S = 2.5  # what was seen counts e times less after so long
 _PRIOR_S3 = 0.8  # for no creep at all: as much as 0.8 of the patches say in a second of a view that is a second old
 _LONGEST_STEP_S = 0.5
 _SETTLES_S = 3.0  # odom of its own accord, once it begins: views of then are not kept
 _EVERY_S, _MEMORY_S = 1.0, 3.0  # of a camera that looks about, something is always left
 _FEWEST, _WITHIN = 40, 0.6  # patches that both see, and the share of them that lies within reach: beside a person, 0.7
+_PAINT = 2.0  # what paint says counts so much more than what patches do: there are both of its ways
+_YOUNGEST_S = 0.3  # points that are followed, for so long at least ...
+_FEWEST_POINTS, _POINTS_WITHIN = 10, 0.5  # ... so many, and as above
 
 
 class _View(NamedTuple):
@@ -27,7 +31,8 @@ class _View(NamedTuple):
 
 
 class Creep:
-    """Least squares for the velocity (3,) by which all patches of the past views lie off by the views' age times it.
+    """Least squares for the velocity (3,) by which all patches of the past views, and all points that are followed through the
+    pictures, lie off by their age times it.
 
     The normal equations are summed, not solutions of single views: a direction in which few patches look is told of once
     enough have, and until then by the prior. Not thread-safe.
@@ -36,36 +41,60 @@ class Creep:
     def __init__(self) -> None:
         self._stamp_s = -math.inf
         self._views: deque[_View] = deque()
+        self._flow = Flow()
         self.forget()
 
     def forget(self) -> None:
         """Odom itself jumped: nothing was seen in the new one."""
         self._views.clear()
+        self._flow.forget()
         self._held, self._moved = np.zeros((3, 3)), np.zeros(3)
         self._since_s = math.inf
 
-    def hear(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> None:
-        """Look back from a picture that is believed. Once a picture, about 0.1 ms; it never blocks."""
-        step_s = min(max(stamp_s - self._stamp_s, 0.0), _LONGEST_STEP_S)
+    def hear(self, frame: Frame, odom_from_depth: Pose) -> None:
+        """Look back from a picture that is believed. Once a picture, about 1 ms; it never blocks."""
+        step_s = min(max(frame.stamp_s - self._stamp_s, 0.0), _LONGEST_STEP_S)
         fading = math.exp(-step_s / _FADES_S)
-        self._stamp_s, self._held, self._moved = stamp_s, fading * self._held, fading * self._moved
-        self._since_s = min(self._since_s, stamp_s)
-        camera = np.array([lens.fx, lens.fy, lens.cx, lens.cy])
-        seen = depth_m, camera, odom_from_depth.rotation(), odom_from_depth.translation_m
-        while self._views and stamp_s - self._views[0].stamp_s > _MEMORY_S:
-            self._views.popleft()
+        self._stamp_s, self._held, self._moved = frame.stamp_s, fading * self._held, fading * self._moved
+        self._since_s = min(self._since_s, frame.stamp_s)
         velocity_mps = self.velocity_mps
-        for view in self._views:
-            age_s = stamp_s - view.stamp_s
-            count, within, held, moved = pull(view.patches, *seen, age_s * velocity_mps)
-            if count >= _FEWEST and within >= _WITHIN * count:
-                self._held += step_s * age_s**2 / count * held
-                self._moved += step_s * age_s / count * moved
-        settled = stamp_s >= self._since_s + _SETTLES_S
-        if settled and (not self._views or stamp_s - self._views[-1].stamp_s >= _EVERY_S):
-            self._views.append(_View(stamp_s, patches(*seen)))
+        self._hear_patches(frame, odom_from_depth, step_s, velocity_mps)
+        if self._settled:
+            self._hear_points(self._flow.hear(frame, odom_from_depth), step_s, velocity_mps)
 
     @property
     def velocity_mps(self) -> FloatArray:
         """Of odom against the surfaces, (3,)."""
         return np.asarray(np.linalg.solve(self._held + _PRIOR_S3 * np.eye(3), self._moved), dtype=np.float64)
+
+    @property
+    def _settled(self) -> bool:
+        return self._stamp_s >= self._since_s + _SETTLES_S
+
+    def _hear_patches(self, frame: Frame, odom_from_depth: Pose, step_s: float, velocity_mps: FloatArray) -> None:
+        lens = frame.depth_intrinsics
+        camera = np.array([lens.fx, lens.fy, lens.cx, lens.cy])
+        seen = frame.depth_m, camera, odom_from_depth.rotation(), odom_from_depth.translation_m
+        while self._views and frame.stamp_s - self._views[0].stamp_s > _MEMORY_S:
+            self._views.popleft()
+        for view in self._views:
+            age_s = frame.stamp_s - view.stamp_s
+            count, within, held, moved = pull(view.patches, *seen, age_s * velocity_mps)
+            if count >= _FEWEST and within >= _WITHIN * count:
+                self._held += step_s * age_s**2 / count * held
+                self._moved += step_s * age_s / count * moved
+        if self._settled and (not self._views or frame.stamp_s - self._views[-1].stamp_s >= _EVERY_S):
+            self._views.append(_View(frame.stamp_s, patches(*seen)))
+
+    def _hear_points(self, seen: Seen | None, step_s: float, velocity_mps: FloatArray) -> None:
+        if seen is None:
+            return
+        left_m = np.abs(seen.off_m - (seen.along @ velocity_mps) * seen.age_s[:, None]).max(axis=1)
+        old = seen.age_s >= _YOUNGEST_S
+        fits = old & (left_m <= REACH_M + REACH_SHARE * seen.range_m)
+        count = int(fits.sum())
+        if count < max(_FEWEST_POINTS, _POINTS_WITHIN * int(old.sum())):
+            return
+        along, age_s = seen.along[fits], seen.age_s[fits]
+        self._held += _PAINT * step_s / count * np.einsum("nai,naj,n->ij", along, along, age_s**2)
+        self._moved += _PAINT * step_s / count * np.einsum("nai,na,n->i", along, seen.off_m[fits], age_s)

@@ -20,7 +20,7 @@ _SPAN_PER_M, _WIDEST = 0.007, 0.03  # the same, as shares of the picture's width
 _UNEVEN, _UNEVEN_SHARE = 0.012, 0.01  # 1/m, and share of the inverse depth: off the plane by more; noise has 0.004
 _FACING_COS = 0.15  # looked at from a flatter angle, or from behind, a patch is not compared
 _SAME_COS = 0.8  # between normals of what may be one surface
-_REACH_M, _REACH_SHARE = 0.06, 0.03  # from where it is expected, and so much of the range: noise and pose together
+REACH_M, REACH_SHARE = 0.06, 0.03  # from where it is expected, and so much of the range: noise and pose together
 
 
 @kernel
@@ -77,7 +77,7 @@ def pull(
             off_m += (there - then[n, i]) * then[n, 3 + i]
             left_m += (there - then[n, i] - expected_m[i]) * then[n, 3 + i]
             alike += (rotation[i, 0] * nx + rotation[i, 1] * ny + rotation[i, 2] * nz) * then[n, 3 + i]
-        if alike < _SAME_COS or abs(left_m) > _REACH_M + _REACH_SHARE * z:
+        if alike < _SAME_COS or abs(left_m) > REACH_M + REACH_SHARE * z:
             continue
         within += 1
         for i in range(3):

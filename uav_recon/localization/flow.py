@@ -1,0 +1,171 @@
+"""Points of surfaces followed from one colour picture to the next, and how far they lie off where the poses put them.
+
+Depth tells of a way along normals alone: along a bare wall, over a floor, paint tells. Followed as Lucas and Kanade do
+(OpenCV's pyramids), each point forth and back again.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from uav_recon.localization.patches import patches
+from uav_recon.types.camera import Frame
+from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
+from uav_recon.types.pose import Pose
+
+_MOST, _APART_PX = 120, 5  # points
+_WIDEST_PX, _NARROWEST_PX = 320, 40  # of a picture: made smaller down to it; a smaller one is a stamp
+_WINDOW_PX, _LEVELS = 9, 2
+_PLAIN, _BLOCK_PX = 30e-6, 7  # least eigenvalue of the gradients (OpenCV's cornerMinEigenVal): paint that tells of both ways
+_RETURNS_PX = 0.5  # a point that is followed back comes so near to where it was
+_EVERY_S, _OLDEST_S, _PAUSE_S = 0.5, 2.0, 0.5  # points are looked for, given up; pictures farther apart are not compared
+_NEAREST_M = 0.2
+
+
+class Seen(NamedTuple):
+    """Points and how far odom has moved against each since it was first seen: along (N, 2, 3), rows in odom of which a shift
+    (3,) times one is off_m (N, 2); range_m and age_s (N,).
+    """
+
+    along: FloatArray
+    off_m: FloatArray
+    range_m: FloatArray
+    age_s: FloatArray
+
+
+class _Points(NamedTuple):
+    """place_m (N, 3) in odom, since_s (N,); at_px (N, 2) in the newest picture, and how far that is from where it belongs."""
+
+    place_m: AnyArray
+    since_s: AnyArray
+    at_px: AnyArray
+    aside_px: AnyArray
+
+    def only(self, which: BoolArray) -> _Points:
+        return _Points(*(values[which] for values in self))
+
+    def joined(self, others: _Points) -> _Points:
+        return _Points(*(np.concatenate(both) for both in zip(self, others, strict=True)))
+
+
+_NONE = _Points(np.empty((0, 3)), np.empty(0), np.empty((0, 2), np.float32), np.empty((0, 2), np.float32))
+
+
+@dataclass(frozen=True, slots=True)
+class _Eye:
+    """A pinhole (fx, fy), (cx, cy) at a place in odom; axes (3, 3) are its columns."""
+
+    focal_px: FloatArray
+    middle_px: FloatArray
+    axes: FloatArray
+    place_m: FloatArray
+
+    @staticmethod
+    def of(frame: Frame, odom_from_depth: Pose, smaller: FloatArray) -> _Eye:
+        lens, pose = frame.rgb_intrinsics, odom_from_depth @ frame.rgb_from_depth.inverse()
+        middle_px = (np.array([lens.cx, lens.cy]) + 0.5) * smaller - 0.5  # pixel (0, 0) is its centre
+        return _Eye(np.array([lens.fx, lens.fy]) * smaller, middle_px, pose.rotation(), pose.translation_m)
+
+    def ahead(self, place_m: AnyArray) -> AnyArray:
+        """Places (N, 3) in the eye's own axes; what is not before it lies as near as can be."""
+        ahead_m = (place_m - self.place_m) @ self.axes
+        ahead_m[:, 2] = np.maximum(ahead_m[:, 2], 1e-3)
+        return ahead_m
+
+    def pixels(self, ahead_m: AnyArray) -> AnyArray:
+        """Where the picture shows them, (N, 2) float32."""
+        return (ahead_m[:, :2] / ahead_m[:, 2:] * self.focal_px + self.middle_px).astype(np.float32)
+
+
+class Flow:
+    """Not thread-safe; about a millisecond a picture."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Odom itself jumped: nothing was seen in the new one."""
+        self._grey: ByteArray | None = None
+        self._points, self._stamp_s, self._sought_s = _NONE, -math.inf, -math.inf
+
+    def hear(self, frame: Frame, odom_from_depth: Pose) -> Seen | None:
+        """Follow the points into a picture, and look for new ones. None where there is none to follow, or no picture."""
+        if min(frame.rgb.shape[:2]) < _NARROWEST_PX:
+            return None
+        grey, smaller = _grey(frame.rgb)
+        still = self._grey is not None and np.array_equal(grey, self._grey)  # the camera gave it once more
+        if still or not frame.stamp_s - self._stamp_s <= _PAUSE_S:
+            self.forget()
+        eye = _Eye.of(frame, odom_from_depth, smaller)
+        seen = self._follow(frame.stamp_s, grey, eye)
+        self._grey, self._stamp_s = grey, frame.stamp_s
+        if frame.stamp_s - self._sought_s >= _EVERY_S:
+            self._sought_s = frame.stamp_s
+            self._points = self._points.joined(self._new(frame, odom_from_depth, grey, eye))
+        return seen
+
+    def _follow(self, stamp_s: float, grey: ByteArray, eye: _Eye) -> Seen | None:
+        """Where the points are now, from where they belong and how far off they lay."""
+        points = self._points.only(stamp_s - self._points.since_s <= _OLDEST_S)
+        belongs_px = eye.pixels(ahead_m := eye.ahead(points.place_m))
+        shown = _inside(belongs_px + points.aside_px, grey) & (ahead_m[:, 2] > _NEAREST_M)
+        points, belongs_px = points.only(shown), belongs_px[shown]
+        if self._grey is None or not len(belongs_px):
+            self._points = _NONE
+            return None
+        at_px, found = _followed(self._grey, grey, points.at_px, belongs_px + points.aside_px)
+        self._points = points = points._replace(at_px=at_px, aside_px=at_px - belongs_px).only(found)
+        x, y, range_m = eye.ahead(points.place_m).T
+        across, down, deep = eye.axes.T
+        along = np.stack([across - np.outer(x / range_m, deep), down - np.outer(y / range_m, deep)], axis=1)
+        return Seen(along, points.aside_px * range_m[:, None] / eye.focal_px, range_m, stamp_s - points.since_s)
+
+    def _new(self, frame: Frame, odom_from_depth: Pose, grey: ByteArray, eye: _Eye) -> _Points:
+        """Even patches of surface whose paint tells most, apart from the points that there are."""
+        lens = frame.depth_intrinsics
+        camera = np.array([lens.fx, lens.fy, lens.cx, lens.cy])
+        place_m = patches(frame.depth_m, camera, odom_from_depth.rotation(), odom_from_depth.translation_m)[:, :3]
+        at_px = eye.pixels(eye.ahead(place_m))
+        inside = _inside(at_px, grey)
+        place_m, at_px = place_m[inside], at_px[inside]
+        column, row = np.rint(at_px).astype(np.int64).T
+        telling = cv2.cornerMinEigenVal(grey, _BLOCK_PX)[row, column]
+        taken = np.zeros((grey.shape[0] // _APART_PX + 1, grey.shape[1] // _APART_PX + 1), dtype=np.bool_)
+        old_column, old_row = np.rint(self._points.at_px).astype(np.int64).T // _APART_PX
+        taken[old_row, old_column] = True
+        fresh = np.flatnonzero((telling > _PLAIN) & ~taken[row // _APART_PX, column // _APART_PX])
+        best = fresh[np.argsort(-telling[fresh], kind="stable")][: _MOST - len(self._points.since_s)]
+        return _Points(place_m[best], np.full(len(best), frame.stamp_s), at_px[best], np.zeros((len(best), 2), np.float32))
+
+
+def _grey(rgb: ByteArray) -> tuple[ByteArray, FloatArray]:
+    """Brightness (h, w) of a picture, and by how much its width and height were made smaller (2,)."""
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    stride = -(-grey.shape[1] // _WIDEST_PX)
+    if stride > 1:
+        grey = cv2.resize(grey, (grey.shape[1] // stride, grey.shape[0] // stride), interpolation=cv2.INTER_AREA)
+    return np.asarray(grey, dtype=np.uint8), np.array([grey.shape[1] / rgb.shape[1], grey.shape[0] / rgb.shape[0]])
+
+
+def _inside(at_px: AnyArray, grey: ByteArray) -> BoolArray:
+    """Which pixels (N, 2) have half a window around them."""
+    room_px, (height, width) = _WINDOW_PX // 2, grey.shape
+    inside = (at_px >= room_px).all(axis=1) & (at_px[:, 0] <= width - 1 - room_px) & (at_px[:, 1] <= height - 1 - room_px)
+    return np.asarray(inside, dtype=np.bool_)
+
+
+def _followed(before: ByteArray, now: ByteArray, was_px: AnyArray, guess_px: AnyArray) -> tuple[AnyArray, BoolArray]:
+    """Where points (N, 2) are now, and which were found: followed back, they come to where they were."""
+    follow = functools.partial(
+        cv2.calcOpticalFlowPyrLK, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
+    )
+    at_px, there, _ = follow(before, now, was_px, guess_px.copy())
+    back_px, back, _ = follow(now, before, at_px, was_px.copy())
+    returns = np.linalg.norm(back_px - was_px, axis=1) <= _RETURNS_PX
+    return at_px, np.asarray(returns & (there[:, 0] == 1) & (back[:, 0] == 1) & _inside(at_px, now), dtype=np.bool_)
