@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.localization.flow import Flow, Seen
-from uav_recon.localization.patches import REACH_M, REACH_SHARE, patches, pull
+from uav_recon.localization.patches import FAR_M, REACH_M, REACH_SHARE, patches, pull
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
 
 _FADES_S = 2.5  # what was seen counts e times less after so long
-_PRIOR_S3 = 0.8  # for no creep at all: as much as 0.8 of the patches say in a second of a view that is a second old
+_PRIOR_S3 = 0.5  # for no creep at all: as much as half of near patches say in a second of a view that is a second old
 _LONGEST_STEP_S = 0.5
 _SETTLES_S = 3.0  # odom of its own accord, once it begins: views of then are not kept
 _EVERY_S, _MEMORY_S = 1.0, 3.0  # of a camera that looks about, something is always left
@@ -95,6 +95,6 @@ class Creep:
         count = int(fits.sum())
         if count < max(_FEWEST_POINTS, _POINTS_WITHIN * int(old.sum())):
             return
-        along, age_s = seen.along[fits], seen.age_s[fits]
-        self._held += _PAINT * step_s / count * np.einsum("nai,naj,n->ij", along, along, age_s**2)
-        self._moved += _PAINT * step_s / count * np.einsum("nai,na,n->i", along, seen.off_m[fits], age_s)
+        along, age_s, weight = seen.along[fits], seen.age_s[fits], 1.0 / (1.0 + (seen.range_m[fits] / FAR_M) ** 4)
+        self._held += _PAINT * step_s / count * np.einsum("nai,naj,n->ij", along, along, weight * age_s**2)
+        self._moved += _PAINT * step_s / count * np.einsum("nai,na,n->i", along, seen.off_m[fits], weight * age_s)
