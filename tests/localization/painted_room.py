@@ -34,7 +34,7 @@ def moved(pose: Pose, by_m: FloatArray) -> Pose:
 
 def depth_of(odom_from_depth: Pose, room_m: FloatArray, *boxes_m: FloatArray, seed: int = 0) -> Float32Array:
     """With the noise of a stereo camera: out of the room, and into boxes (2, 3)."""
-    depth = _along(odom_from_depth, LENS, room_m, boxes_m)
+    depth = ranges_m(odom_from_depth, LENS, room_m, boxes_m)
     depth = 1.0 / (1.0 / depth + NOISE_PER_M * np.random.default_rng(seed).standard_normal(depth.shape))
     return np.where(depth < GONE_M, depth, np.nan).astype(np.float32)
 
@@ -44,7 +44,7 @@ def rgb_of(
 ) -> ByteArray:
     """With the noise of a small sensor. paint: brightness (N,) in 0..1 of points (N, 3)."""
     pose = odom_from_depth @ RGB_FROM_DEPTH.inverse()
-    depth = _along(pose, lens, room_m, boxes_m)
+    depth = ranges_m(pose, lens, room_m, boxes_m)
     points = (depth[..., None] * lens.bearings()) @ pose.rotation().T + pose.translation_m
     grey = 255.0 * paint(points.reshape(-1, 3)).reshape(depth.shape)
     grey += 2.0 * np.random.default_rng(seed).standard_normal(depth.shape)
@@ -60,8 +60,8 @@ def frame_of(stamp_s: float, depth_m: Float32Array, rgb: ByteArray = BARE, lens:
     return Frame(stamp_s, 0, depth_m, LENS, rgb, lens, RGB_FROM_DEPTH)
 
 
-def _along(camera: Pose, lens: Intrinsics, room_m: FloatArray, boxes_m: tuple[FloatArray, ...]) -> FloatArray:
-    """True depth (H, W), by slabs."""
+def ranges_m(camera: Pose, lens: Intrinsics, room_m: FloatArray, boxes_m: tuple[FloatArray, ...]) -> FloatArray:
+    """True depth (H, W), by slabs: out of the room, and into boxes (2, 3)."""
     rays, start = lens.bearings() @ camera.rotation().T, camera.translation_m
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(rays > 0, (room_m[1] - start) / rays, (room_m[0] - start) / rays).min(axis=-1)

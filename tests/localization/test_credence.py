@@ -6,6 +6,7 @@ import copy
 
 import numpy as np
 import pytest
+from painted_room import ranges_m
 
 from uav_recon.localization.credence import Credence, _moved
 from uav_recon.localization.witness import Agreement
@@ -22,16 +23,7 @@ PERIOD_S = 1.0 / 6.0
 
 
 def _depth(world_from_depth: Pose, *boxes_m: FloatArray) -> Float32Array:
-    """By slabs: out of the room, and into boxes (2, 3)."""
-    rays = LENS.bearings() @ world_from_depth.rotation().T
-    start = world_from_depth.translation_m
-    with np.errstate(divide="ignore"):
-        depth = np.where(rays > 0, (ROOM_M[1] - start) / rays, (ROOM_M[0] - start) / rays).min(axis=-1)
-        for box_m in (*PILLARS_M, *boxes_m):
-            near = np.minimum((box_m[0] - start) / rays, (box_m[1] - start) / rays).max(axis=-1)
-            far = np.maximum((box_m[0] - start) / rays, (box_m[1] - start) / rays).min(axis=-1)
-            depth = np.where((near <= far) & (near > 0), np.minimum(near, depth), depth)
-    found: Float32Array = depth.astype(np.float32)
+    found: Float32Array = ranges_m(world_from_depth, LENS, ROOM_M, (*PILLARS_M, *boxes_m)).astype(np.float32)
     return found
 
 

@@ -38,7 +38,8 @@ _FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # the camera moved s
 
 
 class Credence:
-    """Hears every picture once, with the pose that goes with it. About 0.4 ms each; warm_up() compiles its kernels.
+    """Hears every picture once, with the pose that goes with it: about 0.4 ms each, 1 ms in colour. warm_up() compiles
+    its kernels.
 
     A picture that fits neither itself nor what was seen before is not believed, and none after it is before one fits
     a view that is remembered and that would tell of a shift, or some fit from where the first one did not: a wrong one would

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.localization.flow import Flow, Seen
-from uav_recon.localization.patches import FAR_M, REACH_M, REACH_SHARE, patches, pull
+from uav_recon.localization.patches import REACH_M, REACH_SHARE, patches, pull, weight_at
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
@@ -72,8 +72,7 @@ class Creep:
         return self._stamp_s >= self._since_s + _SETTLES_S
 
     def _hear_patches(self, frame: Frame, odom_from_depth: Pose, step_s: float, velocity_mps: FloatArray) -> None:
-        lens = frame.depth_intrinsics
-        camera = np.array([lens.fx, lens.fy, lens.cx, lens.cy])
+        camera = frame.depth_intrinsics.pinhole_px()
         seen = frame.depth_m, camera, odom_from_depth.rotation(), odom_from_depth.translation_m
         while self._views and frame.stamp_s - self._views[0].stamp_s > _MEMORY_S:
             self._views.popleft()
@@ -95,6 +94,6 @@ class Creep:
         count = int(fits.sum())
         if count < max(_FEWEST_POINTS, _POINTS_WITHIN * int(old.sum())):
             return
-        along, age_s, weight = seen.along[fits], seen.age_s[fits], 1.0 / (1.0 + (seen.range_m[fits] / FAR_M) ** 4)
+        along, age_s, weight = seen.along[fits], seen.age_s[fits], weight_at(seen.range_m[fits])
         self._held += _PAINT * step_s / count * np.einsum("nai,naj,n->ij", along, along, weight * age_s**2)
         self._moved += _PAINT * step_s / count * np.einsum("nai,na,n->i", along, seen.off_m[fits], weight * age_s)

@@ -128,9 +128,8 @@ class Flow:
 
     def _new(self, frame: Frame, odom_from_depth: Pose, grey: ByteArray, eye: _Eye) -> _Points:
         """Even patches of surface whose paint tells most, apart from the points that there are."""
-        lens = frame.depth_intrinsics
-        camera = np.array([lens.fx, lens.fy, lens.cx, lens.cy])
-        place_m = patches(frame.depth_m, camera, odom_from_depth.rotation(), odom_from_depth.translation_m)[:, :3]
+        camera, here = frame.depth_intrinsics.pinhole_px(), odom_from_depth
+        place_m = patches(frame.depth_m, camera, here.rotation(), here.translation_m)[:, :3]
         at_px = eye.pixels(eye.ahead(place_m))
         inside = _inside(at_px, grey)
         place_m, at_px = place_m[inside], at_px[inside]

@@ -7,6 +7,7 @@ at 5 m. What is not even, an edge or the rim of something, is no patch.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ _SPAN_PER_M, _WIDEST = 0.007, 0.03  # the same, as shares of the picture's width
 _UNEVEN, _UNEVEN_SHARE = 0.012, 0.01  # 1/m, and share of the inverse depth: off the plane by more; noise has 0.004
 _FACING_COS = 0.15  # looked at from a flatter angle, or from behind, a patch is not compared
 _SAME_COS = 0.8  # between normals of what may be one surface
-FAR_M = 3.0  # the noise of stereo depth grows with the square of the range: from there one counts half, from twice as far 1/17
+_FAR_M = 3.0  # the noise of stereo depth grows with the square of the range: from there one counts half, from twice as far 1/17
 REACH_M, REACH_SHARE = 0.06, 0.03  # from where it is expected, and so much of the range: noise and pose together
 
 
@@ -46,6 +47,12 @@ def patches(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyA
                 out[number, 3 + i] = rotation[i, 0] * nx + rotation[i, 1] * ny + rotation[i, 2] * nz
             number += 1
     return out[:number]
+
+
+@kernel
+def weight_at(range_m: Any) -> Any:
+    """How much what lies so far off, one number or many, counts: by the variance of its depth."""
+    return 1.0 / (1.0 + (range_m / _FAR_M) ** 4)
 
 
 @kernel
@@ -81,7 +88,7 @@ def pull(
         if alike < _SAME_COS or abs(left_m) > REACH_M + REACH_SHARE * z:
             continue
         within += 1
-        weight = 1.0 / (1.0 + (z / FAR_M) ** 4)
+        weight = weight_at(z)
         for i in range(3):
             moved[i] += weight * then[n, 3 + i] * off_m
             for k in range(3):

@@ -100,7 +100,7 @@ class Witness:
 
     def remember(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> None:
         """Take a picture that is believed for the newest; one every half second is kept."""
-        points = surface(depth_m, _camera(lens), odom_from_depth.rotation(), odom_from_depth.translation_m)
+        points = surface(depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m)
         self._newest = _View(stamp_s, Stand.of(odom_from_depth), points)
         if not self._views or stamp_s - self._views[-1].stamp_s >= _EVERY_S:
             self._views.append(self._newest)
@@ -127,13 +127,13 @@ class Witness:
         if self._newest is None:
             return 0.0
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-        return float(gain_aside(self._newest.points, depth_m, _camera(lens), rotation, place))
+        return float(gain_aside(self._newest.points, depth_m, lens.pinhole_px(), rotation, place))
 
     @staticmethod
     def loss_aside(then: Agreement, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
         """By what share less of that view would fit a picture that lies aside; little, and it tells nothing of this one."""
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-        return float(loss_aside(then.points, depth_m, _camera(lens), rotation, place))
+        return float(loss_aside(then.points, depth_m, lens.pinhole_px(), rotation, place))
 
     def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: Likeness) -> Iterator[_View]:
         """Views to be asked, the oldest first."""
@@ -147,16 +147,12 @@ def _dot(a: list[float], b: list[float]) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _camera(lens: Intrinsics) -> FloatArray:
-    return np.array([lens.fx, lens.fy, lens.cx, lens.cy])
-
-
 def _compared(
     view: _View, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, most_gone: int = MOST
 ) -> Agreement | None:
     """most_gone: points without a return where there are too few with one, for a verdict all the same."""
     rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-    found, gone = residuals(view.points, depth_m, _camera(lens), rotation, place)
+    found, gone = residuals(view.points, depth_m, lens.pinhole_px(), rotation, place)
     age_s = stamp_s - view.stamp_s
     if len(found) < FEWEST:
         if gone <= most_gone:

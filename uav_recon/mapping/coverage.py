@@ -76,15 +76,10 @@ class Coverage:
         rotation = pose.rotation() / self._grid.resolution_m
         if self._met.size < frame.depth_m.size:
             self._met = np.zeros(frame.depth_m.size, dtype=np.int64)
-        shape, looks = self._grid.shape, self._looks.reshape(-1)
-        gain: float = _gain(frame.depth_m, _lens(frame), rotation, origin, sigma, shape, looks, self._met, keep)
+        shape, looks, lens = self._grid.shape, self._looks.reshape(-1), frame.depth_intrinsics.pinhole_px()
+        gain: float = _gain(frame.depth_m, lens, rotation, origin, sigma, shape, looks, self._met, keep)
         self._given += gain if keep else 0.0
         return gain
-
-
-def _lens(frame: Frame) -> FloatArray:
-    lens = frame.depth_intrinsics
-    return np.array([lens.fx, lens.fy, lens.cx, lens.cy])
 
 
 @kernel

@@ -92,7 +92,7 @@ class Voxels:
         if stride > 1:
             depth_m = np.ascontiguousarray(depth_m[::stride, ::stride])
             depth_m.setflags(write=False)
-        camera = np.array([lens.fx, lens.fy, lens.cx, lens.cy]) / stride
+        camera = lens.pinhole_px() / stride
         noise_per_m = self._sensor.noise_px / (camera[0] * self._sensor.baseline_m)
         pose, resolution_m = posed.world_from_depth, self.grid.resolution_m
         scratch, origin = self._scratch.fit(depth_m.shape), (pose.translation_m - self.grid.origin_world_m) / resolution_m

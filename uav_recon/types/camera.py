@@ -36,6 +36,10 @@ class Intrinsics:
             height=height,
         )
 
+    def pinhole_px(self) -> FloatArray:
+        """fx, fy, cx, cy, (4,): as kernels take them."""
+        return np.array([self.fx, self.fy, self.cx, self.cy])
+
     def bearings(self) -> FloatArray:
         """Direction through each pixel with z = 1, shape (height, width, 3)."""
         u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))

@@ -82,7 +82,7 @@ class Album:
         if self._prior is not None:
             self._prior.fill(records, frame)
         rotation, position = keyframe.world_from_depth.rotation(), keyframe.world_from_depth.translation_m
-        image = (frame.depth_m, np.array([lens.fx, lens.fy, lens.cx, lens.cy]), rotation, position, sigma)
+        image = (frame.depth_m, lens.pinhole_px(), rotation, position, sigma)
         ends = self.replay.rays(records[:SOME_RAYS], rotation, position, sigma)
         return View(records, ends, image, pixel_stride(lens, most) / lens.fx)
 

@@ -134,7 +134,7 @@ class Doubt:
 
 def _possible(lens: Intrinsics) -> bool:
     """Whether every pixel has a bearing that a camera of an aircraft may have."""
-    numbers = np.array([lens.fx, lens.fy, lens.cx, lens.cy])
+    numbers = lens.pinhole_px()
     if not np.isfinite(numbers).all() or min(lens.fx, lens.fy) <= 0.0 or min(lens.width, lens.height) < 2:
         return False
     reach = np.array(

@@ -36,9 +36,9 @@ def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.
     to_rgb = frame.rgb_from_depth
     count = _pack(
         frame.depth_m,
-        np.array([k.fx, k.fy, k.cx, k.cy]),
+        k.pinhole_px(),
         frame.rgb,
-        np.array([c.fx, c.fy, c.cx, c.cy]),
+        c.pinhole_px(),
         to_rgb.rotation(),
         to_rgb.translation_m,
         rows[order],
