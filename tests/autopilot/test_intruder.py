@@ -79,6 +79,20 @@ def test_a_cell_above_one_without_a_return_looked_past_nothing() -> None:
         assert (found is not None) is told
 
 
+def test_a_cell_most_of_which_is_not_seen_looked_past_nothing() -> None:
+    """A table's top at a flat angle: the wall behind its far edge comes back, the top itself does not until one is above it."""
+    for unseen, told in (((5, 8), False), ((0, 3), True)):
+        around, full = Neighbourhood(), np.ones((12, 16), dtype=bool)
+        full[unseen[0] : unseen[1]] = False
+        range_m = np.full((12, 16), 4.0, np.float32)
+        for n in range(6):
+            around.look(Nearby(n * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9, full=full), HERE)
+        top = range_m.copy()
+        top[6, 4:12] = 1.2
+        found = around.look(Nearby(6 * PERIOD_S, MOUNT, top, (0.95, 0.55), 0.9), HERE)
+        assert (found is not None) is told
+
+
 def test_views_of_another_camera_are_not_asked(around: Neighbourhood) -> None:
     range_m = np.full((6, 8), 1.2, np.float32)
     assert around.look(Nearby(6 * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE) is None

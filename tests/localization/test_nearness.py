@@ -55,3 +55,13 @@ def test_no_return_says_nothing(nothing: float) -> None:
     half = wall(1.5)
     half[:, :106] = nothing
     assert nearest_in_cells(frame(half), MOUNT).share == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_cell_is_full_where_most_of_it_came_back() -> None:
+    depth = wall(3.0)
+    depth[:50:2] = math.nan  # five rows of cells, half of each
+    depth[50:60:3] = math.nan
+    full = nearest_in_cells(frame(depth), MOUNT).full
+    assert full.shape == (12, 16)
+    assert not full[:5].any()
+    assert full[5:].all()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.types.frames import Float32Array, FloatArray, IntArray
+from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.nearby import Nearby, in_view
 from uav_recon.types.pose import Pose
 
@@ -62,7 +62,7 @@ class Neighbourhood:
         close = places[np.linalg.norm(places[:, :2] - here[:2], axis=1) <= _REACH_M]
         new = _looked_past(self._views, close) >= _SAYING if self._views else np.zeros(len(close), dtype=bool)
         if not self._views or nearby.stamp_s - self._views[-1].stamp_s >= _MEMORY_S / _VIEWS:
-            self._views.append(_View(nearby.stamp_s, odom_from_depth, nearby.half_tan, _eroded(nearby.range_m)))
+            self._views.append(_View(nearby.stamp_s, odom_from_depth, nearby.half_tan, _eroded(nearby)))
         if np.count_nonzero(new) < _CELLS:
             return None
         away = np.linalg.norm(close[new, :2] - here[:2], axis=1)
@@ -83,14 +83,16 @@ def _looked_past(views: Collection[_View], places: FloatArray) -> IntArray:
     return said
 
 
-def _eroded(range_m: Float32Array) -> FloatArray:
-    """Each cell's nearest return or that of the eight around it; NaN where it has none itself, or lies at the border, or above
-    one that has none: near the floor that is the floor, too near to be seen, and a cell above it looks past nothing.
+def _eroded(nearby: Nearby) -> FloatArray:
+    """Each cell's nearest return or that of the eight around it; NaN where most of it has none, or it lies at the border, or
+    above one most of which has none: near the floor that is the floor, too near to be seen, and a table's top at a flat angle
+    shows nothing of itself but what is behind it.
     """
+    range_m = nearby.range_m
     nearest = np.full(range_m.shape, np.nan)
     rows, columns = range_m.shape
     around = [range_m[i : rows - 2 + i, j : columns - 2 + j] for i in range(3) for j in range(3)]
-    there = np.isfinite(range_m)
+    there = np.isfinite(range_m) & nearby.full
     tells = there[1:-1, 1:-1] & there[2:, :-2] & there[2:, 1:-1] & there[2:, 2:]
     nearest[1:-1, 1:-1] = np.where(tells, np.fmin.reduce(around), np.nan)
     return nearest

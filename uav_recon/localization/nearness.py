@@ -6,12 +6,13 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.camera import Frame
-from uav_recon.types.frames import Float32Array, FloatArray
+from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import Pose
 
 _ROWS, _COLUMNS = 12, 16
 _SUPPORT = 4  # returns that a cell's distance needs, so that a single speckle does not count
+_FULL_SHARE = 0.5  # of a cell's pixels
 _WIDEST_PX = 320  # of the depth that is looked at; more pixels would only cost time
 
 
@@ -29,19 +30,20 @@ def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True)
     v = ((np.arange(rows * high) + top) * stride - lens.cy) / lens.fy
     seen = np.ascontiguousarray(depth_m[top : top + rows * high, left : left + columns * wide])
     range_m, returns = _nearest(seen, u, v, high, wide)
+    full = returns > _FULL_SHARE * high * wide
     half_tan = (columns * wide * stride / 2 / lens.fx, rows * high * stride / 2 / lens.fy)
-    return Nearby(frame.stamp_s, body_from_depth, range_m, half_tan, returns / seen.size, believed)
+    return Nearby(frame.stamp_s, body_from_depth, range_m, half_tan, float(returns.mean()) / (high * wide), believed, full)
 
 
 @kernel
-def _nearest(depth_m: Float32Array, u: FloatArray, v: FloatArray, high: int, wide: int) -> tuple[Float32Array, int]:
+def _nearest(depth_m: Float32Array, u: FloatArray, v: FloatArray, high: int, wide: int) -> tuple[Float32Array, IntArray]:
     """Of each cell of high by wide pixels the _SUPPORT-th nearest return along its ray (m), NaN where there are fewer; and how
-    many returns there are in all.
+    many returns it has.
 
     depth_m (H, W); u (W,), v (H,): tangents of the pixels' rays.
     """
     rows, columns = len(v) // high, len(u) // wide
-    wanted, returns = min(_SUPPORT, high * wide), 0
+    wanted, returns = min(_SUPPORT, high * wide), np.zeros((rows, columns), dtype=np.int64)
     out = np.empty((rows, columns), dtype=np.float32)
     nearest = np.empty(wanted)
     for row in range(rows):
@@ -52,7 +54,7 @@ def _nearest(depth_m: Float32Array, u: FloatArray, v: FloatArray, high: int, wid
                     z = float(depth_m[i, j])
                     if not (np.isfinite(z) and z > 0.0):
                         continue
-                    returns += 1
+                    returns[row, column] += 1
                     away_m, k = z * np.sqrt(1.0 + u[j] ** 2 + v[i] ** 2), wanted - 1
                     if away_m >= nearest[k]:
                         continue

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from uav_recon.types.frames import BoolArray, Float32Array, FloatArray, frozen
 from uav_recon.types.pose import Pose
+
+_EVERY = frozen(np.ones((), dtype=bool))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,6 +20,7 @@ class Nearby:
     range_m: (rows, columns) float32, distance along the ray to the nearest return in each cell, NaN where it holds too few.
     half_tan: tangents of half the horizontal and half the vertical angle of view. share: of the pixels that had a return.
     believed: whether the picture fits itself and what was seen before. What is near in one that does not is still not flown at.
+    full: (rows, columns), cells most of whose pixels had a return: of the rest nobody knows what is before the one that came.
     """
 
     stamp_s: float
@@ -26,6 +29,7 @@ class Nearby:
     half_tan: tuple[float, float]
     share: float
     believed: bool = True
+    full: BoolArray = field(default_factory=lambda: _EVERY)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "range_m", frozen(np.asarray(self.range_m, dtype=np.float32)))
