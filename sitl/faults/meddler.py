@@ -29,7 +29,7 @@ from sitl.world import Outlet, World
 T = TypeVar("T")
 OURS = ("OFFBOARD", "GUIDED")
 AIRBORNE_M = 0.9
-LONGEST_WAIT_S = 120.0  # for a trouble's moment
+LONGEST_WAIT_S = 240.0  # for a trouble's moment
 _SEEN_RAD = math.radians(25.0)  # off the nose, 1 m away a person still is in a picture that is 43 degrees wide each way
 
 _PEEK = pinhole(16, 6, 24.0, 8.0)

@@ -290,7 +290,7 @@ TABLE_F = (
         "a wall stands across the hall behind it, and the battery is low",
         lambda n: [Stands((2.0, 0.0, 1.4), (0.1, 3.5, 1.5)), Battery(0.24)],
         (clear(0.05), down(90.0)),
-        onset=Onset((8.0, 12.0), away_m=4.5),
+        onset=Onset((8.0, 12.0), seeing=True, away_m=4.5),
         longest_s=100.0,
         room=Room(clear_m=0.05),  # no contact; where pictures are not believed at first it feels its way back to 0.09 m
     ),

@@ -31,7 +31,6 @@ _TOLD = 2  # views that say it
 _HIDING = 0.22  # of the points, all nearer, have something before them; more, or some that are farther, and odom has moved
 _FARTHER = 0.02
 _SEEN_THROUGH = 0.4  # of the points of an older picture are not there: more than a person leaves behind; honest: 0.10
-_CREEP_MPS = 0.020  # honest: 0.019 where it flies ahead at 1 m/s for a minute, 0.010 elsewhere
 _RUNNING = 3  # pictures in a row that say so
 _KEPT_S = 2.0  # what was said holds for so long
 _FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # the camera moved so, and its picture is the same to the bit
@@ -117,8 +116,9 @@ class Credence:
 
     def _crept(self) -> str:
         """What many looks back say together of the pose, '' for nothing."""
-        creep_mps = float(np.linalg.norm(self._creep.velocity_mps))
-        return "" if creep_mps <= _CREEP_MPS else f"odom creeps by {creep_mps:.3f} m/s against what is seen"
+        if self._creep.excess <= 1.0:
+            return ""
+        return f"odom creeps by {np.linalg.norm(self._creep.velocity_mps):.3f} m/s against what is seen"
 
     def _frozen(self, depth_m: Float32Array, odom_from_depth: Pose) -> bool:
         """Whether the camera has moved since it first gave this very picture."""

@@ -21,12 +21,15 @@ _SETTLES_S = 3.0  # odom of its own accord, once it begins: views of then are no
 _EVERY_S, _MEMORY_S = 1.0, 3.0  # of a camera that looks about, something is always left
 _FEWEST, _WITHIN = 40, 0.6  # patches that both see, and the share of them that lies within reach: beside a person, 0.7
 _PAINT = 2.0  # what paint says counts so much more than what patches do: there are both of its ways
+_HONEST_MPS = 0.0135  # odom that is sound shows 0.010 at most, and ...
+_TILT_RAD = 0.027  # ... across its way as much as its speed makes of such a tilt, met with 0.011
 _YOUNGEST_S = 0.3  # points that are followed, for so long at least ...
 _FEWEST_POINTS, _POINTS_WITHIN = 10, 0.5  # ... so many, and as above
 
 
 class _View(NamedTuple):
     stamp_s: float
+    place_m: FloatArray
     patches: AnyArray
 
 
@@ -49,6 +52,7 @@ class Creep:
         self._views.clear()
         self._flow.forget()
         self._held, self._moved = np.zeros((3, 3)), np.zeros(3)
+        self._flown, self._flown_s2 = np.zeros(3), 0.0
         self._since_s = math.inf
 
     def hear(self, frame: Frame, odom_from_depth: Pose) -> None:
@@ -56,6 +60,7 @@ class Creep:
         step_s = min(max(frame.stamp_s - self._stamp_s, 0.0), _LONGEST_STEP_S)
         fading = math.exp(-step_s / _FADES_S)
         self._stamp_s, self._held, self._moved = frame.stamp_s, fading * self._held, fading * self._moved
+        self._flown, self._flown_s2 = fading * self._flown, fading * self._flown_s2
         self._since_s = min(self._since_s, frame.stamp_s)
         velocity_mps = self.velocity_mps
         self._hear_patches(frame, odom_from_depth, step_s, velocity_mps)
@@ -68,6 +73,16 @@ class Creep:
         return np.asarray(np.linalg.solve(self._held + _PRIOR_S3 * np.eye(3), self._moved), dtype=np.float64)
 
     @property
+    def excess(self) -> float:
+        """The velocity as a multiple of what odom that is sound may show: above 1 it creeps."""
+        creep_mps, flown_mps = self.velocity_mps, self._flown / max(self._flown_s2, 1e-9)
+        way = flown_mps / max(float(np.linalg.norm(flown_mps)), 1e-9)
+        along_mps = float(creep_mps @ way)
+        across_mps = float(np.linalg.norm(creep_mps - along_mps * way))
+        most_across_mps = math.hypot(_HONEST_MPS, _TILT_RAD * float(np.linalg.norm(flown_mps)))
+        return math.hypot(along_mps / _HONEST_MPS, across_mps / most_across_mps)
+
+    @property
     def _settled(self) -> bool:
         return self._stamp_s >= self._since_s + _SETTLES_S
 
@@ -78,12 +93,14 @@ class Creep:
             self._views.popleft()
         for view in self._views:
             age_s = frame.stamp_s - view.stamp_s
+            self._flown += step_s * age_s * (odom_from_depth.translation_m - view.place_m)
+            self._flown_s2 += step_s * age_s**2
             count, within, held, moved = pull(view.patches, *seen, age_s * velocity_mps)
             if count >= _FEWEST and within >= _WITHIN * count:
                 self._held += step_s * age_s**2 / count * held
                 self._moved += step_s * age_s / count * moved
         if self._settled and (not self._views or frame.stamp_s - self._views[-1].stamp_s >= _EVERY_S):
-            self._views.append(_View(frame.stamp_s, patches(*seen)))
+            self._views.append(_View(frame.stamp_s, odom_from_depth.translation_m, patches(*seen)))
 
     def _hear_points(self, seen: Seen | None, step_s: float, velocity_mps: FloatArray) -> None:
         if seen is None:
