@@ -83,6 +83,17 @@ def test_a_wall_far_off_tells_beside_a_floor_that_is_near() -> None:
     assert flight.creep.velocity_mps[0] == pytest.approx(0.045, abs=0.012)
 
 
+@pytest.mark.parametrize(("away_m", "told"), [(2.5, True), (4.5, False)])
+def test_what_little_tells_of_is_doubted(away_m: float, told: bool) -> None:
+    """As it was of an honest flight without colour: few patches held it along its way."""
+    flight = Flight((0.02, 0.0, 0.0), begins_s=6.0)
+    for n in range(84):
+        flight.see(camera_at(4.7 - away_m, 0.02 * n, 1.2, 0.0), LARGE_M)
+    assert flight.peak_mps > 0.013
+    assert (flight.excess > 1.1) is told
+    assert told or flight.excess < 0.95
+
+
 def test_along_a_bare_wall_nothing_can_be_told() -> None:
     flight = Flight((0.05, 0.05, 0.0))
     for _ in range(84):

@@ -15,14 +15,15 @@ from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
 
 _FADES_S = 2.5  # what was seen counts e times less after so long
-_PRIOR_S3 = 0.5  # for no creep at all: as much as half of near patches say in a second of a view that is a second old
+_PRIOR_S3 = 0.5  # for no creep at all: as much as half of near patches say in a second of a view that is a second old, ...
+_DOUBT_S3 = 1.5  # ... and before it is told of, three times that: what little tells of a direction says may be its noise
 _LONGEST_STEP_S = 0.5
 _SETTLES_S = 3.0  # odom of its own accord, once it begins: views of then are not kept
 _EVERY_S, _MEMORY_S = 1.0, 3.0  # of a camera that looks about, something is always left
 _FEWEST, _WITHIN = 40, 0.6  # patches that both see, and the share of them that lies within reach: beside a person, 0.7
 _PAINT = 2.0  # what paint says counts so much more than what patches do: there are both of its ways
-_HONEST_MPS = 0.0135  # odom that is sound shows 0.010 at most, and ...
-_TILT_RAD = 0.027  # ... across its way as much as its speed makes of such a tilt, met with 0.011
+_HONEST_MPS = 0.012  # odom that is sound shows 0.010 at most, and ...
+_TILT_RAD = 0.020  # ... across its way as much as its speed makes of such a tilt, met with 0.011
 _YOUNGEST_S = 0.3  # points that are followed, for so long at least ...
 _FEWEST_POINTS, _POINTS_WITHIN = 10, 0.5  # ... so many, and as above
 
@@ -70,17 +71,20 @@ class Creep:
     @property
     def velocity_mps(self) -> FloatArray:
         """Of odom against the surfaces, (3,)."""
-        return np.asarray(np.linalg.solve(self._held + _PRIOR_S3 * np.eye(3), self._moved), dtype=np.float64)
+        return self._solved(_PRIOR_S3)
 
     @property
     def excess(self) -> float:
-        """The velocity as a multiple of what odom that is sound may show: above 1 it creeps."""
-        creep_mps, flown_mps = self.velocity_mps, self._flown / max(self._flown_s2, 1e-9)
+        """The velocity, doubted, as a multiple of what odom that is sound may show: above 1 it creeps."""
+        creep_mps, flown_mps = self._solved(_DOUBT_S3), self._flown / max(self._flown_s2, 1e-9)
         way = flown_mps / max(float(np.linalg.norm(flown_mps)), 1e-9)
         along_mps = float(creep_mps @ way)
         across_mps = float(np.linalg.norm(creep_mps - along_mps * way))
         most_across_mps = math.hypot(_HONEST_MPS, _TILT_RAD * float(np.linalg.norm(flown_mps)))
         return math.hypot(along_mps / _HONEST_MPS, across_mps / most_across_mps)
+
+    def _solved(self, prior_s3: float) -> FloatArray:
+        return np.asarray(np.linalg.solve(self._held + prior_s3 * np.eye(3), self._moved), dtype=np.float64)
 
     @property
     def _settled(self) -> bool:
