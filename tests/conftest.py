@@ -1,9 +1,13 @@
-"""For all tests: a core for each process where they run side by side, and a vehicle in the air, flown up once for a module."""
+"""For all tests: a core for each process where they run side by side, and a vehicle in the air, flown up once for a module.
+
+A shell's background job is started with SIGINT ignored, and so are its children: Ctrl-C would not reach those of the tests.
+"""
 
 from __future__ import annotations
 
 import copy
 import os
+import signal
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,6 +17,7 @@ from sitl.fly_case import one_thread
 if TYPE_CHECKING:
     from flight_rig import Rig
 
+signal.signal(signal.SIGINT, signal.default_int_handler)
 if "PYTEST_XDIST_WORKER" in os.environ:
     one_thread()  # two that compute on both cores would get in each other's way
 

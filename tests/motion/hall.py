@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 
 import numpy as np
@@ -146,9 +147,13 @@ def _meets(setpoint: Setpoint, view: Viewpoint) -> bool:
 
 def room_around(points_m: FloatArray, voxels: VoxelMap) -> FloatArray:
     """True distance (N,) in metres to the nearest centre of a voxel that is not free, by brute force; nothing outside is."""
+    return np.asarray(_not_free(voxels).query(points_m)[0])
+
+
+@functools.lru_cache(maxsize=4)
+def _not_free(voxels: VoxelMap) -> cKDTree:
     state = np.pad(voxels.state, 1)
-    centres = voxels.grid.origin_world_m + (np.argwhere(state != FREE) - 0.5) * voxels.grid.resolution_m
-    return np.asarray(cKDTree(centres).query(points_m)[0])
+    return cKDTree(voxels.grid.origin_world_m + (np.argwhere(state != FREE) - 0.5) * voxels.grid.resolution_m)
 
 
 def is_free(points_m: FloatArray, voxels: VoxelMap) -> BoolArray:
