@@ -35,6 +35,7 @@ from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.nearby import Nearby
+from uav_recon.types.polygon import Polygon
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 from uav_recon.types.vehicle import FlightPhase, VehicleState
@@ -43,7 +44,7 @@ copyreg.pickle(struct.Struct, lambda layout: (struct.Struct, (layout.format,))) 
 
 TICK_S = 0.01
 TAKEOFF_LAG_S = 4.0  # PX4 spools up for 1 s and then ramps its take-off speed for 3 s: it arrives behind its setpoint
-ENVELOPE = Envelope(Fence.box((-3.0, -3.0, -0.2), (5.0, 3.0, 2.5), 0.3), 1.0, 2.0, 0.8)
+ENVELOPE = Envelope(Fence(Polygon.box((-3.0, -3.0), (5.0, 3.0)), -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
 PATIENCE = Patience(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0)
 BOUNDS = Bounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4))
 AIRFRAME = Airframe(hull_radius_m=0.2, hull_height_m=0.2, hover_height_m=1.1)

@@ -16,6 +16,7 @@ from uav_recon.safety.proximity import Margins
 from uav_recon.safety.sight import Sight
 from uav_recon.types.frames import BoolArray
 from uav_recon.types.maps import FreeSpace, GridSpec
+from uav_recon.types.polygon import Polygon
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
 GRID = GridSpec(np.array([-4.0, -4.0, -1.0]), 0.1, (80, 80, 40))
@@ -39,7 +40,7 @@ def _seen(stamp_s: float, away_m: float, cells: int = MANY) -> Intruder:
 
 @pytest.fixture
 def evasion() -> Evasion:
-    envelope = Envelope(Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5), 0.3), 1.0, 2.0, 0.8)
+    envelope = Envelope(Fence(Polygon.box((-3.0, -3.0), (3.0, 3.0)), -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
     return Evasion(Guard(envelope, Bounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4)), Sight(10.0, 0.2)))
 
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import itertools
 import math
 import sys
-from collections import Counter
+from collections import Counter, deque
 
 import numpy as np
 from rooms import BOUNDS, DT, GRID, HULL_RADIUS_M, everything, frame, guard_of, known_free, proposal, situation
@@ -23,6 +24,7 @@ from uav_recon.types.trajectory import Setpoint
 
 AWKWARD = (math.nan, math.inf, -math.inf, 1e300, -1e9, 0.0, 4.7, 4.7000001, -0.7, 2.1, 0.2, 1.0, 2.0, 1e-300)
 PLACES = 400  # proposals from each starting place
+LATELY = 12  # setpoints that are judged together
 # How often a view is remembered, a proposal is wild, retreats, gives way; a degraded pose, no depth, no proposal, a new odom.
 WILD = (0.3, 0.5, 0.3, 0.3, 0.1, 0.1, 0.05, 0.002)
 CALM = (0.3, 0.02, 0.02, 0.02, 0.02, 0.01, 0.02, 0.001)
@@ -53,6 +55,27 @@ def violation(flown: Setpoint, last: Setpoint, dt_s: float, blocked: np.ndarray[
         return "changes speed too fast"
     turn_rad = abs(math.remainder(flown.yaw_rad - last.yaw_rad, math.tau))
     return "" if turn_rad <= 0.8 * dt_s + 0.03 + 1e-6 else "jerks round"
+
+
+def adds_up(flown: deque[tuple[float, Setpoint]]) -> str:
+    """What is wrong with setpoints, each with the seconds since the one before, taken together; '' for nothing. A slack is one
+    slack, however many they are, and a place lies where the velocities have led.
+    """
+    since_s = allowed_m = turned_rad = 0.0
+    led_m, (_, newest) = np.zeros(3), flown[-1]
+    for (_, before), (dt_s, after) in itertools.pairwise(list(flown)):
+        since_s, allowed_m = since_s + dt_s, allowed_m + 2.0 * dt_s**2 / 4.0
+        led_m = led_m + (before.velocity_mps + after.velocity_mps) / 2.0 * dt_s
+        turned_rad += math.remainder(after.yaw_rad - before.yaw_rad, math.tau)
+    oldest = flown[0][1]
+    way_m = newest.position_m - oldest.position_m
+    if np.linalg.norm(way_m) > 1.0 * since_s + 0.02 + 1e-6:
+        return "jumps in many steps"
+    if np.linalg.norm(newest.velocity_mps - oldest.velocity_mps) > 2.0 * since_s + 0.05 + 1e-6:
+        return "changes speed too fast in many steps"
+    if abs(turned_rad) > 0.8 * since_s + 0.03 + 1e-6:
+        return "jerks round in many steps"
+    return "moves without a velocity" if np.linalg.norm(way_m - led_m) > 0.04 + allowed_m + 1e-6 else ""
 
 
 def undue(wanted: Proposal, here: Situation, range_m: float) -> str:
@@ -94,6 +117,7 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
         now = rng.uniform(0.0, 1e5)
         usual = situation(now, free=space, position_m=place)
         last = guard.clear(None, usual)[0].setpoint
+        lately = deque([(0.0, last)], maxlen=LATELY)
         goal, calm = rng.uniform(-0.8, 0.8, 3), int(20 * rng.integers(0, 2))  # calm: faults are rare, so that it gets fast
         drawn = zip(
             *(
@@ -129,6 +153,7 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
                 usual, now_s=now, ahead=None if unseen else ahead, intent_age_s=intent_age_s, pose_age_s=pose_age_s, slow=slow
             )
             if jumped:
+                lately.clear()
                 guard.rebase(here, rest_s=0.0)
                 here = dataclasses.replace(here, position_m=tuple(last.position_m.tolist()), yaw_rad=last.yaw_rad)
             asked = None if silent else wanted
@@ -136,7 +161,8 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
             flown = cleared.setpoint
             outcomes[_kind(refusal.reason) if refusal else "flown" if asked else "braked"] += 1
             wrong = violation(flown, last, math.inf if jumped else max(dt_s, 0.0), blocked)
-            wrong = wrong or (undue(wanted, here, range_m) if flown is wanted.setpoint else "")
+            lately.append((max(dt_s, 0.0), flown))
+            wrong = wrong or adds_up(lately) or (undue(wanted, here, range_m) if flown is wanted.setpoint else "")
             if wrong:
                 violations.append(wrong)
             last = flown

@@ -41,6 +41,7 @@ TESTS = {
     "envelope": ("test_envelope", *BY_GUARD),
     "guard": BY_GUARD,
     "knownfree": ("test_knownfree", *BY_GUARD),
+    "steps": ("test_steps", *BY_GUARD),
     "ladder": ("test_ladder", "test_safety_values"),
     "posegate": ("test_posegate", "test_safety_values"),
     "proximity": ("test_proximity", *BY_GUARD),

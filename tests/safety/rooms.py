@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.safety.envelope import Envelope, Fence
+from uav_recon.safety.envelope import Envelope, Fence, Vec3
 from uav_recon.safety.guard import Bounds, Guard, Proposal, Situation
 from uav_recon.safety.knownfree import KnownFree
 from uav_recon.safety.proximity import Ahead, Margins
@@ -16,11 +16,12 @@ from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import BoolArray
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.nearby import Nearby
+from uav_recon.types.polygon import Polygon
 from uav_recon.types.trajectory import Setpoint
 
 DT = 1 / 30
 HULL_RADIUS_M, HULL_HEIGHT_M = 0.2, 0.2
-ENVELOPE = Envelope(Fence.box((-1.0, -2.0, -0.1), (5.0, 2.0, 2.4), 0.3), 1.0, 2.0, 0.8)
+ENVELOPE = Envelope(Fence(Polygon.box((-1.0, -2.0), (5.0, 2.0)), -0.1, 2.4, 0.3), 1.0, 2.0, 0.8)
 BOUNDS = Bounds(0.2, 0.5, 0.5, 0.3, 1.0, 0.3, Margins(0.1, 0.4))
 GRID = GridSpec(np.array([-2.0, -3.0, -1.0]), 0.1, (80, 60, 45))
 MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.0)
@@ -59,6 +60,10 @@ def proposal(
 ) -> Proposal:
     p, v, a = (np.array(vector, dtype=np.float64) for vector in (position, velocity, acceleration))
     return Proposal(Setpoint(p, v, a, yaw, yaw_rate, 0.0), identifier, epoch, retreating)
+
+
+def may_stand(envelope: Envelope, place_m: Vec3) -> bool:
+    return envelope.admits(place_m, place_m)
 
 
 def guard_of(envelope: Envelope = ENVELOPE, bounds: Bounds = BOUNDS, sight: Sight | None = None) -> Guard:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from typing import Any
 
 import numpy as np
 import pytest
-from hostile import attack, undue, violation
+from hostile import adds_up, attack, undue, violation
 from rooms import GRID, proposal, situation
 
 from uav_recon.safety.guard import Proposal
@@ -41,6 +42,26 @@ def test_the_judge_of_the_wire_sees_violations(changes: dict[str, object], word:
     last = Setpoint.hold(np.array([0.0, 0.0, 1.0]), 0.0)
     assert violation(last, last, 1 / 30, NOTHING) == ""
     assert word in violation(dataclasses.replace(last, **changes), last, 1 / 30, NOTHING)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("place", "velocity", "yaw", "word"),
+    [
+        ((0.03, 0.0, 0.0), (0.9, 0.0, 0.0), 0.0, ""),
+        ((0.04, 0.0, 0.0), (0.9, 0.0, 0.0), 0.0, "jumps"),
+        ((0.0, 0.03, 0.0), (0.0, 0.0, 0.0), 0.0, "velocity"),
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.05, "jerks"),
+    ],
+)
+def test_the_judge_of_the_wire_sees_what_adds_up(place: Any, velocity: Any, yaw: float, word: str) -> None:
+    many = [(1 / 30, Setpoint(np.multiply(place, k), np.array(velocity), np.zeros(3), yaw * k, 0.0, 0.0)) for k in range(12)]
+    assert word in (found := adds_up(deque(many)))
+    assert bool(found) is bool(word)
+
+
+def test_the_judge_of_the_wire_sees_an_acceleration_in_many_steps() -> None:
+    many = deque((1 / 30, Setpoint(np.zeros(3), np.array([0.1 * k, 0.0, 0.0]), np.zeros(3), 0.0, 0.0, 0.0)) for k in range(9))
+    assert "changes speed" in adds_up(many)
 
 
 def test_the_judge_knows_what_is_not_known_free() -> None:

@@ -15,7 +15,6 @@ _ROUNDING_M = 1e-9
 @dataclass(frozen=True, slots=True)
 class Fence:
     """A floor plan between a floor and a ceiling (odom, m), and how far inside it the body's centre stays.
-
     Raises ValueError if the inset leaves no height.
     """
 
@@ -25,17 +24,9 @@ class Fence:
     inset_m: float
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.floor_m + self.ceiling_m) and self.inset_m >= 0.0):
-            raise ValueError(f"floor {self.floor_m}, ceiling {self.ceiling_m} and inset {self.inset_m} make no fence")
-        if not self.ceiling_m - self.floor_m > 2 * self.inset_m:
-            raise ValueError(
-                f"floor {self.floor_m} and ceiling {self.ceiling_m} m leave no room inside an inset of {self.inset_m} m"
-            )
-
-    @staticmethod
-    def box(low_m: Vec3, high_m: Vec3, inset_m: float) -> Fence:
-        """The simple form."""
-        return Fence(Polygon.box((low_m[0], low_m[1]), (high_m[0], high_m[1])), low_m[2], high_m[2], inset_m)
+        high_m = self.ceiling_m - self.floor_m
+        if not (math.isfinite(high_m) and high_m > 2 * self.inset_m >= 0.0):
+            raise ValueError(f"floor {self.floor_m}, ceiling {self.ceiling_m} m: no room for an inset of {self.inset_m} m")
 
     def holds(self, position_m: Vec3) -> bool:
         """Whether a place lies inside the fence itself, the inset not counted. False for what is not a number."""
@@ -45,7 +36,6 @@ class Fence:
 @dataclass(frozen=True, slots=True)
 class Envelope:
     """The fence and the limits of commanded motion (SI, radians).
-
     The take-off and landing column is the cylinder of ``pad_radius_m`` round the pad, from ``pad_depth_m`` below the
     pad up to the inset ceiling. It relaxes only the floor: sideways and upwards the inset fence holds there too.
     Raises ValueError if a number is not finite or positive, or the pad does not lie inside.
@@ -84,15 +74,9 @@ class Envelope:
             and self._in_plan((x, y), (x, y))
         )
 
-    def contains(self, position_m: Vec3) -> bool:
-        """Whether a setpoint may stand at this place. False for what is not a number."""
-        return self.admits(position_m, position_m)
-
     def admits(self, position_m: Vec3, stop_m: Vec3) -> bool:
-        """Whether the straight way from a place to its stopping place stays inside.
-
-        Heights and the column are convex, so both ends in the same one answer for every point between; the plan need not
-        be, so the whole way is held against its sides.
+        """Whether the straight way from a place to its stopping place stays inside. False for what is not a number. Heights
+        and column are convex: both ends in the same one answer for all between; the plan's sides are held against the way.
         """
         in_band = self.in_band(position_m) and self.in_band(stop_m)
         in_column = self.in_column(position_m) and self.in_column(stop_m)
@@ -100,7 +84,7 @@ class Envelope:
 
     def nearest_inside(self, position_m: Vec3) -> Vec3:
         """The place itself if it is inside, otherwise a near one that is; the pad if there is none."""
-        if self.contains(position_m):
+        if self.admits(position_m, position_m):
             return position_m
         x, y, z = position_m
         inset_m, fence = self.fence.inset_m, self.fence
@@ -110,10 +94,9 @@ class Envelope:
 
     def stopping_point(self, position_m: Vec3, velocity_mps: Vec3) -> Vec3:
         """Where braking with the whole allowed acceleration ends: p + v |v| / 2a."""
-        x, y, z = position_m
-        vx, vy, vz = velocity_mps
-        seconds = math.hypot(vx, vy, vz) / (2.0 * self.max_acceleration_mps2)
-        return (x + vx * seconds, y + vy * seconds, z + vz * seconds)
+        seconds = math.hypot(*velocity_mps) / (2.0 * self.max_acceleration_mps2)
+        x, y, z = (p + v * seconds for p, v in zip(position_m, velocity_mps, strict=True))
+        return x, y, z
 
     def _in_plan(self, start_m: Vec2, end_m: Vec2) -> bool:
         return self.fence.plan.room_m(start_m, end_m) >= self.fence.inset_m - _ROUNDING_M

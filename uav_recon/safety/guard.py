@@ -1,5 +1,4 @@
 """The last hop before the wire: denies by default, and the only maker of a ClearedSetpoint.
-
 Every cleared setpoint keeps one invariant: it lies inside the envelope and in known-free space, and so does the place where
 braking from it would end. So whatever is proposed next, the guard can always answer with a brake that stays there.
 """
@@ -15,14 +14,11 @@ from uav_recon.safety.envelope import Envelope, Vec3
 from uav_recon.safety.knownfree import KnownFree
 from uav_recon.safety.proximity import Ahead, Margins, fastest_mps
 from uav_recon.safety.sight import Sight
+from uav_recon.safety.steps import Motion, Steps
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.trajectory import Refusal, Setpoint
 
 _MAKER = object()
-_STEP_SLACK_M = 0.02
-_SPEED_SLACK_MPS = 0.05
-_YAW_SLACK_RAD = 0.03
-_LONGEST_STEP_S = 0.5  # the autopilot gives up on a stream that paused for longer
 _STILL_MPS = 0.02  # slower is no motion that wants a free way
 _FUTURE_S = 0.1  # a stamp this far ahead of the clock is another boot's
 
@@ -77,7 +73,6 @@ class Situation:
 @dataclass(frozen=True, slots=True)
 class Bounds:
     """How far an old word carries, and how slow the blind go (SI).
-
     silence_way_m: flown since the mission's last pulse, with the braking from here. depth_hold_s: oldest depth in motion.
     blind_mps: fastest motion where the camera does not look, and then only through what it saw lately; the envelope's speed
     says that neither is asked for. retreat_mps: fastest motion on the retreat and with a degraded pose.
@@ -92,23 +87,13 @@ class Bounds:
     margins: Margins
 
 
-@dataclass(frozen=True, slots=True)
-class _Motion:
-    """The last cleared setpoint in plain floats."""
-
-    at_s: float
-    position_m: Vec3
-    velocity_mps: Vec3
-    yaw_rad: float
-    pitch_down_rad: float
-
-
 class Guard:
     """Lets a proposal through, or answers with a brake from the last cleared setpoint to rest."""
 
     def __init__(self, envelope: Envelope, bounds: Bounds, sight: Sight) -> None:
         self.envelope, self.bounds, self._sight = envelope, bounds, sight
-        self._last: _Motion | None = None
+        self._last: Motion | None = None
+        self._steps = Steps()
         self._rest_until_s = -math.inf
         self._refused: int | None = None
         self.refusals = 0  # episodes: a trajectory turned down at thirty samples running counts once
@@ -120,7 +105,8 @@ class Guard:
         fault = "" if proposal is None else self._fault(proposal, situation)
         setpoint = self._brake(situation) if proposal is None or fault else proposal.setpoint
         refusal = self._count(proposal, fault, setpoint)
-        self._last = _motion_of(setpoint, situation.now_s)
+        before, self._last = self._last, _motion_of(setpoint, situation.now_s)
+        self._steps = Steps() if before is None else self._steps.after(before, self._last, self.envelope)[0]
         return ClearedSetpoint(setpoint, _MAKER), refusal
 
     def rebase(self, situation: Situation, rest_s: float = 1.0) -> None:
@@ -164,7 +150,7 @@ class Guard:
         if not envelope.admits(motion.position_m, stop_m):
             return f"outside the fence at {_text(motion.position_m)} m"
         return (
-            self._step_fault(self._last, motion)
+            self._steps.after(self._last, motion, envelope)[1]
             or self._space_fault(self._last, motion, stop_m, situation)
             or self._sight_fault(motion, speed_mps, proposal.retreating, situation)
         )
@@ -175,21 +161,7 @@ class Guard:
         heard = -_FUTURE_S <= intent_age_s <= self.bounds.intent_hold_s
         return not (heard and speed_mps * intent_age_s + braking_m <= max(self.bounds.silence_way_m, braking_m))
 
-    def _step_fault(self, last: _Motion, motion: _Motion) -> str:
-        """Limits against the last cleared setpoint: place, velocity and heading may not jump."""
-        dt_s = min(max(motion.at_s - last.at_s, 0.0), _LONGEST_STEP_S)
-        step_m = math.dist(motion.position_m, last.position_m)
-        if not step_m <= self.envelope.max_speed_mps * dt_s + _STEP_SLACK_M:
-            return f"jump of {step_m:.2f} m"
-        change_mps = math.dist(motion.velocity_mps, last.velocity_mps)
-        if not change_mps <= self.envelope.max_acceleration_mps2 * dt_s + _SPEED_SLACK_MPS:
-            return f"velocity jump of {change_mps:.2f} m/s"
-        turn_rad = abs(math.remainder(motion.yaw_rad - last.yaw_rad, math.tau))
-        if not turn_rad <= self.envelope.max_yaw_rate_radps * dt_s + _YAW_SLACK_RAD:
-            return f"heading jump of {math.degrees(turn_rad):.0f} degrees"
-        return ""
-
-    def _space_fault(self, last: _Motion, motion: _Motion, stop_m: Vec3, situation: Situation) -> str:
+    def _space_fault(self, last: Motion, motion: Motion, stop_m: Vec3, situation: Situation) -> str:
         """The way here and the way to rest, for the whole hull. What is not known free is refused."""
         if motion.position_m == last.position_m == stop_m:
             return ""  # a hold: there is nothing to go through
@@ -201,7 +173,7 @@ class Guard:
             return f"not known free at {_text(motion.position_m)} m"
         return ""
 
-    def _sight_fault(self, motion: _Motion, speed_mps: float, retreating: bool, situation: Situation) -> str:
+    def _sight_fault(self, motion: Motion, speed_mps: float, retreating: bool, situation: Situation) -> str:
         """What raw depth says of the way: how fast it may be flown towards what is near, and where nobody looks."""
         ahead, bounds = situation.ahead, self.bounds
         if speed_mps <= _STILL_MPS or (retreating and ahead is None):
@@ -251,9 +223,9 @@ def _is_finite(wanted: Setpoint) -> bool:
     return all(v.shape == (3,) and bool(np.isfinite(v).all()) for v in vectors) and all(map(math.isfinite, angles))
 
 
-def _motion_of(setpoint: Setpoint, now_s: float) -> _Motion:
+def _motion_of(setpoint: Setpoint, now_s: float) -> Motion:
     place, velocity = _floats(setpoint.position_m), _floats(setpoint.velocity_mps)
-    return _Motion(now_s, place, velocity, setpoint.yaw_rad, setpoint.camera_pitch_down_rad)
+    return Motion(now_s, place, velocity, setpoint.yaw_rad, setpoint.camera_pitch_down_rad)
 
 
 def _floats(vector: FloatArray) -> Vec3:

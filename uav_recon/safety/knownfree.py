@@ -27,10 +27,8 @@ class KnownFree:
         self._wide, self._high = hull_radius_m / self._step_m, hull_height_m / 2.0 / self._step_m
 
     def admits(self, *way_m: Vec3) -> bool:
-        """Whether the hull may go along straight legs through these places (odom, m).
-
-        It touches nothing that is not known free, but for voxels that it touches already and that no leg goes nearer to:
-        a map that grows a ghost beside a hovering vehicle shall not keep it there.
+        """Whether the hull may go along straight legs through these places (odom, m): it touches nothing that is not known
+        free, but for voxels that it touches already and that no leg goes nearer to. A ghost beside a vehicle shall not keep it.
         """
         way = [self._in_voxels(place_m) for place_m in way_m]
         met = ((a, b, voxel) for a, b in itertools.pairwise(way) for voxel in self._touched(a, b))

@@ -38,7 +38,6 @@ class Patience:
 @dataclass(frozen=True, slots=True)
 class Health:
     """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far.
-
     pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: why, or ''. refused_s: without motion.
     """
 
@@ -66,7 +65,6 @@ class Ladder:
 
     def step(self, health: Health) -> tuple[Rung, str]:
         """Down at once; up from holding at once, from retreating after _HEALTH_S (at once if barely begun), from landing never.
-
         Kept from flying for as long as a silent mission is borne, whatever keeps it: nobody comes, so it lands.
         """
         rung, why = self._wanted(health)

@@ -42,7 +42,7 @@ class PoseGate:
         last = self._believed
         repeated = last is not None and pose.stamp_s <= last.stamp_s
         if why := _unfit(pose, now_s) or ("repeated or older than the one before" if repeated else ""):
-            return self._refuse(Verdict(False, why=why))
+            return self._refuse(why)
         if last is None or pose.reset_counter != last.reset_counter:
             return self._believe(pose, anew=last is not None)
         why = self._leap(last, pose)
@@ -59,15 +59,15 @@ class PoseGate:
         self._agreed += 1
         if self._agreed >= _PROOF and pose.stamp_s - self._since_s >= _PROOF_S:
             return self._believe(pose, anew=True)
-        return self._refuse(Verdict(False, why=why))
+        return self._refuse(why)
 
     def _believe(self, pose: StampedPose, anew: bool) -> Verdict:
         self._believed, self._track, self._refused = pose, None, 0
         return Verdict(True, anew)
 
-    def _refuse(self, verdict: Verdict) -> Verdict:
+    def _refuse(self, why: str) -> Verdict:
         self._refused += 1
-        return verdict
+        return Verdict(False, why=why)
 
     def _leap(self, last: StampedPose, pose: StampedPose) -> str:
         """What no flight explains between two poses, '' for nothing."""

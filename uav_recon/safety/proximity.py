@@ -53,7 +53,6 @@ class Ahead:
 
 def fastest_mps(room_m: float, braking_mps2: float, margins: Margins, speed_mps: float) -> float:
     """The greatest speed at which what the way has left is enough to react in and to brake in.
-
     room_m: before the hull. Below slow_mps the hull stops stop_m short; above it, it is back to slow_mps fast_m short:
     v² = v_end² + 2 a (room - reaction - margin), HAZARDS 2.
     """

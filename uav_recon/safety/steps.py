@@ -1,0 +1,48 @@
+"""From one setpoint to the next: no farther than the limits lead, and place and velocity of one motion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from uav_recon.safety.envelope import Envelope, Vec3
+
+_LONGEST_S = 0.5  # the autopilot gives up on a stream that paused for longer
+_MOST = (0.02, 0.05, math.degrees(0.03), 0.02)
+_WORDS = ("jump of {:.2f} m", "velocity jump of {:.2f} m/s", "heading jump of {:.0f} degrees", "{:.2f} m off its velocity")
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A cleared setpoint in plain floats."""
+
+    at_s: float
+    position_m: Vec3
+    velocity_mps: Vec3
+    yaw_rad: float
+    pitch_down_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """What has been taken beyond the limits of place, velocity and heading (m, m/s, degrees) and not been made up for since:
+    the slack is for a late clock, and not for each setpoint anew. astray_m: the places, from where the velocities lead.
+    """
+
+    beyond: Vec3 = (0.0, 0.0, 0.0)
+    astray_m: Vec3 = (0.0, 0.0, 0.0)
+
+    def after(self, last: Motion, motion: Motion, envelope: Envelope) -> tuple[Steps, str]:
+        """With one more, and why it is one too many, '' if it is not."""
+        dt_s, braking_mps2 = min(max(motion.at_s - last.at_s, 0.0), _LONGEST_S), envelope.max_acceleration_mps2
+        turn_deg = math.degrees(abs(math.remainder(motion.yaw_rad - last.yaw_rad, math.tau)))
+        steps = math.dist(motion.position_m, last.position_m), math.dist(motion.velocity_mps, last.velocity_mps), turn_deg
+        limits = envelope.max_speed_mps, braking_mps2, math.degrees(envelope.max_yaw_rate_radps)
+        a, b, c = (max(old + step - dt_s * limit, 0.0) for old, step, limit in zip(self.beyond, steps, limits, strict=True))
+        ways = zip(self.astray_m, last.position_m, motion.position_m, last.velocity_mps, motion.velocity_mps, strict=True)
+        x, y, z = (old + q - p - (u + v) / 2.0 * dt_s for old, p, q, u, v in ways)
+        off_m = math.hypot(x, y, z)
+        left = max(1.0 - braking_mps2 * dt_s**2 / 4.0 / max(off_m, 1e-12), 0.0)  # what the limit allows between any two is none
+        taken = zip((a, b, c, off_m * left), (*steps, off_m), _MOST, _WORDS, strict=True)
+        faults = [words.format(step) for beyond, step, most, words in taken if not beyond <= most]
+        return Steps((a, b, c), (x * left, y * left, z * left)), faults[0] if faults else ""
