@@ -193,3 +193,21 @@ def test_a_vehicle_that_a_human_armed_while_our_mode_was_lost_stays_his() -> Non
     rig.run(6.0)
     assert mode_of(rig) == "LOITER"
     assert not any(rig.tap.since(yielded_s + TICK_S)[order] for order in ORDERS)
+
+
+@pytest.mark.parametrize("waits_s", [0.05, 0.5, 1.5])
+def test_a_pilot_who_takes_over_before_it_lifts_keeps_his_motors(waits_s: float) -> None:
+    rig = CopterRig()
+    rig.until(FlightPhase.READY, 30.0)
+    rig.intent = (Goal.FLY, None)
+    while not rig.autopilot.truth().armed:
+        rig.step()
+    rig.run(waits_s)
+    assert rig.height_m < 0.05
+    assert isinstance(rig.autopilot, ArduCopter)
+    rig.autopilot.pilot_takes_over("LOITER")
+    taken_s = rig.clock.now_s()
+    rig.run(3.0)
+    assert rig.pilot.phase is FlightPhase.YIELDED
+    assert rig.tap.since(taken_s)[f"COMMAND_LONG {ARM}"] == 0
+    assert mode_of(rig) == "LOITER"

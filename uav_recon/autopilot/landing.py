@@ -40,21 +40,23 @@ class Landing:
         t, firmware = link.telemetry, link.firmware
         if not t.armed:
             return Loss(FlightPhase.LANDED, "")
+        lands = firmware.is_landing(t.custom_mode)
+        if not (lands or firmware.is_ours(t.custom_mode)):
+            return yielded(f"mode changed to {firmware.mode_name(t.custom_mode)}")
+        current = self._mode_is_current(t, now_s)
         stands = not self._lifted and now_s - t.on_ground_s <= _GROUND_FRESH_S
-        if stands and now_s - self._disarm_asked_s >= _AGAIN_S:
+        if stands and current and now_s - self._disarm_asked_s >= _AGAIN_S:
             self._disarm_asked_s = now_s
             link.command(now_s, DISARM[0], *DISARM[1])
-        if firmware.is_landing(t.custom_mode):
+        if lands:
             self.seen, self._in_vain_s = True, math.inf
             self._watch_descent(float(t.position_m[2]), now_s)
             return None
-        if not firmware.is_ours(t.custom_mode):
-            return yielded(f"mode changed to {firmware.mode_name(t.custom_mode)}")
         self.alert = "our mode goes on: LAND is asked for" if self.seen else self.alert
         self._in_vain_s = min(self._in_vain_s, now_s + _IN_VAIN_S)
         if now_s > self._in_vain_s:
             return yielded(f"LAND is not heeded in {_IN_VAIN_S:.0f} s: the autopilot's failsafe is to land", abandoned=True)
-        if self._mode_is_current(t, now_s) and now_s - self._asked_s >= _AGAIN_S:
+        if current and now_s - self._asked_s >= _AGAIN_S:
             self._asked_s = now_s
             link.command(now_s, firmware.land[0], *firmware.land[1])
         return None
