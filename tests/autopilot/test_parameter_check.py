@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from flight_rig import ARM, Rig
+from flight_rig import ARM, TAKEOFF_LAG_S, Rig
+from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.ardupilot import ArduCopter
 from sitl.ardupilot_parameters import ArduPilotParameters
@@ -16,6 +17,7 @@ from uav_recon.autopilot.parameters import BYTEWISE, NUMERIC
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
+INT32 = mavlink.MAV_PARAM_TYPE_INT32
 READY_S = {"px4": 20.0, "ardupilot": 60.0}
 
 
@@ -112,9 +114,52 @@ def test_several_faults_are_counted() -> None:
     assert until_noted(rig).startswith("parameter COM_OBL_RC_ACT is 0, wanted 4, and 2 more")
 
 
-def test_nothing_is_read_in_flight() -> None:
+def test_nothing_is_asked_for_in_flight() -> None:
     rig = CheckedRig()
     rig.airborne()
     begin_s = rig.clock.now_s()
     rig.run(35.0)
     assert rig.tap.since(begin_s)["PARAM_REQUEST_READ"] == 0
+
+
+def told_of(rig: CheckedRig, name: str, value: float) -> bytes:
+    """What the firmware tells everybody when a ground station has written a parameter."""
+    message = mavlink.MAVLink_param_value_message(name.encode(), rig.form.number_of(value, INT32), INT32, 1, 0)
+    return bytes(message.pack(mavlink.MAVLink(None, 1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "right"),
+    [(CheckedRig, "COM_OBL_RC_ACT", 0, 4), (CheckedArduRig, "FS_GCS_ENABLE", 0, 5)],
+)
+def test_a_change_in_flight_is_held_for_and_told_until_it_is_taken_back(
+    kind: type[CheckedRig], name: str, value: float, right: float
+) -> None:
+    rig = kind()
+    rig.until(FlightPhase.READY, READY_S[rig.name])
+    rig.intent = (Goal.FLY, None)
+    rig.until(FlightPhase.FLYING, 15.0)
+    rig.run(rig.fly((0.0, 0.0, 1.1)).duration_s + TAKEOFF_LAG_S)
+    rig.fly((2.0, 0.0, 1.1), identifier=2)
+    rig.run(1.5)
+    rig.tap.forged, changed_s = told_of(rig, name, value), rig.clock.now_s()
+    rig.run(0.1)
+    assert rig.state.note.startswith(f"in flight parameter {name} is {value}, wanted {right}")
+    rig.run(2.0)
+    assert rig.tap.since(changed_s)["STATUSTEXT"] > 0
+    stood = rig.autopilot.truth().position[0]
+    rig.run(3.0)
+    assert abs(rig.autopilot.truth().position[0] - stood) < 0.05
+    rig.tap.forged = told_of(rig, name, right)
+    rig.run(0.5)
+    rig.fly((2.0, 0.0, 1.1), identifier=3)
+    rig.run(8.0)
+    assert abs(rig.autopilot.truth().position[0] - 2.0) < 0.1
+
+
+def test_what_may_differ_may_be_changed_in_flight() -> None:
+    rig = CheckedRig()
+    rig.airborne()
+    rig.tap.forged = told_of(rig, "COM_DL_LOSS_T", 5)
+    rig.run(1.0)
+    assert rig.state.note == ""

@@ -10,6 +10,7 @@ from uav_recon.autopilot.intrusion import TWO
 from uav_recon.autopilot.link import Link
 from uav_recon.autopilot.lookout import Lookout
 from uav_recon.autopilot.mandate import Mandate
+from uav_recon.autopilot.parameter_check import NoParameterCheck, ParameterCheck
 from uav_recon.autopilot.posefeed import PoseFeed
 from uav_recon.autopilot.steering import Steering
 from uav_recon.safety.envelope import Vec3
@@ -25,9 +26,16 @@ class Awareness:
     """Put together anew at each question from what the pilot's parts know; keeps nothing itself."""
 
     def __init__(
-        self, link: Link, guard: Guard, poses: PoseFeed, mandate: Mandate, lookout: Lookout, steering: Steering
+        self,
+        link: Link,
+        guard: Guard,
+        poses: PoseFeed,
+        mandate: Mandate,
+        lookout: Lookout,
+        steering: Steering,
+        parameters: ParameterCheck | NoParameterCheck,
     ) -> None:
-        self._link, self._guard, self._poses = link, guard, poses
+        self._link, self._guard, self._poses, self._parameters = link, guard, poses, parameters
         self._mandate, self._lookout, self._steering = mandate, lookout, steering
 
     @property
@@ -52,7 +60,7 @@ class Awareness:
         """For the ladder. refused_s: of refusals without a motion."""
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # it flies by no others
-        lost = TWO if self._link.telemetry.doubled else self._poses.lost
+        lost = (TWO if self._link.telemetry.doubled else "") or self._parameters.changed(self._link) or self._poses.lost
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         return Health(now_s, *ages_s, inside, self.refusals, lost, self._poses.wrong, refused_s)
 

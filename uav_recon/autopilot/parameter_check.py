@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from uav_recon.autopilot.link import Link
+from uav_recon.autopilot.messages import ParameterValue
 from uav_recon.autopilot.parameter_file import Wanted
 from uav_recon.autopilot.parameters import Inquiry, NumberForm, equal
 
@@ -12,12 +13,14 @@ _AGAIN_S, _FAULT_AGAIN_S = 30.0, 3.0  # a person at a ground station may change,
 
 
 class ParameterCheck:
-    """Reads back what must be met before arming; what may differ is not asked for."""
+    """Reads back what must be met before arming, and heeds what is told of it in flight; what may differ is not asked for."""
 
     def __init__(self, wanted: tuple[Wanted, ...], form: NumberForm) -> None:
         self._wanted, self._form = tuple(one for one in wanted if one.reason.refused), form
         self._inquiry = self._everything()
         self._read_once, self._read_s, self._reboots = False, math.inf, 0
+        self._heeded: dict[str, ParameterValue] = {}
+        self._changed = ""
 
     def missing(self, now_s: float, link: Link) -> str:
         """What speaks against arming, '' for nothing. To be asked every turn on the ground; it never blocks."""
@@ -36,6 +39,14 @@ class ParameterCheck:
         if self._inquiry.done and now_s - self._read_s >= (_FAULT_AGAIN_S if faulty else _AGAIN_S):
             self._inquiry = Inquiry(one.name for one in faulty) if faulty else self._everything()
         return self._words(faulty, link) if faulty else ""
+
+    def changed(self, link: Link) -> str:
+        """What somebody has changed in flight, '' for nothing. Nothing is asked: a firmware tells everybody of a change."""
+        if (told := link.telemetry.parameters) != self._heeded:
+            self._heeded = dict(told)
+            faulty = [one for one in self._faulty(link) if one.name in told]
+            self._changed = f"in flight {self._words(faulty, link)}" if faulty else ""
+        return self._changed
 
     def _everything(self) -> Inquiry:
         return Inquiry(one.name for one in self._wanted)
@@ -60,5 +71,9 @@ class NoParameterCheck:
     """For whoever answers for the parameters himself."""
 
     def missing(self, now_s: float, link: Link) -> str:
+        """Nothing."""
+        return ""
+
+    def changed(self, link: Link) -> str:
         """Nothing."""
         return ""

@@ -80,18 +80,19 @@ class Pilot:
         origin: Origin,
         airframe: Airframe,
         setpoint_rate_hz: float = 30.0,
-        parameters: ParameterCheck | None = None,
+        parameters: ParameterCheck | NoParameterCheck | None = None,
     ) -> None:
         self._link, self._guard, self._patience, self._clock = link, guard, patience, clock
         self._firmware, self._airframe, self._vehicle = link.firmware, airframe, channels.vehicle
-        self._briefing = Briefing(link, origin, airframe.gimbal, parameters or NoParameterCheck())
+        parameters = parameters or NoParameterCheck()
+        self._briefing = Briefing(link, origin, airframe.gimbal, parameters)
         self._tick = RateKeeper(setpoint_rate_hz, clock.now_s())
         self._poses = PoseFeed(channels.odom, link, PoseGate(guard.envelope.max_yaw_rate_radps))
         self._mandate = Mandate(channels.intent, patience.intent_hold_s)
         hull = (airframe.hull_radius_m, airframe.hull_height_m)
         self._lookout = Lookout(channels.free, channels.nearby, sight, *hull)
         self._authority, self._steering = Authority(link.firmware), Steering(guard, self._mandate, airframe.hover_height_m)
-        self._aware = Awareness(link, guard, self._poses, self._mandate, self._lookout, self._steering)
+        self._aware = Awareness(link, guard, self._poses, self._mandate, self._lookout, self._steering, parameters)
         self._in_vain = InVain(patience.intent_land_s)
         self._ladder, self._rung, self._low = Ladder(patience), Rung.FLY, ""  # where it stands, and why no higher
         self.phase = FlightPhase.CONNECTING
