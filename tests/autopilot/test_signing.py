@@ -136,6 +136,14 @@ def test_a_capture_of_another_link_is_a_minute_old_at_most(tmp_path: Path) -> No
     assert not ear.believes(old)
 
 
+@pytest.mark.parametrize("late_s", [0, 1, 30])
+def test_a_capture_of_another_link_is_not_believed_once_the_vehicle_is_heard(tmp_path: Path, late_s: int) -> None:
+    ear, there, elsewhere = Ear(tmp_path), signer(KEY, NOW), signer(KEY, NOW - late_s * UNITS_PER_S, link_id=3)
+    assert ear.believes(frame_of(there))
+    assert not ear.believes(frame_of(elsewhere))
+    assert ear.believes(frame_of(there))
+
+
 def test_our_own_frames_come_back_as_a_twin_and_nothing_else(tmp_path: Path) -> None:
     ear = Ear(tmp_path)
     ear.link.keep_alive(0.0)

@@ -79,6 +79,7 @@ class Signature:
 
     def __init__(self, key: bytes, link_id: int, stamps: Stamps) -> None:
         self._key, self._link_id, self._stamps = key, bytes((link_id,)), stamps
+        self._heard_on: dict[tuple[int, int], int] = {}  # the link id on which each system and component was heard first
 
     def put(self, frame: bytes, now_s: float) -> bytes:
         """Marked as signed, and signed at this instant."""
@@ -86,8 +87,10 @@ class Signature:
         return stamped + self._hash(stamped)
 
     def trusts(self, frame: bytes) -> bool:
-        """Whether the signature is true and the stamp new."""
+        """Whether the signature is true, the stamp new, and the frame made for no other link of its sender's."""
         if not is_signed(frame) or not hmac.compare_digest(frame[-_HASH:], self._hash(frame[:-_HASH])):
+            return False
+        if self._heard_on.get(sender_of(frame), frame[-_TAIL]) != frame[-_TAIL]:
             return False
         return self._stamps.is_new(self._stream(frame), self._stamp(frame))
 
@@ -95,6 +98,7 @@ class Signature:
         """As trusts(), and its stamp is used up."""
         if not self.trusts(frame):
             return False
+        self._heard_on[sender_of(frame)] = frame[-_TAIL]
         self._stamps.note(self._stream(frame), self._stamp(frame))
         return True
 
