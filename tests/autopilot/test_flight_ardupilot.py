@@ -119,6 +119,19 @@ def test_a_pilot_who_takes_over_is_left_alone(hovering: CopterRig) -> None:
     assert hovering.tap.since(yielded_s + 1.0)["ODOMETRY"] > 0, "a human in LOITER needs the poses"
 
 
+def test_a_pilot_who_gives_it_back_is_told_that_it_is_not_taken_up(hovering: CopterRig) -> None:
+    hovering.autopilot.pilot_takes_over("LOITER")
+    hovering.run(3.0)
+    hovering.autopilot.pilot_takes_over("GUIDED")
+    given_s = hovering.clock.now_s()
+    hovering.run(4.0)
+    assert hovering.pilot.phase is FlightPhase.YIELDED
+    assert not any(hovering.tap.since(given_s)[order] for order in ORDERS)
+    said = [m.text for at, m in hovering.tap.sent if Tap.name(m) == "STATUSTEXT" and at >= given_s]
+    assert said == ["GUIDED: nobody flies, choose another mode"]
+    assert mode_of(hovering) == "GUIDED", "a human's own ground station may fly it"
+
+
 def test_a_failsafe_landing_of_the_autopilot_is_accepted(hovering: CopterRig) -> None:
     hovering.autopilot.pilot_takes_over("LAND")
     hovering.until(FlightPhase.LANDING, 1.2)

@@ -74,6 +74,11 @@ class Authority:
             return yielded(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
         return None
 
+    def given_back(self, t: Telemetry, now_s: float) -> str:
+        """What a human has to know who chose our mode again, '' if none did: it is not taken up."""
+        ours = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s > _BACK_S
+        return f"{self._firmware.mode_name(t.custom_mode)}: nobody flies, choose another mode" if ours else ""
+
     def unattended(self, t: Telemetry, now_s: float) -> Loss | None:
         """Of a vehicle that was yielded: where the mode that it was yielded to was forged, nobody flies it. A human's mode
         outlives our heartbeats.

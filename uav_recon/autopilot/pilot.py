@@ -165,6 +165,7 @@ class Pilot:
         loss = self._authority.watch(self.phase, self._link.telemetry, now_s)
         if self.phase is FlightPhase.YIELDED and not self._link.mute:
             loss = self._authority.unattended(self._link.telemetry, now_s)
+            self._note = self._authority.given_back(self._link.telemetry, now_s) or self._note
         if loss is not None:
             self._lose(loss)
         if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
