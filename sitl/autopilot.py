@@ -98,11 +98,6 @@ class Autopilot(ABC):
         return self._server.texts
 
     @property
-    def contacts_ground(self) -> int:
-        """How often the vehicle came down onto the floor."""
-        return len(self.vehicle.touchdowns)
-
-    @property
     def estimator(self) -> Estimator:
         """The estimator, for the referee."""
         return self._board.estimator

@@ -1,4 +1,4 @@
-"""Sampling and probing of triangle meshes: dense and area-weighted surface points, and the first hit straight below."""
+"""Sampling and probing of triangle meshes: dense and area-weighted points, and the first hit straight below."""
 
 from __future__ import annotations
 
@@ -26,13 +26,8 @@ def dense_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
     return points[_first_of_cells(points, points.min(axis=0), points.max(axis=0), np.float32(0.25 * spacing_m))]
 
 
-def area_weighted_points(vertices: F32, faces: I32, count: int, seed: int) -> F32:
-    """count points (N, 3) float32, uniform over the mesh's area."""
-    return area_weighted_samples(vertices, faces, count, seed)[0]
-
-
 def area_weighted_samples(vertices: F32, faces: I32, count: int, seed: int) -> tuple[F32, F32]:
-    """The same, with the unit normals (N, 3) float32 of their triangles."""
+    """count points (N, 3) float32, uniform over the mesh's area, and the unit normals (N, 3) float32 of their triangles."""
     rng = np.random.default_rng(seed)
     a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
     normals = np.cross(b - a, c - a)

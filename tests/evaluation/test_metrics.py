@@ -14,7 +14,6 @@ from uav_recon.evaluation.metrics import (
     explored_fraction,
     f_score,
     measure,
-    median_p95,
     point_distance_m,
     psnr_db,
     share_within,
@@ -123,11 +122,6 @@ def test_psnr_of_a_known_error() -> None:
         psnr_db([truth], [])
     with pytest.raises(ValueError, match="does not fit"):
         psnr_db([truth], [truth[:2]])
-
-
-def test_median_and_p95() -> None:
-    assert median_p95([float(i) for i in range(101)]) == {"median": 50.0, "p95": 95.0}
-    assert median_p95([]) == {"median": None, "p95": None}
 
 
 def test_stream_with_one_gap() -> None:

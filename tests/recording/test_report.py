@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_recon.evaluation.metrics import Quality, StreamStatistics, median_p95
-from uav_recon.recording.report import Report, ReportError, ReportQuality, ReportStream, Spread, save_report
+from uav_recon.evaluation.metrics import Quality, StreamStatistics
+from uav_recon.recording.report import Report, ReportError, ReportQuality, ReportStream, save_report
 from uav_recon.recording.report_page import Picture, verdict, write_report
 
 PIXEL = bytes.fromhex(
@@ -122,7 +122,6 @@ def test_numbers_that_are_none_become_null() -> None:
 def test_evaluation_and_report_speak_the_same_names() -> None:
     assert [f.name for f in dataclasses.fields(Quality)] == [f.name for f in dataclasses.fields(ReportQuality)]
     assert [f.name for f in dataclasses.fields(StreamStatistics)] == [f.name for f in dataclasses.fields(ReportStream)]
-    assert list(median_p95([1.0])) == [f.name for f in dataclasses.fields(Spread)]
 
 
 def test_the_page_stands_alone(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from sitl.clearance import CAP_M, Clearance
 from sitl.scene import Scene
-from sitl.surface import F32, I32, area_weighted_points, dense_points, height_below, row_points
+from sitl.surface import F32, I32, area_weighted_samples, dense_points, height_below, row_points
 
 
 def scene_of(vertices: list[list[float]], faces: list[list[int]]) -> Scene:
@@ -73,7 +73,7 @@ def test_dense_points_leave_no_gap(points: Callable[[F32, I32, float], F32]) -> 
     rng = np.random.default_rng(5)
     vertices = rng.uniform(-0.5, 0.5, (60, 3)).astype(np.float32)
     faces = np.arange(60, dtype=np.int32).reshape(-1, 3)
-    everywhere = area_weighted_points(vertices, faces, 100_000, 2)
+    everywhere, _ = area_weighted_samples(vertices, faces, 100_000, 2)
     distance, _ = cKDTree(points(vertices, faces, 0.01)).query(everywhere)
     assert distance.max() < 0.0135
     assert np.sqrt((distance**2).mean()) < 0.006
@@ -82,7 +82,7 @@ def test_dense_points_leave_no_gap(points: Callable[[F32, I32, float], F32]) -> 
 def test_samples_are_uniform_over_area() -> None:
     """A triangle of three times the area gets three times the points, each lying in its plane."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 1, 5]], np.float32)
-    points = area_weighted_points(vertices, np.array([[0, 1, 2], [3, 4, 5]], np.int32), 40_000, 9)
+    points, _ = area_weighted_samples(vertices, np.array([[0, 1, 2], [3, 4, 5]], np.int32), 40_000, 9)
     upper = points[:, 2] > 2.5
     assert upper.mean() == pytest.approx(0.75, abs=0.01)
     np.testing.assert_allclose(points[~upper].mean(axis=0), (1 / 3, 1 / 3, 0), atol=0.01)

@@ -26,7 +26,6 @@ TRUTH_POINTS, TRUTH_SEED = 300_000, 20240319
 HELD_OUT, HELD_OUT_STRIDE = 20, 4  # pictures, and pixels between those that are compared
 CAMERAS = ("d435i", "wide")
 DEPTH_RANGE_M = (0.3, 6.0)
-STEREO_BASELINE_M = 0.05
 VIEW_PERIOD_S = 0.5
 
 

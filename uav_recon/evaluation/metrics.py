@@ -119,14 +119,6 @@ def psnr_db(images: Sequence[ByteArray], truths: Sequence[ByteArray]) -> float |
     return float(np.mean(values)) if values else None
 
 
-def median_p95(values: Sequence[float]) -> dict[str, float | None]:
-    """Median and 95th percentile; None for no values."""
-    if not values:
-        return {"median": None, "p95": None}
-    median, p95 = np.percentile(np.asarray(values, dtype=np.float64), [50.0, 95.0])
-    return {"median": float(median), "p95": float(p95)}
-
-
 def stream_statistics(arrival_s: Sequence[float] | FloatArray) -> StreamStatistics:
     """Rate and gaps of messages that arrived at these instants (any order)."""
     gaps_s = np.diff(np.sort(np.asarray(arrival_s, dtype=np.float64)))

@@ -126,11 +126,6 @@ class Voxels:
         self._scratch.list(changing)
         self._settle(changing.size)
 
-    def mark_visited(self, position_world: FloatArray, radius_m: float, height_m: float) -> None:
-        """The body's hull (upright cylinder around its position) is there, so nothing else is."""
-        z_m = float(position_world[2])
-        self.declare_free(position_world, radius_m, z_m - height_m / 2, z_m + height_m / 2)
-
     def snapshot(self) -> VoxelMap:
         """A frozen picture with its distance field: about 0.1 ms after a frame, nothing if nothing changed."""
         if self._picture is None:

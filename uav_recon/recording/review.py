@@ -21,7 +21,6 @@ class RecordingSummary:
 
     entities: tuple[str, ...]
     chunks: int
-    size_bytes: int
 
 
 def review(folder: Path) -> None:
@@ -73,4 +72,4 @@ def check_recording(folder: Path) -> RecordingSummary:
             raise ReviewError(f"{path}: not a recording ({str(error).splitlines()[0]})") from None
     if chunks == 0:
         raise ReviewError(f"{path}: not a recording")
-    return RecordingSummary(tuple(sorted(entities)), chunks, path.stat().st_size)
+    return RecordingSummary(tuple(sorted(entities)), chunks)

@@ -23,11 +23,6 @@ class Frontier:
     cells: IntArray
     faces: ByteArray
 
-    def centre_voxels(self) -> FloatArray:
-        """Mean of the cells' centres, (3,) in voxel units."""
-        centre: FloatArray = self.cells.mean(axis=0) + 0.5
-        return centre
-
 
 def fence_box(grid: GridSpec, fence_min_m: FloatArray, fence_max_m: FloatArray) -> tuple[IntArray, IntArray]:
     """First and one-past-last voxel index (3,) whose centres lie inside a box in world, clipped to the grid."""

@@ -108,11 +108,6 @@ class FlyableSpace:
             self.regions.hang_on(i, j, k, self.revision)
         return cells
 
-    def changed_reachable(self, since_revision: int) -> IntArray:
-        """Tiles (N, 2) in which ``reachable`` changed after a revision of this space."""
-        changed: IntArray = np.argwhere(self.reachable_revision > since_revision)
-        return changed
-
     def padded(self, points_world: FloatArray) -> FloatArray:
         """World (3,) or (N, 3) to padded voxel units."""
         out: FloatArray = (points_world - self.grid.origin_world_m) / self.grid.resolution_m + 1.0
