@@ -65,13 +65,14 @@ def test_hold_and_land_work_whether_or_not_the_mission_lives(mission: bool) -> N
     assert flying.passed_on is Order.LAND
 
 
-def test_a_human_with_the_sticks_wins() -> None:
-    yielded = Vehicle(FlightPhase.YIELDED)
+@pytest.mark.parametrize("note", ["yielded: mode changed to POSCTL", "yielded: the autopilot is silent"])
+def test_a_vehicle_that_is_not_ours_gets_no_order_and_the_reason_is_said(note: str) -> None:
+    yielded = Vehicle(FlightPhase.YIELDED, note=note)
     for order in Order:
-        done, why = yielded.order(order.value)
-        assert not done
-        assert "a human has the vehicle" in why
+        said = f"not ours any more ({note}): nothing is asked of it until the pilot is started anew"
+        assert yielded.order(order.value) == (False, said)
     assert (yielded.asked, yielded.passed_on) == ([], None)
+    assert Vehicle(FlightPhase.YIELDED).order("land")[1].startswith("not ours any more: nothing")
 
 
 @pytest.mark.parametrize("phase", GROUND)

@@ -81,7 +81,8 @@ class Clerk:
     def _refusal(self, order: Order) -> str:
         phase = self._pilot.phase
         if phase is FlightPhase.YIELDED:
-            return "a human has the vehicle: nothing is sent to it until the pilot is started anew"
+            note = self._note()
+            return f"not ours any more{note and f' ({note})'}: nothing is asked of it until the pilot is started anew"
         if order is Order.START:
             return self._refusal_of_start(phase)
         if phase in _ON_THE_GROUND:
@@ -98,8 +99,7 @@ class Clerk:
         if phase in (FlightPhase.LANDING, FlightPhase.LANDED):
             return "this flight is over: restart the services for another one"
         if phase is FlightPhase.CONNECTING:
-            vehicle = _newest(self._vehicle)
-            return f"not ready: {vehicle.note if vehicle is not None else 'starting'}"
+            return f"not ready: {self._note('starting')}"
         return "" if self._mission_hears() else "the mission is silent: is uav-recon-mission running, and has it finished?"
 
     def _carry_out(self, order: Order) -> str:
@@ -111,6 +111,11 @@ class Clerk:
         grounded = self._pilot.phase in _ON_THE_GROUND
         going = "it takes off as soon as the mission is warm" if grounded else "it goes on"
         return {Order.LAND: "landing", Order.HOLD: "holding", Order.RETURN: "returning", Order.START: going}[order]
+
+    def _note(self, untold: str = "") -> str:
+        """The pilot's newest reason in words. untold: what to say before there is any state of the vehicle."""
+        vehicle = _newest(self._vehicle)
+        return untold if vehicle is None else vehicle.note
 
     def _mission_hears(self) -> bool:
         intent = _newest(self._intent)

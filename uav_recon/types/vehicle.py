@@ -21,7 +21,7 @@ class FlightPhase(Enum):
     FLYING = "flying"  # armed, our mode, following trajectories or holding
     LANDING = "landing"  # land mode commanded or met
     LANDED = "landed"  # disarmed after a flight
-    YIELDED = "yielded"  # a human has the vehicle: nothing is sent any more
+    YIELDED = "yielded"  # not ours any more (a human's, another's, silent, deaf): no setpoint, mode or arm command goes out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
