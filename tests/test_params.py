@@ -189,7 +189,7 @@ def test_silence_and_the_wrong_firmware_are_one_line(capsys: pytest.CaptureFixtu
     assert capsys.readouterr().err == "uav-recon: memory: waiting for a heartbeat\n"
     other = Bench("ardupilot")
     other.options = ParamsOptions("px4", "memory", None)
-    with pytest.raises(run.Failure, match="--autopilot px4: the vehicle is ArduPilot") as caught:
+    with pytest.raises(run.Failure, match=r"link.autopilot in the config, is px4: the vehicle is ArduPilot") as caught:
         other.vehicle()
     assert caught.value.code == 78
 

@@ -127,7 +127,6 @@ def test_a_damaged_view_is_one_view_less(flight: Path) -> None:
         (("--voxel", "nan"), "--voxel nan: want 0.005 to 0.05"),
         (("--steps", "0"), "--steps 0: want 1 to 1000000"),
         (("--save-every", "0"), "--save-every 0: want 1 to 3600"),
-        (("--processes", "0"), "--processes 0: want 1 to 64"),
         (("--device", "tpu"), "--device tpu: want auto, cpu, cuda"),
     ],
 )
@@ -135,10 +134,17 @@ def test_a_wrong_word_is_one_line_with_the_range(flight: Path, arguments: tuple[
     assert call(flight, *arguments) == (2, f"uav-recon: {words}\n")
 
 
-def test_more_processes_than_there_is_memory_for_are_refused(flight: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uav_recon.refine.memory_gb", lambda: 7.6)
-    line = "uav-recon: --processes 8: want 1 to 7; each may take 1 GB of memory\n"
-    assert call(flight, "--processes", "8") == (2, line)
+@pytest.mark.parametrize(("asked", "memory_gb", "want"), [
+    ("8", 7.6, "1 to 7; each may take 1 GB of memory"),
+    ("100", 7.6, "1 to 7; each may take 1 GB of memory"),
+    ("0", 128.0, "1 to 64"),
+    ("65", 128.0, "1 to 64"),
+])  # fmt: skip
+def test_more_processes_than_there_is_memory_for_are_refused(
+    flight: Path, monkeypatch: pytest.MonkeyPatch, asked: str, memory_gb: float, want: str
+) -> None:
+    monkeypatch.setattr("uav_recon.refine.memory_gb", lambda: memory_gb)
+    assert call(flight, "--processes", asked) == (2, f"uav-recon: --processes {asked}: want {want}\n")
 
 
 def test_a_folder_that_is_no_flight_is_one_line(tmp_path: Path) -> None:

@@ -208,7 +208,8 @@ def refine(
     voxel: Annotated[float, typer.Option(help="Edge of the mesh's triangles in metres, 0.005 to 0.05.")] = 0.01,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda; auto takes every GPU there is.")] = "auto",
     processes: Annotated[
-        int | None, typer.Option(help="Learn with so many processes (torchrun). Default: one for each GPU.")
+        int | None,
+        typer.Option(help="Learn with so many processes (torchrun), 1 to 64, 1 GB of memory each. Default: one for each GPU."),
     ] = None,
     save_every: Annotated[float, typer.Option(metavar="S", help="Seconds between checkpoints, 1 to 3600.")] = 60.0,
 ) -> None:
@@ -275,7 +276,7 @@ def bench_mapper(
     ] = 0.0,
     steps_per_view: Annotated[int, typer.Option(help="Training steps after each view.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of places, noise and learning; one seed, one result.")] = 0,
-    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    device: Annotated[str, typer.Option(help="cpu; the mapper has no other path yet.")] = "cpu",
     json: JsonOption = None,
 ) -> None:
     """How well, how fast and how honestly the mapper learns a scene; a TSDF at 2 cm on the same frames beside it.

@@ -18,7 +18,9 @@ def faults(
     seeds: Annotated[
         int,
         typer.Option(
-            min=1, max=1000, help="Flights a row, three times as many of A1, B1, B4, E1 and F1; its cases take turns."
+            min=1,
+            max=1000,
+            help="Flights a row, in lockstep three times as many of A1, B1, B4, E1 and F1; its cases take turns.",
         ),
     ] = 3,
     seed0: Annotated[

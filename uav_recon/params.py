@@ -139,7 +139,10 @@ class Vehicle:
                 raise run.Failure(f"{self._options.link}: no autopilot heard within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
         if t.firmware_family != _FAMILY_OF[self._options.autopilot]:
             name = _FAMILIES.get(t.firmware_family, f"MAV_AUTOPILOT {t.firmware_family}")
-            raise run.Failure(f"--autopilot {self._options.autopilot}: the vehicle is {name}", run.EXIT_CONFIG)
+            raise run.Failure(
+                f"--autopilot, or link.autopilot in the config, is {self._options.autopilot}: the vehicle is {name}",
+                run.EXIT_CONFIG,
+            )
         self._link.request_streams(self._clock.now_s(), ((_HEARTBEAT, 5.0),), ())  # each write waits for one
 
     def _turn(self) -> float:

@@ -61,12 +61,10 @@ class RefineOptions:
         _in_range("--voxel", self.voxel_m, VOXEL_M)
         _in_range("--save-every", self.save_every_s, SAVE_EVERY_S)
         if self.processes is not None:
-            _in_range("--processes", self.processes, PROCESSES)
-            most = max(2, int(memory_gb() / PROCESS_GB))
-            if self.processes > most:
-                raise Failure(
-                    f"--processes {self.processes}: want 1 to {most}; each may take {PROCESS_GB:g} GB of memory", EXIT_USAGE
-                )
+            most = min(PROCESSES[1], max(2, int(memory_gb() / PROCESS_GB)))
+            if not PROCESSES[0] <= self.processes <= most:
+                why = "" if most == PROCESSES[1] else f"; each may take {PROCESS_GB:g} GB of memory"
+                raise Failure(f"--processes {self.processes}: want {PROCESSES[0]} to {most}{why}", EXIT_USAGE)
         with looked_at(str(self.flight)):
             folder, views = self.flight.is_dir(), (self.flight / "keyframes" / "poses.json").is_file()
         if not folder:
