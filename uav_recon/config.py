@@ -152,7 +152,7 @@ class CameraConfig(Section):
 
     source: Literal["stream", "realsense", "recorded"] = "realsense"  # stream = any outside camera by memory-mapped file
     stream: Path = Path("camera.stream")  # stream file, inside the runtime directory unless absolute
-    recording: Path | None = None  # flight folder or recorder file for source = "recorded"
+    recording: Path | None = None  # "recorded": a flight folder; "realsense": a RealSense recording
     mount: Literal["fixed", "gimbal"] = "fixed"  # gimbal = pitch driven through MAVLink
     position_body_m: Vec3 = (0.10, 0.0, 0.0)  # depth imager on the body
     pitch_down_deg: Annotated[float, Field(ge=-60.0, le=60.0)] = 15.0  # tilt of a fixed mount, positive looks down

@@ -1,4 +1,4 @@
-"""The composition root: the only file that picks implementations."""
+"""The composition root: picks the implementations of the stages."""
 
 from __future__ import annotations
 

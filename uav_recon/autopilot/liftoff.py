@@ -10,8 +10,8 @@ _TILT_RAD = math.radians(15.0)
 
 
 class LiftOff:
-    """From the first word that makes it climb until it is LIFTED_M up. within_s: how long that may take; PX4 spools up and
-    ramps for three seconds before it is so high, and by itself stops the motors after five.
+    """From the first word that makes it climb until it is LIFTED_M up. within_s: how long that may take; PX4 spools up for a
+    second and ramps for half a second (MPC_TKO_RAMP_T), and by itself stops the motors after five.
     """
 
     LIFTED_M = 0.2

@@ -109,7 +109,7 @@ class UdpLink:
 
 
 class SerialLink:
-    """A serial line, raw, eight bits, exclusive. One that goes is looked for twice a second, and opened once it is back."""
+    """A serial line, raw, eight bits, exclusive. One that goes is looked for ten times a second, and opened once it is back."""
 
     def __init__(self, device: str, baud: int, clock: Clock) -> None:
         """Raises LinkError for a line that is not there to begin with, or is none."""
