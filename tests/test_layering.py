@@ -24,6 +24,7 @@ ALLOWED = {
     "operator": {"types", "protocols", "operator"},
     "evaluation": {"types", "geometry", "evaluation"},
     "notify": set(),
+    "steady": set(),
 }
 ROOTS = {"run", "run_desk", "processes", "refine", "params", "bench", "usage"} | {
     "cli",

@@ -186,6 +186,27 @@ def test_readiness_and_then_the_turns_of_the_loop_are_told_to_systemd(config: Pa
             process.communicate()
 
 
+def test_a_pilot_that_is_ready_has_settled_and_is_small(config: Path, tmp_path: Path) -> None:
+    """As much as this user may: what settle() does is in test_steady.py."""
+    settle = [sys.executable, "-c", "from uav_recon import steady; print(steady.settle())"]
+    may = subprocess.run(settle, capture_output=True, text=True, timeout=60, check=True).stdout == "True\n"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(60.0)
+        command = [sys.executable, "-m", "uav_recon.cli", "pilot", "--config", str(config)]
+        process = subprocess.Popen(command, env=os.environ | {"NOTIFY_SOCKET": str(tmp_path / "notify")})
+        try:
+            assert systemd.recv(100) == b"READY=1"
+            assert [systemd.recv(100) for _ in range(100)] == [b"WATCHDOG=1"] * 100
+            lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
+        finally:
+            process.kill()
+            process.communicate()
+    kilobytes = {line.split(":")[0]: int(line.split()[1]) for line in lines if line.endswith(" kB")}
+    assert (kilobytes["VmLck"] > 0) == may
+    assert kilobytes["VmRSS"] < 150e3
+
+
 def test_after_a_kill_the_next_pilot_finds_its_place_free(pilot: subprocess.Popen[str], config: Path) -> None:
     while say("status", config).returncode != 0:
         assert pilot.poll() is None

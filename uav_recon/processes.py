@@ -17,7 +17,7 @@ from types import FrameType
 import numpy as np
 
 from uav_recon import config as configuration
-from uav_recon import notify, run, run_desk
+from uav_recon import notify, run, run_desk, steady
 from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
 from uav_recon.config import Config
 from uav_recon.usage import UsageError, looked_at
@@ -92,6 +92,7 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     log = Tlog(flight_folder(config, flight) / "flight.tlog", time.time() - clock.now_s())
     the_pilot = run.make_pilot(config, wires, link, log, clock, gate)
     desk = run_desk.make_desk(config, wires, the_pilot, clock)
+    steady.settle()
     notify.ready()
     while not (stop.asked and not the_pilot.in_flight):
         if stop.asked:

@@ -77,6 +77,7 @@ def test_the_pilot_is_never_locked_out() -> None:
     assert float(options["RestartSec"][0].removesuffix("ms")) <= 200
     assert "MemoryMax" not in options
     assert "RestrictRealtime" not in options  # it needs SCHED_FIFO
+    assert options["LimitMEMLOCK"] == ["infinity"]  # under any other limit steady.py locks nothing
 
 
 def test_perception_and_mission_are_restarted_three_times() -> None:
