@@ -218,7 +218,8 @@ class _Live:
         self._rs.pipeline.return_value.start.return_value.get_stream.side_effect = self._stream
         self._rs.pipeline.return_value.start.return_value.get_device.return_value.query_sensors.return_value = []
         self._rs.pipeline.return_value.poll_for_frames.side_effect = self._frames
-        self.system = False
+        self.system = self.silent = self.colourless = False
+        self._rs.pipeline.return_value.start.return_value.get_device.return_value.get_info.return_value = "146322070000"
         self.camera = RealSenseCamera(self.clock, wall_s=lambda: self.clock.now_s() + self.wall_from_clock_s)
 
     def _stream(self, kind: Any) -> Any:
@@ -230,6 +231,8 @@ class _Live:
         return stream
 
     def _frames(self) -> Any:
+        if self.silent:
+            return None
         self._number += 1
         taken_s = self.clock.now_s() - self.late_by_s
         frame, domains = MagicMock(), self._rs.timestamp_domain
@@ -237,7 +240,7 @@ class _Live:
         frame.get_frame_timestamp_domain.return_value = domains.system_time if self.system else domains.hardware_clock
         frame.get_frame_number.return_value = self._number
         frame.get_data.return_value = np.zeros((6, 8), np.uint16)
-        return SimpleNamespace(get_depth_frame=lambda: frame, get_color_frame=lambda: frame)
+        return SimpleNamespace(get_depth_frame=lambda: frame, get_color_frame=lambda: None if self.colourless else frame)
 
     def poll(self, seconds: float) -> list[tuple[float, float]]:
         """When frames came, and how old their stamps said that they were."""
@@ -269,3 +272,38 @@ def test_a_wall_clock_that_is_set_back_costs_two_frames_and_no_more(monkeypatch:
     assert live.poll(1 / 30)[0][1] == pytest.approx(-3600.0, abs=1e-3)
     live.late_by_s = 0.005
     assert len(live.poll(1.0)) == 29
+
+
+@pytest.mark.parametrize("falls", ["silent", "colourless"])
+def test_a_camera_that_is_open_and_tells_nothing_is_gone_after_a_second_and_a_half(
+    monkeypatch: pytest.MonkeyPatch, falls: str
+) -> None:
+    live = _Live(monkeypatch)
+    assert len(live.poll(1.0)) == 30
+    setattr(live, falls, True)
+    assert live.poll(1.45) == []
+    with pytest.raises(RealSenseError, match=r"^RealSense 146322070000: open, but no frame for 1\.5 s: plug it in anew$"):
+        live.poll(0.15)
+    with pytest.raises(RealSenseError, match=r"no frame for 1\.6 s"):
+        live.poll(1 / 30)
+    setattr(live, falls, False)
+    assert len(live.poll(1.0)) == 30  # whoever could not end for it goes on
+
+
+def test_a_camera_has_five_seconds_for_its_first_frame_however_long_kernels_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    live = _Live(monkeypatch)
+    live.silent = True
+    live.clock.advance_to(live.clock.now_s() + 60.0)
+    assert live.poll(4.9) == []
+    with pytest.raises(RealSenseError, match=r"no frame for 5\.0 s"):
+        live.poll(0.2)
+
+
+def test_a_recording_that_is_over_is_no_camera_that_fell_silent(recording: Path) -> None:
+    clock = ManualClock(100.0)
+    camera = RealSenseCamera(clock, playback=recording)
+    _play(camera)
+    for _ in range(100):
+        clock.advance_to(clock.now_s() + 1.0)
+        camera.poll()  # raises nothing
+    camera.close()

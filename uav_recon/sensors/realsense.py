@@ -25,6 +25,8 @@ from uav_recon.types.pose import Pose
 
 _WINDOW_S = 10.0  # the clock offset follows 20 ppm of drift to 0.2 ms
 _SETTLES_S = 0.5  # after a change of the clock that stamps go by (HAZARDS, C7)
+_FIRST_FRAME_S = 5.0  # as librealsense itself waits for one by default
+_SILENCE_S = 1.5  # with RestartSec a new try two seconds after the last frame (HAZARDS, C2)
 
 
 class RealSenseError(StreamError):
@@ -70,7 +72,8 @@ class ClockOffset:
 
 
 class RealSenseCamera:
-    """Camera protocol over librealsense. Raises RealSenseError (one line) if there is no such camera or it goes away.
+    """Camera protocol over librealsense. Raises RealSenseError (one line) if there is no such camera, or if it goes away or
+    stays open and silent, which librealsense does not tell.
 
     serial: None takes the first camera found. playback: a .db3 file instead of a camera. body_from_depth: the fixed mount,
     only used to turn inertial samples into body axes; None gives none. dropped_frames: not newer than the one before, without
@@ -96,6 +99,7 @@ class RealSenseCamera:
         self.dropped_frames = 0
         self._before_s, self._pair_s, self._number = -math.inf, 0.6 / fps, -1
         self._domain, self._settled_s = cast("Any", None), -math.inf
+        self._silent_s, self._patience_s = math.inf, _FIRST_FRAME_S  # since when, and how long it may be; inf: never polled
         self._pipeline = self._rs.pipeline()
         settings = _settings(self._rs, serial, playback)
         if playback is None:
@@ -106,6 +110,7 @@ class RealSenseCamera:
             settings.enable_stream(self._rs.stream.color)
         try:
             profile = self._pipeline.start(settings)
+            self._name = f"RealSense {playback or profile.get_device().get_info(self._rs.camera_info.serial_number)}"
             depth = profile.get_stream(self._rs.stream.depth).as_video_stream_profile()
             rgb = profile.get_stream(self._rs.stream.color).as_video_stream_profile()
             self._metres_per_unit = float(profile.get_device().first_depth_sensor().get_depth_scale())
@@ -124,11 +129,18 @@ class RealSenseCamera:
             )
 
     def poll(self) -> Frame | None:
-        """The newest frame that was not handed out yet. Raises RealSenseError if the camera is gone."""
+        """The newest frame that was not handed out yet. Raises RealSenseError if the camera is gone, or silent."""
+        before = self._number
+        frame = self._newest()
+        if self._live:
+            self._listen(heard=self._number != before)
+        return frame
+
+    def _newest(self) -> Frame | None:
         try:
             frames = self._pipeline.poll_for_frames()
         except RuntimeError as error:
-            raise RealSenseError(f"RealSense: {' '.join(str(error).split())}") from None
+            raise RealSenseError(f"{self._name}: {' '.join(str(error).split())}") from None
         if not frames:
             return None
         depth, rgb = frames.get_depth_frame(), frames.get_color_frame()
@@ -170,6 +182,15 @@ class RealSenseCamera:
         if self._live and frame.get_frame_timestamp_domain() != self._rs.timestamp_domain.hardware_clock:
             return stamp_s + now_s - self._wall_s()  # already on this machine's wall clock
         return self._offset.monotonic_s(stamp_s, now_s)
+
+    def _listen(self, heard: bool) -> None:
+        """Of a live camera: a pair of pictures came, or not. From the first poll on: kernels may compile before it."""
+        now_s = self._clock.now_s()
+        if heard:
+            self._silent_s, self._patience_s = now_s, _SILENCE_S
+        self._silent_s = min(self._silent_s, now_s)
+        if now_s - self._silent_s > self._patience_s:
+            raise RealSenseError(f"{self._name}: open, but no frame for {now_s - self._silent_s:.1f} s: plug it in anew")
 
     def _settled(self, domain: Any) -> bool:
         """Whether stamps go by the clock that they went by half a second ago; the first one counts as settled."""
