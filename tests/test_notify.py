@@ -17,7 +17,9 @@ def test_systemd_hears_every_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         notify.ready()
         notify.watchdog()
         notify.stopping()
-        assert [ear.recv(64) for _ in range(3)] == [b"READY=1", b"WATCHDOG=1", b"STOPPING=1"]
+        notify.extend(3.0)
+        heard = [ear.recv(64) for _ in range(4)]
+        assert heard == [b"READY=1", b"WATCHDOG=1", b"STOPPING=1", b"EXTEND_TIMEOUT_USEC=3000000"]
 
 
 def test_without_systemd_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

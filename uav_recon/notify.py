@@ -24,6 +24,11 @@ def stopping() -> None:
     _tell("STOPPING=1")
 
 
+def extend(seconds: float) -> None:
+    """The end takes longer than the unit allows, and is not given up before so many seconds from now."""
+    _tell(f"EXTEND_TIMEOUT_USEC={seconds * 1e6:.0f}")
+
+
 def _tell(message: str) -> None:
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:

@@ -20,9 +20,13 @@ from uav_recon import config as configuration
 from uav_recon import notify, run, run_desk, steady
 from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
 from uav_recon.config import Config
+from uav_recon.protocols import Channel, Clock
+from uav_recon.types.vehicle import FlightPhase, VehicleState
 from uav_recon.usage import UsageError, looked_at
 
 PERCEPTION_RATE_HZ = 100.0
+PILOT_SILENT_S = 1.0  # longer than a lost turn: a pilot that tells nothing for so long flies nothing
+STOP_AGAIN_S = 3.0  # what perception is given at each turn while it may not end; as its WatchdogSec
 MISSION_RATE_HZ = 30.0
 PLANNER_PATIENCE_S = 2.0  # of a process that ends: a call that does not return is not waited for
 RECORDER_RATE_HZ = 10.0
@@ -94,7 +98,7 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     desk = run_desk.make_desk(config, wires, the_pilot, clock)
     steady.settle()
     notify.ready()
-    while not (stop.asked and not the_pilot.in_flight):
+    while not (stop.asked and not the_pilot.in_flight and has_told(the_pilot.phase, wires.vehicle)):
         if stop.asked:
             the_pilot.request_land()
         desk.poll()
@@ -108,19 +112,58 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     return 0
 
 
+def has_told(phase: FlightPhase, vehicle: Channel[VehicleState]) -> bool:
+    """Whether this is the last that the others heard: before it hears LANDED the mission writes no report."""
+    told = vehicle.latest()
+    return told is not None and told.phase is phase
+
+
 def perception(config_path: Path) -> int:
-    """Turn camera and poses into odometry and posed frames until SIGTERM."""
+    """Turn camera and poses into odometry and posed frames until SIGTERM, or until the camera is gone, which is a Failure."""
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires = run.file_wires(config.runtime.folder)
     claim("perception", config)
     the_perception = run.make_perception(config, wires, clock, lambda: stop.asked)
     notify.ready()
-    _loop(the_perception.step, PERCEPTION_RATE_HZ, clock, lambda: stop.asked)
+    gone = perceive(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
+    if gone and not stop.asked:
+        raise run.Failure(gone)
     return 0
 
 
+def perceive(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Clock, asked: Callable[[], bool]) -> str:
+    """Step until asked to end or until the camera is gone; returns why it is, '' if it is not.
+
+    Neither ends it as long as a vehicle flies by its poses: one that has to land without them drifts.
+    """
+    from uav_recon.sensors.realsense import RealSenseError
+
+    rate, gone, said = RateKeeper(PERCEPTION_RATE_HZ, clock.now_s()), "", ""
+    while not (why := "asked to end" if asked() else gone) or is_flown(vehicle, clock.now_s()):
+        if why and not said:
+            logging.getLogger(__name__).warning("%s: ends once it has landed, for it flies by these poses", why)
+        said = why
+        if asked():
+            notify.extend(STOP_AGAIN_S)
+        try:
+            step()
+            gone = ""
+        except RealSenseError as error:
+            gone = gone or str(error)
+        notify.watchdog()
+        rate.due(clock.now_s())
+        clock.sleep_until(rate.next_s())
+    return gone
+
+
+def is_flown(vehicle: Channel[VehicleState], now_s: float) -> bool:
+    """Whether motors run, by our doing or a human's, as far as a pilot tells that still runs."""
+    told = vehicle.latest()
+    return told is not None and told.armed and abs(now_s - told.stamp_s) <= PILOT_SILENT_S
+
+
 def mission(config_path: Path, flight: Path | None) -> int:
-    """Fly one mission and write its folder; SIGTERM lands. Exit code 0 however the flight ended."""
+    """Fly one mission and write its folder; SIGTERM lands. Exit code 0 if the mission was completed or landed on request."""
     from uav_recon.mapping.neural.process.worker import ProcessMapper
     from uav_recon.mapping.neural.views.priors import PriorError
     from uav_recon.mission.standing import StandingOrders

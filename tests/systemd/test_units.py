@@ -92,6 +92,27 @@ def test_no_service_drags_another_down() -> None:
         assert not {"Requires", "BindsTo", "Requisite"} & set(_options(service))
 
 
+def test_no_service_waits_for_another_at_boot() -> None:
+    """A pilot that waited for perception, which is READY with camera and poses, could not say what is missing."""
+    for service in SERVICES:
+        options = _options(service)
+        assert options["After"] == ["local-fs.target"]
+        assert not {"Wants", "Before", "Upholds"} & set(options)
+
+
+def test_the_end_of_perception_may_be_prolonged_until_the_pilot_has_landed() -> None:
+    """A stop of the target asks both at once. perceive() goes on meanwhile, and systemd hears so from the main process."""
+    options = _options("perception")
+    assert options["NotifyAccess"] == ["main"]
+    assert options["KillMode"] == ["mixed"]
+    assert "RuntimeMaxSec" not in options
+    assert float(options["TimeoutStopSec"][0]) < float(_options("pilot")["TimeoutStopSec"][0])  # librealsense may hang
+
+
+def test_out_of_memory_takes_one_process_of_the_mission_and_not_all() -> None:
+    assert _options("mission")["OOMPolicy"] == ["continue"]
+
+
 def test_comments_do_not_share_a_line_with_a_value() -> None:
     """systemd would take them for part of the value."""
     for unit in FOLDER.glob("*.service"):
