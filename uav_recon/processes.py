@@ -163,7 +163,7 @@ def is_flown(vehicle: Channel[VehicleState], now_s: float) -> bool:
 
 
 def mission(config_path: Path, flight: Path | None) -> int:
-    """Fly one mission and write its folder; SIGTERM lands. Exit code 0 if the mission was completed or landed on request."""
+    """Fly one mission and write its folder; SIGTERM lands. Exit code 0 however the flight ended."""
     from uav_recon.mapping.neural.process.worker import ProcessMapper
     from uav_recon.mapping.neural.views.priors import PriorError
     from uav_recon.mission.standing import StandingOrders
