@@ -5,6 +5,7 @@ from __future__ import annotations
 from sitl.faults import attendance
 from sitl.faults import measures as m
 from sitl.faults.row import Bar
+from sitl.faults.telling import told_after
 
 STREAM_GAP_S = 0.25  # the stream may pause so long at most on a machine without a real-time kernel
 
@@ -43,9 +44,9 @@ def stops(within_m: float, late_s: float = 0.0) -> Bar:
     return Bar("stop distance", m.stopped_within(late_s), within_m, "m")
 
 
-def told(within_s: float, ardupilot: float | None = None) -> Bar:
-    """The first STATUSTEXT; within a second of the reaction itself (G7)."""
-    return Bar("told", m.told_after(), within_s, "s", ardupilot=ardupilot)
+def told(words: str, within_s: float, ardupilot: float | None = None) -> Bar:
+    """The first STATUSTEXT with these words; within a second of the reaction itself (G7)."""
+    return Bar("told", told_after(words), within_s, "s", ardupilot=ardupilot)
 
 
 def clear(at_least_m: float) -> Bar:

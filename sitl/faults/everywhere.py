@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sitl.faults import measures
 from sitl.faults.evidence import Bools, Evidence
+from sitl.faults.injector import TAKEN_OVER
 from sitl.faults.telling import untold
 
 Indices = NDArray[np.int64]
@@ -16,6 +17,7 @@ Indices = NDArray[np.int64]
 CONTACT_M = 1e-3
 AIRBORNE_M, UNATTENDED_S = 0.15, 60.0
 _STEP_M, _SPEED_MPS, _PUSH_MPS2, _TURN_RADPS = 0.03, 0.06, 1e-3, 1e-3  # what single floats and 30 Hz may add
+_HEADING_RAD = 0.03
 _INSIDE_M = 0.02
 _TURN_S = 1.0 / 60.0
 _PERIOD_S = 1.0 / 30.0  # of setpoints
@@ -90,9 +92,13 @@ def _leaps(e: Evidence, i: Indices, j: Indices) -> str:
     dt = np.maximum(w.setpoint_s[j] - w.setpoint_s[i], np.minimum(told_s, _PERIOD_S * (j - i)))
     step = np.linalg.norm(w.position_m[j] - w.position_m[i], axis=1) - limits.speed_mps * (dt + _TURN_S)
     change = np.linalg.norm(w.velocity_mps[j] - w.velocity_mps[i], axis=1) - limits.acceleration_mps2 * (dt + _TURN_S)
+    turned = measures.turned_rad(w.yaw_rad[i], w.yaw_rad[j]) if len(w.yaw_rad) else np.zeros(len(i))
+    turn = turned - limits.yaw_rate_radps * (dt + _TURN_S)
     within = f" within {float(np.median(dt)):.2f} s" if len(dt) else ""
     if (step > _STEP_M).any():
         return f"setpoint jumps {float(step.max()):.2f} m farther than allowed{within}"
+    if (turn > _HEADING_RAD).any():
+        return f"heading jumps by {float(np.degrees(turn.max())):.0f} degrees too much{within}"
     return f"velocity jumps by {float(change.max()):.2f} m/s too much{within}" if (change > _SPEED_MPS).any() else ""
 
 
@@ -134,7 +140,7 @@ def _disarm(e: Evidence) -> str:
 
 def _end(e: Evidence) -> str:
     """Down with motors off, in a pilot's hands, or not yet so long alone."""
-    human = not e.ours[-1] and not e.landing[-1]
+    human = TAKEN_OVER in e.notes and not e.ours[-1] and not e.landing[-1]
     unattended = bool(e.armed[-1]) and not human and e.end_s - e.onset_s > UNATTENDED_S - 1.0
     still = unattended and float(np.linalg.norm(np.diff(e.position_m[-int(30 / _TURN_S) :], axis=0), axis=1).sum()) < 3.0
     return "hovers armed and unattended" if still else ""

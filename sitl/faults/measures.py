@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sitl.faults.evidence import Evidence
+from sitl.faults.evidence import F64, Evidence
 from sitl.faults.wire import MODE_OR_ARM, Order
 
 Measure = Callable[[Evidence], float]
@@ -55,6 +55,12 @@ def stopped_within(late_s: float = 0.0) -> Measure:
 def landing_after(late_s: float = 0.0) -> Measure:
     """Seconds from the trouble (and so much) to the autopilot's landing mode."""
     return lambda e: e.since(e.landing | ~e.armed, e.onset_s + late_s)
+
+
+def turned_rad(one: F64, other: F64) -> F64:
+    """Angles (N,), 0 to pi, between headings."""
+    turned: F64 = np.abs(np.remainder(other - one + np.pi, 2.0 * np.pi) - np.pi)
+    return turned
 
 
 def disarmed_after() -> Measure:
@@ -255,7 +261,7 @@ def armed_at_all(e: Evidence) -> float:
 
 def arm_tries(e: Evidence) -> float:
     """How often arming was asked for."""
-    return float(sum(o.command == _ARM and o.first > 0.5 for o in e.wire.orders))
+    return float(len(tries_s(e)))
 
 
 def forced(e: Evidence) -> float:
@@ -265,14 +271,19 @@ def forced(e: Evidence) -> float:
 
 def last_try_after(e: Evidence) -> float:
     """Seconds from the first arm command to the last."""
-    tries = [o.stamp_s for o in e.wire.orders if o.command == _ARM and o.first > 0.5]
+    tries = tries_s(e)
     return tries[-1] - tries[0] if tries else math.inf
 
 
 def first_arm(e: Evidence) -> float:
     """Seconds from the start of the product to its first arm command."""
-    tries = [o.stamp_s for o in e.wire.orders if o.command == _ARM and o.first > 0.5]
+    tries = tries_s(e)
     return tries[0] - float(e.stamp_s[0]) if tries else math.inf
+
+
+def tries_s(e: Evidence) -> list[float]:
+    """Instants of the arm commands."""
+    return [o.stamp_s for o in e.wire.orders if o.command == _ARM and o.first > 0.5]
 
 
 def motors_ran(e: Evidence) -> float:
@@ -288,16 +299,6 @@ def battery_left(e: Evidence) -> float:
 def from_pad(e: Evidence) -> float:
     """Metres, level, from the pad to where the vehicle came down."""
     return float(np.hypot(*e.position_m[-1, :2]))
-
-
-def told_after(late_s: float = 0.0) -> Measure:
-    """Seconds from the trouble (and so much) to the product's first STATUSTEXT."""
-
-    def measure(e: Evidence) -> float:
-        said = [stamp_s for stamp_s, _ in e.wire.texts if stamp_s >= e.onset_s + late_s]
-        return said[0] - e.onset_s - late_s if said else math.inf
-
-    return measure
 
 
 def relaunched(e: Evidence) -> float:

@@ -27,6 +27,7 @@ from sitl.faults.host import Crash, Stall
 from sitl.faults.load import BUSY, THRASHING, Toil, Weighed
 from sitl.faults.row import Bar, Row
 from sitl.faults.signals import MAPPER, Asked, ChildStruck, Killed, SecondPilot, Stopped
+from sitl.faults.telling import told_after
 from sitl.faults.tracker import (
     Altered,
     Frozen,
@@ -66,7 +67,7 @@ TABLE_A = (
             NO_FAILSAFE,
             NO_JUMP,
             flies_on(1.0, late_s=5.0),
-            told(1.6),
+            told("mission (is )?silent", 1.6),
         ),
         onset=FAST,
         live=lambda n: [Stopped("mission", 5.0)],
@@ -212,7 +213,14 @@ TABLE_B = (
         "pose stops",
         "no pose any more, at speed",
         lambda n: [Silence()],
-        (holds(0.3), lands(1.2), Bar("drift", m.drift_landing, 0.8, "m"), down(30.0), told(1.3), *NEVER_REPEATS),
+        (
+            holds(0.3),
+            lands(1.2),
+            Bar("drift", m.drift_landing, 0.8, "m"),
+            down(30.0),
+            told("no pose|pose is stale", 1.3),
+            *NEVER_REPEATS,
+        ),
         onset=FAST,
         times=3,
     ),
@@ -252,7 +260,7 @@ TABLE_B = (
         "pose drifts",
         "0.05 m/s for a minute along either axis",
         lambda n: [Altered(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
-        (clear(0.10), Bar("alarm", m.told_after(), 10.0, "s")),
+        (clear(0.10), Bar("alarm", told_after("odom creeps|surfaces stand"), 10.0, "s")),
         longest_s=80.0,
         camera="small",
     ),

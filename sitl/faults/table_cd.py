@@ -63,7 +63,7 @@ TABLE_C = (
         "frames lost for 3 s",
         "no frame for 3 s at speed",
         lambda n: [Dark(3.0)],
-        (holds(0.4), STREAMS, COMPLETES, told(1.4)),
+        (holds(0.4), STREAMS, COMPLETES, told("no depth|depth is stale", 1.4)),
         onset=FAST,
         longest_s=180.0,
         views=SHORT_VIEWS,
@@ -186,7 +186,7 @@ TABLE_D = (
         "nothing said for 3 s",
         "product to autopilot lost for 3 s",
         lambda n: [Loss("up", 3.0)],
-        (UNHEARD_LANDS, NO_ORDER, down(30.0), told(2.3, ardupilot=3.5)),
+        (UNHEARD_LANDS, NO_ORDER, down(30.0), told("the autopilot lands", 2.3, ardupilot=3.5)),
         onset=FAST,
     ),
     Row(

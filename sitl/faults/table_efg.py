@@ -30,6 +30,7 @@ from sitl.faults.reserve import reserve, turned_at
 from sitl.faults.row import SHORT_VIEWS, Bar, Row
 from sitl.faults.signals import RECORDER, ChildStruck
 from sitl.faults.takeover import mode_taken_back
+from sitl.faults.telling import told_after_arming, told_on_the_floor
 from sitl.faults.trouble import Onset
 from sitl.faults.wires import SYS_STATUS, Forger, Gauge, Loss, Refused, Rewritten, SecondAutopilot, version
 
@@ -104,7 +105,7 @@ TABLE_E = (
         "forged commands",
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
         lambda n: [Forger(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
-        (NO_FAILSAFE, COMPLETES, told(1.0)),
+        (NO_FAILSAFE, COMPLETES, told("^intruder", 1.0)),
         longest_s=90.0,
         views=SHORT_VIEWS,
     ),
@@ -113,7 +114,7 @@ TABLE_E = (
         "second autopilot",
         "another with the vehicle's own name speaks for 10 s: in our mode, with motors and without",
         lambda n: [SecondAutopilot(SecondAutopilot.OURS, armed=n % 2 == 0)],
-        (holds(1.0), told(1.0), NO_FAILSAFE, COMPLETES),
+        (holds(1.0), told("two autopilots", 1.0), NO_FAILSAFE, COMPLETES),
         longest_s=120.0,
         views=SHORT_VIEWS,
     ),
@@ -122,7 +123,7 @@ TABLE_E = (
         "second autopilot's mode",
         "another with the vehicle's own name says for 10 s, and for 0.1 s, that a pilot flies it",
         lambda n: [SecondAutopilot(SecondAutopilot.PILOTS, briefly=n % 2 == 1)],
-        (told(1.0), lands(5.0), down(30.0)),
+        (told("two autopilots|mode changed", 1.0), lands(5.0), down(30.0)),
         longest_s=45.0,
     ),
     Row(
@@ -130,7 +131,7 @@ TABLE_E = (
         "second autopilot lands",
         "another with the vehicle's own name says for 10 s, and for 0.1 s, that it lands",
         lambda n: [SecondAutopilot(SecondAutopilot.LANDING, briefly=n % 2 == 1)],
-        (told(1.0), holds(1.0), down(120.0)),
+        (told("two autopilots|the autopilot lands", 1.0), holds(1.0), down(120.0)),
         longest_s=120.0,
         views=SHORT_VIEWS,
     ),
@@ -194,6 +195,7 @@ TABLE_E = (
             NO_FORCE,
             Bar("arm commands", m.arm_tries, 3.0, ""),
             Bar("gives up", m.last_try_after, 20.0, "s"),
+            Bar("reason told", told_after_arming("arming given up: "), 20.0, "s"),
         ),
         onset=AT_BOOT,
         longest_s=60.0,
@@ -222,7 +224,7 @@ TABLE_E = (
         "landing never noticed",
         "motors do not stop on the floor",
         lambda n: [Unnoticed(), Abort()],
-        (Bar("alert", m.told_after(4.0), 15.0, "s"), NO_FORCE),
+        (Bar("alert", told_on_the_floor("landing does not end"), 15.0, "s"), NO_FORCE),
         longest_s=25.0,
     ),
     Row(
@@ -230,7 +232,7 @@ TABLE_E = (
         "operator's key",
         "pressed once",
         lambda n: [Abort()],
-        (Bar("command to land", m.asked_to_land, 0.15, "s"), lands(0.5), down(30.0), told(1.15)),
+        (Bar("command to land", m.asked_to_land, 0.15, "s"), lands(0.5), down(30.0), told("ask(s|ed) to land", 1.15)),
         onset=ANY,
     ),
 )

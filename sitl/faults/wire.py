@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,8 @@ class Wire:
     setpoint_s (N,), of its arrival; setpoint_stamp_ms (N,), as its sender dates it; position_m, velocity_mps,
     acceleration_mps2 (N, 3); yaw_rate_radps (N,). odometry_s (M,), odometry_m (M, 3) and odometry_yaw_rad (M,), -pi to pi;
     odometry_stamp_us (M,) on the autopilot's clock, reset_counter (M,). texts: (instant, STATUSTEXT).
-    not_finite: setpoints, poses and commands with a NaN or an infinity in them.
+    not_finite: setpoints, poses and commands with a NaN or an infinity in them. yaw_rad (N,): of the setpoints, from the
+    world's x towards its y, NaN where one says none; empty where nobody looks at it.
     """
 
     setpoint_s: F64
@@ -58,6 +59,7 @@ class Wire:
     orders: tuple[Order, ...]
     texts: tuple[tuple[float, str], ...]
     not_finite: int
+    yaw_rad: F64 = field(default_factory=lambda: np.zeros(0))
 
 
 def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
@@ -75,9 +77,9 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
             if kind == "SET_POSITION_TARGET_LOCAL_NED":
                 place, speed = (m.y, m.x, -m.z), (m.vy, m.vx, -m.vz)
                 push = (m.afy, m.afx, -m.afz) if not m.type_mask & 0x1C0 else (0.0, 0.0, 0.0)
-                setpoints.append(
-                    (stamp_s, float(m.time_boot_ms), *place, *speed, *push, m.yaw_rate if not m.type_mask & 2048 else 0.0)
-                )
+                turn = m.yaw_rate if not m.type_mask & 2048 else 0.0
+                yaw = math.pi / 2.0 - m.yaw if not m.type_mask & 1024 else math.nan
+                setpoints.append((stamp_s, float(m.time_boot_ms), *place, *speed, *push, turn, yaw))
             elif kind == "ODOMETRY":
                 odometry.append((stamp_s, *_enu(m), _yaw_rad(m), float(m.time_usec), float(m.reset_counter)))
             elif kind in {"COMMAND_LONG", "COMMAND_INT"}:
@@ -87,12 +89,12 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
             elif kind == "STATUSTEXT":
                 texts.append((stamp_s, str(m.text)))
             not_finite += kind in _CHECKED and not math.isfinite(sum(_numbers(m)))  # one that is none spoils the sum
-    s = np.array(setpoints, dtype=np.float64).reshape(-1, 12)
+    s = np.array(setpoints, dtype=np.float64).reshape(-1, 13)
     o = np.array(odometry, dtype=np.float64).reshape(-1, 7)
     return Wire(
         s[:, 0], s[:, 1], s[:, 2:5], s[:, 5:8], s[:, 8:11], s[:, 11], o[:, 0], o[:, 1:4], o[:, 4], o[:, 5],
         o[:, 6],
-        tuple(orders), tuple(texts), not_finite,
+        tuple(orders), tuple(texts), not_finite, s[:, 12],
     )  # fmt: skip
 
 

@@ -8,23 +8,33 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fault_evidence import DT_S, evidence, rewired, spoilt
+from fault_evidence import DT_S, rewired, spoilt
+from fault_evidence import evidence as flown
 
 from sitl.faults.everywhere import Room, violations
 from sitl.faults.evidence import Evidence
+from sitl.faults.injector import TAKEN_OVER
 from sitl.faults.table import TABLE
 from sitl.faults.wire import Order
 
 Spoil = Callable[[Evidence], Evidence]
+LIMIT_RADPS = 1.0  # of the flight's limits
 
 
-def hovering(e: Evidence) -> Evidence:
+def evidence(**changes: Any) -> Evidence:
+    """The flight that never was, which says why it lands and turns all the way, past the back."""
+    plain = flown(**changes)
+    turns = np.remainder(0.7 * plain.wire.setpoint_s, 2.0 * np.pi)
+    return rewired(plain, texts=((6.0, "holding"), (15.1, "the mission asks to land")), yaw_rad=turns)
+
+
+def hovering(e: Evidence, mode: str = "OFFBOARD", **changes: Any) -> Evidence:
     """Armed and alone until the end, and the end is far."""
     t = np.arange(0.0, 90.0, 1.0 / 30.0)
     place = np.tile([1.0, 0.0, 1.0], (len(t), 1))
     return dataclasses.replace(
         e, stamp_s=t, position_m=place, velocity_mps=np.zeros_like(place), yaw_rad=np.zeros(len(t)),
-        armed=np.ones(len(t), bool), mode=("OFFBOARD",) * len(t), boxes_m=np.full(len(t), np.inf), end_s=90.0,
+        armed=np.ones(len(t), bool), mode=(mode,) * len(t), boxes_m=np.full(len(t), np.inf), end_s=90.0, **changes,
     )  # fmt: skip
 
 
@@ -37,8 +47,10 @@ def taken(e: Evidence, **said: Any) -> Evidence:
     sent = e.wire.setpoint_s < 10.0
     streams = {
         name: getattr(e.wire, name)[sent]
-        for name in ("setpoint_s", "setpoint_stamp_ms", "position_m", "velocity_mps", "acceleration_mps2", "yaw_rate_radps")
-    }
+        for name in (
+            "setpoint_s", "setpoint_stamp_ms", "position_m", "velocity_mps", "acceleration_mps2", "yaw_rate_radps", "yaw_rad",
+        )
+    }  # fmt: skip
     return rewired(theirs, orders=e.wire.orders[:2], **streams, **said)
 
 
@@ -53,6 +65,7 @@ SPOILS: dict[str, Spoil] = {
     "m/s": lambda e: rewired(e, velocity_mps=spoilt(e.wire.velocity_mps, slice(100, 110), (1.25, 0.0, 0.0))),
     "rad/s": lambda e: rewired(e, yaw_rate_radps=spoilt(e.wire.yaw_rate_radps, 100, -1.1)),
     "jumps 0": lambda e: rewired(e, position_m=e.wire.position_m + np.where(e.wire.setpoint_s > 7.0, 0.2, 0.0)[:, None]),
+    "heading jumps": lambda e: rewired(e, yaw_rad=e.wire.yaw_rad + np.where(e.wire.setpoint_s > 7.0, 0.2, 0.0)),
     "velocity jumps": lambda e: rewired(e, velocity_mps=spoilt(e.wire.velocity_mps, (100, 1), 0.5)),
     "out of the inset fence": lambda e: rewired(e, position_m=spoilt(e.wire.position_m, (slice(None), 1), 2.8)),
     "after the pilot took over": lambda e: rewired(
@@ -62,8 +75,11 @@ SPOILS: dict[str, Spoil] = {
     "motors to stop": lambda e: rewired(e, orders=(*e.wire.orders, Order(9.0, 400, 0.0, 21196.0))),
     "disarmed in the air": lambda e: dataclasses.replace(e, armed=e.stamp_s < 9.0),
     "hovers": hovering,
+    "hovers armed": lambda e: hovering(e, "LOITER"),
     "landing asked for 10.0 s after the trouble and not told": lambda e: rewired(e, texts=e.wire.texts[:1]),
+    "landing asked for 10.0 s after": lambda e: rewired(e, texts=(*e.wire.texts[:1], (15.1, "refused: jump of 0.58 m"))),
     "another's mode 5.0 s after the trouble and not told": lambda e: taken(e, texts=((12.0, "yielded"),)),
+    "another's mode 5.0 s after": lambda e: taken(e, texts=((10.9, "no operator for 5 s: returns after 30"),)),
 }
 
 
@@ -84,6 +100,43 @@ def test_what_is_allowed_is_no_violation() -> None:
     over = tuple("POSCTL" if t > 14.0 else m for t, m in zip(reset.stamp_s, reset.mode, strict=True))
     quiet = dataclasses.replace(reset, mode=over)
     assert violations(rewired(quiet, orders=reset.wire.orders[:2])) == [], "a pilot may take over"
+
+
+def test_a_pilot_who_took_the_vehicle_may_hover_with_it() -> None:
+    silent = rewired(evidence(), orders=())
+    assert violations(hovering(silent, "LOITER", notes={TAKEN_OVER: 6.0})) == []
+    for mode in ("OFFBOARD", "LAND"):
+        gone = hovering(silent, mode, notes={TAKEN_OVER: 6.0})
+        assert violations(gone) == ["hovers armed and unattended"], "it is the pilot's no more"
+
+
+WHY = (
+    "the mission asks to land", "the operator asked to land", "asked to end", "no pose for 1.0 s", "mission silent for 20.0 s",
+    "no depth for 10.0 s", "poses disagree for 0.3 s, holding for 20 s", "3 poses a second, holding for 20 s",
+    "odom creeps by 0.025 m/s against what is seen", "surfaces stand 0.20 m off where they stood 28 s ago",
+    "odom began anew: the map does not fit it", "outside the fence for 3 s", "refused for 20.0 s",
+    "3 refusals in a second, holding for 20 s", "two autopilots speak with one id, holding for 20 s",
+    "retreat blocked: 0.19 m from something at 0.27 m/s", "way aside blocked: not known free at 1.00 2.00 1.20 m",
+    "nowhere to give way to", "take-off given up: it climbed 0.10 m in 4 s", "armed after the request was withdrawn",
+    "yielded: mode changed to POSCTL", "the autopilot lands: Failsafe activated: battery",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("why", WHY)
+def test_each_reason_of_the_product_is_one_for_a_landing_in_the_characters_that_are_sent(why: str) -> None:
+    assert violations(rewired(evidence(), texts=((15.1, why[:50]),))) == []
+
+
+OTHER = (
+    "refused: speed 0.65 m/s", "refused: trajectory is not finite", "pose source was reset: holding", "holding",
+    "intruder: somebody speaks MAVLink 1", "the link is slow: there and back takes 0.25 s", "the operator is back",
+    "no operator for 30 s: returning",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("other", OTHER)
+def test_what_is_said_of_another_thing_is_no_reason_for_a_landing(other: str) -> None:
+    assert violations(rewired(evidence(), texts=((15.1, other[:50]),))) != []
 
 
 def test_a_pilot_who_takes_the_vehicle_out_of_our_landing_keeps_it() -> None:
@@ -132,6 +185,29 @@ def ramped(speed_mps: float, acceleration_mps2: float) -> Evidence:
     )  # fmt: skip
 
 
+def turning(rate_radps: float) -> Evidence:
+    """From 7 s on setpoints turn at this rate for a second."""
+    e = evidence()
+    return rewired(e, yaw_rad=rate_radps * np.clip(e.wire.setpoint_s - 7.0, 0.0, 1.0))
+
+
+def test_the_heading_may_turn_as_fast_as_the_limit_says() -> None:
+    assert evidence().limits.yaw_rate_radps == LIMIT_RADPS
+    assert violations(turning(LIMIT_RADPS)) == violations(turning(-LIMIT_RADPS)) == []
+    assert any("heading jumps" in words for words in violations(turning(1.5 * LIMIT_RADPS))), "over a while, in no frame"
+    frame = rewired(evidence(), yaw_rad=spoilt(np.zeros(len(evidence().wire.setpoint_s)), slice(150, None), 0.1))
+    assert any("heading jumps by 3 degrees too much within 0.03 s" in words for words in violations(frame))
+
+
+def test_a_heading_that_a_reset_turns_jumps_not_and_one_that_is_not_asked_for_cannot() -> None:
+    e = evidence()
+    later = e.wire.odometry_s > 7.0
+    turned = e.wire.yaw_rad + np.where(later, 0.5, 0.0)
+    assert violations(rewired(e, yaw_rad=turned)) != []
+    assert violations(rewired(e, yaw_rad=turned, reset_counter=np.where(later, 1.0, 0.0))) == []
+    assert violations(rewired(e, yaw_rad=np.full(len(turned), np.nan))) == []
+
+
 def test_what_each_frame_may_be_off_does_not_add_up_over_a_while() -> None:
     assert violations(ramped(1.2, 2.0)) == []
     assert any("setpoint jumps" in words for words in violations(ramped(2.2, 0.0)))
@@ -143,7 +219,8 @@ def test_a_pilot_that_starts_anew_may_begin_elsewhere_also_over_a_while() -> Non
     anew = np.where(e.wire.setpoint_s > 8.0, 0.9, 0.0)
     keep = (e.wire.setpoint_s < 7.4) | (e.wire.setpoint_s > 8.0)
     parts = {
-        name: getattr(e.wire, name)[keep] for name in ("setpoint_s", "setpoint_stamp_ms", "velocity_mps", "yaw_rate_radps")
+        name: getattr(e.wire, name)[keep]
+        for name in ("setpoint_s", "setpoint_stamp_ms", "velocity_mps", "yaw_rate_radps", "yaw_rad")
     }
     moved = (e.wire.position_m + anew[:, None] * (0.0, 1.0, 0.0))[keep]
     assert violations(rewired(e, **parts, position_m=moved, acceleration_mps2=e.wire.acceleration_mps2[keep])) == []

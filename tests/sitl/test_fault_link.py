@@ -129,6 +129,14 @@ def test_the_capture_is_in_the_worlds_axes() -> None:
     assert decode([(1.0, order)]).orders[0].second == 21196.0
 
 
+@pytest.mark.parametrize(("mask", "yaw_rad"), [(0, 0.3), (2048, 0.3), (1024, math.nan)])
+def test_the_heading_of_setpoints_is_in_the_worlds_axes_where_they_say_one(mask: int, yaw_rad: float) -> None:
+    from_north = math.pi / 2.0 - 0.3
+    message = mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, mask, *[0.0] * 9, from_north, 0.0)
+    wire = decode([(3.0, bytes(message.pack(VOICE)))])
+    assert wire.yaw_rad == pytest.approx([yaw_rad], abs=1e-6, nan_ok=True)
+
+
 @pytest.mark.parametrize("from_north_deg", [0.0, 30.0, 90.0, 179.0, -91.0])
 def test_the_heading_of_odometry_is_in_the_worlds_axes(from_north_deg: float) -> None:
     half = math.radians(from_north_deg) / 2.0

@@ -14,6 +14,7 @@ from sitl.faults import odometry
 from sitl.faults.evidence import Evidence
 from sitl.faults.injector import TAKEN_OVER
 from sitl.faults.takeover import mode_taken_back
+from sitl.faults.telling import told_after, told_after_arming, told_on_the_floor
 from sitl.faults.wire import Order
 
 NEAR = 2.5 * DT_S
@@ -99,8 +100,25 @@ def test_orders_are_counted() -> None:
     assert m.last_try_after(rewired(e, orders=tuple(Order(t, 400, 1.0, 0.0) for t in (1.0, 6.0, 30.0)))) == 29.0
     assert m.first_arm(e) == pytest.approx(0.8)
     assert m.asked_to_land(e) == pytest.approx(10.0)
-    assert m.told_after()(e) == pytest.approx(1.0)
-    assert m.told_after()(rewired(e, texts=())) == math.inf
+
+
+def test_only_the_words_that_are_asked_for_count_as_told() -> None:
+    said = (
+        (4.0, "no pose for 0.3 s"),
+        (5.3, "refused: speed 0.65 m/s"),
+        (6.0, "no pose for 0.7 s"),
+        (19.0, "no pose for 1.0 s"),
+    )
+    e = rewired(evidence(), texts=said)
+    assert told_after("no pose|pose is stale")(e) == pytest.approx(1.0), "what was said before the trouble is not about it"
+    assert told_after("^pose")(e) == math.inf
+    assert told_after("")(e) == pytest.approx(0.3)
+    down_s = float(e.stamp_s[np.flatnonzero((e.stamp_s > 5.0) & (e.position_m[:, 2] <= e.position_m[-1, 2] + 0.05))[0]])
+    assert down_s == pytest.approx(17.6, abs=0.1)
+    assert told_on_the_floor("no pose")(e) == pytest.approx(19.0 - down_s)
+    assert told_on_the_floor("refused")(e) == math.inf, "in the air"
+    assert told_after_arming("no pose")(e) == pytest.approx(4.0 - 0.8)
+    assert told_after_arming("no pose")(rewired(e, orders=())) == math.inf
 
 
 def test_speed_clearance_and_fence() -> None:

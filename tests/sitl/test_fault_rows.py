@@ -12,9 +12,9 @@ from sitl.faults.evidence import Evidence
 from sitl.faults.table import ROWS
 
 
-def broken(row: str, e: Evidence) -> set[str]:
+def broken(row: str, e: Evidence, autopilot: str = "px4") -> set[str]:
     """Names of a row's bars that such a flight does not hold."""
-    return {bar.name for bar in ROWS[row].bars if not bar.holds(bar.measure(e), "px4")}
+    return {bar.name for bar in ROWS[row].bars if not bar.holds(bar.measure(e), autopilot)}
 
 
 def test_odometry_that_takes_up_a_jump_slowly_breaks_b4() -> None:
@@ -44,7 +44,7 @@ def losing_the_pose(last_s: float = 5.4) -> Evidence:
         flown, setpoint_s=e.stamp_s[said], position_m=place[said], velocity_mps=speed[said],
         odometry_s=e.stamp_s[fed], odometry_m=place[fed] + 0.01,
         odometry_yaw_rad=turning(e.stamp_s[fed]), odometry_stamp_us=(e.stamp_s[fed] - BOOT_S) * 1e6,
-        reset_counter=np.zeros(np.count_nonzero(fed)),
+        reset_counter=np.zeros(np.count_nonzero(fed)), texts=((5.1, "refused: speed 0.65 m/s"), (6.1, "no pose for 0.7 s")),
     )  # fmt: skip
 
 
@@ -87,3 +87,32 @@ def test_setpoints_that_do_not_arrive_break_d3() -> None:
     assert broken("D3", e) & {few, gap} == set()
     assert broken("D3", dataclasses.replace(e, arrived_s=e.arrived_s[~lost])) & {few, gap} == {few}
     assert broken("D3", dataclasses.replace(e, arrived_s=e.arrived_s[~hole])) & {few, gap} == {gap}
+
+
+TELLING = {
+    "A1": ("told", "mission silent for 0.5 s"),
+    "B1": ("told", "no pose for 0.7 s"),
+    "B5": ("alarm", "odom creeps by 0.021 m/s against what is seen"),
+    "C1b": ("told", "no depth for 0.3 s"),
+    "D2": ("told", "the autopilot lands: GCS Failsafe"),
+    "E4": ("told", "intruder: system 42, component 1 tells state"),
+    "E4b": ("told", "two autopilots speak with one id"),
+    "E4c": ("told", "yielded: mode changed to POSCTL"),
+    "E4d": ("told", "the autopilot lands: "),
+    "E6": ("reason told", "arming given up: motors stay off"),
+    "E10": ("told", "the mission asks to land"),
+}
+
+
+@pytest.mark.parametrize("row", TELLING)
+def test_a_row_that_asks_for_words_takes_no_others(row: str) -> None:
+    bar, words = TELLING[row]
+    at_s = 5.9
+    assert bar not in broken(row, rewired(evidence(), texts=((at_s, words),)))
+    assert bar in broken(row, rewired(evidence(), texts=((at_s, "refused: jump of 0.58 m"), (at_s, "the operator is back"))))
+
+
+def test_an_alert_before_the_floor_is_none_for_a_landing_that_does_not_end() -> None:
+    words = "landing does not end: switch the motors off"
+    assert broken("E9", rewired(evidence(), texts=((19.0, words),))) == set()
+    assert broken("E9", rewired(evidence(), texts=((16.0, words), (19.0, "the mission asks to land")))) == {"alert"}
