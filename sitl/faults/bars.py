@@ -24,6 +24,10 @@ def lands(within_s: float, late_s: float = 0.0, ardupilot: float | None = None) 
 UNHEARD_LANDS = lands(1.35, ardupilot=2.5)
 
 
+# PX4 flies on by what it heard last until it lands; its bar is that of its motors.
+UNHEARD_STANDS = Bar("slower than 0.1 m/s", m.slow_after(0.1), 30.0, "s", ardupilot=1.5)
+
+
 def lands_no_sooner(after_s: float, late_s: float = 0.0) -> Bar:
     """Not before its time."""
     return Bar("landing mode not before", m.landing_after(late_s), after_s, "s", at_least=True)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from sitl.faults.injector import Injector, Needs, Theatre
 
-FREED, AGAIN = "known occupied freed", "frames mapped again"
+FREED, CLAIMED, AGAIN = "known occupied freed", "voxels marked free", "frames mapped again"
+SETTLED_S = 0.5  # from the beginning until the map holds what was under way then, and says so
 _FREE, _OCCUPIED = 1, 2
 
 
@@ -18,6 +19,8 @@ class Cartographer(Injector):
     """No trouble: notes what percentage of the voxels known as occupied at the beginning, in which the scene has a surface,
     are known as free when the flight is over.
     """
+
+    needs = Needs.STAGES
 
     def __init__(self) -> None:
         self._walls: NDArray[np.bool_] | None = None
@@ -33,6 +36,26 @@ class Cartographer(Injector):
         known = at.channels.voxels.latest()
         if self._walls is not None and self._walls.any():
             at.notes[FREED] = 100.0 * float((known.state[self._walls] == _FREE).mean())
+
+
+class Claims(Injector):
+    """No trouble: notes how many voxels become known as free from SETTLED_S after the beginning on."""
+
+    needs = Needs.STAGES
+
+    def __init__(self) -> None:
+        self._free: NDArray[np.bool_] | None = None
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """What is known as free then."""
+        if self._free is None and since_s >= SETTLED_S:
+            self._free = _known_free(at)
+
+    def end(self, at: Theatre) -> None:
+        """Against what is known now."""
+        known = _known_free(at)
+        if self._free is not None and known is not None:
+            at.notes[CLAIMED] = float(np.count_nonzero(known & ~self._free))
 
 
 class Tally(Injector):
@@ -57,6 +80,12 @@ class Tally(Injector):
         picture = hashlib.sha256(posed.frame.depth_m.tobytes()).digest()
         at.notes[AGAIN] += picture in self._seen
         self._seen.add(picture)
+
+
+def _known_free(at: Theatre) -> NDArray[np.bool_] | None:
+    """As the guard was last told; None before that."""
+    told = at.channels.free.latest()
+    return None if told is None else np.unpackbits(told.bits).astype(np.bool_)
 
 
 def filled(grid: Any, points_m: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -15,6 +15,8 @@ _STILL_MPS = 0.02  # of a setpoint
 _BRAKING_MPS2 = 0.8  # what slows down more gently than this, on the mean, is flying on
 _RESTING_MPS = 0.12  # of the vehicle, gusts included
 _ASIDE_M, _BACK_M = 0.2, 0.3  # of the way flown, whose corners are rounded (0.15 m measured); of the place left
+_LED_MPS, _LED_RADPS = 0.05, 0.05  # of a setpoint that leads anywhere, or turns
+_BEFORE_S = 1.5  # of setpoints, for a vehicle that follows late
 _FLOWN_M = 2.0  # from the pad: a mission that goes anywhere goes farther, 3.4 m at least
 _ARM, _SET_MODE = 400, 176
 
@@ -57,10 +59,35 @@ def landing_after(late_s: float = 0.0) -> Measure:
     return lambda e: e.since(e.landing | ~e.armed, e.onset_s + late_s)
 
 
+def landing_after_a_stop(e: Evidence) -> float:
+    """Seconds from the last setpoint that led anywhere, level, or turned, to the autopilot's landing mode; inf for never."""
+    w, landing_s = e.wire, e.onset_s + landing_after()(e)
+    led = np.hypot(w.velocity_mps[:, 0], w.velocity_mps[:, 1]) > _LED_MPS
+    if len(w.yaw_rad):
+        led[1:] |= turned_rad(w.yaw_rad[:-1], w.yaw_rad[1:]) > _LED_RADPS * np.diff(w.setpoint_s)
+    led_s = w.setpoint_s[led & (w.setpoint_s >= e.onset_s) & (w.setpoint_s <= landing_s)]
+    return landing_s - (float(led_s[-1]) if len(led_s) else e.onset_s)
+
+
 def turned_rad(one: F64, other: F64) -> F64:
     """Angles (N,), 0 to pi, between headings."""
     turned: F64 = np.abs(np.remainder(other - one + np.pi, 2.0 * np.pi) - np.pi)
     return turned
+
+
+def slow_after(speed_mps: float) -> Measure:
+    """Seconds from the trouble until the vehicle truly is slower."""
+    return lambda e: e.since(e.speed_mps < speed_mps, e.onset_s)
+
+
+def off_its_way(e: Evidence) -> float:
+    """Farthest (m), level, that the vehicle truly is from the line of its setpoints, from the trouble on, while it is ours."""
+    w, until_s = e.wire, e.onset_s + e.since(~e.ours, e.onset_s)
+    line = w.position_m[(w.setpoint_s >= e.onset_s - _BEFORE_S) & (w.setpoint_s <= until_s), :2]
+    flown = e.position_m[(e.stamp_s >= e.onset_s) & (e.stamp_s < until_s), :2]
+    if not len(line) or not len(flown):
+        return math.inf
+    return max(float(np.linalg.norm(line - place, axis=1).min()) for place in flown)
 
 
 def disarmed_after() -> Measure:

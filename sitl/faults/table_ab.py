@@ -14,6 +14,7 @@ from sitl.faults.bars import (
     STEADY,
     STREAMS,
     UNHEARD_LANDS,
+    UNHEARD_STANDS,
     clear,
     down,
     flies_on,
@@ -81,6 +82,7 @@ TABLE_A = (
         lambda n: [Stall("mission", for_s=30.0)],
         (
             Bar("retreat begun", m.retreat_after, 5.5, "s"),
+            Bar("retreat not before", m.retreat_after, 4.5, "s", at_least=True),
             lands(21.0),
             lands_no_sooner(19.0),
             down(45.0),
@@ -137,7 +139,7 @@ TABLE_A = (
         "pilot and mission killed",
         "SIGKILL to both at once, for ever",
         lambda n: [Stall("mission", "pilot", "perception")],
-        (UNHEARD_LANDS, Bar("drift", m.drift_landing, 1.5, "m"), down(30.0)),
+        (UNHEARD_LANDS, UNHEARD_STANDS, Bar("drift", m.drift_landing, 1.5, "m"), down(30.0)),
         onset=FAST,
         live=lambda n: [Killed("mission", "pilot", "perception")],
     ),
@@ -316,7 +318,7 @@ TABLE_B = (
         "heading flips for good",
         "every pose turned by 180, 90, 15 degrees",
         lambda n: [Altered(turned((180.0, 90.0, 15.0)[n % 3]))],
-        (lands(1.5), Bar("drift", m.drift_landing, 0.8, "m")),
+        (lands(1.5), Bar("off its way", m.off_its_way, 0.3, "m"), Bar("drift", m.drift_landing, 0.8, "m")),
     ),
     Row(
         "B10",
@@ -325,7 +327,7 @@ TABLE_B = (
         lambda n: [Thinned(6.0)],
         (
             Bar("ODOMETRY in a second", odometry.pose_rate, 28.0, "1/s", at_least=True),
-            Bar("speed 1.5 s later", m.speed_from(2.5), 0.3, "m/s"),
+            Bar("speed 1 s later", m.speed_from(2.0), 0.3, "m/s"),  # later than the second that their number is taken over
         ),
         longest_s=15.0,
     ),

@@ -21,7 +21,7 @@ from sitl.faults.bars import (
     told,
 )
 from sitl.faults.body import Reboot
-from sitl.faults.cartographer import AGAIN, FREED, Cartographer, Tally
+from sitl.faults.cartographer import AGAIN, CLAIMED, FREED, Cartographer, Claims, Tally
 from sitl.faults.eye import (
     Appears,
     Approaches,
@@ -98,6 +98,14 @@ TABLE_C = (
         "every pixel 0; every pixel 65535",
         lambda n: [Painted(constant((0, 65535)[n % 2]))],
         (holds(0.4), clear(0.10)),
+        onset=FAST,
+    ),
+    Row(
+        "C4b",
+        "lens covered, the map",
+        "as C4, and the map is looked at",
+        lambda n: [Painted(constant((0, 65535)[n % 2])), Cartographer(), Claims()],
+        (Bar("known occupied freed", m.noted(FREED), 0.0, "%"), Bar("voxels marked free", m.noted(CLAIMED), 0.0, "")),
         onset=FAST,
     ),
     Row("C5", "glass, black, mirror", "surfaces that stereo does not see", why="T2 and T4: glass is not rendered"),

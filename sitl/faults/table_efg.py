@@ -98,7 +98,7 @@ TABLE_E = (
         "transmitter lost",
         "no transmitter any more",
         lambda n: [TransmitterLost()],
-        (lands(1.6, ardupilot=2.0), Bar("turns in a stick mode", m.position_mode, 0.0, ""), down(30.0)),
+        (lands(1.6, ardupilot=1.5), Bar("turns in a stick mode", m.position_mode, 0.0, ""), down(30.0)),
     ),
     Row(
         "E4",
@@ -291,7 +291,7 @@ TABLE_F = (
         "way home closed",
         "a wall stands across the hall behind it, and the battery is low",
         lambda n: [Stands((2.0, 0.0, 1.4), (0.1, 3.5, 1.5)), Battery(0.24)],
-        (clear(0.05), down(90.0)),
+        (clear(0.05), Bar("landing mode after its last stop", m.landing_after_a_stop, 5.0, "s"), down(90.0)),
         onset=Onset((8.0, 12.0), seeing=True, away_m=4.5),
         longest_s=100.0,
         room=Room(clear_m=0.05),  # no contact; where pictures are not believed at first it feels its way back to 0.09 m

@@ -12,7 +12,7 @@ import pytest
 
 from sitl.d435i import FAST_DEPTH_SPEC
 from sitl.faults import eye, tracker
-from sitl.faults.cartographer import AGAIN, Tally
+from sitl.faults.cartographer import AGAIN, CLAIMED, FREED, SETTLED_S, Cartographer, Claims, Tally
 from sitl.faults.host import Crash, Stall
 from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.meddler import off_nose_rad
@@ -28,6 +28,7 @@ from sitl.solids import Workshop
 from sitl.texture import plain
 from sitl.transform import body_from_camera
 from uav_recon.clock import InlineExecutor, ManualClock
+from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, FreeSpace, GridSpec, VoxelMap
 
 
 def record(stamp_s: float = 10.0) -> PoseRecord:
@@ -108,6 +109,47 @@ def test_a_frame_that_is_mapped_again_is_counted_by_its_picture() -> None:
             frames.publish(SimpleNamespace(frame=SimpleNamespace(depth_m=np.full((2, 2), picture, np.float32))))
         tally.turn(at, 0.0)
     assert at.notes == {AGAIN: 2.0}
+
+
+def mapped(*states: int) -> VoxelMap:
+    """A row of voxels of a metre."""
+    grid = GridSpec(np.zeros(3), 1.0, (len(states), 1, 1))
+    state = np.array(states, np.uint8).reshape(grid.shape)
+    return VoxelMap.whole(grid, state, np.zeros(grid.shape, np.uint8), 1)
+
+
+def test_what_becomes_known_as_free_is_counted_once_what_was_under_way_is_mapped() -> None:
+    voxels, free = DirectChannel[VoxelMap](), DirectChannel[FreeSpace]()
+    world = SimpleNamespace(
+        clearance=SimpleNamespace(bins=SimpleNamespace(points=np.array([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5]])))
+    )
+    at = Theatre(cast("Any", world), dice=random.Random(), channels=SimpleNamespace(voxels=voxels, free=free))
+    walls, claims = Cartographer(), Claims()
+
+    def shows(*states: int) -> None:
+        voxels.publish(mapped(*states))
+        free.publish(FreeSpace.of(mapped(*states)))
+
+    shows(OCCUPIED, OCCUPIED, OCCUPIED, UNKNOWN, UNKNOWN, FREE)
+    walls.begin(at)
+    claims.turn(at, SETTLED_S - 0.1)
+    shows(OCCUPIED, OCCUPIED, OCCUPIED, FREE, UNKNOWN, FREE)  # of a frame from before
+    claims.turn(at, SETTLED_S)
+    for trouble in (walls, claims):
+        trouble.end(at)
+    assert at.notes == {FREED: 0.0, CLAIMED: 0.0}
+    shows(OCCUPIED, FREE, FREE, FREE, FREE, UNKNOWN)
+    for trouble in (walls, claims):
+        trouble.end(at)
+    assert at.notes == {FREED: 50.0, CLAIMED: 3.0}, "the third is no wall"
+
+
+def test_a_flight_that_never_settled_claims_nothing_and_so_holds_no_bar() -> None:
+    at = Theatre(cast("Any", None), dice=random.Random(), channels=SimpleNamespace(free=DirectChannel[FreeSpace]()))
+    claims = Claims()
+    claims.turn(at, 1.0)
+    claims.end(at)
+    assert at.notes == {}
 
 
 @pytest.mark.parametrize(

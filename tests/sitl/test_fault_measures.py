@@ -121,6 +121,35 @@ def test_only_the_words_that_are_asked_for_count_as_told() -> None:
     assert told_after_arming("no pose")(rewired(e, orders=())) == math.inf
 
 
+def test_a_landing_is_measured_from_the_last_setpoint_that_leads_anywhere_or_turns() -> None:
+    """It flies until 10.45 s, slower then, and lands at 15 s."""
+    e = evidence()
+    assert m.landing_after_a_stop(e) == pytest.approx(4.55, abs=NEAR)
+    down = np.where((e.wire.setpoint_s > 12.0)[:, None], (0.0, 0.0, -0.4), e.wire.velocity_mps)
+    assert m.landing_after_a_stop(rewired(e, velocity_mps=down)) == pytest.approx(4.55, abs=NEAR), "down is nowhere"
+    turns = np.remainder(3.0 + 0.3 * np.minimum(e.wire.setpoint_s, 13.0), 2.0 * np.pi)
+    assert m.landing_after_a_stop(rewired(e, yaw_rad=turns)) == pytest.approx(2.0, abs=NEAR)
+    assert m.landing_after_a_stop(evidence(onset_s=12.0)) == pytest.approx(3.0, abs=NEAR), "it stood as the trouble began"
+    assert m.landing_after_a_stop(evidence(mode=("OFFBOARD",) * 600, armed=np.ones(600, bool))) == math.inf
+
+
+def test_how_soon_it_is_slow() -> None:
+    assert m.slow_after(0.1)(evidence()) == pytest.approx(5.4, abs=NEAR)
+    assert m.slow_after(0.6)(evidence()) == 0.0
+    assert m.slow_after(0.1)(evidence(velocity_mps=np.full((600, 3), 0.2))) == math.inf
+
+
+def test_off_its_way_is_aside_of_its_setpoints_while_it_follows_them() -> None:
+    e = evidence()
+    late = np.stack([np.interp(e.stamp_s - 0.4, e.stamp_s, e.position_m[:, k]) for k in range(3)], axis=1)
+    assert m.off_its_way(dataclasses.replace(e, position_m=late)) < 0.02, "behind is not aside"
+    aside = dataclasses.replace(e, position_m=spoilt(late, (200, 1), 0.4))
+    assert m.off_its_way(aside) == pytest.approx(0.4, abs=0.01)
+    assert m.off_its_way(dataclasses.replace(aside, onset_s=7.0)) < 0.02, "before the trouble"
+    assert m.off_its_way(dataclasses.replace(e, position_m=spoilt(e.position_m, (500, 1), 0.4))) < 0.02, "it lands by then"
+    assert m.off_its_way(rewired(e, setpoint_s=e.wire.setpoint_s - 20.0)) == math.inf
+
+
 def test_speed_clearance_and_fence() -> None:
     e = evidence()
     assert m.speed_from(1.0)(e) == pytest.approx(0.5)

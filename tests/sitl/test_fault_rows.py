@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from fault_evidence import BOOT_S, DT_S, evidence, rewired, turning
+from fault_evidence import BOOT_S, DT_S, evidence, rewired, spoilt, turning
 
 from sitl.faults.evidence import Evidence
 from sitl.faults.table import ROWS
@@ -116,3 +116,59 @@ def test_an_alert_before_the_floor_is_none_for_a_landing_that_does_not_end() -> 
     words = "landing does not end: switch the motors off"
     assert broken("E9", rewired(evidence(), texts=((19.0, words),))) == set()
     assert broken("E9", rewired(evidence(), texts=((16.0, words), (19.0, "the mission asks to land")))) == {"alert"}
+
+
+def retreating(from_s: float) -> Evidence:
+    """Stands from 5.2 s on and goes back along its way at from_s."""
+    e = evidence()
+    going = (e.stamp_s >= from_s) & (e.stamp_s < from_s + 3.0)
+    speed = np.where((e.stamp_s < 5.2)[:, None], e.velocity_mps, 0.0)
+    speed[going, 0] = -0.3
+    place, said = np.cumsum(speed, axis=0) * DT_S, e.stamp_s < 15.0
+    flown = dataclasses.replace(e, velocity_mps=speed, position_m=place)
+    return rewired(flown, velocity_mps=speed[said], position_m=place[said])
+
+
+def test_a_retreat_begins_neither_late_nor_early_in_a2() -> None:
+    retreats = {"retreat begun", "retreat not before"}
+    assert broken("A2", retreating(10.0)) & retreats == set()
+    assert broken("A2", retreating(9.0)) & retreats == {"retreat not before"}
+    assert broken("A2", retreating(10.8)) & retreats == {"retreat begun"}
+
+
+def test_only_an_arducopter_has_to_stand_before_it_lands_in_a6() -> None:
+    flies_on = evidence(onset_s=8.0)
+    assert "slower than 0.1 m/s" in broken("A6", flies_on, "ardupilot")
+    assert "slower than 0.1 m/s" not in broken("A6", flies_on, "px4")
+    assert "slower than 0.1 m/s" not in broken("A6", evidence(onset_s=9.0), "ardupilot"), "1.4 s later"
+
+
+def test_a_vehicle_that_circles_breaks_b9p_while_it_is_ours() -> None:
+    e = evidence(mode=tuple("OFFBOARD" if s < 6.4 else "LAND" for s in evidence().stamp_s))
+    assert broken("B9p", e) & {"off its way"} == set()
+    circling = dataclasses.replace(e, position_m=spoilt(e.position_m, (185, 1), 0.35))
+    assert broken("B9p", circling) & {"off its way"} == {"off its way"}
+
+
+def test_a_speed_that_is_cut_late_breaks_b10() -> None:
+    def slow(from_s: float) -> Evidence:
+        e = evidence()
+        return rewired(e, velocity_mps=np.where((e.wire.setpoint_s > from_s)[:, None], 0.4, 1.0) * e.wire.velocity_mps)
+
+    assert broken("B10", slow(6.9)) == set()
+    assert broken("B10", slow(7.1)) == {"speed 1 s later"}
+
+
+def test_a_map_that_is_marked_free_by_nothing_breaks_c4b() -> None:
+    freed, claimed = "known occupied freed", "voxels marked free"
+    assert broken("C4b", evidence(notes={freed: 0.0, claimed: 0.0})) == set()
+    assert broken("C4b", evidence(notes={freed: 0.01, claimed: 0.0})) == {freed}
+    assert broken("C4b", evidence(notes={freed: 0.0, claimed: 1.0})) == {claimed}
+    assert broken("C4b", evidence()) == {freed, claimed}, "what nobody measured"
+
+
+def test_who_hovers_before_the_wall_breaks_f5() -> None:
+    stops_late = evidence(onset_s=6.0)
+    assert broken("F5", stops_late) == set()
+    dithers = evidence(mode=tuple("OFFBOARD" if s < 17.0 else "LAND" for s in evidence().stamp_s), onset_s=6.0)
+    assert broken("F5", dithers) == {"landing mode after its last stop"}
