@@ -108,6 +108,15 @@ def test_an_abort_lands_at_once(desk: Desk) -> None:
     assert desk.conductor.close() == "aborted: the operator asked to land"
 
 
+def test_an_abort_ends_it_where_no_pilot_was_ever_heard(desk: Desk) -> None:
+    desk.conductor.step()
+    assert desk.conductor.phase is Phase.IDLE
+    desk.conductor.request_abort("the operator asked to land")
+    desk.conductor.step()
+    assert desk.conductor.finished
+    assert desk.conductor.close() == "aborted: the operator asked to land"
+
+
 def test_the_setpoint_does_not_climb_away_from_a_vehicle_that_still_stands(desk: Desk) -> None:
     desk.stands = True
     desk.conductor.request_start()

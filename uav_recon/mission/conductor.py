@@ -103,6 +103,8 @@ class Conductor:
             self._account.hear(self.phase, vehicle, self._attendance.missing if self._start else "")
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
+        elif self._abort:  # of no vehicle was ever heard, so there is none to land
+            self._change_phase(Phase.DONE, now_s)
         self._publish(now_s)
 
     # -- detect -------------------------------------------------------------------------------------------------------

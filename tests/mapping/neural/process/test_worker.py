@@ -19,7 +19,7 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, bent, correction, distance
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.mapping.neural.process.checkpoint import EVERY_VIEWS
-from uav_recon.mapping.neural.process.child import CHECKPOINT, LOG_FILE, NICENESS
+from uav_recon.mapping.neural.process.child import CHECKPOINT, FIRST_TO_GO, LOG_FILE, NICENESS
 from uav_recon.mapping.neural.process.vigil import ASLEEP_S, LOOK_S
 from uav_recon.mapping.neural.process.worker import RESTARTS, ProcessMapper
 from uav_recon.mapping.neural.views.intake import Refusal
@@ -74,6 +74,7 @@ def test_process_learns_outlives_a_kill_and_meshes(mapper: ProcessMapper, tmp_pa
     assert os.getpriority(os.PRIO_PROCESS, first) == min(os.getpriority(os.PRIO_PROCESS, 0) + NICENESS, 19)
     group = Path(f"/proc/{first}/autogroup")
     assert not group.exists() or group.read_text().endswith(f"nice {NICENESS}\n")
+    assert int(Path(f"/proc/{first}/oom_score_adj").read_text()) == FIRST_TO_GO, "the kernel takes it before its mission"
     os.kill(first, signal.SIGKILL)
     _wait(lambda: not mapper.alive(), "noticing the death")
     assert mapper.surface() is not None

@@ -37,7 +37,7 @@ LOG = logging.getLogger(__name__)
 CHECKPOINT = ".mapper_checkpoint"
 KEYFRAMES, SURFACE_FILE, LOG_FILE, MESH_FILE = "keyframes", ".mapper_surface", "mapper.log", "mesh.ply"
 SURFACE_BYTES = 48 << 20  # a sparse file: a room of 30 m² needs 3 MB
-NICENESS = 10
+NICENESS, FIRST_TO_GO = 10, 1000
 IDLE_SURFACE_STEPS = 60  # idle steps between two surfaces
 
 Message = dict[str, Any]
@@ -126,10 +126,13 @@ def main() -> None:
 
 
 def _step_back() -> None:
-    """Let everything that flies go first, also where the kernel weighs sessions and not processes: sched(7), autogroup."""
+    """Let everything that flies go first, also where the kernel weighs sessions and not processes: sched(7), autogroup. And be
+    the first to go where memory is spent: the mission, whose child this is, is the larger one and cannot be done without.
+    """
     os.nice(NICENESS)
-    with contextlib.suppress(OSError):  # no such kernel
-        Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
+    for name, value in (("autogroup", NICENESS), ("oom_score_adj", FIRST_TO_GO)):
+        with contextlib.suppress(OSError):  # no such kernel
+            Path("/proc/self", name).write_text(str(value), encoding="ascii")
 
 
 def _read(pipe: IO[bytes], messages: queue.Queue[Message], asked: threading.Event) -> None:
