@@ -22,6 +22,12 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     one_thread()  # two that compute on both cores would get in each other's way
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests first: one of them that came last would be waited for alone."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(scope="module")
 def flown_up() -> Rig:
     from flight_rig import Rig

@@ -14,6 +14,7 @@ from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
 PX4_MODES = {"ours": 6 << 16, "pilot's": 3 << 16, "landing": 6 << 24 | 4 << 16}
+pytestmark = pytest.mark.slow
 COPTER_MODES = {"ours": 4, "pilot's": 5, "landing": 9}
 ORDER = mavlink.MAVLink_command_long_message(245, 191, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLACE = mavlink.MAVLink_local_position_ned_message(7, 90.0, -80.0, 5.0, 3.0, 3.0, 3.0)

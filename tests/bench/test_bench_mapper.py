@@ -13,6 +13,7 @@ from uav_recon.bench import mapper_run, mapper_scene
 from uav_recon.cli import app
 from uav_recon.evaluation.surface import Surface
 
+pytestmark = pytest.mark.slow
 FIELDS = [
     "step_ms", "view_update_ms", "time_to_recall_s", "extraction_ms", "accuracy_cm", "completion_cm", "recall_seen_5cm",
     "psnr_db", "ause_all", "ause_observed", "hallucinated_fraction", "memory_mb",

@@ -19,6 +19,7 @@ from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 
 USUAL_M, NARROW_M, HOMEWARD_M = 0.5, 0.45, 0.35
+pytestmark = pytest.mark.slow
 SIZE_M = (8.0, 5.0, 2.2)
 WALL_M = 3.2  # its far side
 START = np.array([1.5, 2.0, 1.2])

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 
+pytestmark = pytest.mark.slow
+
 
 def uav_recon(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(

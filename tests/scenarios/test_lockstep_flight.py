@@ -15,6 +15,7 @@ from uav_recon import config
 from uav_recon.recording.report import Report
 from uav_recon.recording.review import check_recording
 
+pytestmark = pytest.mark.slow
 VIEWS = 14
 
 

@@ -25,6 +25,7 @@ BORDER = 1e-6  # voxels: a way may bend on the very border of a flyable voxel
 VIEW_M = 0.3  # d_s: from a view to the nearest side of anything that is not known free
 CLIP = 0.25  # voxels: a line between two waypoints may clip a corner by so much
 MOUNT_M = np.array([0.1, 0.0, 0.0])
+pytestmark = pytest.mark.slow
 TILT_RAD = np.radians(15.0)
 FIXED = CameraGeometry(np.radians(87), np.radians(58), MOUNT_M, TILT_RAD, TILT_RAD, 4.5)
 GIMBAL = CameraGeometry(np.radians(87), np.radians(58), MOUNT_M, -np.radians(60), np.radians(60), 4.5)
