@@ -123,6 +123,11 @@ class Autopilot(ABC):
     def lose_land_detector(self) -> None:
         """From now on no landing is noticed."""
 
+    def write_parameter(self, name: str, value: float) -> None:
+        """By a ground station elsewhere: it is told of on every link. Raises KeyError for an unknown name."""
+        self.parameters.set(name, value)
+        self._server.send_parameter(name)
+
     def reboot(self) -> None:
         """It starts anew where it is, and knows nothing of before: no clock, estimator, origin, home or message rates.
 

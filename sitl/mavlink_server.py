@@ -101,7 +101,7 @@ class MavlinkServer:
         """Queue what is due, and the next parameter of a list under way."""
         if self._list_next < len(self._parameters):
             for _ in range(_PARAMETERS_PER_STEP):
-                self._send_parameter(self._parameters.name(self._list_next))
+                self.send_parameter(self._parameters.name(self._list_next))
                 self._list_next += 1
         if now_s < self._due_s:
             return
@@ -156,9 +156,9 @@ class MavlinkServer:
         elif kind == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
             if message.param_index >= 0:
                 if message.param_index < len(self._parameters):
-                    self._send_parameter(self._parameters.name(message.param_index))
+                    self.send_parameter(self._parameters.name(message.param_index))
             elif message.param_id in self._parameters:
-                self._send_parameter(message.param_id)
+                self.send_parameter(message.param_id)
         elif kind == mavlink.MAVLINK_MSG_ID_PARAM_SET:
             self._set_parameter(message)
         else:
@@ -177,9 +177,10 @@ class MavlinkServer:
             self._parameters.set(name, self._parameters.from_wire(name, message.param_value))
         except ValueError:
             self.say(mavlink.MAV_SEVERITY_ERROR, f"param not set: {name}")
-        self._send_parameter(name)
+        self.send_parameter(name)
 
-    def _send_parameter(self, name: str) -> None:
+    def send_parameter(self, name: str) -> None:
+        """PARAM_VALUE."""
         p = self._parameters
         self.send(
             packet(mavlink.MAVLink_param_value_message, name.encode(), p.on_wire(name), p.kind(name), len(p), p.index(name))

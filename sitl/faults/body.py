@@ -124,11 +124,11 @@ class Parameter(Injector):
 
     def begin(self, at: Theatre) -> None:
         """Raises KeyError where the personality has none of them."""
-        parameters = at.world.autopilot.parameters
-        known = [(name, value) for name, value in self._values if name in parameters]
+        autopilot = at.world.autopilot
+        known = [(name, value) for name, value in self._values if name in autopilot.parameters]
         if not known:
             raise KeyError(self._values[0][0])
-        parameters.set(*known[0])
+        autopilot.write_parameter(*known[0])
 
 
 def switch(at: Theatre, modes: tuple[str, ...]) -> None:

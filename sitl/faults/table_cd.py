@@ -186,7 +186,7 @@ TABLE_D = (
         "nothing heard for 10 s",
         "autopilot to product lost for 10 s at speed",
         lambda n: [Loss("down", 10.0)],
-        (holds(0.6), Bar("stream ends", m.streams_after, 3.1, "s"), lands(4.5), NO_ORDER),
+        (holds(0.6), Bar("stream ends", m.streams_after, 3.1, "s"), lands(4.5, ardupilot=3.8), NO_ORDER),
         onset=FAST,
     ),
     Row(

@@ -354,6 +354,14 @@ TABLE_G = (
         longest_s=20.0,
     ),
     Row(
+        "G5b",
+        "parameter changed in flight",
+        "as G5, written by a ground station at speed",
+        lambda n: [Parameter(*PARAMETERS[n % 5])],  # those behind them would end its poses, or say what is done at a fence
+        (holds(1.0), told("^in flight parameter", 1.0), down(60.0), NO_FAILSAFE),
+        onset=Onset(speed_mps=0.5),
+    ),
+    Row(
         "G6",
         "wrong firmware",
         "AUTOPILOT_VERSION says 1.13.0, 1.15.1, 1.18.0",

@@ -23,7 +23,7 @@ _WHOSE = re.compile(r"^yielded|the autopilot lands")
 # What a reason for a landing is: a refusal, a stranger or a slow link is none; whose the vehicle is by then is one too.
 _WHY_LAND = re.compile(
     r"asked to |asks to |no pose|poses |mission silent|no depth|refused for|refusals in|odom |surfaces stand|outside the fence"
-    rf"|blocked|nowhere|two autopilots|take-off given up|arm(ed|ing) |LAND is asked for|{_WHOSE.pattern}"
+    rf"|blocked|nowhere|two autopilots|take-off given up|arm(ed|ing) |LAND is asked for|in flight parameter|{_WHOSE.pattern}"
 )
 _FLOOR_M = 0.05  # above where it comes to lie
 

@@ -296,3 +296,21 @@ def test_the_same_seed_sends_the_same_bytes_and_the_log_holds_them(tmp_path: Pat
     assert all(np.diff(stamps) >= 0)
     assert stamps[0] == pytest.approx(100.0, abs=0.1)
     assert {"HEARTBEAT", "ODOMETRY", SETPOINT, "SYS_STATUS", "COMMAND_ACK"} <= kinds
+
+
+def test_why_the_mission_lands_is_told_at_once(hovering: Rig) -> None:
+    hovering.said, hovering.intent = "way home blocked", (Goal.LAND, None)
+    landing_s = hovering.clock.now_s()
+    hovering.run(0.2)
+    said = [m.text for at, m in hovering.tap.sent if Tap.name(m) == "STATUSTEXT" and at >= landing_s]
+    assert said == ["the mission asks to land", "way home blocked"]
+
+
+def test_why_it_lands_is_told_though_proposals_are_refused_meanwhile(hovering: Rig) -> None:
+    hovering.fly((0.0, 0.0, 9.0), identifier=7)
+    hovering.run(1.05)
+    landing_s = hovering.clock.now_s()
+    hovering.pilot.request_land("the operator asks to land")
+    hovering.run(0.1)
+    said = [m.text for at, m in hovering.tap.sent if Tap.name(m) == "STATUSTEXT" and at >= landing_s]
+    assert "the operator asks to land" in said

@@ -37,7 +37,7 @@ from uav_recon.safety.guard import ClearedSetpoint
 from uav_recon.types.pose import StampedPose
 
 _WARNING = 4
-_DEAF_S = 2.0
+_DEAF_S = 1.7
 _SLOW_TRIP_S, _SLOW_FOR_S = 0.2, 10.0  # 0.1 s each way: at 0.8 m/s it lags by 0.08 m more
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _NS = 1_000_000_000

@@ -180,8 +180,10 @@ class Pilot:
     # ---- act --------------------------------------------------------------------------------------------------
 
     def _enter(self, phase: FlightPhase, why: str, landing_seen: bool = False) -> None:
-        """Every change of phase but those of an undisturbed flight."""
+        """Every change of phase but those of an undisturbed flight. Its reason is told at once: a note is talked over."""
         self.phase, self._note, self._arming = phase, why or self._note, None
+        if why:
+            self._herald.say(why, self._clock.now_s())
         if phase is FlightPhase.LANDING:
             self._landing = Landing(landing_seen, lifted=self._lift_off is None or self._lift_off.lifted)
         if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
@@ -286,11 +288,11 @@ class Pilot:
     def _tell(self, now_s: float) -> None:
         if self.phase in (FlightPhase.CONNECTING, FlightPhase.READY):
             return
-        flying = self.phase is FlightPhase.FLYING
-        news = [*self._link.intrusions.news(), *([self._mandate.news] if flying and self._mandate.news else [])]
+        aloft = self.phase in IN_THE_AIR
+        news = [*self._link.intrusions.news(), *([self._mandate.news] if aloft and self._mandate.news else [])]
         for words in news:
             self._herald.say(words, now_s)
-        if flying and news:
+        if aloft and news:
             self._note = news[-1]
         self._herald.step(self._note, now_s)
 

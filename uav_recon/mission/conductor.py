@@ -254,8 +254,8 @@ class Conductor:
         grounded = self.phase in (Phase.IDLE, Phase.READY, Phase.DONE, Phase.YIELDED)
         goal = Goal.STANDBY if grounded else Goal.LAND if self.phase is Phase.LANDING else Goal.FLY
         self._bulletin.free(now_s, self.map, self._course.trajectory)
-        operator = self._attendance
-        self._wires.intent.publish(Intent(now_s, goal, self._course.trajectory, operator.note, bool(operator.lost)))
+        operator, told = self._attendance, self._account.aborted or self._attendance.note
+        self._wires.intent.publish(Intent(now_s, goal, self._course.trajectory, told, bool(operator.lost)))
         self._bulletin.maps(now_s, self.map, self._stages.mapper, last=self.finished)
         if now_s - self._reported_s >= PROGRESS_PERIOD_S or self.finished:
             self._reported_s = now_s
