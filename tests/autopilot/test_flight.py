@@ -304,13 +304,3 @@ def test_why_the_mission_lands_is_told_at_once(hovering: Rig) -> None:
     hovering.run(0.2)
     said = [m.text for at, m in hovering.tap.sent if Tap.name(m) == "STATUSTEXT" and at >= landing_s]
     assert said == ["the mission asks to land", "way home blocked"]
-
-
-def test_why_it_lands_is_told_though_proposals_are_refused_meanwhile(hovering: Rig) -> None:
-    hovering.fly((0.0, 0.0, 9.0), identifier=7)
-    hovering.run(1.05)
-    landing_s = hovering.clock.now_s()
-    hovering.pilot.request_land("the operator asks to land")
-    hovering.run(0.1)
-    said = [m.text for at, m in hovering.tap.sent if Tap.name(m) == "STATUSTEXT" and at >= landing_s]
-    assert "the operator asks to land" in said
