@@ -107,6 +107,8 @@ def pilot(config_path: Path, flight: Path | None) -> int:
         the_pilot.wait()
     desk.close()
     log.close()
+    if log.gaps:
+        logging.getLogger(__name__).warning("%s", log.gaps)
     link.close()
     gate.close()
     return 0

@@ -34,7 +34,7 @@ def test_frames_stand_behind_their_microseconds(tmp_path: Path) -> None:
     log.close()
     data = (tmp_path / "flight.tlog").read_bytes()
     assert data == (1_700_000_001_500_000).to_bytes(8, "big") + b"one" + (1_700_000_002_250_000).to_bytes(8, "big") + b"two"
-    assert log.dropped == 0
+    assert (log.dropped, log.gaps) == (0, "")
     NoLog().record(0.0, b"")
 
 
@@ -51,6 +51,7 @@ def test_a_hanging_disk_costs_the_oldest_frames_and_no_time(tmp_path: Path) -> N
     assert kept[-100:] == list(range(400, 500))
     assert log.dropped == 500 - len(kept)
     assert log.dropped > 300
+    assert log.gaps == f"{log.dropped} frames are missing from the flight's log"
 
 
 def test_a_full_disk_ends_the_log_and_says_so(tmp_path: Path) -> None:
@@ -61,4 +62,4 @@ def test_a_full_disk_ends_the_log_and_says_so(tmp_path: Path) -> None:
     log._file = full  # type: ignore[assignment]
     log.record(0.0, b"x")
     log.close()
-    assert log.failure == "flight log ended: No space left on device"
+    assert log.gaps == "flight log ended: No space left on device: 1 frames are missing from the flight's log"

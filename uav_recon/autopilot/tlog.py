@@ -52,6 +52,12 @@ class Tlog:
         """Frames lost so far: recorded, but neither waiting nor written."""
         return self._recorded - self._written - len(self._queue)
 
+    @property
+    def gaps(self) -> str:
+        """What is missing from it, '' for nothing."""
+        lost = f"{self.dropped} frames are missing from the flight's log" if self.dropped else ""
+        return f"{self.failure}: {lost}" if self.failure and lost else self.failure or lost
+
     def record(self, now_s: float, frame: bytes) -> None:
         """Note one frame."""
         self._queue.append(_STAMP.pack(int((now_s + self._epoch_s) * 1e6)) + frame)
