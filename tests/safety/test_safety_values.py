@@ -11,6 +11,7 @@ from rooms import BOUNDS, ENVELOPE, proposal, situation
 from uav_recon.safety.guard import _motion_of
 from uav_recon.safety.ladder import Health, Patience
 from uav_recon.safety.posegate import Verdict
+from uav_recon.safety.steps import Steps
 
 VALUES = (
     BOUNDS,
@@ -18,6 +19,7 @@ VALUES = (
     ENVELOPE,
     ENVELOPE.fence,
     Health(0.0, 0.0, 0.0, 0.0, True, 0),
+    Steps(),
     Patience(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0),
     Verdict(True),
     proposal(),
