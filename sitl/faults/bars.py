@@ -25,7 +25,7 @@ UNHEARD_LANDS = lands(1.35, ardupilot=2.5)
 
 
 # PX4 flies on by what it heard last until it lands; its bar is that of its motors.
-UNHEARD_STANDS = Bar("slower than 0.1 m/s", m.slow_after(0.1), 30.0, "s", ardupilot=1.5)
+UNHEARD_STANDS = Bar("goes on below 0.1 m/s", m.stopped_after(0.1), 30.0, "s", ardupilot=1.5)
 
 
 def lands_no_sooner(after_s: float, late_s: float = 0.0) -> Bar:

@@ -75,9 +75,15 @@ def turned_rad(one: F64, other: F64) -> F64:
     return turned
 
 
-def slow_after(speed_mps: float) -> Measure:
-    """Seconds from the trouble until the vehicle truly is slower."""
-    return lambda e: e.since(e.speed_mps < speed_mps, e.onset_s)
+def stopped_after(speed_mps: float) -> Measure:
+    """Seconds from the trouble until the vehicle truly goes on more slowly along the way it had then; it may swing back."""
+
+    def measure(e: Evidence) -> float:
+        along = e.velocity_mps[int(np.searchsorted(e.stamp_s, e.onset_s))]
+        onward_mps = e.velocity_mps @ (along / max(float(np.linalg.norm(along)), 1e-9))
+        return e.since(onward_mps < speed_mps, e.onset_s)
+
+    return measure
 
 
 def off_its_way(e: Evidence) -> float:

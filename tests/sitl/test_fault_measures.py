@@ -133,10 +133,14 @@ def test_a_landing_is_measured_from_the_last_setpoint_that_leads_anywhere_or_tur
     assert m.landing_after_a_stop(evidence(mode=("OFFBOARD",) * 600, armed=np.ones(600, bool))) == math.inf
 
 
-def test_how_soon_it_is_slow() -> None:
-    assert m.slow_after(0.1)(evidence()) == pytest.approx(5.4, abs=NEAR)
-    assert m.slow_after(0.6)(evidence()) == 0.0
-    assert m.slow_after(0.1)(evidence(velocity_mps=np.full((600, 3), 0.2))) == math.inf
+def test_how_soon_it_no_longer_goes_on() -> None:
+    assert m.stopped_after(0.1)(evidence()) == pytest.approx(5.4, abs=NEAR)
+    assert m.stopped_after(0.6)(evidence()) == 0.0
+    assert m.stopped_after(0.1)(evidence(velocity_mps=np.full((600, 3), 0.2))) == math.inf
+    e = evidence()
+    swung = np.where((e.stamp_s > e.onset_s + 2.0)[:, None], (-0.4, 0.3, 0.0), (0.5, 0.0, 0.0))
+    assert m.stopped_after(0.1)(evidence(velocity_mps=swung)) == pytest.approx(2.0, abs=NEAR), "it swings back"
+    assert m.stopped_after(0.1)(evidence(velocity_mps=-swung)) == pytest.approx(2.0, abs=NEAR), "whichever way it went"
 
 
 def test_off_its_way_is_aside_of_its_setpoints_while_it_follows_them() -> None:
