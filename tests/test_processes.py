@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import signal
 import socket
@@ -12,16 +11,9 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from uav_recon import config as configuration
-from uav_recon import notify, processes
-from uav_recon.channels import MemoryChannel
-from uav_recon.clock import ManualClock
-from uav_recon.sensors.realsense import RealSenseError
-from uav_recon.types.pose import Pose
-from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
 
@@ -304,107 +296,3 @@ def test_a_socket_of_somebody_else_is_told(word: str, answer: dict[str, object],
             connection.sendall(json.dumps(answer).encode() + b"\n")
             said = caller.communicate(timeout=30)
     assert (caller.returncode, *said) == (69, "", f"uav-recon: {path}: whoever answers there is not the pilot\n")
-
-
-def vehicle(now_s: float, phase: FlightPhase, armed: bool) -> VehicleState:
-    pose = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
-    return VehicleState(now_s, pose, np.zeros(3), armed, "", phase, math.nan, False, math.nan, -1, 0, "")
-
-
-class Turns:
-    """Perception's step on a clock of its own: 100 Hz of a flight that lands after 20 s, told at each turn."""
-
-    def __init__(self, lands_s: float = 20.0, dies_s: float = math.inf) -> None:
-        self.clock, self.channel, self.asked = ManualClock(), MemoryChannel(VehicleState), False
-        self.gone_from_s = self.gone_to_s = self.asked_s = math.inf
-        self._lands_s, self._dies_s, self.turns = lands_s, dies_s, 0
-        self._tell()
-
-    def step(self) -> None:
-        self.clock.advance_to(self.clock.now_s() + 0.01)
-        self.turns += 1
-        self.asked = self.clock.now_s() >= self.asked_s
-        if self.clock.now_s() < self._dies_s:
-            self._tell()
-        assert self.clock.now_s() < 60.0, "it does not end"
-        if self.gone_from_s <= self.clock.now_s() < self.gone_to_s:
-            raise RealSenseError(f"gone at {self.clock.now_s():.1f}")
-
-    def _tell(self) -> None:
-        flies = self.clock.now_s() < self._lands_s
-        phase = FlightPhase.FLYING if flies else FlightPhase.LANDED
-        self.channel.publish(vehicle(self.clock.now_s(), phase, armed=flies))
-
-    def run(self) -> str:
-        return processes.perceive(self.step, self.channel, self.clock, lambda: self.asked)
-
-
-def test_perception_that_is_asked_to_end_goes_on_until_the_pilot_has_landed_by_its_poses(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """As a stop of the target asks both; and systemd, which gives it 5 s, is told at each turn that it takes longer."""
-    flight, fed, prolonged = Turns(), [0], list[float]()
-    flight.asked_s = 15.0
-    monkeypatch.setattr(notify, "watchdog", lambda: fed.append(flight.turns))
-    monkeypatch.setattr(notify, "extend", prolonged.append)
-    assert flight.run() == ""
-    assert flight.clock.now_s() == pytest.approx(20.0, abs=0.02)
-    assert fed == list(range(flight.turns + 1))
-    assert prolonged == [3.0] * len(prolonged)
-    assert len(prolonged) == pytest.approx(500, abs=3), "from the moment on at which it was asked"
-    assert [record.message for record in caplog.records] == [
-        "asked to end: ends once it has landed, for it flies by these poses"
-    ]
-
-
-def test_perception_ends_at_once_where_nothing_flies(caplog: pytest.LogCaptureFixture) -> None:
-    flight = Turns(lands_s=0.0)
-    flight.asked_s = 5.0
-    assert flight.run() == ""
-    assert flight.clock.now_s() == pytest.approx(5.0, abs=0.02)
-    assert not caplog.records
-
-
-def test_perception_ends_a_second_after_a_pilot_that_died_in_the_air() -> None:
-    flight = Turns(dies_s=16.0)
-    flight.asked_s = 15.0
-    assert flight.run() == ""
-    assert flight.clock.now_s() == pytest.approx(17.0, abs=0.03)
-
-
-def test_a_camera_that_is_gone_ends_perception_on_the_ground_at_once(caplog: pytest.LogCaptureFixture) -> None:
-    flight = Turns(lands_s=0.0)
-    flight.gone_from_s = 5.0
-    assert flight.run() == "gone at 5.0"
-    assert flight.clock.now_s() == pytest.approx(5.0, abs=0.02)
-    assert not caplog.records, "told once: as the reason of its end"
-
-
-def test_a_camera_that_is_gone_in_flight_costs_no_pose_and_ends_perception_after_the_landing(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    flight = Turns()
-    flight.gone_from_s = 5.0
-    assert flight.run() == "gone at 5.0"
-    assert flight.clock.now_s() == pytest.approx(20.0, abs=0.02)
-    assert flight.turns == pytest.approx(2000, abs=2)
-    assert [record.message for record in caplog.records] == [
-        "gone at 5.0: ends once it has landed, for it flies by these poses"
-    ]
-
-
-def test_a_camera_that_comes_back_in_flight_is_not_ended_for() -> None:
-    flight = Turns()
-    flight.gone_from_s, flight.gone_to_s, flight.asked_s = 5.0, 8.0, 30.0
-    assert flight.run() == ""
-    assert flight.clock.now_s() == pytest.approx(30.0, abs=0.02)
-
-
-def test_a_pilot_has_told_only_once_the_others_can_read_its_phase() -> None:
-    """Between two turns of the publishing it lands: the mission, told of LANDING alone, would write no report."""
-    channel = MemoryChannel(VehicleState)
-    assert not processes.has_told(FlightPhase.LANDED, channel)
-    channel.publish(vehicle(1.0, FlightPhase.LANDING, armed=True))
-    assert not processes.has_told(FlightPhase.LANDED, channel)
-    channel.publish(vehicle(1.03, FlightPhase.LANDED, armed=False))
-    assert processes.has_told(FlightPhase.LANDED, channel)

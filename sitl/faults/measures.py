@@ -76,10 +76,15 @@ def turned_rad(one: F64, other: F64) -> F64:
 
 
 def stopped_after(speed_mps: float) -> Measure:
-    """Seconds from the trouble until the vehicle truly goes on more slowly along the way it had then; it may swing back."""
+    """Seconds from the trouble until the vehicle truly goes on more slowly along the way it had then; it may swing back. inf
+    for never, and where the trouble never came.
+    """
 
     def measure(e: Evidence) -> float:
-        along = e.velocity_mps[int(np.searchsorted(e.stamp_s, e.onset_s))]
+        after = e.velocity_mps[e.stamp_s >= e.onset_s]
+        if not len(after):
+            return math.inf
+        along = after[0]
         onward_mps = e.velocity_mps @ (along / max(float(np.linalg.norm(along)), 1e-9))
         return e.since(onward_mps < speed_mps, e.onset_s)
 

@@ -141,6 +141,7 @@ def test_how_soon_it_no_longer_goes_on() -> None:
     swung = np.where((e.stamp_s > e.onset_s + 2.0)[:, None], (-0.4, 0.3, 0.0), (0.5, 0.0, 0.0))
     assert m.stopped_after(0.1)(evidence(velocity_mps=swung)) == pytest.approx(2.0, abs=NEAR), "it swings back"
     assert m.stopped_after(0.1)(evidence(velocity_mps=-swung)) == pytest.approx(2.0, abs=NEAR), "whichever way it went"
+    assert m.stopped_after(0.1)(evidence(onset_s=math.inf)) == math.inf, "the trouble never came"
 
 
 def test_off_its_way_is_aside_of_its_setpoints_while_it_follows_them() -> None:
