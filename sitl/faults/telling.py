@@ -58,7 +58,7 @@ def untold(e: Evidence) -> str:
     """The first reaction that nobody was told of in time, in words; '' for none."""
     asked = [o.stamp_s for o in e.wire.orders if o.command in _LAND and _aloft(e, o.stamp_s)]
     due = [("landing asked for", _WHY_LAND, asked[0], asked[0])] if asked else []
-    due += [("another's mode", _WHOSE, lost_s, heard_s) for lost_s, heard_s in _lost(e, asked)]
+    due += [("another's mode", _WHY_LAND if lands else _WHOSE, lost_s, heard_s) for lost_s, heard_s, lands in _lost(e, asked)]
     for what, why, from_s, known_s in due:
         said = [stamp_s for stamp_s, text in e.wire.texts if why.search(text)]
         told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in said)
@@ -72,15 +72,18 @@ def _aloft(e: Evidence, stamp_s: float) -> bool:
     return bool(np.interp(stamp_s, e.stamp_s, e.position_m[:, 2]) > _ALOFT_M)
 
 
-def _lost(e: Evidence, asked: list[float]) -> list[tuple[float, float]]:
-    """Each instant in which the vehicle left our mode unasked, under our setpoints, and in which the product heard of it."""
+def _lost(e: Evidence, asked: list[float]) -> list[tuple[float, float, bool]]:
+    """Each instant in which the vehicle left our mode unasked, under our setpoints, and in which the product heard of it; and
+    whether it is landing: a product that is about to land by itself and says why has no more to say, nor to ask for.
+    """
     left = np.flatnonzero(e.ours[:-1] & ~e.ours[1:] & e.armed[1:]) + 1
     found = []
-    for lost_s in e.stamp_s[left].tolist():
+    for at in left.tolist():
+        lost_s = float(e.stamp_s[at])
         flown = ((e.wire.setpoint_s > lost_s - _FLYING_S) & (e.wire.setpoint_s <= lost_s)).any()
         ours = any(0.0 <= lost_s - stamp_s < _OURS_S for stamp_s in asked)
         before = next((mode for stamp_s, mode, _ in reversed(e.heard) if stamp_s < lost_s), None)
         heard_s = next((stamp_s for stamp_s, mode, _ in e.heard if stamp_s >= lost_s and mode != before), math.inf)
         if flown and not ours:
-            found.append((lost_s, heard_s))
+            found.append((lost_s, heard_s, bool(e.landing[at])))
     return found

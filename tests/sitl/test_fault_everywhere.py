@@ -38,10 +38,10 @@ def hovering(e: Evidence, mode: str = "OFFBOARD", **changes: Any) -> Evidence:
     )  # fmt: skip
 
 
-def taken(e: Evidence, **said: Any) -> Evidence:
-    """A pilot switches at 9.9 s, the product hears of it at 10 s and sends no setpoint any more."""
+def taken(e: Evidence, mode: str = "POSCTL", **said: Any) -> Evidence:
+    """Another's mode is set at 9.9 s, the product hears of it at 10 s and sends no setpoint any more."""
     theirs = dataclasses.replace(
-        e, mode=tuple("POSCTL" if t > 9.9 else "OFFBOARD" for t in e.stamp_s),
+        e, mode=tuple(mode if t > 9.9 else "OFFBOARD" for t in e.stamp_s),
         heard=tuple((t, 3 << 16 if t >= 10.0 else 6 << 16, True) for t in range(20)),
     )  # fmt: skip
     sent = e.wire.setpoint_s < 10.0
@@ -79,6 +79,8 @@ SPOILS: dict[str, Spoil] = {
     "landing asked for 10.0 s after the trouble and not told": lambda e: rewired(e, texts=e.wire.texts[:1]),
     "landing asked for 10.0 s after": lambda e: rewired(e, texts=(*e.wire.texts[:1], (15.1, "refused: jump of 0.58 m"))),
     "another's mode 5.0 s after the trouble and not told": lambda e: taken(e, texts=((12.0, "yielded"),)),
+    "another's mode 5.0 s after the trouble and not": lambda e: taken(e, "LAND", texts=((10.2, "refused: speed 0.81 m/s"),)),
+    "another's mode 5.0 s": lambda e: taken(e, texts=((9.9, "no pose for 0.7 s"),)),
     "another's mode 5.0 s after": lambda e: taken(e, texts=((10.9, "no operator for 5 s: returns after 30"),)),
 }
 
@@ -152,6 +154,9 @@ def test_a_pilot_who_takes_the_vehicle_out_of_our_landing_keeps_it() -> None:
 
 def test_what_was_told_in_time_or_could_not_be_known_is_no_violation() -> None:
     assert violations(taken(evidence(), texts=((10.9, "yielded"),))) == []
+    assert violations(taken(evidence(), "LAND", texts=((9.9, "no pose for 0.7 s"),))) == [], (
+        "it was about to land, and said why"
+    )
     deaf = taken(evidence(), texts=())
     assert violations(dataclasses.replace(deaf, heard=deaf.heard[:10])) == [], "it never heard of it"
     dead = rewired(deaf, setpoint_s=deaf.wire.setpoint_s - 0.6)
