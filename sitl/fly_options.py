@@ -27,7 +27,8 @@ AUTOPILOTS = ("px4", "ardupilot")
 BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
 RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
 HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.20, 0.35  # between the hull and what is not known free, in a plan
-BLIND_MPS = 1.2  # not asked for: planned motion looks at its views, and four fifths of it go elsewhere
+MAX_MPS, BLIND_MPS = 1.2, (0.1, 1.2)  # the greatest where the camera does not look is as good as not asked for
+BLIND_MEMORY_S = 60.0  # where it is: what is steep was mostly seen longer ago than ten seconds
 FENCE_MARGIN_M = 0.10  # between the hull and the fence: what is left of the other when the vehicle strays
 JOB_GB = 0.8  # of a process that flies in lockstep
 NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
@@ -56,6 +57,7 @@ class SimOptions:
     port: int
     uncertainty: str
     firmware: Path | None  # a real one, in the simulated autopilot's place
+    blind_mps: float
 
     @staticmethod
     def parse(
@@ -63,7 +65,7 @@ class SimOptions:
         seed: int = 0, out: Path | None = None, autopilot: str = "px4", variant: str = "adaptive",
         mount: str = "fixed:15", depth_noise: str = "d435i", camera: str | None = None, mapper: str = "neural",
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
-        uncertainty: str = "agreement", firmware: Path | None = None,
+        uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = MAX_MPS,
     ) -> SimOptions:  # fmt: skip
         """Check the words of the command line. Raises UsageError with one line."""
         chosen = camera or ("d435i" if mapper == "neural" else "fast")
@@ -77,6 +79,8 @@ class SimOptions:
             raise UsageError("--mapper stand-in: flies in --lockstep only")
         if not RADII_M[0] <= radius <= RADII_M[1]:
             raise UsageError(f"--radius {radius}: want {RADII_M[0]}..{RADII_M[1]} metres")
+        if not BLIND_MPS[0] <= blind_speed <= BLIND_MPS[1]:
+            raise UsageError(f"--blind-speed {blind_speed}: want {BLIND_MPS[0]}..{BLIND_MPS[1]} m/s")
         if firmware is not None:
             _check_firmware(firmware, autopilot, mount, port, lockstep)
         s = _numbers("start", start, 4)
@@ -93,7 +97,7 @@ class SimOptions:
             seed=seed, out=folder.absolute(), autopilot=autopilot, variant=variant, mount=mount,
             mount_pitch_down_deg=mount_pitch_deg(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
             radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
-            firmware=None if firmware is None else firmware.absolute(),
+            firmware=None if firmware is None else firmware.absolute(), blind_mps=blind_speed,
         )  # fmt: skip
 
     def make_folder(self) -> None:
@@ -126,15 +130,15 @@ class SimOptions:
                 "fence_max_m": [float(x) for x in scene.fence_max],
                 "fence_corners_m": [],
                 "fence_inset_m": self.radius_m + FENCE_MARGIN_M,
-                "max_speed_mps": 1.2,
+                "max_speed_mps": MAX_MPS,
                 "max_acceleration_mps2": 2.0,
                 "max_yaw_rate_degps": 60.0,
                 "vehicle_radius_m": self.radius_m,
                 "vehicle_height_m": HULL_HEIGHT_M,
                 "stop_clearance_m": 0.1,
                 "fast_clearance_m": 0.4,
-                "blind_speed_mps": BLIND_MPS,
-                "blind_memory_s": 10.0,
+                "blind_speed_mps": self.blind_mps,
+                "blind_memory_s": BLIND_MEMORY_S,
                 "retreat_speed_mps": 0.3,
                 "silence_way_m": 0.45,
                 "intent_timeout_s": 0.5,

@@ -98,6 +98,13 @@ def sim(
     radius: Annotated[
         float, typer.Option(help="Radius of the vehicle in metres, 0.05 to 0.6; distances to obstacles and fence follow.")
     ] = 0.20,
+    blind_speed: Annotated[
+        float,
+        typer.Option(
+            help="Greatest speed where the camera does not look, 0.1 to 1.2 m/s. Below 1.2 long ways are flown nose ahead, and "
+            "a flight takes about twice as long."
+        ),
+    ] = 1.2,
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="One process on a simulated clock: repeatable and fast.")
     ] = False,
@@ -124,7 +131,7 @@ def sim(
             SimOptions.parse(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
                 mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, uncertainty=uncertainty, radius=radius,
-                lockstep=lockstep, live=live, port=port, firmware=firmware,
+                lockstep=lockstep, live=live, port=port, firmware=firmware, blind_speed=blind_speed,
             )
         )
     )  # fmt: skip

@@ -10,6 +10,8 @@ import pytest
 from sitl.fly_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, UsageError
 from sitl.fly_world import WorldOptions
 from sitl.scene import Scene
+from uav_recon import run
+from uav_recon.motion.gaze import AT_VIEWS, NoseAhead
 
 SCENE = Scene(
     "box", np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8), 0.3,
@@ -33,6 +35,7 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
         ({"mapper": "none"}, "neural, stand-in"),
         ({"mapper": "stand-in"}, "lockstep"),
         ({"radius": 0.01}, "0.05..0.6"),
+        ({"blind_speed": 2.0}, "--blind-speed 2.0: want 0.1..1.2 m/s"),
         ({"camera": "d415"}, "d435i, wide"),
         ({"autopilot": "inav"}, "px4, ardupilot"),
         ({"uncertainty": "none"}, "agreement, paper, colour, information, product"),
@@ -124,3 +127,13 @@ def test_a_stand_in_flies_with_the_fast_camera_unless_told() -> None:
         == 0.5 * SimOptions.parse().config(SCENE, Path("/tmp")).camera.depth_noise_px
     )
     assert not quick.config(SCENE, Path("/tmp")).recording.rerun
+
+
+def test_a_blind_speed_below_the_greatest_turns_the_nose_ahead(tmp_path: Path) -> None:
+    usual, careful = (SimOptions.parse(blind_speed=mps).config(SCENE, tmp_path) for mps in (1.2, 0.3))
+    assert usual.safety.blind_speed_mps == usual.safety.max_speed_mps
+    assert run.make_gaze(usual) is AT_VIEWS
+    gaze = run.make_gaze(careful)
+    assert isinstance(gaze, NoseAhead)
+    assert gaze.blind_mps < careful.safety.blind_speed_mps == 0.3
+    assert np.degrees(np.arctan(gaze.half_tan)) == pytest.approx([43.5, 29.0])

@@ -16,6 +16,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.motion.clearing import ROOT, Space, room_at
+from uav_recon.motion.gaze import AT_VIEWS, Gaze
 from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 from uav_recon.types.tasks import Viewpoint
 
@@ -38,8 +39,8 @@ class Course:
     stop: BoolArray
 
     @staticmethod
-    def through(start: FloatArray, legs: Sequence[FloatArray], views: Sequence[Viewpoint]) -> Course:
-        """Through the waypoints of each leg (Ni, 3) to its view; yaw goes the short way round, evenly along its leg."""
+    def through(start: FloatArray, legs: Sequence[FloatArray], views: Sequence[Viewpoint], gaze: Gaze = AT_VIEWS) -> Course:
+        """Through the waypoints of each leg (Ni, 3) to its view; yaw goes as ``gaze`` has it, or else the short way round."""
         vertices, reached = [start], []
         for leg, view in zip(legs, views, strict=True):
             begin = vertices[-1]
@@ -53,9 +54,7 @@ class Course:
                 if np.abs(goal - begin).max() > SAME_M or len(vertices) == 1:
                     vertices.append(goal)
             else:
-                along_m = np.cumsum(np.sqrt(np.sum(np.diff(np.array(way), axis=0) ** 2, axis=1)))
-                for point, share in zip(way[1:], (along_m / along_m[-1]).tolist(), strict=True):
-                    vertices.append(np.concatenate([point, begin[3:] + share * (goal[3:] - begin[3:])]))
+                vertices += list(gaze.along(np.array(way), begin, goal))
             reached.append(len(vertices) - 1)
         return Course(np.array(vertices), np.array(reached, dtype=np.int64), np.zeros(len(vertices), dtype=np.bool_))
 

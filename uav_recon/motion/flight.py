@@ -12,6 +12,7 @@ from uav_recon.motion.band import SPAN_M, SPAN_S, Band
 from uav_recon.motion.bounds import caps
 from uav_recon.motion.clearing import ROOT, Space, rooms, ways_ahead
 from uav_recon.motion.entry import Entry
+from uav_recon.motion.gaze import AT_VIEWS, Gaze
 from uav_recon.motion.pace import FASTEST, PER_SPAN, PUSHED_ON_S, TINY, Curve, fastest, instants, sampled, smoothed
 from uav_recon.motion.replay import STEP_S
 from uav_recon.types.frames import FloatArray
@@ -71,9 +72,10 @@ class Pacer:
     hull_m: float
     run_on_s: float
     box: int
+    gaze: Gaze
 
     @staticmethod
-    def of(config: MotionConfig, clearance_m: float, hull_m: float) -> Pacer:
+    def of(config: MotionConfig, clearance_m: float, hull_m: float, gaze: Gaze = AT_VIEWS) -> Pacer:
         """The limits of a config."""
         return Pacer(
             speed=FULL * config.speed_mps,
@@ -89,6 +91,7 @@ class Pacer:
             hull_m=hull_m,
             run_on_s=config.run_on_s,
             box=max(int(config.smoothing_s / 2 / STEP_S) // 2 * 2 + 1, 1),
+            gaze=gaze,
         )
 
     @property
@@ -121,7 +124,7 @@ class Pacer:
         curve = Curve.of(band.control)
         first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
         cap, x, times = np.empty(len(curve.along_m)), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
-        most_mps = self._heeding_silence(curve, space)
+        most_mps = np.full(len(curve.along_m), np.inf) if space is None else self._heeding(curve, space)
         self._cap(curve, band, entry, space, most_mps, cap)
         share = SHARE
         for _ in range(TRIES):
@@ -152,12 +155,16 @@ class Pacer:
             entry.velocity, 0.7 * self.acceleration, FASTEST, cap,
         )  # fmt: skip
 
-    def _heeding_silence(self, curve: Curve, space: Space | None) -> FloatArray:
+    def _heeding(self, curve: Curve, space: Space) -> FloatArray:
+        """Speeds (M,) that where it looks and what lies ahead allow."""
+        return np.minimum(self.gaze.most_mps(curve.slope, curve.place), self._heeding_silence(curve, space))
+
+    def _heeding_silence(self, curve: Curve, space: Space) -> FloatArray:
         """Speeds (M,) from which an autopilot that hears nothing any more touches nothing before it is at rest.
 
         It flies straight on, or where the bend at the greatest speed leads that it keeps, which makes it faster.
         """
-        if space is None or self.run_on_s == 0.0:
+        if self.run_on_s == 0.0:
             return np.full(len(curve.along_m), np.inf)
         slope, bend = curve.slope[:, :3], curve.bend[:, :3]
         flat = np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), TINY)

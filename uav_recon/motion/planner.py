@@ -17,6 +17,7 @@ from uav_recon.motion.centring import centred
 from uav_recon.motion.clearing import Space, blocked, is_clear
 from uav_recon.motion.entry import Entry
 from uav_recon.motion.flight import Flight, Pacer
+from uav_recon.motion.gaze import AT_VIEWS, Gaze
 from uav_recon.motion.replay import braking, joined, replayed
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
@@ -39,23 +40,23 @@ class MotionPlanner:
 
     def __init__(
         self, config: MotionConfig, clearance_m: float, low_m: FloatArray | None = None, high_m: FloatArray | None = None,
-        braking_mps2: float | None = None, hull_m: float = 0.0,
+        braking_mps2: float | None = None, hull_m: float = 0.0, gaze: Gaze = AT_VIEWS,
     ) -> None:  # fmt: skip
         """clearance_m: from the body's centre to anything not known free, on a path that does not say what its way keeps;
         tight_speed_mps is flown where there is no more, and NARROW_MPS on a path that says so.
 
         low_m, high_m: (3,) corners of the box that the body's centre stays in; none = no box. braking_mps2: with which a way
         that turns out to be blocked is left; none = what is planned with. hull_m: radius of the vehicle,
-        which touches nothing where its autopilot flies on by itself for config.run_on_s.
+        which touches nothing where its autopilot flies on by itself for config.run_on_s. gaze: where it looks on its way.
         """
         self._low_m = np.full(3, -np.inf) if low_m is None else low_m
         self._high_m = np.full(3, np.inf) if high_m is None else high_m
         self._clearance_m = clearance_m
-        self._pacer = Pacer.of(config, clearance_m, hull_m)
+        self._pacer = Pacer.of(config, clearance_m, hull_m, gaze)
         self._hardness = (braking_mps2 or config.acceleration_mps2) / config.acceleration_mps2
-        self._creeper = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m, hull_m)
+        self._creeper = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m, hull_m, gaze)
         narrow_mps = min(NARROW_MPS, config.tight_speed_mps)
-        self._threader = Pacer.of(config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m)
+        self._threader = Pacer.of(config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m, gaze)
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
@@ -69,7 +70,7 @@ class MotionPlanner:
         if fault:
             return fault
         entry = Entry.resting(start, self._pacer.box)
-        course = Course.through(entry.place, path.waypoints_world, path.viewpoints)
+        course = Course.through(entry.place, path.waypoints_world, path.viewpoints, self._pacer.gaze)
         flight = self._clear(course, None, entry, self._space(voxels), views_at_spacing_m, path.clearance_m)
         kept_m = self._asked_m(path.clearance_m)
         return flight if isinstance(flight, str) else flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
@@ -90,16 +91,18 @@ class MotionPlanner:
         entry, space = Entry.leaving(flying, at, self._pacer.box, self._pacer.most()), self._space(voxels)
         start_s, kept_m = flying.start_s + (at - entry.left + 1) * flying.step_s, self._asked_m(path.clearance_m)
         if not entry.is_moving:
-            course = Course.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints)
+            course = Course.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, self._pacer.gaze)
             still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m)
             return still if isinstance(still, str) else still.trajectory(start_s, path.map_epoch, identifier, kept_m)
         for overrun in OVERRUNS if _leads_on(path, entry) else OVERRUNS[-1:]:
             rolled, begin = self._pacer.begun(entry, overrun)
-            course = Course.through(begin, _ahead(path, entry, begin), path.viewpoints)
+            course = Course.through(begin, _ahead(path, entry, begin), path.viewpoints, self._pacer.gaze)
             if overrun > 0.0:
                 course = course.after(rolled, overrun >= 1.0)
             flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m)
-            if isinstance(flight, Flight):
+            if isinstance(flight, Flight) and self._pacer.gaze.heeded(
+                flight.rates()[0][entry.left :], flight.rows[1 + entry.left :]
+            ):
                 return flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier)
 

@@ -1,0 +1,100 @@
+"""Where the camera does not look the way is flown slowly, and long ways are flown nose ahead."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hall import CLEARANCE_M, CONFIG, HALL, RATE, assert_rests, assert_sees, assert_within_limits, flown, path_of, paths
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from uav_recon.motion import MotionPlanner
+from uav_recon.motion.gaze import AT_VIEWS, SHARE, NoseAhead
+from uav_recon.run import BLIND_SHARE
+from uav_recon.types.frames import BoolArray, FloatArray
+from uav_recon.types.tasks import ViewPath
+from uav_recon.types.trajectory import Setpoint, Trajectory
+
+HALF_TAN = (float(np.tan(np.radians(87.0) / 2)), float(np.tan(np.radians(58.0) / 2)))
+ALLOWED_MPS = 0.30  # by the guard
+BLIND_MPS = BLIND_SHARE * ALLOWED_MPS
+NOSE_AHEAD = NoseAhead(HALF_TAN, BLIND_MPS, CONFIG.speed_mps, RATE)
+MOTION = MotionPlanner(CONFIG, CLEARANCE_M, gaze=NOSE_AHEAD)
+TILT_RAD = float(np.radians(15.0))
+
+
+def in_picture(way: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray, share: float) -> BoolArray:
+    """By scipy's rotations: directions (N, 3) in the camera's own axes, z ahead, x right, y down."""
+    world_from_body = Rotation.from_euler("ZY", np.column_stack([yaw_rad, pitch_down_rad]))
+    x, y, z = (world_from_body.inv().apply(way) @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])).T
+    return np.asarray((z > 0.0) & (np.abs(x) <= share * HALF_TAN[0] * z) & (np.abs(y) <= share * HALF_TAN[1] * z))
+
+
+def nose_ahead(path: ViewPath, start: Setpoint) -> Trajectory:
+    trajectory = MOTION.through(path, HALL, start, 5.0, 0.4, 7)
+    assert isinstance(trajectory, Trajectory), trajectory
+    return trajectory
+
+
+def assert_slow_where_blind(trajectory: Trajectory) -> None:
+    speed_mps = np.linalg.norm(trajectory.velocity_mps, axis=1)
+    fast = speed_mps > ALLOWED_MPS
+    looks = in_picture(trajectory.velocity_mps[fast], trajectory.yaw_rad[fast], trajectory.camera_pitch_down_rad[fast], 1.0)
+    assert looks.all(), f"{speed_mps[fast][~looks].max():.2f} m/s where it does not look"
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**31))
+def test_what_it_sees_is_what_the_picture_shows(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    way, yaw, pitch = rng.normal(size=(200, 3)), rng.uniform(-7, 7, 200), rng.uniform(-1, 1, 200)
+    np.testing.assert_array_equal(NOSE_AHEAD.sees(way, yaw, pitch), in_picture(way, yaw, pitch, SHARE))
+
+
+@settings(deadline=None, max_examples=60)
+@given(paths())
+def test_every_way_is_slow_where_it_does_not_look_and_passes_its_views(path: ViewPath) -> None:
+    trajectory = nose_ahead(path, Setpoint.hold(path.waypoints_world[0][0], 0.0))
+    assert_slow_where_blind(trajectory)
+    assert_within_limits(trajectory)
+    assert_sees(trajectory, path)
+    assert_rests(trajectory, -1)
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, -135.0])
+def test_a_long_way_is_flown_nose_ahead_and_ends_at_its_view(yaw_deg: float) -> None:
+    path = path_of([np.array([[-3.0, 0.0, 1.2], [3.0, 0.0, 1.2]])], [float(np.radians(yaw_deg))], [TILT_RAD])
+    start = Setpoint.hold(np.array([-3.0, 0.0, 1.2]), float(np.radians(yaw_deg)), TILT_RAD)
+    trajectory, sideways = nose_ahead(path, start), flown(path, yaw_rad=float(np.radians(yaw_deg)))
+    assert_slow_where_blind(trajectory)
+    middle = trajectory.setpoint_at(trajectory.start_s + trajectory.duration_s / 2)
+    assert abs(np.degrees(middle.yaw_rad)) % 360.0 <= 43.0
+    assert middle.velocity_mps[0] > 0.9
+    at_rest_s = 2.0 * np.radians(abs(yaw_deg)) / RATE
+    assert trajectory.duration_s <= sideways.duration_s + at_rest_s + 3.0
+
+
+def test_a_short_way_is_not_worth_a_turn() -> None:
+    path = path_of([np.array([[0.0, 0.0, 1.2], [0.0, 0.3, 1.2]])], [0.0], [TILT_RAD])
+    trajectory = nose_ahead(path, Setpoint.hold(np.array([0.0, 0.0, 1.2]), 0.0, TILT_RAD))
+    assert_slow_where_blind(trajectory)
+    assert np.abs(trajectory.yaw_rad).max() < 0.05
+
+
+def test_what_looks_at_its_views_flies_as_fast_anywhere() -> None:
+    slope, place = np.random.default_rng(0).normal(size=(2, 50, 5))
+    assert np.isinf(AT_VIEWS.most_mps(slope, place)).all()
+    slow = NOSE_AHEAD.most_mps(slope, place) == BLIND_MPS
+    np.testing.assert_array_equal(slow, ~in_picture(slope[:, :3], place[:, 3], place[:, 4], SHARE))
+
+
+@settings(deadline=None, max_examples=30)
+@given(paths(np.array([0.0, 0.0, 1.2])), st.floats(0.2, 0.8))
+def test_out_of_a_motion_it_brakes_before_it_turns_away(path: ViewPath, share: float) -> None:
+    first = path_of([np.array([[0.0, 0.0, 1.2], [2.0, 0.0, 1.2]])], [0.0], [TILT_RAD])
+    flying = nose_ahead(first, Setpoint.hold(np.array([0.0, 0.0, 1.2]), 0.0, TILT_RAD))
+    trajectory = MOTION.onward(path, HALL, flying, 5.0 + share * flying.duration_s, 0.4, 8)
+    if isinstance(trajectory, Trajectory):
+        assert_slow_where_blind(trajectory)
+        assert_rests(trajectory, -1)
