@@ -34,7 +34,6 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.neural.trainer import Trainer
     from uav_recon.mapping.voxels import Voxels
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.motion.gaze import Gaze
     from uav_recon.motion.paced import Paced
     from uav_recon.planning.camera import CameraGeometry
     from uav_recon.planning.narrows import ThroughNarrows
@@ -45,7 +44,6 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
 NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more
-BLIND_SHARE = 0.9  # of what the guard lets pass where the camera does not look: what leads over to a new motion adds to it
 INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
 RETREAT_M = 0.10  # from the hull, on ways home that no other leads: the vehicle came by there, whatever the map says now
 
@@ -311,26 +309,10 @@ def camera_geometry(config: Config) -> CameraGeometry:
 
 def make_motion(config: Config, clearance_m: float) -> Paced:
     """Trajectories inside the guard's fence, slow as long as the guard lets nothing pass that is faster than a retreat."""
-    from uav_recon.motion.paced import SLOW_SHARE, Paced
-    from uav_recon.motion.planner import MotionPlanner
+    from uav_recon.motion.paced import Paced
 
     safety, inset_m = config.safety, config.safety.fence_inset_m + INSIDE_M
-    low_m, high_m = np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m
-    paces = (config.motion, config.motion.at_most(SLOW_SHARE * safety.retreat_speed_mps))
-    limits = (low_m, high_m, safety.max_acceleration_mps2, safety.vehicle_radius_m)
-    usual, slow = (MotionPlanner(pace, clearance_m, *limits, make_gaze(config)) for pace in paces)
-    return Paced(usual, slow, config.motion.speed_mps)
-
-
-def make_gaze(config: Config) -> Gaze:
-    """At the views; nose ahead where the guard asks for slow flight out of the camera's sight."""
-    from uav_recon.motion.gaze import AT_VIEWS, NoseAhead
-
-    safety, camera, motion = config.safety, config.camera, config.motion
-    if safety.blind_speed_mps >= safety.max_speed_mps:
-        return AT_VIEWS
-    half_tan = (math.tan(math.radians(camera.horizontal_fov_deg) / 2), math.tan(math.radians(camera.vertical_fov_deg) / 2))
-    return NoseAhead(half_tan, BLIND_SHARE * safety.blind_speed_mps, motion.speed_mps, math.radians(motion.yaw_rate_degps))
+    return Paced.of(config, clearance_m, np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m)
 
 
 def make_coverage(config: Config, voxels: Voxels) -> Coverage:

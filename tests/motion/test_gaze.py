@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from uav_recon.motion import MotionPlanner
-from uav_recon.motion.gaze import AT_VIEWS, SHARE, NoseAhead
-from uav_recon.run import BLIND_SHARE
+from uav_recon.motion.gaze import AT_VIEWS, BLIND_SHARE, SHARE, NoseAhead
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory

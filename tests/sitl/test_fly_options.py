@@ -10,8 +10,7 @@ import pytest
 from sitl.fly_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, UsageError
 from sitl.fly_world import WorldOptions
 from sitl.scene import Scene
-from uav_recon import run
-from uav_recon.motion.gaze import AT_VIEWS, NoseAhead
+from uav_recon.motion.gaze import AT_VIEWS, NoseAhead, gaze_of
 
 SCENE = Scene(
     "box", np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8), 0.3,
@@ -132,8 +131,8 @@ def test_a_stand_in_flies_with_the_fast_camera_unless_told() -> None:
 def test_a_blind_speed_below_the_greatest_turns_the_nose_ahead(tmp_path: Path) -> None:
     usual, careful = (SimOptions.parse(blind_speed=mps).config(SCENE, tmp_path) for mps in (1.2, 0.3))
     assert usual.safety.blind_speed_mps == usual.safety.max_speed_mps
-    assert run.make_gaze(usual) is AT_VIEWS
-    gaze = run.make_gaze(careful)
+    assert gaze_of(usual) is AT_VIEWS
+    gaze = gaze_of(careful)
     assert isinstance(gaze, NoseAhead)
     assert gaze.blind_mps < careful.safety.blind_speed_mps == 0.3
     assert np.degrees(np.arctan(gaze.half_tan)) == pytest.approx([43.5, 29.0])

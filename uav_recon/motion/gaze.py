@@ -9,8 +9,10 @@ from typing import Protocol
 
 import numpy as np
 
+from uav_recon.config import Config
 from uav_recon.types.frames import BoolArray, FloatArray
 
+BLIND_SHARE = 0.9  # of what the guard lets pass where the camera does not look: what leads over to a new motion adds to it
 SHARE = 0.85  # of the camera's tangents: the body leans where it gains speed
 SLACK = 0.05  # of speed and tangents, for what smoothing and sampling cost
 INSIDE_RAD = 0.1  # of that, the nose is kept: the heading lags, and the way bends
@@ -116,6 +118,15 @@ class NoseAhead:
         step, middle = np.diff(vertex, axis=0), 0.5 * (vertex[1:] + vertex[:-1])
         speed_mps = np.minimum(self.most_mps(step, middle), USUAL_SHARE * self.speed_mps)
         return float(np.maximum(np.linalg.norm(step[:, :3], axis=1) / speed_mps, np.abs(step[:, 3]) / self.rate_radps).sum())
+
+
+def gaze_of(config: Config) -> Gaze:
+    """At the views; nose ahead where the guard asks for slow flight out of the camera's sight."""
+    safety, camera, motion = config.safety, config.camera, config.motion
+    if safety.blind_speed_mps >= safety.max_speed_mps:
+        return AT_VIEWS
+    half_tan = (math.tan(math.radians(camera.horizontal_fov_deg) / 2), math.tan(math.radians(camera.vertical_fov_deg) / 2))
+    return NoseAhead(half_tan, BLIND_SHARE * safety.blind_speed_mps, motion.speed_mps, math.radians(motion.yaw_rate_degps))
 
 
 def _share(step: FloatArray) -> float:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from uav_recon.config import Config
+from uav_recon.motion.gaze import gaze_of
 from uav_recon.motion.planner import MotionPlanner
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
@@ -21,6 +23,14 @@ class Paced:
     def __init__(self, usual: MotionPlanner, slow: MotionPlanner, usual_mps: float) -> None:
         self._usual, self._slow, self._usual_mps = usual, slow, usual_mps
         self._most_mps = math.inf
+
+    @staticmethod
+    def of(config: Config, clearance_m: float, low_m: FloatArray, high_m: FloatArray) -> Paced:
+        """Of a whole config, within the box (3,), (3,) that the body's centre stays in."""
+        safety, usual = config.safety, config.motion
+        limits = (clearance_m, low_m, high_m, safety.max_acceleration_mps2, safety.vehicle_radius_m, gaze_of(config))
+        slow = usual.at_most(SLOW_SHARE * safety.retreat_speed_mps)
+        return Paced(MotionPlanner(usual, *limits), MotionPlanner(slow, *limits), usual.speed_mps)
 
     def allow(self, most_mps: float) -> None:
         """What is planned from now on stays below this speed, as far as the slow one does."""
