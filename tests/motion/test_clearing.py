@@ -57,3 +57,15 @@ def test_the_border_of_the_box_counts_as_a_border() -> None:
     way = np.column_stack([np.linspace(low[0] + 0.6, low[0] - 0.2, 100), np.full((100, 2), low[1] + 0.6)])
     outside = blocked(space, way, 0, 0.34)
     assert outside[-1] and way[np.argmax(outside), 0] >= low[0] - 0.04
+
+
+def test_a_motion_out_of_a_tight_spot_leads_no_deeper_into_it() -> None:
+    state = np.full((40, 40, 20), FREE)
+    state[20:22] = OCCUPIED
+    space = Space.of(voxel_map(state), *NO_BOX)
+    out = np.column_stack([np.linspace(-3.2, -4.4, 120), np.full(120, -3.0), np.ones(120)])
+    deeper = np.vstack([np.column_stack([np.linspace(-3.2, -3.1, 11), np.full(11, -3.0), np.ones(11)]), out - [-0.1, 0.0, 0.0]])
+    assert rooms_at(space, out[:1])[0] < 0.3
+    assert not blocked(space, out, 0, 0.3).any()
+    bad = blocked(space, deeper, 0, 0.3)
+    assert bad.any() and deeper[bad, 0].min() > -3.18

@@ -14,8 +14,9 @@ from uav_recon.types.maps import VoxelMap
 ROOT = np.sqrt(np.arange(256, dtype=np.float64))
 ROOT.setflags(write=False)
 LOOK_M = 0.02  # a sample is looked up when the body has moved so far since the last one that was
-LEAVING_M = 0.3  # so much of the way is not checked: the body must be able to leave a tight spot ...
-ESCAPE_M = 2.0  # ... and may fly so far through free space without the clearance, until it has it once
+LEAVING_M = 0.3  # so much of the way is hardly checked: the body must be able to leave a tight spot ...
+ESCAPE_M = 2.0  # ... and may fly so far through free space without the clearance, until it has it once ...
+LOSS_M = 0.03  # ... but never to less room than where it begins, by more than the map's noise: the next motion begins there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +104,7 @@ def _blocked(
     Which samples are looked up depends on the whole trajectory and not on ``first``: a motion that was clear as a whole is
     clear from each of its samples on, as long as the map stays as it is.
     """
-    reached = False
+    reached, begun_m = False, np.inf
     travelled_m, since_m, found = 0.0, LOOK_M, -1
     for n in range(len(points)):
         if n > 0:
@@ -118,9 +119,11 @@ def _blocked(
         if n < first or not looks:
             continue
         room_m = room_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
+        begun_m = room_m if begun_m == np.inf else begun_m
         enough = room_m >= least_m
         reached = reached or enough or travelled_m > ESCAPE_M
-        if travelled_m > LEAVING_M and (room_m == 0.0 or (reached and not enough)):
+        deeper = room_m < min(begun_m, least_m) - LOSS_M
+        if deeper or (travelled_m > LEAVING_M and (room_m == 0.0 or (reached and not enough))):
             out[n] = True
             if found < 0:
                 found = n
@@ -128,7 +131,9 @@ def _blocked(
 
 
 def blocked(space: Space, points_m: FloatArray, first: int, least_m: float) -> BoolArray:
-    """Which samples (N,) from ``first`` on are not known free, or have less room than ``least_m`` after having had it."""
+    """Which samples (N,) from ``first`` on are not known free, or have less room than ``least_m`` after having had it, or than
+    where it begins.
+    """
     out = np.zeros(len(points_m), dtype=np.bool_)
     _blocked(space.distance2, space.frame, space.resolution_m, ROOT, points_m, first, least_m, out)
     return out
