@@ -102,7 +102,8 @@ def _blocked(
     """Mark blocked samples in ``out`` (N,) and return the first one, or -1.
 
     Which samples are looked up depends on the whole trajectory and not on ``first``: a motion that was clear as a whole is
-    clear from each of its samples on, as long as the map stays as it is.
+    clear from each of its samples on, as long as the map stays as it is; but for one out of a tight spot that loses room on its
+    way, which may brake there.
     """
     reached, begun_m = False, np.inf
     travelled_m, since_m, found = 0.0, LOOK_M, -1

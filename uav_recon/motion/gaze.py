@@ -10,13 +10,14 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.config import Config
+from uav_recon.motion.replay import STEP_S
 from uav_recon.types.frames import BoolArray, FloatArray
 
 BLIND_SHARE = 0.9  # of what the guard lets pass where the camera does not look: what leads over to a new motion adds to it
 SHARE = 0.85  # of the camera's tangents: the body leans where it gains speed
 SLACK = 0.05  # of speed and tangents, for what smoothing and sampling cost
 INSIDE_RAD = 0.1  # of that, the nose is kept: the heading lags, and the way bends
-ON_THE_SPOT_M = 0.15  # level, on a way so short it turns for its view alone
+SHORT_M = 0.15  # level, on a way so short it turns for its view alone
 TURNS_IN_M = 0.1  # of an edge: it turns nearly on the spot
 USUAL_SHARE = 0.6  # of the greatest speed is flown on a way, in the mean
 
@@ -34,8 +35,8 @@ class Gaze(Protocol):
         """Greatest speeds (M,) at the places (M, 5) of a curve with these directions (M, 5)."""
         ...
 
-    def heeded(self, rate: FloatArray, place: FloatArray) -> bool:
-        """Whether a motion with these rates (M, 5) at its places (M, 5) is nowhere faster, but for what smoothing costs."""
+    def heeded(self, rows: FloatArray) -> bool:
+        """Whether a motion through these places (M, 5), one each STEP_S, is nowhere faster, but for what smoothing costs."""
         ...
 
 
@@ -51,7 +52,7 @@ class AtViews:
         """No limit."""
         return np.full(len(place), np.inf)
 
-    def heeded(self, rate: FloatArray, place: FloatArray) -> bool:
+    def heeded(self, rows: FloatArray) -> bool:
         """It is."""
         return True
 
@@ -81,8 +82,9 @@ class NoseAhead:
         """blind_mps where the camera does not look."""
         return np.where(self.sees(slope[:, :3], place[:, 3], place[:, 4]), np.inf, self.blind_mps)
 
-    def heeded(self, rate: FloatArray, place: FloatArray) -> bool:
+    def heeded(self, rows: FloatArray) -> bool:
         """Held against nearly all of the picture, and a little more speed."""
+        rate, place = (rows[2:] - rows[:-2]) / (2 * STEP_S), rows[1:-1]
         fast = np.linalg.norm(rate[:, :3], axis=1) > (1.0 + SLACK) * self.blind_mps
         return bool(self.sees(rate[fast, :3], place[fast, 3], place[fast, 4], 1.0 - SLACK).all())
 
@@ -101,13 +103,13 @@ class NoseAhead:
         yaw_rad, places, yaws = float(begin[3]), [way[0]], [float(begin[3])]
         for here, there in itertools.pairwise(way):
             step = there - here
-            if math.hypot(step[0], step[1]) >= ON_THE_SPOT_M:
+            if math.hypot(step[0], step[1]) >= SHORT_M:
                 off = math.remainder(math.atan2(step[1], step[0]) - yaw_rad, math.tau)
                 yaw_rad += math.copysign(max(abs(off) - off_rad, 0.0), off)
             places += [here + step * _share(step), there]
             yaws += [yaw_rad, yaw_rad]
         end = places[-1] - way[-2]
-        places[-1:] = [places[-1] - end * _share(end), places[-1]]
+        places.insert(-1, places[-1] - end * _share(end))
         yaws.append(yaw_rad + math.remainder(goal[3] - yaw_rad, math.tau))
         length_m = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
         pitch_rad = begin[4] + length_m / length_m[-1] * (goal[4] - begin[4])

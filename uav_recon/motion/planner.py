@@ -54,7 +54,7 @@ class MotionPlanner:
         self._clearance_m = clearance_m
         self._pacer = Pacer.of(config, clearance_m, hull_m, gaze)
         self._hardness = (braking_mps2 or config.acceleration_mps2) / config.acceleration_mps2
-        self._creeper = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m, hull_m, gaze)
+        self._creeper = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m, hull_m)
         narrow_mps = min(NARROW_MPS, config.tight_speed_mps)
         self._threader = Pacer.of(config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m, gaze)
 
@@ -100,9 +100,7 @@ class MotionPlanner:
             if overrun > 0.0:
                 course = course.after(rolled, overrun >= 1.0)
             flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m)
-            if isinstance(flight, Flight) and self._pacer.gaze.heeded(
-                flight.rates()[0][entry.left :], flight.rows[1 + entry.left :]
-            ):
+            if isinstance(flight, Flight) and self._pacer.gaze.heeded(flight.rows[entry.left :]):
                 return flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier)
 
