@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.motion.paced import Paced
     from uav_recon.planning.camera import CameraGeometry
     from uav_recon.planning.narrows import ThroughNarrows
+    from uav_recon.planning.space.costs import Price
     from uav_recon.recording.recorder import Recorder
     from uav_recon.recording.timelapse import Timelapse
     from uav_recon.safety.envelope import Envelope
@@ -272,14 +273,13 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
     from uav_recon.planning.narrows import ThroughNarrows
     from uav_recon.planning.planner import ViewPlanner
 
-    safety, motion = config.safety, config.motion
+    safety = config.safety
     usual = ViewPlanner(
         config.planner,
         np.array(safety.fence_min_m),
         np.array(safety.fence_max_m),
         camera_geometry(config),
-        motion.speed_mps,
-        math.radians(motion.yaw_rate_degps),
+        price_of(config),
         timer,
         fence_inset_m=max(config.planner.clearance_m, safety.fence_inset_m),  # never plan what the guard would refuse
     )
@@ -288,6 +288,17 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
         for least_m in (NARROW_M, RETREAT_M)
     )
     return ThroughNarrows(usual, narrow_m, homeward_m, max(narrow_m, safety.fence_inset_m), timer)
+
+
+def price_of(config: Config) -> Price:
+    """What a leg is reckoned to take: the planner's, for the gaze that motion has."""
+    from uav_recon.motion.gaze import SHARE, NoseAhead, gaze_of
+    from uav_recon.planning.space.costs import NoseFirst, TurningOnTheWay
+
+    gaze, speed_mps, rate_radps = gaze_of(config), config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps)
+    if not isinstance(gaze, NoseAhead):
+        return TurningOnTheWay(speed_mps, rate_radps)
+    return NoseFirst(speed_mps, rate_radps, gaze.blind_mps, gaze.off_rad, SHARE * gaze.half_tan[1])
 
 
 def camera_geometry(config: Config) -> CameraGeometry:

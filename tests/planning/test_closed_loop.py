@@ -11,6 +11,7 @@ from box_world import FIXED, GIMBAL, MEETING_ROOM, TWO_ROOMS, BoxWorld, Solid, v
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.planner import ViewPlanner
+from uav_recon.planning.space.costs import TurningOnTheWay
 from uav_recon.types.maps import FREE
 from uav_recon.types.tasks import NothingLeft
 
@@ -38,7 +39,7 @@ def explore(
 ) -> tuple[BoxWorld, str, Counter[tuple[int, ...]]]:
     world = BoxWorld(solid, camera, start)
     world.look_round()
-    planner = ViewPlanner(PlannerConfig(), np.zeros(3), (np.array(solid.shape) - 2) * 0.1, camera, 0.8, 0.8)
+    planner = ViewPlanner(PlannerConfig(), np.zeros(3), (np.array(solid.shape) - 2) * 0.1, camera, TurningOnTheWay(0.8, 0.8))
     visits: Counter[tuple[int, ...]] = Counter()
     for _ in range(60):
         answer = planner.plan(world.request())

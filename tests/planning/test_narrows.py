@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.narrows import ON_A_NARROW_WAY, ThroughNarrows
 from uav_recon.planning.planner import ViewPlanner
+from uav_recon.planning.space.costs import TurningOnTheWay
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
@@ -34,7 +35,7 @@ def rooms_with_a_passage(width_m: float) -> Solid:
 
 def usual_planner(variant: VariantName = "explore") -> ViewPlanner:
     config = PlannerConfig(clearance_m=USUAL_M, variant=variant)
-    return ViewPlanner(config, np.zeros(3), np.array(SIZE_M), GIMBAL, 0.8, 0.8, timer=lambda: 0.0)
+    return ViewPlanner(config, np.zeros(3), np.array(SIZE_M), GIMBAL, TurningOnTheWay(0.8, 0.8), timer=lambda: 0.0)
 
 
 def through_narrows(variant: VariantName = "explore") -> ThroughNarrows:

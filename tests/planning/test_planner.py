@@ -12,6 +12,7 @@ from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.planner import ViewPlanner
 from uav_recon.planning.sources import Harvest, Question
+from uav_recon.planning.space.costs import TurningOnTheWay
 from uav_recon.types.frames import ByteArray
 from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath
@@ -19,7 +20,9 @@ from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, Task
 
 def planner_for(state: ByteArray, camera: CameraGeometry = FIXED, variant: VariantName = "adaptive") -> ViewPlanner:
     size_m = (np.array(state.shape) - 2) * 0.1
-    return ViewPlanner(PlannerConfig(variant=variant), np.zeros(3), size_m, camera, 0.8, 0.8, timer=lambda: 0.0)
+    return ViewPlanner(
+        PlannerConfig(variant=variant), np.zeros(3), size_m, camera, TurningOnTheWay(0.8, 0.8), timer=lambda: 0.0
+    )
 
 
 def looked_round(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], camera: CameraGeometry = FIXED) -> BoxWorld:

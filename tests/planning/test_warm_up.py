@@ -18,6 +18,7 @@ from test_planner import surface_of
 from uav_recon.config import PlannerConfig
 from uav_recon.planning import planner as planning
 from uav_recon.planning.narrows import ThroughNarrows
+from uav_recon.planning.space.costs import TurningOnTheWay
 from uav_recon.types.tasks import PlanRequest, Viewpoint
 
 def compiled():
@@ -34,7 +35,7 @@ before = compiled()
 assert len(before) > 15, before
 world = BoxWorld(MEETING_ROOM, GIMBAL, np.array([3.0, 1.0, 1.2]))
 world.look_round()
-usual = planning.ViewPlanner(CONFIG, np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, 0.8, 0.8)
+usual = planning.ViewPlanner(CONFIG, np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, TurningOnTheWay(0.8, 0.8))
 planner = ThroughNarrows(usual, *[CONFIG.clearance_m - 0.05] * 3)
 for position in ((3.0, 1.0, 1.2), (3.0, 0.15, 1.2), (9.0, 9.0, 9.0)):
     asked = world.request()

@@ -6,6 +6,7 @@ follows the recorded poses; nothing that is planned is flown, so that every fram
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,7 +25,7 @@ from uav_recon.planning.planner import ViewPlanner
 from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Proposal
 from uav_recon.planning.sources import MOST_FRONTIERS, places_of
-from uav_recon.planning.space.costs import time_costs
+from uav_recon.planning.space.costs import TurningOnTheWay, time_costs
 from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.planning.space.ways import Ways
 from uav_recon.planning.variants import variant
@@ -139,8 +140,8 @@ class Mapped:
     def planner(self) -> ViewPlanner:
         """A planner for this map's fence and camera."""
         motion = MotionConfig()
-        yaw_rate_radps = float(np.radians(motion.yaw_rate_degps))
-        return ViewPlanner(self.config, *self.fence_m, self.camera, motion.speed_mps, yaw_rate_radps)
+        price = TurningOnTheWay(motion.speed_mps, math.radians(motion.yaw_rate_degps))
+        return ViewPlanner(self.config, *self.fence_m, self.camera, price)
 
 
 class Stages:
@@ -154,7 +155,7 @@ class Stages:
         self._views = FrontierViews(mapped.config, mapped.camera)
         self._choice = variant(mapped.config.variant, mapped.config).choice
         self._none_ignored = np.zeros(grid.shape, dtype=np.uint8)
-        self._speed_mps, self._yaw_rate_radps = motion.speed_mps, float(np.radians(motion.yaw_rate_degps))
+        self._price = TurningOnTheWay(motion.speed_mps, math.radians(motion.yaw_rate_degps))
 
     def decide(self, voxels: VoxelMap, posed: PosedFrame, watch: Stopwatch) -> Decision:
         """Plan from the pose of a frame; the laps are those of STAGES."""
@@ -182,7 +183,7 @@ class Stages:
         if not tasks:
             return NOTHING
         self._ways.update(exit_cells, posed.world_from_depth.translation_m, places_of(tasks))
-        costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._speed_mps, self._yaw_rate_radps)
+        costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._price)
         watch.lap("ways")
         order = self._choice.order([one.task for one in tasks], costs_s).order
         watch.lap("order")

@@ -73,6 +73,11 @@ class NoseAhead:
     speed_mps: float
     rate_radps: float
 
+    @property
+    def off_rad(self) -> float:
+        """So far the nose points beside the way, at most."""
+        return math.atan(SHARE * self.half_tan[0]) - INSIDE_RAD
+
     def along(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
         """As AtViews, or with the nose ahead if that is faster."""
         evenly, ahead = AT_VIEWS.along(way, begin, goal), self._ahead(way, begin, goal)
@@ -99,7 +104,7 @@ class NoseAhead:
 
     def _ahead(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
         """The nose turns no farther than it has to, where each edge begins, and to the view where the last one ends."""
-        off_rad = math.atan(SHARE * self.half_tan[0]) - INSIDE_RAD
+        off_rad = self.off_rad
         yaw_rad, places, yaws = float(begin[3]), [way[0]], [float(begin[3])]
         for here, there in itertools.pairwise(way):
             step = there - here

@@ -21,7 +21,7 @@ from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Proposal, Situation
 from uav_recon.planning.sources import Clusters, Field, Question, Source, places_of
 from uav_recon.planning.space import costs, lines, space
-from uav_recon.planning.space.costs import time_costs
+from uav_recon.planning.space.costs import Price, TurningOnTheWay, time_costs
 from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.planning.space.ways import Ways
 from uav_recon.planning.surface import field
@@ -58,15 +58,14 @@ class ViewPlanner:
         fence_min_m: FloatArray,
         fence_max_m: FloatArray,
         camera: CameraGeometry,
-        speed_mps: float,
-        yaw_rate_radps: float,
+        price: Price,
         timer: Callable[[], float] = time.perf_counter,
         fence_inset_m: float | None = None,
     ) -> None:
         self.fence_m = np.asarray(fence_min_m, dtype=np.float64), np.asarray(fence_max_m, dtype=np.float64)
         self.config = config = derived(config, *self.fence_m, camera)
         self._inset_m = config.clearance_m if fence_inset_m is None else fence_inset_m
-        self._speed_mps, self._yaw_rate_radps, self._timer = speed_mps, yaw_rate_radps, timer
+        self._price, self._timer = price, timer
         self._variant = variant(config.variant, config)
         self.camera = self._variant.camera(camera)
         self._source = _source(config, self._variant, self.camera)
@@ -156,9 +155,7 @@ class ViewPlanner:
     ) -> tuple[list[int], int]:
         """Nodes to fly to, the ``committed`` (0 or 1) first; and how many surface tasks were not worth their flight."""
         self._ways.update(situation.exit_cells, request.position_world, places_of(tasks))
-        costs_s = time_costs(
-            self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._speed_mps, self._yaw_rate_radps
-        )
+        costs_s = time_costs(self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._price)
         # the tour begins at the committed view
         kept = self._variant.choice.order([one.task for one in tasks[committed:]], costs_s[committed:, committed:])
         order = [*range(1, committed + 1), *(int(node) + committed for node in kept.order)]
@@ -245,7 +242,7 @@ def warm_up(name: VariantName) -> None:
     points = np.stack([rng.uniform(0.2, 2.5, 4000), rng.uniform(0.2, 2.8, 4000), np.full(4000, 0.1)], axis=1)
     surface = SurfaceElements(points, np.tile([0.0, 0.0, 1.0], (4000, 1)), rng.uniform(0.5, 1.0, 4000), 1)
     for chosen in ("merged", name):
-        planner = ViewPlanner(config.model_copy(update={"variant": chosen}), low_m, high_m, camera, 0.8, 0.8)
+        planner = ViewPlanner(config.model_copy(update={"variant": chosen}), low_m, high_m, camera, TurningOnTheWay(0.8, 0.8))
         for revision, (position, unknown_from) in enumerate(
             (((1.0, 1.0, 1.0), 24), ((3.9, 0.05, 1.0), 28), ((1.0, 1.0, 1.0), 40))
         ):
