@@ -28,7 +28,7 @@ BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
 RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
 HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.20, 0.35  # between the hull and what is not known free, in a plan
 MAX_MPS = 1.2
-BLIND_MPS = (0.1, MAX_MPS)  # where the camera does not look; the greatest is as good as not asked for
+BLIND_MPS, SLOWEST_MPS = 0.3, 0.1  # where the camera does not look; MAX_MPS is as good as not asked for
 BLIND_MEMORY_S = 60.0  # where it is: what is steep was mostly seen longer ago than ten seconds
 FENCE_MARGIN_M = 0.10  # between the hull and the fence: what is left of the other when the vehicle strays
 JOB_GB = 0.8  # of a process that flies in lockstep
@@ -66,7 +66,7 @@ class SimOptions:
         seed: int = 0, out: Path | None = None, autopilot: str = "px4", variant: str = "adaptive",
         mount: str = "fixed:15", depth_noise: str = "d435i", camera: str | None = None, mapper: str = "neural",
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
-        uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = MAX_MPS,
+        uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = BLIND_MPS,
     ) -> SimOptions:  # fmt: skip
         """Check the words of the command line. Raises UsageError with one line."""
         chosen = camera or ("d435i" if mapper == "neural" else "fast")
@@ -80,8 +80,8 @@ class SimOptions:
             raise UsageError("--mapper stand-in: flies in --lockstep only")
         if not RADII_M[0] <= radius <= RADII_M[1]:
             raise UsageError(f"--radius {radius}: want {RADII_M[0]}..{RADII_M[1]} metres")
-        if not BLIND_MPS[0] <= blind_speed <= BLIND_MPS[1]:
-            raise UsageError(f"--blind-speed {blind_speed}: want {BLIND_MPS[0]}..{BLIND_MPS[1]} m/s")
+        if not SLOWEST_MPS <= blind_speed <= MAX_MPS:
+            raise UsageError(f"--blind-speed {blind_speed}: want {SLOWEST_MPS}..{MAX_MPS} m/s")
         if firmware is not None:
             _check_firmware(firmware, autopilot, mount, port, lockstep)
         s = _numbers("start", start, 4)

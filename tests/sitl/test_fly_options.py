@@ -10,6 +10,7 @@ import pytest
 from sitl.fly_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, UsageError
 from sitl.fly_world import WorldOptions
 from sitl.scene import Scene
+from uav_recon.config import load
 from uav_recon.motion.gaze import AT_VIEWS, NoseAhead, gaze_of
 
 SCENE = Scene(
@@ -136,3 +137,10 @@ def test_a_blind_speed_below_the_greatest_turns_the_nose_ahead(tmp_path: Path) -
     assert isinstance(gaze, NoseAhead)
     assert gaze.blind_mps < careful.safety.blind_speed_mps == 0.3
     assert np.degrees(np.arctan(gaze.half_tan)) == pytest.approx([43.5, 29.0])
+
+
+def test_the_vehicle_flies_by_the_rule_of_blind_directions_that_the_simulator_flew(tmp_path: Path) -> None:
+    vehicle = load(Path(__file__).parents[2] / "systemd" / "config.toml").safety
+    flown = SimOptions.parse().config(SCENE, tmp_path).safety
+    assert (vehicle.blind_speed_mps, vehicle.blind_memory_s) == (flown.blind_speed_mps, flown.blind_memory_s)
+    assert flown.blind_speed_mps == 0.3
