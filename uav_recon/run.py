@@ -274,19 +274,13 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
     from uav_recon.planning.planner import ViewPlanner
 
     safety = config.safety
+    inset_m = max(config.planner.clearance_m, safety.fence_inset_m)  # never plan what the guard would refuse
     usual = ViewPlanner(
-        config.planner,
-        np.array(safety.fence_min_m),
-        np.array(safety.fence_max_m),
-        camera_geometry(config),
-        price_of(config),
-        timer,
-        fence_inset_m=max(config.planner.clearance_m, safety.fence_inset_m),  # never plan what the guard would refuse
-    )
-    narrow_m, homeward_m = (
-        min(safety.vehicle_radius_m + max(least_m, safety.stop_clearance_m), config.planner.clearance_m)
-        for least_m in (NARROW_M, RETREAT_M)
-    )
+        config.planner, np.array(safety.fence_min_m), np.array(safety.fence_max_m), camera_geometry(config), price_of(config),
+        timer, inset_m,
+    )  # fmt: skip
+    least_m = (safety.vehicle_radius_m + max(m, safety.stop_clearance_m) for m in (NARROW_M, RETREAT_M))
+    narrow_m, homeward_m = (min(m, config.planner.clearance_m) for m in least_m)
     return ThroughNarrows(usual, narrow_m, homeward_m, max(narrow_m, safety.fence_inset_m), timer)
 
 
@@ -295,10 +289,10 @@ def price_of(config: Config) -> Price:
     from uav_recon.motion.gaze import SHARE, NoseAhead, gaze_of
     from uav_recon.planning.space.costs import NoseFirst, TurningOnTheWay
 
-    gaze, speed_mps, rate_radps = gaze_of(config), config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps)
-    if not isinstance(gaze, NoseAhead):
-        return TurningOnTheWay(speed_mps, rate_radps)
-    return NoseFirst(speed_mps, rate_radps, gaze.blind_mps, gaze.off_rad, SHARE * gaze.half_tan[1])
+    gaze, pace = gaze_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
+    if isinstance(gaze, NoseAhead):
+        return NoseFirst(*pace, gaze.blind_mps, gaze.off_rad, SHARE * gaze.half_tan[1])
+    return TurningOnTheWay(*pace)
 
 
 def camera_geometry(config: Config) -> CameraGeometry:

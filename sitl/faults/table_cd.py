@@ -125,7 +125,7 @@ TABLE_C = (
         "each twice, every third behind the next",
         lambda n: [Shuffled(), Tally()],
         (COMPLETES, ONCE),
-        longest_s=180.0,
+        longest_s=90.0,
         views=SHORT_VIEWS,
     ),
     Row(
@@ -228,7 +228,7 @@ TABLE_D = (
         "1 MB/s of random bytes for 10 s, then a fifth of the frames spoilt",
         lambda n: [Garbage(1_000_000, 10.0), Corrupted(0.2, n)],
         (NO_FAILSAFE, STEADY, STREAMS, COMPLETES),
-        longest_s=180.0,
+        longest_s=120.0,
         views=SHORT_VIEWS,
     ),
     Row(

@@ -76,6 +76,26 @@ def test_what_is_stopped_too_often_lands_beside_the_table_that_it_hovers_over(de
     assert desk.conductor.close() == "aborted: stopped 4 times on its way home"
 
 
+@pytest.mark.parametrize("stays", [False, True])
+def test_what_stands_on_the_pad_is_judged_from_near(desk: Desk, stays: bool) -> None:
+    """From afar the noise of a floor that is looked along looks the same."""
+    desk.planner.left = [np.array([2.5, 0.0, 1.1])]
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.distance_m() < 2.3:
+        desk.run(0.1)
+    desk.voxels.table = (slice(28, 32), slice(28, 32), slice(12, 14))
+    desk.conductor.request_return()
+    while desk.distance_m() > 2.1:
+        desk.run(0.1)
+    assert desk.intent.trajectory is not None
+    assert np.hypot(*desk.intent.trajectory.position_m[-1, :2]) < 0.1, "it flies home until then"
+    desk.voxels.table = desk.voxels.table if stays else None
+    desk.run(60.0, until=Phase.DONE)
+    assert (desk.distance_m() < 0.1) is not stays
+    assert not stays or desk.distance_m() > 0.6
+
+
 def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(desk: Desk) -> None:
     call_home(desk)
     while desk.speed_mps() > 1e-6:

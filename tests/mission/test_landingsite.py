@@ -42,8 +42,18 @@ def test_home_while_nothing_stands_there() -> None:
     np.testing.assert_array_equal(SITE.choose(mapped(state)), [0.0, 0.0, 1.0])
     state[30, 40, 6] = OCCUPIED  # a speckle
     np.testing.assert_array_equal(SITE.choose(mapped(state)), [0.0, 0.0, 1.0])
+    state[28, 40, 6] = OCCUPIED  # and another one
+    np.testing.assert_array_equal(SITE.choose(mapped(state)), [0.0, 0.0, 1.0])
     fill(state, (0.4, -0.5, -0.1), (0.5, 0.5, 1.0))  # beside the pad, where it stood when it was taken for one
     np.testing.assert_array_equal(SITE.choose(mapped(state)), [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("other", [(31, 40, 6), (29, 41, 7), (30, 40, 5)])
+def test_not_where_two_voxels_that_touch_say_that_something_stands(other: tuple[int, int, int]) -> None:
+    state = room()
+    state[30, 40, 6] = state[other] = OCCUPIED
+    assert SITE.is_occupied(mapped(state), SITE.home)
+    assert np.hypot(*SITE.choose(mapped(state))[:2]) >= PATCH_M / 2 - STEP_M
 
 
 def test_beside_a_box_as_near_as_may_be() -> None:

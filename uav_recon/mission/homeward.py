@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
 _PLACES = 3  # tried, then home is the least bad
+_JUDGED_M = 2.0  # level: from farther off the noise of a floor that is looked along looks like something that stands there
 _REFUSED = 3  # ways that the guard or the map may stop
 
 
@@ -79,7 +81,8 @@ class Homeward:
         if self._aside:
             place = self._site.near(voxels, here_m, self._bad)
         else:
-            place = self._site.home if along_breadcrumbs else self._site.choose(voxels, self._bad)
+            home = along_breadcrumbs or not (self._bad or self._is_near(self._site.home))
+            place = self._site.home if home else self._site.choose(voxels, self._bad)
         if place is None:
             self.lost = self._aside
             return None
@@ -102,8 +105,12 @@ class Homeward:
         """Brake and think again where the way is blocked, or the place, as long as there are others to try."""
         if not self._helm.course.at_rest(now_s) and self._helm.brake_if_blocked(now_s, voxels):
             self.think_again()
-        elif len(self._bad) < _PLACES and self._site.is_occupied(voxels, self._place):
+        elif len(self._bad) < _PLACES and self._is_near(self._place) and self._site.is_occupied(voxels, self._place):
             self._bad = (*self._bad, self._place)
             self._account.refusal(now_s, f"something stands at the landing place {self._place[0]:.1f} {self._place[1]:.1f} m")
             self.under_way = False
             self._helm.brake(now_s)
+
+    def _is_near(self, place: FloatArray) -> bool:
+        """Whether what stands there can be told from here."""
+        return math.hypot(*(place - self._helm.course.position_world)[:2].tolist()) <= _JUDGED_M

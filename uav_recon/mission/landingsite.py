@@ -13,7 +13,7 @@ from uav_recon.types.maps import FREE, OCCUPIED, VoxelMap
 
 PATCH_M, REACH_M, STEP_M = 1.2, 5.0, 0.2  # a metre, and what voxels and a landing stray
 _STANDS_M = 0.15  # over the floor; nearer to it, depth noise is floor
-_FEWEST = 2  # voxels: one alone is a speckle
+_FEWEST = 2  # voxels that touch: alone, they are speckles
 _FLOOR_SHARE = 0.5  # of a patch that is not home: its floor was seen
 
 
@@ -26,7 +26,7 @@ class LandingSite:
 
     def is_occupied(self, voxels: VoxelMap, place: FloatArray) -> bool:
         """Whether something stands where it would land from a place (3,). Beside it something may: the pad was chosen so."""
-        return int((self._above(voxels, place, self._room_m) == OCCUPIED).sum()) >= _FEWEST
+        return _stands(self._above(voxels, place, self._room_m))
 
     def choose(self, voxels: VoxelMap, unwanted: tuple[FloatArray, ...] = ()) -> FloatArray:
         """Over which place (3,) to land: home if nothing stands there, else the nearest good one, else home as the least bad.
@@ -52,7 +52,7 @@ class LandingSite:
 
     def _is_good(self, voxels: VoxelMap, place: FloatArray) -> bool:
         patch, over = self._above(voxels, place, PATCH_M / 2), self._above(voxels, place, self._room_m)
-        if over.size == 0 or not (over == FREE).all() or int((patch == OCCUPIED).sum()) >= _FEWEST:
+        if over.size == 0 or not (over == FREE).all() or _stands(patch):
             return False
         flyable = float(voxels.distance_m(voxels.grid.index(place))) >= self._room_m
         return flyable and self._floor_share(voxels, place) >= _FLOOR_SHARE
@@ -70,6 +70,15 @@ class LandingSite:
         high = np.array([place[0] + half_m, place[1] + half_m, self._ground_m + _STANDS_M])
         seen: BoolArray = (_cut(voxels, low, high) == OCCUPIED).any(axis=2)
         return float(seen.mean()) if seen.size else 0.0
+
+
+def _stands(states: IntArray) -> bool:
+    """Whether something stands in a box of voxels (n, m, k): _FEWEST of them, with a corner in common at least."""
+    occupied = states == OCCUPIED
+    if int(occupied.sum()) < _FEWEST:
+        return False
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(occupied, 1), (3, 3, 3))[occupied]
+    return bool((around.sum(axis=(1, 2, 3)) >= _FEWEST).any())
 
 
 def _cut(voxels: VoxelMap, low: FloatArray, high: FloatArray) -> IntArray:
