@@ -190,7 +190,7 @@ def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:
         radius=row.radius_m(case.number),
         variant=row.variant,
         port=free_port(),
-        blind_speed=MAX_MPS,
+        blind_speed=MAX_MPS,  # as in lockstep
         out=case.out or folder / "flight",
     )
     options.make_folder()

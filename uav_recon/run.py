@@ -286,12 +286,12 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
 
 def price_of(config: Config) -> Price:
     """What a leg is reckoned to take: the planner's, for the gaze that motion has."""
-    from uav_recon.motion.gaze import SHARE, NoseAhead, gaze_of
+    from uav_recon.motion.gaze import NoseAhead, gaze_of
     from uav_recon.planning.space.costs import NoseFirst, TurningOnTheWay
 
     gaze, pace = gaze_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
     if isinstance(gaze, NoseAhead):
-        return NoseFirst(*pace, gaze.blind_mps, gaze.off_rad, SHARE * gaze.half_tan[1])
+        return NoseFirst(*pace, gaze.blind_mps, gaze.off_rad, gaze.upright)
     return TurningOnTheWay(*pace)
 
 

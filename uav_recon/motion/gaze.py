@@ -78,6 +78,11 @@ class NoseAhead:
         """So far the nose points beside the way, at most."""
         return math.atan(SHARE * self.half_tan[0]) - INSIDE_RAD
 
+    @property
+    def upright(self) -> float:
+        """Tangent of half the upright angle in which a way is seen."""
+        return SHARE * self.half_tan[1]
+
     def along(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
         """As AtViews, or with the nose ahead if that is faster."""
         evenly, ahead = AT_VIEWS.along(way, begin, goal), self._ahead(way, begin, goal)

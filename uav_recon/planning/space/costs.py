@@ -76,7 +76,7 @@ def time_costs(
     """Seconds (N+1, N+1) from node to node, asymmetric; leaving the vehicle's place costs the change of velocity too."""
     views = [proposal.task.viewpoint for proposal in proposals]
     yaws = np.array([yaw_rad, *(view.yaw_rad for view in views)], dtype=np.float64)
-    pitches = np.array([0.0, *(view.pitch_down_rad for view in views)], dtype=np.float64)
+    pitches = np.array([0.0, *(view.pitch_down_rad for view in views)], dtype=np.float64)  # none looks on its way to node 0
     costs = price.seconds(ways.lengths_m, ways.departures, yaws, pitches)
     leave(costs, ways.departures, np.ascontiguousarray(velocity_world_mps, dtype=np.float64))
     return costs
