@@ -113,6 +113,20 @@ def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(
     assert desk.conductor.close().startswith("aborted: ")
 
 
+@pytest.mark.parametrize(("held_s", "ends_at_home"), [(20.0, True), (300.0, False)])
+def test_what_its_pilot_holds_on_the_way_home_does_not_land_there(desk: Desk, held_s: float, ends_at_home: bool) -> None:
+    call_home(desk)
+    desk.run(1.0)
+    desk.stands, away_m = True, desk.distance_m()
+    desk.run(held_s)
+    assert (desk.conductor.phase is Phase.RETURN) is ends_at_home
+    desk.stands = False
+    desk.run(60.0, until=Phase.DONE)
+    assert away_m > 0.5
+    assert (desk.distance_m() < 0.1) is ends_at_home
+    assert desk.conductor.close() == ("completed" if ends_at_home else "aborted: stopped 4 times on its way home")
+
+
 def test_a_hold_on_the_way_home_is_no_arrival(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(120.0, until=Phase.RETURN)

@@ -202,7 +202,7 @@ class Conductor:
             views_left=self._account.views_left,
             flight_s=now_s - self._ascent.begun_s,
             max_flight_s=self._orders.max_flight_s,
-            homing=self._homeward.under_way,
+            arrived=self._homeward.has_arrived(now_s),
             no_way_home=self._homeward.no_way,
             charge=self._steward.left,
             charge_needed=self._steward.needed,
@@ -220,7 +220,7 @@ class Conductor:
         if phase in (Phase.HOLD, Phase.RETURN, Phase.RETREAT):
             self._helm.brake(now_s)
         elif phase is Phase.LANDING:
-            self._arrived = self._homeward.under_way and self._helm.at_rest(now_s)
+            self._arrived = self._homeward.has_arrived(now_s)
         self.phase = phase
         self._survey.interrupt()
         self._homeward.interrupt()

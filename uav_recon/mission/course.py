@@ -15,6 +15,7 @@ BREADCRUMB_M = 0.2
 ARRIVED_M = 0.15
 ASTRAY_M, ASTRAY_RAD = 0.5, 0.6  # beyond what a vehicle lags behind its setpoints; one that its pilot holds is farther off
 LATE_S = 5.0  # an autopilot that is still away by then will not come nearer by waiting
+THERE_M = 0.3  # from a place, to land there
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +59,11 @@ class Course:
         if self.trajectory is None:
             return False
         over_s = now_s - self.trajectory.start_s - self.trajectory.duration_s
-        away_m = float(np.linalg.norm(self.trajectory.position_m[-1] - self.position_world))
-        return over_s >= LATE_S or (over_s >= 0.0 and away_m <= ARRIVED_M)
+        return over_s >= LATE_S or (over_s >= 0.0 and self._away_m(self.trajectory) <= ARRIVED_M)
+
+    def has_arrived(self, now_s: float) -> bool:
+        """Whether it is at rest, and where the trajectory ends: one that its pilot holds on the way comes to rest elsewhere."""
+        return self.trajectory is not None and self.at_rest(now_s) and self._away_m(self.trajectory) <= THERE_M
 
     def is_followed(self, now_s: float) -> bool:
         """Whether the vehicle is where the trajectory has it by now, and looks there: what a view is to show is before it."""
@@ -68,6 +72,9 @@ class Course:
         there = self.trajectory.setpoint_at(now_s)
         turned_rad = math.remainder(there.yaw_rad - self._yaw_rad, math.tau)
         return float(np.linalg.norm(there.position_m - self.position_world)) <= ASTRAY_M and abs(turned_rad) <= ASTRAY_RAD
+
+    def _away_m(self, trajectory: Trajectory) -> float:
+        return float(np.linalg.norm(trajectory.position_m[-1] - self.position_world))
 
     def remaining_s(self, now_s: float) -> float:
         """Seconds until the trajectory comes to rest; 0 without one."""

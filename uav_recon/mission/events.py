@@ -83,7 +83,7 @@ class Facts:
     views_left: int
     flight_s: float
     max_flight_s: float
-    homing: bool  # a way home was handed out
+    arrived: bool  # at the end of a way home
     no_way_home: bool
     charge: float  # share of the battery that is left for sure; NaN: it never said
     charge_needed: float  # share at which it has to turn back
@@ -119,7 +119,7 @@ def observe(facts: Facts) -> frozenset[Event]:
         Event.BATTERY_LOW: facts.charge
         < facts.charge_needed,  # NaN compares false: unknown from the first is the autopilot's to judge
         Event.BATTERY_LOST: facts.charge_lost,
-        Event.AT_HOME: facts.homing and facts.at_rest,
+        Event.AT_HOME: facts.arrived,
         Event.NO_WAY_HOME: facts.no_way_home,
         Event.ABORTED: facts.abort,
         Event.HELD: facts.hold,

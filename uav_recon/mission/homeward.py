@@ -50,11 +50,15 @@ class Homeward:
         if self.under_way:
             self.under_way, self._refused = False, self._refused + 1
 
+    def has_arrived(self, now_s: float) -> bool:
+        """Whether it is over the place, to land there."""
+        return self.under_way and self._helm.course.has_arrived(now_s)
+
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap, along_breadcrumbs: bool) -> None:
         """From rest: think, then fly; and think again where something turns out to stand on the place."""
         course = self._helm.course
         if self.under_way:
-            self._watch(now_s, voxels)
+            self._watch(now_s, vehicle, voxels)
             return
         if not course.at_rest(now_s):
             return
@@ -101,9 +105,14 @@ class Homeward:
             self._aside, self._refused = why, _REFUSED
             self._account.aborted = self._account.aborted or why
 
-    def _watch(self, now_s: float, voxels: VoxelMap) -> None:
+    def _watch(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         """Brake and think again where the way is blocked, or the place, as long as there are others to try."""
-        if not self._helm.course.at_rest(now_s) and self._helm.brake_if_blocked(now_s, voxels):
+        resting = self._helm.course.at_rest(now_s)
+        if not resting and self._helm.brake_if_blocked(now_s, voxels):
+            self.think_again()
+        elif resting and not self.has_arrived(now_s):
+            self._account.refusal(now_s, "held on the way home")
+            self._helm.hold(now_s, vehicle)
             self.think_again()
         elif len(self._bad) < _PLACES and self._is_near(self._place) and self._site.is_occupied(voxels, self._place):
             self._bad = (*self._bad, self._place)
