@@ -233,6 +233,19 @@ def test_a_trajectory_through_the_fence_ends_in_a_hover_inside(hovering: Rig) ->
     assert hovering.px4.truth().position[0] < 4.7 + 0.05
 
 
+def test_the_moment_it_refuses_it_says_where_it_comes_to_rest(hovering: Rig) -> None:
+    hovering.fly((4.95, 0.0, 1.1), identifier=2)
+    while hovering.state.refusals == 0:
+        hovering.step()
+    said, (_, places) = hovering.state.world_from_rest, setpoints(hovering)
+    hovering.run(3.0)
+    _, later = setpoints(hovering)
+    assert said is not None
+    assert np.linalg.norm(said.translation_m - later[-1]) < 1e-3
+    assert np.linalg.norm(places[-1] - later[-1]) > 0.01, "it braked"
+    assert np.linalg.norm(said.translation_m - hovering.px4.truth().position) < 0.05, "and there it is"
+
+
 def test_a_malformed_trajectory_holds_and_is_counted_once(hovering: Rig) -> None:
     place = np.array(hovering.px4.truth().position)
     broken = hovering.fly((2.0, 0.0, 1.1), identifier=2)

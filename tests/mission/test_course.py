@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,16 @@ from uav_recon.types.vehicle import FlightPhase, VehicleState
 def vehicle_at(x: float, y: float, z: float = 1.0, *, armed: bool = True, yaw_rad: float = 0.0) -> VehicleState:
     pose = Pose.from_yaw(yaw_rad, np.array([x, y, z]))
     return VehicleState(0.0, pose, np.zeros(3), armed, "OFFBOARD", FlightPhase.FLYING, 1.0, False, 0.0, -1, 0, "")
+
+
+def test_a_hold_is_where_the_pilot_brings_it_to_rest() -> None:
+    course, vehicle = Course(0.2), vehicle_at(1.0, 0.0)
+    assert course.place(vehicle).position_m.tolist() == [1.0, 0.0, 1.0]
+    stopped = dataclasses.replace(vehicle, world_from_rest=Pose.from_yaw(0.5, np.array([1.3, 0.1, 1.0])))
+    held = course.place(stopped)
+    assert held.position_m.tolist() == [1.3, 0.1, 1.0]
+    assert held.yaw_rad == pytest.approx(0.5)
+    assert held.camera_pitch_down_rad == 0.2
 
 
 def test_path_length_counts_only_flight() -> None:

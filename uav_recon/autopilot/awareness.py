@@ -89,6 +89,7 @@ class Awareness:
             note=note[:_LONGEST_NOTE],
             operator_heard_s=operator_s,
             most_mps=self._guard.bounds.retreat_mps if t.slow or (pose and pose.health is not PoseHealth.GOOD) else math.inf,
+            world_from_rest=self._steering.odom_from_rest,
         )
 
     @property

@@ -53,6 +53,15 @@ class Steering:
         """Whether the newest setpoint is."""
         return self._flown is None or not np.any(self._flown.velocity_mps)
 
+    @property
+    def odom_from_rest(self) -> Pose | None:
+        """Where braking from the newest setpoint ends; None before the first."""
+        if self._flown is None:
+            return None
+        (x, y, z), (vx, vy, vz) = self._flown.position_m.tolist(), self._flown.velocity_mps.tolist()
+        stop_m = self._guard.envelope.stopping_point((x, y, z), (vx, vy, vz))
+        return Pose.from_yaw(self._flown.yaw_rad, np.array(stop_m))
+
     def was_at(self, odom_from_body: Pose) -> None:
         """In flight, and not on the way back."""
         self._crumbs.drop(odom_from_body)
@@ -61,6 +70,7 @@ class Steering:
     def rebase(self, situation: Situation, rest_s: float) -> None:
         """Odom is another, or a flight begins: nothing that was flown counts."""
         self._guard.rebase(situation, rest_s)
+        self._flown = None
         self._crumbs.forget()
         self._mandate.forsake()
         self._way_back, self._refused_ways, self._aside, self.blocked = None, 0, None, ""

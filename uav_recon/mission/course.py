@@ -96,8 +96,8 @@ class Course:
         return Setpoint.hold(end.position_m, end.yaw_rad, end.camera_pitch_down_rad)
 
     def place(self, vehicle: VehicleState) -> Setpoint:
-        """A hold where the vehicle is now."""
-        pose = vehicle.world_from_body
+        """A hold where its pilot brings the vehicle to rest: what begins there begins without a gap."""
+        pose = vehicle.world_from_rest or vehicle.world_from_body
         return Setpoint.hold(pose.translation_m, pose.yaw_rad(), self._pitch_down_rad)
 
     def way_back(self, home_world: FloatArray) -> tuple[FloatArray, ...]:

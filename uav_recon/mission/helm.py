@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 from uav_recon.mission.account import Account
 from uav_recon.mission.captures import Captures
@@ -37,9 +38,16 @@ class Helm:
         self._captures.expect(trajectory, leave_s)
 
     def hold(self, now_s: float, vehicle: VehicleState) -> None:
-        """Stay where the vehicle is: the guard has stopped it there."""
+        """Stay where the vehicle comes to rest: its pilot has stopped it there."""
         here, identifier = self.course.place(vehicle), self.course.next_identifier()
         self.fly(self._motion.line(here, here.position_m, here.yaw_rad, now_s, identifier), now_s)
+
+    def look_round(self, now_s: float, vehicle: VehicleState, views: int) -> float:
+        """Turn once round on the spot, with so many views; how long (s) that takes."""
+        start, identifier = self.course.rest(vehicle), self.course.next_identifier()
+        turn = self._motion.turn(start, now_s, math.tau, views, identifier)
+        self.fly(turn, now_s)
+        return turn.duration_s
 
     def brake(self, now_s: float) -> None:
         """Come to rest along the present way; views beyond it are given up."""

@@ -33,6 +33,7 @@ class VehicleState:
     trajectory_id: the trajectory being flown, -1 for none. refusals: proposals turned down by the guard so far.
     note: the newest reason in words (refused arming, failsafe, refusal), '' for none. most_mps: the fastest that the guard
     lets pass now. operator_heard_s: when the pilot last answered its operator, companion's clock; -inf: not since it started.
+    world_from_rest: of its setpoints, where braking from the newest ends; None before the first.
     """
 
     stamp_s: float
@@ -49,6 +50,7 @@ class VehicleState:
     note: str
     most_mps: float = math.inf
     operator_heard_s: float = -math.inf
+    world_from_rest: Pose | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity_world_mps", frozen(np.asarray(self.velocity_world_mps, dtype=np.float64)))
