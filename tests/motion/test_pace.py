@@ -23,7 +23,7 @@ def straight_band(metres: float, spans: int) -> FloatArray:
 def test_a_straight_line_is_passed_in_bang_bang_time() -> None:
     curve = Curve.of(straight_band(6.0, 40))
     cap, x, times = np.full(len(curve.along_m), (1.0 / 0.15) ** 2), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
-    assert fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], 1.2, 1.5, 0.0, x)
+    assert fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], np.full(len(cap), 1.2), 1.5, 0.0, x)
     instants(x, times)
     np.testing.assert_allclose(times[-1], 6.0 / 1.0 + 1.0 / 1.2, rtol=1e-3)
     np.testing.assert_allclose(curve.along_m[-1], 6.0)
@@ -35,7 +35,7 @@ def test_a_circle_is_passed_at_the_root_of_acceleration_times_radius() -> None:
     control[:, :2] = 1.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     curve = Curve.of(control)
     cap, x = np.full(len(curve.along_m), 1e3), np.empty(len(curve.along_m))
-    assert fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], 0.6, 1.5, 0.0, x)
+    assert fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], np.full(len(cap), 0.6), 1.5, 0.0, x)
     speed = np.sqrt(x) * np.linalg.norm(curve.slope[:, :3], axis=1)
     np.testing.assert_allclose(speed.max(), np.sqrt(0.6 * 1.0), rtol=0.01)
 
@@ -45,9 +45,9 @@ def test_what_is_entered_too_fast_is_told() -> None:
     cap, x = np.full(len(curve.along_m), 40.0), np.empty(len(curve.along_m))
     length_m = 0.15  # of a span
     just = 2 * 1.2 * 0.3 / length_m**2
-    assert fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], 1.2, 1.5, 0.99 * just, x)
+    assert fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], np.full(len(cap), 1.2), 1.5, 0.99 * just, x)
     np.testing.assert_allclose(x[0], 0.99 * just)
-    assert not fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], 1.2, 1.5, 1.01 * just, x)
+    assert not fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], np.full(len(cap), 1.2), 1.5, 1.01 * just, x)
 
 
 @settings(max_examples=40, deadline=None)
@@ -64,7 +64,7 @@ def test_no_pass_is_faster(seed: int, turning: bool, back: bool) -> None:
     curve = Curve.of(control)
     count = len(curve.along_m)
     cap, x = rng.uniform(5, 50, count), np.empty(count)
-    assert fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], 1.2, 1.5, 0.0, x)
+    assert fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], np.full(len(cap), 1.2), 1.5, 0.0, x)
     slope, bend = curve.slope[:-1, column], curve.bend[:-1, column]
     row = np.zeros((count - 1, count))
     n = np.arange(count - 1)

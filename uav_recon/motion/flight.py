@@ -15,7 +15,7 @@ from uav_recon.motion.entry import Entry
 from uav_recon.motion.gaze import AT_VIEWS, Gaze
 from uav_recon.motion.pace import FASTEST, PER_SPAN, PUSHED_ON_S, TINY, Curve, fastest, instants, sampled, smoothed
 from uav_recon.motion.replay import STEP_S
-from uav_recon.types.frames import FloatArray
+from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.trajectory import Trajectory
 
 OPEN_M = 0.3  # full speed where there is so much room beyond the clearance
@@ -23,6 +23,8 @@ SPREAD_M = 0.2  # a tight place is slow from so far before it to so far behind i
 RUN_ON_MPS = 0.2  # never slower on account of what lies ahead: a vehicle has to get on
 SHARE = 0.97  # of the limits of acceleration: the rest covers the distance between nodes ...
 FULL = 0.995  # ... and of those of speed
+BRAKING = 0.7  # of acceleration: what a motion that is entered too fast brakes with
+LEAST_MPS2 = 0.3  # a vehicle has to get on
 TRIES = 4
 SLOWEST = 2.0  # spans a second: slower spans at the start of a moving band would be short ones
 
@@ -120,15 +122,19 @@ class Pacer:
         return rolled, rolled + entry.velocity * (0.5 * overrun * braking_s)
 
     def flown(self, band: Band, entry: Entry, space: Space | None, spacing_m: float) -> Flight:
-        """The fastest flight along a band; slower all over where smoothing and sampling left too much acceleration."""
+        """The fastest flight along a band; slower all over where smoothing and sampling left too much acceleration, and slow
+        where it turns out that the camera does not look: a body that gains speed leans.
+        """
         curve = Curve.of(band.control)
         first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
         cap, x, times = np.empty(len(curve.along_m)), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
         most_mps = np.full(len(curve.along_m), np.inf) if space is None else self._heeding(curve, space)
+        leaning_mps2 = self._leaning(curve, entry)
         self._cap(curve, band, entry, space, most_mps, cap)
         share = SHARE
         for _ in range(TRIES):
-            if not fastest(curve.slope, curve.bend, cap, most_mps, share * self.acceleration, share * self.spin, first, x):
+            most_mps2 = np.minimum(share * self.acceleration, leaning_mps2)
+            if not fastest(curve.slope, curve.bend, cap, most_mps, most_mps2, share * self.spin, first, x):
                 return Flight(entry.rows, np.zeros(0), feasible=False)
             instants(x, times)
             flight = self._smoothed(band, entry, curve, x, times, spacing_m)
@@ -138,9 +144,12 @@ class Pacer:
                 float(np.sqrt(np.max(np.sum(new[:, :3] ** 2, axis=1)))) / self.acceleration,
                 float(np.abs(new[:, 3:]).max()) / self.spin,
             )
-            if excess <= 1.02:
+            hasty = self._hasty(flight, entry, times)
+            if excess <= 1.02 and not hasty.any():
                 break
-            share *= 0.98 / excess
+            share *= min(0.98 / excess, 1.0) if excess > 1.02 else 1.0
+            most_mps[hasty] = np.minimum(most_mps[hasty], self.gaze.blind_mps)
+            self._cap(curve, band, entry, space, most_mps, cap)
         return flight
 
     def _cap(
@@ -152,8 +161,21 @@ class Pacer:
         caps(
             curve.slope, curve.along_m, room_m, most_mps, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
             self.tight_speed, self.climb, self.descent, self.rate, self.blur_radps, self.blur_distance_m, SPREAD_M,
-            entry.velocity, 0.7 * self.acceleration, FASTEST, cap,
+            entry.velocity, BRAKING * self.acceleration, FASTEST, cap,
         )  # fmt: skip
+
+    def _leaning(self, curve: Curve, entry: Entry) -> FloatArray:
+        """Accelerations (M,) with which the camera sees the way; as much as need be where what is entered has to brake."""
+        most_mps2 = np.maximum(self.gaze.most_mps2(curve.slope, curve.place), LEAST_MPS2)
+        entry2 = float(np.sum(entry.velocity[:3] ** 2))
+        return np.where(2.0 * BRAKING * self.acceleration * curve.along_m < entry2, np.inf, most_mps2)
+
+    def _hasty(self, flight: Flight, entry: Entry, times: FloatArray) -> BoolArray:
+        """The nodes (M,), reached at these times, whose samples are faster than what they see allows, or share in such."""
+        hasty = np.zeros(len(flight.rows), dtype=np.bool_)
+        hasty[entry.left + 1 : -1] = self.gaze.hasty(flight.rows[entry.left :])
+        around = np.convolve(hasty, np.ones(2 * self.box + 1), "same") > 0.0
+        return np.asarray(around[np.minimum(np.rint(times / STEP_S).astype(np.int64) + len(entry.rows) - 1, len(around) - 1)])
 
     def _heeding(self, curve: Curve, space: Space) -> FloatArray:
         """Speeds (M,) that where it looks and what lies ahead allow."""

@@ -14,16 +14,23 @@ from uav_recon.motion.replay import STEP_S
 from uav_recon.types.frames import BoolArray, FloatArray
 
 BLIND_SHARE = 0.9  # of what the guard lets pass where the camera does not look: what leads over to a new motion adds to it
-SHARE = 0.85  # of the camera's tangents: the body leans where it gains speed
+SHARE = 0.85  # of a level camera's tangents: the body leans where it gains speed
 SLACK = 0.05  # of speed and tangents, for what smoothing and sampling cost
+GRAVITY_MPS2 = 9.81
 INSIDE_RAD = 0.1  # of that, the nose is kept: the heading lags, and the way bends
 SHORT_M = 0.15  # level, on a way so short it turns for its view alone
 TURNS_IN_M = 0.1  # of an edge: it turns nearly on the spot
+PREFERRED = 1.4  # so much longer it may take with the nose ahead: what is flown blind is refused where nobody looked lately
 USUAL_SHARE = 0.6  # of the greatest speed is flown on a way, in the mean
 
 
 class Gaze(Protocol):
-    """How the heading goes along a leg, and what that means for the speed."""
+    """How the heading goes along a leg, and what that means for the speed: blind_mps at most where the camera does not look."""
+
+    @property
+    def blind_mps(self) -> float:
+        """It."""
+        ...
 
     def along(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
         """Vertices (M, 5) behind ``begin`` (5,) of a leg through places ``way`` (N, 3), which begin there, to ``goal`` (5,).
@@ -35,13 +42,21 @@ class Gaze(Protocol):
         """Greatest speeds (M,) at the places (M, 5) of a curve with these directions (M, 5)."""
         ...
 
-    def heeded(self, rows: FloatArray) -> bool:
-        """Whether a motion through these places (M, 5), one each STEP_S, is nowhere faster, but for what smoothing costs."""
+    def most_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+        """Greatest accelerations (M,) there: what leans to gain speed, or to lose it, looks elsewhere."""
+        ...
+
+    def hasty(self, rows: FloatArray) -> BoolArray:
+        """Where (M - 2,), at the places (M, 5) of a motion, one each STEP_S, but its first and last, it is faster than that:
+        where a body looks that leans as its acceleration asks, with a little left for what smoothing costs.
+        """
         ...
 
 
 class AtViews:
     """Evenly from view to view, and as fast wherever it looks: other limits see to it that there is room."""
+
+    blind_mps = math.inf
 
     def along(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
         """Each angle by its share of the length."""
@@ -52,9 +67,13 @@ class AtViews:
         """No limit."""
         return np.full(len(place), np.inf)
 
-    def heeded(self, rows: FloatArray) -> bool:
-        """It is."""
-        return True
+    def most_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+        """No limit."""
+        return np.full(len(place), np.inf)
+
+    def hasty(self, rows: FloatArray) -> BoolArray:
+        """Nowhere."""
+        return np.zeros(len(rows) - 2, dtype=np.bool_)
 
 
 AT_VIEWS = AtViews()
@@ -84,28 +103,45 @@ class NoseAhead:
         return SHARE * self.half_tan[1]
 
     def along(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
-        """As AtViews, or with the nose ahead if that is faster."""
+        """As AtViews, or with the nose ahead if that is faster, or not much slower."""
         evenly, ahead = AT_VIEWS.along(way, begin, goal), self._ahead(way, begin, goal)
-        return ahead if self._duration_s(np.vstack([begin, ahead])) < self._duration_s(np.vstack([begin, evenly])) else evenly
+        ahead_s, evenly_s = (self._duration_s(np.vstack([begin, vertex])) for vertex in (ahead, evenly))
+        return ahead if ahead_s < PREFERRED * evenly_s else evenly
 
     def most_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
         """blind_mps where the camera does not look."""
         return np.where(self.sees(slope[:, :3], place[:, 3], place[:, 4]), np.inf, self.blind_mps)
 
-    def heeded(self, rows: FloatArray) -> bool:
+    def most_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+        """As much as brings a way that is seen to the picture's edge. One that is not is flown slowly, and leans as it may."""
+        ahead, _, below = self._in_camera(slope[:, :3], place[:, 3], place[:, 4])
+        edge_rad = math.atan((1.0 - SLACK) * self.half_tan[1])
+        room_rad = np.maximum(edge_rad - np.abs(np.arctan2(below, ahead)), 0.0)
+        return np.where(self.sees(slope[:, :3], place[:, 3], place[:, 4]), GRAVITY_MPS2 * np.tan(room_rad), np.inf)
+
+    def hasty(self, rows: FloatArray) -> BoolArray:
         """Held against nearly all of the picture, and a little more speed."""
-        rate, place = (rows[2:] - rows[:-2]) / (2 * STEP_S), rows[1:-1]
-        fast = np.linalg.norm(rate[:, :3], axis=1) > (1.0 + SLACK) * self.blind_mps
-        return bool(self.sees(rate[fast, :3], place[fast, 3], place[fast, 4], 1.0 - SLACK).all())
+        rate, place = (rows[2:, :3] - rows[:-2, :3]) / (2 * STEP_S), rows[1:-1]
+        change = (rows[2:, :3] - 2 * rows[1:-1, :3] + rows[:-2, :3]) / STEP_S**2
+        fast: BoolArray = np.linalg.norm(rate, axis=1) > (1.0 + SLACK) * self.blind_mps
+        fast[fast] = ~self.sees(leaning(rate[fast], change[fast]), place[fast, 3], place[fast, 4], 1.0 - SLACK)
+        return fast
 
     def sees(self, way: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray, share: float = SHARE) -> BoolArray:
         """Whether the camera of a level body looks into these directions (M, 3) of the world, with a share of its tangents."""
+        ahead, aside, below = self._in_camera(way, yaw_rad, pitch_down_rad)
+        level, upright = share * self.half_tan[0], share * self.half_tan[1]
+        return np.asarray((np.abs(aside) <= level * ahead) & (np.abs(below) <= upright * ahead))
+
+    @staticmethod
+    def _in_camera(
+        way: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Along a level body's optical axis, aside and below (M,)."""
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         ahead, aside = cos * way[:, 0] + sin * way[:, 1], cos * way[:, 1] - sin * way[:, 0]
         cos, sin = np.cos(pitch_down_rad), np.sin(pitch_down_rad)
-        depth, below = cos * ahead - sin * way[:, 2], -sin * ahead - cos * way[:, 2]
-        level, upright = share * self.half_tan[0], share * self.half_tan[1]
-        return np.asarray((np.abs(aside) <= level * depth) & (np.abs(below) <= upright * depth))
+        return cos * ahead - sin * way[:, 2], aside, -sin * ahead - cos * way[:, 2]
 
     def _ahead(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
         """The nose turns no farther than it has to, where each edge begins, and to the view where the last one ends."""
@@ -139,6 +175,24 @@ def gaze_of(config: Config) -> Gaze:
         return AT_VIEWS
     half_tan = (math.tan(math.radians(camera.horizontal_fov_deg) / 2), math.tan(math.radians(camera.vertical_fov_deg) / 2))
     return NoseAhead(half_tan, BLIND_SHARE * safety.blind_speed_mps, motion.speed_mps, math.radians(motion.yaw_rate_degps))
+
+
+def leaning(way: FloatArray, change_mps2: FloatArray) -> FloatArray:
+    """Directions (M, 3) of the world as a body that would be level has them which leans, to gain speed by (M, 3): with its
+    thrust, which carries it too, along its own upright axis (Mellinger and Kumar 2011, section III).
+    """
+    thrust = change_mps2 + np.array([0.0, 0.0, GRAVITY_MPS2])
+    up = thrust / np.linalg.norm(thrust, axis=1, keepdims=True)
+    # the smallest turn that brings up to the vertical: about their cross product
+    x, y, z = up.T
+    across = (x * way[:, 0] + y * way[:, 1]) / (1.0 + z)
+    return np.column_stack(
+        [
+            way[:, 0] - x * (way[:, 2] + across),
+            way[:, 1] - y * (way[:, 2] + across),
+            x * way[:, 0] + y * way[:, 1] + z * way[:, 2],
+        ]
+    )
 
 
 def _share(step: FloatArray) -> float:

@@ -121,22 +121,23 @@ def _gain(slope: AnyArray, bend: AnyArray, most_mps: float, x: float) -> float:
 
 @kernel
 def fastest(
-    slope: AnyArray, bend: AnyArray, cap: AnyArray, most_mps: AnyArray, acceleration: float, spin: float, first: float,
+    slope: AnyArray, bend: AnyArray, cap: AnyArray, most_mps: AnyArray, most_mps2: AnyArray, spin: float, first: float,
     x: AnyArray,
 ) -> bool:  # fmt: skip
     """Fill x (M,), the squared pace at each node: ``first`` at the first, 0 at the last. False if ``first`` is too fast.
 
-    most_mps (M,): a speed that what is flown and PUSHED_ON_S of what is gained do not exceed together.
+    most_mps (M,): a speed that what is flown and PUSHED_ON_S of what is gained do not exceed together; most_mps2 (M,):
+    greatest acceleration.
     """
     last = len(cap) - 1
     width = 2.0 / PER_SPAN
     x[last] = 0.0
     for n in range(last - 1, -1, -1):
         low, high = 0.0, cap[n]
-        if not _reaches(slope[n], bend[n], acceleration, spin, high, width, x[n + 1]):
+        if not _reaches(slope[n], bend[n], most_mps2[n], spin, high, width, x[n + 1]):
             for _ in range(HALVINGS):
                 middle = 0.5 * (low + high)
-                if _reaches(slope[n], bend[n], acceleration, spin, middle, width, x[n + 1]):
+                if _reaches(slope[n], bend[n], most_mps2[n], spin, middle, width, x[n + 1]):
                     low = middle
                 else:
                     high = middle
@@ -146,7 +147,7 @@ def fastest(
         return False
     x[0] = first
     for n in range(last):
-        least, most = _change(slope[n], bend[n], acceleration, spin, x[n])
+        least, most = _change(slope[n], bend[n], most_mps2[n], spin, x[n])
         most = max(min(most, _gain(slope[n], bend[n], most_mps[n], x[n])), least)
         x[n + 1] = min(x[n + 1], max(x[n] + width * most, 1e-9))
     x[last] = 0.0

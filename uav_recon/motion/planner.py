@@ -100,7 +100,7 @@ class MotionPlanner:
             if overrun > 0.0:
                 course = course.after(rolled, overrun >= 1.0)
             flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m)
-            if isinstance(flight, Flight) and self._pacer.gaze.heeded(flight.rows[entry.left :]):
+            if isinstance(flight, Flight) and not self._pacer.gaze.hasty(flight.rows[entry.left :]).any():
                 return flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier)
 
