@@ -219,6 +219,26 @@ def test_a_refused_trajectory_is_not_flown_on(desk: Desk) -> None:
     assert dataclasses.asdict(after)["views_s"].size == 0
 
 
+def test_stopped_twice_running_it_looks_round_without_taking_views(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.speed_mps() < 0.3:
+        desk.run(0.1)
+    turns = []
+    for _ in range(2):
+        desk.refusals += 1
+        desk.run(0.2)
+        views, turned_rad = len(desk.mapper.stamps), 0.0
+        while desk.speed_mps() < 0.05 and turned_rad < 6.0:
+            desk.run(0.1)
+            assert desk.intent.trajectory is not None
+            turned_rad = float(np.ptp(desk.intent.trajectory.yaw_rad))
+        turns.append(turned_rad > 6.0)
+    desk.run(5.0)
+    assert turns == [False, True]
+    assert len(desk.mapper.stamps) == views
+
+
 def test_no_views_are_taken_while_its_pilot_holds_the_vehicle_elsewhere(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(60.0, until=Phase.SURVEY)

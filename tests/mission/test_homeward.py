@@ -30,6 +30,19 @@ def call_home(desk: Desk) -> None:
     desk.conductor.request_return()
 
 
+def stop_on_the_way(desk: Desk) -> None:
+    """As the guard does, once it flies there."""
+    while not (flies_home(desk) and desk.speed_mps() > 0.05):
+        desk.run(0.1)
+    desk.refusals += 1
+    desk.run(0.1)
+
+
+def flies_home(desk: Desk) -> bool:
+    trajectory = desk.intent.trajectory
+    return trajectory is not None and bool(np.linalg.norm(trajectory.position_m[-1, :2]) < 0.1)
+
+
 def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
     desk.planner.no_way_home = True
     desk.conductor.request_start()
@@ -49,15 +62,28 @@ def test_a_landing_of_the_autopilots_own_on_the_way_home_is_not_home(desk: Desk)
     assert desk.conductor.close() == "aborted: mode changed to AUTO.LAND"
 
 
-@pytest.mark.parametrize(("times", "ends_at_home"), [(2, True), (10, False)])
+@pytest.mark.parametrize(("times", "ends_at_home"), [(2, True), (4, False)])
 def test_a_way_home_that_the_guard_stopped_is_begun_again_a_few_times(desk: Desk, times: int, ends_at_home: bool) -> None:
     call_home(desk)
     for _ in range(times):
-        desk.run(0.6)
-        desk.refusals += 1
+        stop_on_the_way(desk)
     desk.run(60.0, until=Phase.DONE)
     assert (desk.distance_m() < 0.1) is ends_at_home
     assert desk.conductor.close() == ("completed" if ends_at_home else "aborted: stopped 4 times on its way home")
+
+
+def test_stopped_twice_on_the_way_home_it_looks_round(desk: Desk) -> None:
+    call_home(desk)
+    turns = []
+    for _ in range(2):
+        stop_on_the_way(desk)
+        turned_rad = 0.0
+        while not flies_home(desk):
+            desk.run(0.1)
+            assert desk.intent.trajectory is not None
+            turned_rad = max(turned_rad, float(np.ptp(desk.intent.trajectory.yaw_rad)))
+        turns.append(turned_rad > 6.0)
+    assert turns == [False, True]
 
 
 def test_what_is_stopped_too_often_lands_beside_the_table_that_it_hovers_over(desk: Desk) -> None:
@@ -66,11 +92,10 @@ def test_what_is_stopped_too_often_lands_beside_the_table_that_it_hovers_over(de
     i, j = ((middle[:2] + 3.0) / 0.1).astype(int)
     desk.voxels.table = (slice(i - 8, i + 8), slice(j - 8, j + 8), slice(9, 15))
     stopped = [desk._place_m]
-    for _ in range(10):
-        desk.run(0.6)
-        desk.refusals += 1
+    for _ in range(4):
+        stop_on_the_way(desk)
         stopped.append(desk._place_m)
-    assert all(np.max(np.abs(place - middle)[:2]) < 0.8 for place in stopped[:8]), "over the table"
+    assert all(np.max(np.abs(place - middle)[:2]) < 0.8 for place in stopped), "over the table"
     desk.run(60.0, until=Phase.DONE)
     assert 0.45 < np.max(np.abs(desk._place_m - middle)[:2]) - 0.8 < 1.5, "beside it, on the floor"
     assert desk.conductor.close() == "aborted: stopped 4 times on its way home"
@@ -94,6 +119,30 @@ def test_what_stands_on_the_pad_is_judged_from_near(desk: Desk, stays: bool) -> 
     desk.run(60.0, until=Phase.DONE)
     assert (desk.distance_m() < 0.1) is not stays
     assert not stays or desk.distance_m() > 0.6
+
+
+def seconds_home(folder: Path, slow_s: float) -> float:
+    """From the operator's call, 2.3 m away, until it lands; for so long nothing fast is let pass."""
+    folder.mkdir()
+    desk = Desk(folder)
+    desk.planner.left = [np.array([2.5, 0.0, 1.1])]
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.distance_m() < 2.3:
+        desk.run(0.1)
+    desk.most_mps = 0.25
+    desk.conductor.request_return()
+    began_s = desk.clock.now_s()
+    desk.run(slow_s)
+    desk.most_mps = np.inf
+    desk.run(60.0, until=Phase.DONE)
+    assert desk.conductor.close() == "completed"
+    desk.journal.close()
+    return desk.clock.now_s() - began_s
+
+
+def test_a_way_home_that_was_planned_slow_goes_fast_when_that_is_let_pass_again(tmp_path: Path) -> None:
+    assert seconds_home(tmp_path / "soon", 4.0) < seconds_home(tmp_path / "late", 16.0) - 5.0
 
 
 def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(desk: Desk) -> None:

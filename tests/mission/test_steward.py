@@ -55,6 +55,19 @@ def test_while_nothing_fast_is_let_pass_it_turns_back_earlier() -> None:
     assert turned_back_at(12.0, most_mps=0.3)[0] > turned_back_at(12.0)[0] + 0.05
 
 
+def test_a_moment_in_which_nothing_fast_is_let_pass_calls_nobody_home() -> None:
+    course = Course(0.0)
+    steward, needed = Steward(course, HOME_M, 0.4), list[float]()
+    for k in range(1_000):
+        most_mps = 0.3 if 900 <= k < 920 else math.inf
+        vehicle = VehicleState(0.1 * k, Pose.from_yaw(0.0, np.array([min(0.1 * k, 12.0), 0.0, 1.1])), np.zeros(3), True,
+                               "OFFBOARD", FlightPhase.FLYING, 0.8, False, math.nan, 1, 0, "", most_mps)  # fmt: skip
+        course.follow(vehicle)
+        steward.hear(0.1 * k, vehicle, None)
+        needed.append(steward.needed)
+    assert max(needed[900:]) <= needed[899]
+
+
 def test_what_is_left_when_it_turns_back_is_what_it_takes_and_a_third() -> None:
     for far_m, per_s in ((5.0, 0.001), (30.0, 0.001), (30.0, 0.004)):
         left, _ = turned_back_at(far_m, per_s=per_s)

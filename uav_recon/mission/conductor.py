@@ -155,6 +155,7 @@ class Conductor:
         if vehicle.refusals > self._refusals and self._course.trajectory is not None:
             self._account.refusal(now_s, vehicle.note)
             self._helm.hold(now_s, vehicle)
+            self._survey.stopped(now_s)
             self._homeward.think_again()
         self._refusals = vehicle.refusals
 

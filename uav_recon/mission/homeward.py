@@ -21,6 +21,7 @@ from uav_recon.types.vehicle import VehicleState
 _PLACES = 3  # tried, then home is the least bad
 _JUDGED_M = 2.0  # level: from farther off the noise of a floor that is looked along looks like something that stands there
 _REFUSED = 3  # ways that the guard or the map may stop
+_QUICK_S, _WORTH_S = 2.0, 8.0  # a slow way with so much left is flown anew once faster ones are let pass for a while
 
 
 class Homeward:
@@ -33,7 +34,8 @@ class Homeward:
         self._helm, self._decider, self._account, self._site = helm, decider, account, site
         self._place, self._bad = site.home, tuple[FloatArray, ...]()
         self._decision: Pending[Decision] | None = None
-        self._refused = 0
+        self._refused, self._looks = 0, False
+        self._planned_mps, self._slow_s = math.inf, -math.inf  # what was let pass then, and when no more was last
         self.under_way = self.no_way = False
         self._aside = self.lost = ""
 
@@ -46,9 +48,12 @@ class Homeward:
         self._decision, self.under_way, self.no_way = None, False, False
 
     def think_again(self) -> None:
-        """The guard or the map stopped it on its way: from where it hovers then, a few times."""
+        """The guard or the map stopped it on its way: from where it hovers then, a few times, and but for the first it looks round
+        before: nobody may have looked lately where it is to go.
+        """
         if self.under_way:
             self.under_way, self._refused = False, self._refused + 1
+            self._looks = 1 < self._refused <= _REFUSED
 
     def has_arrived(self, now_s: float) -> bool:
         """Whether it is over the place, to land there."""
@@ -64,7 +69,12 @@ class Homeward:
             return
         if self._refused > _REFUSED:
             self._give_up(f"stopped {self._refused} times on its way home")
+        if self._looks:
+            self._looks = False
+            self._helm.look_round(now_s, vehicle, views=0)
+            return
         if self._decision is None:
+            self._planned_mps = vehicle.most_mps
             self._decision = self._think(course.rest(vehicle), voxels, along_breadcrumbs)
         if self._decision is None or not self._decision.done():
             return
@@ -119,6 +129,14 @@ class Homeward:
             self._account.refusal(now_s, f"something stands at the landing place {self._place[0]:.1f} {self._place[1]:.1f} m")
             self.under_way = False
             self._helm.brake(now_s)
+        elif self._goes_faster(now_s, vehicle):
+            self.under_way = False
+            self._helm.brake(now_s)
+
+    def _goes_faster(self, now_s: float, vehicle: VehicleState) -> bool:
+        """Whether more is let pass than when the way was planned, and much of it is left."""
+        self._slow_s = now_s if vehicle.most_mps <= self._planned_mps else self._slow_s
+        return now_s - self._slow_s >= _QUICK_S and self._helm.course.remaining_s(now_s) >= _WORTH_S
 
     def _is_near(self, place: FloatArray) -> bool:
         """Whether what stands there can be told from here."""

@@ -16,6 +16,7 @@ from uav_recon.types.vehicle import VehicleState
 
 _LOOK_S = 1.0  # the way home is measured so often
 _SLOWER = 0.8  # of what the guard lets pass, that much is planned with
+_SLOW_S = 3.0  # nothing fast let pass for so long will stay so; for a moment it is each time that poses and IMU disagree
 
 
 class Steward:
@@ -25,10 +26,12 @@ class Steward:
         self._course, self._home_m, self._clearance_m = course, home_m, clearance_m
         self._charge, self._burn = Charge(), Burn()
         self._looked_s, self._way_m, self._pace_mps, self._now_s = -math.inf, 0.0, math.inf, 0.0
+        self._quick_s = -math.inf  # when anything was let pass
 
     def hear(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap | None) -> None:
         """The gauge's word, and where the vehicle is: to be called when the course has followed it."""
-        self._now_s, self._pace_mps = now_s, _SLOWER * vehicle.most_mps
+        self._now_s, self._quick_s = now_s, now_s if vehicle.most_mps == math.inf else self._quick_s
+        self._pace_mps = _SLOWER * vehicle.most_mps if now_s - self._quick_s >= _SLOW_S else math.inf
         self._charge.hear(now_s, vehicle.battery_fraction, flying=vehicle.armed)
         self._burn.hear(now_s, self._charge.left, flying=vehicle.armed)
         if vehicle.armed and now_s - self._looked_s >= _LOOK_S:

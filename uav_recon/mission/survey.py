@@ -19,6 +19,7 @@ RETHINK_S = 0.5  # pause after a plan that could not be flown, and at least betw
 MAX_FAILED_PLANS = 5
 SAME_PLACE_M = 0.05
 AHEAD_S = 1.6  # a plan leaves its predecessor so long before that one's end: no braking in between
+STOPPED_AGAIN_S = 5.0  # twice within it: it is not to go where nobody looked lately, so it looks
 LEAD_S = 0.25  # from a plan's start to the instant at which it leaves the present motion, beside its declared cost
 
 
@@ -33,7 +34,8 @@ class Survey:
         self._lead_s = LEAD_S + orders.plan_cost_s
         self._decision: Pending[Decision] | None = None
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
-        self._looked_round = self._settled = False
+        self._looked_round = self._settled = self._looks_again = False
+        self._stopped_s = -np.inf
         self._asked_revision = -1
         self.interrupt()
 
@@ -46,6 +48,12 @@ class Survey:
         self.interrupt()
         self._looked_round, self._asked_revision = False, -1
 
+    def stopped(self, now_s: float) -> None:
+        """The guard has stopped it."""
+        again = now_s - self._stopped_s < STOPPED_AGAIN_S
+        self._stopped_s, self._looks_again = -np.inf if again else now_s, self._looks_again or again
+        self._decision = None
+
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         """Watch the way, think in time, fly what was decided."""
         resting = self._helm.at_rest(now_s)
@@ -56,18 +64,17 @@ class Survey:
         if self._decision is not None:
             self._fly_decision(now_s)
         elif resting and not self._looked_round:
-            self._look_round(now_s, vehicle)
+            self._look_round(now_s, vehicle, self._orders.survey_views)
+        elif self._looks_again:
+            if resting:
+                self._look_round(now_s, vehicle, 0)
         elif now_s >= self._think_again_s and (resting or self._should_turn_to_something_else(now_s, voxels)):
             self._think(now_s, vehicle, voxels)
 
-    def _look_round(self, now_s: float, vehicle: VehicleState) -> None:
-        self._looked_round = True
-        course = self._helm.course
-        start, identifier = course.rest(vehicle), course.next_identifier()
-        turn = self._stages.motion.turn(start, now_s, 2 * np.pi, self._orders.survey_views, identifier)
-        self._think_again_s = now_s + turn.duration_s  # with the whole turn seen
+    def _look_round(self, now_s: float, vehicle: VehicleState, views: int) -> None:
+        self._looked_round, self._looks_again = True, False
+        self._think_again_s = now_s + self._helm.look_round(now_s, vehicle, views)  # with all of it seen
         self._resting_since_s = np.inf
-        self._helm.fly(turn, now_s)
 
     def _should_turn_to_something_else(self, now_s: float, voxels: VoxelMap) -> bool:
         """In motion: the way soon ends, or what its next view was to show has been seen in passing."""
