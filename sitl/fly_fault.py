@@ -145,7 +145,7 @@ def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str
 
     from sitl.fly_hostile import hostile
     from sitl.fly_lockstep import fly_in_lockstep
-    from sitl.fly_options import MAX_MPS, SimOptions
+    from sitl.fly_options import SimOptions
     from uav_recon import config as product_config
 
     options = SimOptions.parse(
@@ -157,7 +157,6 @@ def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str
         camera=stage.camera,
         mapper="stand-in",
         lockstep=True,
-        blind_speed=MAX_MPS,  # troubles at speed, wherever it looks: rows wait for it
         out=folder / "flight",
     )
     scene = arena(stage.arena, options.radius_m, painted=stage.camera != "fast")
@@ -181,7 +180,7 @@ def attended(config: Config) -> Config:
 def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:
     """The same in real time, with the mapper that learns. Raises run.Failure."""
     from sitl.fly_fault_live import flight_in_real_time, free_port
-    from sitl.fly_options import MAX_MPS, SimOptions
+    from sitl.fly_options import SimOptions
 
     options = SimOptions.parse(
         seed=case.number,
@@ -190,7 +189,6 @@ def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:
         radius=row.radius_m(case.number),
         variant=row.variant,
         port=free_port(),
-        blind_speed=MAX_MPS,  # as in lockstep
         out=case.out or folder / "flight",
     )
     options.make_folder()

@@ -11,25 +11,33 @@ from numpy.typing import NDArray
 from sitl.faults.injector import Injector, Needs, Theatre
 
 FREED, CLAIMED, AGAIN = "known occupied freed", "voxels marked free", "frames mapped again"
+UNDER_WAY_S = 0.2  # frames of before the beginning are mapped so long after it
 SETTLED_S = 0.5  # from the beginning until the map holds what was under way then, and says so
 _FREE, _OCCUPIED = 1, 2
 
 
 class Cartographer(Injector):
     """No trouble: notes what percentage of the voxels known as occupied at the beginning, in which the scene has a surface,
-    are known as free when the flight is over.
+    are known as free when the flight is over. Maps are shown once a second: of what frames of before freed, the guard knows.
     """
 
     needs = Needs.STAGES
 
     def __init__(self) -> None:
         self._walls: NDArray[np.bool_] | None = None
+        self._settled = False
 
     def begin(self, at: Theatre) -> None:
         """What is known, and true."""
         known = at.channels.voxels.latest()
         if known is not None:
             self._walls = (known.state == _OCCUPIED) & filled(known.grid, at.world.clearance.bins.points)
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Without what the last frames of before showed to be free."""
+        free = _known_free(at) if since_s >= UNDER_WAY_S and not self._settled else None
+        if free is not None and self._walls is not None:
+            self._settled, self._walls = True, self._walls & ~free[: self._walls.size].reshape(self._walls.shape)
 
     def end(self, at: Theatre) -> None:
         """Against what is known now."""

@@ -20,7 +20,7 @@ from sitl.scene import HULL_RADIUS_M
 Arena = Literal["hall", "pen", "corridor", "gallery"]
 ON_THE_WAY = Onset()
 CASES = 12  # no row has more that differ in kind
-SHORT_VIEWS = 22  # of a flight that is to end by itself while it is watched
+SHORT_VIEWS = 18  # of a flight that is to end by itself while it is watched
 
 
 @dataclass(frozen=True)

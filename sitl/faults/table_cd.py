@@ -64,9 +64,9 @@ TABLE_C = (
         "no frame for 3 s at speed",
         lambda n: [Dark(3.0)],
         (holds(0.4), STREAMS, COMPLETES, told("no depth|depth is stale", 1.4)),
-        onset=FAST,
+        onset=Onset(speed_mps=0.5),
         longest_s=180.0,
-        views=SHORT_VIEWS,
+        views=24,
     ),
     Row(
         "C1c",
@@ -125,7 +125,7 @@ TABLE_C = (
         "each twice, every third behind the next",
         lambda n: [Shuffled(), Tally()],
         (COMPLETES, ONCE),
-        longest_s=90.0,
+        longest_s=180.0,
         views=SHORT_VIEWS,
     ),
     Row(
@@ -209,8 +209,9 @@ TABLE_D = (
             Bar("gap between those that arrive", m.longest_gap_arrived, 0.5, "s"),  # at which the autopilot takes over
             COMPLETES,
         ),
+        onset=Onset(speed_mps=0.0),
         longest_s=180.0,
-        views=SHORT_VIEWS,
+        views=22,
     ),
     Row(
         "D4",
@@ -228,7 +229,7 @@ TABLE_D = (
         "1 MB/s of random bytes for 10 s, then a fifth of the frames spoilt",
         lambda n: [Garbage(1_000_000, 10.0), Corrupted(0.2, n)],
         (NO_FAILSAFE, STEADY, STREAMS, COMPLETES),
-        longest_s=120.0,
+        longest_s=180.0,
         views=SHORT_VIEWS,
     ),
     Row(

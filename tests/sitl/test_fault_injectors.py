@@ -12,7 +12,7 @@ import pytest
 
 from sitl.d435i import FAST_DEPTH_SPEC
 from sitl.faults import eye, tracker
-from sitl.faults.cartographer import AGAIN, CLAIMED, FREED, SETTLED_S, Cartographer, Claims, Tally
+from sitl.faults.cartographer import AGAIN, CLAIMED, FREED, SETTLED_S, UNDER_WAY_S, Cartographer, Claims, Tally
 from sitl.faults.host import Crash, Stall
 from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.meddler import off_nose_rad
@@ -133,8 +133,10 @@ def test_what_becomes_known_as_free_is_counted_once_what_was_under_way_is_mapped
     shows(OCCUPIED, OCCUPIED, OCCUPIED, UNKNOWN, UNKNOWN, FREE)
     walls.begin(at)
     claims.turn(at, SETTLED_S - 0.1)
+    walls.turn(at, UNDER_WAY_S - 0.1)
     shows(OCCUPIED, OCCUPIED, OCCUPIED, FREE, UNKNOWN, FREE)  # of a frame from before
     claims.turn(at, SETTLED_S)
+    walls.turn(at, UNDER_WAY_S)
     for trouble in (walls, claims):
         trouble.end(at)
     assert at.notes == {FREED: 0.0, CLAIMED: 0.0}
@@ -142,6 +144,23 @@ def test_what_becomes_known_as_free_is_counted_once_what_was_under_way_is_mapped
     for trouble in (walls, claims):
         trouble.end(at)
     assert at.notes == {FREED: 50.0, CLAIMED: 3.0}, "the third is no wall"
+
+
+def test_what_a_frame_of_before_frees_is_no_damage() -> None:
+    voxels, free = DirectChannel[VoxelMap](), DirectChannel[FreeSpace]()
+    points = np.array([[k + 0.5, 0.5, 0.5] for k in range(3)])
+    world = SimpleNamespace(clearance=SimpleNamespace(bins=SimpleNamespace(points=points)))
+    at = Theatre(cast("Any", world), dice=random.Random(), channels=SimpleNamespace(voxels=voxels, free=free))
+    walls = Cartographer()
+    voxels.publish(mapped(OCCUPIED, OCCUPIED, OCCUPIED))
+    walls.begin(at)
+    free.publish(FreeSpace.of(mapped(FREE, OCCUPIED, OCCUPIED)))
+    walls.turn(at, UNDER_WAY_S)
+    free.publish(FreeSpace.of(mapped(FREE, FREE, OCCUPIED)))
+    walls.turn(at, UNDER_WAY_S + 0.1)
+    voxels.publish(mapped(FREE, FREE, OCCUPIED))
+    walls.end(at)
+    assert at.notes == {FREED: 50.0}, "one of two: the first was gone before"
 
 
 def test_a_flight_that_never_settled_claims_nothing_and_so_holds_no_bar() -> None:
