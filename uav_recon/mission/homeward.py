@@ -48,8 +48,8 @@ class Homeward:
         self._decision, self.under_way, self.no_way = None, False, False
 
     def think_again(self) -> None:
-        """The guard or the map stopped it on its way: from where it hovers then, a few times, and but for the first it looks round
-        before: nobody may have looked lately where it is to go.
+        """The guard or the map stopped it on its way: from where it hovers then, a few times. But for the first it looks round
+        before that: nobody may have looked lately where it is to go.
         """
         if self.under_way:
             self.under_way, self._refused = False, self._refused + 1
