@@ -26,8 +26,8 @@ _WALLS, _FLOOR, _GREY = plain((0.80, 0.80, 0.75)), wood((0.55, 0.42, 0.30)), pla
 
 @functools.cache  # a campaign flies in the same few, again and again
 def arena(name: str, radius_m: float, painted: bool = False) -> Scene:
-    """hall, pen, corridor or gallery. The start is the same in all. Nothing stands where a vehicle is pushed out of the
-    pen. painted: for a camera that sees colour; a second.
+    """hall, pen, corridor or gallery. The start is the same in all. In the pen nothing stands: out of it a vehicle is
+    pushed. painted: for a camera that sees colour; a second.
     """
     pieces = {"hall": _hall, "pen": _yard, "corridor": _corridor, "gallery": _gallery}[name]
     scene = place(name, joined(pieces(Workshop(fine=False))), START, PEN if name == "pen" else None, radius_m)
@@ -52,12 +52,13 @@ def _shell(w: Workshop, x: float, y: float, z: float) -> list[Mesh]:
 
 
 def _yard(w: Workshop) -> list[Mesh]:
-    return [*_shell(w, LENGTH_M, WIDTH_M, HEIGHT_M), w.box((4.2, 1.2, 0.0), (4.7, 1.7, HEIGHT_M), _GREY)]
+    return _shell(w, LENGTH_M, WIDTH_M, HEIGHT_M)
 
 
 def _hall(w: Workshop) -> list[Mesh]:
     return [
         *_yard(w),
+        w.box((4.2, 1.2, 0.0), (4.7, 1.7, HEIGHT_M), _GREY),
         w.box((6.5, 5.0, 0.0), (7.0, 5.5, HEIGHT_M), _GREY),
         w.box((7.6, 1.4, 0.0), (9.0, 2.0, 0.8), _GREY),
     ]

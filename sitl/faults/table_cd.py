@@ -210,7 +210,7 @@ TABLE_D = (
             COMPLETES,
         ),
         onset=Onset(speed_mps=0.0),
-        longest_s=180.0,
+        longest_s=240.0,
         views=22,
     ),
     Row(

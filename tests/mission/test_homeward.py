@@ -52,6 +52,22 @@ def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
     assert desk.conductor.close() == "completed"
 
 
+def test_it_does_not_climb_on_its_way_home(desk: Desk) -> None:
+    desk.planner.left = [np.array([2.5, 0.0, 0.7])]
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk._place_m[2] > 0.71:
+        desk.run(0.1)
+    desk.conductor.request_return()
+    heights = []
+    while desk.conductor.phase is not Phase.DONE:
+        desk.run(0.1)
+        heights.append(float(desk._place_m[2]))
+    assert max(heights) < 0.75
+    assert desk.distance_m() < 0.1
+    assert desk.conductor.close() == "completed"
+
+
 def test_a_landing_of_the_autopilots_own_on_the_way_home_is_not_home(desk: Desk) -> None:
     call_home(desk)
     while desk.distance_m() > 0.6:

@@ -87,3 +87,13 @@ def test_a_way_along_the_side_of_a_gap_is_flown_in_its_middle(aside_m: float) ->
     inside = np.abs(flown.position_m[:, 0] - 1.1) < 0.1
     assert np.abs(flown.position_m[inside, 1] - MIDDLE_M).max() <= 0.02
     np.testing.assert_allclose(flown.position_m[-1], [3.0, MIDDLE_M + aside_m, 1.5], atol=1e-6)
+
+
+@pytest.mark.parametrize("aside_m", [-0.1, 0.1])
+def test_in_a_wider_one_it_keeps_more_than_usual_where_there_is_so_much(aside_m: float) -> None:
+    wide = room(wall([1.0, -5.0, 0.0], [2.0, -0.3, 3.0]), wall([1.0, 0.6, 0.0], [2.0, 5.0, 3.0]))
+    path = dataclasses.replace(straight([-1.0, MIDDLE_M + aside_m, 1.5], [4.0, MIDDLE_M + aside_m, 1.5]), clearance_m=0.35)
+    flown = MOTION.through(path, wide, Setpoint.hold(np.array([-1.0, MIDDLE_M + aside_m, 1.5]), 0.0), 5.0, np.inf, 1)
+    assert isinstance(flown, Trajectory), flown
+    inside = np.abs(flown.position_m[:, 0] - 1.5) < 0.5
+    assert np.abs(flown.position_m[inside, 1] - MIDDLE_M).max() <= 0.06

@@ -105,7 +105,8 @@ class Homeward:
         request, identifier = PlanRequest(voxels, None, here_m, rest.yaw_rad, 0), course.next_identifier()
         if along_breadcrumbs and not self._aside:
             return self._decider.way_back(request, rest, course.way_back(goal.position_world), goal, identifier)
-        return self._decider.way_home(request, rest, goal, identifier)
+        level = np.array([*place[:2], min(place[2], here_m[2])])  # whoever climbs goes where no camera looked lately
+        return self._decider.way_home(request, rest, dataclasses.replace(goal, position_world=level), identifier)
 
     def _give_up(self, why: str) -> None:
         """Not home: aside, and from there nowhere else."""

@@ -27,6 +27,7 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 TOLERANCE_M = 0.05  # half a voxel: a map that changes by so much does not stop a motion ...
 PLANNED_M = 0.01  # ... but none is planned nearer than the clearance by more than this
 NEAR_VIEW = (0.10, float(np.radians(2.0)))  # of the band off a view; smoothing and the frame's lateness add to it
+MIDDLE_M = 0.1  # more than usual it keeps on a narrow way where there is so much: what a vehicle strays there comes off it
 NARROW_MPS = 0.2  # on a narrow way, where there is no more room than usual: the faster, the later a vehicle follows its bends
 BRAKE_SHARE = 0.9  # of the limits: the rest covers the step of the integration
 OVERRUNS = (0.0, 0.4, 1.0)  # of the braking distance, straight on before a new way is taken up; the last ends in a stop
@@ -171,14 +172,16 @@ class MotionPlanner:
         and the band is left as the polyline is.
         """
         stop, least_m = course.stop.copy(), self._asked_m(clearance_m) - PLANNED_M
-        pacer = self._pacer if clearance_m is None else self._threader
+        pacer, room_m = self._pacer, self._clearance_m
+        if clearance_m is not None:
+            pacer, room_m = self._threader, self._clearance_m + MIDDLE_M
         for attempt in range(3):
             strung = course.with_stops(stop)
             band = Band.along(strung, self._pacer.span_rad, before)
             if attempt < 2 and clearance_m is not None:
-                band = centred(band, space, self._clearance_m)
+                band = centred(band, space, room_m)
             if attempt < 2:
-                band = band.relaxed(strung, space, self._clearance_m, least_m, NEAR_VIEW)
+                band = band.relaxed(strung, space, room_m, least_m, NEAR_VIEW)
             flight = pacer.flown(band, entry, space, spacing_m)
             if not flight.feasible:
                 return "the present motion is too fast for the way that was planned"
