@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sitl.faults.injector import Injector, Needs, Theatre
 
 FREED, CLAIMED, AGAIN = "known occupied freed", "voxels marked free", "frames mapped again"
-UNDER_WAY_S = 0.2  # frames of before the beginning are mapped so long after it
+UNDER_WAY_S = 0.4  # frames of before the beginning are mapped, and the guard is told, so long after it
 SETTLED_S = 0.5  # from the beginning until the map holds what was under way then, and says so
 _FREE, _OCCUPIED = 1, 2
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sitl.faults.evidence import F64, Evidence
-from sitl.faults.wire import MODE_OR_ARM, Order
+from sitl.faults.evidence import F64, Bools, Evidence
+from sitl.faults.wire import MODE_OR_ARM, Order, Wire
 
 Measure = Callable[[Evidence], float]
 _STILL_MPS = 0.02  # of a setpoint
@@ -62,11 +62,17 @@ def landing_after(late_s: float = 0.0) -> Measure:
 def landing_after_a_stop(e: Evidence) -> float:
     """Seconds from the last setpoint that led anywhere, level, or turned, to the autopilot's landing mode; inf for never."""
     w, landing_s = e.wire, e.onset_s + landing_after()(e)
-    led = np.hypot(w.velocity_mps[:, 0], w.velocity_mps[:, 1]) > _LED_MPS
-    if len(w.yaw_rad):
-        led[1:] |= turned_rad(w.yaw_rad[:-1], w.yaw_rad[1:]) > _LED_RADPS * np.diff(w.setpoint_s)
+    led = _leads(w, np.hypot(w.velocity_mps[:, 0], w.velocity_mps[:, 1]))
     led_s = w.setpoint_s[led & (w.setpoint_s >= e.onset_s) & (w.setpoint_s <= landing_s)]
     return landing_s - (float(led_s[-1]) if len(led_s) else e.onset_s)
+
+
+def _leads(w: Wire, speed_mps: F64) -> Bools:
+    """Which setpoints (N,), of these speeds, lead anywhere, or turn."""
+    led: Bools = speed_mps > _LED_MPS
+    if len(w.yaw_rad):
+        led[1:] |= turned_rad(w.yaw_rad[:-1], w.yaw_rad[1:]) > _LED_RADPS * np.diff(w.setpoint_s)
+    return led
 
 
 def turned_rad(one: F64, other: F64) -> F64:
@@ -160,11 +166,11 @@ def failsafes(e: Evidence) -> float:
 
 
 def moves_again_after(late_s: float) -> Measure:
-    """Seconds from the end of a trouble of late_s to the first setpoint that moves."""
+    """Seconds from the end of a trouble of late_s to the first setpoint that moves, or turns."""
 
     def measure(e: Evidence) -> float:
         w, from_s = e.wire, e.onset_s + late_s
-        moving = w.setpoint_s[(w.setpoint_s >= from_s) & (np.linalg.norm(w.velocity_mps, axis=1) > 0.05)]
+        moving = w.setpoint_s[(w.setpoint_s >= from_s) & _leads(w, np.linalg.norm(w.velocity_mps, axis=1))]
         return float(moving[0]) - from_s if len(moving) else math.inf
 
     return measure

@@ -178,6 +178,21 @@ def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(
     assert desk.conductor.close().startswith("aborted: ")
 
 
+def test_stopped_too_often_over_a_good_floor_it_lands_from_where_it_is(desk: Desk) -> None:
+    desk.planner.left = [np.array([2.0, 0.0, 1.9])]
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk._place_m[2] < 1.89:
+        desk.run(0.1)
+    desk.conductor.request_return()
+    for _ in range(4):
+        stop_on_the_way(desk)
+    high_m = float(desk._place_m[2])
+    desk.run(10.0, until=Phase.DONE)
+    assert float(desk._place_m[2]) > high_m - 0.1 > 1.3
+    assert desk.conductor.close() == "aborted: stopped 4 times on its way home"
+
+
 @pytest.mark.parametrize(("held_s", "ends_at_home"), [(20.0, True), (300.0, False)])
 def test_what_its_pilot_holds_on_the_way_home_does_not_land_there(desk: Desk, held_s: float, ends_at_home: bool) -> None:
     call_home(desk)

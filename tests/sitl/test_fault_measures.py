@@ -216,6 +216,8 @@ def test_moving_on() -> None:
     pause = (e.wire.setpoint_s > 5.2) & (e.wire.setpoint_s < 7.0)
     paused = rewired(e, velocity_mps=np.where(pause[:, None], 0.0, e.wire.velocity_mps))
     assert m.moves_again_after(0.5)(paused) == pytest.approx(1.5, abs=NEAR)
+    turning = rewired(paused, yaw_rad=0.3 * np.maximum(e.wire.setpoint_s - 6.0, 0.0))
+    assert m.moves_again_after(0.5)(turning) == pytest.approx(0.5, abs=NEAR)
 
 
 def test_how_a_flight_ended() -> None:

@@ -27,7 +27,7 @@ _QUICK_S, _WORTH_S = 2.0, 8.0  # a slow way with so much left is flown anew once
 class Homeward:
     """Brings the vehicle over the pad, or over another place where something stands on the pad, once. no_way: what is known
     leads nowhere. Where the breadcrumbs do not either, or it was stopped too often, it goes to the nearest floor that is good
-    to land on; lost: there is none, and it lands where it is.
+    to land on; lost: it lands where it is, over such a floor or for want of one.
     """
 
     def __init__(self, helm: Helm, decider: Decider, account: Account, site: LandingSite) -> None:
@@ -93,7 +93,7 @@ class Homeward:
         """None where nothing is left to try."""
         course, here_m = self._helm.course, rest.position_m
         if self._aside:
-            place = self._site.near(voxels, here_m, self._bad)
+            place = None if self._site.is_below(voxels, here_m) else self._site.near(voxels, here_m, self._bad)
         else:
             home = along_breadcrumbs or not (self._bad or self._is_near(self._site.home))
             place = self._site.home if home else self._site.choose(voxels, self._bad)

@@ -50,6 +50,11 @@ class LandingSite:
                 return place
         return None
 
+    def is_below(self, voxels: VoxelMap, here: FloatArray) -> bool:
+        """Whether straight below a place (3,), however high, is a good one and nothing but known-free space in between."""
+        place = np.array([*here[:2], self.home[2]])
+        return self._is_good(voxels, place) and bool((self._above(voxels, here, self._room_m) == FREE).all())
+
     def _is_good(self, voxels: VoxelMap, place: FloatArray) -> bool:
         patch, over = self._above(voxels, place, PATCH_M / 2), self._above(voxels, place, self._room_m)
         if over.size == 0 or not (over == FREE).all() or _stands(patch):
