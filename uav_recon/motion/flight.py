@@ -147,9 +147,11 @@ class Pacer:
             hasty = self._hasty(flight, entry, times)
             if excess <= 1.02 and not hasty.any():
                 break
-            share *= min(0.98 / excess, 1.0) if excess > 1.02 else 1.0
-            most_mps[hasty] = np.minimum(most_mps[hasty], self.gaze.blind_mps)
-            self._cap(curve, band, entry, space, most_mps, cap)
+            if excess > 1.02:
+                share *= 0.98 / excess
+            if hasty.any():
+                most_mps[hasty] = np.minimum(most_mps[hasty], self.gaze.blind_mps)
+                self._cap(curve, band, entry, space, most_mps, cap)
         return flight
 
     def _cap(
