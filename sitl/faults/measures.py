@@ -260,9 +260,10 @@ def clearance(e: Evidence) -> float:
     return min(e.clearance_m, e.box_m)
 
 
-def past_obstacle(e: Evidence) -> float:
-    """Least metres in flight between the hull and what appeared."""
-    return e.box_m
+def lands_beside(e: Evidence) -> float:
+    """Least metres between the hull and what appeared, while it comes down; -inf for never."""
+    down = e.landing & e.armed
+    return float(e.boxes_m[down].min()) if down.any() else -math.inf
 
 
 def stopped_short(e: Evidence) -> float:

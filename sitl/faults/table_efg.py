@@ -214,7 +214,7 @@ TABLE_E = (
         "pad occupied",
         "a box stands on the pad when it comes home",
         lambda n: [Stands((0.0, 0.0, 0.1), (0.25, 0.25, 0.2))],
-        (Bar("hull to the box", m.past_obstacle, 0.30, "m", at_least=True), clear(0.10), down(180.0), NO_FAILSAFE),
+        (Bar("lands beside the box", m.lands_beside, 0.30, "m", at_least=True), clear(0.10), down(180.0), NO_FAILSAFE),
         onset=Onset(speed_mps=0.0, away_m=2.0),
         longest_s=180.0,
         views=22,

@@ -170,6 +170,16 @@ def test_speed_clearance_and_fence() -> None:
     assert m.setpoint_jump(rewired(e, position_m=spoilt(e.wire.position_m, (200, 1), 0.7))) == pytest.approx(0.7, abs=0.02)
 
 
+def test_how_far_from_what_appeared_it_comes_down() -> None:
+    e = evidence()
+    first_s = e.stamp_s[e.landing][0]
+    past = dataclasses.replace(e, boxes_m=np.where(e.stamp_s < first_s, 0.2, 0.5))
+    assert m.lands_beside(past) == 0.5, "how near it flies by is its clearance"
+    assert m.clearance(past) == 0.2
+    assert m.lands_beside(dataclasses.replace(past, boxes_m=0.7 - past.boxes_m)) == pytest.approx(0.2)
+    assert m.lands_beside(dataclasses.replace(past, mode=("OFFBOARD",) * len(e.stamp_s))) == -math.inf
+
+
 def test_where_a_vehicle_drifts_that_a_pilot_took_is_not_answered_for() -> None:
     e = evidence()
     near = dataclasses.replace(
