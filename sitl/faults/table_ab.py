@@ -262,7 +262,7 @@ TABLE_B = (
         "pose drifts",
         "0.05 m/s for a minute along either axis",
         lambda n: [Altered(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
-        (clear(0.10), Bar("alarm", told_after("odom creeps|surfaces stand"), 10.0, "s")),
+        (clear(0.10), Bar("alarm", told_after("odom creeps|surfaces stand|of what was seen"), 10.0, "s")),
         longest_s=80.0,
         camera="small",
     ),

@@ -116,6 +116,7 @@ WHY = (
     "the mission asks to land", "the operator asked to land", "asked to end", "no pose for 1.0 s", "mission silent for 20.0 s",
     "no depth for 10.0 s", "poses disagree for 0.3 s, holding for 20 s", "3 poses a second, holding for 20 s",
     "odom creeps by 0.025 m/s against what is seen", "surfaces stand 0.20 m off where they stood 28 s ago",
+    "57% of what was seen 2 s ago is not there",
     "odom began anew: the map does not fit it", "outside the fence for 3 s", "refused for 20.0 s",
     "3 refusals in a second, holding for 20 s", "two autopilots speak with one id, holding for 20 s",
     "retreat blocked: 0.19 m from something at 0.27 m/s", "way aside blocked: not known free at 1.00 2.00 1.20 m",
