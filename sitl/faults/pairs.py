@@ -35,8 +35,8 @@ _WATCHED_S = 60.0  # where neither asks for a reaction
 
 
 def pair(first: Row, second: Row) -> Row:
-    """Both troubles, the dice say which of them begins and how much later the other comes, in the stricter moment of the two.
-    Held to what the worse of their reactions is held to, counted from its own trouble on.
+    """Both troubles, the dice say which of them begins and how much later the other comes, in the stricter moment of the two,
+    on the shorter flight. Held to what the worse of their reactions is held to, counted from its own trouble on.
     """
     by_id = {row.id: row for row in (first, second)}
     worse = next((by_id[name] for name in REACTIONS if name in by_id), None)
@@ -50,6 +50,7 @@ def pair(first: Row, second: Row) -> Row:
         onset=_stricter(first.onset, second.onset),
         arena=second.arena if first.arena == "hall" else first.arena,
         longest_s=worse.longest_s if worse else _WATCHED_S,
+        views=min(first.views, second.views),
         room=PUSHED.get(name, USUAL),
     )
 

@@ -104,6 +104,10 @@ def test_a_pair_takes_the_stricter_moment_and_the_place_that_either_needs() -> N
     assert (ROWS["E1+E5"].longest_s, ROWS["A1+E5"].longest_s, ROWS["B1+E5"].longest_s) == (12.0, 160.0, 60.0)
 
 
+def test_a_pair_flies_no_longer_than_the_shorter_of_its_flights() -> None:
+    assert ROWS["A1+E5"].views == ROWS["E5"].views < ROWS["A1"].views
+
+
 @pytest.mark.parametrize("name", ["A1+B1", "B4+D2", "C1+D2"])
 def test_either_trouble_may_come_first_and_the_other_follows_soon(name: str) -> None:
     begun = [moments(ROWS[name], number) for number in range(12)]
