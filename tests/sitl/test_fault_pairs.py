@@ -160,7 +160,7 @@ def test_pairs_are_flown_by_their_rows_name_and_not_by_default() -> None:
     assert not set(FaultOptions.parse().rows) & set(PAIRS)
     assert "--only G10" in ROWS["G10"].why
     groups = FaultOptions.parse(only="G10", seeds=5).groups()
-    assert (len(groups), sum(map(len, groups))) == (2 * 5 * 2, 2 * 5 * 45), "hall and pen of each seed and autopilot"
+    assert (len(groups), sum(map(len, groups))) == (2 * 5 * 4, 2 * 5 * 45), "hall and pen, long and short"
     with pytest.raises(UsageError, match=r"no row E1\+D8; there are A1.*G10, G9-2h.* and pairs as A1\+B1"):
         FaultOptions.parse(only="E1+D8")
     with pytest.raises(UsageError, match="G10: not flown in real time"):
