@@ -28,7 +28,7 @@ from sitl.faults.host import Crash, Stall
 from sitl.faults.load import BUSY, THRASHING, Toil, Weighed
 from sitl.faults.row import Bar, Row
 from sitl.faults.signals import MAPPER, Asked, ChildStruck, Killed, SecondPilot, Stopped
-from sitl.faults.telling import told_after
+from sitl.faults.telling import DRIFT, told_after
 from sitl.faults.tracker import (
     Altered,
     Frozen,
@@ -262,7 +262,7 @@ TABLE_B = (
         "pose drifts",
         "0.05 m/s for a minute along either axis",
         lambda n: [Altered(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
-        (clear(0.10), Bar("alarm", told_after("odom creeps|surfaces stand|of what was seen"), 10.0, "s")),
+        (clear(0.10), Bar("alarm", told_after(DRIFT), 10.0, "s")),
         longest_s=80.0,
         camera="small",
     ),

@@ -20,11 +20,12 @@ _BEFORE_S = 0.5  # it may say so first, and ask when it knows the mode of this i
 _FLYING_S = 0.5  # who streamed so lately had the vehicle, and lives
 _OURS_S = 3.0  # a landing so soon after it was asked for is what was asked for
 _WHOSE = re.compile(r"^yielded|the autopilot lands")
+DRIFT = "odom creeps|surfaces stand|of what was seen"  # what depth may say against the pose
 # What a reason for a landing is: a refusal, a stranger or a slow link is none; whose the vehicle is by then is one too.
 _WHY_LAND = re.compile(
-    r"asked to |asks to |no pose|poses |mission silent|no depth|refused for|refusals in|odom |surfaces stand|of what was seen"
-    r"|outside the fence|blocked|nowhere|two autopilots|take-off given up|arm(ed|ing) |LAND is asked for|in flight parameter"
-    rf"|{_WHOSE.pattern}"
+    r"asked to |asks to |no pose|poses |mission silent|no depth|refused for|refusals in|odom |outside the fence"
+    r"|blocked|nowhere|two autopilots|take-off given up|arm(ed|ing) |LAND is asked for|in flight parameter"
+    rf"|{DRIFT}|{_WHOSE.pattern}"
 )
 _FLOOR_M = 0.05  # above where it comes to lie
 
