@@ -1,4 +1,5 @@
-"""True distance between the vehicle's hull and the scene: what reports call clearance. It never asks the product.
+"""True distance between the vehicle's hull and the scene: what reports call clearance; and what is below it to stand on. It
+never asks the product.
 
 The surface is sampled every centimetre; the samples are binned in cells, each with the box that its samples fill, and a
 query walks the cells outward from the vehicle until no nearer sample can follow. Exact to about a centimetre at contact,
@@ -17,6 +18,7 @@ from sitl.surface import row_points
 CAP_M = 1.0
 SPACING_M = 0.01
 CELL_M = 0.10
+_UNDER_M, _SUNK_M = 0.015, 1e-3  # beside the middle there is a sample so near; what stands may have sunk in so far
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -58,6 +60,12 @@ class PointBins:
             self.cell_m,
         )
 
+    def highest_below(self, x: float, y: float, z: float) -> float:
+        """Height (m) of the highest point straight below a place; -inf without one."""
+        return float(
+            _highest_below(x, y, z, self.points, self.start, self.columns, self.boxes, self.shape, self.low, self.cell_m)
+        )
+
 
 class Clearance:
     """Distance from the hull, an upright cylinder centred on the body, to the scene's mesh."""
@@ -75,11 +83,18 @@ class Clearance:
         """Clearance (M,) at positions (M, 3); quickest along a way."""
         return self.bins.distances(positions_m, self._radius_m, self._half_height_m, CAP_M)
 
+    def standing_m(self, position_m: tuple[float, float, float]) -> float:
+        """Height (m) of the body once it stands on what is straight below its middle; -inf over nothing."""
+        x, y, z = position_m
+        return self.bins.highest_below(x, y, z - self._half_height_m + _SUNK_M) + self._half_height_m
+
 
 def warm_up() -> None:
     """Compile every kernel of this file and of the sampling below it."""
     triangle = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]], np.float32)
-    PointBins(row_points(triangle, np.array([[0, 1, 2]], np.int32), SPACING_M)).distances(np.zeros((1, 3)), 0.2, 0.1, 1.0)
+    bins = PointBins(row_points(triangle, np.array([[0, 1, 2]], np.int32), SPACING_M))
+    bins.distances(np.zeros((1, 3)), 0.2, 0.1, 1.0)
+    bins.highest_below(0.0, 0.0, 1.0)
 
 
 @kernel
@@ -134,3 +149,25 @@ def _distances(
             least = min(cap, out[m - 1] + np.sqrt((step * step).sum()) + 1e-9)
         out[m] = _distance(positions[m], radius, half, least, points, start, columns, boxes, shape, low, cell)
     return out
+
+
+@kernel
+def _highest_below(
+    x: float, y: float, z: float,
+    points: F32, start: I64, columns: I64, boxes: F32, shape: I64, low: F64, cell: float,
+) -> float:  # fmt: skip
+    """Of the points beside (x, y) that are no higher than z."""
+    best = -np.inf
+    first_i, last_i = int(np.floor((x - _UNDER_M - low[0]) / cell)), int(np.floor((x + _UNDER_M - low[0]) / cell))
+    first_j, last_j = int(np.floor((y - _UNDER_M - low[1]) / cell)), int(np.floor((y + _UNDER_M - low[1]) / cell))
+    for i in range(max(first_i, 0), min(last_i, shape[0] - 1) + 1):
+        for j in range(max(first_j, 0), min(last_j, shape[1] - 1) + 1):
+            column = i * shape[1] + j
+            for k in range(columns[column], columns[column + 1]):
+                if boxes[k, 2] > z or boxes[k, 5] <= best:
+                    continue
+                for p in range(start[k], start[k + 1]):
+                    beside = abs(points[p, 0] - x) <= _UNDER_M and abs(points[p, 1] - y) <= _UNDER_M
+                    if beside and best < points[p, 2] <= z:
+                        best = float(points[p, 2])
+    return best

@@ -76,7 +76,7 @@ class WorldOptions:
 
 def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float], pace: Pace = REAL) -> World:
     """Put the world together with a simulated autopilot; its time begins only when the kernels are compiled."""
-    return _assemble(options, scene, lambda: _autopilot(options, scene, link, pace), now_s, pace)
+    return _assemble(options, scene, lambda room: _autopilot(options, scene, room, link, pace), now_s, pace)
 
 
 def make_world_of(
@@ -84,32 +84,35 @@ def make_world_of(
 ) -> World:
     """The same with a real firmware, which sends to companion_port and is ended by ends. Raises FirmwareError."""
 
-    def boot() -> Flyer:
+    def boot(_: Clearance) -> Flyer:
         return ends.enter_context(contextlib.closing(_firmware(options, firmware, scene, companion_port)))
 
     return _assemble(options, scene, boot, time.monotonic, REAL)
 
 
-def _assemble(options: WorldOptions, scene: Scene, boot: Callable[[], Flyer], now_s: Callable[[], float], pace: Pace) -> World:
+def _assemble(
+    options: WorldOptions, scene: Scene, boot: Callable[[Clearance], Flyer], now_s: Callable[[], float], pace: Pace
+) -> World:
     """Compile the kernels, put the vehicle on its pad, and only then read the clock: the world's time begins there."""
     renderer, clearance = _renderer(scene, options.camera), Clearance(scene, options.radius_m)
     d435i.warm_up()
     clearance.hull_m(np.zeros(3))
     camera = d435i.Camera(renderer, options.camera, options.depth_noise, seed=options.seed)
-    flyer = boot()
+    flyer = boot(clearance)
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
     return World(flyer, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad, pace)
 
 
-def _autopilot(options: WorldOptions, scene: Scene, link: ByteEnd, pace: Pace) -> Autopilot:
+def _autopilot(options: WorldOptions, scene: Scene, room: Clearance, link: ByteEnd, pace: Pace) -> Autopilot:
     """With the parameters that are to be flown."""
+    yaw_rad, standing_m = scene.start_yaw_rad, room.standing_m
     if options.autopilot == "ardupilot":
         parameters = ArduPilotParameters.load()
         airframe = Airframe(tilt_lag_s=lean_lag_s(parameters))
-        vehicle = Quadrotor(seed=options.seed, yaw_rad=scene.start_yaw_rad, airframe=airframe)
+        vehicle = Quadrotor(seed=options.seed, yaw_rad=yaw_rad, airframe=airframe, standing_m=standing_m)
         return ArduCopter(vehicle, link, parameters, options.seed, pace.physics_s)
-    vehicle = Quadrotor(seed=options.seed, yaw_rad=scene.start_yaw_rad)
+    vehicle = Quadrotor(seed=options.seed, yaw_rad=yaw_rad, standing_m=standing_m)
     return Px4(vehicle, link, Parameters.load(), options.seed, pace.physics_s)
 
 

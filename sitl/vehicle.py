@@ -1,4 +1,4 @@
-"""The true quadrotor: first-order attitude, yaw-rate and thrust lags, drag, gusts and a floor.
+"""The true quadrotor: first-order attitude, yaw-rate and thrust lags, drag, gusts, a floor and what stands on it.
 
 World ENU, body FLU, metres, radians, seconds. The world's origin is the body's centre while it stands on the pad,
 so the body rests at z = 0 (its skids reach 0.10 m lower).
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from sitl.rotation import IDENTITY, Quat, Vec3, conjugate, from_yaw, multiply, normalised, rotate, small_rotation
@@ -31,10 +32,17 @@ class Airframe:
     gust_time_s: float = 1.5  # correlation time of the wind
 
 
+def bare_floor(position: Vec3) -> float:
+    """Nothing stands on the floor."""
+    return -math.inf
+
+
 class Quadrotor:
     """State and motion of the vehicle. Start pose: on the pad at `start`, heading `yaw_rad` (0 = east).
 
-    wind_mps: rms of the gusts per horizontal axis (a third of it vertically); indoors 0.1 to 0.2.
+    wind_mps: rms of the gusts per horizontal axis (a third of it vertically); indoors 0.1 to 0.2. standing_m: height of the
+    body once it stands on what is straight below it, where that is higher than the pad's floor. What it meets from the side
+    does not stop it: that is the referee's to see.
     Attributes after each step(): position, velocity (ENU), quat_wxyz (enu_from_flu), gyro (FLU, rad/s),
     specific_force (FLU, m/s^2; what an ideal accelerometer reads), outside_mps2 (ENU; a force from outside divided by the
     mass, set by whoever pushes, felt by the accelerometer), on_ground, touchdowns (impact speeds, m/s).
@@ -47,8 +55,10 @@ class Quadrotor:
         start: Vec3 = (0.0, 0.0, 0.0),
         yaw_rad: float = 0.0,
         airframe: Airframe | None = None,
+        standing_m: Callable[[Vec3], float] = bare_floor,
     ) -> None:
         self._frame = airframe or Airframe()
+        self._standing_m = standing_m
         self._random = random.Random(seed)
         self._wind_rms = wind_mps
         self._gust: Vec3 = (0.0, 0.0, 0.0)
@@ -168,14 +178,15 @@ class Quadrotor:
         if speed > self._frame.max_speed_mps:
             scale = self._frame.max_speed_mps / speed
             vx, vy, vz = vx * scale, vy * scale, vz * scale
+        floor = max(self._floor, self._standing_m((x, y, z))) if vz <= 0.0 else self._floor
         x, y, z = x + vx * dt_s, y + vy * dt_s, z + vz * dt_s
-        if z <= self._floor and vz <= 0.0:
+        if z <= floor and vz <= 0.0:
             if self._highest > 0.05:  # a real touchdown, not settling on the skids
                 self.touchdowns.append(-vz)
             self._highest = 0.0
             side = math.hypot(vx, vy)
             keep = max(0.0, 1.0 - self._frame.floor_friction_mps2 * dt_s / side) if side > 1e-9 else 0.0
-            vx, vy, vz, z = vx * keep, vy * keep, 0.0, self._floor
+            vx, vy, vz, z = vx * keep, vy * keep, 0.0, floor
             self.on_ground = True
         else:
             self.on_ground = False

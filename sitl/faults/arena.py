@@ -1,5 +1,5 @@
-"""Where faults are flown: a hall with room to be fast in, a pen inside it, two small rooms with a tight gap between, and a
-gallery to be far from home in.
+"""Where faults are flown: a hall with room to be fast in, a pen inside it, a stage at its far end, two small rooms with a tight
+gap between, and a gallery to be far from home in.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ START = (1.4, 3.5, 1.2, 0.0)
 PEN = (0.4, 1.0, 0.0, 8.4, 6.0, 2.6)
 SMALL_M = (5.8, 2.8, 2.4)  # of both rooms: soon looked round in
 GALLERY_M = (32.0, 3.5, 2.8)
+STAGE_M = (2.9, 0.6)  # where it begins, and its height
 GAP, GAP_WIDTH_M = Gap(1.2, 2.2), 0.9
 _WALLS, _FLOOR, _GREY = plain((0.80, 0.80, 0.75)), wood((0.55, 0.42, 0.30)), plain((0.50, 0.50, 0.55))
 
 
 @functools.cache  # a campaign flies in the same few, again and again
 def arena(name: str, radius_m: float, painted: bool = False) -> Scene:
-    """hall, pen, corridor or gallery. The start is the same in all. In the pen nothing stands: out of it a vehicle is
+    """hall, pen, stage, corridor or gallery. The start is the same in all. In the pen nothing stands: out of it a vehicle is
     pushed. painted: for a camera that sees colour; a second.
     """
-    pieces = {"hall": _hall, "pen": _yard, "corridor": _corridor, "gallery": _gallery}[name]
+    pieces = {"hall": _hall, "pen": _yard, "stage": _stage, "corridor": _corridor, "gallery": _gallery}[name]
     scene = place(name, joined(pieces(Workshop(fine=False))), START, PEN if name == "pen" else None, radius_m)
     if not painted:
         return scene
@@ -61,6 +62,15 @@ def _hall(w: Workshop) -> list[Mesh]:
         w.box((4.2, 1.2, 0.0), (4.7, 1.7, HEIGHT_M), _GREY),
         w.box((6.5, 5.0, 0.0), (7.0, 5.5, HEIGHT_M), _GREY),
         w.box((7.6, 1.4, 0.0), (9.0, 2.0, 0.8), _GREY),
+    ]
+
+
+def _stage(w: Workshop) -> list[Mesh]:
+    (begin, z), wide = STAGE_M, (0, WIDTH_M, 0)
+    return [
+        *_yard(w),
+        w.patch((begin, 0, z), (LENGTH_M - begin, 0, 0), wide, _GREY),
+        w.patch((begin, 0, 0), (0, 0, z), wide, _GREY),
     ]
 
 

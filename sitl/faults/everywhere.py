@@ -129,7 +129,7 @@ def _authority(e: Evidence) -> str:
 
 def _disarm(e: Evidence) -> str:
     """Asked for, or met, above the ground; what the pilot's own switch does is the pilot's."""
-    height = e.position_m[:, 2]
+    height = e.position_m[:, 2] - e.standing_m
     for order in e.wire.orders:
         stop = (order.command == 400 and order.first < 0.5) or (order.command == 185 and order.first > 0.5)
         if stop and np.interp(order.stamp_s, e.stamp_s, height) > AIRBORNE_M:

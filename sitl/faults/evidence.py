@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.clearance import Clearance
 from sitl.faults.injector import TAKEN_OVER
-from sitl.faults.meddler import OURS, Meddler
+from sitl.faults.meddler import OURS, Meddler, Moment
 from sitl.faults.wire import Wire, decode, modes_told, setpoints_in
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+LOW_M = 0.3  # PAD_HEIGHT_M less half a hull
+BLIND_S = 0.15  # without ODOMETRY: the product knows of no pose
 HANDED_S = 0.3  # after the pilot's switch the last setpoint has been sent, row E1
 
 
@@ -38,7 +42,8 @@ class Evidence:
     stamp_s (K,), position_m and velocity_mps (K, 3), yaw_rad (K,), armed (K,), mode (K,), charge (K,; share of the battery)
     of each turn; hull_s (H,) and hull_m (H,): true clearance where it counts. arrived_s (A,): of setpoints at the
     autopilot, behind the troubles. heard: (instant, custom mode, armed) of heartbeats that reached the product. boxes_m
-    (K,): how near the hull is to the obstacles of the trouble, inf without one and on the ground. notes: what the injectors
+    (K,): how near the hull is to the obstacles of the trouble, inf without one and on the ground. standing_m (K,): where the
+    body would stand on what is straight below it, while it lands and after; 0 is the floor. notes: what the injectors
     measured themselves, by its name. firmware: version of a real one, "" for none. stop_reason: why the product says that
     it ended, for a judge that asks whether it said so; "" for nothing.
     """
@@ -54,6 +59,7 @@ class Evidence:
     hull_s: F64
     hull_m: F64
     boxes_m: F64
+    standing_m: F64
     charge: F64
     failsafes: tuple[str, ...]
     texts: tuple[str, ...]
@@ -81,8 +87,22 @@ class Evidence:
     @cached_property
     def clearance_m(self) -> float:
         """Least true clearance to the scene, inf for none."""
-        counts = np.interp(self.hull_s, self.stamp_s, self.answered_for) > 0.5
+        counts = np.interp(self.hull_s, self.stamp_s, self.answered_for & ~self.set_down) > 0.5
         return float(self.hull_m[counts].min(initial=math.inf))
+
+    @cached_property
+    def set_down(self) -> Bools:
+        """Whether it comes down on what stands below it, as on a pad, with nobody who could have chosen the place: when the
+        landing began the product fed no pose (K,).
+        """
+        begun = np.flatnonzero(self.landing & self.armed)
+        if not len(begun):
+            return np.zeros(len(self.stamp_s), dtype=np.bool_)
+        at_s = self.stamp_s[begun[0]]
+        fed = bool(((self.wire.odometry_s > at_s - BLIND_S) & (self.wire.odometry_s <= at_s)).any())
+        low: Bools = self.position_m[:, 2] - self.standing_m < LOW_M
+        down: Bools = low & (self.standing_m > 0.0) & (self.stamp_s >= at_s)
+        return down & (not fed)
 
     @cached_property
     def box_m(self) -> float:
@@ -127,6 +147,7 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
         hull_s=hull_s,
         hull_m=hull_m,
         boxes_m=boxes_m,
+        standing_m=_standing(world.clearance, ledger),
         charge=np.array([m.charge for m in ledger]),
         failsafes=tuple(world.flyer.failsafes),
         texts=tuple(world.flyer.texts),
@@ -139,3 +160,9 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
         firmware=world.flyer.version,
         stop_reason=stop_reason,
     )
+
+
+def _standing(room: Clearance, ledger: Sequence[Moment]) -> F64:
+    """Of each turn (K,), from the first of a landing on."""
+    begun = next((k for k, m in enumerate(ledger) if m.armed and "LAND" in m.mode), len(ledger))
+    return np.array([0.0] * begun + [max(room.standing_m(m.position_m), 0.0) for m in ledger[begun:]])

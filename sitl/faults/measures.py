@@ -118,6 +118,11 @@ def drift_landing(e: Evidence) -> float:
     return float(np.linalg.norm(e.position_m[-1, :2] - e.position_m[k, :2])) if e.onset_s < math.inf else math.inf
 
 
+def rests_at(e: Evidence) -> float:
+    """Metres over the pad's floor at which it stands at the end; inf while its motors run."""
+    return math.inf if e.armed[-1] else float(e.position_m[-1, 2])
+
+
 def longest_gap(for_s: float = math.inf) -> Measure:
     """Longest seconds between setpoints from the trouble on, while the vehicle follows them and until it lands."""
 

@@ -30,10 +30,11 @@ i { overflow:hidden; }
 i u { display:block; height:100%; background:var(--good); } i.over u { background:var(--bad); }
 """
 HOLDS = (
-    "In every flight: no contact; at most 0.30 m out of the fence; on the wire no NaN, and no setpoint beyond the limits of"
-    " speed, acceleration, yaw rate, step and inset fence; no mode or arm command after a pilot took over; no disarming in"
-    " the air; never a minute hovering alone. Judged by the simulator's truth and by what was on the wire, decoded apart"
-    " from the product. The figure of a row is its worst flight; beside it, how much of its bar that uses up."
+    "In every flight: no contact (a set-down on what is below, where a landing begins without a pose, is none); at most"
+    " 0.30 m out of the fence; on the wire no NaN, and no setpoint beyond the limits of speed, acceleration, yaw rate, step"
+    " and inset fence; no mode or arm command after a pilot took over; no disarming in the air; never a minute hovering"
+    " alone. Judged by the simulator's truth and by what was on the wire, decoded apart from the product. The figure of a"
+    " row is its worst flight; beside it, how much of its bar that uses up."
 )
 
 

@@ -17,7 +17,7 @@ from sitl.faults.measures import Measure
 from sitl.faults.trouble import STANDS_S, Onset
 from sitl.scene import HULL_RADIUS_M
 
-Arena = Literal["hall", "pen", "corridor", "gallery"]
+Arena = Literal["hall", "pen", "stage", "corridor", "gallery"]
 ON_THE_WAY = Onset()
 CASES = 12  # no row has more that differ in kind
 SHORT_VIEWS = 18  # of a flight that is to end by itself while it is watched

@@ -45,6 +45,7 @@ from sitl.faults.tracker import (
 from sitl.faults.trouble import Onset
 
 FAST = Onset(speed_mps=0.6)
+ON_STAGE = Onset(speed_mps=0.6, away_m=4.2)
 GONE_AND_BACK = tuple(((0.5, 2.0, 10.0)[n % 3], (0.0, 0.3, 1.0)[(n + n // 3) % 3]) for n in range(9))
 CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
 SPOILT = tuple(spoilt(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp"))
@@ -225,6 +226,20 @@ TABLE_B = (
         ),
         onset=FAST,
         times=3,
+    ),
+    Row(
+        "B1s",
+        "pose stops over furniture",
+        "no pose any more, at speed and over a stage 0.6 m high: it lands on what is below it",
+        lambda n: [Silence()],
+        (
+            holds(0.3),
+            lands(1.2),
+            down(30.0),
+            Bar("rests over the floor", m.rests_at, 0.55, "m", at_least=True),
+        ),
+        onset=ON_STAGE,
+        arena="stage",
     ),
     Row(
         "B2",

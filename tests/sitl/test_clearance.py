@@ -68,6 +68,27 @@ def test_batch_agrees_with_every_point_tried() -> None:
     assert got[7] == clearance.hull_m(positions[7])
 
 
+@pytest.mark.parametrize("z", [0.85, 0.9, 1.0, 3.0])
+def test_it_stands_on_what_is_straight_below_its_middle(z: float) -> None:
+    """A table 0.75 m high over a floor: on it, or beside it on the floor, and below it on the floor."""
+    table = [[0.0, 0.0, 0.75], [1.0, 0.0, 0.75], [1.0, 1.0, 0.75], [0.0, 1.0, 0.75]]
+    corners = FLOOR.vertices.tolist() + table
+    clearance = Clearance(scene_of(corners, [*FLOOR.faces.tolist(), [4, 5, 6], [4, 6, 7]]))
+    assert clearance.standing_m((0.03, 0.5, z)) == pytest.approx(0.85, abs=1e-6)
+    assert clearance.standing_m((-0.03, 0.5, z)) == pytest.approx(0.10, abs=1e-6)
+    assert clearance.standing_m((0.5, 0.5, 0.8)) == pytest.approx(0.10, abs=1e-6)
+    assert clearance.standing_m((9.0, 0.5, z)) == -math.inf
+
+
+def test_what_it_stands_on_agrees_with_a_ray_straight_down() -> None:
+    corners = np.array([[-2, -2, -0.4], [2, -2, 0.4], [2, 2, 0.6], [-2, 2, -0.2]], np.float32)
+    scene = scene_of(corners.tolist(), [[0, 1, 2], [0, 2, 3]])
+    clearance = Clearance(scene)
+    for x, y in np.random.default_rng(8).uniform(-1.9, 1.9, (200, 2)):
+        below = height_below(scene.vertices, scene.faces, np.array([x, y, 2.0]))
+        assert clearance.standing_m((x, y, 2.0)) - 0.1 == pytest.approx(below, abs=0.005)
+
+
 @pytest.mark.parametrize("points", [dense_points, row_points])
 def test_dense_points_leave_no_gap(points: Callable[[F32, I32, float], F32]) -> None:
     rng = np.random.default_rng(5)

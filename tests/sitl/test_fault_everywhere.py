@@ -34,7 +34,8 @@ def hovering(e: Evidence, mode: str = "OFFBOARD", **changes: Any) -> Evidence:
     place = np.tile([1.0, 0.0, 1.0], (len(t), 1))
     return dataclasses.replace(
         e, stamp_s=t, position_m=place, velocity_mps=np.zeros_like(place), yaw_rad=np.zeros(len(t)),
-        armed=np.ones(len(t), bool), mode=(mode,) * len(t), boxes_m=np.full(len(t), np.inf), end_s=90.0, **changes,
+        armed=np.ones(len(t), bool), mode=(mode,) * len(t), boxes_m=np.full(len(t), np.inf), standing_m=np.zeros(len(t)),
+        end_s=90.0, **changes,
     )  # fmt: skip
 
 
@@ -102,6 +103,26 @@ def test_what_is_allowed_is_no_violation() -> None:
     over = tuple("POSCTL" if t > 14.0 else m for t, m in zip(reset.stamp_s, reset.mode, strict=True))
     quiet = dataclasses.replace(reset, mode=over)
     assert violations(rewired(quiet, orders=reset.wire.orders[:2])) == [], "a pilot may take over"
+
+
+def on_a_table(fed_until_s: float, touched_s: float = 16.8) -> Evidence:
+    """Comes down on something 0.3 m high and stands there at 17.1 s, its hull near it from such an instant on."""
+    e = evidence()
+    over, fed = e.stamp_s > 15.0, e.wire.odometry_s < fed_until_s
+    place = np.where(over[:, None], np.maximum(e.position_m, (-9.0, -9.0, 0.3)), e.position_m)
+    down = dataclasses.replace(
+        e, position_m=place, standing_m=np.where(over, 0.3, 0.0), hull_s=e.stamp_s,
+        hull_m=np.where(e.stamp_s > touched_s, 0.0, 0.5),
+    )  # fmt: skip
+    return rewired(down, odometry_s=e.wire.odometry_s[fed], reset_counter=e.wire.reset_counter[fed])
+
+
+def test_without_a_pose_it_may_come_down_on_what_stands_below_it() -> None:
+    assert violations(on_a_table(14.5)) == []
+    assert any("contact" in said for said in violations(on_a_table(15.0))), "with one it could have chosen a place"
+    assert any("contact" in said for said in violations(on_a_table(14.5, 15.5))), "still high over it"
+    nothing_there = dataclasses.replace(on_a_table(14.5), standing_m=np.zeros(len(evidence().stamp_s)))
+    assert any("disarmed in the air" in said for said in violations(nothing_there))
 
 
 def test_a_pilot_who_took_the_vehicle_may_hover_with_it() -> None:

@@ -50,6 +50,8 @@ def test_landing_and_disarming() -> None:
     assert m.disarmed_after()(evidence()) == pytest.approx(13.0, abs=NEAR)
     assert m.landing_after()(evidence(mode=("OFFBOARD",) * 600, armed=np.ones(600, bool))) == math.inf
     assert m.drift_landing(evidence()) == pytest.approx(2.62, abs=0.05)
+    assert m.rests_at(evidence()) == pytest.approx(evidence().position_m[-1, 2])
+    assert m.rests_at(evidence(armed=np.ones(600, bool))) == math.inf
     relaunch = evidence()
     again = tuple("OFFBOARD" if t > 16.0 else mode for t, mode in zip(relaunch.stamp_s, relaunch.mode, strict=True))
     assert m.relaunched(relaunch) == 0

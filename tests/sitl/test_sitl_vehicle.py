@@ -118,6 +118,22 @@ def test_motors_off_falls_and_the_floor_stops_it() -> None:
     assert vehicle.touchdowns[0] == pytest.approx(math.sqrt(2 * GRAVITY_MPS2 * height), rel=0.25)
 
 
+def test_it_stands_on_what_is_below_it_and_falls_off_its_edge() -> None:
+    """A table 0.5 m high, for x below 1 m."""
+    vehicle = Quadrotor(0, 0.0, start=(0.0, 0.0, 0.0), standing_m=lambda p: 0.5 if p[0] < 1.0 and p[2] >= 0.5 else 0.0)
+    lifted(vehicle, 2.0)
+    for _ in range(1000):
+        vehicle.step(DT, HOVER, 0.0, False)
+    assert vehicle.on_ground
+    assert vehicle.position[2] == 0.5
+    assert len(vehicle.touchdowns) == 1
+    vehicle.push((8.0, 0.0, 0.0))
+    for _ in range(1000):
+        vehicle.step(DT, HOVER, 0.0, False)
+    assert vehicle.position[0] > 1.0
+    assert vehicle.position[2] == 0.0
+
+
 def test_gusts_have_the_rms_that_was_asked_for() -> None:
     vehicle = Quadrotor(1, wind_mps=0.2)
     vehicle.step(DT, HOVER, 0.0, True)
