@@ -84,4 +84,4 @@ class ArduCopter(Autopilot):
 
     def _fly(self, dt_s: float, seen: Estimator | Eyes) -> tuple[Vec3, float]:
         s = self._state
-        return s.flight.step(dt_s, s.commander.armed, s.commander.mode, seen)
+        return s.flight.step(dt_s, s.commander.armed, s.commander.mode, seen, s.commander.pause_s)

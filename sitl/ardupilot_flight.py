@@ -2,7 +2,8 @@
 
 GUIDED as read in mode_guided.cpp and measured: a position stays wanted for ever; a velocity, alone or with a position
 that it carries along, is dropped GUID_TIMEOUT after its last target. Nothing on the ground but a take-off lifts off. LAND
-brakes to rest within GUIDED's limits of acceleration and jerk (read in Mode::land_run_horizontal_control).
+brakes to rest within GUIDED's limits of acceleration and jerk (read in Mode::land_run_horizontal_control), and one that a
+failsafe began keeps its height for a while first (set_mode_land_with_pause).
 """
 
 from __future__ import annotations
@@ -57,6 +58,7 @@ class Flight:
         self._hold_yaw = 0.0
         self._armed_s = 0.0
         self._ground_down = 0.0
+        self._pause_s = 0.0
         self._motion = _STILL, _STILL
         self.configure(parameters)
 
@@ -112,12 +114,16 @@ class Flight:
         """GUIDED holds where it is: a target that says nothing usable."""
         self._target, self._top, self._hold, self._hold_yaw = None, None, position, yaw
 
-    def step(self, dt_s: float, armed: bool, mode: Mode, estimator: Estimator | Eyes) -> tuple[Vec3, float]:
-        """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s)."""
+    def step(
+        self, dt_s: float, armed: bool, mode: Mode, estimator: Estimator | Eyes, pause_s: float = 0.0
+    ) -> tuple[Vec3, float]:
+        """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s). pause_s: before a mode's descent."""
         position, velocity = estimator.position, estimator.velocity
         self._motion = position, velocity
         if mode is not self._mode:
             self._begin(mode, position, velocity, estimator.yaw)
+            self._pause_s = pause_s
+        self._pause_s -= dt_s
         if not armed:
             self._rest(position)
             self._target, self._top, self._armed_s = None, None, 0.0
@@ -203,6 +209,8 @@ class Flight:
 
     def _landing_speed(self, down: float) -> float:
         low_m, high, slow = self._land
+        if self._pause_s > 0.0:
+            return 0.0
         return high if self._ground_down - down > low_m else slow
 
     def _lifts_off(self, position: Vec3) -> bool:

@@ -15,6 +15,9 @@ from sitl.requests import ACCEPTED, FAILED
 
 _SETTLED_S = 25.0  # from boot until the pre-arm checks can pass
 _EKF_FAILSAFE_S = 0.8  # from the flags falling to LAND
+_PAUSE_S = 4.0  # LAND_WITH_DELAY_MS: a failsafe's landing hovers so long first
+_BREACH, _SILENT = "Fence breached", "Companion silent"
+_AT_ONCE = (_BREACH, _SILENT)  # these do not
 _TELL_AGAIN_S = 30.0  # a failing pre-arm check is told so often
 _LAND, _ALWAYS_LAND, _BRAKE_OR_LAND = 1, 2, 4
 _RADIO_LAND, _GCS_LAND = 3, 5
@@ -65,6 +68,7 @@ class Commander:
     def __init__(self, parameters: ArduPilotParameters, say: Callable[[int, str], None]) -> None:
         self._say = say
         self.mode: Mode = Mode.STABILIZE
+        self.pause_s = 0.0  # before the mode's descent
         self.armed = False
         self.armed_at_s = math.inf
         self.failsafes: list[str] = []
@@ -82,6 +86,7 @@ class Commander:
         self._own_system = p.integer("MAV_SYSID")
         self._disarm_s = float(p.integer("DISARM_DELAY"))
         self._gcs_lands, self._gcs_timeout_s = self._lands(p, "FS_GCS_ENABLE", _GCS_LAND), p["FS_GCS_TIMEOUT"]
+        self._silence_s = p["UVR_SILENCE_S"] if p.integer("SCR_ENABLE") else math.inf  # ardupilot_silence.lua on its card
         self._radio_lands, self._radio_timeout_s = self._lands(p, "FS_THR_ENABLE", _RADIO_LAND), p["RC_FS_TIMEOUT"]
         self._pilots_modes_stay = bool(p.integer("FS_OPTIONS") & _KEEP_PILOTS_MODES)
         self._ekf_lands = self._lands(p, "FS_EKF_ACTION", _LAND)
@@ -113,7 +118,7 @@ class Commander:
             return self._refuse(mode, "init failed")
         if mode in _NEED_POSITION and not c.position_valid:
             return self._refuse(mode, "requires position")
-        self.mode = mode
+        self.mode, self.pause_s = mode, 0.0
         return ACCEPTED
 
     def request_arming(self, arm: bool, force: bool, c: Condition) -> int:
@@ -166,7 +171,7 @@ class Commander:
 
     def takeover(self, mode: Mode) -> None:
         """A pilot's switch: wins at once."""
-        self.mode = mode
+        self.mode, self.pause_s = mode, 0.0
 
     # -- 50 Hz ----------------------------------------------------------------------------------------------------
 
@@ -187,12 +192,14 @@ class Commander:
         pilots = self.mode in _PILOTS
         blind = self.mode in _NEED_POSITION and c.now_s - self._invalid_since_s >= _EKF_FAILSAFE_S
         self._judge("EKF Failsafe", blind, self._ekf_lands)
-        silent = c.now_s - self.gcs_heard_s > self._gcs_timeout_s
+        silent_s = c.now_s - self.gcs_heard_s
+        self._judge(_SILENT, silent_s > self._silence_s and self.mode is Mode.GUIDED, True)
+        silent = silent_s > self._gcs_timeout_s
         self._judge("GCS Failsafe", silent and not (pilots and self._pilots_modes_stay), self._gcs_lands)
         self._judge("Radio Failsafe", c.rc_lost_s > self._radio_timeout_s, self._radio_lands)
         self._judge("Battery is low", c.battery_mah < self._low_mah, self._low_lands)
         self._judge("Battery is critical", c.battery_mah < self._critical_mah, self._critical_lands)
-        self._judge("Fence breached", not self.admits(c.distance_from_home_m, c.height_above_home_m), self._fence_lands)
+        self._judge(_BREACH, not self.admits(c.distance_from_home_m, c.height_above_home_m), self._fence_lands)
 
     def _judge(self, trouble: str, present: bool, lands: bool) -> None:
         if not present:
@@ -202,7 +209,7 @@ class Commander:
             self._say(CRITICAL, trouble)
             if lands and self.mode is not Mode.LAND:
                 self.failsafes.append(f"{trouble}: LAND")
-                self.mode = Mode.LAND
+                self.mode, self.pause_s = Mode.LAND, 0.0 if trouble in _AT_ONCE else _PAUSE_S
 
     def _disarm_by_itself(self, c: Condition) -> None:
         """LAND ends with the landing; in other modes the motors idle for DISARM_DELAY."""

@@ -29,6 +29,7 @@ _DEFAULTS: dict[str, int | float] = {
     "PSC_D_POS_P": 1.0, "PSC_D_VEL_P": 5.0, "PSC_JERK_D": 5.0, "PSC_JERK_NE": 5.0, "PSC_NE_POS_P": 1.0,
     "PSC_NE_VEL_D": 0.25, "PSC_NE_VEL_I": 1.0, "PSC_NE_VEL_P": 2.0,
     "RC_FS_TIMEOUT": 1.0, "RTL_ALT_M": 15.0, "RTL_CLIMB_MIN_M": 0.0, "RTL_CONE_SLOPE": 3.0,
+    "SCR_ENABLE": 0, "UVR_SILENCE_S": 1.5,
     "VISO_DELAY_MS": 10, "VISO_ORIENT": 0, "VISO_POS_M_NSE": 0.2, "VISO_POS_X": 0.0, "VISO_POS_Y": 0.0, "VISO_POS_Z": 0.0,
     "VISO_QUAL_MIN": 0, "VISO_SCALE": 1.0, "VISO_TYPE": 0, "VISO_VEL_M_NSE": 0.1, "VISO_YAW_M_NSE": 0.2,
     "WP_ACC": 2.5, "WP_ACC_Z": 1.0, "WP_SPD": 10.0, "WP_SPD_DN": 1.5, "WP_SPD_UP": 2.5, "WP_YAW_BEHAVIOR": 2,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -54,7 +55,10 @@ class ArduPilotBinary:
         self.transmitter = Transmitter({mode.name: pulse_us for mode, pulse_us in _SWITCH.items()})
 
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
-        """What starts it in a folder that is empty."""
+        """What starts it in a folder that is empty, with the card's scripts in it."""
+        for script in self._parameters.parent.glob("*.lua"):
+            (folder / "scripts").mkdir(exist_ok=True)
+            shutil.copy(script, folder / "scripts")
         settings = folder / "settings.parm"
         settings.write_text("".join(f"{name},{value:.9g}\n" for name, value in self._settings().items()), encoding="ascii")
         serial = {0: f"udpclient:127.0.0.1:{companion_port}", 1: f"udpclient:127.0.0.1:{truth_port}"}

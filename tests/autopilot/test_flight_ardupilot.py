@@ -102,8 +102,8 @@ def test_a_dead_companion_is_landed_for(hovering: CopterRig) -> None:
     while mode_of(hovering) == "GUIDED" and now_s < begin + 4.0:
         now_s += TICK_S
         hovering.autopilot.step(now_s)
-    assert hovering.autopilot.failsafes == ["GCS Failsafe: LAND"]
-    assert now_s - begin < 2.2
+    assert hovering.autopilot.failsafes == ["Companion silent: LAND"]
+    assert now_s - begin < 1.7
 
 
 def test_a_pilot_who_takes_over_is_left_alone(hovering: CopterRig) -> None:

@@ -43,7 +43,7 @@ def test_a_refused_landing_is_handed_to_ardupilot() -> None:
     rig.until(FlightPhase.LANDING, 0.5)
     rig.until(FlightPhase.YIELDED, 5.2)
     rig.run(2.5)
-    assert rig.autopilot.failsafes == ["GCS Failsafe: LAND"], "its answer to a heartbeat that ends"
+    assert rig.autopilot.failsafes == ["Companion silent: LAND"], "its answer to a heartbeat that ends"
     rig.run(12.0)
     assert not rig.autopilot.truth().armed
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from ardupilot_rig import LOITER, Copilot, copter, flying, mode_of, seconds_until
+from ardupilot_rig import LAND, LOITER, Copilot, copter, flying, mode_of, seconds_until
 
 
 def test_a_pilot_takes_over_and_setpoints_no_longer_move_it() -> None:
@@ -22,12 +22,41 @@ def test_a_pilot_takes_over_and_setpoints_no_longer_move_it() -> None:
 
 @pytest.mark.parametrize("timeout_s", [2.0, 3.0])
 def test_a_companion_that_falls_silent_is_landed_for(timeout_s: float) -> None:
-    c = flying(FS_GCS_TIMEOUT=timeout_s)
+    c = flying(FS_GCS_TIMEOUT=timeout_s, SCR_ENABLE=0)
     c.run(1.0)
     c.heartbeats = False
     assert timeout_s - 1.05 < seconds_until(c, lambda: mode_of(c) == "LAND", 5.0) < timeout_s + 0.1
     assert c.copter.failsafes == ["GCS Failsafe: LAND"]
     assert c.run(15.0, lambda: not c.armed)
+
+
+def test_a_failsafes_landing_hovers_for_four_seconds_first_and_one_asked_for_does_not() -> None:
+    """LAND_WITH_DELAY_MS, read in mode_land.cpp and flown with the real one."""
+    fallen = flying(SCR_ENABLE=0)
+    fallen.heartbeats = False
+    assert fallen.run(4.0, lambda: mode_of(fallen) == "LAND")
+    height = fallen.vehicle.position[2]
+    assert 4.0 < seconds_until(fallen, lambda: fallen.vehicle.position[2] < height - 0.1, 8.0) < 5.0
+    asked = flying()
+    assert asked.set_mode(LAND) == 0
+    height = asked.vehicle.position[2]
+    assert seconds_until(asked, lambda: asked.vehicle.position[2] < height - 0.1, 8.0) < 1.0
+
+
+def test_the_script_on_its_card_lands_a_silent_companion_at_once() -> None:
+    """firmware_params/ardupilot_silence.lua; in GUIDED alone, and the firmware's own failsafe stays behind it."""
+    c = flying()
+    c.heartbeats = False
+    height = c.vehicle.position[2]
+    assert 0.45 < seconds_until(c, lambda: mode_of(c) == "LAND", 5.0) < 1.6  # of a heartbeat a second
+    assert seconds_until(c, lambda: c.vehicle.position[2] < height - 0.1, 8.0) < 1.0
+    assert c.copter.failsafes == ["Companion silent: LAND"]
+    assert c.run(6.0, lambda: not c.armed)
+    circling = flying()
+    circling.copter.pilot_takes_over("LOITER")
+    circling.heartbeats = False
+    circling.run(1.9)
+    assert circling.copter.failsafes == []
 
 
 def test_a_companion_that_comes_back_does_not_stop_the_landing() -> None:

@@ -184,7 +184,7 @@ def test_the_yaw_turns_no_faster_than_the_parameter() -> None:
 
 def test_after_a_failsafe_guided_is_granted_and_the_flight_goes_on() -> None:
     """Why a companion must never ask by itself: the autopilot would obey."""
-    c = flying()
+    c = flying(SCR_ENABLE=0)
     c.heartbeats = False
     assert c.run(4.0, lambda: mode_of(c) == "LAND")
     assert c.set_mode(GUIDED) == 0
