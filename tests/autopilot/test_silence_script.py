@@ -26,7 +26,9 @@ param = {
   add_table = function(_, key, prefix, count) board.prefix = prefix; return board.has_room end,
   add_param = function(_, key, n, name, value) return board.add_param(board.prefix .. name, value) end,
 }
-function Parameter(name) return {get = function() return board.value(name) end} end
+function Parameter(name)
+  return {get = function() return board.value(name) end, set = function(_, value) return board.add_param(name, value) end}
+end
 """
 
 
@@ -41,7 +43,7 @@ class Board:
     has_room: bool = True
     refuses: bool = False
     prefix: str = ""
-    parameters: dict[str, float] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=lambda: {"FS_GCS_ENABLE": 5.0})
     texts: list[str] = field(default_factory=list)
     orders: list[int] = field(default_factory=list)
 
@@ -90,6 +92,10 @@ def test_it_lands_once_when_the_companion_has_been_silent_for_so_long() -> None:
     b.run(5.0, heard=False)
     assert b.orders == [LAND]
     assert b.texts == ["Companion silent: landing"]
+    assert b.parameters["FS_GCS_ENABLE"] == 0.0, "it would begin its wait anew"
+    b.armed = False
+    b.run(0.1, heard=False)
+    assert b.parameters["FS_GCS_ENABLE"] == 5.0
 
 
 @pytest.mark.parametrize("given", [{"armed": False}, {"mode": LOITER}, {"mode": LAND}, {"heard_ms": 0}])
@@ -106,6 +112,7 @@ def test_a_landing_that_is_refused_is_asked_for_again() -> None:
     b.run(2.0, heard=False)
     assert len(b.orders) > 3
     assert b.texts == []
+    assert b.parameters["FS_GCS_ENABLE"] == 5.0, "the firmware's own failsafe stays behind it"
     b.refuses = False
     b.run(1.0, heard=False)
     assert b.mode == LAND
@@ -120,7 +127,7 @@ def test_a_clock_that_wraps_is_no_silence() -> None:
 def test_its_parameter_is_the_one_that_is_read_before_arming() -> None:
     b = board()
     wanted = {one.name: one for one in load(PARAMETER_FILES["ardupilot"])}
-    assert b.parameters == {"UVR_SILENCE_S": wanted["UVR_SILENCE_S"].value}
+    assert b.parameters["UVR_SILENCE_S"] == wanted["UVR_SILENCE_S"].value
     assert wanted["UVR_SILENCE_S"].reason.refused
     assert wanted["SCR_ENABLE"].reason.refused
     b.parameters["UVR_SILENCE_S"] = 3.0

@@ -37,6 +37,7 @@ AUTOPILOTS = ("px4", "ardupilot")
 _LOADED_S = 300.0  # compiling may take long
 _MARGIN_S = 240.0  # over the time that is measured: boot, parameters, take-off
 _PILOT_NICE, _RECEIVER_NICE, _RECORDER_NICE = -10, -5, 10  # as their services have it, where it is allowed
+_PILOT_FIFO = 50  # CPUSchedulingPriority of its unit
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str],
         _await(folder / setpoint_load.LEARNING, loader, log)
         ends.enter_context(_child([*product, "record", *ours], log, _RECORDER_NICE))
         if not negative:
-            ends.enter_context(_child([*product, "pilot", *ours], log, _PILOT_NICE))
+            ends.enter_context(_child([*product, "pilot", *ours], log, _PILOT_NICE, _PILOT_FIFO))
         say(f"flying for {seconds / 60.0:g} minutes")
         far = ["sitl.fly_receiver", str(path), f"{seconds}", autopilot, str(out)]
         receiver = ends.enter_context(_child(far, log, _RECEIVER_NICE))
@@ -143,8 +144,8 @@ def _config(folder: Path, autopilot: str) -> Config:
 
 
 @contextlib.contextmanager
-def _child(module: list[str], log: Path, niceness: int) -> Iterator[subprocess.Popen[bytes]]:
-    """A Python program of ours; it ends with us, however we go, or with the block."""
+def _child(module: list[str], log: Path, niceness: int, fifo: int = 0) -> Iterator[subprocess.Popen[bytes]]:
+    """A Python program of ours, as its unit runs it where we may; it ends with us, however we go, or with the block."""
     from sitl.leash import leashed
 
     command = leashed([sys.executable, "-m", *module])
@@ -154,6 +155,8 @@ def _child(module: list[str], log: Path, niceness: int) -> Iterator[subprocess.P
         )
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, process.pid, niceness)
+        if fifo:
+            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(fifo))
     with contextlib.suppress(OSError):  # where the kernel weighs whole sessions and not processes: sched(7), autogroup
         Path(f"/proc/{process.pid}/autogroup").write_text(str(niceness), encoding="ascii")
     try:
