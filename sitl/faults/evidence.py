@@ -14,11 +14,12 @@ from sitl.clearance import Clearance
 from sitl.faults.injector import TAKEN_OVER
 from sitl.faults.meddler import OURS, Meddler, Moment
 from sitl.faults.wire import Wire, decode, modes_told, setpoints_in
+from sitl.world import BODY_ABOVE_FLOOR_M, PAD_HEIGHT_M
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-LOW_M = 0.3  # PAD_HEIGHT_M less half a hull
+LOW_M = PAD_HEIGHT_M - BODY_ABOVE_FLOOR_M  # over what it stands on, as over the pad
 BLIND_S = 0.15  # without ODOMETRY: the product knows of no pose
 HANDED_S = 0.3  # after the pilot's switch the last setpoint has been sent, row E1
 
