@@ -14,13 +14,13 @@ from sitl.fly_children import Children
 from sitl.fly_options import SimOptions
 from sitl.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
-from uav_recon import run
+from uav_recon.failure import EXIT_USAGE, Failure
 
 __all__ = ["SimOptions", "simulate"]
 
 
 def simulate(options: SimOptions) -> int:
-    """Fly as asked; returns the exit code. Raises run.Failure with one line for anything a user can mend."""
+    """Fly as asked; returns the exit code. Raises Failure with one line for anything a user can mend."""
     console = Console(stderr=False)
     _need_open3d()
     scene = _scene(options)
@@ -46,7 +46,7 @@ def simulate(options: SimOptions) -> int:
     if times_real is not None:
         console.print(f"flown in lockstep at {times_real:.1f} times real time")
     if fault:
-        raise run.Failure(fault)
+        raise Failure(fault)
     return 0 if report.completed else 1
 
 
@@ -54,7 +54,7 @@ def _scene(options: SimOptions) -> Scene:
     try:
         return load_scene(options.scene, options.start, options.fence, options.radius_m, fine=options.mapper == "neural")
     except SceneError as error:
-        raise run.Failure(str(error), run.EXIT_USAGE) from None
+        raise Failure(str(error), EXIT_USAGE) from None
 
 
 def _need_open3d() -> None:
@@ -62,7 +62,7 @@ def _need_open3d() -> None:
     try:
         import open3d  # noqa: F401
     except (ImportError, OSError) as error:
-        raise run.Failure(f"Open3D cannot be loaded: {error} (see README.md for the packages it needs)") from None
+        raise Failure(f"Open3D cannot be loaded: {error} (see README.md for the packages it needs)") from None
 
 
 def _claim_port(port: int) -> None:
@@ -70,7 +70,7 @@ def _claim_port(port: int) -> None:
         try:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
-            raise run.Failure(f"--port {port}: {error.strerror.lower() if error.strerror else error}") from None
+            raise Failure(f"--port {port}: {error.strerror.lower() if error.strerror else error}") from None
 
 
 def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:

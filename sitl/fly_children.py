@@ -15,8 +15,9 @@ from rich.console import Console
 
 from sitl.fly_progress import Screen
 from sitl.leash import leashed
-from uav_recon import run
+from uav_recon.failure import Failure
 from uav_recon.types.vehicle import FlightPhase
+from uav_recon.wires import file_wires
 
 READY_TIMEOUT_S = 240.0
 LANDING_S = 300.0  # from the first Ctrl-C to the mission's end, model and report included; as its service has it
@@ -51,14 +52,14 @@ class Children:
 
     def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path, console: Console) -> None:
         self._commands, self._logs, self._runtime, self._console = commands, logs, runtime, console
-        self._wires = run.file_wires(runtime)
+        self._wires = file_wires(runtime)
         self._children: list[_Child] = []
         self._interrupts, self._given_up = 0, False
         self._patience_s = float("inf")  # until this instant, once it was interrupted
 
     def fly(self) -> str | None:
         """Fly; returns the fault in one line, None for none. SIGINT and SIGTERM land, a second one ends all at once; before
-        the take-off the first one does, and raises run.Failure.
+        the take-off the first one does, and raises Failure.
         """
         before = signal.signal(signal.SIGINT, self._interrupt), signal.signal(signal.SIGTERM, self._interrupt)
         try:
@@ -95,7 +96,7 @@ class Children:
                     if child.process.poll() is not None:
                         return f"{child.name} died: {child.last_words()}"
                 if self._given_up:
-                    raise run.Failure(NOT_FLOWN, EXIT_INTERRUPTED)
+                    raise Failure(NOT_FLOWN, EXIT_INTERRUPTED)
                 if time.monotonic() > self._patience_s:
                     return f"the mission did not end within {LANDING_S:.0f} s"
                 if not screen.show() and time.monotonic() > deadline_s:

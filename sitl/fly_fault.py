@@ -178,7 +178,7 @@ def attended(config: Config) -> Config:
 
 
 def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:
-    """The same in real time, with the mapper that learns. Raises run.Failure."""
+    """The same in real time, with the mapper that learns. Raises Failure."""
     from sitl.fly_fault_live import flight_in_real_time, free_port
     from sitl.fly_options import SimOptions
 

@@ -19,10 +19,10 @@ from sitl.fly_children import Children
 from sitl.fly_options import SimOptions
 from sitl.fly_outside import Order
 from uav_recon import config as product_config
-from uav_recon import run
+from uav_recon.failure import EXIT_CONFIG, EXIT_SECOND_COPY, Failure
 
 RESTART_S = {"pilot": 0.2, "perception": 0.5, "mission": 1.0}  # RestartSec of the units
-NEVER_AGAIN = (run.EXIT_SECOND_COPY, run.EXIT_CONFIG)  # their RestartPreventExitStatus
+NEVER_AGAIN = (EXIT_SECOND_COPY, EXIT_CONFIG)  # their RestartPreventExitStatus
 _LOOK_S = 0.02
 
 
@@ -36,7 +36,7 @@ class Supervised(Children):
         self._due_s: dict[str, float] = {}  # when a process that ended is to be started again
 
     def watch(self) -> None:
-        """Fly. Raises run.Failure if the world itself dies."""
+        """Fly. Raises Failure if the world itself dies."""
         try:
             for name in self._commands:
                 self._start(name, self._commands[name])
@@ -48,7 +48,7 @@ class Supervised(Children):
                 time.sleep(_LOOK_S)
             world = self._child("world")
             if world.process.returncode != 0:
-                raise run.Failure(f"world died: {world.last_words()}")
+                raise Failure(f"world died: {world.last_words()}")
         finally:
             self._end_all()
 
@@ -74,7 +74,7 @@ class Supervised(Children):
 
 def flight_in_real_time(row: Row, options: SimOptions, runtime: Path, number: int, firmware: Path | None = None) -> Evidence:
     """Fly a row's trouble with processes. options: whose folder is made. firmware: a real one, for the simulated autopilot.
-    Raises run.Failure.
+    Raises Failure.
     """
     config, line = options.config(arena(row.arena, options.radius_m), runtime), None
     if Needs.LINE in row.needs(number, live=True):

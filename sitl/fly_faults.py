@@ -22,7 +22,7 @@ from sitl.faults.table import NAMED, PAIRS, ROWS, TABLE
 from sitl.fly_case import one_thread
 from sitl.fly_fault import FaultCase, FaultRecord, Stage, fly
 from sitl.fly_options import AUTOPILOTS, UsageError, check_jobs, check_program
-from uav_recon import run
+from uav_recon.failure import Failure
 from uav_recon.usage import looked_at, need_file, need_folder
 
 BOTH = "both"
@@ -108,7 +108,7 @@ def _flown(autopilot: str, live: bool, firmware: Path | None) -> Callable[[Row],
 
 
 def faults(options: FaultOptions) -> int:
-    """Fly them; returns 1 if any row failed, else 0. Raises run.Failure."""
+    """Fly them; returns 1 if any row failed, else 0. Raises Failure."""
     console, results = Console(), list[Result]()
     groups = options.groups()
     with looked_at(f"--out {options.out}"):
@@ -196,4 +196,4 @@ def _save(options: FaultOptions, results: list[Result]) -> None:
             options.out.mkdir(parents=True, exist_ok=True)
             write_page(options.out / "faults.html", results)
     except OSError as error:
-        raise run.Failure(f"{error.filename}: cannot be written ({error.strerror})") from None
+        raise Failure(f"{error.filename}: cannot be written ({error.strerror})") from None

@@ -33,6 +33,7 @@ from uav_recon.recording.flightlog import FlightLog
 from uav_recon.recording.mapfile import save_map
 from uav_recon.recording.timelapse import Timelapse
 from uav_recon.types.operator import GivenOrder
+from uav_recon.wires import memory_wires
 
 if TYPE_CHECKING:
     from uav_recon.recording.recorder import Recorder
@@ -164,7 +165,7 @@ def fly_in_lockstep(
 ) -> Flown:  # fmt: skip
     """Fly. land() is asked whether the operator wants to land now; timelapse: keep states of the surface, for recall."""
     clock, quick = ManualClock(START_S), options.mapper == "stand-in"
-    pace, wires = (QUICK, direct_wires()) if quick else (REAL, run.memory_wires())
+    pace, wires = (QUICK, direct_wires()) if quick else (REAL, memory_wires())
     ours, theirs = pipe()
     world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s, pace)
     meddler.enter(world, wires, START_S)

@@ -13,8 +13,8 @@ from sitl.d435i import Model, Noise
 from sitl.firmware.px4 import COMPANION_PORT as PX4_PORT
 from sitl.fly_world import WorldOptions
 from sitl.scene import HULL_HEIGHT_M, Scene
-from uav_recon import run
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
+from uav_recon.failure import EXIT_CONFIG, Failure
 from uav_recon.usage import UsageError, looked_at
 
 __all__ = ["SimOptions", "UsageError"]
@@ -170,7 +170,7 @@ class SimOptions:
         try:
             return parse(tree, "sim")
         except ConfigError as error:
-            raise run.Failure(str(error), run.EXIT_CONFIG) from None
+            raise Failure(str(error), EXIT_CONFIG) from None
 
 
 def check_jobs(jobs: int) -> int:

@@ -31,6 +31,7 @@ from uav_recon.types.nearby import Nearby
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase
+from uav_recon.wires import file_wires
 
 GIVE_UP_S = 180.0  # not flying by then
 SETTLE_S = 1.0  # from the first setpoint that is flown to those that count
@@ -42,7 +43,7 @@ class Hover:
 
     def __init__(self, config: Config, autopilot: Autopilot, start_s: float) -> None:
         self._config, self._autopilot = config, autopilot
-        self._wires = run.file_wires(config.runtime.folder)
+        self._wires = file_wires(config.runtime.folder)
         self._motion = run.make_motion(config, config.planner.clearance_m)
         self._motion.warm_up()
         self._poses, self._depth, self._intents = (RateKeeper(hz, start_s) for hz in (_POSES_HZ, _DEPTH_HZ, _INTENT_HZ))

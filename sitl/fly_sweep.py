@@ -18,7 +18,7 @@ from sitl.crew import crew
 from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree, one_thread
 from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs, mount_pitch_deg
 from sitl.scene import GENERATED
-from uav_recon import run
+from uav_recon.failure import EXIT_USAGE, Failure
 from uav_recon.usage import looked_at, need_file
 
 RANDOM, BUILT_IN = "random", "built-in"  # words for scenes: a new flat with each seed; the room of `sim`
@@ -85,7 +85,7 @@ def _check_scene(word: str) -> None:
 
 
 def sweep(options: SweepOptions) -> int:
-    """Fly what the account lacks; returns 1 if any flight touched something or broke, else 0. Raises run.Failure."""
+    """Fly what the account lacks; returns 1 if any flight touched something or broke, else 0. Raises Failure."""
     console = Console()
     need_file("--json", options.json)
     records = _load(options.json)
@@ -136,7 +136,7 @@ def _load(path: Path | None) -> list[Record]:
     except FileNotFoundError:
         return []
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise run.Failure(f"--json {path}: not the account of a sweep ({error})", run.EXIT_USAGE) from None
+        raise Failure(f"--json {path}: not the account of a sweep ({error})", EXIT_USAGE) from None
 
 
 def _save(path: Path | None, records: list[Record]) -> None:
@@ -147,7 +147,7 @@ def _save(path: Path | None, records: list[Record]) -> None:
         temporary.write_text(json.dumps({"flights": [as_tree(r) for r in records]}, indent=1), encoding="utf-8")
         temporary.replace(path)
     except OSError as error:
-        raise run.Failure(f"--json {path}: cannot be written ({error.strerror})") from None
+        raise Failure(f"--json {path}: cannot be written ({error.strerror})") from None
 
 
 def _number(value: float | None, digits: int, width: int) -> str:

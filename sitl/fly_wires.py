@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Generic, TypeVar
 
-from uav_recon.run import Wires
+from uav_recon.wires import Wires
 
 T = TypeVar("T")
 

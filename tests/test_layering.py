@@ -16,6 +16,8 @@ ALLOWED = {
     "relations": set(),
     "clock": {"types", "protocols", "clock"},
     "channels": {"types", "protocols", "channels"},
+    "failure": set(),
+    "wires": {"types", "protocols", "channels", "failure"},
     "geometry": {"types", "geometry"},
     **{stage: BASE | {stage} for stage in ("sensors", "localization", "mapping", "planning", "motion", "recording")},
     "safety": {"types", "safety"},
@@ -35,11 +37,11 @@ ROOTS = {"run", "run_desk", "processes", "refine", "params", "bench", "usage"} |
 }
 ROOT_IMPORTS = {
     "cli": {"run", "processes", "refine", "bench", "cli_exit", "cli_faults", "cli_params", "cli_operator"},
-    "cli_operator": {"run", "run_desk", "cli_exit", "operator"},
+    "cli_operator": {"run", "run_desk", "cli_exit", "operator", "failure"},
     "run_desk": {*ALLOWED, "run"},
-    "usage": {"run"},
+    "usage": {"failure"},
     "processes": {*ALLOWED, "run", "run_desk", "usage"},
-    "cli_exit": {"run"},
+    "cli_exit": {"failure"},
     "cli_params": {"params", "cli_exit"},
     "cli_faults": {"cli_exit"},
     "params": {*ALLOWED, "run", "usage"},

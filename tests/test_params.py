@@ -17,12 +17,12 @@ from sitl.parameters import Parameters
 from sitl.px4 import Px4
 from sitl.transport import pipe
 from sitl.vehicle import Quadrotor
-from uav_recon import run
 from uav_recon.autopilot.gate import Gate
 from uav_recon.autopilot.parameter_file import PARAMETER_FILES, Wanted, load
 from uav_recon.cli import app
 from uav_recon.clock import ManualClock
 from uav_recon.config import load as load_config
+from uav_recon.failure import Failure
 from uav_recon.params import ParamsOptions, Vehicle, show, write_to
 
 FIRMWARES = ["px4", "ardupilot"]
@@ -158,7 +158,7 @@ def test_nothing_is_written_while_the_motors_are_armed() -> None:
     assert isinstance(copter, ArduCopter)
     copter._state.commander.request_arming(arm=True, force=True, c=copter._state.condition())
     assert copter.truth().armed
-    with pytest.raises(run.Failure, match="the motors are armed") as caught:
+    with pytest.raises(Failure, match="the motors are armed") as caught:
         write_to(vehicle, bench.wanted, yes, paper.console)
     assert caught.value.code == 78
     assert bench.value("FS_GCS_ENABLE") == 0
@@ -175,7 +175,7 @@ def test_a_parameter_that_the_vehicle_does_not_know_is_said_and_not_written() ->
 def test_a_fraction_does_not_go_where_the_vehicle_has_an_integer() -> None:
     bench, paper = Bench("px4"), Paper()
     half = Wanted("COM_OBL_RC_ACT", 0.5, bench.wanted[0].reason)
-    with pytest.raises(run.Failure, match=r"COM_OBL_RC_ACT: 0\.5 is not a whole number") as caught:
+    with pytest.raises(Failure, match=r"COM_OBL_RC_ACT: 0\.5 is not a whole number") as caught:
         write_to(bench.vehicle(), (half,), yes, paper.console)
     assert caught.value.code == 78
 
@@ -183,13 +183,13 @@ def test_a_fraction_does_not_go_where_the_vehicle_has_an_integer() -> None:
 def test_silence_and_the_wrong_firmware_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     silent = Bench("px4")
     silent.mute = True
-    with pytest.raises(run.Failure, match="no autopilot heard within 10 s") as caught:
+    with pytest.raises(Failure, match="no autopilot heard within 10 s") as caught:
         silent.vehicle()
     assert caught.value.code == 69
     assert capsys.readouterr().err == "uav-recon: memory: waiting for a heartbeat\n"
     other = Bench("ardupilot")
     other.options = ParamsOptions("px4", "memory", None)
-    with pytest.raises(run.Failure, match=r"link.autopilot in the config, is px4: the vehicle is ArduPilot") as caught:
+    with pytest.raises(Failure, match=r"link.autopilot in the config, is px4: the vehicle is ArduPilot") as caught:
         other.vehicle()
     assert caught.value.code == 78
 
@@ -203,7 +203,7 @@ def test_a_vehicle_that_falls_silent_is_not_written_to_on() -> None:
         bench.mute = True
         return True
 
-    with pytest.raises(run.Failure, match="fell silent") as caught:
+    with pytest.raises(Failure, match="fell silent") as caught:
         write_to(vehicle, bench.wanted, unplug, paper.console)
     assert caught.value.code == 69
 

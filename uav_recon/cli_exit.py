@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import typer
 
-from uav_recon import run
+from uav_recon.failure import EXIT_USAGE, Failure
 
 EXIT_INTERRUPTED = 130
 ParserError: type[Exception] = cast(Any, typer.BadParameter).__bases__[0]  # click's UsageError, or typer's own: it has moved
@@ -18,7 +18,7 @@ def exit_with(work: Callable[[], Any]) -> None:
     """Do the work and end with the code it gives; a Failure becomes its line and its code."""
     try:
         code = work()
-    except run.Failure as failure:
+    except Failure as failure:
         print(f"uav-recon: {failure}", file=sys.stderr)
         raise typer.Exit(failure.code) from None
     except KeyboardInterrupt:
@@ -40,7 +40,7 @@ def end(app: typer.Typer) -> None:
     except typer.Abort:
         print("uav-recon: interrupted", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
-    sys.exit(run.EXIT_USAGE)
+    sys.exit(EXIT_USAGE)
 
 
 def _plainly(error: Any) -> str:

@@ -13,6 +13,7 @@ import typer
 
 from uav_recon import run, run_desk
 from uav_recon.cli_exit import exit_with
+from uav_recon.failure import Failure
 from uav_recon.operator.call import CallError, call
 from uav_recon.operator.status import Status
 from uav_recon.operator.watch import Block, Lines, in_a_line
@@ -66,7 +67,7 @@ def status(
 def _order(word: str, config: Path, socket: Path | None) -> int:
     answer = _reached(lambda: call(_path(config, socket), word))
     if not answer["ok"]:
-        raise run.Failure(f"{word} refused: {answer['said']}")
+        raise Failure(f"{word} refused: {answer['said']}")
     print(answer["said"])
     return 0
 
@@ -92,7 +93,7 @@ def _asked(path: Path) -> Status:
     """Raises CallError, or Failure where the answer is none."""
     answer = call(path, "status")
     if not answer["ok"]:
-        raise run.Failure(f"status refused: {answer['said']}")
+        raise Failure(f"status refused: {answer['said']}")
     return Status.told(answer["status"])
 
 
@@ -108,4 +109,4 @@ def _reached(work: Callable[[], T]) -> T:
     try:
         return work()
     except CallError as error:
-        raise run.Failure(str(error), EXIT_NOBODY) from None
+        raise Failure(str(error), EXIT_NOBODY) from None

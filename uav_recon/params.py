@@ -23,6 +23,7 @@ from uav_recon.autopilot.tlog import NoLog
 from uav_recon.autopilot.transport import LinkError, open_link
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import LinkConfig
+from uav_recon.failure import EXIT_CONFIG, Failure
 from uav_recon.protocols import ByteLink, Clock
 from uav_recon.usage import looked_at
 
@@ -50,17 +51,15 @@ class ParamsOptions:
 
     @staticmethod
     def of(autopilot: str | None, link: str | None, file: Path | None, config: Path) -> ParamsOptions:
-        """What is not given is the config's, which is read only then. Raises run.Failure."""
+        """What is not given is the config's, which is read only then. Raises Failure."""
         if autopilot is not None and autopilot not in _FAMILY_OF:
-            raise run.Failure(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", run.EXIT_CONFIG)
+            raise Failure(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", EXIT_CONFIG)
         if autopilot is not None and link is not None:
             return ParamsOptions(autopilot, link, file)
-        with looked_at(str(config), run.EXIT_CONFIG):
+        with looked_at(str(config), EXIT_CONFIG):
             there = config.exists()
         if not there:
-            raise run.Failure(
-                f"give --autopilot and --link, or a --config that says them ({config} is not there)", run.EXIT_CONFIG
-            )
+            raise Failure(f"give --autopilot and --link, or a --config that says them ({config} is not there)", EXIT_CONFIG)
         says = run.load_config(config).link
         return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters, says)
 
@@ -80,7 +79,7 @@ class Compared:
 
 
 class Vehicle:
-    """The vehicle on the other end, on the ground. Raises run.Failure where it does not answer or is another one."""
+    """The vehicle on the other end, on the ground. Raises Failure where it does not answer or is another one."""
 
     def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: Gate) -> None:
         self._clock, self._options = clock, options
@@ -94,17 +93,17 @@ class Vehicle:
         while not inquiry.done:
             inquiry.step(self._turn(), self._link)
         if len(inquiry.silent) == len(wanted):
-            raise run.Failure(f"{self._options.link}: the autopilot tells no parameter", EXIT_SILENT)
+            raise Failure(f"{self._options.link}: the autopilot tells no parameter", EXIT_SILENT)
         return [self._compared(one) for one in wanted]
 
     def write(self, one: Compared) -> bool:
-        """Set a parameter that was told before; whether it reads back. Raises run.Failure while the motors are armed."""
+        """Set a parameter that was told before; whether it reads back. Raises Failure while the motors are armed."""
         if one.told is None:
             return False
         try:
             number = self._form.number_of(one.wanted.value, one.told.kind)
         except ValueError as error:
-            raise run.Failure(f"{one.wanted.name}: {error}, and the vehicle has an integer there", run.EXIT_CONFIG) from None
+            raise Failure(f"{one.wanted.name}: {error}, and the vehicle has an integer there", EXIT_CONFIG) from None
         for _ in range(WRITE_TRIES):
             self.need_disarmed()
             self._link.set_parameter(self._clock.now_s(), ParameterValue(one.wanted.name, number, one.told.kind))
@@ -116,13 +115,13 @@ class Vehicle:
         return False
 
     def need_disarmed(self) -> None:
-        """Wait for the next heartbeat. Raises run.Failure unless it comes and says disarmed."""
+        """Wait for the next heartbeat. Raises Failure unless it comes and says disarmed."""
         t, asked_s = self._link.telemetry, self._clock.now_s()
         while t.heartbeat_s <= asked_s:
             if self._turn() - asked_s > FRESH_S:
-                raise run.Failure(f"{self._options.link}: the autopilot fell silent; nothing more is written", EXIT_SILENT)
+                raise Failure(f"{self._options.link}: the autopilot fell silent; nothing more is written", EXIT_SILENT)
         if t.armed:
-            raise run.Failure("the motors are armed: parameters are written on the ground, disarmed", run.EXIT_CONFIG)
+            raise Failure("the motors are armed: parameters are written on the ground, disarmed", EXIT_CONFIG)
 
     def _compared(self, one: Wanted) -> Compared:
         told = self._link.telemetry.parameters.get(one.name)
@@ -136,12 +135,12 @@ class Vehicle:
                 said = True
                 print(f"uav-recon: {self._options.link}: waiting for a heartbeat", file=sys.stderr)
             if waited_s > HEARTBEAT_S:
-                raise run.Failure(f"{self._options.link}: no autopilot heard within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
+                raise Failure(f"{self._options.link}: no autopilot heard within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
         if t.firmware_family != _FAMILY_OF[self._options.autopilot]:
             name = _FAMILIES.get(t.firmware_family, f"MAV_AUTOPILOT {t.firmware_family}")
-            raise run.Failure(
+            raise Failure(
                 f"--autopilot, or link.autopilot in the config, is {self._options.autopilot}: the vehicle is {name}",
-                run.EXIT_CONFIG,
+                EXIT_CONFIG,
             )
         self._link.request_streams(self._clock.now_s(), ((_HEARTBEAT, 5.0),), ())  # each write waits for one
 
@@ -152,7 +151,7 @@ class Vehicle:
         self._link.receive(now_s)
         self._link.poll(now_s)
         if self._link.telemetry.failure:
-            raise run.Failure(f"{self._options.link}: {self._link.telemetry.failure}", EXIT_SILENT)
+            raise Failure(f"{self._options.link}: {self._link.telemetry.failure}", EXIT_SILENT)
         return now_s
 
 
@@ -214,7 +213,7 @@ def _wanted(options: ParamsOptions) -> tuple[Wanted, ...]:
     try:
         return load(options.file or PARAMETER_FILES[options.autopilot])
     except ParameterFileError as error:
-        raise run.Failure(str(error), run.EXIT_CONFIG) from None
+        raise Failure(str(error), EXIT_CONFIG) from None
 
 
 def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
@@ -224,7 +223,7 @@ def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
         link = open_link(options.link, gate, clock, options.says.peer_host)
     except LinkError as error:
         held = " (a pilot that runs holds its line: stop it first)" if _IN_USE.search(str(error)) else ""
-        raise run.Failure(f"{error}{held}", run.EXIT_CONFIG) from None
+        raise Failure(f"{error}{held}", EXIT_CONFIG) from None
     try:
         return work(Vehicle(link, options, clock, gate))
     finally:

@@ -20,9 +20,11 @@ from uav_recon import config as configuration
 from uav_recon import notify, run, run_desk, steady
 from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
 from uav_recon.config import Config
+from uav_recon.failure import EXIT_CONFIG, EXIT_SECOND_COPY, Failure
 from uav_recon.protocols import Channel, Clock
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 from uav_recon.usage import UsageError, looked_at
+from uav_recon.wires import file_wires
 
 PERCEPTION_RATE_HZ = 100.0
 PILOT_SILENT_S = 1.0  # longer than a lost turn: a pilot that tells nothing for so long flies nothing
@@ -55,7 +57,7 @@ def flight_folder(config: Config, flight: Path | None) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise run.Failure(f"flight folder {folder}: cannot be written ({error.strerror})") from None
+        raise Failure(f"flight folder {folder}: cannot be written ({error.strerror})") from None
     return folder
 
 
@@ -71,12 +73,12 @@ def claim_file(path: Path, otherwise: str) -> int:
     try:
         lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     except OSError as error:
-        raise run.Failure(f"{path}: cannot be opened ({error.strerror})", run.EXIT_CONFIG) from None
+        raise Failure(f"{path}: cannot be opened ({error.strerror})", EXIT_CONFIG) from None
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         os.close(lock)
-        raise run.Failure(otherwise, run.EXIT_SECOND_COPY) from None
+        raise Failure(otherwise, EXIT_SECOND_COPY) from None
     return lock
 
 
@@ -86,13 +88,13 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     from uav_recon.autopilot.transport import LinkError, open_link
 
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
-    wires = run.file_wires(config.runtime.folder)
+    wires = file_wires(config.runtime.folder)
     claim("pilot", config)
     gate = run.make_gate(config.link, clock)
     try:
         link = open_link(config.link.url, gate, clock, config.link.peer_host)
     except LinkError as error:
-        raise run.Failure(str(error)) from None
+        raise Failure(str(error)) from None
     log = Tlog(flight_folder(config, flight) / "flight.tlog", time.time() - clock.now_s())
     the_pilot = run.make_pilot(config, wires, link, log, clock, gate)
     desk = run_desk.make_desk(config, wires, the_pilot, clock)
@@ -123,13 +125,13 @@ def has_told(phase: FlightPhase, vehicle: Channel[VehicleState]) -> bool:
 def perception(config_path: Path) -> int:
     """Turn camera and poses into odometry and posed frames until SIGTERM, or until the camera is gone, which is a Failure."""
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
-    wires = run.file_wires(config.runtime.folder)
+    wires = file_wires(config.runtime.folder)
     claim("perception", config)
     the_perception = run.make_perception(config, wires, clock, lambda: stop.asked)
     notify.ready()
     gone = perceive(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
     if gone and not stop.asked:
-        raise run.Failure(gone)
+        raise Failure(gone)
     return 0
 
 
@@ -174,7 +176,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     from uav_recon.recording.mapfile import save_map
 
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
-    wires, begun_s = run.file_wires(config.runtime.folder), clock.now_s()
+    wires, begun_s = file_wires(config.runtime.folder), clock.now_s()
     orders = StandingOrders(run_desk.operator_orders(config.runtime.folder), begun_s)
     claim("mission", config)
     folder = flight_folder(config, flight)
@@ -184,7 +186,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     try:
         mapper = ProcessMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, folder)
     except PriorError as error:
-        raise run.Failure(str(error), run.EXIT_CONFIG) from None
+        raise Failure(str(error), EXIT_CONFIG) from None
     recorder = _start_recorder(config_path, folder)
     journal, executor = FlightLog(folder), ThreadExecutor("planner", PLANNER_PATIENCE_S)
     try:
@@ -220,7 +222,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
 def record(config_path: Path, flight: Path | None) -> int:
     """Subscribe to the channels and write down what they say until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
-    wires = run.file_wires(config.runtime.folder)
+    wires = file_wires(config.runtime.folder)
     recorder = run.make_recorder(config, wires, flight_folder(config, flight), clock)
     _loop(recorder.step, RECORDER_RATE_HZ, clock, lambda: stop.asked or _hung_up(sys.stdin.fileno()))
     recorder.close()
@@ -240,7 +242,7 @@ def review(flight: Path) -> int:
     try:
         open_review(flight)
     except ReviewError as error:
-        raise run.Failure(str(error)) from None
+        raise Failure(str(error)) from None
     return 0
 
 

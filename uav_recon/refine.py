@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from uav_recon import run
+from uav_recon.failure import EXIT_USAGE, Failure
 from uav_recon.processes import Stop, claim_file
-from uav_recon.run import EXIT_USAGE, Failure
 from uav_recon.usage import looked_at
 
 if TYPE_CHECKING:

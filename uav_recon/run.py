@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uav_recon import config as configuration
-from uav_recon.channels import FileChannel, MemoryChannel
 from uav_recon.config import Config, LinkConfig
-from uav_recon.protocols import ByteLink, Camera, Channel, Clock, Executor, Journal, Mapper, PoseSource
-from uav_recon.types.camera import PosedFrame, body_from_camera
-from uav_recon.types.maps import FreeSpace, GridSpec, SurfaceElements, VoxelMap
-from uav_recon.types.nearby import Nearby
-from uav_recon.types.pose import MapCorrection, StampedPose
-from uav_recon.types.tasks import ViewPath
-from uav_recon.types.trajectory import Intent
-from uav_recon.types.vehicle import MissionProgress, VehicleState
+from uav_recon.failure import EXIT_CONFIG, EXIT_FAILURE, Failure
+from uav_recon.protocols import ByteLink, Camera, Clock, Executor, Journal, Mapper, PoseSource
+from uav_recon.types.camera import body_from_camera
+from uav_recon.types.maps import GridSpec
+from uav_recon.wires import Wires
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.gate import Gate
@@ -42,72 +37,10 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.recording.timelapse import Timelapse
     from uav_recon.safety.envelope import Envelope
 
-EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 CAMERA_WAIT_S = 240.0
 NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more
 INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
 RETREAT_M = 0.10  # from the hull, on ways home that no other leads: the vehicle came by there, whatever the map says now
-
-
-class Failure(Exception):  # noqa: N818 - it is what the user is told, not a bug
-    """Something a person can mend, in one line; code is the exit code."""
-
-    code = EXIT_FAILURE
-
-    def __init__(self, message: str, code: int | None = None) -> None:
-        super().__init__(message)
-        self.code = self.code if code is None else code
-
-
-# -- wires --------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Wires:
-    """Every last-value channel of a flight."""
-
-    odom: Channel[StampedPose]
-    frames: Channel[PosedFrame]
-    vehicle: Channel[VehicleState]
-    intent: Channel[Intent]
-    progress: Channel[MissionProgress]
-    voxels: Channel[VoxelMap]
-    surface: Channel[SurfaceElements]
-    plan: Channel[ViewPath]
-    correction: Channel[MapCorrection]
-    free: Channel[FreeSpace]
-    nearby: Channel[Nearby]
-
-
-def memory_wires() -> Wires:
-    """All in one process."""
-    return Wires(
-        MemoryChannel(StampedPose), MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent),
-        MemoryChannel(MissionProgress), MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
-        MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(Nearby),
-    )  # fmt: skip
-
-
-def file_wires(folder: Path) -> Wires:
-    """Between processes: memory-mapped files in the runtime folder. Raises Failure if it cannot be written."""
-    megabyte = 1 << 20
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        return Wires(
-            odom=FileChannel(folder / "odom.channel", StampedPose),
-            frames=FileChannel(folder / "frames.channel", PosedFrame, 16 * megabyte),
-            vehicle=FileChannel(folder / "vehicle.channel", VehicleState),
-            intent=FileChannel(folder / "intent.channel", Intent, 4 * megabyte),
-            progress=FileChannel(folder / "progress.channel", MissionProgress),
-            voxels=FileChannel(folder / "voxels.channel", VoxelMap, 64 * megabyte),
-            surface=FileChannel(folder / "surface.channel", SurfaceElements, 32 * megabyte),
-            plan=FileChannel(folder / "plan.channel", ViewPath, megabyte),
-            correction=FileChannel(folder / "correction.channel", MapCorrection, megabyte),
-            free=FileChannel(folder / "free.channel", FreeSpace, 4 * megabyte),
-            nearby=FileChannel(folder / "nearby.channel", Nearby),
-        )
-    except OSError as error:
-        raise Failure(f"runtime.folder {folder}: cannot be written ({error.strerror})", EXIT_CONFIG) from None
 
 
 def load_config(path: Path) -> Config:

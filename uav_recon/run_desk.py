@@ -6,16 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_recon import run
 from uav_recon.channels import FileChannel
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import Config
+from uav_recon.failure import EXIT_CONFIG, Failure
 from uav_recon.operator.clerk import Clerk
 from uav_recon.operator.desk import Desk, DeskError
 from uav_recon.operator.status import Status
 from uav_recon.operator.watch import Page, watch
 from uav_recon.protocols import Channel, Clock
 from uav_recon.types.operator import GivenOrder
+from uav_recon.wires import Wires
 
 if TYPE_CHECKING:  # the mission and the command line need no pilot
     from uav_recon.autopilot.pilot import Pilot
@@ -26,7 +27,7 @@ def operator_orders(folder: Path) -> Channel[GivenOrder]:
     try:
         return FileChannel(folder / "operator.channel", GivenOrder)
     except OSError as error:
-        raise run.Failure(f"runtime.folder {folder}: cannot be written ({error.strerror})", run.EXIT_CONFIG) from None
+        raise Failure(f"runtime.folder {folder}: cannot be written ({error.strerror})", EXIT_CONFIG) from None
 
 
 def operator_socket(config: Config) -> Path:
@@ -34,18 +35,18 @@ def operator_socket(config: Config) -> Path:
     return config.runtime.folder / config.runtime.operator
 
 
-def make_clerk(wires: run.Wires, pilot: Pilot, orders: Channel[GivenOrder], clock: Clock) -> Clerk:
+def make_clerk(wires: Wires, pilot: Pilot, orders: Channel[GivenOrder], clock: Clock) -> Clerk:
     """Who answers the operator."""
     return Clerk(pilot, wires.vehicle, wires.intent, wires.progress, wires.odom, orders, clock)
 
 
-def make_desk(config: Config, wires: run.Wires, pilot: Pilot, clock: Clock) -> Desk:
+def make_desk(config: Config, wires: Wires, pilot: Pilot, clock: Clock) -> Desk:
     """Where the pilot hears the operator. Raises Failure if the socket cannot be opened."""
     clerk = make_clerk(wires, pilot, operator_orders(config.runtime.folder), clock)
     try:
         return Desk(operator_socket(config), clerk.serve, clock)
     except DeskError as error:
-        raise run.Failure(f"runtime.operator: {error}", run.EXIT_CONFIG) from None
+        raise Failure(f"runtime.operator: {error}", EXIT_CONFIG) from None
 
 
 def watch_status(ask: Callable[[], Status], page: Page) -> None:

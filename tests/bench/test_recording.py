@@ -8,7 +8,7 @@ import pytest
 from small_stream import LENS, SIZE, write_stream
 
 from uav_recon.bench.recording import load
-from uav_recon.run import Failure
+from uav_recon.failure import Failure
 from uav_recon.types.maps import OCCUPIED
 
 

@@ -19,7 +19,7 @@ from sitl.faults.injector import Theatre
 from sitl.faults.roster import Exit, Roster, child_of
 from sitl.faults.signals import Asked, Killed, Stopped
 from sitl.fly_fault_live import Supervised
-from uav_recon import run
+from uav_recon.failure import Failure
 
 PATIENCE_S = 20.0
 SLEEPER = "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: sys.exit(7)); print(flush=True); signal.pause()"
@@ -137,5 +137,5 @@ def test_what_ends_is_started_again_as_the_units_have_it(tmp_path: Path) -> None
 def test_a_world_that_dies_is_told(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     commands = {"world": [sys.executable, "-c", "import sys; sys.exit('no such arena')"]}
-    with pytest.raises(run.Failure, match="world died: no such arena"):
+    with pytest.raises(Failure, match="world died: no such arena"):
         Supervised(commands, tmp_path / "logs", tmp_path).watch()

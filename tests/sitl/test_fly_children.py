@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_recon.run import file_wires
 from uav_recon.types.pose import Pose
 from uav_recon.types.vehicle import FlightPhase, VehicleState
+from uav_recon.wires import file_wires
 
 PATIENCE_S = 30.0
 
@@ -48,7 +48,7 @@ LAUNCHER = """
     from rich.console import Console
     from sitl import fly_children
     from sitl.leash import leashed
-    from uav_recon import run
+    from uav_recon.failure import Failure
 
     def through(command):  # the launcher keeps no pipe open but these programs tell us of themselves
         return ["/bin/sh", "-c", 'exec "$@" ' + sys.argv[2] + '> ' + sys.argv[3], "sh", *command, sys.argv[2]]
@@ -59,7 +59,7 @@ LAUNCHER = """
     fly_children.GRACE_S = dict.fromkeys(fly_children.GRACE_S, 0.2)
     try:
         fault = fly_children.Children(commands, folder, folder, Console()).fly()
-    except run.Failure as failure:
+    except Failure as failure:
         print(failure)
         sys.exit(failure.code)
     print(f"fault: {fault}")

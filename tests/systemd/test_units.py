@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from uav_recon import config
+from uav_recon.bench import setpoints
 
 FOLDER = Path(__file__).parents[2] / "systemd"
 SERVICES = ["pilot", "perception", "mission"]
@@ -168,3 +169,8 @@ def test_an_operator_of_the_group_reaches_the_pilots_socket() -> None:
     assert options.get("PrivateUsers", ["no"]) == ["no"]
     assert any("AF_UNIX" in value for value in options["RestrictAddressFamilies"])
     assert options["Group"] == ["uav"]
+
+
+def test_the_bench_of_setpoints_runs_the_pilot_as_its_unit_does() -> None:
+    assert _options("pilot")["CPUSchedulingPriority"] == [str(setpoints._PILOT_FIFO)]
+    assert _options("pilot")["CPUSchedulingPolicy"] == ["fifo"]

@@ -20,8 +20,8 @@ from uav_recon.bench.calibration import Calibration, calibrate
 from uav_recon.bench.recording import SIZE, STRIDE, Recording, load
 from uav_recon.bench.replay import judged_views, mapped_of, timed_plans, timed_stages
 from uav_recon.bench.stages import MOUNTS_RAD, STAGES, warm_up
+from uav_recon.failure import EXIT_FAILURE, Failure
 from uav_recon.planning.tour import tour
-from uav_recon.run import EXIT_FAILURE, Failure
 from uav_recon.types.maps import UNKNOWN
 from uav_recon.usage import UsageError, need_file
 

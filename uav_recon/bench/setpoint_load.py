@@ -17,8 +17,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from uav_recon import config as configuration
-from uav_recon import processes, run
+from uav_recon import processes
 from uav_recon.bench import mapper_run, mapper_scene
+from uav_recon.wires import file_wires
 
 LEARNING = "learning"  # a file of this name tells that all of it runs
 BUSY_THREADS, VIEWS, STEPS_PER_VIEW = 4, 8, 20
@@ -31,7 +32,7 @@ def load_machine(config_path: Path, folder: Path, with_pilot: bool) -> None:
     options = mapper_scene.SceneOptions(None, VIEWS, "d435i", "d435i", "fixed:15", (0.0, 0.0), 0)
     scene = mapper_scene.load(options)
     mapper_run.warm_up(scene.keyframes[0])
-    wires = run.file_wires(configuration.load(config_path).runtime.folder)
+    wires = file_wires(configuration.load(config_path).runtime.folder)
 
     def learn() -> None:
         trainer = mapper_run.make_trainer(scene, STEPS_PER_VIEW, seed=0)

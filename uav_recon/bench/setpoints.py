@@ -27,7 +27,7 @@ from uav_recon.bench.calibration import calibrate
 from uav_recon.bench.mapper import PRINTED_WIDTH, write_json
 from uav_recon.bench.tables import narrow_table
 from uav_recon.config import Config
-from uav_recon.run import Failure
+from uav_recon.failure import Failure
 from uav_recon.types.frames import FloatArray
 from uav_recon.usage import UsageError, need_file
 

@@ -23,6 +23,7 @@ from uav_recon.bench import machine
 from uav_recon.bench.calibration import calibrate
 from uav_recon.bench.laps import Spread, Stopwatch
 from uav_recon.bench.tables import narrow_table
+from uav_recon.failure import Failure
 from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
 from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.planning.presets import derived
@@ -31,7 +32,6 @@ from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.planning.surface.surfaces import SurfaceViews
 from uav_recon.recording.mapfile import load_map
 from uav_recon.recording.timelapse import load_states
-from uav_recon.run import Failure
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.usage import UsageError, looked_at, need_file

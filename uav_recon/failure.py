@@ -1,0 +1,15 @@
+"""What went wrong, where a person can mend it: one line and an exit code."""
+
+from __future__ import annotations
+
+EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
+
+
+class Failure(Exception):  # noqa: N818 - it is what the user is told, not a bug
+    """Something a person can mend, in one line; code is the exit code."""
+
+    code = EXIT_FAILURE
+
+    def __init__(self, message: str, code: int | None = None) -> None:
+        super().__init__(message)
+        self.code = self.code if code is None else code
