@@ -97,6 +97,7 @@ def _assemble(
     renderer, clearance = _renderer(scene, options.camera), Clearance(scene, options.radius_m)
     d435i.warm_up()
     clearance.hull_m(np.zeros(3))
+    clearance.standing_m((0.0, 0.0, 0.0))
     camera = d435i.Camera(renderer, options.camera, options.depth_noise, seed=options.seed)
     flyer = boot(clearance)
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)

@@ -89,15 +89,6 @@ class Renderer:
         return inverse_z, face
 
 
-def warm_up() -> None:
-    """Compile every kernel of this file."""
-    vertices = np.array([[-1, -1, 1], [1, -1, 1], [0, 1, 1]], np.float32)
-    renderer = Renderer(vertices, np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
-    spec = CameraSpec(8, 8, 4.0, 4.0, 3.5, 3.5)
-    renderer.render(np.eye(4), spec)
-    renderer.depth(np.eye(4), spec)
-
-
 def _morton(points: NDArray[np.floating]) -> NDArray[np.uint64]:
     """Order along a Morton curve of 1024 cells a side: neighbours in space become neighbours in the array."""
     low = points.min(axis=0)

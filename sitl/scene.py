@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.bins import PointBins
 from sitl.mesh import Mesh, MeshError, read_mesh
 from sitl.raster import Renderer
 from sitl.room import ROOM_START, built_in_room
 from sitl.rooms import generated_room
-from sitl.surface import dense_points, height_below
+from sitl.surface import dense_points, height_below, row_points
 from uav_recon.sensors.wire import CameraSpec
 
 HULL_RADIUS_M, HULL_HEIGHT_M = 0.20, 0.20
@@ -27,6 +29,7 @@ OPEN_SHARE = 0.005
 MAX_EXTENT_M = 100.0
 MOST_M3 = 30_000.0  # in voxels of 0.1 m: 30 million, what the product maps at most
 MOST_M2 = 12_000.0  # of surface: it is looked at every centimetre or two
+SAMPLES_M = 0.01
 GENERATED = "random:"  # and a seed
 
 Numbers = tuple[float, ...]
@@ -58,6 +61,11 @@ class Scene:
     fence_max: F64
     scene_from_world_m: F64
     paint: Mesh | None = None
+
+    @cached_property
+    def samples(self) -> PointBins:
+        """Of the surface, a centimetre apart; made once for all flights in it: less than a second for 700k faces."""
+        return PointBins(row_points(self.vertices, self.faces, SAMPLES_M))
 
 
 def load_scene(

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sitl import d435i
+from sitl.bins import PointBins
 from sitl.cache import Arrays, kept, key
-from sitl.clearance import PointBins
 from sitl.jit import kernel
 from sitl.raster import Renderer, Rendering
 from sitl.scene import BODY_ABOVE_FLOOR_M, TAKEOFF_HEIGHT_M, Scene
@@ -70,13 +70,6 @@ def load_truth_cut(scene: Scene, mount: str, camera: d435i.Model, cache_dir: Pat
         return {name: getattr(cut, name) for name in _DIMENSIONS}
 
     return TruthCut(free_cell_m=STEP_M, view_spec=spec, **kept(path, _DIMENSIONS, arrays))
-
-
-def warm_up() -> None:
-    """Compile every kernel of this file."""
-    pose, intrinsics = np.eye(4), np.array([4.0, 4.0, 3.5, 3.5])
-    depth = np.full((8, 8), 2.0, np.float32)
-    _carve(np.zeros((2, 2, 2), np.bool_), np.zeros(3), STEP_M, depth, pose, intrinsics)
 
 
 def _fixed_pitch(mount: str) -> float | None:

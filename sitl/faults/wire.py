@@ -114,18 +114,20 @@ def modes_told(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tu
     parser.robust_parsing = True
     told = []
     for stamp_s, data in heard:
-        if parser.buf_len() == 0 and _without_heartbeat(data):
-            continue
-        for m in parser.parse_buffer(data) or ():
+        wanted = data if parser.buf_len() else _heartbeats(data)
+        for m in parser.parse_buffer(wanted) or () if wanted else ():
             if m.get_type() == "HEARTBEAT" and m.get_srcSystem() == system:
                 told.append((stamp_s, int(m.custom_mode), bool(m.base_mode & 128)))
     return told
 
 
-def _without_heartbeat(data: bytes) -> bool:
-    """Whether these are whole frames of other messages and nothing else, which nobody needs to decode."""
+def _heartbeats(data: bytes) -> bytes:
+    """Of whole frames those alone, since nobody needs to decode others; all of it where it is not whole frames and no more."""
     *whole, rest = frames(data + b"\0")  # which stands alone behind whole frames
-    return rest == b"\0" and all(message_id(frame) > 0 for frame in whole)
+    ids = [message_id(frame) for frame in whole]
+    if rest != b"\0" or -1 in ids:
+        return data
+    return b"".join(frame for frame, kind in zip(whole, ids, strict=True) if kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT)
 
 
 def _numbers(m: mavlink.MAVLink_message) -> list[float]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sitl.clearance import PointBins
+from sitl.bins import PointBins
 from sitl.mesh import Mesh
 from sitl.room import built_in_room
 from sitl.scene import Scene, load_scene
