@@ -24,7 +24,9 @@ arming = {is_armed = function() return board.armed end}
 vehicle = {get_mode = function() return board.mode end, set_mode = function(_, mode) return board.set_mode(mode) end}
 param = {
   add_table = function(_, key, prefix, count) board.prefix = prefix; return board.has_room end,
-  add_param = function(_, key, n, name, value) return board.add_param(board.prefix .. name, value) end,
+  add_param = function(_, key, n, name, value)
+    return board.has_name and board.add_param(board.prefix .. name, value)
+  end,
 }
 function Parameter(name)
   return {get = function() return board.value(name) end, set = function(_, value) return board.add_param(name, value) end}
@@ -41,6 +43,7 @@ class Board:
     armed: bool = True
     mode: int = GUIDED
     has_room: bool = True
+    has_name: bool = True
     refuses: bool = False
     prefix: str = ""
     parameters: dict[str, float] = field(default_factory=lambda: {"FS_GCS_ENABLE": 5.0})
@@ -89,10 +92,25 @@ def test_it_lands_once_when_the_companion_has_been_silent_for_so_long() -> None:
     b.run(1.5, heard=False)
     assert b.orders == []
     b.run(0.1, heard=False)
+    assert b.orders == [LAND]
     b.run(5.0, heard=False)
     assert b.orders == [LAND]
     assert b.texts == ["Companion silent: landing"]
     assert b.parameters["FS_GCS_ENABLE"] == 0.0, "it would begin its wait anew"
+    b.armed = False
+    b.run(0.1, heard=False)
+    assert b.parameters["FS_GCS_ENABLE"] == 5.0
+    b.parameters["FS_GCS_ENABLE"] = 1.0  # somebody's own, on the floor
+    b.run(0.1, heard=False)
+    assert b.parameters["FS_GCS_ENABLE"] == 1.0
+
+
+def test_what_it_gives_back_is_what_it_took_first() -> None:
+    b = board()
+    b.run(2.0, heard=False)
+    b.mode = GUIDED  # taken out of the landing, and silent still
+    b.run(0.1, heard=False)
+    assert b.orders == [LAND, LAND]
     b.armed = False
     b.run(0.1, heard=False)
     assert b.parameters["FS_GCS_ENABLE"] == 5.0
@@ -135,6 +153,7 @@ def test_its_parameter_is_the_one_that_is_read_before_arming() -> None:
     assert b.orders == []
 
 
-def test_without_room_for_its_parameter_it_does_not_run() -> None:
-    with pytest.raises(Exception, match="no parameter table"):
-        board(has_room=False)
+@pytest.mark.parametrize(("lacks", "says"), [("has_room", "no parameter table"), ("has_name", "no parameter(?! table)")])
+def test_without_room_for_its_parameter_it_does_not_run(lacks: str, says: str) -> None:
+    with pytest.raises(Exception, match=says):
+        board(**{lacks: False})
