@@ -124,10 +124,9 @@ def modes_told(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tu
 def _heartbeats(data: bytes) -> bytes:
     """Of whole frames those alone, since nobody needs to decode others; all of it where it is not whole frames and no more."""
     *whole, rest = frames(data + b"\0")  # which stands alone behind whole frames
-    ids = [message_id(frame) for frame in whole]
-    if rest != b"\0" or -1 in ids:
+    if rest != b"\0":
         return data
-    return b"".join(frame for frame, kind in zip(whole, ids, strict=True) if kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+    return b"".join(frame for frame in whole if message_id(frame) == mavlink.MAVLINK_MSG_ID_HEARTBEAT)
 
 
 def _numbers(m: mavlink.MAVLink_message) -> list[float]:

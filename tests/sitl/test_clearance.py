@@ -118,3 +118,9 @@ def test_height_below_takes_the_highest_surface_under_the_point() -> None:
     assert height_below(vertices, faces, np.array([1.0, 1.0, 1.0])) == pytest.approx(0.0)
     assert height_below(vertices, faces, np.array([9.0, 0.0, 1.0])) is None
     assert math.isclose(float(FLOOR.vertices[:, 2].max()), 0.0)
+
+
+def test_a_scene_is_sampled_once_for_all_that_fly_in_it() -> None:
+    scene = scene_of(FLOOR.vertices.tolist(), FLOOR.faces.tolist())
+    assert Clearance(scene, 0.2).bins is Clearance(scene, 0.3).bins
+    assert Clearance(FLOOR).bins is not Clearance(scene).bins
