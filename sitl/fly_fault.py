@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import tempfile
 import traceback
@@ -52,6 +53,13 @@ class FaultCase:
     out: Path | None = None
     live: bool = False
     firmware: Path | None = None
+
+    @property
+    def how(self) -> str:
+        """The words of `faults` that fly it this way."""
+        if self.firmware is not None:
+            return f"--firmware {shlex.quote(str(self.firmware))}"
+        return "--real-time" if self.live else ""
 
     @property
     def stage(self) -> Stage:

@@ -168,14 +168,15 @@ def _results(options: FaultOptions, records: Iterator[FaultRecord]) -> Iterator[
                 record = next(records)
                 told[record.case] = record
             firmware = next((told[case].firmware for case in cases if told[case].firmware), "")
-            yield result_of(row, autopilot, [told[case].verdict for case in cases], firmware, options.seed0)
+            how = cases[0].how if cases else ""
+            yield result_of(row, autopilot, [told[case].verdict for case in cases], firmware, options.seed0, how)
 
 
 def _missed(record: FaultRecord) -> str:
     """What broke, and how to fly it again."""
-    case, result = record.case, result_of(ROWS[record.case.row], record.case.autopilot, [record.verdict])
-    again = f"--only {case.row} --autopilot {case.autopilot} --seed0 {case.number} --seeds 1"
-    return f"missed: {', '.join((*result.broken(), *result.remarks))} ({again})"
+    case = record.case
+    result = result_of(ROWS[case.row], case.autopilot, [record.verdict], how=case.how)
+    return f"missed: {', '.join((*result.broken(), *result.remarks))} ({result.again(case.number)})"
 
 
 def _line(result: Result) -> str:

@@ -89,5 +89,4 @@ def _gauge(share: float) -> str:
 
 def _again(result: Result) -> list[str]:
     """How to fly what missed."""
-    fly = f"uav-recon faults --only {result.row.id} --autopilot {result.autopilot} --seeds 1 --seed0"
-    return [f"flown again by: {fly} {number}" for number in result.missed[:_NAMED]]
+    return [f"flown again by: uav-recon faults {result.again(number)}" for number in result.missed[:_NAMED]]

@@ -15,7 +15,7 @@ REAL_FIRMWARE = "T1"
 @dataclass(frozen=True)
 class Result:
     """passed None: not flown. worst: of each bar over the flights. missed: numbers of flights that did not pass; remarks: what
-    else broke. firmware: version of a real one, "" for none.
+    else broke. firmware: version of a real one, "" for none. how: the words that say how it was flown, "" for in lockstep.
     """
 
     row: Row
@@ -26,6 +26,7 @@ class Result:
     worst: tuple[float, ...]
     remarks: tuple[str, ...]
     firmware: str = ""
+    how: str = ""
 
     @property
     def kept(self) -> int:
@@ -36,6 +37,10 @@ class Result:
     def figures(self) -> list[tuple[Bar, float]]:
         """Each bar with its worst figure; none where nothing was flown."""
         return list(zip(self.row.bars, self.worst, strict=True)) if self.seeds else []
+
+    def again(self, number: int) -> str:
+        """The words that fly one of its flights again."""
+        return f"--only {self.row.id} --autopilot {self.autopilot} {self.how} --seeds 1 --seed0 {number}".replace("  ", " ")
 
     def headline(self) -> tuple[Bar, float] | None:
         """The bar that is used up most, and its figure."""
@@ -91,7 +96,9 @@ class Result:
         }
 
 
-def result_of(row: Row, autopilot: str, verdicts: Sequence[Verdict], firmware: str = "", first: int = 0) -> Result:
+def result_of(
+    row: Row, autopilot: str, verdicts: Sequence[Verdict], firmware: str = "", first: int = 0, how: str = ""
+) -> Result:
     """Worst of all flights, which are numbered from the first on. A row without flights was not flown."""
     if not verdicts:
         return Result(row, autopilot, 0, (), None, (), ())
@@ -101,7 +108,7 @@ def result_of(row: Row, autopilot: str, verdicts: Sequence[Verdict], firmware: s
     missed = tuple(n for n, verdict in enumerate(verdicts, first) if not verdict.passed(row, autopilot))
     said = Counter(words for verdict in verdicts for words in verdict.broken)
     remarks = tuple(words if count == 1 else f"{words} ({count} times)" for words, count in said.items())
-    return Result(row, autopilot, len(verdicts), missed, not missed, tuple(worst), remarks, firmware)
+    return Result(row, autopilot, len(verdicts), missed, not missed, tuple(worst), remarks, firmware, how)
 
 
 def _number(value: float) -> float | None:

@@ -200,7 +200,8 @@ class FirmwareVehicle:
 
 
 def _version(message: Heard) -> str:
-    """Major, minor, patch and the commit, as AUTOPILOT_VERSION has them."""
-    number = message.flight_sw_version
-    commit = bytes(message.flight_custom_version).split(b"\0")[0].decode("ascii", "replace")
-    return f"{number >> 24 & 0xFF}.{number >> 16 & 0xFF}.{number >> 8 & 0xFF} ({commit})"
+    """Major, minor, patch and the commit, as AUTOPILOT_VERSION has them: ArduPilot in letters, PX4 as a little-endian one."""
+    number, told = message.flight_sw_version, bytes(message.flight_custom_version)
+    letters = told.rstrip(b"\0")
+    commit = letters.decode("ascii") if letters.isalnum() else told[::-1].hex()
+    return f"{number >> 24 & 0xFF}.{number >> 16 & 0xFF}.{number >> 8 & 0xFF}" + (f" ({commit})" if letters else "")

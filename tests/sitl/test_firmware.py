@@ -18,8 +18,8 @@ from sitl.firmware.ardupilot import ArduPilotBinary
 from sitl.firmware.path import TruePath
 from sitl.firmware.process import FirmwareError
 from sitl.firmware.px4 import COMPANION_PORT, Px4Binary
-from sitl.firmware.vehicle import FirmwareVehicle
-from sitl.mavlink_wire import Listener, Speaker, packet
+from sitl.firmware.vehicle import FirmwareVehicle, _version
+from sitl.mavlink_wire import Heard, Listener, Speaker, packet
 
 HALF = math.sqrt(0.5)
 EAST = (HALF, 0.0, 0.0, HALF)  # ned_from_frd of a level body whose nose points east
@@ -196,3 +196,17 @@ def test_px4s_truth_is_read_in_its_own_units() -> None:
     assert motion.specific_force == pytest.approx((0.5, 0.0, 9.80665)), "it begins to go north, where its nose points"
     assert motion.gyro == pytest.approx((0.0, -0.25, 0.0))
     assert [px4.mode(m) for m in (4 << 16 | 6 << 24, 6 << 16, 99)] == ["LAND", "OFFBOARD", "99"]
+
+
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        (b"8f898471", "1.17.0 (8f898471)"),
+        (bytes.fromhex("d4c3b2a1f0e0d0c0"), "1.17.0 (c0d0e0f0a1b2c3d4)"),
+        (b"", "1.17.0"),
+    ],
+    ids=["letters, as ArduPilot", "a little-endian number, as PX4", "a build that knows none"],
+)
+def test_a_version_names_its_commit_where_there_is_one(told: bytes, says: str) -> None:
+    message = Heard(flight_sw_version=1 << 24 | 17 << 16, flight_custom_version=list(told.ljust(8, b"\0")))
+    assert _version(message) == says

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
 from pathlib import Path
@@ -87,7 +88,7 @@ def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: 
     assert options.cases(ROWS["B3"], "px4")[0].out == tmp_path / "B3-px4-7"
     record = FaultRecord(FaultCase("B3", "px4", 7), Verdict((0.30, 0.0), ("contact",)))
     assert _missed(record).startswith(
-        "missed: motion of the error 0.30 <= 0.05 m, contact (--only B3 --autopilot px4 --seed0 7 "
+        "missed: motion of the error 0.30 <= 0.05 m, contact (--only B3 --autopilot px4 --seeds 1 --seed0 7)"
     )
     assert "seed 7, 9" in _line(
         result_of(ROWS["B3"], "px4", [record.verdict, Verdict((0.0, 0.0), ()), record.verdict], first=7)
@@ -193,3 +194,14 @@ def test_the_page_shows_how_much_of_each_bar_is_used_up_and_how_to_fly_what_miss
     assert "faults --only X1 --autopilot px4 --seeds 1 --seed0 8" in page
     assert "--seed0 7" not in page
     assert "missed: X1 px4" in page
+
+
+@pytest.mark.parametrize(
+    ("live", "firmware", "how"),
+    [(False, None, ""), (True, None, "--real-time "), (True, Path("/a b/px4"), "--firmware '/a b/px4' ")],
+)
+def test_what_missed_is_flown_again_the_same_way(live: bool, firmware: Path | None, how: str) -> None:
+    case = FaultCase("B3", "px4", 7, live=live, firmware=firmware)
+    verdict, again = Verdict((0.30, 0.0), ()), f"--only B3 --autopilot px4 {how}--seeds 1 --seed0 7"
+    assert f"({again})" in _missed(FaultRecord(case, verdict))
+    assert again in html.unescape(render([result_of(ROWS["B3"], "px4", [verdict], first=7, how=case.how)]))
