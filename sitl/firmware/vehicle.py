@@ -200,8 +200,10 @@ class FirmwareVehicle:
 
 
 def _version(message: Heard) -> str:
-    """Major, minor, patch and the commit, as AUTOPILOT_VERSION has them: ArduPilot in letters, PX4 as a little-endian one."""
+    """Major, minor, patch and the commit, as AUTOPILOT_VERSION has them: ArduPilot has eight letters of it, PX4 five bytes, the
+    last one first, behind three of its vendor's own version.
+    """
     number, told = message.flight_sw_version, bytes(message.flight_custom_version)
     letters = told.rstrip(b"\0")
-    commit = letters.decode("ascii") if letters.isalnum() else told[::-1].hex()
+    commit = letters.decode("ascii") if letters.isalnum() else told[:2:-1].hex()
     return f"{number >> 24 & 0xFF}.{number >> 16 & 0xFF}.{number >> 8 & 0xFF}" + (f" ({commit})" if letters else "")

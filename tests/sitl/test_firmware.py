@@ -202,10 +202,10 @@ def test_px4s_truth_is_read_in_its_own_units() -> None:
     ("told", "says"),
     [
         (b"8f898471", "1.17.0 (8f898471)"),
-        (bytes.fromhex("d4c3b2a1f0e0d0c0"), "1.17.0 (c0d0e0f0a1b2c3d4)"),
+        (bytes.fromhex("00000059d7ee735b"), "1.17.0 (5b73eed759)"),
         (b"", "1.17.0"),
     ],
-    ids=["letters, as ArduPilot", "a little-endian number, as PX4", "a build that knows none"],
+    ids=["letters, as ArduPilot", "five bytes, as PX4", "a build that knows none"],
 )
 def test_a_version_names_its_commit_where_there_is_one(told: bytes, says: str) -> None:
     message = Heard(flight_sw_version=1 << 24 | 17 << 16, flight_custom_version=list(told.ljust(8, b"\0")))
