@@ -20,7 +20,7 @@ lint:
 # notice: some 3500 mutants, about half an hour of one core.
 safety: export PYTHONPATH = .:tests/safety
 safety:
-	$(PYTHON) -m coverage run --branch --include='uav_recon/safety/*,uav_recon/types/polygon.py,uav_recon/types/nearby.py' -m pytest -q tests/safety tests/types
+	$(PYTHON) -m coverage run --branch --include='uav_recon/safety/*,uav_recon/types/polygon.py,uav_recon/types/min_range_grid.py' -m pytest -q tests/safety tests/types
 	$(PYTHON) -m coverage report --show-missing --fail-under=100
 	rm -f mutation.sqlite
 	$(PYTHON) -m cosmic_ray.cli init tests/safety/mutation.toml mutation.sqlite

@@ -32,7 +32,7 @@ from uav_recon.protocols import ByteLink, Mapper, Pending
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.recording.mapfile import save_map
 from uav_recon.recording.timelapse import Timelapse
-from uav_recon.types.operator import GivenOrder
+from uav_recon.types.operator_command import GivenOrder
 from uav_recon.wires import memory_wires
 
 if TYPE_CHECKING:

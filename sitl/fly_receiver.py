@@ -27,7 +27,7 @@ from uav_recon.clock import RateKeeper
 from uav_recon.config import Config
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.maps import FreeSpace, GridSpec
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase

@@ -14,7 +14,7 @@ import tomli_w
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from uav_recon import relations
-from uav_recon.types.address import link_address
+from uav_recon.types.link_url import link_address
 from uav_recon.types.polygon import Polygon
 
 if sys.version_info >= (3, 11):

@@ -15,7 +15,7 @@ from uav_recon.operator.desk import Desk, DeskError
 from uav_recon.operator.status import Status
 from uav_recon.operator.watch import Page, watch
 from uav_recon.protocols import Channel, Clock
-from uav_recon.types.operator import GivenOrder
+from uav_recon.types.operator_command import GivenOrder
 from uav_recon.wires import Wires
 
 if TYPE_CHECKING:  # the mission and the command line need no pilot

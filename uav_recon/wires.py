@@ -10,7 +10,7 @@ from uav_recon.failure import EXIT_CONFIG, Failure
 from uav_recon.protocols import Channel
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import MapCorrection, StampedPose
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent

@@ -9,7 +9,7 @@ import pytest
 from flight_rig import ARM, BODY_FROM_DEPTH, MODE, SETPOINT, Rig, setpoints, smooth_way
 
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 

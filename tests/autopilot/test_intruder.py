@@ -7,7 +7,7 @@ import pytest
 
 from uav_recon.autopilot.intruder import Intruder, Neighbourhood
 from uav_recon.types.camera import body_from_camera
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose
 
 MOUNT = body_from_camera(np.zeros(3), 0.0)

@@ -10,7 +10,7 @@ from uav_recon.channels import MemoryChannel
 from uav_recon.safety.sight import Sight
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.maps import FreeSpace, GridSpec
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose, StampedPose
 
 MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.0)

@@ -11,7 +11,7 @@ import pytest
 
 from uav_recon.autopilot.soundness import fault_of, tells_of_depth, tells_of_space
 from uav_recon.types.maps import FreeSpace, GridSpec
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Trajectory
 

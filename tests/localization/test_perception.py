@@ -14,7 +14,7 @@ from uav_recon.localization.filter import FusionFilter
 from uav_recon.localization.mount import FixedMount
 from uav_recon.localization.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
 MOTION = FigureEight(start_s=200.0)

@@ -6,7 +6,7 @@ import pytest
 
 from uav_recon.channels import MemoryChannel
 from uav_recon.mission.standing import StandingOrders
-from uav_recon.types.operator import GivenOrder, Order
+from uav_recon.types.operator_command import GivenOrder, Order
 
 
 class Conductor:

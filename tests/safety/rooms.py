@@ -15,7 +15,7 @@ from uav_recon.safety.sight import Sight
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import BoolArray
 from uav_recon.types.maps import FreeSpace, GridSpec
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.polygon import Polygon
 from uav_recon.types.trajectory import Setpoint
 

@@ -24,7 +24,7 @@ from rooms import (
 from uav_recon.safety.guard import Guard, Proposal
 from uav_recon.safety.proximity import Ahead
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.trajectory import Setpoint
 
 HERE = np.array([1.0, 0.2, 1.1])

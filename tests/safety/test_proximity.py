@@ -10,7 +10,7 @@ from rooms import HULL_RADIUS_M, MOUNT, frame
 
 from uav_recon.safety.proximity import Ahead, Margins, fastest_mps
 from uav_recon.types.camera import body_from_camera
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 
 AHEAD = np.array([1.0, 0.0, 0.0])
 MARGINS = Margins(0.1, 0.4)

@@ -9,7 +9,7 @@ import pytest
 from rooms import HULL_RADIUS_M, MOUNT, frame
 
 from uav_recon.safety.sight import Sight
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose
 
 HERE = Pose.from_yaw(0.0, np.array([1.0, 0.0, 1.0]))  # the imager at x = 1.1

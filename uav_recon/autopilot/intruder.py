@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.types.frames import FloatArray, IntArray
-from uav_recon.types.nearby import Nearby, in_view
+from uav_recon.types.min_range_grid import Nearby, in_view
 from uav_recon.types.pose import Pose
 
 _MEMORY_S = 0.8

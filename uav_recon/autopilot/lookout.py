@@ -13,7 +13,7 @@ from uav_recon.safety.knownfree import KnownFree
 from uav_recon.safety.proximity import Ahead
 from uav_recon.safety.sight import Sight
 from uav_recon.types.maps import FreeSpace
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import StampedPose
 
 _FUTURE_S = 0.1

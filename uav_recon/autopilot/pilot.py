@@ -29,7 +29,7 @@ from uav_recon.safety.ladder import Ladder, Patience, Rung
 from uav_recon.safety.posegate import PoseGate
 from uav_recon.safety.sight import Sight
 from uav_recon.types.maps import FreeSpace
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState

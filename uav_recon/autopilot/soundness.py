@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from uav_recon.types.maps import FreeSpace
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.trajectory import Trajectory
 
 _REST_MPS = 0.05

@@ -13,7 +13,7 @@ from typing import Any
 
 from uav_recon.autopilot.gate import Gate
 from uav_recon.protocols import ByteLink, Clock
-from uav_recon.types.address import BAUDS, EVERYWHERE
+from uav_recon.types.link_url import BAUDS, EVERYWHERE
 
 PEER_SILENT_S = 3.0  # by then the pilot has given up a flight: only now may the vehicle speak from another address
 _READ_BUDGET = 1 << 16

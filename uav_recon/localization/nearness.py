@@ -7,7 +7,7 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose
 
 _ROWS, _COLUMNS = 12, 16

@@ -14,7 +14,7 @@ from uav_recon.localization.mount import Mount
 from uav_recon.localization.nearness import nearest_in_cells
 from uav_recon.protocols import Camera, Channel, Clock, PoseSource
 from uav_recon.types.camera import Frame, PosedFrame
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
 _WAITING_FRAMES = 4  # at 15 Hz more than the longest wait

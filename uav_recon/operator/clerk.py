@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 from uav_recon.operator.desk import Answer
 from uav_recon.operator.status import Status
 from uav_recon.protocols import Channel, Clock
-from uav_recon.types.operator import GivenOrder, Order
+from uav_recon.types.operator_command import GivenOrder, Order
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.trajectory import Intent
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState

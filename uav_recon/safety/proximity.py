@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.nearby import Nearby
+from uav_recon.types.min_range_grid import Nearby
 
 _BESIDE_M = 0.05  # a return this far beside the hull's way still is in it
 _LEAST_SHARE = 0.2  # of the pixels: a frame with fewer returns is as good as none, be it dark, covered or too near

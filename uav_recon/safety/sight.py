@@ -8,7 +8,7 @@ import numpy as np
 
 from uav_recon.safety.envelope import Vec3
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.nearby import Nearby, in_view
+from uav_recon.types.min_range_grid import Nearby, in_view
 from uav_recon.types.pose import Pose
 
 _VIEWS = 160  # spread over the memory: ten seconds of them at 15 Hz
