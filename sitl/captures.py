@@ -18,7 +18,7 @@ from sitl.scene import Scene
 from sitl.sight import Sight
 from sitl.transform import body_from_camera, inverse, rigid, world_from_body
 from sitl.visibility import GIMBAL_RAD
-from uav_recon.sensors.wire import CameraSpec, StreamHeader
+from uav_recon.sensors.stream_format import CameraSpec, StreamHeader
 
 POSE_STREAM = 0xCA97
 F32 = NDArray[np.float32]

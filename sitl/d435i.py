@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sitl.jit import kernel
 from sitl.raster import Renderer, Rendering
 from sitl.transform import body_from_camera, inverse, rigid
-from uav_recon.sensors.wire import CameraSpec, StreamHeader
+from uav_recon.sensors.stream_format import CameraSpec, StreamHeader
 
 WIDTH, HEIGHT = 424, 240
 RANGE_M = (0.3, 6.0)

@@ -36,7 +36,7 @@ from sitl.scene import Scene, load_scene
 from sitl.transport import ByteEnd, UdpPeer
 from sitl.vehicle import Airframe, Quadrotor
 from sitl.world import Darkroom, Flyer, World
-from uav_recon.sensors.wire import StreamWriter
+from uav_recon.sensors.stream_format import StreamWriter
 
 STEP_S = 0.004
 _NEVER = 10**9  # collections of what is young before all is gone through

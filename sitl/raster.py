@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sitl.jit import kernel
 from sitl.zbuffer import CHUNK_FACES, rasterise
-from uav_recon.sensors.wire import CameraSpec
+from uav_recon.sensors.stream_format import CameraSpec
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

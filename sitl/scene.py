@@ -18,7 +18,7 @@ from sitl.raster import Renderer
 from sitl.room import ROOM_START, built_in_room
 from sitl.rooms import generated_room
 from sitl.surface import dense_points, height_below, row_points
-from uav_recon.sensors.wire import CameraSpec
+from uav_recon.sensors.stream_format import CameraSpec
 
 HULL_RADIUS_M, HULL_HEIGHT_M = 0.20, 0.20
 BODY_ABOVE_FLOOR_M = 0.5 * HULL_HEIGHT_M  # the hull stands on the floor

@@ -24,7 +24,7 @@ from sitl.scene import BODY_ABOVE_FLOOR_M, TAKEOFF_HEIGHT_M, Scene
 from sitl.sight import Sight
 from sitl.surface import area_weighted_samples, dense_points
 from sitl.transform import body_from_camera, inverse, rigid, world_from_body
-from uav_recon.sensors.wire import CameraSpec
+from uav_recon.sensors.stream_format import CameraSpec
 
 VERSION = 3
 POSES, HELD_OUT, SAMPLES = 600, 100, 300_000

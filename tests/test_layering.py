@@ -103,7 +103,7 @@ def test_the_outside_world_shares_only_the_wire_format(path: Path) -> None:
     if path.name.startswith("fly"):
         return
     ours = {name for name in imports(path) if name.startswith("uav_recon")}
-    assert all(name.startswith("uav_recon.sensors.wire") for name in ours), f"{path.name} imports {ours}"
+    assert all(name.startswith("uav_recon.sensors.stream_format") for name in ours), f"{path.name} imports {ours}"
 
 
 @pytest.mark.parametrize("path", modules("uav_recon") + modules("sitl"), ids=lambda p: str(p.relative_to(ROOT)))

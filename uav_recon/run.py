@@ -157,14 +157,14 @@ def make_perception(config: Config, wires: Wires, clock: Clock, stopped: Callabl
 
 
 def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[Camera, PoseSource]:
-    from uav_recon.sensors.stream import StreamCamera, StreamError, StreamPoses, open_stream
+    from uav_recon.sensors.stream_camera import StreamCamera, StreamError, StreamPoses, open_stream
 
     near_m, far_m = config.camera.depth_min_m, config.camera.depth_max_m
     fixed = config.camera.mount == "fixed"
     tilted = body_from_camera(np.array(config.camera.position_body_m), math.radians(config.camera.pitch_down_deg))
     try:
         if config.camera.source == "recorded":
-            from uav_recon.sensors.recorded import RecordedCamera, RecordedPoses
+            from uav_recon.sensors.recorded_camera import RecordedCamera, RecordedPoses
 
             if config.camera.recording is None:
                 raise Failure("camera.recording: must name a flight folder where camera.source is recorded", EXIT_CONFIG)

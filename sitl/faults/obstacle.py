@@ -15,7 +15,7 @@ from sitl.scene import HULL_HEIGHT_M
 from sitl.solids import Workshop
 from sitl.texture import plain
 from sitl.transform import inverse, rigid
-from uav_recon.sensors.wire import CameraSpec
+from uav_recon.sensors.stream_format import CameraSpec
 
 F64 = NDArray[np.float64]
 

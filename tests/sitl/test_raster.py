@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sitl.raster import Renderer
 from sitl.transform import body_from_camera, world_from_body
-from uav_recon.sensors.wire import CameraSpec
+from uav_recon.sensors.stream_format import CameraSpec
 
 SPEC = CameraSpec(64, 48, 34.0, 33.0, 31.5, 23.5)
 F64 = NDArray[np.float64]

@@ -17,8 +17,8 @@ from typing import Any, cast
 import numpy as np
 
 from uav_recon.protocols import Clock
-from uav_recon.sensors.stream import depth_table
-from uav_recon.sensors.wire import StreamError
+from uav_recon.sensors.stream_camera import depth_table
+from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from uav_recon.clock import ManualClock
-from uav_recon.sensors.stream import StreamCamera, StreamPoses, depth_table, open_stream
-from uav_recon.sensors.wire import HEADER, POSE_SLOTS, CameraSpec, StreamError, StreamHeader, StreamWriter
+from uav_recon.sensors.stream_camera import StreamCamera, StreamPoses, depth_table, open_stream
+from uav_recon.sensors.stream_format import HEADER, POSE_SLOTS, CameraSpec, StreamError, StreamHeader, StreamWriter
 
 HEADER_OF = StreamHeader(
     CameraSpec(16, 12, 10.0, 11.0, 7.5, 5.5), CameraSpec(8, 6, 5.0, 5.5, 3.5, 2.5), (1.0, 0.0, 0.0, 0.0, 0.015, 0.0, 0.001)

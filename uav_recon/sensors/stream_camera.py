@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from uav_recon.protocols import Clock
-from uav_recon.sensors.wire import CameraSpec, RawFrame, StreamError, StreamReader
+from uav_recon.sensors.stream_format import CameraSpec, RawFrame, StreamError, StreamReader
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose, StampedPose
