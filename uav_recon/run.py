@@ -139,8 +139,8 @@ def _envelope(config: Config) -> Envelope:
 
 def make_perception(config: Config, wires: Wires, clock: Clock, stopped: Callable[[], bool] = lambda: False) -> Perception:
     """The loop next to the camera. Raises Failure if there is none; with exit code 0 once stopped() while it waits for one."""
-    from uav_recon.localization.filter import FusionFilter
-    from uav_recon.localization.mount import FixedMount, GimbalMount
+    from uav_recon.localization.camera_mount import FixedMount, GimbalMount
+    from uav_recon.localization.fusion_filter import FusionFilter
     from uav_recon.localization.perception import Perception
 
     camera, poses = _camera(config, clock, stopped)

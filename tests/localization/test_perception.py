@@ -9,9 +9,9 @@ from figure_eight import FigureEight, perfect_imu
 
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
-from uav_recon.localization.credence import Credence
-from uav_recon.localization.filter import FusionFilter
-from uav_recon.localization.mount import FixedMount
+from uav_recon.localization.camera_mount import FixedMount
+from uav_recon.localization.depth_consistency import Credence
+from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.min_range_grid import Nearby

@@ -7,11 +7,11 @@ from collections import deque
 from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
-from uav_recon.localization import dynamics, nearness
-from uav_recon.localization.credence import Credence
-from uav_recon.localization.filter import FusionFilter
-from uav_recon.localization.mount import Mount
-from uav_recon.localization.nearness import nearest_in_cells
+from uav_recon.localization import error_propagation, min_range_binning
+from uav_recon.localization.camera_mount import Mount
+from uav_recon.localization.depth_consistency import Credence
+from uav_recon.localization.fusion_filter import FusionFilter
+from uav_recon.localization.min_range_binning import nearest_in_cells
 from uav_recon.protocols import Camera, Channel, Clock, PoseSource
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import Nearby
@@ -48,7 +48,7 @@ class Perception:
         self._odom, self._frames, self._nearby = odom, frames, nearby
         self._clock, self._frame_wait_s = clock, frame_wait_s
         self._credence = Credence()
-        for part in (self._credence, dynamics, nearness):
+        for part in (self._credence, error_propagation, min_range_binning):
             part.warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._waiting: deque[Frame] = deque()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.localization.attitude import conjugate, logarithm, multiply, rotate
-from uav_recon.localization.gates import Sighting
+from uav_recon.localization.imu_integration import conjugate, logarithm, multiply, rotate
+from uav_recon.localization.pose_gates import Sighting
 
 _SLIP_M, _SLIP_RAD = 0.05, math.radians(3.0)  # between two poses, beyond what the track says of the way between them
 _WIDER_M, _WIDER_RAD = 0.10, math.radians(8.0)  # the same where no inertial samples tell the way

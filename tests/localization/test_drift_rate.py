@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from painted_room import BARE, CAMERA, Paint, camera_at, depth_of, frame_of, moved, plaster, rgb_of
+from textured_room import BARE, CAMERA, Paint, camera_at, depth_of, frame_of, moved, plaster, rgb_of
 
-from uav_recon.localization.creep import Creep
-from uav_recon.localization.patches import patches, pull
+from uav_recon.localization.drift_rate import Creep
+from uav_recon.localization.planar_patches import patches, pull
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uav_recon.localization.gates import Gates, Sighting, doubt, surprise, tether, unfit
+from uav_recon.localization.pose_gates import Gates, Sighting, doubt, surprise, tether, unfit
 from uav_recon.types.pose import Pose, StampedPose
 
 GATES = Gates()

@@ -17,12 +17,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from uav_recon.localization.attitude import Quaternion, Vector, conjugate, multiply, normalised, rotate
-from uav_recon.localization.chain import Arrival, Chain, Node, against
-from uav_recon.localization.errorstate import SEEN, WHITE_SHARE, Estimate, PoseNoise
-from uav_recon.localization.gates import CONTRADICTIONS, Gates, Sighting, unfit
-from uav_recon.localization.trial import RETURN, STEP, Trial
-from uav_recon.localization.watch import Watch
+from uav_recon.localization.eskf import SEEN, WHITE_SHARE, Estimate, PoseNoise
+from uav_recon.localization.fusion_history import Arrival, Chain, Node, against
+from uav_recon.localization.imu_integration import Quaternion, Vector, conjugate, multiply, normalised, rotate
+from uav_recon.localization.odometry_health import Watch
+from uav_recon.localization.pose_gates import CONTRADICTIONS, Gates, Sighting, unfit
+from uav_recon.localization.relocalization_check import RETURN, STEP, Trial
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom

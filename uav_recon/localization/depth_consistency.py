@@ -9,9 +9,9 @@ from typing import TypeGuard
 
 import numpy as np
 
-from uav_recon.localization.creep import Creep
-from uav_recon.localization.grain import lone_share
-from uav_recon.localization.witness import ALIKE, ALIKE_LATELY, OVERLAPPING, Agreement, Likeness, Stand, Witness
+from uav_recon.localization.depth_outliers import lone_share
+from uav_recon.localization.drift_rate import Creep
+from uav_recon.localization.past_view_comparison import ALIKE, ALIKE_LATELY, OVERLAPPING, Agreement, Likeness, Stand, Witness
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose

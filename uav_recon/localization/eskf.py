@@ -23,7 +23,8 @@ from typing import NamedTuple
 import numpy as np
 from filterpy.kalman import predict, update
 
-from uav_recon.localization.attitude import (
+from uav_recon.localization.error_propagation import dynamics
+from uav_recon.localization.imu_integration import (
     GRAVITY_MPS2,
     InertialState,
     Quaternion,
@@ -35,7 +36,6 @@ from uav_recon.localization.attitude import (
     normalised,
     rotate,
 )
-from uav_recon.localization.dynamics import dynamics
 from uav_recon.types.frames import FloatArray
 
 WHITE_SHARE = 0.15  # of a claimed variance; the rest is drift

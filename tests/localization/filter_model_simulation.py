@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from uav_recon.localization.errorstate import WITH_IMU, Estimate
-from uav_recon.localization.filter import FusionFilter
+from uav_recon.localization.eskf import WITH_IMU, Estimate
+from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, StampedPose
 

@@ -7,8 +7,7 @@ import pytest
 from figure_eight import FigureEight, perfect_imu
 from numpy.typing import NDArray
 
-from uav_recon.localization.attitude import InertialTrack, Vector, exponential, logarithm, multiply
-from uav_recon.localization.errorstate import (
+from uav_recon.localization.eskf import (
     WITH_IMU,
     Estimate,
     PoseNoise,
@@ -18,6 +17,7 @@ from uav_recon.localization.errorstate import (
     innovation,
     spread,
 )
+from uav_recon.localization.imu_integration import InertialTrack, Vector, exponential, logarithm, multiply
 
 MOTION = FigureEight()
 QUIET = PoseNoise(1e-9, 1e-9, 0.0, 0.0)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faulty_pose_flight import MOTION, ONSET_S, Trouble, fly, shifted
 from scipy.spatial.transform import Rotation
-from troubled_flight import MOTION, ONSET_S, Trouble, fly, shifted
 
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose

@@ -6,10 +6,10 @@ import copy
 
 import numpy as np
 import pytest
-from painted_room import ranges_m
+from textured_room import ranges_m
 
-from uav_recon.localization.credence import Credence, _moved
-from uav_recon.localization.witness import Agreement
+from uav_recon.localization.depth_consistency import Credence, _moved
+from uav_recon.localization.past_view_comparison import Agreement
 from uav_recon.types.camera import Frame, Intrinsics, body_from_camera
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.pose import Pose

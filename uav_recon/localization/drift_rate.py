@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.flow import Flow, Seen
-from uav_recon.localization.patches import REACH_M, REACH_SHARE, patches, pull, weight_at
+from uav_recon.localization.feature_tracking import Flow, Seen
+from uav_recon.localization.planar_patches import REACH_M, REACH_SHARE, patches, pull, weight_at
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose

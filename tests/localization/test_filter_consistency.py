@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from model_world import F64, error, fly
+from filter_model_simulation import F64, error, fly
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 

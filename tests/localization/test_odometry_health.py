@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from uav_recon.localization.watch import Watch
+from uav_recon.localization.odometry_health import Watch
 from uav_recon.types.pose import PoseHealth
 
 GOOD, DEGRADED, LOST = PoseHealth.GOOD, PoseHealth.DEGRADED, PoseHealth.LOST

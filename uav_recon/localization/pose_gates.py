@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.localization.attitude import Quaternion, Vector
+from uav_recon.localization.imu_integration import Quaternion, Vector
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import StampedPose
 

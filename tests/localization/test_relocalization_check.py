@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon.localization.attitude import exponential, multiply, rotate
-from uav_recon.localization.gates import Sighting
-from uav_recon.localization.trial import RETURN, STEP, Trial
+from uav_recon.localization.imu_integration import exponential, multiply, rotate
+from uav_recon.localization.pose_gates import Sighting
+from uav_recon.localization.relocalization_check import RETURN, STEP, Trial
 from uav_recon.types.pose import Pose, StampedPose
 
 SOURCE = StampedPose(0.0, Pose.identity(), np.zeros(3))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from uav_recon.localization.patches import patches
+from uav_recon.localization.planar_patches import patches
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
 from uav_recon.types.pose import Pose

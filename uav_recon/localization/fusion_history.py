@@ -7,7 +7,8 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from uav_recon.localization.attitude import (
+from uav_recon.localization.eskf import Estimate, PoseNoise, carry, carry_mean, correct, innovation, spread
+from uav_recon.localization.imu_integration import (
     GRAVITY_MPS2,
     InertialState,
     InertialTrack,
@@ -18,8 +19,7 @@ from uav_recon.localization.attitude import (
     multiply,
     rotate,
 )
-from uav_recon.localization.errorstate import Estimate, PoseNoise, carry, carry_mean, correct, innovation, spread
-from uav_recon.localization.gates import Sighting, doubt, same_stamp, surprise, tether
+from uav_recon.localization.pose_gates import Sighting, doubt, same_stamp, surprise, tether
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 

@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from painted_room import RGB_LENS, camera_at, depth_of, frame_of, moved, plaster, rgb_of
+from textured_room import RGB_LENS, camera_at, depth_of, frame_of, moved, plaster, rgb_of
 
-from uav_recon.localization.flow import Flow, Seen
+from uav_recon.localization.feature_tracking import Flow, Seen
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.localization.attitude import Quaternion, Vector
+from uav_recon.localization.imu_integration import Quaternion, Vector
 from uav_recon.types.frames import FloatArray
 
 _POSITION, _VELOCITY, _ATTITUDE, _BIAS, _OFFSET = 0, 3, 6, 9, 12  # where each begins in the error

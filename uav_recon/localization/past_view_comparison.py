@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.residuals import FEWEST, MOST, gain_aside, loss_aside, residuals, shares, shift_of, surface
+from uav_recon.localization.point_to_plane import FEWEST, MOST, gain_aside, loss_aside, residuals, shares, shift_of, surface
 from uav_recon.types.camera import Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
