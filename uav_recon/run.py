@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.neural.trainer import Trainer
     from uav_recon.mapping.voxels import Voxels
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.motion.paced import Paced
+    from uav_recon.motion.speed_limited_planner import Paced
     from uav_recon.planning.camera import CameraGeometry
     from uav_recon.planning.narrows import ThroughNarrows
     from uav_recon.planning.space.costs import Price
@@ -219,7 +219,7 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
 
 def price_of(config: Config) -> Price:
     """What a leg is reckoned to take: the planner's, for the gaze that motion has."""
-    from uav_recon.motion.gaze import NoseAhead, gaze_of
+    from uav_recon.motion.yaw_policy import NoseAhead, gaze_of
     from uav_recon.planning.space.costs import NoseFirst, TurningOnTheWay
 
     gaze, pace = gaze_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
@@ -247,7 +247,7 @@ def camera_geometry(config: Config) -> CameraGeometry:
 
 def make_motion(config: Config, clearance_m: float) -> Paced:
     """Trajectories inside the guard's fence, slow as long as the guard lets nothing pass that is faster than a retreat."""
-    from uav_recon.motion.paced import Paced
+    from uav_recon.motion.speed_limited_planner import Paced
 
     safety, inset_m = config.safety, config.safety.fence_inset_m + INSIDE_M
     return Paced.of(config, clearance_m, np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m)

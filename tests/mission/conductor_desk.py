@@ -15,7 +15,7 @@ from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.machine import Phase
 from uav_recon.mission.orders import MissionWires, Orders, Stages
 from uav_recon.motion import MotionPlanner
-from uav_recon.motion.paced import Paced
+from uav_recon.motion.speed_limited_planner import Paced
 from uav_recon.recording.flightlog import FlightLog
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uav_recon.motion import MotionPlanner
-from uav_recon.motion.replay import BRAKE_RISE_S
+from uav_recon.motion.time_scaling import BRAKE_RISE_S
 from uav_recon.types.tasks import ViewPath
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hall import MOTION, room, room_around, straight, wall
 
-from uav_recon.motion.planner import NARROW_MPS
-from uav_recon.motion.replay import joined
+from uav_recon.motion.motion_planner import NARROW_MPS
+from uav_recon.motion.time_scaling import joined
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 

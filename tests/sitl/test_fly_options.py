@@ -11,7 +11,7 @@ from sitl.fly_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, UsageError
 from sitl.fly_world import WorldOptions
 from sitl.scene import Scene
 from uav_recon.config import load
-from uav_recon.motion.gaze import AT_VIEWS, NoseAhead, gaze_of
+from uav_recon.motion.yaw_policy import AT_VIEWS, NoseAhead, gaze_of
 
 SCENE = Scene(
     "box", np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8), 0.3,

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.motion.clearing import ROOT, Space, room_at
-from uav_recon.motion.gaze import AT_VIEWS, Gaze
+from uav_recon.motion.clearance import ROOT, Space, room_at
+from uav_recon.motion.yaw_policy import AT_VIEWS, Gaze
 from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 from uav_recon.types.tasks import Viewpoint
 

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.config import Config
-from uav_recon.motion.replay import STEP_S
+from uav_recon.motion.time_scaling import STEP_S
 from uav_recon.types.frames import BoolArray, FloatArray
 
 BLIND_SHARE = 0.9  # of what the guard lets pass where the camera does not look: what leads over to a new motion adds to it

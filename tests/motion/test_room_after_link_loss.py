@@ -8,8 +8,8 @@ from hall import CLEARANCE_M, CONFIG, HALL, paths, random_path, room, room_aroun
 from hypothesis import given, settings
 
 from uav_recon.motion import MotionPlanner
-from uav_recon.motion.flight import RUN_ON_MPS
-from uav_recon.motion.pace import PUSHED_ON_S
+from uav_recon.motion.time_parameterization import PUSHED_ON_S
+from uav_recon.motion.trajectory_generation import RUN_ON_MPS
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory

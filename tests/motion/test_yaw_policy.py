@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from uav_recon.motion import MotionPlanner
-from uav_recon.motion.gaze import AT_VIEWS, BLIND_SHARE, SHARE, NoseAhead
+from uav_recon.motion.yaw_policy import AT_VIEWS, BLIND_SHARE, SHARE, NoseAhead
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory

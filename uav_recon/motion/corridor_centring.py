@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.motion.band import Band, least_room, mirror
-from uav_recon.motion.clearing import ROOT, Space
+from uav_recon.motion.clearance import ROOT, Space
+from uav_recon.motion.elastic_band import Band, least_room, mirror
 from uav_recon.types.frames import AnyArray
 
 STEP_M = 0.02

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from uav_recon.motion.pace import PER_SPAN, Curve, fastest, instants, smoothed
+from uav_recon.motion.time_parameterization import PER_SPAN, Curve, fastest, instants, smoothed
 from uav_recon.types.frames import FloatArray
 
 FREE = np.full(1000, np.inf)  # no silence to heed

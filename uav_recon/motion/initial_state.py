@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.motion.replay import KEPT_S, STEP_S
+from uav_recon.motion.time_scaling import KEPT_S, STEP_S
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.trajectory import Setpoint, Trajectory
 

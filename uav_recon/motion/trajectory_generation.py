@@ -8,13 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.config import MotionConfig
-from uav_recon.motion.band import SPAN_M, SPAN_S, Band
-from uav_recon.motion.bounds import caps
-from uav_recon.motion.clearing import ROOT, Space, rooms, ways_ahead
-from uav_recon.motion.entry import Entry
-from uav_recon.motion.gaze import AT_VIEWS, Gaze
-from uav_recon.motion.pace import FASTEST, PER_SPAN, PUSHED_ON_S, TINY, Curve, fastest, instants, sampled, smoothed
-from uav_recon.motion.replay import STEP_S
+from uav_recon.motion.clearance import ROOT, Space, rooms, ways_ahead
+from uav_recon.motion.elastic_band import SPAN_M, SPAN_S, Band
+from uav_recon.motion.initial_state import Entry
+from uav_recon.motion.speed_limits import caps
+from uav_recon.motion.time_parameterization import (
+    FASTEST,
+    PER_SPAN,
+    PUSHED_ON_S,
+    TINY,
+    Curve,
+    fastest,
+    instants,
+    sampled,
+    smoothed,
+)
+from uav_recon.motion.time_scaling import STEP_S
+from uav_recon.motion.yaw_policy import AT_VIEWS, Gaze
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.trajectory import Trajectory
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from uav_recon.config import Config
-from uav_recon.motion.gaze import gaze_of
-from uav_recon.motion.planner import MotionPlanner
+from uav_recon.motion.motion_planner import MotionPlanner
+from uav_recon.motion.yaw_policy import gaze_of
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import ViewPath

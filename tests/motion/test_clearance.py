@@ -5,7 +5,7 @@ from hall import room_around, voxel_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uav_recon.motion.clearing import ROOT, Space, blocked, rooms
+from uav_recon.motion.clearance import ROOT, Space, blocked, rooms
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED
 

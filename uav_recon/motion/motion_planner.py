@@ -12,13 +12,13 @@ import dataclasses
 import numpy as np
 
 from uav_recon.config import MotionConfig
-from uav_recon.motion.band import Band, Course
-from uav_recon.motion.centring import centred
-from uav_recon.motion.clearing import Space, blocked, is_clear
-from uav_recon.motion.entry import Entry
-from uav_recon.motion.flight import Flight, Pacer
-from uav_recon.motion.gaze import AT_VIEWS, Gaze
-from uav_recon.motion.replay import braking, joined, replayed
+from uav_recon.motion.clearance import Space, blocked, is_clear
+from uav_recon.motion.corridor_centring import centred
+from uav_recon.motion.elastic_band import Band, Course
+from uav_recon.motion.initial_state import Entry
+from uav_recon.motion.time_scaling import braking, joined, replayed
+from uav_recon.motion.trajectory_generation import Flight, Pacer
+from uav_recon.motion.yaw_policy import AT_VIEWS, Gaze
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.tasks import PlanMode, ViewPath, Viewpoint

@@ -25,7 +25,7 @@ from hall import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uav_recon.motion.replay import BRAKE_RISE_S, KEPT_S
+from uav_recon.motion.time_scaling import BRAKE_RISE_S, KEPT_S
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Trajectory
 
