@@ -72,10 +72,10 @@ def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, cloc
     from uav_recon.autopilot.briefing import Origin
     from uav_recon.autopilot.pilot import Airframe, PilotChannels
     from uav_recon.autopilot.pilot import make_pilot as wire_pilot
+    from uav_recon.safety.failsafe import Patience
     from uav_recon.safety.guard import Bounds, Guard
-    from uav_recon.safety.ladder import Patience
-    from uav_recon.safety.proximity import Margins
-    from uav_recon.safety.sight import Sight
+    from uav_recon.safety.obstacle_speed_limit import Margins
+    from uav_recon.safety.recently_seen_space import Sight
 
     safety = config.safety
     patience = Patience(

@@ -27,10 +27,10 @@ from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.protocols import ByteLink
 from uav_recon.safety.envelope import Envelope, Fence
+from uav_recon.safety.failsafe import Patience
 from uav_recon.safety.guard import Bounds, Guard
-from uav_recon.safety.ladder import Patience
-from uav_recon.safety.proximity import Margins
-from uav_recon.safety.sight import Sight
+from uav_recon.safety.obstacle_speed_limit import Margins
+from uav_recon.safety.recently_seen_space import Sight
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FreeSpace, GridSpec

@@ -10,10 +10,10 @@ import pytest
 from uav_recon.autopilot.evasion import IDENTIFIER, Evasion
 from uav_recon.autopilot.intruder import Intruder
 from uav_recon.safety.envelope import Envelope, Fence
+from uav_recon.safety.free_space_check import KnownFree
 from uav_recon.safety.guard import Bounds, Guard, Situation
-from uav_recon.safety.knownfree import KnownFree
-from uav_recon.safety.proximity import Margins
-from uav_recon.safety.sight import Sight
+from uav_recon.safety.obstacle_speed_limit import Margins
+from uav_recon.safety.recently_seen_space import Sight
 from uav_recon.types.frames import BoolArray
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.polygon import Polygon

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flight_rig import ARM, ENVELOPE, MODE, SETPOINT, TAKEOFF_LAG_S, TICK_S, Rig, Tap, setpoints
+from guard_rooms import may_stand
 from pymavlink.dialects.v20 import common as mavlink
-from rooms import may_stand
 
 from uav_recon.autopilot.tlog import Tlog
 from uav_recon.types.pose import Pose, StampedPose

@@ -7,7 +7,7 @@ import pytest
 
 from uav_recon.autopilot.lookout import Lookout
 from uav_recon.channels import MemoryChannel
-from uav_recon.safety.sight import Sight
+from uav_recon.safety.recently_seen_space import Sight
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.min_range_grid import Nearby

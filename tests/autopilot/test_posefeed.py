@@ -12,7 +12,7 @@ import pytest
 
 from uav_recon.autopilot.posefeed import PoseFeed
 from uav_recon.channels import FileChannel, MemoryChannel
-from uav_recon.safety.posegate import PoseGate
+from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import Pose, StampedPose
 
 STEP_S = 1 / 30

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import pytest
-from rooms import ENVELOPE, may_stand
+from guard_rooms import ENVELOPE, may_stand
 
 from uav_recon.safety.envelope import Envelope, Fence, Vec3
 from uav_recon.types.polygon import Polygon

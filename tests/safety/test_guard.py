@@ -8,13 +8,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from guard_rooms import (
+    BOUNDS,
+    DT,
+    ENVELOPE,
+    HULL_RADIUS_M,
+    everything,
+    frame,
+    guard_of,
+    known_free,
+    may_stand,
+    proposal,
+    situation,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rooms import BOUNDS, DT, ENVELOPE, HULL_RADIUS_M, everything, frame, guard_of, known_free, may_stand, proposal, situation
 
 from uav_recon.safety.guard import ClearedSetpoint, Guard, Proposal
-from uav_recon.safety.proximity import Ahead
-from uav_recon.safety.sight import Sight
+from uav_recon.safety.obstacle_speed_limit import Ahead
+from uav_recon.safety.recently_seen_space import Sight
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint

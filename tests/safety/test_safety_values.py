@@ -6,12 +6,12 @@ import dataclasses
 from typing import Any
 
 import pytest
-from rooms import BOUNDS, ENVELOPE, proposal, situation
+from guard_rooms import BOUNDS, ENVELOPE, proposal, situation
 
+from uav_recon.safety.failsafe import Health, Patience
 from uav_recon.safety.guard import _motion_of
-from uav_recon.safety.ladder import Health, Patience
-from uav_recon.safety.posegate import Verdict
-from uav_recon.safety.steps import Steps
+from uav_recon.safety.pose_gate import Verdict
+from uav_recon.safety.setpoint_continuity import Steps
 
 VALUES = (
     BOUNDS,

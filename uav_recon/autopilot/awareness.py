@@ -14,8 +14,8 @@ from uav_recon.autopilot.parameter_check import NoParameterCheck, ParameterCheck
 from uav_recon.autopilot.posefeed import PoseFeed
 from uav_recon.autopilot.steering import Steering
 from uav_recon.safety.envelope import Vec3
+from uav_recon.safety.failsafe import Health
 from uav_recon.safety.guard import Guard, Situation
-from uav_recon.safety.ladder import Health
 from uav_recon.types.pose import Pose, PoseHealth
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 

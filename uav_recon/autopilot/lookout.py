@@ -9,9 +9,9 @@ from uav_recon.autopilot.intruder import Intruder, Neighbourhood
 from uav_recon.autopilot.posefeed import newest
 from uav_recon.autopilot.soundness import tells_of_depth, tells_of_space
 from uav_recon.protocols import Channel
-from uav_recon.safety.knownfree import KnownFree
-from uav_recon.safety.proximity import Ahead
-from uav_recon.safety.sight import Sight
+from uav_recon.safety.free_space_check import KnownFree
+from uav_recon.safety.obstacle_speed_limit import Ahead
+from uav_recon.safety.recently_seen_space import Sight
 from uav_recon.types.maps import FreeSpace
 from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import StampedPose

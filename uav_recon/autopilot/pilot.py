@@ -24,10 +24,10 @@ from uav_recon.autopilot.tlog import FrameLog, NoLog
 from uav_recon.autopilot.vain import InVain
 from uav_recon.clock import RateKeeper
 from uav_recon.protocols import ByteLink, Channel, Clock
+from uav_recon.safety.failsafe import Ladder, Patience, Rung
 from uav_recon.safety.guard import Guard
-from uav_recon.safety.ladder import Ladder, Patience, Rung
-from uav_recon.safety.posegate import PoseGate
-from uav_recon.safety.sight import Sight
+from uav_recon.safety.pose_gate import PoseGate
+from uav_recon.safety.recently_seen_space import Sight
 from uav_recon.types.maps import FreeSpace
 from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import StampedPose

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from uav_recon.autopilot.link import Link
 from uav_recon.protocols import Channel
-from uav_recon.safety.posegate import PoseGate
+from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import PoseHealth, StampedPose
 
 T = TypeVar("T")

@@ -12,8 +12,8 @@ from uav_recon.autopilot.evasion import Evasion
 from uav_recon.autopilot.handover import Handover
 from uav_recon.autopilot.mandate import Mandate
 from uav_recon.autopilot.retreat import Breadcrumbs
+from uav_recon.safety.failsafe import Rung
 from uav_recon.safety.guard import ClearedSetpoint, Guard, Proposal, Situation
-from uav_recon.safety.ladder import Rung
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.safety.envelope import Envelope, Vec3
-from uav_recon.safety.knownfree import KnownFree
-from uav_recon.safety.proximity import Ahead, Margins, fastest_mps
-from uav_recon.safety.sight import Sight
-from uav_recon.safety.steps import Motion, Steps
+from uav_recon.safety.free_space_check import KnownFree
+from uav_recon.safety.obstacle_speed_limit import Ahead, Margins, fastest_mps
+from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.safety.setpoint_continuity import Motion, Steps
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.trajectory import Refusal, Setpoint
 

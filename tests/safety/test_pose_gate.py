@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_recon.safety.posegate import PoseGate, Verdict
+from uav_recon.safety.pose_gate import PoseGate, Verdict
 from uav_recon.types.pose import Pose, StampedPose
 
 STEP_S = 1 / 30

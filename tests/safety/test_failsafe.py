@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from uav_recon.safety.ladder import Health, Ladder, Patience, Rung
+from uav_recon.safety.failsafe import Health, Ladder, Patience, Rung
 
 PATIENCE = Patience(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0)
 

@@ -7,13 +7,13 @@ import math
 
 import numpy as np
 import pytest
+from guard_rooms import DT, ENVELOPE, HULL_RADIUS_M, frame, guard_of, proposal, situation
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rooms import DT, ENVELOPE, HULL_RADIUS_M, frame, guard_of, proposal, situation
 
 from uav_recon.safety.guard import Guard
-from uav_recon.safety.proximity import Ahead
-from uav_recon.safety.steps import Motion, Steps
+from uav_recon.safety.obstacle_speed_limit import Ahead
+from uav_recon.safety.setpoint_continuity import Motion, Steps
 from uav_recon.types.frames import FloatArray
 
 NEAR = 1e-6

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from uav_recon.safety.envelope import Envelope, Fence, Vec3
+from uav_recon.safety.free_space_check import KnownFree
 from uav_recon.safety.guard import Bounds, Guard, Proposal, Situation
-from uav_recon.safety.knownfree import KnownFree
-from uav_recon.safety.proximity import Ahead, Margins
-from uav_recon.safety.sight import Sight
+from uav_recon.safety.obstacle_speed_limit import Ahead, Margins
+from uav_recon.safety.recently_seen_space import Sight
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import BoolArray
 from uav_recon.types.maps import FreeSpace, GridSpec

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from rooms import HULL_RADIUS_M, MOUNT, frame
+from guard_rooms import HULL_RADIUS_M, MOUNT, frame
 
-from uav_recon.safety.proximity import Ahead, Margins, fastest_mps
+from uav_recon.safety.obstacle_speed_limit import Ahead, Margins, fastest_mps
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.min_range_grid import Nearby
 

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from rooms import HULL_RADIUS_M, MOUNT, frame
+from guard_rooms import HULL_RADIUS_M, MOUNT, frame
 
-from uav_recon.safety.sight import Sight
+from uav_recon.safety.recently_seen_space import Sight
 from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose
 

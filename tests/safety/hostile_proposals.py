@@ -1,4 +1,4 @@
-"""A million hostile proposals: `python tests/safety/hostile.py [N [SEED]]`. Prints their fates; exit 1 for a violation.
+"""A million hostile proposals: `python tests/safety/hostile_proposals.py [N [SEED]]`. Prints their fates; exit 1 for a violation.
 
 Half of them are random numbers of every size, NaN and infinities among them, before and after their time; half are small
 steps from what flew last, so that they reach the checks behind the first. The space has walls, holes and a person walking.
@@ -14,11 +14,11 @@ import sys
 from collections import Counter, deque
 
 import numpy as np
-from rooms import BOUNDS, DT, GRID, HULL_RADIUS_M, everything, frame, guard_of, known_free, proposal, situation
+from guard_rooms import BOUNDS, DT, GRID, HULL_RADIUS_M, everything, frame, guard_of, known_free, proposal, situation
 
 from uav_recon.safety.guard import Proposal, Situation
-from uav_recon.safety.proximity import Ahead
-from uav_recon.safety.sight import Sight
+from uav_recon.safety.obstacle_speed_limit import Ahead
+from uav_recon.safety.recently_seen_space import Sight
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rooms import (
+from guard_rooms import (
     BOUNDS,
     ENVELOPE,
     HULL_RADIUS_M,
@@ -22,7 +22,7 @@ from rooms import (
 )
 
 from uav_recon.safety.guard import Guard, Proposal
-from uav_recon.safety.proximity import Ahead
+from uav_recon.safety.obstacle_speed_limit import Ahead
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.trajectory import Setpoint

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hostile import adds_up, attack, undue, violation
-from rooms import GRID, proposal, situation
+from guard_rooms import GRID, proposal, situation
+from hostile_proposals import adds_up, attack, undue, violation
 
 from uav_recon.safety.guard import Proposal
 from uav_recon.types.trajectory import Setpoint

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rooms import GRID, HULL_HEIGHT_M, HULL_RADIUS_M, OPEN, everything, known_free
+from guard_rooms import GRID, HULL_HEIGHT_M, HULL_RADIUS_M, OPEN, everything, known_free
 
-from uav_recon.safety.knownfree import KnownFree
+from uav_recon.safety.free_space_check import KnownFree
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, FreeSpace, VoxelMap
 
