@@ -170,7 +170,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     """Fly one mission and write its folder; SIGTERM lands. Exit code 0 however the flight ended."""
     from uav_recon.mapping.neural.process.worker import ProcessMapper
     from uav_recon.mapping.neural.views.priors import PriorError
-    from uav_recon.mission.standing import StandingOrders
+    from uav_recon.mission.operator_commands import StandingOrders
     from uav_recon.recording.debrief import FlightCard, account, publish
     from uav_recon.recording.flightlog import FlightLog
     from uav_recon.recording.mapfile import save_map

@@ -280,7 +280,7 @@ def make_conductor(
 ) -> Conductor:
     """The mission with every stage warm."""
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.mission.orders import MissionWires, Orders, Stages
+    from uav_recon.mission.mission_setup import MissionWires, Orders, Stages
 
     mission, voxels, planner = config.mission, make_voxels(config), make_planner(config, timer)
     retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m := config.planner.clearance_m)

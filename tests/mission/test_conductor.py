@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conductor_desk import Desk
+from conductor_fixture import Desk
 
 from uav_recon.clock import InlineExecutor
 from uav_recon.mission.conductor import Conductor
-from uav_recon.mission.machine import Phase
+from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flightlog import read_timeline
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.trajectory import Goal

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.mission.account import Account
-from uav_recon.mission.ascent import Ascent
-from uav_recon.mission.attendance import Attendance
-from uav_recon.mission.bulletin import Bulletin
-from uav_recon.mission.captures import Captures
-from uav_recon.mission.course import Course
-from uav_recon.mission.decider import Decider
+from uav_recon.mission.async_planning import Decider
+from uav_recon.mission.battery_policy import Steward
 from uav_recon.mission.events import Facts, observe
-from uav_recon.mission.helm import Helm
-from uav_recon.mission.homeward import Homeward
-from uav_recon.mission.landingsite import LandingSite
-from uav_recon.mission.machine import Phase, advance
-from uav_recon.mission.orders import MissionWires, Orders, Stages
-from uav_recon.mission.steward import Steward
+from uav_recon.mission.flight_track import Course
+from uav_recon.mission.landing_site import LandingSite
+from uav_recon.mission.map_publisher import Bulletin
+from uav_recon.mission.mission_log import Account
+from uav_recon.mission.mission_setup import MissionWires, Orders, Stages
+from uav_recon.mission.operator_watchdog import Attendance
+from uav_recon.mission.return_home import Homeward
+from uav_recon.mission.state_machine import Phase, advance
 from uav_recon.mission.survey import Survey
+from uav_recon.mission.takeoff import Ascent
+from uav_recon.mission.trajectory_execution import Helm
+from uav_recon.mission.view_schedule import Captures
 from uav_recon.protocols import Clock, Executor, Journal
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import VoxelMap

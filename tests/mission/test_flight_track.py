@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_recon.mission.course import BREADCRUMB_M, Course
+from uav_recon.mission.flight_track import BREADCRUMB_M, Course
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Trajectory
 from uav_recon.types.vehicle import FlightPhase, VehicleState

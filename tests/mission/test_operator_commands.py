@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from uav_recon.channels import MemoryChannel
-from uav_recon.mission.standing import StandingOrders
+from uav_recon.mission.operator_commands import StandingOrders
 from uav_recon.types.operator_command import GivenOrder, Order
 
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conductor_desk import Desk
+from conductor_fixture import Desk
 
-from uav_recon.mission.machine import Phase
+from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flightlog import read_timeline
 from uav_recon.types.trajectory import Goal
 

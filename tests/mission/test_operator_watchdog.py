@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from uav_recon.mission.attendance import Attendance
+from uav_recon.mission.operator_watchdog import Attendance
 
 HZ = 30
 

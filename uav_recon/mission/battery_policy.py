@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from uav_recon.mission.charge import Charge
-from uav_recon.mission.course import Course
-from uav_recon.mission.reserve import LAND_AT, LOW, TAKE_OFF, Burn, flight_s, least_for
-from uav_recon.mission.wayback import length_m
+from uav_recon.mission.battery_gauge import Charge
+from uav_recon.mission.battery_reserve import LAND_AT, LOW, TAKE_OFF, Burn, flight_s, least_for
+from uav_recon.mission.flight_track import Course
+from uav_recon.mission.return_distance import length_m
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.vehicle import VehicleState

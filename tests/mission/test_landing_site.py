@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mission.landingsite import PATCH_M, REACH_M, STEP_M, LandingSite
+from uav_recon.mission.landing_site import PATCH_M, REACH_M, STEP_M, LandingSite
 from uav_recon.types.frames import ByteArray, FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.mission.captures import Captures
+from uav_recon.mission.view_schedule import Captures
 from uav_recon.types.trajectory import Trajectory
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from uav_recon.mission.machine import Phase
+from uav_recon.mission.state_machine import Phase
 from uav_recon.protocols import Journal
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray

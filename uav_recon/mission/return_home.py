@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 
-from uav_recon.mission.account import Account
-from uav_recon.mission.decider import Decider, Decision
-from uav_recon.mission.helm import Helm
-from uav_recon.mission.landingsite import LandingSite
+from uav_recon.mission.async_planning import Decider, Decision
+from uav_recon.mission.landing_site import LandingSite
+from uav_recon.mission.mission_log import Account
+from uav_recon.mission.trajectory_execution import Helm
 from uav_recon.protocols import Pending
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap

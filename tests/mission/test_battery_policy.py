@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conductor_desk import Desk
+from conductor_fixture import Desk
 
-from uav_recon.mission.course import Course
-from uav_recon.mission.machine import Phase
-from uav_recon.mission.steward import Steward
+from uav_recon.mission.battery_policy import Steward
+from uav_recon.mission.flight_track import Course
+from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flightlog import read_timeline
 from uav_recon.types.pose import Pose
 from uav_recon.types.vehicle import FlightPhase, VehicleState

@@ -8,8 +8,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uav_recon.mission.charge import Charge
-from uav_recon.mission.reserve import AROUND_S, LAND_AT, LANDING_S, MARGIN, PACE_MPS, TAKE_OFF, Burn, flight_s, least_for
+from uav_recon.mission.battery_gauge import Charge
+from uav_recon.mission.battery_reserve import (
+    AROUND_S,
+    LAND_AT,
+    LANDING_S,
+    MARGIN,
+    PACE_MPS,
+    TAKE_OFF,
+    Burn,
+    flight_s,
+    least_for,
+)
 
 PERIOD_S = 0.1
 WAYS_M = st.floats(0.0, 200.0)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from uav_recon.mission.charge import Charge
+from uav_recon.mission.battery_gauge import Charge
 
 PERIOD_S = 0.05
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from uav_recon.mission.wayback import length_m
+from uav_recon.mission.return_distance import length_m
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 

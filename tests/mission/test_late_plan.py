@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TypeVar
 
 import pytest
-from conductor_desk import Desk
+from conductor_fixture import Desk
 
 from uav_recon.clock import InlineExecutor
 from uav_recon.mission.conductor import Conductor
-from uav_recon.mission.machine import Phase
+from uav_recon.mission.state_machine import Phase
 from uav_recon.protocols import Pending
 from uav_recon.types.trajectory import Goal
 

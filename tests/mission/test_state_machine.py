@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uav_recon.mission.events import EFFECTS, Event
-from uav_recon.mission.machine import Phase, advance
+from uav_recon.mission.state_machine import Phase, advance
 
 PHASES = st.sampled_from(Phase)
 EVENTS = st.sets(st.sampled_from(Event))

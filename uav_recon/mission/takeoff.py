@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.mission.helm import Helm
+from uav_recon.mission.trajectory_execution import Helm
 from uav_recon.protocols import Motion
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 

@@ -12,8 +12,8 @@ from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock
 from uav_recon.config import MotionConfig
 from uav_recon.mission.conductor import Conductor
-from uav_recon.mission.machine import Phase
-from uav_recon.mission.orders import MissionWires, Orders, Stages
+from uav_recon.mission.mission_setup import MissionWires, Orders, Stages
+from uav_recon.mission.state_machine import Phase
 from uav_recon.motion import MotionPlanner
 from uav_recon.motion.speed_limited_planner import Paced
 from uav_recon.recording.flightlog import FlightLog
