@@ -14,9 +14,9 @@ import typer
 from uav_recon import run, run_desk
 from uav_recon.cli_exit import exit_with
 from uav_recon.failure import Failure
-from uav_recon.operator.call import CallError, call
+from uav_recon.operator.client import CallError, call
 from uav_recon.operator.status import Status
-from uav_recon.operator.watch import Block, Lines, in_a_line
+from uav_recon.operator.status_watch import Block, Lines, in_a_line
 
 T = TypeVar("T")
 

@@ -10,10 +10,10 @@ from uav_recon.channels import FileChannel
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import Config
 from uav_recon.failure import EXIT_CONFIG, Failure
-from uav_recon.operator.clerk import Clerk
-from uav_recon.operator.desk import Desk, DeskError
+from uav_recon.operator.command_handler import Clerk
+from uav_recon.operator.command_socket import Desk, DeskError
 from uav_recon.operator.status import Status
-from uav_recon.operator.watch import Page, watch
+from uav_recon.operator.status_watch import Page, watch
 from uav_recon.protocols import Channel, Clock
 from uav_recon.types.operator_command import GivenOrder
 from uav_recon.wires import Wires

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from uav_recon.clock import ManualClock, MonotonicClock
-from uav_recon.operator.call import CallError, call
-from uav_recon.operator.desk import Desk
+from uav_recon.operator.client import CallError, call
+from uav_recon.operator.command_socket import Desk
 from uav_recon.operator.status import Status
-from uav_recon.operator.watch import PERIOD_S, Block, Lines, in_a_line, watch
+from uav_recon.operator.status_watch import PERIOD_S, Block, Lines, in_a_line, watch
 
 
 class Enough(Exception):  # noqa: N818 - Ctrl-C

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable
 from typing import Protocol, TextIO
 
-from uav_recon.operator.call import CallError
+from uav_recon.operator.client import CallError
 from uav_recon.operator.status import Status
 from uav_recon.protocols import Clock
 

@@ -10,7 +10,7 @@ import pytest
 
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
-from uav_recon.operator.clerk import SILENT_S, Clerk
+from uav_recon.operator.command_handler import SILENT_S, Clerk
 from uav_recon.operator.status import Status
 from uav_recon.types.operator_command import GivenOrder, Order
 from uav_recon.types.pose import Pose, StampedPose

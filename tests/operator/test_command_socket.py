@@ -15,8 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from uav_recon.clock import ManualClock
-from uav_recon.operator.call import CallError, call
-from uav_recon.operator.desk import LONGEST_LINE, MOST_CLIENTS, PATIENCE_S, Desk, DeskError, allowed
+from uav_recon.operator.client import CallError, call
+from uav_recon.operator.command_socket import LONGEST_LINE, MOST_CLIENTS, PATIENCE_S, Desk, DeskError, allowed
 
 
 class Office:
@@ -85,7 +85,7 @@ def test_who_is_allowed() -> None:
 
 
 def test_a_stranger_is_turned_away_unheard(office: Office, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uav_recon.operator.desk._may_speak", lambda connection: False)
+    monkeypatch.setattr("uav_recon.operator.command_socket._may_speak", lambda connection: False)
     before = len(office.words)
     with office.client(b'{"do": "land"}\n') as pipe:
         office.turns()
