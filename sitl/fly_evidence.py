@@ -9,7 +9,7 @@ import numpy as np
 from sitl.faults.evidence import Evidence, Limits, gather
 from sitl.faults.meddler import Meddler
 from uav_recon.config import Config
-from uav_recon.recording.flightlog import read_timeline
+from uav_recon.recording.flight_log import read_timeline
 
 
 def evidence_of(meddler: Meddler, config: Config, truth: Path, radius_m: float) -> Evidence:

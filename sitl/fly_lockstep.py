@@ -29,14 +29,14 @@ from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
 from uav_recon.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
 from uav_recon.protocols import ByteLink, Mapper, Pending
-from uav_recon.recording.flightlog import FlightLog
-from uav_recon.recording.mapfile import save_map
+from uav_recon.recording.flight_log import FlightLog
+from uav_recon.recording.map_file import save_map
 from uav_recon.recording.timelapse import Timelapse
 from uav_recon.types.operator_command import GivenOrder
 from uav_recon.wires import memory_wires
 
 if TYPE_CHECKING:
-    from uav_recon.recording.recorder import Recorder
+    from uav_recon.recording.rerun_recorder import Recorder
 
 T = TypeVar("T")
 

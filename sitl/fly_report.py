@@ -23,10 +23,10 @@ from uav_recon.evaluation import metrics
 from uav_recon.evaluation.lookahead import Lookahead, lookahead
 from uav_recon.evaluation.recall import ElementRecall, time_to
 from uav_recon.evaluation.surface import Surface
-from uav_recon.recording.debrief import FlightCard, account, publish
-from uav_recon.recording.flightlog import read_timeline
-from uav_recon.recording.mapfile import load_map
-from uav_recon.recording.meshfile import load_mesh
+from uav_recon.recording.flight_log import read_timeline
+from uav_recon.recording.flight_report import FlightCard, account, publish
+from uav_recon.recording.map_file import load_map
+from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.recording.report import TIMED_RECALLS, Report, ReportQuality, ReportSafety, ReportStream
 from uav_recon.recording.timelapse import load_states
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, TriangleMesh, VoxelMap

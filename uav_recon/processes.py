@@ -171,9 +171,9 @@ def mission(config_path: Path, flight: Path | None) -> int:
     from uav_recon.mapping.neural.process.worker import ProcessMapper
     from uav_recon.mapping.neural.views.priors import PriorError
     from uav_recon.mission.operator_commands import StandingOrders
-    from uav_recon.recording.debrief import FlightCard, account, publish
-    from uav_recon.recording.flightlog import FlightLog
-    from uav_recon.recording.mapfile import save_map
+    from uav_recon.recording.flight_log import FlightLog
+    from uav_recon.recording.flight_report import FlightCard, account, publish
+    from uav_recon.recording.map_file import save_map
 
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires, begun_s = file_wires(config.runtime.folder), clock.now_s()

@@ -218,7 +218,7 @@ class _Work:
 
     def _write(self, mesh: ClosedMesh, field: LearnedField, gathered: Gathered) -> None:
         from uav_recon.mapping.neural.closed.modelfile import write_closed_ply, write_textured_glb
-        from uav_recon.recording.mesh_pictures import mesh_pictures
+        from uav_recon.recording.mesh_renders import mesh_pictures
 
         write_closed_ply(self._folder / MESH_PLY, mesh)
         with self._console.status("drawing the texture ..."):

@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.planning.camera import CameraGeometry
     from uav_recon.planning.narrows import ThroughNarrows
     from uav_recon.planning.space.costs import Price
-    from uav_recon.recording.recorder import Recorder
+    from uav_recon.recording.rerun_recorder import Recorder
     from uav_recon.recording.timelapse import Timelapse
     from uav_recon.safety.envelope import Envelope
 
@@ -324,7 +324,7 @@ def make_recorder(config: Config, wires: Wires, flight: Path, clock: Clock) -> R
 
     if not config.recording.rerun:
         return Timelapse(flight, wires.surface, clock)
-    from uav_recon.recording.recorder import Recorder, RecorderChannels
+    from uav_recon.recording.rerun_recorder import Recorder, RecorderChannels
 
     channels = RecorderChannels(
         wires.odom, wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan

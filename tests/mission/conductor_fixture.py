@@ -16,7 +16,7 @@ from uav_recon.mission.mission_setup import MissionWires, Orders, Stages
 from uav_recon.mission.state_machine import Phase
 from uav_recon.motion import MotionPlanner
 from uav_recon.motion.speed_limited_planner import Paced
-from uav_recon.recording.flightlog import FlightLog
+from uav_recon.recording.flight_log import FlightLog
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, FreeSpace, GridSpec, SurfaceElements, VoxelMap

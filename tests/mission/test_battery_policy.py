@@ -13,7 +13,7 @@ from conductor_fixture import Desk
 from uav_recon.mission.battery_policy import Steward
 from uav_recon.mission.flight_track import Course
 from uav_recon.mission.state_machine import Phase
-from uav_recon.recording.flightlog import read_timeline
+from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.pose import Pose
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 

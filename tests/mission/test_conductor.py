@@ -14,7 +14,7 @@ from conductor_fixture import Desk
 from uav_recon.clock import InlineExecutor
 from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.state_machine import Phase
-from uav_recon.recording.flightlog import read_timeline
+from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase

@@ -10,7 +10,7 @@ import pytest
 from conductor_fixture import Desk
 
 from uav_recon.mission.state_machine import Phase
-from uav_recon.recording.flightlog import read_timeline
+from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.vehicle import FlightPhase
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_recon.recording.flightlog import FlightLog
+from uav_recon.recording.flight_log import FlightLog
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, TriangleMesh, VoxelMap

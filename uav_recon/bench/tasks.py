@@ -30,7 +30,7 @@ from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Situation
 from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.planning.surface.surfaces import SurfaceViews
-from uav_recon.recording.mapfile import load_map
+from uav_recon.recording.map_file import load_map
 from uav_recon.recording.timelapse import load_states
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements

@@ -10,7 +10,7 @@ import trimesh
 
 from uav_recon.mapping.neural.closed.modelfile import GLTF_FROM_WORLD, OBSERVED, UNSEEN, write_closed_ply, write_textured_glb
 from uav_recon.mapping.neural.closed.shell import ClosedMesh
-from uav_recon.recording.meshfile import load_mesh
+from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.types.frames import Float32Array
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_recon.recording.debrief import FlightCard, account, publish
-from uav_recon.recording.flightlog import FlightLog
+from uav_recon.recording.flight_log import FlightLog
+from uav_recon.recording.flight_report import FlightCard, account, publish
 from uav_recon.recording.report import Report
 from uav_recon.types.pose import Pose
 from uav_recon.types.vehicle import MissionProgress

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from flight_inputs import START_S, write_timeline
 
-from uav_recon.recording.debrief import FlightCard, account, publish
-from uav_recon.recording.flightlog import FlightLog, read_timeline
-from uav_recon.recording.recall_picture import recall_over_time
+from uav_recon.recording.flight_log import FlightLog, read_timeline
+from uav_recon.recording.flight_report import FlightCard, account, publish
+from uav_recon.recording.recall_plot import recall_over_time
 from uav_recon.recording.report import Report
 
 CARD = FlightCard("kitchen", "adaptive", "px4", "fixed:15")

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_recon.recording.flightlog import Timeline, read_timeline
-from uav_recon.recording.mapfile import load_map
-from uav_recon.recording.mesh_pictures import mesh_pictures
-from uav_recon.recording.meshfile import load_mesh
-from uav_recon.recording.pictures import coverage_over_time, path_over_plan, planning_over_time
-from uav_recon.recording.recall_picture import recall_over_time
+from uav_recon.recording.flight_log import Timeline, read_timeline
+from uav_recon.recording.map_file import load_map
+from uav_recon.recording.mesh_file import load_mesh
+from uav_recon.recording.mesh_renders import mesh_pictures
+from uav_recon.recording.plots import coverage_over_time, path_over_plan, planning_over_time
+from uav_recon.recording.recall_plot import recall_over_time
 from uav_recon.recording.report import TIMED_RECALLS, ModeTimes, Report, ReportPlanning, ReportSafety, ReportStream, Spread
 from uav_recon.recording.report_page import Picture, write_report
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.recording.pictures import INK, SOFT, new_figure
-from uav_recon.recording.render import PictureView, corner_view, facing_inwards, render, top_view
+from uav_recon.recording.plots import INK, SOFT, new_figure
+from uav_recon.recording.software_renderer import PictureView, corner_view, facing_inwards, render, top_view
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TriangleMesh
 

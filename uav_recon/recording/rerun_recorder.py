@@ -19,8 +19,8 @@ import numpy as np
 from uav_recon.clock import RateKeeper
 from uav_recon.protocols import Channel, Clock
 from uav_recon.recording import blueprint as names
-from uav_recon.recording import drawing
-from uav_recon.recording.meshfile import load_mesh
+from uav_recon.recording import rerun_archetypes
+from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.recording.timelapse import Timelapse
 from uav_recon.recording.viewer import Viewer, open_viewer
 from uav_recon.types.camera import PosedFrame
@@ -122,7 +122,7 @@ class Recorder:
             self._live.connect_grpc(self._viewer.address)
         for stream in self._streams():
             stream.send_blueprint(names.review_blueprint())
-        self._draw(drawing.scene(np.asarray(fence_world_m, dtype=np.float64)), static=True)
+        self._draw(rerun_archetypes.scene(np.asarray(fence_world_m, dtype=np.float64)), static=True)
 
     def step(self) -> None:
         """Log what is new since the last step; call it at any rate, ten times a second or so."""
@@ -133,7 +133,7 @@ class Recorder:
         self._log_vehicle()
         self._log_mission()
         if self._frames_due.due(now_s) and (frame := self._frames.new()) is not None:
-            self._draw(drawing.frame(frame))
+            self._draw(rerun_archetypes.frame(frame))
         if self._maps_due.due(now_s):
             self._log_maps()
         if self._flush_due.due(now_s):
@@ -159,7 +159,7 @@ class Recorder:
         self._log_maps()
         mesh = mesh or load_mesh(self._folder)
         if mesh is not None:
-            self._draw(drawing.mesh(mesh, self._trail[-1] if self._trail else None))
+            self._draw(rerun_archetypes.mesh(mesh, self._trail[-1] if self._trail else None))
         for stream in self._streams():
             stream.disconnect()
 
@@ -167,14 +167,14 @@ class Recorder:
         odom = self._odom.new()
         if odom is None:
             return
-        self._draw(drawing.body(odom.odom_from_body))
+        self._draw(rerun_archetypes.body(odom.odom_from_body))
         self._plot(names.SPEED, float(np.linalg.norm(odom.velocity_odom_mps)))
         position = odom.odom_from_body.translation_m
         if self._map is not None and (distance_m := _distance_m(self._map, position)) is not None:
             self._plot(names.CLEARANCE, distance_m)
         if not self._trail or float(np.linalg.norm(position - self._trail[-1])) >= _TRAIL_STEP_M:
             self._trail.append(position)
-            self._draw(drawing.trail(self._trail_strip, np.array(self._trail)))
+            self._draw(rerun_archetypes.trail(self._trail_strip, np.array(self._trail)))
         if len(self._trail) >= _TRAIL_STRIP_POINTS:
             self._trail, self._trail_strip = self._trail[-1:], self._trail_strip + 1
 
@@ -196,7 +196,7 @@ class Recorder:
             self._say("mission note", progress.note)
         plan = self._plan.new()
         if plan is not None:
-            self._draw(drawing.plan(plan))
+            self._draw(rerun_archetypes.plan(plan))
             self._plot(names.PLANNING, 1e3 * plan.step_s)
             self._plot(names.PLANNING_TASKS, 1e3 * plan.task_s)
         intent = self._intent.new()
@@ -204,17 +204,17 @@ class Recorder:
             identifier = -1 if intent.trajectory is None else intent.trajectory.identifier
             if identifier != self._trajectory_id:  # the intent is renewed at every step, its trajectory seldom
                 self._trajectory_id = identifier
-                self._draw(drawing.trajectory(intent.trajectory))
+                self._draw(rerun_archetypes.trajectory(intent.trajectory))
             self._say("intent", intent.goal.value)
 
     def _log_maps(self) -> None:
         voxels = self._voxels.new()
         if voxels is not None:
             self._map = voxels
-            self._draw(drawing.voxels(voxels))
+            self._draw(rerun_archetypes.voxels(voxels))
         surface = self._surface.new()
         if surface is not None:
-            self._draw(drawing.surface(surface))
+            self._draw(rerun_archetypes.surface(surface))
 
     def _say(self, who: str, text: str) -> None:
         """Add a line to the log when what somebody says has changed."""
@@ -230,7 +230,7 @@ class Recorder:
 
             self._draw([(entity, rr.Scalars(value))])
 
-    def _draw(self, drawn: drawing.Drawing, static: bool = False) -> None:
+    def _draw(self, drawn: rerun_archetypes.Drawing, static: bool = False) -> None:
         for stream in self._streams():
             for entity, archetype in drawn:
                 stream.log(entity, archetype, static=static)

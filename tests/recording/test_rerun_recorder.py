@@ -15,8 +15,8 @@ from flight_inputs import START_S, frame, mesh, odometry, progress, surface, veh
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.recording import blueprint as names
-from uav_recon.recording.drawing import depth_png
-from uav_recon.recording.recorder import Inbox, Recorder, RecorderChannels
+from uav_recon.recording.rerun_archetypes import depth_png
+from uav_recon.recording.rerun_recorder import Inbox, Recorder, RecorderChannels
 from uav_recon.recording.review import check_recording
 from uav_recon.recording.timelapse import load_states
 from uav_recon.types.camera import PosedFrame

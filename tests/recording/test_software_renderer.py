@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from uav_recon.recording.render import _rasterise, corner_view, facing_inwards, render, top_view
+from uav_recon.recording.software_renderer import _rasterise, corner_view, facing_inwards, render, top_view
 from uav_recon.types.frames import FloatArray, IntArray
 
 FLOOR = np.array([[0.0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]])

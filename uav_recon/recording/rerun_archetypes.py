@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from uav_recon.recording import blueprint as names
-from uav_recon.recording.render import facing_inwards
+from uav_recon.recording.software_renderer import facing_inwards
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import ByteArray, FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, TriangleMesh, VoxelMap

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.recording.flightlog import Timeline
-from uav_recon.recording.pictures import BLUE, INK, ORANGE, SOFT, new_figure, save, style
+from uav_recon.recording.flight_log import Timeline
+from uav_recon.recording.plots import BLUE, INK, ORANGE, SOFT, new_figure, save, style
 from uav_recon.recording.report import Report
 
 _MODES = (("explore", "#dbeafe", "explore"), ("merged", "#ffedd5", "explore + reconstruct"), ("", "#e4e7eb", "nothing left"))

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from flight_inputs import INSIDE, mesh, voxel_map, write_timeline
 
-from uav_recon.recording.flightlog import Timeline, read_timeline
-from uav_recon.recording.mesh_pictures import mesh_pictures
-from uav_recon.recording.pictures import coverage_over_time, path_over_plan, planning_over_time
+from uav_recon.recording.flight_log import Timeline, read_timeline
+from uav_recon.recording.mesh_renders import mesh_pictures
+from uav_recon.recording.plots import coverage_over_time, path_over_plan, planning_over_time
 from uav_recon.types.frames import ByteArray
 from uav_recon.types.maps import TriangleMesh
 

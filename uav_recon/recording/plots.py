@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.recording.flightlog import PhaseRecord, Timeline
+from uav_recon.recording.flight_log import PhaseRecord, Timeline
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, VoxelMap
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from flight_inputs import START_S, frame, position, progress, write_timeline
 
-from uav_recon.recording.flightlog import TIMELINE, FlightLog, read_timeline
+from uav_recon.recording.flight_log import TIMELINE, FlightLog, read_timeline
 
 
 def test_everything_written_is_read_back(tmp_path: Path) -> None:
