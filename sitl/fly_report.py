@@ -20,9 +20,9 @@ from sitl.visibility import TruthCut, load_truth_cut
 from uav_recon import run
 from uav_recon.config import Config
 from uav_recon.evaluation import metrics
-from uav_recon.evaluation.lookahead import Lookahead, lookahead
+from uav_recon.evaluation.path_visibility import Lookahead, lookahead
 from uav_recon.evaluation.recall import ElementRecall, time_to
-from uav_recon.evaluation.surface import Surface
+from uav_recon.evaluation.triangle_surface import Surface
 from uav_recon.recording.flight_log import read_timeline
 from uav_recon.recording.flight_report import FlightCard, account, publish
 from uav_recon.recording.map_file import load_map

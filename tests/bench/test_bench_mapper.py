@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import sitl.fly_report
 from uav_recon.bench import mapper_run, mapper_scene
 from uav_recon.cli import app
-from uav_recon.evaluation.surface import Surface
+from uav_recon.evaluation.triangle_surface import Surface
 
 pytestmark = pytest.mark.slow
 FIELDS = [

@@ -19,7 +19,7 @@ from uav_recon.evaluation.metrics import (
     share_within,
     stream_statistics,
 )
-from uav_recon.evaluation.surface import Surface
+from uav_recon.evaluation.triangle_surface import Surface
 
 COUNT = 20_000
 

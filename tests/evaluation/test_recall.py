@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uav_recon.evaluation.recall import REACH, WITHIN_M, ElementRecall, time_to
-from uav_recon.evaluation.surface import Surface
+from uav_recon.evaluation.triangle_surface import Surface
 from uav_recon.types.frames import FloatArray
 
 UP = np.array([[0.0, 0.0, 1.0]])

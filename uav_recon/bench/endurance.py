@@ -21,7 +21,7 @@ from uav_recon.bench.calibration import calibrate
 from uav_recon.bench.mapper import PRINTED_WIDTH, MapperBench, write_json
 from uav_recon.bench.mapper_tables import figure
 from uav_recon.bench.tables import narrow_table
-from uav_recon.evaluation.surface import Surface
+from uav_recon.evaluation.triangle_surface import Surface
 from uav_recon.mapping.keyframes import KeyframeFolder
 from uav_recon.mapping.neural.process.checkpoint import Checkpoints
 from uav_recon.mapping.neural.trainer import Trainer

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from uav_recon.bench import machine, mapper_baseline, mapper_run, mapper_scene, mapper_tables
 from uav_recon.bench.calibration import calibrate
-from uav_recon.evaluation.surface import Surface
+from uav_recon.evaluation.triangle_surface import Surface
 from uav_recon.failure import EXIT_FAILURE, Failure
 from uav_recon.usage import UsageError, need_file
 

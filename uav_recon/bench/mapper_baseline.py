@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uav_recon.evaluation.surface import Surface
+from uav_recon.evaluation.triangle_surface import Surface
 from uav_recon.types.camera import PosedFrame
 
 VOXEL_M = 0.02

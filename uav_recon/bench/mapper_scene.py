@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from uav_recon.evaluation.surface import Surface
+from uav_recon.evaluation.triangle_surface import Surface
 from uav_recon.sensors.stream_camera import depth_table
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from uav_recon.evaluation.surface import Surface
+from uav_recon.evaluation.triangle_surface import Surface
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray
 
 SAMPLES = 300_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.evaluation.surface import Surface
+from uav_recon.evaluation.triangle_surface import Surface
 
 
 def two_squares() -> Surface:

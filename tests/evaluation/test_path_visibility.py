@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from uav_recon.evaluation.lookahead import Lookahead, lookahead
+from uav_recon.evaluation.path_visibility import Lookahead, lookahead
 
 FOV_RAD = (math.radians(87.0), math.radians(58.0))
 DOWN_RAD = math.radians(15.0)
