@@ -9,7 +9,7 @@ import numpy as np
 from sitl import elements
 from sitl.elements import SurfaceMemory
 from uav_recon.config import Config
-from uav_recon.mapping.neural.views.intake import Refusals, in_words, padded, refusal
+from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusals, in_words, padded, refusal
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.pose import MapCorrection

@@ -146,7 +146,7 @@ def test_the_guard_stays_small_enough_to_be_read() -> None:
 
 def test_the_mapper_in_flight_reaches_no_torch() -> None:
     reached = reached_from(
-        [ROOT / "uav_recon/mapping/neural/process/child.py", ROOT / "uav_recon/mapping/neural/process/worker.py"]
+        [ROOT / "uav_recon/mapping/neural/worker/mapper_process.py", ROOT / "uav_recon/mapping/neural/worker/mapper_client.py"]
     )
     for path, names in reached.items():
         assert not any(name.split(".")[0] == "torch" for name in names), path

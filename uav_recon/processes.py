@@ -168,8 +168,8 @@ def is_flown(vehicle: Channel[VehicleState], now_s: float) -> bool:
 
 def mission(config_path: Path, flight: Path | None) -> int:
     """Fly one mission and write its folder; SIGTERM lands. Exit code 0 however the flight ended."""
-    from uav_recon.mapping.neural.process.worker import ProcessMapper
-    from uav_recon.mapping.neural.views.priors import PriorError
+    from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
+    from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
     from uav_recon.mission.operator_commands import StandingOrders
     from uav_recon.recording.flight_log import FlightLog
     from uav_recon.recording.flight_report import FlightCard, account, publish

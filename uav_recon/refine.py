@@ -27,12 +27,12 @@ from uav_recon.usage import looked_at
 
 if TYPE_CHECKING:
     from uav_recon.config import Config
-    from uav_recon.mapping.neural.closed.shell import ClosedMesh
-    from uav_recon.mapping.neural.field.learned import LearnedField
-    from uav_recon.mapping.neural.gathered import Gathered
-    from uav_recon.mapping.neural.tensor.checkpoint import Checkpoints, State
-    from uav_recon.mapping.neural.tensor.refiner import RefinePlan, Refiner
-    from uav_recon.mapping.neural.tensor.team import Team
+    from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh
+    from uav_recon.mapping.neural.sdf_interface import LearnedField
+    from uav_recon.mapping.neural.training_data import Gathered
+    from uav_recon.mapping.neural.sdf_torch.checkpoint import Checkpoints, State
+    from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan, Refiner
+    from uav_recon.mapping.neural.sdf_torch.distributed import Team
 
 REFINED, MESH_PLY, MESH_GLB = "refined", "mesh.ply", "mesh.glb"
 STOP_FILE, LOCK_FILE = ".stop", ".lock"
@@ -76,7 +76,7 @@ class RefineOptions:
 
 def refine(wanted: RefineOptions) -> int:
     """Learn, mesh, write FLIGHT/refined. Raises Failure in one line for bad input. 0 also after Ctrl-C, which saves."""
-    from uav_recon.mapping.neural.tensor import team
+    from uav_recon.mapping.neural.sdf_torch import distributed as team
 
     wanted.checked()
     try:
@@ -134,9 +134,9 @@ class _Work:
 
     def run(self) -> int:
         """The whole of it; 0, or Failure."""
-        from uav_recon.mapping.neural.closed.shell import ShellError
-        from uav_recon.mapping.neural.tensor.grid import GridError
-        from uav_recon.mapping.neural.tensor.team import FullDeviceError
+        from uav_recon.mapping.neural.watertight.watertight_mesh import ShellError
+        from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError
+        from uav_recon.mapping.neural.sdf_torch.distributed import FullDeviceError
 
         lock = self._claim() if self._team.leads else None
         try:
@@ -153,8 +153,8 @@ class _Work:
         return 0
 
     def _run(self) -> None:
-        from uav_recon.mapping.neural.closed.shell import closed_mesh
-        from uav_recon.mapping.neural.surface.painted import Painted
+        from uav_recon.mapping.neural.watertight.watertight_mesh import closed_mesh
+        from uav_recon.mapping.neural.surface.colour_fusion import Painted
 
         gathered, refiner, checkpoints = self._prepare()
         done = self._learn(refiner, checkpoints)
@@ -176,8 +176,8 @@ class _Work:
         return claim_file(self._folder / LOCK_FILE, f"a refinement of {self._wanted.flight} runs already")
 
     def _prepare(self) -> tuple[Gathered, Refiner, Checkpoints]:
-        from uav_recon.mapping.neural.closed.shell import check_size
-        from uav_recon.mapping.neural.tensor.refiner import Refiner
+        from uav_recon.mapping.neural.watertight.watertight_mesh import check_size
+        from uav_recon.mapping.neural.sdf_torch.refiner import Refiner
 
         config, plan, checkpoints = _checkpoints(self._wanted, self._kind)
         state, said = _state(checkpoints)
@@ -217,7 +217,7 @@ class _Work:
         return self._stop.asked or (WORKER in os.environ and (self._folder / STOP_FILE).exists())
 
     def _write(self, mesh: ClosedMesh, field: LearnedField, gathered: Gathered) -> None:
-        from uav_recon.mapping.neural.closed.modelfile import write_closed_ply, write_textured_glb
+        from uav_recon.mapping.neural.watertight.mesh_export import write_closed_ply, write_textured_glb
         from uav_recon.recording.mesh_renders import mesh_pictures
 
         write_closed_ply(self._folder / MESH_PLY, mesh)
@@ -233,8 +233,8 @@ class _Work:
 
 def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, Checkpoints]:
     """The flight's config, what is to be done, and where it is kept."""
-    from uav_recon.mapping.neural.tensor.checkpoint import Checkpoints
-    from uav_recon.mapping.neural.tensor.refiner import RefinePlan
+    from uav_recon.mapping.neural.sdf_torch.checkpoint import Checkpoints
+    from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan
 
     config = run.load_config(wanted.flight / "config.toml")
     plan = RefinePlan(wanted.steps, wanted.voxel_m, RAYS[kind], config.mapper.seed)
@@ -243,7 +243,7 @@ def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, 
 
 def _state(checkpoints: Checkpoints) -> tuple[State | None, list[str]]:
     """The newest, and what is to be said of it. Raises Failure if it is of another run."""
-    from uav_recon.mapping.neural.tensor.checkpoint import CheckpointMismatchError
+    from uav_recon.mapping.neural.sdf_torch.checkpoint import CheckpointMismatchError
 
     try:
         return checkpoints.load()

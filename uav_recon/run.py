@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.tlog import FrameLog
     from uav_recon.localization.perception import Perception
     from uav_recon.mapping.coverage import Coverage
-    from uav_recon.mapping.neural.trainer import Trainer
+    from uav_recon.mapping.neural.neural_mapper import Trainer
     from uav_recon.mapping.voxels import Voxels
     from uav_recon.mission.conductor import Conductor
     from uav_recon.motion.speed_limited_planner import Paced
@@ -264,8 +264,8 @@ def make_coverage(config: Config, voxels: Voxels) -> Coverage:
 
 def make_trainer(config: Config) -> Trainer:
     """The neural field of the mapper. Raises Failure if its prior model cannot be used."""
-    from uav_recon.mapping.neural.trainer import Trainer
-    from uav_recon.mapping.neural.views.priors import PriorError
+    from uav_recon.mapping.neural.neural_mapper import Trainer
+    from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
 
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)

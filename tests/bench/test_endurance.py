@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 import sitl.fly_report
 from uav_recon.bench import endurance, mapper_run, mapper_scene
 from uav_recon.cli import app
-from uav_recon.mapping.neural.views import album
+from uav_recon.mapping.neural.keyframes import keyframe_buffer
 
 
 def bench(*arguments: str) -> tuple[int, str, str]:
@@ -23,9 +23,9 @@ def test_memory_disk_and_views_stay_bounded(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(sitl.fly_report, "truth_cut", quick_cut)
     monkeypatch.setattr(mapper_scene, "TRUTH_POINTS", 30_000)
     monkeypatch.setattr(mapper_run, "SAMPLES", 30_000)
-    monkeypatch.setattr(album, "MOST_VIEWS", 16)
+    monkeypatch.setattr(keyframe_buffer, "MOST_VIEWS", 16)
     monkeypatch.setattr(endurance, "MOST_VIEWS", 16)
-    monkeypatch.setattr(album, "KEPT_VIEWS", 12)
+    monkeypatch.setattr(keyframe_buffer, "KEPT_VIEWS", 12)
     written = tmp_path / "result.json"
     code, out, errors = bench("--views", "8", "--hours", "0.02", "--steps-per-view", "2", "--json", str(written))
     assert code == 0, errors

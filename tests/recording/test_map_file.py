@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_recon.mapping.neural.surface.meshfile import write_ply
+from uav_recon.mapping.neural.surface.ply_writer import write_ply
 from uav_recon.recording.map_file import load_map, save_map
 from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.types.maps import GridSpec, TriangleMesh, VoxelMap

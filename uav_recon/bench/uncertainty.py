@@ -14,7 +14,7 @@ from uav_recon.bench import machine, mapper_run, mapper_scene, mapper_tables
 from uav_recon.bench.calibration import calibrate
 from uav_recon.bench.mapper import VIEWS, MapperBench, ticking, write_json
 from uav_recon.bench.uncertainty_score import ause, spearman
-from uav_recon.mapping.neural.trainer import Trainer
+from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.usage import UsageError
 
 PRINTED_WIDTH = 100  # where no terminal says

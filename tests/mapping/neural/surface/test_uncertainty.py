@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mapping.neural.field.losses import UNKNOWN
+from uav_recon.mapping.neural.sdf_numba.losses import UNKNOWN
 from uav_recon.mapping.neural.surface.uncertainty import (
     LEAST_PAST_M,
     MOST_PAST_M,

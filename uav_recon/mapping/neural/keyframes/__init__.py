@@ -1,0 +1,1 @@
+"""Keyframes of the mapper: validation, buffer, pose refinement, ray sampling."""

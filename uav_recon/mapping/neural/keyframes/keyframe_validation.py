@@ -1,0 +1,143 @@
+"""Which views a mapper takes, and what it says of the others."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Mapping
+from enum import Enum
+
+import numpy as np
+
+from uav_recon.mapping.neural.keyframes.ray_records import DEPTH_FARTHEST_M, DEPTH_NEAREST_M
+from uav_recon.types.camera import Intrinsics, PosedFrame
+from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
+from uav_recon.types.pose import Pose
+
+LOG = logging.getLogger(__name__)
+
+PADDING_M = 0.15  # walls lie on the border of the room's box, and noise puts them outside
+FEWEST_SHARE = 0.01  # of all pixels must have depth
+FEWEST_RAYS = 32  # must come of them
+INSIDE_SHARE = 0.2  # of all end points must lie in the box
+STRIDE = 8  # pixels between those that are checked
+WIDEST, NARROWEST = 3.2, 0.04  # bearings x/z, y/z: what rays can hold; half of a picture at least
+FEWEST_VIEWS, FEWEST_VOTES = 4, 100  # before a view can contradict the map
+VIEW_SHARE, LENS_SHARE = 0.2, 0.15  # of refuted points in one view, and lately in all views of its lens, that is too much
+MEMORY = 0.8  # of the votes on the last view count with those on the next: about five views
+
+
+class Refusal(Enum):
+    """Why a view was not taken."""
+
+    SHAPE = "pictures do not have the shape that their intrinsics say"
+    INTRINSICS = "intrinsics that no camera has"
+    POSE = "the pose is not a finite rotation and place"
+    OUTSIDE = "taken from outside the box"
+    EMPTY = "no depth"
+    ELSEWHERE = "what it shows lies outside the box"
+    EPOCH = "taken on a map that is no more"
+    UNPLACED = "the new map does not say where it was taken"
+    MEMORY = "memory is full"
+    DISAGREES = "earlier views look through what it shows: wrong intrinsics or a wrong pose"
+
+
+class Refusals:
+    """How many views were refused, by reason. Each count is logged when it reaches a power of two."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[Refusal] = Counter()
+
+    def note(self, reason: Refusal) -> None:
+        """Count and log one."""
+        self.counts[reason] += 1
+        count = self.counts[reason]
+        if count & (count - 1) == 0:
+            LOG.warning("a view was refused: %s (%d so far)", reason.value, count)
+
+    def total(self) -> int:
+        """Of all reasons."""
+        return sum(self.counts.values())
+
+
+def in_words(counts: Mapping[Refusal, int]) -> dict[str, int]:
+    """Counts by reason as somebody reads them."""
+    return {reason.value: count for reason, count in counts.items()}
+
+
+def padded(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The box that is mapped. Raises ValueError if it is not a finite box."""
+    low = np.asarray(box_min_m, dtype=np.float64) - PADDING_M
+    high = np.asarray(box_max_m, dtype=np.float64) + PADDING_M
+    if (
+        low.shape != (3,)
+        or high.shape != (3,)
+        or not (np.isfinite(low).all() and np.isfinite(high).all() and (high > low).all())
+    ):
+        raise ValueError(f"not a box: {box_min_m} to {box_max_m}")
+    return low, high
+
+
+def refusal(keyframe: PosedFrame, low_m: AnyArray, high_m: AnyArray) -> Refusal | None:
+    """What can be said against a view without a map of the box low_m to high_m (3,). About 1 ms."""
+    frame = keyframe.frame
+    lens, colour = frame.depth_intrinsics, frame.rgb_intrinsics
+    if frame.depth_m.shape != (lens.height, lens.width) or frame.rgb.shape != (colour.height, colour.width, 3):
+        return Refusal.SHAPE
+    if not (_possible(lens) and _possible(colour)):
+        return Refusal.INTRINSICS
+    pose = keyframe.world_from_depth
+    reason = pose_refusal(pose, low_m, high_m)
+    if reason is not None:
+        return reason
+    valid = (frame.depth_m >= DEPTH_NEAREST_M) & (frame.depth_m <= DEPTH_FARTHEST_M)
+    if valid.mean() < FEWEST_SHARE:
+        return Refusal.EMPTY
+    v, u = np.nonzero(valid)
+    v, u = v[::STRIDE], u[::STRIDE]
+    z = frame.depth_m[v, u].astype(np.float64)
+    points = np.stack([(u - lens.cx) / lens.fx * z, (v - lens.cy) / lens.fy * z, z], axis=1)
+    world = pose.apply(points)
+    inside = ((world > low_m) & (world < high_m)).all(axis=1)
+    return Refusal.ELSEWHERE if inside.mean() < INSIDE_SHARE else None
+
+
+def pose_refusal(world_from_depth: Pose, low_m: AnyArray, high_m: AnyArray) -> Refusal | None:
+    """What can be said against a place alone."""
+    quat_wxyz, position = world_from_depth.quat_wxyz, world_from_depth.translation_m
+    if not (np.isfinite(position).all() and abs(float(np.linalg.norm(quat_wxyz)) - 1.0) < 1e-6):
+        return Refusal.POSE
+    return None if ((position > low_m) & (position < high_m)).all() else Refusal.OUTSIDE
+
+
+class Doubt:
+    """Whether views contradict what was mapped, though each for itself is sound: a wrong focal length, a wrong pose.
+
+    A point is refuted if other views looked through the place where this view measured it, or this view through the place
+    where they did. Honest views: at most 1 % of the points that were judged, and 7 % with poses off by 2 cm and 1°. A wrong
+    lens shows in half of its views at a glance, and in the others, of new places, because it was caught before.
+    """
+
+    def __init__(self) -> None:
+        self._lens: Intrinsics | None = None
+        self._judged, self._refuted = 0.0, 0.0
+
+    def rises(self, lens: Intrinsics, votes: Float32Array) -> bool:
+        """Whether to refuse the view of which others, and which of others, gave these votes (N,); see Testimony.votes()."""
+        if lens != self._lens:
+            self._lens, self._judged, self._refuted = lens, 0.0, 0.0
+        judged, refuted = int(np.count_nonzero(votes)), int(np.count_nonzero(votes < 0.0))
+        self._judged, self._refuted = MEMORY * self._judged + judged, MEMORY * self._refuted + refuted
+        lately = self._judged >= FEWEST_VOTES and self._refuted >= LENS_SHARE * self._judged
+        return lately or (judged >= FEWEST_VOTES and refuted >= VIEW_SHARE * judged)
+
+
+def _possible(lens: Intrinsics) -> bool:
+    """Whether every pixel has a bearing that a camera of an aircraft may have."""
+    numbers = lens.pinhole_px()
+    if not np.isfinite(numbers).all() or min(lens.fx, lens.fy) <= 0.0 or min(lens.width, lens.height) < 2:
+        return False
+    reach = np.array(
+        [lens.cx / lens.fx, (lens.width - 1 - lens.cx) / lens.fx, lens.cy / lens.fy, (lens.height - 1 - lens.cy) / lens.fy]
+    )
+    return bool((np.abs(reach) < WIDEST).all() and reach[:2].sum() > NARROWEST and reach[2:].sum() > NARROWEST)

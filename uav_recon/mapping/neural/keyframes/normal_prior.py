@@ -1,0 +1,194 @@
+"""Normals that a network sees in the colour picture, for rays whose depth has none: an ONNX model of the user's choice.
+
+Input: one float32 tensor (1, 3, h, w), RGB in 0..1; a model with free h and w gets the picture's own size, any other has the
+picture resized to what it wants. Output: one float32 tensor, either
+- (1, 3, h, w) normals in the colour camera's axes (x right, y down, z forward), towards the camera; components in -1..1, or
+  all in 0..1 for (n + 1) / 2, as Omnidata (Eftekhar et al. 2021) gives them; or
+- (1, 1, h, w) or (1, h, w) depth along the optical axis or its inverse, up to scale and shift (Ranftl et al. 2022): it is
+  fitted to the measured depth, the way round that fits better, and its slopes become normals.
+Measured normals are kept. A picture whose normals do not agree with the measured ones teaches nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_recon.mapping.neural.keyframes.ray_records import BEARING_UNIT, DEPTH_FARTHEST_M, DEPTH_UNIT_M, NORMAL_UNIT
+from uav_recon.types.camera import Frame, Intrinsics
+from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+
+LOG = logging.getLogger(__name__)
+
+PROVIDERS = ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider")  # in order of preference
+TRIAL = 64  # pixels along a picture that a model with free size is tried on
+FEWEST = 50  # measured normals or depths that a picture is held against
+AGREEING_COSINE = 0.8  # median: 37°
+LENGTH_ERROR = 0.5  # of a normal, before it is none
+LEAST_FACING = 0.05  # a normal seen more edge on than this is no use
+
+
+class PriorError(Exception):
+    """A model that cannot be used; the text is one line with its path."""
+
+
+class NormalPrior:
+    """One model. refused: pictures that it was of no use for.
+
+    Raises PriorError if the file is missing, is no ONNX model, or wants or gives something else.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        if not path.is_file():
+            raise PriorError(f"mapper.prior_model {path}: no such file")
+        runtime = _runtime(path)
+        options = runtime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1  # the same sums in the same order
+        options.log_severity_level = 4
+        providers = [name for name in PROVIDERS if name in runtime.get_available_providers()]
+        try:
+            self._session = runtime.InferenceSession(str(path), options, providers=providers)
+        except Exception as error:  # its exceptions have no common base but this one
+            raise PriorError(f"mapper.prior_model {path}: not an ONNX model that runs here ({_line(error)})") from None
+        self._input, self._size = self._checked_input()
+        self.refused = 0
+        self._run(np.full((*(side or TRIAL for side in self._size), 3), 128, dtype=np.uint8))
+
+    def fill(self, records: AnyArray, frame: Frame) -> int:
+        """Give normals to the records (N, COLUMNS) of a frame that have none; returns to how many."""
+        lens, to_rgb = frame.rgb_intrinsics, frame.rgb_from_depth
+        measured: FloatArray = records[:, 3:6] * NORMAL_UNIT
+        known = measured.any(axis=1)
+        bearing = np.concatenate([records[:, :2] * BEARING_UNIT, np.ones((len(records), 1))], axis=1)
+        points = to_rgb.apply(bearing * (records[:, 2:3] * DEPTH_UNIT_M))
+        try:
+            answer = self._run(frame.rgb)
+        except PriorError as error:  # a model with free size that cannot take this one
+            self._refuse(str(error))
+            return 0
+        pixel, shown = _pixels(points, lens, answer.shape[1:])
+        if shown.sum() < FEWEST:
+            return 0
+        normals = _unit(answer) if len(answer) == 3 else _slopes(answer[0], lens, pixel[shown], points[shown, 2])
+        found = normals[pixel[:, 0], pixel[:, 1]] @ to_rgb.rotation()  # depth_from_rgb
+        facing = -np.einsum("nc,nc->n", found, bearing) / np.linalg.norm(bearing, axis=1)
+        both = known & shown
+        agreement = np.einsum("nc,nc->n", found[both], measured[both])
+        if both.sum() >= FEWEST and np.median(agreement) < AGREEING_COSINE:
+            degrees = np.rad2deg(np.arccos(np.median(agreement)))
+            self._refuse(f"mapper.prior_model {self._path}: its normals are at a median of {degrees:.0f}° to the measured ones")
+            return 0
+        wanted = shown & ~known & (facing > LEAST_FACING)
+        records[wanted, 3:6] = np.rint(found[wanted] / NORMAL_UNIT)
+        return int(wanted.sum())
+
+    def _refuse(self, why: str) -> None:
+        self.refused += 1
+        if self.refused & (self.refused - 1) == 0:
+            LOG.warning("%s; so it taught nothing (%d pictures so far)", why, self.refused)
+
+    def _checked_input(self) -> tuple[str, tuple[int | None, int | None]]:
+        inputs = self._session.get_inputs()
+        shape = inputs[0].shape if inputs else []
+        fits = len(inputs) == 1 and len(shape) == 4 and inputs[0].type == "tensor(float)"
+        if not fits or (isinstance(shape[0], int) and shape[0] != 1) or (isinstance(shape[1], int) and shape[1] != 3):
+            wants = ", ".join(f"{i.type} {i.shape}" for i in inputs)
+            raise PriorError(f"mapper.prior_model {self._path}: wants {wants}, not one tensor(float) [1, 3, h, w]")
+        height, width = (side if isinstance(side, int) else None for side in shape[2:])
+        return inputs[0].name, (height, width)
+
+    def _run(self, rgb: ByteArray) -> Float32Array:
+        """The answer to a picture: (3, h, w) normals or (1, h, w) depth, not finite where it has none."""
+        import cv2
+
+        height, width = (want or have for want, have in zip(self._size, rgb.shape[:2], strict=True))
+        picture = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA) if (height, width) != rgb.shape[:2] else rgb
+        tensor = np.ascontiguousarray(picture.transpose(2, 0, 1)[None].astype(np.float32) / np.float32(255.0))
+        try:
+            answers = self._session.run(None, {self._input: tensor})
+        except Exception as error:  # its exceptions have no common base but this one
+            raise PriorError(
+                f"mapper.prior_model {self._path}: fails on a picture of {width}x{height} ({_line(error)})"
+            ) from None
+        answer = np.asarray(answers[0])
+        if answer.ndim == 3:
+            answer = answer[:, None]
+        if len(answers) != 1 or answer.dtype != np.float32 or answer.ndim != 4 or answer.shape[:2] not in ((1, 3), (1, 1)):
+            gives = ", ".join(f"{np.asarray(a).dtype} {list(np.shape(a))}" for a in answers)
+            raise PriorError(f"mapper.prior_model {self._path}: gives {gives}, not one float32 [1, 3, h, w] or [1, 1, h, w]")
+        first: Float32Array = answer[0]
+        return first
+
+
+def open_prior(path: Path | None) -> NormalPrior | None:
+    """The model at a path, or none where none is wanted. Raises PriorError."""
+    return None if path is None else NormalPrior(path)
+
+
+def _runtime(path: Path) -> Any:
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise PriorError(f"mapper.prior_model {path}: pip install uav-recon[priors] ({error})") from None
+    return onnxruntime
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]
+
+
+def _pixels(points: FloatArray, lens: Intrinsics, shape: tuple[int, ...]) -> tuple[IntArray, BoolArray]:
+    """Row and column (N, 2) in a picture of a shape (h, w) of points (N, 3) in its camera, and which of them it shows (N,)."""
+    z = np.maximum(points[:, 2], 1e-3)
+    u, v = points[:, 0] / z * lens.fx + lens.cx, points[:, 1] / z * lens.fy + lens.cy
+    shown = (points[:, 2] > 0.05) & (u > -0.5) & (v > -0.5) & (u < lens.width - 0.5) & (v < lens.height - 0.5)
+    scale = np.array([shape[0] / lens.height, shape[1] / lens.width])
+    pixel = np.floor((np.stack([v, u], axis=1) + 0.5) * scale)
+    return np.clip(pixel, 0, np.array(shape) - 1).astype(np.int64), shown
+
+
+def _unit(answer: Float32Array) -> FloatArray:
+    """Unit normals (h, w, 3), zero where there is none, from (3, h, w)."""
+    normals = answer.astype(np.float64).transpose(1, 2, 0)
+    finite = np.isfinite(normals).all(axis=2, keepdims=True)
+    normals = np.where(finite, normals, 0.0)
+    if normals.min() >= 0.0 and normals.max() <= 1.0:  # no normal towards the camera has z above 0
+        normals = 2.0 * normals - 1.0
+    length = np.linalg.norm(normals, axis=2, keepdims=True)
+    return np.where(finite & (np.abs(length - 1.0) < LENGTH_ERROR), normals / np.maximum(length, LENGTH_ERROR), 0.0)
+
+
+def _slopes(answer: Float32Array, lens: Intrinsics, pixel: IntArray, z_m: FloatArray) -> FloatArray:
+    """Normals (h, w, 3) of a relative depth (h, w) that at pixels (N, 2) was measured to be z_m (N,); zero where unknown."""
+    told = np.where(np.isfinite(answer), answer.astype(np.float64), np.nan)
+    at = told[pixel[:, 0], pixel[:, 1]]
+    finite = np.isfinite(at)
+    if finite.sum() < FEWEST:
+        return np.zeros((*told.shape, 3))
+    at, pixel, z_m = at[finite], pixel[finite], z_m[finite]
+    depth = _fitted(told, at, z_m)
+    inverse = 1.0 / np.maximum(_fitted(told, at, 1.0 / z_m), 1.0 / (2.0 * DEPTH_FARTHEST_M))
+    error = [np.median(np.abs(way[pixel[:, 0], pixel[:, 1]] - z_m)) for way in (depth, inverse)]
+    z = depth if error[0] < error[1] else inverse
+    rows, columns = np.indices(told.shape)
+    x = ((columns + 0.5) * lens.width / told.shape[1] - 0.5 - lens.cx) / lens.fx * z
+    y = ((rows + 0.5) * lens.height / told.shape[0] - 0.5 - lens.cy) / lens.fy * z
+    down, right = np.gradient(np.stack([x, y, z], axis=2), axis=(0, 1))
+    normal = np.cross(down, right)  # y cross x is -z: towards the camera
+    length = np.linalg.norm(normal, axis=2, keepdims=True)
+    return np.where((length > 0.0) & (z > 0.0)[:, :, None], normal / np.maximum(length, 1e-12), 0.0)
+
+
+def _fitted(told: FloatArray, at: FloatArray, target: FloatArray) -> FloatArray:
+    """scale * told + shift that fits ``at`` (N,) to ``target`` (N,), twice, the second time on the better half."""
+    use = np.ones(len(at), dtype=np.bool_)
+    for _ in range(2):
+        (scale, shift), *_ = np.linalg.lstsq(np.stack([at[use], np.ones(use.sum())], axis=1), target[use], rcond=None)
+        error = np.abs(scale * at + shift - target)
+        use = error <= np.median(error)
+    fitted: FloatArray = scale * told + shift
+    return fitted

@@ -1,0 +1,162 @@
+"""The rays of the keyframes that are kept, in one array, for random replay.
+
+Bounded: MOST_VIEWS views and MOST_RAYS rays. The array is reserved whole at once, and the system gives memory to what is
+written: nothing is ever copied for growth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from uav_recon.mapping.neural.keyframes.ray_records import BEARING_UNIT, COLUMNS, DEPTH_UNIT_M, NORMAL_UNIT
+from uav_recon.mapping.neural.keyframes.ray_sampling import Views, ray_points
+from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
+
+RAYS_PER_VIEW = 26_000
+MOST_VIEWS = 512
+MOST_RAYS = 8_000_000  # 160 MB; beyond it every view keeps half of its rays (they are in random order)
+OFFSETS_M = np.array([0.0, -0.10, -0.07, -0.04, 0.03, 0.06], dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewRays:
+    """One view's end points in world: points (len(OFFSETS_M), N, 3) shifted along the rays (the first by nothing),
+    viewing cosine (N,), depth sigma_m (N,), normal (N, 3); all float32.
+    """
+
+    points: Float32Array
+    cosine: Float32Array
+    sigma_m: Float32Array
+    normal: Float32Array
+
+
+class Replay:
+    """The arrays behind Views, and how they are filled."""
+
+    def __init__(self) -> None:
+        self.count, self._share = 0, 1
+        self.views = _empty()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For a checkpoint: without records, which a checkpoint keeps by view; see records() and put_back()."""
+        used = {name: getattr(self.views, name)[: self.count] for name in Views._fields if name not in ("records", "first")}
+        return {"count": self.count, "share": self._share, "first": self.views.first[: self.count + 1], "used": used}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.count, self._share, self.views = state["count"], state["share"], _empty()
+        self.views.first[: self.count + 1] = state["first"]
+        for name, values in state["used"].items():
+            getattr(self.views, name)[: self.count] = values
+
+    def rays_per_view(self) -> int:
+        """How many rays the next view should bring."""
+        return RAYS_PER_VIEW // self._share
+
+    def rays(self, records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float) -> ViewRays:
+        """Where the rays of a view end; world_from_depth as rotation (3, 3) and position (3,)."""
+        one = Views(
+            records,
+            np.array([0, len(records)]),
+            rotation[None].astype(np.float32),
+            position[None].astype(np.float32),
+            np.array([inverse_depth_sigma], dtype=np.float32),
+            np.ones((1, 3), dtype=np.float32),
+        )
+        count = len(records)
+        points = np.empty((len(OFFSETS_M), count, 3), dtype=np.float32)
+        cosine, sigma = np.empty(count, dtype=np.float32), np.empty(count, dtype=np.float32)
+        normal = np.empty((count, 3), dtype=np.float32)
+        ray_points(one, 0, OFFSETS_M, points, cosine, sigma, normal)
+        return ViewRays(points, cosine, sigma, normal)
+
+    def add(self, records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float) -> None:
+        """Append a view. Raises IndexError beyond MOST_VIEWS: keep() makes room."""
+        start = int(self.views.first[self.count])
+        if start + len(records) > MOST_RAYS:
+            self._thin()
+            start = int(self.views.first[self.count])
+        v, n = self.views, self.count
+        v.records[start : start + len(records)] = records
+        v.rotation[n], v.position[n], v.inverse_depth_sigma[n] = rotation, position, inverse_depth_sigma
+        v.gain[n], v.first[n + 1] = 1.0, start + len(records)
+        self.count += 1
+
+    def pose(self, view: int) -> tuple[FloatArray, FloatArray]:
+        """Where a view is now held to be: world_from_depth as rotation (3, 3) and position (3,)."""
+        return self.views.rotation[view].astype(np.float64), self.views.position[view].astype(np.float64)
+
+    def place(self, view: int, rotation: FloatArray, position: FloatArray) -> None:
+        """Hold a view to have been elsewhere."""
+        self.views.rotation[view], self.views.position[view] = rotation, position
+
+    def records(self, view: int) -> AnyArray:
+        """The rays (N, COLUMNS) of a view, to be read."""
+        v = self.views
+        return v.records[v.first[view] : v.first[view + 1]]
+
+    def some_points(self, views: int, rays: int) -> tuple[Float32Array, Float32Array]:
+        """Measured points (N, 3) and normals (N, 3) in world: up to ``rays`` of each of up to ``views`` views, spread evenly.
+
+        Only those with a normal.
+        """
+        v = self.views
+        view = np.unique(np.linspace(0, self.count - 1, min(self.count, views)).astype(int)) if self.count else np.zeros(0, int)
+        row = v.first[view][:, None] + np.arange(rays)
+        view, row = np.broadcast_to(view[:, None], row.shape), np.minimum(row, v.first[view + 1][:, None] - 1)
+        view, records = view.ravel(), v.records[row.ravel()]
+        known = records[:, 3:6].any(axis=1)
+        view, records = view[known], records[known].astype(np.float32)
+        z = records[:, 2] * np.float32(DEPTH_UNIT_M)
+        slope = records[:, :2] * np.float32(BEARING_UNIT)
+        camera = np.stack([slope[:, 0] * z, slope[:, 1] * z, z], axis=1)
+        points = np.einsum("nij,nj->ni", v.rotation[view], camera) + v.position[view]
+        return points, np.einsum("nij,nj->ni", v.rotation[view], records[:, 3:6] * np.float32(NORMAL_UNIT))
+
+    def put_back(self, view: int, records: AnyArray) -> None:
+        """Fill in the rays of a view after unpickling: (N, COLUMNS), of which the first are taken if it was thinned since.
+
+        Raises ValueError if these are not its rays.
+        """
+        mine = self.records(view)
+        if len(records) < len(mine):
+            raise ValueError(f"view {view} has {len(mine)} rays, not {len(records)}")
+        mine[...] = records[: len(mine)]
+
+    def keep(self, which: BoolArray) -> None:
+        """Forget all views but some (V,)."""
+        rays = np.diff(self.views.first[: self.count + 1])
+        self._close_up(np.flatnonzero(which), rays)
+
+    def _thin(self) -> None:
+        rays = np.maximum(np.diff(self.views.first[: self.count + 1]) // 2, 1)
+        self._close_up(np.arange(self.count), rays)
+        self._share *= 2
+
+    def _close_up(self, kept: IntArray, rays: IntArray) -> None:
+        """Move views kept (K,), ascending, to the front, each with the first of its rays (V,)."""
+        v, end = self.views, 0
+        for n, view in enumerate(kept):
+            start, count = int(v.first[view]), int(rays[view])
+            v.records[end : end + count] = v.records[start : start + count].copy()
+            v.first[n] = end  # first[view] of a later view is still the old one: n <= view
+            end += count
+        self.count = len(kept)
+        v.first[self.count] = end
+        for name in Views._fields:
+            if name not in ("records", "first"):
+                values = getattr(v, name)
+                values[: self.count] = values[kept]
+
+
+def _empty() -> Views:
+    return Views(
+        np.zeros((MOST_RAYS, COLUMNS), dtype=np.int16),
+        np.zeros(MOST_VIEWS + 1, dtype=np.int64),
+        np.zeros((MOST_VIEWS, 3, 3), dtype=np.float32),
+        np.zeros((MOST_VIEWS, 3), dtype=np.float32),
+        np.zeros(MOST_VIEWS, dtype=np.float32),
+        np.ones((MOST_VIEWS, 3), dtype=np.float32),
+    )

@@ -1,0 +1,74 @@
+"""Pictures of a field: what each ray meets, weighted by how sure it is to be there.
+
+Where a learned surface lies is known to about EDGE_M. So a ray that just misses an edge may meet it, and one that just
+meets it may pass: opacity is the share of a normal distribution of that width which the distance has fallen through, and
+colours are composited with it (NeuS: Wang et al. 2021, equation 13, with a cumulative normal for the sigmoid).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.types.frames import BoolArray, Float32Array
+
+NEAREST_M, FARTHEST_M = 0.10, 12.0
+EDGE_M = 0.008
+SURE = 2.5  # deviations, beyond which there is nothing to meet
+SHORTEST_STEP_M, LONGEST_STEP_M = 0.01, 0.25
+CAUTION = 0.8  # of the distance is stepped: a learned field is not exactly one
+LEAST_SHARE = 0.01  # of a ray, that is worth a colour
+OPAQUE, FOUND = 0.02, 0.02  # what may be left of a ray when it ends, and must have been met for one to have a colour
+
+Solid = Callable[[Float32Array], BoolArray]
+
+
+def render_rays(
+    field: LearnedField, solid: Solid, origin: Float32Array, direction: Float32Array
+) -> tuple[Float32Array, Float32Array, BoolArray]:
+    """What rays from origin (N, 3) along unit direction (N, 3) meet: colour (N, 3) in 0..1, mean distance in metres (N,), and
+    whether they meet anything (N,).
+
+    solid(points) says where surface was measured (Evidence.holding): elsewhere a field only guesses, and is looked through.
+    A ray that meets nothing in FARTHEST_M is black.
+    """
+    count = len(origin)
+    rgb, reach = np.zeros((count, 3), dtype=np.float32), np.zeros(count, dtype=np.float32)
+    left, open_before = np.ones(count, dtype=np.float32), np.ones(count, dtype=np.float32)
+    walking, at = np.arange(count), np.full(count, NEAREST_M, dtype=np.float32)
+    before = at.copy()
+    while len(walking):
+        points = origin[walking] + at[walking, None] * direction[walking]
+        distance = field.distance_m(points)
+        opening = np.ones(len(walking), dtype=np.float32)
+        near = np.flatnonzero(distance < SURE * EDGE_M)
+        near = near[solid(points[near])]
+        opening[near] = _open(distance[near])
+        met = np.clip(1.0 - opening / np.maximum(open_before[walking], 1e-5), 0.0, 1.0).astype(np.float32)
+        some = np.flatnonzero(met > LEAST_SHARE)
+        ray, share = walking[some], (left[walking] * met)[some]
+        middle = np.maximum(0.5 * (before[ray] + at[ray]), at[ray] - np.float32(0.5 * SHORTEST_STEP_M))
+        rgb[ray] += share[:, None] * field.rgb(origin[ray] + at[ray, None] * direction[ray])
+        reach[ray] += share * middle
+        left[ray] -= share
+        open_before[walking], before[walking] = opening, at[walking]
+        clear = np.abs(distance) - np.float32(SURE * EDGE_M)
+        at[walking] += np.clip(CAUTION * clear, SHORTEST_STEP_M, LONGEST_STEP_M)
+        walking = walking[(left[walking] > OPAQUE) & (at[walking] < FARTHEST_M)]
+    found = left < 1.0 - FOUND
+    whole = np.where(found, 1.0 - left, 1.0).astype(np.float32)
+    return (
+        np.where(found[:, None], rgb / whole[:, None], np.float32(0.0)),
+        np.where(found, reach / whole, np.float32(FARTHEST_M)),
+        found,
+    )
+
+
+def _open(distance_m: Float32Array) -> Float32Array:
+    """How likely a place at a learned distance (N,) is air."""
+    from scipy.special import ndtr
+
+    share: Float32Array = ndtr(distance_m / np.float32(EDGE_M))
+    return share

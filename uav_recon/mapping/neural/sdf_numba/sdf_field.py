@@ -1,0 +1,123 @@
+"""The learned field: signed distance (positive in the air) and colour at any point of the box."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from uav_recon.geometry.jit import fast_kernel
+from uav_recon.mapping.neural.sdf_numba.feature_grid import DENSE_BLOCKS, POINTS, Grid, allocate, gather, locate, make_grid
+from uav_recon.mapping.neural.sdf_numba.network import (
+    COLOUR_OUT,
+    LEAST_LOG_VARIANCE,
+    MOST_LOG_VARIANCE,
+    SHAPE_FEATURES,
+    Network,
+    Scratch,
+    colour_forward,
+    distance_alone,
+    distance_forward,
+    initial_parameters,
+    make_scratch,
+    views,
+)
+from uav_recon.types.frames import Float32Array, FloatArray
+
+INITIAL_FEATURE = 1e-2  # new features are uniform in ± this: small, yet enough to break the symmetry
+
+
+class Field:
+    """Parameters and queries. Coordinates are world metres; points are float32 inside."""
+
+    def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray, seed: int) -> None:
+        self._random = np.random.default_rng(seed)
+        self.grid, self.slots = make_grid(box_min_m, box_max_m)
+        self._dense_levels = int(np.count_nonzero(self.grid.blocks.prod(axis=1) <= DENSE_BLOCKS))  # the coarsest come first
+        self.parameters = initial_parameters(self._random)
+        self.network: Network = views(self.parameters)
+        self.scratch: Scratch = make_scratch()
+        self._fill(1, self.slots)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For a checkpoint: without scratch, what is a view of the parameters, and the slots that nobody uses yet."""
+        capacity, used = self.grid.features.shape[0], self.grid._replace(features=self.grid.features[: self.slots])
+        return self.__dict__ | {"grid": used, "capacity": capacity, "network": None, "scratch": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        capacity = state.pop("capacity")
+        self.__dict__.update(state)
+        features = np.zeros((capacity, self.grid.features.shape[1]), dtype=np.float32)
+        features[: self.slots] = self.grid.features
+        self.grid = self.grid._replace(features=features)
+        self.network, self.scratch = views(self.parameters), make_scratch()
+
+    @property
+    def capacity(self) -> int:
+        """Slots that there is memory for."""
+        return int(self.grid.features.shape[0])
+
+    def cover(self, points: Float32Array) -> bool:
+        """Make room for what will be learned at points (N, 3). False if the slots were used up: grow, and cover again."""
+        before = self.slots
+        self.slots = int(allocate(self.grid, points, self._dense_levels, before, self.capacity))
+        self._fill(before, self.slots)
+        return self.slots < self.capacity
+
+    def grow(self, capacity: int) -> None:
+        """Have memory for more slots, after the optimiser has it (see there). Raises MemoryError; then nothing has changed."""
+        grown = np.zeros((capacity, self.grid.features.shape[1]), dtype=np.float32)
+        grown[: self.capacity] = self.grid.features
+        self.grid = self.grid._replace(features=grown)
+
+    def distance_m(self, points: Float32Array) -> Float32Array:
+        """Signed distance (N,) at points (N, 3) float32."""
+        out = np.empty(points.shape[0], dtype=np.float32)
+        query_distance(self.grid, self.network, self.scratch, points, out)
+        return out
+
+    def rgb(self, points: Float32Array) -> Float32Array:
+        """Colour (N, 3) in 0..1 at points (N, 3) float32."""
+        return self._coloured(points)[:, :3]
+
+    def colour_sigma(self, points: Float32Array) -> Float32Array:
+        """Standard deviation (N,) of the colour error, 0..1, that the network expects at points (N, 3)."""
+        log_variance = np.clip(self._coloured(points)[:, 3], LEAST_LOG_VARIANCE, MOST_LOG_VARIANCE)
+        sigma: Float32Array = np.exp(np.float32(0.5) * log_variance)
+        return sigma
+
+    def _coloured(self, points: Float32Array) -> Float32Array:
+        out = np.empty((points.shape[0], COLOUR_OUT), dtype=np.float32)
+        query_colour(self.grid, self.network, self.scratch, points, out)
+        return out
+
+    def _fill(self, start: int, end: int) -> None:
+        width = self.grid.features.shape[1]
+        fresh = self._random.uniform(-INITIAL_FEATURE, INITIAL_FEATURE, (end - start, width))
+        self.grid.features[start:end] = fresh
+
+
+@fast_kernel
+def query_distance(grid: Grid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
+    """Distance in metres (N,)."""
+    for start in range(0, points.shape[0], POINTS):
+        count = min(POINTS, points.shape[0] - start)
+        locate(grid, points, start, count, s.node, s.weight)
+        gather(grid.features, s.node, s.weight, s.encoded)
+        distance_alone(net, s)
+        for p in range(count):
+            out[start + p] = s.out[0, p]
+
+
+@fast_kernel
+def query_colour(grid: Grid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
+    """Colour and the log variance of its error (N, 4)."""
+    for start in range(0, points.shape[0], POINTS):
+        count = min(POINTS, points.shape[0] - start)
+        locate(grid, points, start, count, s.node, s.weight)
+        gather(grid.features, s.node, s.weight, s.encoded)
+        distance_forward(net, s, 1 + SHAPE_FEATURES)
+        colour_forward(net, s)
+        for p in range(count):
+            for j in range(COLOUR_OUT):
+                out[start + p, j] = s.rgb[j, p]

@@ -1,0 +1,1 @@
+"""The neural signed distance field of `refine` (torch)."""

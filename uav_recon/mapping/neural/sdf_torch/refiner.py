@@ -1,0 +1,87 @@
+"""The final model of a flight: all views at once, a finer field."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uav_recon.mapping.neural.training_data import Gathered
+from uav_recon.mapping.neural.sdf_torch.checkpoint import Identity
+from uav_recon.mapping.neural.sdf_torch.sdf_field import TensorField
+from uav_recon.mapping.neural.sdf_torch.feature_grid import Blocks, lay_out
+from uav_recon.mapping.neural.sdf_torch.training_step import Learner, Sampling
+from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed
+from uav_recon.mapping.neural.sdf_torch.distributed import Team
+from uav_recon.mapping.neural.keyframes.ray_buffer import OFFSETS_M
+
+FINAL_RATE = 0.05  # the last step has this share of the learning rate; it falls from the middle of the run on
+CELL_VOXELS = 2.0  # finest cell in voxels of the mesh: a trilinear cell holds what two samples of it show
+
+
+@dataclass(frozen=True)
+class RefinePlan:
+    """What a run is to do: two runs of one plan and one flight are one run."""
+
+    steps: int
+    voxel_m: float
+    rays: int
+    seed: int
+
+    def identity(self, flight: str) -> Identity:
+        """For its checkpoints; flight: a digest of the views."""
+        return {**asdict(self), "flight": flight}
+
+
+class Refiner:
+    """A run: advance() until done."""
+
+    def __init__(self, gathered: Gathered, plan: RefinePlan, team: Team) -> None:
+        """Raises GridError if the box is too large for the voxel."""
+        self._plan = plan
+        layout = lay_out(gathered.low_m.astype(np.float64), gathered.high_m.astype(np.float64), CELL_VOXELS * plan.voxel_m)
+        blocks = Blocks(layout)
+        for points, direction in _rays(gathered):
+            blocks.cover(points, direction)
+        self.field = TensorField(layout, *blocks.slots(), plan.seed, team.device)
+        views = Replayed.of(gathered.replay.views, gathered.replay.count, team.device)
+        sampling = Sampling(plan.rays, plan.seed, recent_share=0.0)
+        self._learner = Learner(self.field, views, gathered.low_m, gathered.high_m, sampling, team)
+
+    @property
+    def steps(self) -> int:
+        """Done so far."""
+        return self._learner.steps
+
+    @property
+    def done(self) -> bool:
+        """Whether the plan is."""
+        return self.steps >= self._plan.steps
+
+    def advance(self, steps: int) -> float:
+        """At most so many steps more; returns the last loss."""
+        for _ in range(min(steps, self._plan.steps - self.steps)):
+            self._learner.train(FINAL_RATE ** max(0.0, 2.0 * self.steps / self._plan.steps - 1.0))
+        return self._learner.loss()
+
+    def state(self) -> dict[str, Tensor]:
+        """All that is needed to go on."""
+        return self._learner.state()
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Go on from state()."""
+        self._learner.restore(state)
+
+
+def _rays(gathered: Gathered) -> list[tuple[Tensor, Tensor]]:
+    """Measured points (N, 3) and unit directions (N, 3) of each view."""
+    replay, found = gathered.replay, []
+    v = replay.views
+    for n in range(replay.count):
+        records = v.records[v.first[n] : v.first[n + 1]]
+        points = replay.rays(records, v.rotation[n], v.position[n], float(v.inverse_depth_sigma[n])).points
+        direction = (points[0] - points[1]) / (OFFSETS_M[0] - OFFSETS_M[1])
+        found.append((torch.from_numpy(points[0]), torch.from_numpy(direction)))
+    return found

@@ -1,0 +1,1 @@
+"""The final model: watertight mesh, texture atlas, export."""

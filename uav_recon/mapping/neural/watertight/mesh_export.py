@@ -1,0 +1,61 @@
+"""A closed mesh on disk: PLY with colours by vertex, and GLB with a texture.
+
+Both tell what was seen from what merely closes the room: in the PLY by the faces' property ``observed``, in the GLB by the
+primitive and material ``unseen``. The GLB's nodes turn the world (z up) into glTF's axes (y up).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_recon.mapping.keyframes import write_whole
+from uav_recon.mapping.neural.watertight.texture_atlas import unwrap
+from uav_recon.mapping.neural.watertight.texture_baking import painted
+from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh
+from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.mapping.neural.surface.ply_writer import ply
+from uav_recon.types.frames import FloatArray, IntArray
+
+OBSERVED, UNSEEN = "observed", "unseen"
+UNSEEN_RGBA = (0.45, 0.45, 0.47, 1.0)
+GLTF_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+
+
+def write_closed_ply(path: Path, mesh: ClosedMesh) -> None:
+    """Write whole or not at all. Raises OSError if the disk refuses."""
+    write_whole(path, ply(mesh.vertices_world, mesh.faces, mesh.rgb, mesh.uncertainty, mesh.observed))
+
+
+def write_textured_glb(path: Path, mesh: ClosedMesh, field: LearnedField, texel_m: float) -> None:
+    """Colours of the texels are asked of the field. Write whole or not at all. Raises OSError if the disk refuses."""
+    import trimesh
+    from PIL import Image
+
+    scene = trimesh.Scene()
+    seen = mesh.faces[mesh.observed]
+    if len(seen):
+        atlas = unwrap(mesh.vertices_world, seen, mesh.normals, texel_m)
+        material = trimesh.visual.material.PBRMaterial(
+            name=OBSERVED, baseColorTexture=Image.fromarray(painted(atlas, field)), metallicFactor=0.0, roughnessFactor=1.0
+        )
+        visual = trimesh.visual.TextureVisuals(uv=atlas.uv, material=material)
+        _add(scene, OBSERVED, mesh.vertices_world[atlas.source], atlas.faces, visual)
+    rest = mesh.faces[~mesh.observed]
+    if len(rest):
+        used, named = np.unique(rest, return_inverse=True)
+        grey = trimesh.visual.material.PBRMaterial(
+            name=UNSEEN, baseColorFactor=UNSEEN_RGBA, metallicFactor=0.0, roughnessFactor=1.0
+        )
+        visual = trimesh.visual.TextureVisuals(uv=np.zeros((len(used), 2)), material=grey)
+        _add(scene, UNSEEN, mesh.vertices_world[used], named.reshape(-1, 3), visual)
+    write_whole(path, scene.export(file_type="glb"))
+
+
+def _add(scene: Any, name: str, vertices: FloatArray, faces: IntArray, visual: Any) -> None:
+    import trimesh
+
+    body = trimesh.Trimesh(vertices, faces, visual=visual, process=False)
+    scene.add_geometry(body, geom_name=name, node_name=name, transform=GLTF_FROM_WORLD)

@@ -1,0 +1,148 @@
+"""The room as a closed shell: the learned surface where it was measured, and between air and what nobody saw a lid.
+
+On a lattice over the whole box everything is solid but what a depth image looked through; near measured surface the field
+decides. The zero level set of that (marching cubes: Lorensen and Cline 1987, in the variant of Lewiner et al. 2003) has no
+border. Faces that no measurement bears out are told apart: they are no part of the model, and of no figure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.mapping.neural.training_data import Gathered
+from uav_recon.mapping.neural.surface.surface_nets import ABSENT, EDGE, node_points, wanted_nodes
+from uav_recon.mapping.neural.surface.extraction import EVIDENCE_CELL_M, FEWEST_ENDS, SHEET_M, borne_out
+from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from uav_recon.types.maps import TriangleMesh
+
+THROUGH_M = 0.06  # a cell is air if an image saw so far behind its middle
+MOST_NODES = 600_000_000  # of the lattice, 10 bytes each
+SPECK_NODES = 64  # a piece of solid or of air with fewer nodes is noise
+CLIP_VOXELS = 2.0  # values beyond say nothing more
+LEAST_VOXELS = 0.02  # a node has at least this distance, so that no two vertices meet
+
+
+class ShellError(Exception):
+    """A voxel that is too fine for the box; the text says what would fit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosedMesh:
+    """vertices_world (V, 3) float64, faces (F, 3) int64 counter-clockwise seen from the air, normals (V, 3) float32 towards
+    it, rgb (V, 3) uint8, uncertainty (V,) float32, observed (F,) bool.
+    """  # fmt: skip
+
+    vertices_world: FloatArray
+    faces: IntArray
+    normals: Float32Array
+    rgb: ByteArray
+    uncertainty: Float32Array
+    observed: BoolArray
+
+    def seen(self) -> TriangleMesh:
+        """The model alone: what measurements bear out."""
+        used, faces = np.unique(self.faces[self.observed], return_inverse=True)
+        return TriangleMesh(self.vertices_world[used], faces.reshape(-1, 3), self.rgb[used], self.uncertainty[used])
+
+    def seen_share(self) -> float:
+        """Of the area."""
+        a, b, c = (self.vertices_world[self.faces[:, corner]] for corner in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        return float(area[self.observed].sum() / max(float(area.sum()), 1e-12))
+
+
+def check_size(gathered: Gathered, voxel_m: float) -> None:
+    """Raises ShellError if the lattice over the box would not fit."""
+    extent_m = np.array(gathered.evidence.count.shape) * EVIDENCE_CELL_M
+    least_m = float((extent_m.prod() / MOST_NODES) ** (1 / 3))
+    if voxel_m < least_m:
+        raise ShellError(f"so large a box can be meshed with voxels of {least_m:.3f} m at the finest")
+
+
+def closed_mesh(field: LearnedField, gathered: Gathered, voxel_m: float) -> ClosedMesh:
+    """Raises ShellError if the lattice would not fit."""
+    values = _lattice(field, gathered, voxel_m)
+    vertices, faces = _level_set(values, gathered.evidence.origin_m, voxel_m)
+    normals = vertex_normals(vertices, faces)
+    at, facing = vertices.astype(np.float32), normals.astype(np.float32)
+    seen: BoolArray = np.abs(field.distance_m(at)) < SHEET_M
+    seen &= gathered.evidence.holding()(at) & borne_out(gathered.evidence, gathered.images, at, facing)
+    return ClosedMesh(
+        vertices,
+        faces,
+        facing,
+        np.clip(np.round(field.rgb(at) * 255.0), 0, 255).astype(np.uint8),
+        gathered.uncertainty.at(at).astype(np.float32),
+        np.asarray(seen[faces].all(axis=1), dtype=np.bool_),
+    )
+
+
+def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Area-weighted unit normals (V, 3)."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    normal = np.cross(b - a, c - a)
+    total = np.stack(
+        [np.bincount(faces.ravel(), np.repeat(normal[:, axis], 3), minlength=len(vertices)) for axis in range(3)], axis=1
+    )
+    unit: FloatArray = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-15)
+    return unit
+
+
+def _lattice(field: LearnedField, gathered: Gathered, voxel_m: float) -> Float32Array:
+    """Distances in voxels, positive in the air, at nodes origin + voxel * (i - 1, j - 1, k - 1); the border is solid."""
+    check_size(gathered, voxel_m)
+    near = gathered.evidence.near(FEWEST_ENDS)
+    nodes = wanted_nodes(near, gathered.evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
+    shape = [int(n) * EDGE for n in nodes.slot.shape]
+    points, mask = node_points(nodes)
+    nodes.values[mask] = np.clip(field.distance_m(points) / voxel_m, -CLIP_VOXELS, CLIP_VOXELS)
+    cells = [
+        np.minimum((np.arange(n) * voxel_m / EVIDENCE_CELL_M).astype(int), most - 1)
+        for n, most in zip(shape, near.shape, strict=True)
+    ]
+    seen = _seen_air(gathered)[np.ix_(*cells)]
+    values = np.where(seen, np.float32(CLIP_VOXELS), np.float32(-CLIP_VOXELS))
+    for (i, j, k), block in zip(nodes.blocks * EDGE, nodes.values, strict=True):
+        held = block < ABSENT
+        values[i : i + EDGE, j : j + EDGE, k : k + EDGE][held] = block[held]
+    _drop_pieces(values, seen)
+    small = np.abs(values) < LEAST_VOXELS
+    values[small] = np.where(values[small] < 0.0, -LEAST_VOXELS, LEAST_VOXELS)
+    return np.pad(values, 1, constant_values=-CLIP_VOXELS)
+
+
+def _seen_air(gathered: Gathered) -> BoolArray:
+    """Cells of the evidence lattice that some depth image looked through."""
+    shape = gathered.evidence.count.shape
+    centre = gathered.evidence.origin_m + (np.indices(shape).reshape(3, -1).T + 0.5) * EVIDENCE_CELL_M
+    return gathered.images.looked_through(centre.astype(np.float32), THROUGH_M).reshape(shape)
+
+
+def _drop_pieces(values: Float32Array, seen: BoolArray) -> None:
+    """Fill air that nobody looked into, and clear away specks of solid."""
+    air = values > 0.0
+    label, count = _pieces(air)
+    known = np.zeros(count + 1, dtype=np.bool_)
+    known[np.unique(label[air & seen])] = True
+    known &= np.bincount(label.ravel(), minlength=count + 1) >= SPECK_NODES
+    air &= known[label]
+    values[~air & (values > 0.0)] = -CLIP_VOXELS
+    label, count = _pieces(~air)
+    values[~air & (np.bincount(label.ravel(), minlength=count + 1) < SPECK_NODES)[label]] = CLIP_VOXELS
+
+
+def _pieces(mask: BoolArray) -> tuple[AnyArray, int]:
+    from scipy.ndimage import label
+
+    labels, count = label(mask)
+    return labels, int(count)
+
+
+def _level_set(values: Float32Array, origin_m: FloatArray, voxel_m: float) -> tuple[FloatArray, IntArray]:
+    from skimage.measure import marching_cubes
+
+    vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="descent")
+    return origin_m + (vertices.astype(np.float64) - 1.0) * voxel_m, faces.astype(np.int64)

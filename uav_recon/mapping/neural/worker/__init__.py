@@ -1,0 +1,1 @@
+"""The mapper in its own process: client, child process, watchdog, checkpoints."""

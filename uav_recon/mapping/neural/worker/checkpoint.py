@@ -1,0 +1,185 @@
+"""The mapper's memory on disk: after kill -9 the next child goes on where the last one was a few views before.
+
+Folder: ``state`` holds the whole trainer, except what every view brings along and nobody changes: its rays and its depth
+image, in a file of its own that is written once. So a checkpoint costs what was learned, not what was seen. Files appear
+whole or not at all (written aside, synced, renamed), and ``state`` comes last. Not kept: the keyframes (they are on disk),
+compiled kernels, and scratch memory. A checkpoint serves one order (configuration, box, noise), one set of keyframes and one
+version of this code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import logging
+import os
+import pickle
+import threading
+import zlib
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.types.frames import AnyArray
+
+LOG = logging.getLogger(__name__)
+
+STATE, VIEW = "state", "view_{:06d}.npz"
+EVERY_VIEWS, EVERY_STEPS = 8, 2000  # whichever comes first: relearning eight views takes a second
+OURS = ("uav_recon.mapping.neural.", "uav_recon.types.")  # the modules whose classes a state may hold
+OTHERS = {("uav_recon.config", "MapperConfig"), ("collections", "Counter")} | {
+    (module, "PosixPath") for module in ("pathlib", "pathlib._local")
+}
+NUMPY = {"_frombuffer", "_reconstruct", "dtype", "ndarray", "scalar", "PCG64", "SeedSequence"} | {
+    "__generator_ctor", "__bit_generator_ctor", "__pyx_unpickle_SeedSequence"
+}  # fmt: skip
+
+
+class CheckpointError(Exception):
+    """A checkpoint that cannot be used; the text names file and fault."""
+
+
+@dataclass(frozen=True)
+class _Header:
+    """A line of JSON. learned: keyframes gone through; stamp_s: of the last; views: serial number and sum of each file."""
+
+    order: str
+    code: str
+    learned: int
+    stamp_s: float
+    views: list[tuple[int, int]]
+
+
+class Checkpoints:
+    """One flight's. save_if_due() returns at once and a thread writes; load() blocks.
+
+    order: everything that a trainer is made from.
+    """
+
+    def __init__(self, folder: Path, order: dict[str, Any]) -> None:
+        self._folder = folder
+        self._order, self._code = hashlib.sha256(json.dumps(order, sort_keys=True).encode()).hexdigest(), _code()
+        self._writer = threading.Thread()
+        self._sums: dict[int, int] = {}  # of the views on disk
+        self._learned, self._steps = 0, 0  # of the newest checkpoint
+
+    def load(self, keyframes: KeyframeFolder) -> tuple[Trainer, int] | None:
+        """The trainer and how many keyframes it went through; None if there is no checkpoint.
+
+        Raises CheckpointError if it is damaged, or of another order, code or flight.
+        """
+        path = self._folder / STATE
+        if not path.exists():
+            return None
+        try:
+            sealed, _, content = path.read_bytes().partition(b"\n")
+            if sealed != f"{zlib.crc32(content):08x}".encode():
+                raise CheckpointError(f"{path}: damaged")
+            line, _, payload = content.partition(b"\n")
+            header = _Header(**json.loads(line))
+            self._check(header, keyframes)
+            trainer: Trainer = _Unpickler(io.BytesIO(payload)).load()
+            for index, (number, crc32) in enumerate(header.views):
+                trainer.put_back(index, self._view(number, crc32))
+        except (OSError, ValueError, TypeError, KeyError, EOFError, pickle.UnpicklingError) as error:
+            raise CheckpointError(f"{path}: damaged ({error})") from None
+        self._sums = dict(header.views)
+        self._learned, self._steps = header.learned, trainer.steps
+        return trainer, header.learned
+
+    def save_if_due(self, trainer: Trainer, learned: int, stamp_s: float) -> bool:
+        """Begin a checkpoint if the last is old. False if it is not, or the disk still works on the last: then later.
+
+        learned: keyframes gone through, the last of them stamped stamp_s. Holds the caller up for a copy of the state.
+        """
+        young = learned - self._learned < EVERY_VIEWS and trainer.steps - self._steps < EVERY_STEPS
+        if young or self._writer.is_alive():
+            return False
+        header = _Header(self._order, self._code, learned, stamp_s, [(number, 0) for number in trainer.kept])
+        fresh = {n: trainer.view_arrays(i) for i, n in enumerate(trainer.kept) if n not in self._sums}
+        arguments = (header, pickle.dumps(trainer, protocol=5), fresh)
+        self._learned, self._steps = learned, trainer.steps
+        self._writer = threading.Thread(target=self._write, args=arguments, name="checkpoint", daemon=True)
+        self._writer.start()
+        return True
+
+    def wait(self) -> None:
+        """Until what was begun is on disk."""
+        if self._writer.ident is not None:
+            self._writer.join()
+
+    def _check(self, header: _Header, keyframes: KeyframeFolder) -> None:
+        path = self._folder / STATE
+        if header.order != self._order:
+            raise CheckpointError(f"{path}: of another configuration, box or camera")
+        if header.code != self._code:
+            raise CheckpointError(f"{path}: of another version of this software")
+        if header.learned > len(keyframes) or keyframes.stamp_s(header.learned - 1) != header.stamp_s:
+            raise CheckpointError(f"{path}: of other keyframes")
+
+    def _view(self, number: int, crc32: int) -> dict[str, AnyArray]:
+        path = self._folder / VIEW.format(number)
+        packed = path.read_bytes()
+        if zlib.crc32(packed) != crc32:
+            raise CheckpointError(f"{path}: damaged")
+        with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
+            return dict(arrays)
+
+    def _write(self, header: _Header, payload: bytes, fresh: dict[int, dict[str, AnyArray]]) -> None:
+        """Views first, then the state that needs them, then the old ones away. A full disk costs the checkpoint alone."""
+        try:
+            self._folder.mkdir(exist_ok=True)
+            for number, arrays in fresh.items():
+                packed = io.BytesIO()
+                np.savez(packed, **arrays)  # type: ignore[arg-type]
+                _write_durably(self._folder / VIEW.format(number), packed.getbuffer())
+                self._sums[number] = zlib.crc32(packed.getbuffer())
+            self._sums = {number: self._sums[number] for number, _ in header.views}
+            line = json.dumps(asdict(replace(header, views=list(self._sums.items())))).encode() + b"\n"
+            sealed = f"{zlib.crc32(payload, zlib.crc32(line)):08x}\n".encode()
+            _write_durably(self._folder / STATE, sealed, line, payload)
+            wanted = {STATE, *(VIEW.format(number) for number in self._sums)}
+            for path in self._folder.iterdir():
+                if path.name not in wanted:
+                    path.unlink()
+        except OSError as error:
+            LOG.warning("no checkpoint after %d keyframes: %s", header.learned, error)
+
+
+class _Unpickler(pickle.Unpickler):
+    """Makes objects of the mapper and arrays, nothing else."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Raises UnpicklingError for what has no place in a state."""
+        ours = module.startswith(OURS) or (module, name) in OTHERS
+        arrays = (module == "numpy" or module.startswith("numpy.")) and name in NUMPY
+        if "." in name or not (ours or arrays):
+            raise pickle.UnpicklingError(f"{module}.{name} has no place in a checkpoint")
+        return super().find_class(module, name)
+
+
+def _code() -> str:
+    """What identifies the code that a state belongs to: all of this package's source."""
+    text = b"".join(path.read_bytes() for path in sorted(Path(__file__).parents[1].rglob("*.py")))
+    return hashlib.sha256(text).hexdigest()
+
+
+def _write_durably(path: Path, *parts: bytes | memoryview) -> None:
+    """Replace a file in one step that also a loss of power cannot halve."""
+    aside = path.with_name(path.name + ".part")
+    with aside.open("wb") as file:
+        for part in parts:
+            file.write(part)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(aside, path)  # noqa: PTH105 - the atomic one
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

@@ -1,0 +1,76 @@
+"""The mapper as the mission sees it in lockstep: the same trainer, and no process."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+from uav_recon.config import MapperConfig
+from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.neural.worker.mapper_process import MESH_FILE
+from uav_recon.mapping.neural.surface.ply_writer import write_ply
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal, in_words
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.pose import MapCorrection
+
+
+class InlineMapper:
+    """add() trains at once, surface() extracts when asked."""
+
+    def __init__(self, trainer: Trainer, config: MapperConfig, keyframes: KeyframeFolder | None = None) -> None:
+        self._trainer, self._config, self._keyframes = trainer, config, keyframes
+        self._surface: SurfaceElements | None = None
+        self._stale = False
+        self._numbers: dict[float, int] = {}  # of the views taken, by stamp
+
+    def add(self, keyframe: PosedFrame) -> bool:
+        """Train on a view; blocks for steps_per_view steps. Raises OSError if the keyframe cannot be saved."""
+        number = self._trainer.views
+        if not self._trainer.add(keyframe):
+            return False
+        self._numbers[keyframe.frame.stamp_s] = number
+        if self._keyframes is not None:
+            self._keyframes.save(keyframe)
+        self._trainer.train(self._config.steps_per_view)
+        self._stale = True
+        return True
+
+    def repose(self, correction: MapCorrection) -> None:
+        """Begin the map anew in another frame; blocks until all views are learned again. Views that it does not place are
+        forgotten and counted. Raises OSError if the poses cannot be saved.
+        """
+        if self._keyframes is not None:
+            self._keyframes.repose(correction)
+        placed = {self._numbers[stamp_s]: pose for stamp_s, pose in correction.poses() if stamp_s in self._numbers}
+        self._trainer.repose(placed, correction.map_epoch)
+        self._trainer.relearn(self._trainer.waiting)
+        self._stale = True
+
+    def refusals(self) -> Counter[Refusal]:
+        """Views that were not taken, by reason."""
+        return self._trainer.refusals.counts.copy()
+
+    def refused(self) -> dict[str, int]:
+        """The same in words."""
+        return in_words(self.refusals())
+
+    def surface(self) -> SurfaceElements | None:
+        """The surface after the last view."""
+        if self._stale:
+            self._surface, self._stale = self._trainer.surface(), False
+        return self._surface
+
+    def alive(self) -> bool:
+        """Always: there is no process to lose."""
+        return True
+
+    def ready(self) -> bool:
+        """Always; call Trainer.warm_up() before the flight."""
+        return True
+
+    def finish(self, folder: Path) -> None:
+        """Polish and write mesh.ply."""
+        self._trainer.polish(self._config.polish_steps)
+        write_ply(folder / MESH_FILE, self._trainer.mesh(self._config.mesh_voxel_m))

@@ -1,0 +1,238 @@
+"""The mapper as the mission sees it: in a process of its own, which may die and come back.
+
+The disk is the queue between the processes: a keyframe is written to the flight folder first and its number sent
+after, so a restarted child has everything it needs, and the mission never waits for it.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import shutil
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+from uav_recon.channels import FileChannel
+from uav_recon.clock import RateKeeper
+from uav_recon.config import MapperConfig
+from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.neural.worker.mapper_process import (
+    CHECKPOINT,
+    KEYFRAMES,
+    LOG_FILE,
+    SURFACE_BYTES,
+    SURFACE_FILE,
+    ChildProcess,
+    Message,
+)
+from uav_recon.mapping.neural.worker.child_watchdog import LOOK_S, Vigil, pulse_of
+from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal, Refusals, in_words, padded, refusal
+from uav_recon.mapping.neural.keyframes.normal_prior import open_prior
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.pose import MapCorrection
+
+LOG = logging.getLogger(__name__)
+
+BACKLOG = 64  # keyframes that may wait for the disk
+RESTARTS = 3
+FINISH_S, FINISH_STEP_S, FINISH_VIEW_S = 120.0, 0.1, 2.0  # patience with a busy machine: at all, per step, per view
+END_S = 5.0
+
+
+class ProcessMapper:
+    """The mapper in a child process at low priority. Only finish() and close() block.
+
+    The child ends when this process does, whatever way; when the child dies, another goes on from its checkpoint and learns
+    the keyframes since, at most RESTARTS times. One that hangs is killed.
+
+    box_min_m, box_max_m (3,): the room. One thread owns the child and the disk; the methods only leave it notes.
+    Raises OSError if folder cannot be written, PriorError if config.prior_model cannot be used.
+    """
+
+    def __init__(
+        self,
+        config: MapperConfig,
+        box_min_m: FloatArray,
+        box_max_m: FloatArray,
+        depth_noise_px: float,
+        baseline_m: float,
+        folder: Path,
+    ) -> None:
+        open_prior(config.prior_model)  # here somebody hears of it
+        self._config, self._folder = config, folder
+        self._low, self._high = padded(box_min_m, box_max_m)
+        self._order = {
+            "config": config.model_dump(mode="json"),
+            "box_min_m": [float(x) for x in box_min_m],
+            "box_max_m": [float(x) for x in box_max_m],
+            "depth_noise_px": depth_noise_px,
+            "baseline_m": baseline_m,
+            "folder": str(folder),
+        }
+        self._keyframes = KeyframeFolder(folder / KEYFRAMES)
+        self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
+        self._notes: queue.Queue[PosedFrame | MapCorrection | Path | Message] = queue.Queue()
+        self._epoch: int | None = None  # of the map, once there is one
+        self._ready, self._over = threading.Event(), threading.Event()
+        self._losses, self._finishing = 0, False
+        self._refusals, self._childs_refusals = Refusals(), Counter[Refusal]()
+        self._mesh_folder: Path | None = None
+        self._child = self._start()
+        self._owner = threading.Thread(target=self._serve, name="mapper-owner", daemon=True)
+        self._owner.start()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the child that runs now."""
+        return self._child.pid
+
+    def add(self, keyframe: PosedFrame) -> bool:
+        """Hand over a view. False if it is refused, too many wait, or the last child died.
+
+        While a new child is starting the answer is True: the view is on disk and will be learned.
+        """
+        if self._finishing or self._gone() or self._notes.qsize() >= BACKLOG:
+            return False
+        reason = refusal(keyframe, self._low, self._high)
+        if self._epoch not in (None, keyframe.map_epoch):
+            reason = Refusal.EPOCH
+        if reason is not None:
+            self._refusals.note(reason)
+            return False
+        self._epoch = keyframe.map_epoch
+        self._notes.put(keyframe)
+        return True
+
+    def repose(self, correction: MapCorrection) -> None:
+        """Put the views where they are in a new map epoch, and learn that map from them. Views that it does not place are
+        counted as refused. Returns at once; until the new map has been learned, surface() has none.
+        """
+        if not self._finishing:
+            self._epoch = correction.map_epoch
+            self._notes.put(correction)
+
+    def refusals(self) -> Counter[Refusal]:
+        """Views that were not taken, by reason: by add(), or by the child, which knows the map."""
+        return self._refusals.counts + self._childs_refusals
+
+    def refused(self) -> dict[str, int]:
+        """The same in words."""
+        return in_words(self.refusals())
+
+    def surface(self) -> SurfaceElements | None:
+        """The newest surface of this map epoch, also of a child that died since. Does not wait for the child."""
+        surface = self._channel.latest()
+        return surface if surface is not None and self._epoch in (None, surface.map_epoch) else None
+
+    def alive(self) -> bool:
+        """False from a child's death until its successor has learned the saved keyframes."""
+        return self._child.running() and not self._gone() and (self._losses == 0 or self._ready.is_set())
+
+    def ready(self) -> bool:
+        """Whether the child has compiled its kernels and learned what was on disk."""
+        return self._ready.is_set() and self._child.running()
+
+    def finish(self, folder: Path) -> None:
+        """Polish, write mesh.ply into folder, end the child. Blocks, bounded by steps and views.
+
+        A child that cannot do it leaves no mesh.ply, a log line, and its reason in mapper.log.
+        """
+        self._finishing = True
+        patience_s = FINISH_S + FINISH_STEP_S * self._config.polish_steps + FINISH_VIEW_S * len(self._keyframes)
+        self._notes.put(folder)
+        if not self._over.wait(patience_s):
+            LOG.error("the mapper made no mesh within %.0f s; see %s", patience_s, self._folder / LOG_FILE)
+        self.close()
+
+    def close(self) -> None:
+        """End the child at once, without a mesh, and take away what served only the flight."""
+        self._finishing = True
+        self._notes.put({"event": "close"})
+        self._owner.join()
+        (self._folder / SURFACE_FILE).unlink(missing_ok=True)
+        shutil.rmtree(self._folder / CHECKPOINT, ignore_errors=True)
+
+    def _gone(self) -> bool:
+        return self._losses > RESTARTS
+
+    def _start(self) -> ChildProcess:
+        self._ready.clear()
+        self._vigil = Vigil()
+        return ChildProcess(self._order, self._folder / LOG_FILE, self._notes.put)
+
+    def _serve(self) -> None:
+        looks = RateKeeper(1.0 / LOOK_S, time.monotonic())
+        while True:
+            if looks.due(time.monotonic()):
+                self._look_after_child()
+            try:
+                note = self._notes.get(timeout=max(0.0, looks.next_s() - time.monotonic()))
+            except queue.Empty:
+                continue
+            if isinstance(note, PosedFrame):
+                self._hand_over(note)
+            elif isinstance(note, MapCorrection):
+                self._hand_over_poses(note)
+            elif isinstance(note, Path):
+                self._mesh_folder = note
+                self._child.send({"finish": str(note)})
+            elif note["event"] == "close":
+                self._child.end(END_S)
+                return
+            else:
+                self._hear(note)
+
+    def _look_after_child(self) -> None:
+        now_s = time.monotonic()
+        if not self._vigil.owes:
+            self._child.send({"answer": True})
+            self._vigil.asked(now_s)
+        elif self._vigil.hung(now_s, pulse_of(self._child.pid), patient=self._finishing or not self._ready.is_set()):
+            LOG.error("the mapper hangs and is killed")
+            self._vigil.answered()
+            self._child.kill()
+
+    def _hear(self, message: Message) -> None:
+        if message["event"] == "ready":
+            self._ready.set()
+        elif message["event"] == "answer":
+            self._vigil.answered()
+        elif message["event"] == "finished":
+            self._over.set()
+        elif message["event"] == "refused":
+            self._childs_refusals = Counter({Refusal[name]: count for name, count in message["counts"].items()})
+        else:
+            self._replace_child()
+
+    def _hand_over(self, keyframe: PosedFrame) -> None:
+        try:
+            number = self._keyframes.save(keyframe)
+        except OSError as error:
+            LOG.error("a keyframe was lost: %s", error)
+            return
+        self._child.send({"keyframe": number})
+
+    def _hand_over_poses(self, correction: MapCorrection) -> None:
+        try:
+            self._keyframes.repose(correction)
+        except OSError as error:
+            LOG.error("the views keep their old places: %s", error)
+            return
+        self._child.send({"repose": correction.map_epoch})
+
+    def _replace_child(self) -> None:
+        self._losses += 1
+        self._ready.clear()
+        if self._gone():
+            LOG.error("the mapper died %d times; see %s", self._losses, self._folder / LOG_FILE)
+            self._over.set()
+            return
+        LOG.warning("the mapper died with %d keyframes; starting it again", len(self._keyframes))
+        self._child.end(END_S)
+        self._child = self._start()
+        if self._mesh_folder is not None and not self._over.is_set():
+            self._child.send({"finish": str(self._mesh_folder)})

@@ -1,0 +1,296 @@
+"""The mapper's own process, and the parent's handle on it: JSON lines down a pipe, JSON lines back.
+
+Run as ``python -m uav_recon.mapping.neural.worker.mapper_process``. The first line is the order (config, box, noise, folder); then
+{"keyframe": N} for each view on disk; {"repose": EPOCH} when those on disk have other poses, of a new map epoch;
+{"answer": true} to see whether it still gets on; {"finish": FOLDER} at the end. Back come {"event": "ready" | "answer" |
+"finished"} and, when views were refused, {"event": "refused", "counts": {REASON: N so far}}.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from uav_recon.channels import FileChannel
+from uav_recon.config import MapperConfig
+from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
+from uav_recon.mapping.neural.worker.checkpoint import CheckpointError, Checkpoints
+from uav_recon.mapping.neural.surface.ply_writer import write_ply
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
+from uav_recon.types.maps import SurfaceElements
+
+LOG = logging.getLogger(__name__)
+
+CHECKPOINT = ".mapper_checkpoint"
+KEYFRAMES, SURFACE_FILE, LOG_FILE, MESH_FILE = "keyframes", ".mapper_surface", "mapper.log", "mesh.ply"
+SURFACE_BYTES = 48 << 20  # a sparse file: a room of 30 m² needs 3 MB
+NICENESS, FIRST_TO_GO = 10, 1000
+IDLE_SURFACE_STEPS = 60  # idle steps between two surfaces
+
+Message = dict[str, Any]
+
+
+class ChildProcess:
+    """One child. Its pipe closes when this process ends, whatever way, and then it ends too."""
+
+    def __init__(self, order: Message, log: Path, tell: Callable[[Message], None]) -> None:
+        """Start it. tell() is called from a thread of this object, with what the child says and {"event": "lost"} last."""
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+        with log.open("ab") as errors:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "uav_recon.mapping.neural.worker.mapper_process"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                env=environment,
+                start_new_session=True,  # a terminal's Ctrl-C is not for the mapper
+            )
+        self._tell = tell
+        self._listener = threading.Thread(target=self._listen, name="mapper-events", daemon=True)
+        self._listener.start()
+        self.send(order)
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def running(self) -> bool:
+        """Whether the process is there."""
+        return self._process.poll() is None
+
+    def send(self, message: Message) -> None:
+        """Write a line; a child that is gone is reported through tell(), not here."""
+        pipe = self._process.stdin
+        if pipe is None or pipe.closed:
+            return
+        try:
+            pipe.write(json.dumps(message).encode() + b"\n")
+            pipe.flush()
+        except (BrokenPipeError, OSError):
+            return
+
+    def kill(self) -> None:
+        """End it at once; tell() hears of it."""
+        self._process.kill()
+
+    def end(self, patience_s: float) -> None:
+        """Close the pipe, wait, and kill what does not go."""
+        try:
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        except OSError:
+            pass  # unsent bytes of a child that is gone
+        try:
+            self._process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._listener.join()
+
+    def _listen(self) -> None:
+        pipe = self._process.stdout
+        if pipe is not None:
+            with pipe:
+                for line in pipe:
+                    self._tell(json.loads(line))
+        self._process.wait()
+        self._tell({"event": "lost"})
+
+
+def main() -> None:
+    """Serve one parent until its pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _step_back()
+    replies = os.fdopen(os.dup(1), "wb", buffering=0)
+    os.dup2(2, 1)  # a stray print must not break the protocol
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s")
+    messages: queue.Queue[Message] = queue.Queue()
+    order: Message = json.loads(sys.stdin.buffer.readline())
+    asked = threading.Event()
+    threading.Thread(target=_read, args=(sys.stdin.buffer, messages, asked), daemon=True).start()
+    _Session(order, messages, replies, asked).run()
+
+
+def _step_back() -> None:
+    """Let everything that flies go first, also where the kernel weighs sessions and not processes: sched(7), autogroup. And be
+    the first to go where memory is spent: the mission, whose child this is, is the larger one and cannot be done without.
+    """
+    os.nice(NICENESS)
+    for name, value in (("autogroup", NICENESS), ("oom_score_adj", FIRST_TO_GO)):
+        with contextlib.suppress(OSError):  # no such kernel
+            Path("/proc/self", name).write_text(str(value), encoding="ascii")
+
+
+def _read(pipe: IO[bytes], messages: queue.Queue[Message], asked: threading.Event) -> None:
+    for line in pipe:
+        message = json.loads(line)
+        if "answer" in message:
+            asked.set()  # before its turn: many views may wait
+        messages.put(message)
+    os._exit(0)  # the parent is gone, or wants us gone: at once, also from the middle of a kernel
+
+
+class _Session:
+    def __init__(
+        self, order: Message, messages: queue.Queue[Message], replies: IO[bytes], asked: threading.Event
+    ) -> None:  # fmt: skip
+        self._config = MapperConfig.model_validate(order["config"])
+        self._messages, self._replies, self._asked = messages, replies, asked
+        folder = Path(order["folder"])
+        self._keyframes = KeyframeFolder(folder / KEYFRAMES)
+        self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
+        low, high = np.array(order["box_min_m"]), np.array(order["box_max_m"])
+        self._trainer = Trainer(self._config, low, high, order["depth_noise_px"], order["baseline_m"])
+        self._checkpoints = Checkpoints(folder / CHECKPOINT, {name: value for name, value in order.items() if name != "folder"})
+        self._revision = self._channel.sequence()
+        self._learned, self._unseen = 0, False  # keyframes learned; whether they show in no published surface yet
+        self._refused = 0  # as told to the parent
+
+    def run(self) -> None:
+        self._trainer.warm_up()
+        self._restore()
+        self._look_on_disk()
+        self._learn_to(len(self._keyframes))
+        self._tell_refusals()
+        self._show()
+        self._say("ready")
+        idle_s = 1.0 / self._config.idle_steps_hz if self._config.idle_steps_hz > 0 else None
+        idle_steps = 0
+        while True:
+            try:
+                patience_s = 0.0 if self._trainer.waiting else idle_s
+                message = self._messages.get(timeout=patience_s if self._trainer.views else None)
+            except queue.Empty:
+                if self._trainer.waiting:
+                    self._unseen |= self._trainer.relearn(1) == 0
+                    self._tell_refusals()
+                    self._show()
+                    continue
+                self._trainer.train(1)
+                self._save()
+                idle_steps += 1
+                if idle_steps % IDLE_SURFACE_STEPS == 0:
+                    self._publish()
+                continue
+            if "answer" in message:
+                self._answer()
+                self._show()
+            elif "finish" in message:
+                self._finish(Path(message["finish"]))
+            elif "repose" in message:
+                self._look_on_disk()
+                self._tell_refusals()
+            else:
+                self._learn_to(int(message["keyframe"]) + 1)
+                self._show()
+
+    def _show(self) -> None:
+        """Publish what was learned, once nothing newer waits and a new map is whole."""
+        if self._unseen and not self._trainer.waiting and not self._behind():
+            self._publish()
+
+    def _behind(self) -> bool:
+        """Whether anything to be done waits; to be asked is nothing."""
+        with self._messages.mutex:
+            return any("answer" not in message for message in self._messages.queue)
+
+    def _learn_to(self, count: int) -> None:
+        """Learn keyframes up to a number; a message for one that was learned from disk already does nothing."""
+        if count <= self._learned:
+            return
+        self._look_on_disk()
+        for number in range(self._learned, min(count, len(self._keyframes))):
+            self._answer()
+            try:
+                if self._keyframes.pose(number) is None:
+                    self._trainer.refusals.note(Refusal.UNPLACED)
+                elif self._trainer.add(self._keyframes.load(number), number):
+                    self._trainer.train(self._config.steps_per_view)
+            except KeyframeError as error:
+                LOG.warning("%s", error)  # one view less
+            self._learned = number + 1
+            self._save()
+        self._unseen = True
+        self._tell_refusals()
+
+    def _look_on_disk(self) -> None:
+        """See what the parent wrote; where it put the views into a new map, begin to learn that."""
+        self._keyframes.refresh()
+        epoch = self._keyframes.map_epoch
+        if epoch == self._trainer.map_epoch or not self._trainer.kept:
+            return
+        poses = {number: self._keyframes.pose(number) for number in self._trainer.kept}
+        self._trainer.repose({number: pose for number, pose in poses.items() if pose is not None}, epoch)
+        LOG.warning("map epoch %d: %d views have a place in it", epoch, self._trainer.waiting)
+
+    def _restore(self) -> None:
+        """Go on from the checkpoint, if there is a sound one; what came after it is learned from the keyframes."""
+        try:
+            found = self._checkpoints.load(self._keyframes)
+        except CheckpointError as error:
+            LOG.warning("%s; learning all %d keyframes again", error, len(self._keyframes))
+            return
+        if found is not None:
+            self._trainer, self._learned = found
+            self._unseen = True
+            LOG.warning("went on from a checkpoint with %d of %d keyframes", self._learned, len(self._keyframes))
+
+    def _save(self) -> None:
+        self._checkpoints.save_if_due(self._trainer, self._learned, self._keyframes.stamp_s(self._learned - 1))
+
+    def _tell_refusals(self) -> None:
+        refusals = self._trainer.refusals
+        if refusals.total() != self._refused:
+            self._refused = refusals.total()
+            self._say("refused", counts={reason.name: count for reason, count in refusals.counts.items()})
+
+    def _publish(self) -> None:
+        self._unseen = False
+        self._revision += 1
+        surface = self._trainer.surface()
+        for every in (1, 2, 4, 8, 16):
+            try:
+                self._channel.publish(
+                    SurfaceElements(
+                        surface.position_world[::every],
+                        surface.normal_world[::every],
+                        surface.uncertainty[::every],
+                        self._revision,
+                        surface.map_epoch,
+                    )
+                )
+                return
+            except ValueError:  # a hall: every second element does
+                continue
+
+    def _finish(self, folder: Path) -> None:
+        self._trainer.polish(self._config.polish_steps)
+        write_ply(folder / MESH_FILE, self._trainer.mesh(self._config.mesh_voxel_m))
+        self._say("finished")
+
+    def _answer(self) -> None:
+        """Say that it gets on, once for each time that it was asked."""
+        if self._asked.is_set():
+            self._asked.clear()
+            self._say("answer")
+
+    def _say(self, event: str, **more: object) -> None:
+        self._replies.write(json.dumps({"event": event} | more).encode() + b"\n")
+
+
+if __name__ == "__main__":
+    main()
