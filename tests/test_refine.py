@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from uav_recon import config as configuration
 from uav_recon import refine
 from uav_recon.cli import app
-from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.sdf_torch.checkpoint import BEFORE, LAST
 from uav_recon.processes import claim_file
 from uav_recon.recording.mesh_file import load_mesh

@@ -253,7 +253,7 @@ def _state(checkpoints: Checkpoints) -> tuple[State | None, list[str]]:
 
 def _gathered(flight: Path, config: Config, say: Callable[[str], None]) -> Gathered:
     """Take every readable view. Raises Failure if there is none."""
-    from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
+    from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 
     trainer = run.make_trainer(config)
     try:

@@ -25,9 +25,9 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.pilot import Pilot
     from uav_recon.autopilot.tlog import FrameLog
     from uav_recon.localization.perception import Perception
-    from uav_recon.mapping.coverage import Coverage
+    from uav_recon.mapping.keyframe_selection import Coverage
     from uav_recon.mapping.neural.neural_mapper import Trainer
-    from uav_recon.mapping.voxels import Voxels
+    from uav_recon.mapping.occupancy.occupancy_map import Voxels
     from uav_recon.mission.conductor import Conductor
     from uav_recon.motion.speed_limited_planner import Paced
     from uav_recon.planning.camera import CameraGeometry
@@ -192,7 +192,7 @@ def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[
 
 def make_voxels(config: Config) -> Voxels:
     """The occupancy map over the fence and a margin beyond it."""
-    from uav_recon.mapping.voxels import DepthSensor, Voxels
+    from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
 
     safety, voxels, camera = config.safety, config.voxels, config.camera
     margin = np.full(3, voxels.margin_m)
@@ -255,7 +255,7 @@ def make_motion(config: Config, clearance_m: float) -> Paced:
 
 def make_coverage(config: Config, voxels: Voxels) -> Coverage:
     """The spending of the view budget."""
-    from uav_recon.mapping.coverage import Coverage
+    from uav_recon.mapping.keyframe_selection import Coverage
 
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)

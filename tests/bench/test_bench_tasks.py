@@ -11,7 +11,7 @@ from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.config import load, save
 from uav_recon.failure import Failure
-from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.recording.map_file import save_map
 from uav_recon.recording.timelapse import Timelapse
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame

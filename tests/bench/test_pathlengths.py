@@ -25,7 +25,7 @@ def test_round_walls_the_ways_are_hardly_longer_than_exact_search() -> None:
 
 
 def test_planner_and_oracle_agree_on_where_one_may_be() -> None:
-    from uav_recon.mapping.distance import distance2_to_not_free
+    from uav_recon.mapping.occupancy.distance_field import distance2_to_not_free
 
     rng = np.random.default_rng(2)
     state = np.full((30, 25, 15), FREE, dtype=np.uint8)

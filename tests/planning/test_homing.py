@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.config import PlannerConfig
-from uav_recon.mapping.distance import distance2_to_not_free
+from uav_recon.mapping.occupancy.distance_field import distance2_to_not_free
 from uav_recon.planning.camera import CameraGeometry
 from uav_recon.planning.planner import ViewPlanner
 from uav_recon.planning.space.costs import TurningOnTheWay

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.bench import path_oracle
-from uav_recon.mapping.distance import distance2_to_not_free
+from uav_recon.mapping.occupancy.distance_field import distance2_to_not_free
 from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.planning.space.space import FlyableSpace
 from uav_recon.planning.space.ways import Ways

@@ -16,7 +16,7 @@ from uav_recon.bench.laps import Stopwatch
 from uav_recon.bench.recording import Recording
 from uav_recon.bench.view_oracle import Frontier, Lens
 from uav_recon.config import MotionConfig, PlannerConfig, VoxelConfig
-from uav_recon.mapping.voxels import DepthSensor, Voxels
+from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
 from uav_recon.planning import planner
 from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry
 from uav_recon.planning.frontier.frontiers import Frontiers, fence_box

@@ -24,7 +24,7 @@ from uav_recon.bench.calibration import calibrate
 from uav_recon.bench.laps import Spread, Stopwatch
 from uav_recon.bench.tables import narrow_table
 from uav_recon.failure import Failure
-from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.planning.presets import derived
 from uav_recon.planning.proposal import Situation

@@ -13,7 +13,7 @@ from growing_map import GrowingMap
 
 from uav_recon.bench import recording, view_oracle
 from uav_recon.config import PlannerConfig
-from uav_recon.mapping.voxels import DepthSensor, Voxels
+from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
 from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry
 from uav_recon.planning.frontier import views as views_module
 from uav_recon.planning.frontier.frontiers import Frontiers

@@ -6,7 +6,7 @@ import trimesh
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, bent, correction, distance_to_walls, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.worker.inline_mapper import InlineMapper
 from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal

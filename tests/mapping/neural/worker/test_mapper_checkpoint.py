@@ -13,7 +13,7 @@ import pytest
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, look, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.worker import checkpoint
 from uav_recon.mapping.neural.worker.checkpoint import EVERY_VIEWS, CheckpointError, Checkpoints
 from uav_recon.mapping.neural.neural_mapper import Trainer

@@ -17,7 +17,7 @@ import trimesh
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, bent, correction, distance_to_walls, look, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.worker.checkpoint import EVERY_VIEWS
 from uav_recon.mapping.neural.worker.mapper_process import CHECKPOINT, FIRST_TO_GO, LOG_FILE, NICENESS
 from uav_recon.mapping.neural.worker.child_watchdog import ASLEEP_S, LOOK_S

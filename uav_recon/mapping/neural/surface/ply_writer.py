@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_recon.mapping.keyframes import write_whole
+from uav_recon.mapping.keyframe_store import write_whole
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TriangleMesh
 

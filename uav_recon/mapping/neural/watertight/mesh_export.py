@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.mapping.keyframes import write_whole
+from uav_recon.mapping.keyframe_store import write_whole
 from uav_recon.mapping.neural.watertight.texture_atlas import unwrap
 from uav_recon.mapping.neural.watertight.texture_baking import painted
 from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.types.frames import AnyArray
 

@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.worker.mapper_process import MESH_FILE
 from uav_recon.mapping.neural.surface.ply_writer import write_ply
 from uav_recon.mapping.neural.neural_mapper import Trainer

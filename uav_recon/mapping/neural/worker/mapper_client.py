@@ -17,7 +17,7 @@ from pathlib import Path
 from uav_recon.channels import FileChannel
 from uav_recon.clock import RateKeeper
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.keyframes import KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.worker.mapper_process import (
     CHECKPOINT,
     KEYFRAMES,

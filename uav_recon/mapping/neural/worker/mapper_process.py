@@ -25,7 +25,7 @@ import numpy as np
 
 from uav_recon.channels import FileChannel
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 from uav_recon.mapping.neural.worker.checkpoint import CheckpointError, Checkpoints
 from uav_recon.mapping.neural.surface.ply_writer import write_ply
 from uav_recon.mapping.neural.neural_mapper import Trainer

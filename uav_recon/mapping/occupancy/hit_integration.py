@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.evidence import add
+from uav_recon.mapping.occupancy.log_odds import add
 from uav_recon.types.frames import AnyArray
 
 SOLID_SHARE = 0.15  # of the pixels that a facing voxel would catch make a hit solid; fewer are a speckle or a wire

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mapping.coverage import SIGHTINGS, UNIT, Coverage
+from uav_recon.mapping.keyframe_selection import SIGHTINGS, UNIT, Coverage
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose

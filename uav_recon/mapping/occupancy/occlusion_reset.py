@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.evidence import FREE_AT
+from uav_recon.mapping.occupancy.log_odds import FREE_AT
 from uav_recon.types.frames import AnyArray
 from uav_recon.types.maps import FREE
 

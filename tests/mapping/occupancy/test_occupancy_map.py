@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.mapping.voxels import DepthSensor, Voxels
+from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
 from uav_recon.types.camera import BODY_FROM_OPTICAL, Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import ByteArray, Float32Array, FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec

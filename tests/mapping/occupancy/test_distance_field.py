@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from uav_recon.mapping.distance import CHUNK, DistanceField, distance2_to_not_free, warm_up
+from uav_recon.mapping.occupancy.distance_field import CHUNK, DistanceField, distance2_to_not_free, warm_up
 from uav_recon.types.frames import ByteArray, FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN
 

@@ -3,7 +3,7 @@ import threading
 
 import numpy as np
 
-from uav_recon.mapping.pictures import Pictures
+from uav_recon.mapping.occupancy.snapshot_pool import Pictures
 from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
 
 GRID = GridSpec(np.zeros(3), 0.1, (19, 21, 5))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.distance import CHUNK
+from uav_recon.mapping.occupancy.distance_field import CHUNK
 from uav_recon.types.frames import AnyArray, ByteArray, IntArray
 from uav_recon.types.maps import TILE, GridSpec, VoxelMap
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_recon.mapping.keyframes import KeyframeError, KeyframeFolder
+from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.pose import MapCorrection, Pose
 

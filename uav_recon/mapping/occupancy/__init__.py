@@ -1,0 +1,1 @@
+"""The occupancy map: depth fusion, free-space carving, distance field, snapshots."""
