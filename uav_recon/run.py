@@ -30,9 +30,9 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.occupancy.occupancy_map import Voxels
     from uav_recon.mission.conductor import Conductor
     from uav_recon.motion.speed_limited_planner import Paced
-    from uav_recon.planning.camera import CameraGeometry
-    from uav_recon.planning.narrows import ThroughNarrows
-    from uav_recon.planning.space.costs import Price
+    from uav_recon.planning.camera_frustum import CameraGeometry
+    from uav_recon.planning.narrow_passages import ThroughNarrows
+    from uav_recon.planning.tour.travel_time import Price
     from uav_recon.recording.rerun_recorder import Recorder
     from uav_recon.recording.timelapse import Timelapse
     from uav_recon.safety.envelope import Envelope
@@ -203,8 +203,8 @@ def make_voxels(config: Config) -> Voxels:
 
 def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
     """The planner of the config's variant, and what it does not reach through narrow ways."""
-    from uav_recon.planning.narrows import ThroughNarrows
-    from uav_recon.planning.planner import ViewPlanner
+    from uav_recon.planning.narrow_passages import ThroughNarrows
+    from uav_recon.planning.view_planner import ViewPlanner
 
     safety = config.safety
     inset_m = max(config.planner.clearance_m, safety.fence_inset_m)  # never plan what the guard would refuse
@@ -220,7 +220,7 @@ def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
 def price_of(config: Config) -> Price:
     """What a leg is reckoned to take: the planner's, for the gaze that motion has."""
     from uav_recon.motion.yaw_policy import NoseAhead, gaze_of
-    from uav_recon.planning.space.costs import NoseFirst, TurningOnTheWay
+    from uav_recon.planning.tour.travel_time import NoseFirst, TurningOnTheWay
 
     gaze, pace = gaze_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
     if isinstance(gaze, NoseAhead):
@@ -230,7 +230,7 @@ def price_of(config: Config) -> Price:
 
 def camera_geometry(config: Config) -> CameraGeometry:
     """The depth camera of the config as the planner knows it."""
-    from uav_recon.planning.camera import CameraGeometry
+    from uav_recon.planning.camera_frustum import CameraGeometry
 
     camera = config.camera
     low, high = (camera.pitch_down_deg,) * 2 if camera.mount == "fixed" else (-camera.gimbal_limit_deg, camera.gimbal_limit_deg)
@@ -309,7 +309,7 @@ def make_conductor(
 
 def warm_up(config: Config) -> None:
     """Compile every kernel of the mission process before the drone may be READY."""
-    from uav_recon.planning import planner
+    from uav_recon.planning import view_planner as planner
 
     voxels = make_voxels(config)
     voxels.warm_up()

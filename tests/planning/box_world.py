@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from uav_recon.planning.camera import CameraGeometry
+from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 from uav_recon.types.tasks import PlanRequest, ViewPath
 

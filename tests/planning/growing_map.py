@@ -6,7 +6,7 @@ import numpy as np
 from box_world import Solid, grid_of, look_from, voxel_map
 from numpy.typing import NDArray
 
-from uav_recon.planning.camera import CameraGeometry
+from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.types.maps import TILE, VoxelMap
 
 

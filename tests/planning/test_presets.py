@@ -7,7 +7,7 @@ import pytest
 from box_world import FIXED, GIMBAL
 
 from uav_recon.config import PlannerConfig
-from uav_recon.planning.camera import CameraGeometry
+from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.presets import derived
 from uav_recon.types.frames import FloatArray
 

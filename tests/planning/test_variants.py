@@ -7,8 +7,8 @@ import pytest
 from box_world import FIXED, GIMBAL
 
 from uav_recon.config import PlannerConfig, VariantName
-from uav_recon.planning.modes import Adaptive, AlwaysMerged, ExploreOnly, ExploreThenRefine
-from uav_recon.planning.tour.choices import ByTheWay, Greedy, Tour
+from uav_recon.planning.mode_rules import Adaptive, AlwaysMerged, ExploreOnly, ExploreThenRefine
+from uav_recon.planning.tour.task_ordering import ByTheWay, Greedy, Tour
 from uav_recon.planning.variants import variant
 from uav_recon.types.tasks import PlanMode, TaskKind
 

@@ -14,11 +14,11 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 sys.path.insert(0, sys.argv[1])
 from box_world import GIMBAL, MEETING_ROOM, BoxWorld
-from test_planner import surface_of
+from test_view_planner import surface_of
 from uav_recon.config import PlannerConfig
 from uav_recon.planning import planner as planning
-from uav_recon.planning.narrows import ThroughNarrows
-from uav_recon.planning.space.costs import TurningOnTheWay
+from uav_recon.planning.narrow_passages import ThroughNarrows
+from uav_recon.planning.tour.travel_time import TurningOnTheWay
 from uav_recon.types.tasks import PlanRequest, Viewpoint
 
 def compiled():

@@ -21,7 +21,7 @@ from uav_recon.bench.recording import SIZE, STRIDE, Recording, load
 from uav_recon.bench.replay import judged_views, mapped_of, timed_plans, timed_stages
 from uav_recon.bench.stages import MOUNTS_RAD, STAGES, warm_up
 from uav_recon.failure import EXIT_FAILURE, Failure
-from uav_recon.planning.tour import tour
+from uav_recon.planning.tour import atsp
 from uav_recon.types.maps import UNKNOWN
 from uav_recon.usage import UsageError, need_file
 
@@ -132,7 +132,7 @@ def _map_quality(recording: Recording, clearance_m: float, progress: Progress) -
 def _tour_quality(recording: Recording, progress: Progress) -> Result:
     folder = None if recording.folder is None else recording.folder / "atsp"
     cases = () if folder is None else tours.load_cases(folder)
-    tour.warm_up()
+    atsp.warm_up()
     scores = [tours.score(case) for case in _tracked(progress, cases, "tours")]
     return {"tour": {str(s.tasks): {"median_ms": s.median_ms, "gap": s.gap, "worst_gap": s.worst_gap} for s in scores}}
 

@@ -11,7 +11,7 @@ from uav_recon.bench import view_oracle
 from uav_recon.bench.laps import LapTable, Stopwatch
 from uav_recon.bench.recording import RESOLUTION_M, Recording
 from uav_recon.bench.stages import Mapped, Mount, Stages, oracle_lens, request_of
-from uav_recon.planning.planner import ViewPlanner
+from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.camera import PosedFrame
 
 JUDGED_EVERY = 5  # frames: brute force takes a while

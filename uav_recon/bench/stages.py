@@ -17,17 +17,17 @@ from uav_recon.bench.recording import Recording
 from uav_recon.bench.view_oracle import Frontier, Lens
 from uav_recon.config import MotionConfig, PlannerConfig, VoxelConfig
 from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
-from uav_recon.planning import planner
-from uav_recon.planning.camera import EDGE_MARGIN, CameraGeometry
+from uav_recon.planning import view_planner
+from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
 from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
-from uav_recon.planning.frontier.views import FrontierViews
-from uav_recon.planning.planner import ViewPlanner
+from uav_recon.planning.frontier.frontier_views import FrontierViews
+from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.planning.presets import derived
-from uav_recon.planning.proposal import Proposal
-from uav_recon.planning.sources import MOST_FRONTIERS, places_of
-from uav_recon.planning.space.costs import TurningOnTheWay, time_costs
-from uav_recon.planning.space.space import FlyableSpace
-from uav_recon.planning.space.ways import Ways
+from uav_recon.planning.candidate_view import Proposal
+from uav_recon.planning.task_generation import MOST_FRONTIERS, places_of
+from uav_recon.planning.tour.travel_time import TurningOnTheWay, time_costs
+from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.paths.path_cache import Ways
 from uav_recon.planning.variants import variant
 from uav_recon.types.camera import Intrinsics, PosedFrame
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
@@ -218,7 +218,7 @@ def warm_up(recording: Recording) -> None:
     """Compile every kernel that a replay runs; then the first frames on a flight of their own."""
     mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
     mapped.voxels.warm_up()
-    planner.warm_up(mapped.config.variant)
+    view_planner.warm_up(mapped.config.variant)
     stages, whole = Stages(mapped), mapped.planner()
     mapped.start(recording.frames[0])
     for posed in recording.frames[:WARM_FRAMES]:

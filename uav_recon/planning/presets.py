@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from uav_recon.config import PlannerConfig
-from uav_recon.planning.camera import CameraGeometry
+from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.types.frames import FloatArray
 
 # the paper, table I; l_res, N_down, alpha and the thresholds of its text are the same in all scenes

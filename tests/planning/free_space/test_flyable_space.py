@@ -1,0 +1,196 @@
+"""Where one may fly, kept up to date in pieces, is what it would be from scratch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from uav_recon.planning.paths.segments import segment_is_open
+from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.types.frames import ByteArray, IntArray
+from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec, VoxelMap
+
+EVERY_NEIGHBOUR = np.ones((3, 3, 3))
+RESOLUTION_M = 0.1
+
+
+class ChangingMap:
+    """A map whose boxes are overwritten; its distance field and tile revisions are made from scratch."""
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        self.grid = GridSpec(np.array([-1.0, 2.0, 0.0]), RESOLUTION_M, shape)
+        self.state = np.zeros(shape, dtype=np.uint8)
+        self.revision, self.epoch = 0, 0
+        self._tile_revision = np.zeros((-(-shape[0] // TILE), -(-shape[1] // TILE)), dtype=np.int64)
+        self._distance2 = self._field()
+
+    def _field(self) -> ByteArray:
+        distance = ndimage.distance_transform_edt(np.pad(self.state == FREE, 1))[1:-1, 1:-1, 1:-1]
+        return np.asarray(np.minimum(np.round(distance**2), 121).astype(np.uint8))
+
+    def paint(self, low: IntArray, high: IntArray, value: int) -> None:
+        before, before2 = self.state.copy(), self._distance2
+        self.state[low[0] : high[0], low[1] : high[1], low[2] : high[2]] = value
+        self._distance2 = self._field()
+        self.revision += 1
+        differs = (before != self.state) | (before2 != self._distance2)
+        for i, j in {(int(i) // TILE, int(j) // TILE) for i, j in np.argwhere(differs.any(axis=2))}:
+            self._tile_revision[i, j] = self.revision
+
+    def paint_randomly(self, rng: np.random.Generator) -> None:
+        largest = np.maximum(np.array(self.grid.shape) * rng.uniform(0.05, 0.5), 2)
+        low = rng.integers(0, self.grid.shape)
+        self.paint(low, low + rng.integers(1, largest.astype(int) + 1), int(rng.choice([FREE, FREE, OCCUPIED, UNKNOWN])))
+
+    def voxels(self) -> VoxelMap:
+        return VoxelMap(self.grid, self.state, self._distance2, self._tile_revision, self.revision, self.epoch)
+
+
+def flyable(voxels: VoxelMap, clearance_m: float, low: IntArray, high: IntArray) -> ByteArray:
+    inside = np.zeros(voxels.state.shape, dtype=bool)
+    inside[tuple(slice(a, b) for a, b in zip(low, high, strict=True))] = True
+    needed = (clearance_m / RESOLUTION_M + 0.5 - 1e-3) ** 2
+    return np.pad((voxels.state == FREE) & inside & (voxels.distance2 >= needed), 1).astype(np.uint8)
+
+
+def connected(mask: ByteArray, cell: int) -> ByteArray:
+    labels, _ = ndimage.label(mask, structure=EVERY_NEIGHBOUR)
+    return np.asarray((labels == labels.ravel()[cell]) & (mask > 0)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_kept_up_to_date_in_pieces_it_is_what_it_would_be_from_scratch(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape = tuple(int(n) for n in rng.integers(5, 45, 3))
+    world = ChangingMap((shape[0], shape[1], shape[2]))
+    low, high = rng.integers(0, 3, 3), np.array(shape) - rng.integers(0, 3, 3)
+    clearance_m = float(rng.choice([0.04, 0.1, 0.15]))
+    space = FlyableSpace(world.grid, clearance_m, low, high)
+    stood = 0
+    world.paint(np.array([0, 0, 0]), np.array(shape), FREE)
+    for _ in range(40):
+        world.paint_randomly(rng)
+        if rng.random() < 0.05:
+            world.epoch += 1
+        if rng.random() < 0.3:
+            continue  # not every map is looked at
+        before_mask, before_reachable, before = space.mask.copy(), space.reachable.copy(), space.revision
+        space.update(world.voxels())
+        mask = flyable(world.voxels(), clearance_m, low, high)
+        np.testing.assert_array_equal(space.mask, mask)
+        np.testing.assert_array_equal(space.free, np.pad(world.state == FREE, 1))
+        position = world.grid.origin_world_m + rng.uniform(0, 1, 3) * np.array(shape) * RESOLUTION_M
+        if mask.any() and rng.random() < 0.5:
+            position = space.world(rng.choice(np.argwhere(mask)) + 0.5)
+        cells = space.stand(position)
+        if cells is not None:
+            np.testing.assert_array_equal(space.reachable, connected(mask, int(cells[-1])))
+            stood += 1
+        for now, then, revisions in (
+            (space.mask, before_mask, space.mask_revision),
+            (space.reachable, before_reachable, space.reachable_revision),
+        ):
+            for i, j in np.argwhere((now != then).any(axis=2)):
+                assert revisions[(i - 1) // TILE, (j - 1) // TILE] > before
+    assert stood > 3
+
+
+def test_lines_that_leap_over_open_space_answer_as_those_that_do_not() -> None:
+    rng = np.random.default_rng(4)
+    answers = []
+    for _ in range(6):
+        world = ChangingMap((50, 40, 24))
+        world.paint(np.array([1, 1, 1]), np.array([49, 39, 23]), FREE)
+        for _ in range(6):
+            low = rng.integers(0, world.grid.shape)
+            world.paint(low, low + rng.integers(1, 8, 3), OCCUPIED)
+        space = FlyableSpace(world.grid, 0.15, np.array([4, 0, 0]), np.array([48, 33, 24]))
+        space.update(world.voxels())
+        cells = np.argwhere(space.mask)
+        for a, b in cells[rng.integers(len(cells), size=(400, 2))] + rng.random((400, 2, 3)):
+            answers.append(segment_is_open(space.mask, *a, *b))
+            assert segment_is_open(space.leap, *a, *b) == answers[-1]
+            assert segment_is_open(space.leap, *b, *a) == answers[-1]
+    assert 0.1 < np.mean(answers) < 0.9
+
+
+def rooms(door: bool) -> ChangingMap:
+    world = ChangingMap((60, 30, 20))
+    world.paint(np.array([1, 1, 1]), np.array([59, 29, 19]), FREE)
+    world.paint(np.array([29, 0, 0]), np.array([31, 30, 20]), OCCUPIED)
+    if door:
+        world.paint(np.array([29, 10, 1]), np.array([31, 20, 19]), FREE)
+    return world
+
+
+def test_a_door_that_closes_and_opens_cuts_and_joins() -> None:
+    world = rooms(door=True)
+    space = FlyableSpace(world.grid, 0.2, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
+    position = world.grid.centre(np.array([8, 15, 10]))
+    far = (50, 15, 10)
+    for closed in (False, True, False, True):
+        world.paint(np.array([29, 10, 1]), np.array([31, 20, 19]), OCCUPIED if closed else FREE)
+        space.update(world.voxels())
+        assert space.stand(position) is not None
+        assert bool(space.reachable[far]) is not closed
+    assert space.stand(world.grid.centre(np.array([50, 15, 10]))) is not None
+    assert space.reachable[far]
+    assert not space.reachable[9, 16, 11]
+
+
+def test_nothing_changes_while_the_map_does_not() -> None:
+    world = rooms(door=True)
+    space = FlyableSpace(world.grid, 0.2, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
+    space.update(world.voxels())
+    space.stand(world.grid.centre(np.array([8, 15, 10])))
+    revision = space.revision
+    world.paint(np.array([0, 0, 0]), np.array([2, 2, 2]), OCCUPIED)  # changes what is known, not where one may fly
+    space.update(world.voxels())
+    space.stand(world.grid.centre(np.array([40, 15, 10])))
+    assert space.revision == revision
+    assert not (space.reachable_revision > revision).any()
+
+
+def test_the_fence_and_the_clearance_are_kept() -> None:
+    world = rooms(door=False)
+    space = FlyableSpace(world.grid, 0.35, np.array([0, 5, 0]), np.array([60, 30, 16]))
+    space.update(world.voxels())
+    open_cells = np.argwhere(space.mask) - 1
+    assert len(open_cells)
+    # the distance field reaches to centres: 0.35 m from any face is at least 4 voxels between centres
+    assert open_cells[:, 0].min() == 4
+    assert open_cells[:, 1].min() == 5
+    assert open_cells[:, 2].max() == 15
+
+
+def test_a_vehicle_that_stands_where_it_may_not_fly_leaves_through_free_space() -> None:
+    world = rooms(door=True)
+    space = FlyableSpace(world.grid, 0.35, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
+    space.update(world.voxels())
+    cells = space.stand(world.grid.centre(np.array([2, 15, 10])))
+    assert cells is not None
+    way = np.stack(np.unravel_index(cells, space.mask.shape), axis=-1) - 1
+    np.testing.assert_array_equal(way[0], [2, 15, 10])
+    np.testing.assert_array_equal(way[-1], [4, 15, 10])
+    assert np.all(np.abs(np.diff(way, axis=0)) <= 1)
+    assert all(space.free.ravel()[cell] for cell in cells[1:])
+
+
+def test_one_free_voxel_nothing_free_and_outside_are_no_place_to_stand() -> None:
+    world = ChangingMap((20, 20, 20))
+    space = FlyableSpace(world.grid, 0.35, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
+    space.update(world.voxels())
+    assert space.stand(world.grid.centre(np.array([8, 8, 8]))) is None
+    world.paint(np.array([8, 8, 8]), np.array([9, 9, 9]), FREE)
+    space.update(world.voxels())
+    assert space.stand(world.grid.centre(np.array([8, 8, 8]))) is None
+    assert space.stand(world.grid.centre(np.array([-5, 8, 8]))) is None
+    assert space.stand(world.grid.centre(np.array([8, 8, 20]))) is None
+
+
+def test_a_map_of_another_grid_is_refused() -> None:
+    world = ChangingMap((20, 20, 20))
+    space = FlyableSpace(world.grid, 0.35, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
+    with pytest.raises(ValueError, match="shape"):
+        space.update(ChangingMap((20, 20, 21)).voxels())

@@ -1,0 +1,85 @@
+"""The best view of a cluster against every place there is; and that its answer tells what it hangs on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from box_world import FIXED, GIMBAL, MEETING_ROOM, TWO_ROOMS, Solid
+from growing_map import GrowingMap
+
+from uav_recon.bench import view_oracle
+from uav_recon.config import PlannerConfig
+from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
+from uav_recon.planning.frontier.frontiers import Frontiers
+from uav_recon.planning.frontier.visibility_bound import BOOK
+from uav_recon.planning.frontier.view_search import ROOM, _ranked, best_view
+from uav_recon.planning.frontier.view_cache import MOST_BLOCKERS, targets
+from uav_recon.planning.view_sampling import explore_shell
+from uav_recon.planning.free_space.subvoxel_clearance import SIDES2
+from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.types.maps import FREE, TILE
+
+START = np.array([1.0, 1.0, 1.1])
+
+
+@pytest.mark.parametrize("camera", [FIXED, GIMBAL], ids=["fixed", "gimbal"])
+@pytest.mark.parametrize("solid", [MEETING_ROOM, TWO_ROOMS], ids=["meeting_room", "two_rooms"])
+def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: CameraGeometry) -> None:
+    world = GrowingMap(solid)
+    world.state[4:17, 4:17, 1:18] = np.where(solid[4:17, 4:17, 1:18], 0, FREE)
+    # an eye in the body's middle: then the brute force looks from where the planner does
+    camera = CameraGeometry(camera.hfov_rad, camera.vfov_rad, np.zeros(3), camera.pitch_min_rad, camera.pitch_max_rad, 4.5)
+    for n in range(4):
+        world.look(camera, START, n * np.pi / 3)
+    voxels, frontiers = world.picture(), Frontiers()
+    low, high = np.ones(3, dtype=np.int64), np.array(world.grid.shape) - 1
+    frontiers.update(voxels, low, high, np.zeros(world.grid.shape, dtype=np.uint8))
+    space = FlyableSpace(world.grid, 0.35, low + 2, high - 2)
+    space.update(voxels)
+    space.stand(START)
+    shell, lens = explore_shell(PlannerConfig(), camera, 0.1), camera.lens(0.1, 4.5)
+    tan_h, tan_v = (float(np.tan(angle / 2)) * EDGE_MARGIN for angle in (camera.hfov_rad, camera.vfov_rad))
+    oracle = view_oracle.Lens(tan_h, tan_v, lens[2], lens[3], camera.pitch_min_rad, camera.pitch_max_rad)
+    reachable, shares = space.reachable[1:-1, 1:-1, 1:-1] > 0, []
+    closed, off_centre = np.argwhere(voxels.state != FREE) + 0.5, 0
+    asked, blockers = np.zeros(len(shell.offsets) + ROOM, dtype=np.int32), np.zeros(MOST_BLOCKERS, dtype=np.int32)
+    for row in frontiers.rows():
+        points, first = targets(frontiers.faces, frontiers.flat(int(row)))
+        view, seen, asks, hidden, boxes = best_view(
+            voxels.distance2.reshape(-1), world.grid.shape, space.reachable.reshape(-1), space.berth, lens, shell.offsets,
+            shell.ends, shell.places, frontiers.table.centre[row], points, first, asked, blockers,
+        )  # fmt: skip
+        assert asks <= len(asked)
+        assert hidden < MOST_BLOCKERS
+        assert len(set(blockers[:hidden].tolist())) == hidden
+        assert (voxels.distance2.reshape(-1)[blockers[:hidden]] == 0).all()
+        assert (space.reachable.reshape(-1)[np.where(asked[:asks] >= 0, asked[:asks], ~asked[:asks])] > 0).tolist() == (
+            asked[:asks] >= 0
+        ).tolist()
+        target = view_oracle.Frontier(frontiers.cluster(int(row)).cells, low, high)
+        best = view_oracle.best_seen(voxels.state, oracle, reachable, target, (5.0, 42.0), int(row))
+        if best >= 10:
+            shares.append(view_oracle.cells_seen(voxels.state, oracle, view, target) / best)
+            assert reachable[tuple(view[:3].astype(int))]
+            off_centre += bool((view[:3] % 1.0 != 0.5).any())
+            # no nearer to anything than a centre may be, measured to the nearest side
+            assert ((np.maximum(np.abs(closed - view[:3]) - 0.5, 0.0) ** 2).sum(axis=1) >= space.berth[SIDES2]).all()
+            assert ((view[:3] >= low + 2.5) & (view[:3] <= high - 2.5)).all()
+            assert seen.sum() <= view_oracle.cells_seen(voxels.state, oracle, view, target)
+            at = np.array(np.unravel_index(np.where(asked[:asks] >= 0, asked[:asks], ~asked[:asks]), space.reachable.shape)) - 1
+            for box, places in zip(boxes, (view[:2, None], at[:2]), strict=True):
+                assert (box[:2, None] * TILE <= places).all()
+                assert (places < box[2:, None] * TILE + TILE).all()
+    assert len(shares) >= 8
+    assert off_centre
+    assert np.mean(np.array(shares) >= 0.95) >= 0.9
+    assert min(shares) >= 0.8
+
+
+def test_places_that_promise_most_come_first_and_equal_ones_in_their_order() -> None:
+    promises = np.random.default_rng(0).integers(0, 30, 400)
+    np.testing.assert_array_equal(_ranked(promises, 60), np.argsort(-promises, kind="stable"))
+
+
+def test_the_table_of_blockers_has_room_for_all_that_are_kept() -> None:
+    assert MOST_BLOCKERS < BOOK

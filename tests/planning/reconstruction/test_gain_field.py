@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from box_world import FIXED, GIMBAL, MEETING_ROOM, BoxWorld
+from uncertain_room import elements_of, seen_room, situation_in
+
+from uav_recon.config import PlannerConfig
+from uav_recon.planning.camera_frustum import CameraGeometry
+from uav_recon.planning.frontier.frontiers import FACES, Frontier, Frontiers, fence_box
+from uav_recon.planning.candidate_view import Situation
+from uav_recon.planning.reconstruction.gain_field import BEST_VIEWS, UNKNOWN_WEIGHT, FieldViews, frontier_patches
+from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.tasks import TaskKind
+
+HERE = np.array([3.0, 1.0, 1.2])
+CONFIG = PlannerConfig()
+
+
+def half_seen(camera: CameraGeometry) -> tuple[Situation, list[Frontier]]:
+    """After one look ahead."""
+    world = BoxWorld(MEETING_ROOM, camera, HERE)
+    for yaw in (-0.4, 0.0, 0.4):
+        world.yaw_rad = yaw
+        world.look(float(np.clip(0.0, camera.pitch_min_rad, camera.pitch_max_rad)))
+    voxels = world.request().voxels
+    low, high = fence_box(voxels.grid, np.zeros(3), np.array([6.2, 5.0, 2.4]))
+    found = Frontiers()
+    found.update(voxels, low, high, np.zeros(voxels.grid.shape, dtype=np.uint8))
+    return situation_in(voxels, HERE), found.clusters()
+
+
+def looks_of(situation: Situation) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    return np.zeros(situation.voxels.grid.shape, dtype=np.float32)
+
+
+@pytest.mark.parametrize("camera", [FIXED, GIMBAL])
+def test_where_much_is_unknown_views_show_frontiers(camera: CameraGeometry) -> None:
+    situation, frontiers = half_seen(camera)
+    proposals = FieldViews(CONFIG, camera).propose(situation, frontiers, None, looks_of(situation))
+    assert 3 <= len(proposals) <= BEST_VIEWS
+    cells = {int(c) for f in frontiers for c in np.ravel_multi_index(tuple(f.cells.T), situation.voxels.grid.shape)}
+    for proposal in proposals:
+        assert proposal.task.kind is TaskKind.EXPLORE
+        assert len(proposal.promised) >= 4
+        assert {int(c) for c in proposal.promised} <= cells
+        assert proposal.task.gain >= UNKNOWN_WEIGHT * len(proposal.promised)
+        assert situation.holds(proposal.place)
+        view = proposal.task.viewpoint
+        assert camera.pitch_min_rad <= view.pitch_down_rad <= camera.pitch_max_rad
+        bearing = view.yaw_rad
+        ahead = situation.voxels.grid.centre(
+            np.stack(np.unravel_index(proposal.promised, situation.voxels.grid.shape), axis=-1)
+        )
+        forward = (ahead - view.position_world)[:, :2] @ np.array([np.cos(bearing), np.sin(bearing)])
+        assert (forward > 0).mean() > 0.95
+
+
+def test_the_order_of_the_frontiers_does_not_matter() -> None:
+    situation, frontiers = half_seen(GIMBAL)
+    surface = elements_of(MEETING_ROOM)
+    one = FieldViews(CONFIG, GIMBAL).propose(situation, frontiers, surface, looks_of(situation))
+    other = FieldViews(CONFIG, GIMBAL).propose(situation, frontiers[::-1], surface, looks_of(situation))
+    assert [p.place.tolist() for p in one] == [p.place.tolist() for p in other]
+    assert [p.task.gain for p in one] == [p.task.gain for p in other]
+
+
+def test_in_a_known_room_views_show_surface_until_it_was_looked_at() -> None:
+    situation = situation_in(seen_room(), HERE)
+    surface, views, looks = elements_of(MEETING_ROOM), FieldViews(CONFIG, GIMBAL), looks_of(situation)
+    first = views.propose(situation, [], surface, looks)
+    assert first
+    assert {p.task.kind for p in first} == {TaskKind.RECONSTRUCT}
+    for _ in range(40):
+        proposals = views.propose(situation, [], surface, looks)
+        if not proposals:
+            break
+        looks.ravel()[proposals[0].promised] += proposals[0].squareness.astype(np.float32)
+    assert not proposals
+
+
+def test_nothing_to_gain_is_no_view() -> None:
+    situation = situation_in(seen_room(), HERE)
+    nothing = SurfaceElements(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 1)
+    views = FieldViews(CONFIG, FIXED)
+    assert views.propose(situation, [], None, looks_of(situation)) == []
+    assert views.propose(situation, [], nothing, looks_of(situation)) == []
+
+
+def test_frontier_cells_are_gathered_once_each_and_face_out_of_the_unknown() -> None:
+    _, frontiers = half_seen(FIXED)
+    shape = MEETING_ROOM.shape
+    flat, rows, groups = frontier_patches(frontiers, (shape[0], shape[1], shape[2]))
+    wanted = np.sort(np.concatenate([np.ravel_multi_index(tuple(f.cells.T), shape) for f in frontiers]))
+    np.testing.assert_array_equal(np.sort(flat), wanted)
+    assert groups[0] == 0
+    assert groups[-1] == len(flat)
+    np.testing.assert_allclose(rows[:, 6], UNKNOWN_WEIGHT * np.diff(groups))
+    cell = Frontier(np.array([[9, 9, 9]]), np.array([2], dtype=np.uint8))  # the voxel at +x is unknown
+    _, one, _ = frontier_patches([cell], (20, 20, 20))
+    np.testing.assert_allclose(one, [[9.5, 9.5, 9.5, *-FACES[1], UNKNOWN_WEIGHT]])
+
+
+PROBE = """
+import sys
+from numba.core.registry import CPUDispatcher as Dispatcher
+sys.path[:0] = sys.argv[1:]
+import numpy as np
+from test_gain_field import CONFIG, FIXED, GIMBAL, elements_of, half_seen, looks_of, FieldViews, MEETING_ROOM
+from uav_recon.planning.surface import field, elements
+
+def compiled():
+    return {(m, k): len(v.signatures) for m in ("surface.field", "surface.gains", "surface.elements", "camera")
+            for k, v in vars(sys.modules["uav_recon.planning." + m]).items() if isinstance(v, Dispatcher)}
+
+situation, frontiers = half_seen(FIXED)
+surface = elements_of(MEETING_ROOM)
+elements.Elements.of(surface, situation.voxels.grid, 5)  # as SurfaceViews' warm-up does
+field.warm_up()
+before = compiled()
+FieldViews(CONFIG, GIMBAL).propose(situation, frontiers, surface, looks_of(situation))
+after = compiled()
+assert before == after, {k: (before[k], after[k]) for k in before if before[k] != after[k]}
+"""
+
+
+def test_nothing_is_compiled_after_warm_up() -> None:
+    # a fresh process: here, earlier tests have compiled whatever they needed
+    here = Path(__file__).parent
+    probe = subprocess.run(
+        [sys.executable, "-c", PROBE, str(here), str(here.parent)], capture_output=True, text=True, check=False, timeout=240
+    )
+    assert probe.returncode == 0, probe.stderr

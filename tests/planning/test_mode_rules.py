@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.planning.mode_rules import Adaptive, AlwaysMerged, ExploreOnly, ExploreThenRefine, ModeRule
+from uav_recon.types.tasks import PlanMode
+
+
+def chosen(rule: ModeRule, *distance_m: float, gaps_m: tuple[float, ...] = ()) -> PlanMode:
+    opening = np.array([True] * len(distance_m) + [False] * len(gaps_m), dtype=np.bool_)
+    return rule.choose(np.array([*distance_m, *gaps_m], dtype=np.float64), opening)
+
+
+def test_explores_only_with_more_than_enough_near_frontiers_and_more_than_their_share() -> None:
+    rule = Adaptive(near_distance_m=1.5, near_count=3, near_share=0.2)
+    assert chosen(rule, *[1.0] * 4) is PlanMode.EXPLORE
+    assert chosen(rule, *[1.0] * 3) is PlanMode.MERGED
+    assert chosen(rule, *[1.0] * 4, *[5.0] * 15) is PlanMode.EXPLORE
+    assert chosen(rule, *[1.0] * 4, *[5.0] * 16) is PlanMode.MERGED
+    assert chosen(rule, *[1.6] * 9) is PlanMode.MERGED
+    assert chosen(rule) is PlanMode.MERGED
+
+
+def test_gaps_in_front_of_walls_are_not_counted() -> None:
+    rule = Adaptive(near_distance_m=1.5, near_count=3, near_share=0.2)
+    assert chosen(rule, 1.0, 1.0, 1.0, gaps_m=(1.0,) * 9) is PlanMode.MERGED
+    assert chosen(rule, *[1.0] * 4, gaps_m=(5.0,) * 30) is PlanMode.EXPLORE
+
+
+def test_refines_only_when_no_frontier_is_left() -> None:
+    assert chosen(ExploreThenRefine(), gaps_m=(9.0,)) is PlanMode.EXPLORE
+    assert chosen(ExploreThenRefine()) is PlanMode.MERGED
+
+
+def test_the_simple_rules_ask_nothing() -> None:
+    for distances in ((), (1.0,) * 50):
+        assert chosen(ExploreOnly(), *distances) is PlanMode.EXPLORE
+        assert chosen(AlwaysMerged(), *distances) is PlanMode.MERGED

@@ -1,0 +1,239 @@
+"""A passage of 0.90 m: too narrow for a vehicle that plans with 0.50 m, and passed with 0.45 m, once nothing else is left."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from box_world import GIMBAL, BoxWorld, Solid, room, visible_from_anywhere, voxel_map
+from scipy.spatial import cKDTree
+
+from uav_recon.config import PlannerConfig, VariantName
+from uav_recon.planning.narrow_passages import ON_A_NARROW_WAY, ThroughNarrows
+from uav_recon.planning.view_planner import ViewPlanner
+from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
+
+USUAL_M, NARROW_M, HOMEWARD_M = 0.5, 0.45, 0.35
+pytestmark = pytest.mark.slow
+SIZE_M = (8.0, 5.0, 2.2)
+WALL_M = 3.2  # its far side
+START = np.array([1.5, 2.0, 1.2])
+HOME = Viewpoint(START, 0.0, 0.0)
+MOVING = np.array([0.4, 0.0, 0.0])
+
+
+def rooms_with_a_passage(width_m: float) -> Solid:
+    """A small room and a large one, and a passage between them at the end of a wall of 0.2 m."""
+    return room(SIZE_M, [(3.0, 0, 0, WALL_M, 0.2, 2.2), (3.0, 0.2 + width_m, 0, WALL_M, 5.0, 2.2)])
+
+
+def usual_planner(variant: VariantName = "explore") -> ViewPlanner:
+    config = PlannerConfig(clearance_m=USUAL_M, variant=variant)
+    return ViewPlanner(config, np.zeros(3), np.array(SIZE_M), GIMBAL, TurningOnTheWay(0.8, 0.8), timer=lambda: 0.0)
+
+
+def through_narrows(variant: VariantName = "explore") -> ThroughNarrows:
+    return ThroughNarrows(usual_planner(variant), NARROW_M, HOMEWARD_M, NARROW_M, timer=lambda: 0.0)
+
+
+def explore(world: BoxWorld, planner: ViewPlanner | ThroughNarrows) -> tuple[list[ViewPath], str]:
+    """Fly until nothing is left, each way held to what it says that it keeps; the paths, and why it ended."""
+    flown: list[ViewPath] = []
+    for _ in range(60):
+        request = world.request()
+        answer = planner.plan(request)
+        if isinstance(answer, NothingLeft):
+            return flown, answer.reason
+        assert_keeps(answer, request)
+        planner.accept(answer)
+        flown.append(answer)
+        world.fly(answer)
+    raise AssertionError("still exploring after 60 plans")
+
+
+def assert_keeps(path: ViewPath, request: PlanRequest) -> None:
+    """Every waypoint is known free, and as far as the path says from all that is not; a view has the usual room."""
+    for way in path.waypoints_world:
+        assert room_m(way, request.voxels).min() >= (path.clearance_m or USUAL_M) - 1e-3
+    assert room_m(np.array([view.position_world for view in path.viewpoints]), request.voxels).min() >= USUAL_M - 1e-3
+
+
+def room_m(points: FloatArray, voxels: VoxelMap) -> FloatArray:
+    """From the centre of each point's voxel (N,) to the near face of the nearest one that is not free, by brute force.
+
+    A point on the border of voxels is in any of them: a way may bend there.
+    """
+    grid, corners = voxels.grid, np.array(list(itertools.product((-1e-7, 1e-7), repeat=3)))
+    not_free = cKDTree(grid.centre(np.argwhere(voxels.state != FREE)))
+    cells = grid.centre(grid.index(points[:, None] + corners))
+    return np.asarray(not_free.query(cells)[0].max(axis=1) - grid.resolution_m / 2)
+
+
+def looked_round(width_m: float) -> BoxWorld:
+    world = BoxWorld(rooms_with_a_passage(width_m), GIMBAL, START)
+    world.look_round()
+    return world
+
+
+def explored(world: BoxWorld) -> float:
+    seeable = visible_from_anywhere(world.solid, GIMBAL, START)
+    return float(np.mean(world.state[seeable] == FREE))
+
+
+def test_a_narrow_passage_is_passed_with_less_room_and_not_with_the_usual() -> None:
+    alone, both = looked_round(0.9), looked_round(0.9)
+    _, reason = explore(alone, usual_planner())
+    flown, _ = explore(both, through_narrows())
+    assert "not reachable" in reason or "too narrow" in reason
+    assert max(point[0] for point in alone.track) < 3.0 and explored(alone) < 0.9
+    assert explored(both) >= 0.97
+    assert max(point[0] for point in both.track) > WALL_M
+    narrow = [path for path in flown if path.clearance_m is not None]
+    assert narrow and all(path.clearance_m == NARROW_M and len(path.viewpoints) == 1 for path in narrow)
+    assert len(narrow) <= 3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_in_rooms_at_random_every_way_keeps_what_it_says(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    wall_m, gap_m = rng.integers(26, 34) * 0.1, rng.integers(0, 36) * 0.1
+    boxes: list[tuple[float, ...]] = [
+        (wall_m, 0, 0, wall_m + 0.2, gap_m, 2.2),
+        (wall_m, gap_m + 0.9, 0, wall_m + 0.2, 5.0, 2.2),
+    ]
+    for _ in range(4):
+        low = rng.uniform([wall_m + 0.8, 0, 0], [7.0, 4.0, 1.5])
+        boxes.append((*low.tolist(), *np.minimum(low + rng.uniform(0.2, 1.2, 3), SIZE_M).tolist()))
+    world = BoxWorld(room(SIZE_M, boxes), GIMBAL, START)
+    world.look_round()
+    flown, _ = explore(world, through_narrows())
+    assert any(path.clearance_m == NARROW_M for path in flown)
+
+
+def test_the_way_home_leads_through_the_same_passage() -> None:
+    world, planner = looked_round(0.9), through_narrows()
+    explore(world, planner)
+    world.position = np.array([6.5, 2.0, 1.2])
+    request = world.request(views_left=0)
+    usual = planner.route(dataclasses.replace(request, position_world=np.array([2.4, 2.0, 1.2])), HOME)
+    home = planner.route(request, HOME)
+    assert isinstance(usual, ViewPath) and usual.clearance_m is None
+    assert isinstance(usual_planner().route(request, HOME), NothingLeft)
+    assert isinstance(home, ViewPath) and home.clearance_m == NARROW_M
+    assert room_m(home.waypoints_world[0], request.voxels).min() >= NARROW_M - 1e-3
+    assert np.linalg.norm(home.waypoints_world[0][-1] - START) < 0.1
+
+
+def test_a_passage_that_specks_narrowed_since_still_leads_home() -> None:
+    """Not to anything else: what is seen through it from here is no place to go to."""
+    world, planner = looked_round(0.8), through_narrows()
+    explore(world, planner)
+    assert max(point[0] for point in world.track) < 3.0
+    world.position = np.array([6.5, 2.0, 1.2])
+    world.look_round()
+    home = planner.route(world.request(views_left=0), HOME)
+    assert isinstance(home, ViewPath) and home.clearance_m == HOMEWARD_M
+    assert HOMEWARD_M - 1e-3 <= room_m(home.waypoints_world[0], world.request().voxels).min() < NARROW_M - 1e-3
+
+
+@pytest.mark.parametrize("width_m", [0.6, 0.1])
+def test_what_is_narrower_still_is_not_passed(width_m: float) -> None:
+    world, planner = looked_round(width_m), through_narrows()
+    _, reason = explore(world, planner)
+    assert "left" in reason
+    assert max(point[0] for point in world.track) < 3.0
+    answer = planner.route(PlanRequest(world.request().voxels, None, np.array([6.5, 2.0, 1.2]), 0.0, 0), HOME)
+    assert isinstance(answer, NothingLeft)
+
+
+def test_where_nothing_is_narrow_the_flight_is_the_usual_one() -> None:
+    alone, both = looked_round(1.3), looked_round(1.3)
+    expected, reason = explore(alone, usual_planner())
+    flown, reason_too = explore(both, through_narrows())
+    assert reason == reason_too and len(flown) == len(expected)
+    np.testing.assert_array_equal(np.array(alone.track), np.array(both.track))
+
+
+def stuck(planner: ThroughNarrows) -> tuple[BoxWorld, PlanRequest, ViewPath]:
+    """On this side nothing is left: the request whose answer is a narrow way, and that."""
+    world = looked_round(0.9)
+    for _ in range(60):
+        request = world.request()
+        answer = planner.plan(request)
+        assert isinstance(answer, ViewPath), answer
+        if answer.clearance_m is not None:
+            return world, request, answer
+        planner.accept(answer)
+        world.fly(answer)
+    raise AssertionError("no narrow way was proposed")
+
+
+REFUSED: dict[str, Callable[[PlanRequest], PlanRequest]] = {
+    "in motion": lambda request: dataclasses.replace(request, velocity_world_mps=MOVING),
+    "without a view left": lambda request: dataclasses.replace(request, views_left=0),
+    "outside of the map": lambda request: dataclasses.replace(request, position_world=np.full(3, 50.0)),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_no_narrow_way_is_proposed(name: str) -> None:
+    planner = through_narrows()
+    _, request, _ = stuck(planner)
+    assert isinstance(planner.plan(REFUSED[name](request)), NothingLeft)
+
+
+def test_a_variant_that_never_explores_asks_for_no_narrow_way() -> None:
+    _, request, _ = stuck(through_narrows())
+    assert isinstance(through_narrows("reconstruct").plan(request), NothingLeft)
+
+
+def test_on_a_narrow_way_nothing_else_is_begun_until_it_is_flown() -> None:
+    planner = through_narrows()
+    world, request, path = stuck(planner)
+    planner.accept(path)
+    assert planner.still_worth(request.voxels, request.position_world, request.yaw_rad)
+    midway = dataclasses.replace(request, position_world=np.array([3.1, 0.65, 1.2]), velocity_world_mps=MOVING)
+    answer = planner.plan(midway)
+    assert isinstance(answer, NothingLeft) and answer.reason == ON_A_NARROW_WAY
+    world.fly(path)
+    following = planner.plan(world.request())
+    assert isinstance(following, ViewPath) and following.clearance_m is None  # the other room is flown as usual
+    planner.accept(following)
+    assert isinstance(planner.plan(dataclasses.replace(world.request(), velocity_world_mps=MOVING)), ViewPath)
+
+
+@pytest.mark.parametrize(("edge", "squeezes"), [(5, False), (9, True)], ids=["a gap", "an opening"])
+def test_only_for_an_opening(edge: int, squeezes: bool) -> None:
+    """Everything is known but a cube of so many voxels in the other room."""
+    state = np.where(rooms_with_a_passage(0.9), OCCUPIED, FREE).astype(np.uint8)
+    state[60 : 60 + edge, 20 : 20 + edge, 8 : 8 + edge] = UNKNOWN
+    request = PlanRequest(voxel_map(state), None, START, 0.0, 50)
+    alone, both = usual_planner().plan(request), through_narrows().plan(request)
+    assert isinstance(alone, NothingLeft) and "2 not reachable" in alone.reason
+    assert isinstance(both, ViewPath) == squeezes
+
+
+def test_a_look_in_vain_through_a_narrow_way_is_remembered() -> None:
+    usual = usual_planner()
+    planner = ThroughNarrows(usual, NARROW_M, HOMEWARD_M, NARROW_M, timer=lambda: 0.0)
+    _, request, path = stuck(planner)
+    planner.accept(path)
+    view, voxels = path.viewpoints[0], request.voxels
+    before = int(usual.visited.looks_in_vain.sum())
+    arrived = dataclasses.replace(request, position_world=view.position_world, yaw_rad=view.yaw_rad)
+    for revision in (1, 2):  # the camera shows nothing new
+        newer = dataclasses.replace(voxels, revision=voxels.revision + revision)
+        planner.plan(dataclasses.replace(arrived, voxels=newer))
+    assert usual.visited.looks_in_vain.sum() > before
+
+
+def test_the_same_requests_give_the_same_narrow_way() -> None:
+    (_, _, first), (_, _, second) = stuck(through_narrows()), stuck(through_narrows())
+    np.testing.assert_array_equal(first.waypoints_world[0], second.waypoints_world[0])
+    assert first.viewpoints[0].yaw_rad == second.viewpoints[0].yaw_rad

@@ -1,0 +1,62 @@
+"""The way home ends at the flyable place nearest to the pad, or says that there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.config import PlannerConfig
+from uav_recon.mapping.occupancy.distance_field import distance2_to_not_free
+from uav_recon.planning.camera_frustum import CameraGeometry
+from uav_recon.planning.view_planner import ViewPlanner
+from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
+from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
+
+GRID = GridSpec(np.zeros(3), 0.1, (50, 30, 25))
+CAMERA = CameraGeometry(1.5, 1.0, np.array([0.1, 0.0, 0.0]), 0.26, 0.26, 4.5)
+
+
+def planner() -> ViewPlanner:
+    return ViewPlanner(PlannerConfig(), np.zeros(3), np.array([5.0, 3.0, 2.5]), CAMERA, TurningOnTheWay(0.8, 0.8))
+
+
+def request(wall: bool) -> PlanRequest:
+    state = np.full(GRID.shape, FREE, np.uint8)
+    if wall:
+        state[24:26] = OCCUPIED
+    voxels = VoxelMap.whole(GRID, state, distance2_to_not_free(state, 11), 1)
+    return PlanRequest(voxels, None, np.array([4.0, 1.5, 1.0]), 0.3, views_left=0)
+
+
+def test_the_way_home_ends_at_home_even_with_no_view_left() -> None:
+    home = Viewpoint(np.array([1.02, 1.49, 1.1]), 0.7, 0.26)
+    path = planner().route(request(wall=False), home)
+    assert isinstance(path, ViewPath)
+    assert len(path.viewpoints) == 1
+    assert np.linalg.norm(path.viewpoints[0].position_world - home.position_world) < 0.1
+    assert path.viewpoints[0].yaw_rad == home.yaw_rad
+    np.testing.assert_allclose(path.waypoints_world[0][0], [4.0, 1.5, 1.0])
+    np.testing.assert_allclose(path.waypoints_world[0][-1], path.viewpoints[0].position_world)
+
+
+def test_a_closed_way_home_is_said() -> None:
+    answer = planner().route(request(wall=True), Viewpoint(np.array([1.0, 1.5, 1.1]), 0.0, 0.26))
+    assert isinstance(answer, NothingLeft)
+    assert "no known-free way" in answer.reason
+
+
+def test_going_home_promises_nothing_to_the_memory() -> None:
+    the_planner = planner()
+    the_planner.route(request(wall=False), Viewpoint(np.array([1.0, 1.5, 1.1]), 0.0, 0.26))
+    assert the_planner.visited.surface_looks.sum() == 0.0
+
+
+def test_a_goal_that_may_not_be_flown_is_reached_beside_it_and_a_far_one_not_at_all() -> None:
+    low = Viewpoint(np.array([1.0, 1.5, 0.1]), 0.0, 0.26)  # nearer to the floor than the planner flies
+    path = planner().route(request(wall=False), low)
+    assert isinstance(path, ViewPath)
+    np.testing.assert_allclose(path.viewpoints[0].position_world[2], 0.35)
+    assert np.linalg.norm(path.viewpoints[0].position_world - low.position_world) < 0.4
+    for outside in ([1.0, 1.5, -0.2], [-3.0, 1.5, 1.0], [60.0, 1.5, 1.0]):
+        answer = planner().route(request(wall=False), Viewpoint(np.array(outside), 0.0, 0.26))
+        assert isinstance(answer, NothingLeft)

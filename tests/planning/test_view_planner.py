@@ -1,0 +1,353 @@
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from box_world import FIXED, GIMBAL, MEETING_ROOM, TWO_ROOMS, BoxWorld, room, voxel_map
+from scipy import ndimage
+
+from uav_recon.config import PlannerConfig, VariantName
+from uav_recon.planning.camera_frustum import CameraGeometry
+from uav_recon.planning.view_planner import ViewPlanner
+from uav_recon.planning.task_generation import Harvest, Question
+from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.types.frames import ByteArray
+from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
+from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath
+
+
+def planner_for(state: ByteArray, camera: CameraGeometry = FIXED, variant: VariantName = "adaptive") -> ViewPlanner:
+    size_m = (np.array(state.shape) - 2) * 0.1
+    return ViewPlanner(
+        PlannerConfig(variant=variant), np.zeros(3), size_m, camera, TurningOnTheWay(0.8, 0.8), timer=lambda: 0.0
+    )
+
+
+def looked_round(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], camera: CameraGeometry = FIXED) -> BoxWorld:
+    world = BoxWorld(solid, camera, np.array([3.0, 1.0, 1.2]))
+    world.look_round()
+    return world
+
+
+def surface_of(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], per_face: int = 6) -> SurfaceElements:
+    """Elements on every face between air and solid, normals into the air, uncertainty growing with x."""
+    rng = np.random.default_rng(0)
+    positions, normals = [], []
+    for axis, sign in itertools.product(range(3), (-1, 1)):
+        air_beside = np.roll(~solid, -sign, axis=axis) & solid
+        air_beside[[0, -1] if axis == 0 else slice(None)] &= axis != 0 or sign * np.array([1, -1])[:, None, None] > 0
+        cells = np.argwhere(air_beside)
+        normal = np.eye(3)[axis] * sign
+        points = np.repeat(cells, per_face, axis=0) + rng.random((len(cells) * per_face, 3))
+        points[:, axis] = np.repeat(cells[:, axis], per_face) + (1.0 if sign > 0 else 0.0)
+        positions.append((points - 1.0) * 0.1)
+        normals.append(np.tile(normal, (len(points), 1)))
+    position = np.concatenate(positions)
+    order = rng.permutation(len(position))
+    return SurfaceElements(position[order], np.concatenate(normals)[order], 0.2 + position[order, 0], 1)
+
+
+def harvest_of(
+    planner: ViewPlanner, request: PlanRequest, surface: SurfaceElements, views_left: int
+) -> dict[TaskKind, list[Task]]:
+    """All tasks of one plan, those that its tour leaves out too."""
+    propose, found = planner._source.propose, []
+
+    def remember(question: Question) -> Harvest:
+        found.append(propose(question))
+        return found[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planner._source, "propose", remember)
+        planner.plan(dataclasses.replace(request, surface=surface, views_left=views_left))
+    tasks = [proposal.task for proposal in found[0].proposals]
+    return {kind: [task for task in tasks if task.kind is kind] for kind in TaskKind}
+
+
+def assert_flyable(path: ViewPath, request: PlanRequest, start_is_flyable: bool = True) -> None:
+    """Oracle for a path: sampled densely, it stays where the distance field allows, and legs join up."""
+    grid = request.voxels.grid
+    assert len(path.viewpoints) == len(path.waypoints_world) == len(path.tasks) >= 1
+    at = request.position_world
+    for n, (view, way) in enumerate(zip(path.viewpoints, path.waypoints_world, strict=True)):
+        assert way.shape[1] == 3
+        np.testing.assert_allclose(way[0], at, atol=1e-9)
+        np.testing.assert_allclose(way[-1], view.position_world, atol=1e-9)
+        assert (np.linalg.norm(np.diff(way, axis=0), axis=1) > 0).all()
+        for p in way if start_is_flyable or n else way[-1:]:
+            assert request.voxels.distance_m(grid.index(p)) >= 0.4 - 1e-3
+        if start_is_flyable or n:
+            for a, b in itertools.pairwise(way):
+                samples = a + np.linspace(0.01, 0.99, 200)[:, None] * (b - a)
+                index = grid.index(samples)
+                # between two flyable samples a line may clip a corner, by less than a quarter of a voxel
+                assert (request.voxels.distance_m(index) >= 0.3 - 1e-3).all()
+        at = way[-1]
+
+
+def random_case(seed: int) -> tuple[VoxelMap, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
+    """Clutter, half-seen rooms, closed doors, nothing free, a start anywhere, outside the grid included."""
+    rng = np.random.default_rng(seed)
+    shape = tuple(rng.integers(4, [50, 40, 28]))
+    state = np.full(shape, FREE, dtype=np.uint8)
+    for value in (OCCUPIED, 0):
+        for _ in range(rng.integers(0, 6)):
+            low = rng.integers(0, shape)
+            high = low + rng.integers(1, 14, 3)
+            state[low[0] : high[0], low[1] : high[1], low[2] : high[2]] = value
+    kind = seed % 8
+    if kind == 0:
+        state[:] = rng.choice([0, OCCUPIED])
+    if kind == 1:
+        state[shape[0] // 2] = OCCUPIED  # closed door
+    if kind == 2:
+        state[rng.random(shape) < 0.02] = 0
+    position = rng.uniform(-0.2 if kind == 3 else 0.0, np.array(shape) * 0.1 - 0.1)
+    return voxel_map(state), position
+
+
+@pytest.mark.parametrize("block", range(4))
+def test_every_map_gives_a_flyable_path_or_a_reason(block: int) -> None:
+    outcomes = {ViewPath: 0, NothingLeft: 0}
+    for seed in range(block * 50, block * 50 + 50):
+        voxels, position = random_case(seed)
+        planner = planner_for(voxels.state, GIMBAL if seed % 2 else FIXED, "merged")
+        surface = surface_of(np.asarray(voxels.state == OCCUPIED), 1) if seed % 3 == 0 else None
+        request = PlanRequest(voxels, surface, position, seed * 0.7, 1 + seed % 7)
+        answer = planner.plan(request)
+        outcomes[type(answer)] += 1
+        if isinstance(answer, NothingLeft):
+            assert answer.reason
+            continue
+        index = voxels.grid.index(position)
+        inside = bool(voxels.grid.contains(index))
+        flyable = inside and voxels.distance_m(index) >= 0.4 - 1e-3
+        assert_flyable(answer, request, start_is_flyable=bool(flyable) and _in_fence(voxels, position))
+        assert len(answer.viewpoints) <= request.views_left
+    assert min(outcomes.values()) >= 5
+
+
+def _in_fence(voxels: VoxelMap, position: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
+    size_m = (np.array(voxels.grid.shape) - 2) * 0.1
+    centre = voxels.grid.centre(voxels.grid.index(position))
+    return bool((centre >= 0.35).all() and (centre <= size_m - 0.35).all())
+
+
+def test_the_same_request_gives_the_same_plan() -> None:
+    world = looked_round(MEETING_ROOM)
+    request = world.request()
+    first, second = (planner_for(world.state, GIMBAL).plan(request) for _ in range(2))
+    assert isinstance(first, ViewPath)
+    assert isinstance(second, ViewPath)
+    for a, b in zip(first.waypoints_world, second.waypoints_world, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert [v.yaw_rad for v in first.viewpoints] == [v.yaw_rad for v in second.viewpoints]
+
+
+def test_a_view_of_a_frontier_shows_the_camera_what_it_promises() -> None:
+    world = looked_round(MEETING_ROOM)
+    path = planner_for(world.state).plan(world.request())
+    assert isinstance(path, ViewPath)
+    for task, view in zip(path.tasks, path.viewpoints, strict=True):
+        assert task.kind is TaskKind.EXPLORE
+        before = int(np.count_nonzero(world.state))
+        world.position, world.yaw_rad = view.position_world, view.yaw_rad
+        world.look(view.pitch_down_rad)
+        assert int(np.count_nonzero(world.state)) > before
+        assert view.pitch_down_rad == FIXED.pitch_min_rad
+
+
+def test_a_start_in_forbidden_space_leaves_through_free_cells() -> None:
+    world = looked_round(MEETING_ROOM)
+    request = world.request()
+    corner = np.array([3.0, 0.15, 1.2])  # 0.15 m from a wall
+    start = PlanRequest(request.voxels, None, corner, 0.0, 10)
+    path = planner_for(world.state).plan(start)
+    assert isinstance(path, ViewPath)
+    assert_flyable(path, start, start_is_flyable=False)
+    index = request.voxels.grid.index(path.waypoints_world[0])
+    assert (request.voxels.state[index[:, 0], index[:, 1], index[:, 2]] == FREE).all()
+
+
+def test_reasons_are_counted_in_words() -> None:
+    known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    planner = planner_for(known)
+    position = np.array([3.0, 1.0, 1.2])
+    done = planner.plan(PlanRequest(voxel_map(known), None, position, 0.0, 10))
+    assert isinstance(done, NothingLeft)
+    assert done.reason == "no frontiers left"
+    hidden = known.copy()
+    hidden[24:36, 21:29, 1:5] = 0  # the far end of a slot under the table that no body fits under
+    hidden[24:36, 29, 1:5] = OCCUPIED
+    boxed = planner_for(known).plan(PlanRequest(voxel_map(hidden), None, position, 0.0, 0))
+    assert isinstance(boxed, NothingLeft)
+    assert boxed.reason == "no view is left in the budget"
+    closed = np.zeros_like(known)
+    closed[5, 5, 5] = FREE
+    stuck = planner.plan(PlanRequest(voxel_map(closed, 1), None, np.array([0.45, 0.45, 0.45]), 0.0, 5))
+    assert isinstance(stuck, NothingLeft)
+    assert "no known-free way" in stuck.reason
+
+
+def test_a_frontier_behind_a_closed_door_is_not_reachable_and_not_near() -> None:
+    solid = room((6.0, 4.0, 2.5), [(3.0, 0, 0, 3.1, 4.0, 2.5)])
+    state = np.where(solid, OCCUPIED, FREE).astype(np.uint8)
+    state[45:-1, 1:-1, 1:-1] = 0
+    answer = planner_for(state).plan(PlanRequest(voxel_map(state), None, np.array([1.5, 2.0, 1.2]), 0.0, 10))
+    assert isinstance(answer, NothingLeft)
+    assert "not reachable" in answer.reason
+
+
+def test_surface_tasks_look_at_uncertain_surface_that_is_in_sight() -> None:
+    known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    request = PlanRequest(voxel_map(known), surface_of(MEETING_ROOM), np.array([3.0, 1.0, 1.2]), 0.0, 50)
+    path = planner_for(known).plan(request)
+    assert isinstance(path, ViewPath)
+    assert path.mode is PlanMode.MERGED
+    assert all(task.kind is TaskKind.RECONSTRUCT for task in path.tasks)
+    assert_flyable(path, request)
+    explore_only = planner_for(known, variant="explore").plan(request)
+    assert isinstance(explore_only, NothingLeft)
+
+
+@pytest.mark.parametrize(("over", "left_to_surface"), [(-1, 0), (0, 0), (2, 2), (400, 10)])
+def test_surface_gets_the_views_that_frontiers_leave_over(over: int, left_to_surface: int) -> None:
+    world = looked_round(TWO_ROOMS)
+    surface = surface_of(TWO_ROOMS)
+    planner = planner_for(world.state, variant="merged")
+    frontiers = len(harvest_of(planner, world.request(), surface, 400)[TaskKind.EXPLORE])
+    assert frontiers > 1
+    found = harvest_of(planner_for(world.state, variant="merged"), world.request(), surface, frontiers + over)
+    assert len(found[TaskKind.EXPLORE]) == frontiers
+    assert len(found[TaskKind.RECONSTRUCT]) == left_to_surface
+
+
+def test_surface_tasks_run_out() -> None:
+    world = looked_round(MEETING_ROOM, GIMBAL)
+    world.state[:] = np.where(MEETING_ROOM, OCCUPIED, FREE)
+    surface = surface_of(MEETING_ROOM, 2)
+    planner = planner_for(world.state, GIMBAL)
+    for _ in range(60):
+        asked = world.request()
+        answer = planner.plan(PlanRequest(asked.voxels, surface, asked.position_world, asked.yaw_rad, 500))
+        if isinstance(answer, NothingLeft):
+            break
+        planner.accept(answer)
+        world.views += len(answer.viewpoints)
+        world.position, world.yaw_rad = answer.viewpoints[-1].position_world, answer.viewpoints[-1].yaw_rad
+        world.revision += 1
+    assert isinstance(answer, NothingLeft)
+    assert 10 < world.views < 150
+
+
+def test_what_a_camera_cannot_settle_is_given_up_after_two_looks() -> None:
+    known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    known[28:42, 6:18, -2:] = 0  # a hole in the ceiling's plane that stays unknown, whatever looks at it
+    planner = planner_for(known)
+    position, yaw = np.array([1.0, 1.0, 1.2]), 0.0
+    views = 0
+    for revision in range(20):
+        answer = planner.plan(PlanRequest(voxel_map(known, revision), None, position, yaw, 20))
+        if isinstance(answer, NothingLeft):
+            break
+        planner.accept(answer)
+        views += len(answer.viewpoints)
+        position, yaw = answer.viewpoints[-1].position_world, answer.viewpoints[-1].yaw_rad
+    assert isinstance(answer, NothingLeft)
+    assert "looked at in vain" in answer.reason
+    assert 1 < views <= 12
+
+
+def test_whoever_refuses_to_fly_does_not_get_the_same_view_for_ever() -> None:
+    known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    known[-12:-1, 30:, 1:-1] = 0
+    planner = planner_for(known)
+    position = np.array([1.0, 1.0, 1.2])
+    answers: list[ViewPath | NothingLeft] = []
+    for revision in range(80):
+        answers.append(planner.plan(PlanRequest(voxel_map(known, revision), None, position, 0.0, 20)))
+        if isinstance(answers[-1], ViewPath):
+            planner.accept(answers[-1])
+    assert isinstance(answers[0], ViewPath)
+    assert isinstance(answers[-1], NothingLeft)
+
+
+def test_a_new_epoch_forgets_what_was_looked_at() -> None:
+    known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    known[28:42, 6:18, -2:] = 0
+    planner = planner_for(known)
+    position, yaw = np.array([1.0, 1.0, 1.2]), 0.0
+    for revision in range(20):
+        answer = planner.plan(PlanRequest(voxel_map(known, revision), None, position, yaw, 20))
+        if isinstance(answer, NothingLeft):
+            break
+        planner.accept(answer)
+        position, yaw = answer.viewpoints[-1].position_world, answer.viewpoints[-1].yaw_rad
+    assert isinstance(answer, NothingLeft)
+    assert isinstance(planner.plan(PlanRequest(voxel_map(known, 21), None, position, yaw, 9)), NothingLeft)
+    assert isinstance(planner.plan(PlanRequest(voxel_map(known, 9, epoch=1), None, position, yaw, 9)), ViewPath)
+
+
+def test_in_motion_the_view_that_is_flown_to_stays_the_next_one() -> None:
+    """Else a drone between two tasks turns round at every plan, and comes to neither."""
+    world = looked_round(MEETING_ROOM)
+    planner = planner_for(world.state)
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath)
+    planner.accept(path)
+    goal, way = path.viewpoints[0], path.waypoints_world[0]
+    back = path.viewpoints[0].position_world - way[0]
+    asked = world.request()
+    on_the_way = way[0] + 0.02 * (way[1] - way[0])
+    for velocity in (0.5 * back, -0.5 * back):
+        request = PlanRequest(asked.voxels, None, on_the_way, world.yaw_rad + 2.0, 50, velocity)
+        onward = planner.plan(request)
+        assert isinstance(onward, ViewPath)
+        np.testing.assert_array_equal(onward.viewpoints[0].position_world, goal.position_world)
+        assert onward.viewpoints[0].yaw_rad == goal.yaw_rad
+    resting = planner.plan(PlanRequest(asked.voxels, None, on_the_way, world.yaw_rad + 2.0, 50))
+    assert isinstance(resting, ViewPath)
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_view_off_its_voxels_centre_is_kept_while_it_is_clear_itself(beside: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = looked_round(MEETING_ROOM)
+    planner = planner_for(world.state)
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath)
+    planner.accept(path)
+    promised = planner.visited.next_promised(path.waypoints_world[0][0], world.yaw_rad)
+    assert promised is not None
+    centre = np.floor(promised.place) + 0.5
+    moved = dataclasses.replace(promised, place=centre + np.array([0.0, 0.0, 0.45]))
+    monkeypatch.setattr(planner.visited, "next_promised", lambda *_: moved)
+    state = world.state.copy()
+    if beside:  # as near above it as the centre may have something: the voxel stays one that can be flown to
+        state[tuple((np.floor(promised.place) - 1.0 + np.array([0.0, 0.0, 4.0])).astype(int))] = OCCUPIED
+    request = PlanRequest(voxel_map(state, 99), None, path.waypoints_world[0][0], world.yaw_rad, 50, np.array([0.3, 0.0, 0.0]))
+    onward = planner.plan(request)
+    assert isinstance(onward, ViewPath)
+    assert (onward.tasks[0] is promised.task) is not beside
+
+
+def test_a_view_that_has_nothing_left_to_show_is_not_kept() -> None:
+    world = looked_round(MEETING_ROOM)
+    planner = planner_for(world.state)
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath)
+    planner.accept(path)
+    at, yaw = path.waypoints_world[0][0], world.yaw_rad + 2.0
+    assert planner.still_worth(voxel_map(world.state.copy(), 50), at, yaw)
+    seen = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    seen[world.state == 0] = np.where(np.arange(seen.size).reshape(seen.shape) % 997 == 0, 0, seen)[world.state == 0]
+    assert not planner.still_worth(voxel_map(seen, 51), at, yaw)
+    onward = planner.plan(PlanRequest(voxel_map(seen, 51), None, at, yaw, 50, np.array([0.3, 0.0, 0.0])))
+    if isinstance(onward, ViewPath):
+        assert any(onward.viewpoints[0].position_world != path.viewpoints[0].position_world)
+
+
+def test_flyable_components_of_the_test_rooms_are_one() -> None:
+    distance = ndimage.distance_transform_edt(~MEETING_ROOM) * 0.1
+    assert ndimage.label(distance >= 0.4, structure=np.ones((3, 3, 3)))[1] == 1

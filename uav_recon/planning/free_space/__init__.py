@@ -1,0 +1,1 @@
+"""Space the vehicle may fly in: flyable space, reachability, clearance boxes."""

@@ -1,0 +1,199 @@
+"""Where the body may be: kept from map to map, changed only where the map changed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.planning.free_space.subvoxel_clearance import berth_of
+from uav_recon.planning.free_space.voxel_blocks import EDGE
+from uav_recon.planning.free_space.escape_path import Escape
+from uav_recon.planning.free_space.reachability import Regions
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
+
+NEVER = 256  # a squared distance that no byte holds
+MOST_LEAPS = 12
+
+
+class FlyableSpace:
+    """Voxels in which the body's centre may be; one object per flight.
+
+    mask: (nx+2, ny+2, nz+2) uint8, 1 = flyable: known free, far enough from all that is not, with indices in [low, high).
+    The border of zeros spares a search the question of bounds. free: the same for known-free voxels. reachable: the same for
+    flyable voxels that are 26-connected to where the vehicle last stood. Arrays are rewritten in place.
+    Positions in kernels are in PADDED voxel units: (p - origin) / resolution + 1.
+
+    leap: the same for lines through the mask, see ``segment_is_open``: 0 where the mask is 0, else 1 + how many samples on are
+    open whatever the line's direction, by the distance field. (Lines begin and end in the mask: they never leave the box.)
+
+    berth: (7,) what a place off its voxel's centre must keep, see ``berth_of``.
+
+    revision: grows with each change of mask or reachable. mask_revision, reachable_revision: (tiles along x, along y), the
+    revision at which anything in a tile of TILE x TILE columns last changed; block_revision: the same for the mask in the
+    blocks of ``regions``.
+    """
+
+    def __init__(self, grid: GridSpec, clearance_m: float, low: IntArray, high: IntArray) -> None:
+        """Nothing is known yet.
+
+        Half a voxel is added to the clearance: the field measures to a voxel's centre, and an obstacle may reach to its
+        near face.
+        """
+        self.grid = grid
+        needed2 = (clearance_m / grid.resolution_m + 0.5 - 1e-3) ** 2
+        self._needed2 = int(min(np.ceil(needed2), NEVER))
+        needed = math.sqrt(self._needed2) + math.sqrt(3.0)  # twice from a point to its voxel's centre
+        self._leaps2 = np.array([min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MOST_LEAPS)], dtype=np.int64)
+        self._box = np.array([np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)], dtype=np.int64)
+        self.berth = berth_of(grid.shape, self._box[0], self._box[1], self._needed2)
+        self._escape = Escape(grid.resolution_m)
+        self._start()
+
+    def _start(self) -> None:
+        nx, ny, nz = self.grid.shape
+        self.mask = np.zeros((nx + 2, ny + 2, nz + 2), dtype=np.uint8)
+        self.free, self.leap = np.zeros_like(self.mask), np.zeros_like(self.mask)
+        self.regions = Regions(self.grid.shape)
+        self.reachable: ByteArray = self.regions.reachable
+        self.reachable_revision: IntArray = self.regions.tile_revision
+        self.mask_revision = np.zeros_like(self.reachable_revision)
+        self.block_revision = np.zeros(len(self.regions.blocks.counts), dtype=np.int64)
+        self._changed = np.empty(len(self.regions.blocks.counts), dtype=np.int64)
+        self.revision = 0
+        self._seen: tuple[int, int] = (0, -1)  # map epoch and revision
+
+    def update(self, voxels: VoxelMap) -> None:
+        """Take over what changed in the map since the last call; a new map epoch begins from nothing.
+
+        Raises ValueError for a map of another grid.
+        """
+        if voxels.grid.shape != self.grid.shape:
+            raise ValueError(f"map of shape {voxels.grid.shape} given to a space of shape {self.grid.shape}")
+        if voxels.map_epoch != self._seen[0]:
+            revision = self.revision
+            self._start()
+            self.revision = revision + 1
+            self.reachable_revision.fill(self.revision)
+            self.mask_revision.fill(self.revision)
+        since = self._seen[1] if voxels.map_epoch == self._seen[0] else -1
+        self._seen = (voxels.map_epoch, voxels.revision)
+        count = _renew(
+            voxels.state, voxels.distance2, voxels.tile_revision, since, self._box, self._needed2, self._leaps2,
+            self.regions.blocks.shape,
+            self.mask, self.free, self.leap, self.mask_revision, self.block_revision, self._changed, self.revision + 1,
+        )  # fmt: skip
+        if count:
+            self.revision += 1
+            self.regions.update(self.mask, self._changed[:count], self.revision)
+
+    def stand(self, position_world: FloatArray) -> IntArray | None:
+        """Flat cells from the vehicle's own to the nearest flyable one, both included; one cell where it may fly already.
+
+        Just after take-off, or when the map has changed, the vehicle may stand where it may not fly: it leaves through
+        known-free cells alone (its own is exempt). None if there is no such way within ESCAPE_LIMIT_M, and then ``reachable``
+        stays as it was; else ``reachable`` is what can be flown to from the last cell.
+        """
+        cell = np.floor(self.padded(position_world)).astype(np.int64)
+        if np.any(cell < 1) or np.any(cell >= np.array(self.mask.shape) - 1):
+            return None
+        cells = self._escape.way(self.mask, self.free, cell)
+        if cells is None:
+            return None
+        i, j, k = (int(n) for n in np.unravel_index(int(cells[-1]), self.mask.shape))
+        if not self.reachable[i, j, k]:
+            self.revision += 1
+            self.regions.hang_on(i, j, k, self.revision)
+        return cells
+
+    def padded(self, points_world: FloatArray) -> FloatArray:
+        """World (3,) or (N, 3) to padded voxel units."""
+        out: FloatArray = (points_world - self.grid.origin_world_m) / self.grid.resolution_m + 1.0
+        return out
+
+    def world(self, points_padded: FloatArray) -> FloatArray:
+        """Padded voxel units to world."""
+        out: FloatArray = (points_padded - 1.0) * self.grid.resolution_m + self.grid.origin_world_m
+        return out
+
+    def flat(self, cell_padded: IntArray) -> int:
+        """Flat index of a padded cell (3,), clipped to the border when it lies outside."""
+        cell = np.clip(cell_padded, 0, np.array(self.mask.shape) - 1)
+        return int(np.ravel_multi_index((int(cell[0]), int(cell[1]), int(cell[2])), self.mask.shape))
+
+    def centre(self, flat: IntArray) -> FloatArray:
+        """Centres in padded voxel units of flat indices: (N,) to (N, 3)."""
+        centre: FloatArray = np.stack(np.unravel_index(flat, self.mask.shape), axis=-1) + np.float64(0.5)
+        return centre
+
+
+@kernel
+def _renew(
+    state: ByteArray,
+    distance2: ByteArray,
+    tile_revision: IntArray,
+    since: int,
+    box: IntArray,
+    needed2: int,
+    leaps2: IntArray,
+    blocks_shape: IntArray,
+    mask: ByteArray,
+    free: ByteArray,
+    leap: ByteArray,
+    mask_revision: IntArray,
+    block_revision: IntArray,
+    changed: IntArray,
+    revision: int,
+) -> int:
+    """Bring mask and free up to date in the tiles that changed; how many blocks changed (each listed once)."""
+    nx, ny, nz = state.shape
+    count = 0
+    column = np.zeros(nz, dtype=np.uint8)
+    for tile in np.argwhere(tile_revision > since):
+        for i in range(tile[0] * TILE, min(tile[0] * TILE + TILE, nx)):
+            for j in range(tile[1] * TILE, min(tile[1] * TILE + TILE, ny)):
+                states, distances = state[i, j], distance2[i, j]
+                frees, masks, leaps = free[i + 1, j + 1], mask[i + 1, j + 1], leap[i + 1, j + 1]
+                low, high = box[0, 2], box[1, 2]
+                if i < box[0, 0] or i >= box[1, 0] or j < box[0, 1] or j >= box[1, 1]:
+                    high = low
+                for k in range(nz):
+                    column[k] = np.uint8(states[k] == FREE)
+                    frees[k + 1] = column[k]
+                differs = np.uint8(0)
+                for k in range(nz):
+                    column[k] &= np.uint8(distances[k] >= needed2) & np.uint8(k >= low) & np.uint8(k < high)
+                    differs |= column[k] ^ masks[k + 1]
+                for k in range(nz):
+                    leaps[k + 1] = column[k]
+                for least2 in leaps2:
+                    for k in range(nz):
+                        leaps[k + 1] += column[k] & np.uint8(distances[k] >= least2)
+                if differs == 0:
+                    continue
+                base = ((i // EDGE + 1) * blocks_shape[1] + j // EDGE + 1) * blocks_shape[2] + 1
+                for k in range(nz):
+                    if column[k] != masks[k + 1]:
+                        masks[k + 1] = column[k]
+                        block = base + k // EDGE
+                        if block_revision[block] != revision:
+                            block_revision[block] = revision
+                            changed[count] = block
+                            count += 1
+                mask_revision[i // TILE, j // TILE] = revision
+    return count
+
+
+def warm_up() -> None:
+    """Compile everything that a space uses, for the read-only arrays of a VoxelMap."""
+    grid = GridSpec(np.zeros(3), 0.1, (12, 12, 12))
+    state = np.zeros(grid.shape, dtype=np.uint8)
+    state[2:, 2:, 2:] = FREE
+    space = FlyableSpace(grid, 0.1, np.zeros(3, dtype=np.int64), np.array(grid.shape))
+    for revision, distance in enumerate((9, 0, 9)):
+        voxels = VoxelMap.whole(grid, state, np.where(state == FREE, distance, 0).astype(np.uint8), revision)
+        space.update(voxels)
+        for position in (0.25, 0.15, 0.65):
+            space.stand(np.full(3, position))

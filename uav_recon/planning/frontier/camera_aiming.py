@@ -1,0 +1,67 @@
+"""Where to turn a camera so that it shows most of what can be seen from a place."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.planning.camera_frustum import PITCH_MAX, PITCH_MIN, TAN_H, TAN_V
+from uav_recon.types.frames import Float32Array, FloatArray
+
+TURNS = 24  # headings tried, all round ...
+FINE_TURNS = 4  # ... and so many to either side of the best
+NODS = 3  # pitches tried to either side ...
+NOD_RAD = np.radians(10.0)  # ... so far apart
+
+
+@kernel
+def framed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: float) -> int:
+    """How many of the first ``count`` directions (3, N) lie inside the frustum."""
+    cy, sy, cp, sp = np.float32(np.cos(yaw)), np.float32(np.sin(yaw)), np.float32(np.cos(pitch)), np.float32(np.sin(pitch))
+    tan_h, tan_v, zero = np.float32(lens[TAN_H]), np.float32(lens[TAN_V]), np.float32(0.0)
+    xs, ys, zs = ways[0], ways[1], ways[2]
+    shown = np.int32(0)  # as wide as the rest of the sum: the processor then does many at once
+    for n in range(count):
+        along, left = cy * xs[n] + sy * ys[n], cy * ys[n] - sy * xs[n]
+        forward, up = cp * along - sp * zs[n], sp * along + cp * zs[n]
+        shown += np.int32((forward > zero) & (abs(left) <= forward * tan_h) & (abs(up) <= forward * tan_v))
+    return int(shown)
+
+
+@kernel
+def aimed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: float) -> tuple[int, float, float]:
+    """Most of the first ``count`` directions (3, N) that a heading shows, and its yaw and pitch.
+
+    The given angles if these show all; else towards their mean; else the best of the headings all round and of the pitches
+    that the mount has, each tried coarsely and then finely.
+    """
+    most = framed(lens, ways, count, yaw, pitch)
+    if most == count:
+        return most, yaw, pitch
+    x, y, z = 0.0, 0.0, 0.0
+    for n in range(count):
+        dx, dy, dz = float(ways[0, n]), float(ways[1, n]), float(ways[2, n])
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        x, y, z = x + dx / length, y + dy / length, z + dz / length
+    mean_yaw = np.arctan2(y, x)
+    mean_pitch = min(max(np.arctan2(-z, np.sqrt(x * x + y * y)), lens[PITCH_MIN]), lens[PITCH_MAX])
+    shown = framed(lens, ways, count, mean_yaw, mean_pitch)
+    if shown > most:
+        most, yaw, pitch = shown, mean_yaw, mean_pitch
+    if most == count:
+        return most, yaw, pitch
+    for fine in range(2):
+        base = yaw
+        for n in range(2 * FINE_TURNS + 1 if fine else TURNS):
+            tried = base + ((n - FINE_TURNS) * (np.pi / TURNS / FINE_TURNS) if fine else n * (2 * np.pi / TURNS))
+            shown = framed(lens, ways, count, tried, pitch)
+            if shown > most:
+                most, yaw = shown, tried
+        base = pitch
+        if lens[PITCH_MAX] > lens[PITCH_MIN]:
+            for n in range(-NODS, NODS + 1):
+                tried = min(max(base + n * NOD_RAD / (1 + 3 * fine), lens[PITCH_MIN]), lens[PITCH_MAX])
+                shown = framed(lens, ways, count, yaw, tried)
+                if shown > most:
+                    most, pitch = shown, tried
+    return most, np.arctan2(np.sin(yaw), np.cos(yaw)), pitch

@@ -1,0 +1,225 @@
+"""The best view of each frontier cluster, kept until something that it hangs on changes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from uav_recon.config import PlannerConfig
+from uav_recon.planning.camera_frustum import CameraGeometry
+from uav_recon.planning.frontier.frontiers import Frontiers
+from uav_recon.planning.frontier.reachable_tiles import Reach, ReachableTiles
+from uav_recon.planning.frontier.view_cache import ViewTable
+from uav_recon.planning.candidate_view import MIN_SEEN, Proposal
+from uav_recon.planning.view_sampling import explore_shell
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+from uav_recon.types.maps import FREE, UNKNOWN, GridSpec, VoxelMap
+from uav_recon.types.tasks import Task, TaskKind, Viewpoint
+
+COVERED_SHARE = 0.7  # of what its own view sees: a frontier that another view shows so well needs no stop of its own
+BATCH = 32  # clusters looked at, the nearest first; as many again, and again, as long as there is no view at all
+MOST_MORE = 256  # ... but so many at most: what is found in one go has room in the table
+SEARCHES = 2  # for each revision of the map since the last plan, or until there is a view: the rest is left for later
+
+
+class Flyable(Reach, Protocol):
+    """What of the flyable space is asked; see FlyableSpace."""
+
+    @property
+    def mask(self) -> ByteArray:
+        """(nx + 2, ny + 2, nz + 2) uint8, padded by zeros: 1 = flyable."""
+
+    @property
+    def berth(self) -> FloatArray:
+        """(7,) what a place off its voxel's centre must keep; see berth.berth_of()."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrontierProposals:
+    """Tasks for frontiers, the nearest cluster first; how many clusters have no view, and how many were left for later."""
+
+    proposals: list[Proposal]
+    without_view: int
+    later: int
+
+
+class FrontierViews:
+    """Finds the best view of each cluster for one vehicle and camera. A view does not depend on where the vehicle is."""
+
+    table: ViewTable
+    _revision: int
+    _centre: FloatArray
+    _tasks: dict[int, tuple[tuple[IntArray, ...], Proposal]]
+
+    def __init__(self, config: PlannerConfig, camera: CameraGeometry) -> None:
+        self._config = config
+        self._camera = camera
+        self._plans = 0
+        self._tiles = ReachableTiles()
+        self._start(np.zeros((0, 0, 0), dtype=np.uint8), 1.0)
+
+    def update(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, position_world: FloatArray) -> FrontierProposals:
+        """Find views of the BATCH clusters nearest to a position, or of the more the longer there is none. Tasks that another
+        one's view covers are left out; that view promises theirs too.
+
+        ``frontiers`` is to have seen ``voxels``. The tour executes only the first few metres: far clusters can wait. One with
+        nothing in its reach that can be flown to is not searched for: that has no view.
+        """
+        grid = voxels.grid
+        self._keep_map(frontiers, grid.resolution_m)
+        self._plans += 1
+        here = (position_world - grid.origin_world_m) / grid.resolution_m
+        lens, total = self._camera.lens(grid.resolution_m, self._camera.range_m), len(frontiers)
+        found: list[int] = []
+        without, later, asked, wanted = 0, 0, 0, min(BATCH, total)
+        searches = SEARCHES * max(1, voxels.revision - self._revision)
+        self._revision = voxels.revision
+        nearest = frontiers.table.nearest(here, wanted)
+        while asked < wanted:
+            clusters = nearest[asked:wanted]
+            before, asked = asked, wanted
+            if before:
+                near = self._tiles.near(frontiers.table.centre[clusters], self._reach)
+                clusters, without = clusters[near], without + int(np.count_nonzero(~near))
+            for cluster, held in zip(clusters.tolist(), self._held(voxels, space, frontiers, clusters), strict=True):
+                row = held if self.table.is_about(held, int(frontiers.table.key[cluster])) else -1
+                if row < 0 and (searches > 0 or not found):
+                    searches -= 1
+                    row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
+                if row < 0:
+                    later += 1
+                elif self._worth(row):
+                    self.table.used[row] = self._plans
+                    found.append(row)
+                else:
+                    without += 1
+            if not found and asked < total:
+                if not before:
+                    self._tiles.update(space)
+                    nearest = frontiers.table.nearest(here, total)
+                wanted = min(2 * wanted, wanted + MOST_MORE, total)
+        return FrontierProposals(self._proposals(voxels, space, found, lens), without, total - asked + later)
+
+    def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[str]:
+        """Why clusters have no view: how many, by reason. For the end: it looks at every cluster anew."""
+        self._keep_map(frontiers, voxels.grid.resolution_m)
+        counts: Counter[str] = Counter()
+        lens = self._camera.lens(voxels.grid.resolution_m, self._camera.range_m)
+        for cluster in frontiers.rows().tolist():
+            reason = self._reason(voxels, space, frontiers, cluster, lens)
+            if reason is not None:
+                counts[reason] += 1
+        return counts
+
+    def _held(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, clusters: IntArray) -> list[int]:
+        """Rows of what is known of these clusters, -1 = nothing. Those with a view are not given up in this plan."""
+        keys = frontiers.table.key[clusters].tolist()
+        held = self.table.holding(keys, voxels.distance2, space.reachable, frontiers.closed, space.reachable_revision)
+        self.table.used[[row for row in held if row >= 0 and self.table.shown[row] >= MIN_SEEN]] = self._plans
+        return held
+
+    def _search(
+        self, voxels: VoxelMap, space: Flyable, reachable: ByteArray, frontiers: Frontiers, cluster: int, lens: FloatArray
+    ) -> int:
+        table, revisions = frontiers.table, (voxels.revision, space.revision)
+        row = self.table.search(
+            int(table.key[cluster]), voxels.distance2, reachable, space.berth, lens, frontiers.faces,
+            frontiers.flat(cluster), table.centre[cluster], revisions, self._plans,
+        )  # fmt: skip
+        self._tasks.pop(row, None)
+        self._centre[row] = table.centre[cluster]
+        return row
+
+    def _worth(self, row: int) -> bool:
+        return bool(self.table.shown[row] >= MIN_SEEN)
+
+    def _proposals(self, voxels: VoxelMap, space: Flyable, found: list[int], lens: FloatArray) -> list[Proposal]:
+        """Tasks for the rows, without those that a better view shows as well; that view then promises their cells too."""
+        if not found:
+            return []
+        best_first = sorted(range(len(found)), key=lambda n: (-int(self.table.shown[found[n]]), self.table.key[found[n]]))
+        rows = [found[n] for n in best_first]
+        groups: dict[int, list[int]] = {}
+        for n, by in enumerate(self.table.covered_by(rows, voxels.distance2, voxels.grid.shape, lens, COVERED_SHARE)):
+            groups.setdefault(by, []).append(rows[n])
+        return [self._proposal(voxels.grid, space, tuple(groups[n])) for _, n in sorted((best_first[n], n) for n in groups)]
+
+    def _proposal(self, grid: GridSpec, space: Flyable, rows: tuple[int, ...]) -> Proposal:
+        """The first row's task, which promises what all promise; the very same object as long as they all are."""
+        promised = tuple(self.table.promised[row] for row in rows)
+        kept = self._tasks.get(rows[0])
+        if kept is not None and len(kept[0]) == len(promised) and all(a is b for a, b in zip(kept[0], promised, strict=True)):
+            return kept[1]
+        x, y, z, yaw, pitch = self.table.view[rows[0]].tolist()
+        place = np.array([x, y, z])
+        viewpoint = Viewpoint(grid.origin_world_m + place * grid.resolution_m, yaw, pitch)
+        centroid_world = grid.origin_world_m + self._centre[rows[0]] * grid.resolution_m
+        task = Task(TaskKind.EXPLORE, centroid_world, viewpoint, float(self.table.shown[rows[0]]))
+        cells = np.concatenate(promised)
+        proposal = Proposal(task, place + 1.0, cells, np.ones(len(cells)))
+        self._tasks[rows[0]] = (promised, proposal)
+        return proposal
+
+    def _reason(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, cluster: int, lens: FloatArray) -> str | None:
+        row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
+        if self._worth(row):
+            return None
+        asked = self.table.asked[row, : self.table.counts[row, 0]]
+        if not space.mask.reshape(-1)[np.where(asked >= 0, asked, ~asked)].any():
+            return "too narrow"
+        if self.table.shown[row]:
+            return "too few cells in sight"
+        row = self._search(voxels, space, space.mask, frontiers, cluster, lens)
+        beyond = self._worth(row)
+        self.table.forget(row)
+        return "not reachable" if beyond else "out of the camera's sight"
+
+    def _keep_map(self, frontiers: Frontiers, resolution_m: float) -> None:
+        if frontiers.faces is not self._faces:
+            self._start(frontiers.faces, resolution_m)
+
+    def _start(self, faces: ByteArray, resolution_m: float) -> None:
+        """Forget all: it is another map."""
+        self._faces = faces
+        self._revision = -BATCH  # for the first plan all of a batch
+        self.table = ViewTable(explore_shell(self._config, self._camera, resolution_m))
+        self._reach = float(np.abs(self.table.shell.offsets).max(initial=0.0))  # of a place from its frontier, along an axis
+        self._centre = np.zeros((len(self.table.shown), 3))  # of the clusters, by row, voxels
+        self._tasks = {}  # by row
+
+
+def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
+    """Compile every kernel of frontiers and their views on a toy map: read-only, as those of the mapping are."""
+    grid = GridSpec(np.zeros(3), 0.1, (40, 30, 20))
+    state = np.full(grid.shape, FREE, dtype=np.uint8)
+    state[28:, :20] = UNKNOWN
+    state[3, 3, 3] = UNKNOWN
+    distance2 = np.where(state == FREE, 25, 0).astype(np.uint8)
+    state.setflags(write=False)
+    distance2.setflags(write=False)
+    frontiers, views = Frontiers(), FrontierViews(config, camera)
+    mask = np.zeros((42, 32, 22), dtype=np.uint8)
+    berth = np.array([0.0, 0.0, 0.0, 40.0, 30.0, 20.0, 9.0])
+    for revision, reachable in enumerate((mask + np.uint8(1), mask)):
+        space = _Anywhere(mask + np.uint8(1), reachable, revision, np.full((5, 4), revision, dtype=np.int64), berth)
+        voxels = VoxelMap.whole(grid, state, distance2, revision)
+        frontiers.update(voxels, np.zeros(3, dtype=np.int64), np.array(grid.shape), np.zeros(grid.shape, dtype=np.uint8))
+        views.update(voxels, space, frontiers, np.ones(3))
+        views.reasons(voxels, space, frontiers)
+        tiles = ReachableTiles()
+        tiles.update(space)
+        tiles.near(np.ones((1, 3)), 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Anywhere:
+    """A space to warm up with."""
+
+    mask: ByteArray
+    reachable: ByteArray
+    revision: int
+    reachable_revision: IntArray
+    berth: FloatArray

@@ -1,0 +1,63 @@
+"""How many frontiers were left out, and why: for the reason that ends a survey. It scans the whole map, once."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.planning.frontier.clustering import MIN_CELLS
+from uav_recon.types.frames import BoolArray, ByteArray
+from uav_recon.types.maps import FREE, UNKNOWN
+
+_AROUND = np.ones((3, 3, 3), dtype=np.uint8)
+
+
+def left_out(state: ByteArray, faces: ByteArray, exhausted: ByteArray) -> dict[str, int]:
+    """Counts of 26-connected frontiers by reason: too small, looked at in vain, outside the fence.
+
+    state, faces, exhausted: (nx, ny, nz) uint8: voxels, unknown neighbours of frontier voxels inside the fence, 1 = in vain.
+    """
+    inside, in_vain = faces > 0, exhausted > 0
+    sizes = _sizes(inside & ~in_vain)
+    return {
+        "too small": int(np.count_nonzero(sizes < MIN_CELLS)),
+        "looked at in vain": _worth_a_view(inside & in_vain),
+        "outside the fence": _worth_a_view(_beside_unknown(state) & ~inside),
+    }
+
+
+def _worth_a_view(mask: BoolArray) -> int:
+    return int(np.count_nonzero(_sizes(mask) >= MIN_CELLS))
+
+
+def _sizes(mask: BoolArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """Voxels of each component."""
+    labels, count = ndimage.label(mask, structure=_AROUND)
+    return np.bincount(labels.ravel(), minlength=count + 1)[1:].astype(np.int64)
+
+
+@kernel
+def _beside_unknown(state: ByteArray) -> BoolArray:
+    """Which voxels are free beside an unknown one, (nx, ny, nz)."""
+    nx, ny, nz = state.shape
+    out = np.zeros(state.shape, dtype=np.bool_)
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if state[i, j, k] == FREE:
+                    beside = (i > 0 and state[i - 1, j, k] == UNKNOWN) or (i + 1 < nx and state[i + 1, j, k] == UNKNOWN)
+                    beside = (
+                        beside or (j > 0 and state[i, j - 1, k] == UNKNOWN) or (j + 1 < ny and state[i, j + 1, k] == UNKNOWN)
+                    )
+                    out[i, j, k] = (
+                        beside or (k > 0 and state[i, j, k - 1] == UNKNOWN) or (k + 1 < nz and state[i, j, k + 1] == UNKNOWN)
+                    )
+    return out
+
+
+def warm_up() -> None:
+    """Compile for the read-only array of a VoxelMap."""
+    state = np.zeros((2, 2, 2), dtype=np.uint8)
+    state.setflags(write=False)
+    _beside_unknown(state)

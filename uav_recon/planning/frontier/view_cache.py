@@ -1,0 +1,272 @@
+"""The table of answers about frontier clusters: the best view of each, and what that answer hangs on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.traversal import first_obstacle
+from uav_recon.planning.camera_frustum import Sight, in_view, sight
+from uav_recon.planning.frontier.visibility_bound import Int32Array
+from uav_recon.planning.frontier.view_search import ROOM, best_view
+from uav_recon.planning.view_sampling import Shell
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+
+ROWS = 512  # answers kept; the oldest go first
+MOST_BLOCKERS = 2048
+SAMPLE_CELLS = 40  # of what a view shows: so many stand for all when another view is asked whether it shows them as well
+SAMPLE_POINTS = 6 * SAMPLE_CELLS
+
+
+class ViewTable:
+    """Rows of one map and shell.
+
+    row_of: by the cluster's key. shown: (R,) cells that the view shows, 0 = none. view: (R, 5), see glimpses.best_view(), as
+    for asked, blockers, box. counts: (R, 4) how many of asked and of blockers are filled, and the revisions of map and space
+    for which the answer was given. points, first: (R, ...) targets() of a sample of the cells shown; samples: (R,).
+    promised: by row, flat indices of the cells shown. used: (R,) the plan that last wanted the row.
+    """
+
+    def __init__(self, shell: Shell) -> None:
+        self.shell = shell
+        self.row_of: dict[int, int] = {}
+        self.key = [0] * ROWS
+        self.promised = [np.zeros(0, dtype=np.int64)] * ROWS
+        self.shown = np.zeros(ROWS, dtype=np.int64)
+        self.view = np.zeros((ROWS, 5))
+        self.asked = np.zeros((ROWS, len(shell.offsets) + ROOM), dtype=np.int32)
+        self.blockers = np.zeros((ROWS, MOST_BLOCKERS), dtype=np.int32)
+        self.box = np.zeros((ROWS, 2, 4), dtype=np.int64)
+        self.counts = np.zeros((ROWS, 4), dtype=np.int64)
+        self.points = np.zeros((ROWS, SAMPLE_POINTS, 3))
+        self.first = np.zeros((ROWS, SAMPLE_CELLS + 1), dtype=np.int64)
+        self.samples = np.zeros(ROWS, dtype=np.int64)
+        self.used = np.full(ROWS, -1, dtype=np.int64)
+        self._next = 0
+
+    def search(
+        self,
+        key: int,
+        distance2: ByteArray,
+        reachable: ByteArray,
+        berth: FloatArray,
+        lens: FloatArray,
+        faces: ByteArray,
+        flat: IntArray,
+        centre: FloatArray,
+        revisions: tuple[int, int],
+        plan: int,
+    ) -> int:
+        """Find the best view of a cluster of cells ``flat`` (N,) around a centre, voxels; its row. Those ``plan`` used stay.
+
+        distance2, faces: of the map; reachable (padded), berth: of the space. revisions: of the map and of the space.
+        """
+        while self.used[self._next] == plan:
+            self._next = (self._next + 1) % ROWS
+        row, self._next = self._next, (self._next + 1) % ROWS
+        if self.row_of.get(self.key[row]) == row:
+            del self.row_of[self.key[row]]
+        self.promised[row] = _answer(
+            row, distance2.reshape(-1), faces, reachable.reshape(-1), berth, lens, self.shell.offsets, self.shell.ends,
+            self.shell.places, centre, flat, self.shown, self.view, self.asked, self.blockers,
+            self.box, self.counts, self.points, self.first, self.samples,
+        )  # fmt: skip
+        self.counts[row, 2:] = revisions
+        self.key[row], self.row_of[key] = key, row
+        return row
+
+    def is_about(self, row: int, key: int) -> bool:
+        """Tell whether a row holds the answer about a cluster: another may have taken its place."""
+        return row >= 0 and self.key[row] == key
+
+    def forget(self, row: int) -> None:
+        """Drop an answer."""
+        self.row_of.pop(self.key[row], None)
+
+    def holding(
+        self, keys: list[int], distance2: ByteArray, reachable: ByteArray, closed: IntArray, moved: IntArray
+    ) -> list[int]:
+        """Rows of the answers about these clusters that are what they would be now; -1 for the others.
+
+        closed, moved: (tiles) the revision of the map at which a voxel there last ceased to be free, and that of the space at
+        which ``reachable`` last changed there.
+        """
+        rows = np.array([self.row_of.get(key, -1) for key in keys], dtype=np.int64)
+        _still_hold(
+            rows, distance2.reshape(-1), reachable.reshape(-1), closed, moved, self.asked, self.blockers, self.box, self.counts
+        )
+        held: list[int] = rows.tolist()
+        return held
+
+    def covered_by(
+        self, rows: list[int], distance2: ByteArray, shape: tuple[int, int, int], lens: FloatArray, share: float
+    ) -> list[int]:
+        """For each row the number, in ``rows``, of the first one whose view shows a share of its cells; else its own."""
+        by: list[int] = _covered(
+            np.array(rows, dtype=np.int64), distance2.reshape(-1), shape, lens, self.view, self.points, self.first,
+            self.samples, share,
+        ).tolist()  # fmt: skip
+        return by
+
+
+@kernel
+def targets(faces: ByteArray, flat: IntArray) -> tuple[FloatArray, IntArray]:
+    """Centres (M, 3), voxels, of the unknown neighbours of cells (N,) given by flat index; where each cell's begin (N + 1,)."""
+    _, ny, nz = faces.shape
+    points = np.empty((6 * len(flat), 3))
+    first = np.zeros(len(flat) + 1, dtype=np.int64)
+    count = 0
+    for n in range(len(flat)):
+        i, j, k = flat[n] // (ny * nz), flat[n] // nz % ny, flat[n] % nz
+        bits = int(faces[i, j, k])
+        for face in range(6):
+            if bits & (1 << face):
+                step = 1.0 if face & 1 else -1.0
+                points[count, 0] = i + 0.5 + (step if face < 2 else 0.0)
+                points[count, 1] = j + 0.5 + (step if 2 <= face < 4 else 0.0)
+                points[count, 2] = k + 0.5 + (step if face >= 4 else 0.0)
+                count += 1
+        first[n + 1] = count
+    return points[:count].copy(), first
+
+
+@kernel
+def _answer(
+    row: int,
+    distance2: ByteArray,
+    faces: ByteArray,
+    reachable: ByteArray,
+    berth: FloatArray,
+    lens: FloatArray,
+    offsets: FloatArray,
+    ends: IntArray,
+    quotas: IntArray,
+    centre: FloatArray,
+    flat: IntArray,
+    shown: IntArray,
+    view: FloatArray,
+    asked: Int32Array,
+    blockers: Int32Array,
+    box: IntArray,
+    counts: IntArray,
+    points: FloatArray,
+    first: IntArray,
+    samples: IntArray,
+) -> IntArray:
+    """Fill a row; returns the flat indices of the cells that the view shows."""
+    own_points, own_first = targets(faces, flat)
+    best, seen, asks, hidden, tiles = best_view(
+        distance2, faces.shape, reachable, berth, lens, offsets, ends, quotas, centre, own_points, own_first,
+        asked[row], blockers[row],
+    )  # fmt: skip
+    view[row] = best
+    counts[row, 0], counts[row, 1] = asks, hidden
+    box[row] = tiles
+    cells = np.flatnonzero(seen)
+    shown[row] = len(cells)
+    samples[row] = min(len(cells), SAMPLE_CELLS)
+    filled = 0
+    for n in range(samples[row]):
+        cell = cells[n * len(cells) // samples[row]]
+        for m in range(own_first[cell], own_first[cell + 1]):
+            points[row, filled] = own_points[m]
+            filled += 1
+        first[row, n + 1] = filled
+    return flat[cells]
+
+
+@kernel
+def _still_hold(
+    rows: IntArray,
+    distance2: ByteArray,
+    reachable: ByteArray,
+    closed: IntArray,
+    moved: IntArray,
+    asked: Int32Array,
+    blockers: Int32Array,
+    box: IntArray,
+    counts: IntArray,
+) -> None:
+    """Set to -1 the rows whose answer is not what best_view() would answer now.
+
+    Lines that were hidden are hidden while the first voxel that hid them is not free; lines that were clear are clear while no
+    voxel of their box has ceased to be free since.
+    """
+    for m in range(len(rows)):
+        row = rows[m]
+        if row < 0:
+            continue
+        holds, ask_again = counts[row, 1] <= blockers.shape[1], False
+        lines, places = box[row, 0], box[row, 1]
+        for i in range(lines[0], lines[2] + 1):
+            for j in range(lines[1], lines[3] + 1):
+                holds = holds and closed[i, j] <= counts[row, 2]
+        for i in range(places[0], places[2] + 1):
+            for j in range(places[1], places[3] + 1):
+                ask_again = ask_again or moved[i, j] > counts[row, 3]
+        if holds:
+            for n in range(counts[row, 1]):
+                if distance2[np.uint64(blockers[row, n])] != 0:
+                    holds = False
+                    break
+        if holds and ask_again:
+            for n in range(counts[row, 0]):
+                at = asked[row, n]
+                if (reachable[np.uint64(at if at >= 0 else ~at)] != 0) != (at >= 0):
+                    holds = False
+                    break
+        if not holds:
+            rows[m] = -1
+
+
+@kernel
+def _covered(
+    rows: IntArray,
+    distance2: ByteArray,
+    shape: tuple[int, int, int],
+    lens: FloatArray,
+    view: FloatArray,
+    points: FloatArray,
+    first: IntArray,
+    samples: IntArray,
+    share: float,
+) -> IntArray:
+    covered_by = np.arange(len(rows))
+    for n in range(len(rows)):
+        if covered_by[n] != n:
+            continue
+        line = sight(lens, view[rows[n], :3], view[rows[n], 3], view[rows[n], 4])
+        for other in range(n + 1, len(rows)):
+            if covered_by[other] != other:
+                continue
+            row = rows[other]
+            may_miss = int((1.0 - share) * samples[row])
+            # ends before the middle, so that a cluster at the edge of the picture is soon given up
+            for step in range(samples[row]):
+                cell = step // 2 if step % 2 == 0 else samples[row] - 1 - step // 2
+                if not _shows(distance2, shape, lens, line, points[row], first[row, cell], first[row, cell + 1]):
+                    may_miss -= 1
+                    if may_miss < 0:
+                        break
+            if may_miss >= 0:
+                covered_by[other] = n
+    return covered_by
+
+
+@kernel
+def _shows(
+    distance2: ByteArray,
+    shape: tuple[int, int, int],
+    lens: FloatArray,
+    line: Sight,
+    points: FloatArray,
+    a: int,
+    b: int,
+) -> bool:
+    for m in range(a, b):
+        x, y, z = points[m, 0], points[m, 1], points[m, 2]
+        if in_view(lens, line, x, y, z) and (
+            first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2]) < 0
+        ):
+            return True
+    return False

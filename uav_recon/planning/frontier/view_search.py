@@ -1,0 +1,320 @@
+"""The best view of one frontier cluster, and what that answer hangs on, so that it can be kept until that changes.
+
+Many places are asked what they promise (outlook); rays are cast from those that promise most, and given up as soon as they
+cannot show more than the best so far; then the best few are moved step by step to where they show more.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.planning.camera_frustum import CAM_X, CAM_Y, aim, look_at, sight
+from uav_recon.planning.frontier.camera_aiming import aimed, framed
+from uav_recon.planning.frontier.visibility_rays import Notes, Scene, confirmed, hoped_for, inside, note_sides, noted, revealed
+from uav_recon.planning.frontier.visibility_bound import BOOK, Int32Array, Targets, cells_with, distinct, outlook
+from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, SIDES2, voxel_beside
+from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from uav_recon.types.maps import TILE
+
+ENOUGH = 0.97  # of the cells: a view that shows so many is taken
+AT_ONCE = 8  # places that promise as much and are cast from before the others are asked
+CASTS = 64  # places that rays are cast from, those that promise most first
+PEAKS = 4  # of these the best, APART voxels from each other, are moved ...
+APART = 7.0
+WORTH_MOVING = 0.6  # ... if they show such a share of what the best one shows ...
+HOPS = (4.0, 2.0, 1.0, 0.2)  # ... to places so many voxels away along an axis or a diagonal of space ...
+FROM_CENTRE_TO_CENTRE = 1.0  # ... a shorter hop ends off a centre, where it must be clear itself ...
+STEPS = 40  # ... until rays have been cast from so many
+SAME_EYE = 1e-6  # voxels
+ROOM = 512  # places asked on these ways, at most
+_WAYS = np.array(
+    [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if abs(i) + abs(j) + abs(k) in (1, 3)],
+    dtype=np.int64,
+)
+Cluster = tuple[FloatArray, IntArray, Targets, FloatArray]  # points, first, see view_table.targets(); targets; centre
+Desk = tuple[Int32Array, ByteArray, IntArray, Float32Array]  # room for facing, found (U,), order (N,) and directions (3, N)
+Record = tuple[Int32Array, FloatArray, Notes]  # asked, extents and notes: what the answer hangs on
+
+
+@kernel
+def _widen(extent: FloatArray, x: float, y: float) -> None:
+    """Make a box (low x, low y, high x, high y) hold a point."""
+    extent[0], extent[1] = min(extent[0], x), min(extent[1], y)
+    extent[2], extent[3] = max(extent[2], x), max(extent[3], y)
+
+
+@kernel
+def _ask(
+    reachable: ByteArray, shape: tuple[int, int, int], x: float, y: float, z: float, record: Record, asks: int
+) -> tuple[bool, int]:
+    """Whether a place lies inside the map in a voxel that can be reached; how many were asked then."""
+    asked, extents, _ = record
+    if x < 0.0 or y < 0.0 or z < 0.0 or x >= shape[0] or y >= shape[1] or z >= shape[2]:
+        return False, asks
+    at = ((int(x) + 1) * (shape[1] + 2) + int(y) + 1) * (shape[2] + 2) + int(z) + 1
+    within = reachable[np.uint64(at)] != 0
+    asked[asks] = at if within else ~at
+    _widen(extents[1], x, y)
+    return within, asks + 1
+
+
+@kernel
+def _look(
+    scene: Scene,
+    cluster: Cluster,
+    place: FloatArray,
+    best: int,
+    beat: int,
+    desk: Desk,
+    record: Record,
+    view: FloatArray,
+    count: int,
+) -> tuple[int, int, int]:
+    """Cast rays from a place. Cells shown by the best heading there, which becomes the view; 0 if not more than ``beat``.
+
+    None are cast if it could not show more than ``best`` even if nothing were in between. Then how many blockers there are,
+    and whether rays were cast at all.
+    """
+    _, shape, lens = scene
+    _, _, targets, centre = cluster
+    facing, found, order, ways = desk
+    _, extents, notes = record
+    x, y, z = place
+    line = look_at(lens, x, y, z, centre[0], centre[1], centre[2])
+    if not inside(shape, line):
+        return 0, count, 0
+    outlook(targets, lens, line, facing)
+    fitting, centred = cells_with(targets, facing)
+    if fitting <= best:
+        return 0, count, 0
+    yaw, pitch = aim(lens, x, y, z, centre[0], centre[1], centre[2])
+    if centred <= best:
+        most, yaw, pitch = aimed(lens, ways, hoped_for(targets, line, facing, ways), yaw, pitch)
+        if most <= best:
+            return 0, count, 0
+    _widen(extents[0], x, y)
+    visible, count = revealed(scene, targets, line, facing, fitting, beat, order, found, ways, notes, count)
+    if visible <= beat:
+        return 0, count, 1
+    total, yaw, pitch = aimed(lens, ways, visible, yaw, pitch)
+    if total <= beat:
+        return 0, count, 1
+    turned = sight(lens, place, yaw, pitch)
+    if (turned[0] - line[0]) ** 2 + (turned[1] - line[1]) ** 2 > SAME_EYE * SAME_EYE:
+        # the camera stands off the body's middle, and has moved with the heading
+        if not inside(shape, turned):
+            return 0, count, 1
+        outlook(targets, lens, turned, facing)
+        visible, count = revealed(
+            scene, targets, turned, facing, cells_with(targets, facing)[0], beat, order, found, ways, notes, count
+        )
+        total = framed(lens, ways, visible, yaw, pitch)
+    if total <= beat:
+        return 0, count, 1
+    view[0], view[1], view[2], view[3], view[4] = x, y, z, yaw, pitch
+    return total, count, 1
+
+
+@kernel
+def _tiles(extent: FloatArray, beside: float, shape: tuple[int, int, int], box: IntArray) -> None:
+    """First and last tile (i, j, i, j) that a box touches, with so much room to all sides."""
+    box[0], box[1] = int(max(extent[0] - beside, 0.0)) // TILE, int(max(extent[1] - beside, 0.0)) // TILE
+    box[2], box[3] = int(min(extent[2] + beside, shape[0] - 1.0)) // TILE, int(min(extent[3] + beside, shape[1] - 1.0)) // TILE
+
+
+@kernel
+def _survey(
+    scene: Scene,
+    reachable: ByteArray,
+    offsets: FloatArray,
+    ends: IntArray,
+    quotas: IntArray,
+    cluster: Cluster,
+    desk: Desk,
+    record: Record,
+    places: FloatArray,
+    promises: IntArray,
+    view: FloatArray,
+) -> tuple[int, int, int, int, int]:
+    """Ask places of the shell what they promise, until one shows enough: that is the view.
+
+    Fills places (P, 3) and promises (P,). How many of them; cells shown; how many were asked, how many blockers, how many cast.
+    """
+    _, shape, lens = scene
+    _, first, targets, centre = cluster
+    cells = len(first) - 1
+    count, asks, opened, best, cast = 0, 0, 0, 0, 0
+    part, left, p = 0, quotas[0], 0
+    while best < ENOUGH * cells and p < len(offsets):
+        if p == ends[part] or left == 0:
+            p = ends[part]
+            part += 1
+            left = quotas[part] if part < len(ends) else 0
+            continue
+        x, y, z = centre[0] + offsets[p, 0], centre[1] + offsets[p, 1], centre[2] + offsets[p, 2]
+        p += 1
+        within, asks = _ask(reachable, shape, x, y, z, record, asks)
+        if not within:
+            continue
+        left -= 1
+        place = places[opened]
+        place[0], place[1], place[2] = int(x) + 0.5, int(y) + 0.5, int(z) + 0.5
+        line = look_at(lens, place[0], place[1], place[2], centre[0], centre[1], centre[2])
+        turned, centred = outlook(targets, lens, line, desk[0])
+        promises[opened] = turned + centred
+        opened += 1
+        if cast < AT_ONCE and 2 * centred >= cells and cells_with(targets, desk[0])[1] >= ENOUGH * cells:
+            promises[opened - 1] = 0
+            total, count, _ = _look(scene, cluster, place, best, best, desk, record, view, count)
+            cast += 1
+            best = max(best, total)
+    return opened, best, asks, count, cast
+
+
+@kernel
+def _ranked(promises: IntArray, most: int) -> IntArray:
+    """Numbers of the places, those that promise most first, those that promise as much in their order; 0 to ``most`` each."""
+    starts = np.zeros(most + 2, dtype=np.int64)
+    for promise in promises:
+        starts[most - promise + 1] += 1
+    for n in range(most):
+        starts[n + 1] += starts[n]
+    ranked = np.empty(len(promises), dtype=np.int64)
+    for p in range(len(promises)):
+        rank = most - promises[p]
+        ranked[starts[rank]] = p
+        starts[rank] += 1
+    return ranked
+
+
+@kernel
+def _enter(view: FloatArray, total: int, peaks: FloatArray, totals: IntArray) -> None:
+    """Keep a view among the peaks (P, 5), best first: in place of the one near it, or of the last, if it shows more."""
+    at = len(totals) - 1
+    for q in range(len(totals)):
+        x, y, z = peaks[q, 0] - view[0], peaks[q, 1] - view[1], peaks[q, 2] - view[2]
+        if totals[q] > 0 and x * x + y * y + z * z < APART * APART:
+            at = q
+            break
+    if total <= totals[at]:
+        return
+    while at > 0 and total > totals[at - 1]:
+        peaks[at], totals[at] = peaks[at - 1], totals[at - 1]
+        at -= 1
+    peaks[at], totals[at] = view, total
+
+
+@kernel
+def _climb(
+    scene: Scene,
+    reachable: ByteArray,
+    berth: FloatArray,
+    cluster: Cluster,
+    desk: Desk,
+    record: Record,
+    view: FloatArray,
+    total: int,
+    asks: int,
+    count: int,
+) -> tuple[int, int, int]:
+    """Move a view that shows ``total`` cells to places around it as long as one shows more; how many then, asks, blockers."""
+    distance2, shape, _ = scene
+    asked, extents, notes = record
+    cells, beside = len(cluster[1]) - 1, math.sqrt(berth[SIDES2])
+    hop, way, steps = 0, 0, 0
+    while hop < len(HOPS) and steps < STEPS and total < ENOUGH * cells and asks < len(asked):
+        if way == len(_WAYS):
+            hop, way = hop + 1, 0
+            continue
+        place = view[:3] + HOPS[hop] * _WAYS[way]
+        x, y, z = place
+        way += 1
+        within, asks = _ask(reachable, shape, x, y, z, record, asks)
+        if not within:
+            continue
+        if HOPS[hop] < FROM_CENTRE_TO_CENTRE:
+            voxel = voxel_beside(distance2, shape, berth, x, y, z)
+            if voxel >= 0:
+                count = noted(voxel, notes, count)
+            if voxel != CLEAR:
+                continue
+            _widen(extents[0], x - beside, y - beside)
+            _widen(extents[0], x + beside, y + beside)
+        shown, count, cast = _look(scene, cluster, place, total, total, desk, record, view, count)
+        steps += cast
+        if shown > total:
+            total, way = shown, 0
+    return total, asks, count
+
+
+@kernel
+def best_view(
+    distance2: ByteArray,
+    shape: tuple[int, int, int],
+    reachable: ByteArray,
+    berth: FloatArray,
+    lens: FloatArray,
+    offsets: FloatArray,
+    ends: IntArray,
+    quotas: IntArray,
+    centre: FloatArray,
+    points: FloatArray,
+    first: IntArray,
+    asked: Int32Array,
+    blockers: Int32Array,
+) -> tuple[FloatArray, BoolArray, int, int, IntArray]:
+    """Find the view that shows most cells; the first in the shell's order that shows ENOUGH of them is taken at once.
+
+    distance2: raveled, as in VoxelMap; reachable: raveled, padded by one voxel all round; berth: of the space. points, first:
+    as of view_table.targets(), fewer points than BOOK. asked (K + ROOM,) for K offsets, blockers (fewer than BOOK): room.
+    Returns the view (x, y, z, yaw, pitch down), voxels and radians, and which cells it shows: none = no view. Then what the
+    answer hangs on: how many of ``asked`` (padded flat index of a place, or its complement if it was not reachable) and of
+    ``blockers`` (voxels that hid something, or were too near to a place; more than there is room for: too many to tell) were
+    filled, and the first and last tile, i and j of each, of the boxes (2, 4) that all lines and all places asked lie in.
+    """
+    cells = len(first) - 1
+    scene, notes = (distance2, shape, lens), (np.zeros(BOOK, dtype=np.int32), blockers)
+    targets = distinct(distance2, shape, points, first)
+    cluster = (points, first, targets, centre)
+    many = len(targets[1])
+    desk = (
+        np.zeros(many, dtype=np.int32), np.zeros(many, dtype=np.uint8), np.arange(cells), np.empty((3, cells), dtype=np.float32)
+    )  # fmt: skip
+    extents = np.empty((2, 4))  # of all ends of lines, and of all places asked: low x, y, high x, y
+    extents[:, :2], extents[:, 2:] = points[0, :2], points[0, :2]
+    for n in range(len(points)):
+        _widen(extents[0], points[n, 0], points[n, 1])
+    record = (asked, extents, notes)
+    places, promises = np.empty((quotas.sum(), 3)), np.zeros(quotas.sum(), dtype=np.int64)
+    peaks, totals, view = np.zeros((PEAKS, 5)), np.zeros(PEAKS, dtype=np.int64), np.zeros(5)
+    opened, total, asks, count, cast = _survey(
+        scene, reachable, offsets, ends, quotas, cluster, desk, record, places, promises, view
+    )  # fmt: skip
+    if total > 0:
+        _enter(view, total, peaks, totals)
+    if totals[0] < ENOUGH * cells:
+        for p in _ranked(promises[:opened], 2 * many):
+            if cast == CASTS or promises[p] == 0 or totals[0] >= ENOUGH * cells:
+                break
+            beat = max(totals[-1], int(WORTH_MOVING * totals[0]))
+            total, count, asking = _look(scene, cluster, places[p], totals[0], beat, desk, record, view, count)
+            cast += asking
+            if total > 0:
+                _enter(view, total, peaks, totals)
+        for q in range(PEAKS):
+            if totals[0] < ENOUGH * cells and totals[q] > WORTH_MOVING * totals[0]:
+                totals[q], asks, count = _climb(
+                    scene, reachable, berth, cluster, desk, record, peaks[q], totals[q], asks, count
+                )  # fmt: skip
+    best = peaks[np.argmax(totals)]
+    count = note_sides(shape, targets, notes, count)
+    seen = np.zeros(cells, dtype=np.bool_)
+    if totals.max() > 0:
+        seen, count = confirmed(scene, best, points, first, notes, count)
+    boxes = np.empty((2, 4), dtype=np.int64)
+    _tiles(extents[0], abs(lens[CAM_X]) + abs(lens[CAM_Y]) + 1.0, shape, boxes[0])  # from a place to its lines' ends
+    _tiles(extents[1], 0.0, shape, boxes[1])
+    return best, seen, asks, count, boxes

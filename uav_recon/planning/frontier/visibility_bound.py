@@ -1,0 +1,110 @@
+"""What a place promises of a frontier before a ray is cast: the unknown voxels that turn an open side to it.
+
+A ray to the middle of a voxel comes in through the side that faces the eye most squarely. If what lies before that side is not
+known free, the ray is blocked: so much is found without following it, for all voxels of a cluster at once. Little else hides a
+frontier: one place in nine promises more than the best view shows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.planning.camera_frustum import NEAR, PITCH_MAX, PITCH_MIN, RANGE, TAN_H, TAN_V, Sight
+from uav_recon.types.frames import ByteArray, Float32Array, FloatArray, IntArray
+
+Int32Array = NDArray[np.int32]
+# centres (3, U) of the distinct unknown neighbours, voxels; sides (U,), bit f set = known free towards FACES[f]; then which of
+# them each cell has: links (L,), and where those of each cell begin (N + 1,)
+Targets = tuple[Float32Array, Int32Array, IntArray, IntArray]
+# bits of what a target may be to an eye. TURNED to it with an open side, and in range; FITTING: and some heading may show it;
+# FRAMED: and it is in the picture
+FITTING, FRAMED, TURNED = 1, 2, 4
+BOOK = 4096  # places in a hash table, a power of two
+
+
+@kernel
+def distinct(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArray, first: IntArray) -> Targets:
+    """Each unknown neighbour once. distance2: raveled. points, first: as of view_table.targets(), fewer than BOOK."""
+    nx, ny, nz = shape
+    book = np.zeros(BOOK, dtype=np.int32)
+    links = np.empty(len(points), dtype=np.int64)
+    centres = np.empty((3, len(points)), dtype=np.float32)
+    sides = np.zeros(len(points), dtype=np.int32)
+    count = 0
+    for m in range(len(points)):
+        i, j, k = int(points[m, 0]), int(points[m, 1]), int(points[m, 2])
+        flat = (i * ny + j) * nz + k
+        at = (flat * 2654435761 >> 16) & (BOOK - 1)
+        while book[at] != 0:
+            u = book[at] - 1
+            if centres[0, u] == points[m, 0] and centres[1, u] == points[m, 1] and centres[2, u] == points[m, 2]:
+                break
+            at = (at + 1) & (BOOK - 1)
+        if book[at] == 0:
+            sides[count] = (
+                (i > 0 and distance2[flat - ny * nz] != 0)
+                | (i < nx - 1 and distance2[flat + ny * nz] != 0) << 1
+                | (j > 0 and distance2[flat - nz] != 0) << 2
+                | (j < ny - 1 and distance2[flat + nz] != 0) << 3
+                | (k > 0 and distance2[flat - 1] != 0) << 4
+                | (k < nz - 1 and distance2[flat + 1] != 0) << 5
+            )
+            for axis in range(3):
+                centres[axis, count] = points[m, axis]
+            count += 1
+            book[at] = count
+        links[m] = book[at] - 1
+    return centres[:, :count].copy(), sides[:count].copy(), links, first
+
+
+@kernel
+def outlook(targets: Targets, lens: FloatArray, line: Sight, facing: Int32Array) -> tuple[int, int]:
+    """Fill facing (U,) with what each target is to an eye (bits); how many are TURNED, and how many FRAMED.
+
+    FITTING is exact for a mount that does not tilt by more than half the picture; where the pitch is free it is TURNED. All in
+    single precision and without branches, so that the processor does many at once.
+    """
+    centres, sides, _, _ = targets
+    xs, ys, zs = centres[0], centres[1], centres[2]
+    ex, ey, ez = np.float32(line[0]), np.float32(line[1]), np.float32(line[2])
+    cy, sy, cp, sp = np.float32(line[3]), np.float32(line[4]), np.float32(line[5]), np.float32(line[6])
+    tan_h, tan_v, zero = np.float32(lens[TAN_H]), np.float32(lens[TAN_V]), np.float32(0.0)
+    tall = tan_v if lens[PITCH_MIN] == lens[PITCH_MAX] else np.float32(1e9)
+    far2, near2 = np.float32(lens[RANGE] * lens[RANGE]), np.float32(lens[NEAR] * lens[NEAR])
+    all_turned, all_framed = np.int32(0), np.int32(0)
+    for u in range(len(sides)):
+        dx, dy, dz = xs[u] - ex, ys[u] - ey, zs[u] - ez
+        ax, ay, az = abs(dx), abs(dy), abs(dz)
+        x_side = np.int32(0) if dx > zero else np.int32(1)
+        y_side = np.int32(2) if dy > zero else np.int32(3)
+        z_side = np.int32(4) if dz > zero else np.int32(5)
+        side = y_side if ay >= az else z_side
+        side = x_side if (ax >= ay) & (ax >= az) else side
+        across2 = dx * dx + dy * dy
+        away2 = across2 + dz * dz
+        turned = (sides[u] >> side) & np.int32(1) & np.int32((away2 <= far2) & (away2 >= near2))
+        across = np.sqrt(across2)
+        fitting = turned & np.int32(abs(sp * across + cp * dz) <= (cp * across - sp * dz) * tall)
+        along, left = cy * dx + sy * dy, cy * dy - sy * dx
+        forward, up = cp * along - sp * dz, sp * along + cp * dz
+        framed = turned & np.int32((abs(left) <= forward * tan_h) & (abs(up) <= forward * tan_v) & (forward > zero))
+        facing[u] = fitting | (framed << np.int32(1)) | (turned << np.int32(2))  # the bits in their order
+        all_turned += turned
+        all_framed += framed
+    return int(all_turned), int(all_framed)
+
+
+@kernel
+def cells_with(targets: Targets, facing: Int32Array) -> tuple[int, int]:
+    """How many cells have a FITTING target, and how many a FRAMED one."""
+    _, _, links, first = targets
+    fitting, framed = 0, 0
+    for n in range(len(first) - 1):
+        bits = 0
+        for m in range(first[n], first[n + 1]):
+            bits |= int(facing[links[m]])
+        fitting += bits & FITTING
+        framed += bits >> 1 & 1
+    return fitting, framed

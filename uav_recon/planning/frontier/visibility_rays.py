@@ -1,0 +1,157 @@
+"""What of a frontier can be seen from a place, by rays; and which voxels hide the rest.
+
+A cell counts as seen when one of its UNKNOWN neighbours is in the frustum, in range, and reached through known-free voxels
+alone: that neighbour is what a look from there decides. Rays start there: most that are blocked are blocked at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.traversal import first_obstacle
+from uav_recon.planning.camera_frustum import Sight, in_view, sight
+from uav_recon.planning.frontier.visibility_bound import BOOK, FITTING, Int32Array, Targets
+from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+
+Scene = tuple[ByteArray, tuple[int, int, int], FloatArray]  # distance2 raveled, its shape, the lens
+Notes = tuple[Int32Array, Int32Array]  # blockers: a hash table of them, and themselves in order
+UNASKED, CLEAR, HIDDEN = 0, 1, 2  # what a ray to a target found
+
+
+@kernel
+def noted(voxel: int, notes: Notes, count: int) -> int:
+    """Append a voxel to ``blockers`` unless it is there; ``book`` is a hash table of them. How many there are now."""
+    book, blockers = notes
+    at = (voxel * 2654435761 >> 16) & (BOOK - 1)
+    while book[np.uint64(at)] != 0:
+        if book[np.uint64(at)] == voxel + 1:
+            return count
+        at = (at + 1) & (BOOK - 1)
+    if count < len(blockers):
+        book[np.uint64(at)] = voxel + 1
+        blockers[count] = voxel
+    return count + 1
+
+
+@kernel
+def note_sides(shape: tuple[int, int, int], targets: Targets, notes: Notes, count: int) -> int:
+    """Append what closes the targets' sides; how many blockers there are now."""
+    nx, ny, nz = shape
+    centres, sides, _, _ = targets
+    for u in range(len(sides)):
+        i, j, k = int(centres[0, u]), int(centres[1, u]), int(centres[2, u])
+        flat = (i * ny + j) * nz + k
+        closed = ~sides[u]
+        if closed & 1 and i > 0:
+            count = noted(flat - ny * nz, notes, count)
+        if closed & 2 and i < nx - 1:
+            count = noted(flat + ny * nz, notes, count)
+        if closed & 4 and j > 0:
+            count = noted(flat - nz, notes, count)
+        if closed & 8 and j < ny - 1:
+            count = noted(flat + nz, notes, count)
+        if closed & 16 and k > 0:
+            count = noted(flat - 1, notes, count)
+        if closed & 32 and k < nz - 1:
+            count = noted(flat + 1, notes, count)
+    return count
+
+
+@kernel
+def inside(shape: tuple[int, int, int], line: Sight) -> bool:
+    """Tell whether an eye is inside the map."""
+    return 0.0 <= line[0] < shape[0] and 0.0 <= line[1] < shape[1] and 0.0 <= line[2] < shape[2]
+
+
+@kernel
+def hoped_for(targets: Targets, line: Sight, facing: Int32Array, ways: Float32Array) -> int:
+    """Fill ways (3, N) with the directions to the first FITTING target of each cell that has one; how many."""
+    centres, _, links, first = targets
+    count = 0
+    for n in range(len(first) - 1):
+        for m in range(first[n], first[n + 1]):
+            u = links[m]
+            if facing[u] & FITTING:
+                for axis in range(3):
+                    ways[axis, count] = centres[axis, u] - np.float32(line[axis])
+                count += 1
+                break
+    return count
+
+
+@kernel
+def revealed(
+    scene: Scene,
+    targets: Targets,
+    line: Sight,
+    facing: Int32Array,
+    hoped: int,
+    beat: int,
+    order: IntArray,
+    found: ByteArray,
+    ways: Float32Array,
+    notes: Notes,
+    count: int,
+) -> tuple[int, int]:
+    """Fill ways (3, N) with the directions to what an eye sees of each cell, whatever its heading; how many, and blockers.
+
+    facing: of outlook(); hoped: cells with a FITTING target. Gives up, 0, once there cannot be more than ``beat``. order (N,)
+    of the cells is changed: those that were hidden lately are asked first. found (U,): room.
+    """
+    distance2, shape, _ = scene
+    centres, _, links, first = targets
+    found[:] = UNASKED
+    visible, hidden = 0, 0
+    for at in range(len(order)):
+        cell = order[at]
+        asked, shown = False, False
+        for m in range(first[cell], first[cell + 1]):
+            u = links[m]
+            if not facing[u] & FITTING:
+                continue
+            asked = True
+            if found[u] == UNASKED:
+                x, y, z = float(centres[0, u]), float(centres[1, u]), float(centres[2, u])
+                voxel = first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2])
+                found[u] = CLEAR if voxel < 0 else HIDDEN
+                if voxel >= 0:
+                    count = noted(voxel, notes, count)
+            if found[u] == CLEAR:
+                for axis in range(3):
+                    ways[axis, visible] = centres[axis, u] - np.float32(line[axis])
+                visible += 1
+                shown = True
+                break
+        if asked and not shown:
+            order[at], order[hidden] = order[hidden], cell
+            hidden += 1
+            if hoped - hidden <= beat:
+                return 0, count
+    return visible, count
+
+
+@kernel
+def confirmed(
+    scene: Scene, view: FloatArray, points: FloatArray, first: IntArray, notes: Notes, count: int
+) -> tuple[BoolArray, int]:
+    """Which cells a view shows, and blockers. Asked in both directions: a line through an edge or a corner of voxels may pass
+    in one of them alone.
+    """
+    distance2, shape, lens = scene
+    line = sight(lens, view[:3], view[3], view[4])
+    seen = np.zeros(len(first) - 1, dtype=np.bool_)
+    for cell in range(len(seen)):
+        for n in range(first[cell], first[cell + 1]):
+            x, y, z = points[n, 0], points[n, 1], points[n, 2]
+            if not in_view(lens, line, x, y, z):
+                continue
+            voxel = first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2])
+            if voxel < 0:
+                own = (int(x) * shape[1] + int(y)) * shape[2] + int(z)
+                voxel = first_obstacle(distance2, shape[1], shape[2], line[0], line[1], line[2], x, y, z)
+                if voxel < 0 or voxel == own:
+                    seen[cell] = True
+                    break
+            count = noted(voxel, notes, count)
+    return seen, count

@@ -1,0 +1,148 @@
+"""Through narrow ways: with less room than usual, and only to an opening, or home, that no other way leads to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.planning.frontier.cluster_table import OPENING
+from uav_recon.planning.frontier.frontiers import fence_box
+from uav_recon.planning.frontier.frontier_views import FrontierViews
+from uav_recon.planning.route_planning import proposal_for
+from uav_recon.planning.view_planner import ViewPlanner
+from uav_recon.planning.candidate_view import Proposal, Situation
+from uav_recon.planning.task_generation import places_of
+from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+from uav_recon.types.maps import VoxelMap
+from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
+
+ON_A_NARROW_WAY = "on a narrow way nothing else is begun"
+
+
+class ThroughNarrows:
+    """A planner that asks again with less room once another has nothing left; see protocols.Planner.
+
+    Only its ways are narrow: views have the usual room, so the vehicle rests where the other planner goes on. It is asked at
+    rest, proposes one opening at a time (a gap in front of a wall is not worth the squeeze), and costs nothing before: what it
+    needs of the map is looked up for each question.
+    """
+
+    def __init__(
+        self,
+        planner: ViewPlanner,
+        clearance_m: float,
+        homeward_m: float,
+        fence_inset_m: float,
+        timer: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        """clearance_m: of a narrow way, less than ``planner``'s; homeward_m: the least on the way home, where a speck beside
+        the passage that it came by may have taken the rest; fence_inset_m, timer: as there."""
+        self._planner, self._clearance_m, self._homeward_m = planner, clearance_m, homeward_m
+        self._inset_m, self._timer = fence_inset_m, timer
+        self._offered: tuple[ViewPath, Proposal] | None = None
+        self._squeezing = False
+
+    def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
+        """The other planner's answer, or where it has nothing and the vehicle rests, a narrow way to the nearest opening."""
+        start_s, moving = self._timer(), bool(request.velocity_world_mps.any())
+        if moving and self._squeezing:
+            return NothingLeft(ON_A_NARROW_WAY, 0.0, 0.0)
+        answer = self._planner.plan(request)
+        if isinstance(answer, ViewPath) or moving or request.views_left <= 0 or not self._planner.explores:
+            return answer
+        found = self._nearest(request, self._openings, self._clearance_m, start_s)
+        if found is None:
+            return answer
+        self._offered = found
+        return found[0]
+
+    def accept(self, path: ViewPath) -> None:
+        """See protocols.Planner."""
+        self._squeezing = self._offered is not None and self._offered[0] is path
+        if self._offered is not None and self._squeezing:
+            self._planner.visited.promise(path, (self._offered[1],))
+        else:
+            self._planner.accept(path)
+
+    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
+        """See protocols.Planner."""
+        return self._planner.still_worth(voxels, position_world, yaw_rad)
+
+    def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
+        """The other planner's way, or where it knows none, a narrow one, or the least that leads home."""
+        start_s = self._timer()
+        answer = self._planner.route(request, goal)
+        if isinstance(answer, ViewPath):
+            return answer
+        for clearance_m in (self._clearance_m, self._homeward_m):
+            found = self._nearest(request, lambda situation: [proposal_for(situation, goal)], clearance_m, start_s)
+            if found is not None:
+                return found[0]
+        return answer
+
+    def _nearest(
+        self, request: PlanRequest, wanted: Callable[[Situation], Sequence[Proposal | None]], clearance_m: float, start_s: float
+    ) -> tuple[ViewPath, Proposal] | None:
+        """The shortest way with that clearance to what is wanted, if there is any: its path, and where that leads."""
+        space = self._space(request.voxels, clearance_m)
+        exit_cells = space.stand(request.position_world)
+        if exit_cells is None:
+            return None
+        proposals = [one for one in wanted(Situation(request.voxels, space, exit_cells, request.position_world)) if one]
+        tasks_made_s = self._timer()
+        if not proposals:
+            return None
+        ways = Ways(space)
+        ways.update(exit_cells, request.position_world, places_of(proposals))
+        nearest = int(np.argmin(ways.lengths_m[0, 1:]))
+        path = ViewPath(
+            viewpoints=(proposals[nearest].task.viewpoint,),
+            waypoints_world=(ways.way_world(0, nearest + 1),),
+            mode=PlanMode.EXPLORE,
+            map_revision=request.voxels.revision,
+            map_epoch=request.voxels.map_epoch,
+            tasks=(proposals[nearest].task,),
+            task_s=tasks_made_s - start_s,
+            step_s=self._timer() - start_s,
+            clearance_m=clearance_m,
+        )
+        return path, proposals[nearest]
+
+    def _space(self, voxels: VoxelMap, clearance_m: float) -> FlyableSpace:
+        """Where there is room enough for a way with that clearance."""
+        low_m, high_m = self._planner.fence_m
+        box = fence_box(voxels.grid, low_m + self._inset_m, high_m - self._inset_m)
+        space = FlyableSpace(voxels.grid, clearance_m, *box)
+        space.update(voxels)
+        return space
+
+    def _openings(self, situation: Situation) -> list[Proposal]:
+        """The nearest openings that can be viewed with the usual room from beyond a narrow way."""
+        usual, frontiers, voxels = self._planner.space, self._planner.frontiers, situation.voxels
+        beyond = _Beyond(
+            mask=usual.mask,
+            reachable=usual.mask & situation.space.reachable & (1 - usual.reachable),
+            berth=usual.berth,
+            revision=1,
+            reachable_revision=np.ones_like(usual.reachable_revision),
+        )
+        views = FrontierViews(self._planner.config, self._planner.camera)
+        found = views.update(voxels, beyond, frontiers, situation.position_world).proposals
+        gains = frontiers.beyond(voxels, [one.promised for one in found])
+        return [one.gaining(gain) for one, gain in zip(found, gains.tolist(), strict=True) if gain >= OPENING]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Beyond:
+    """Places with the usual room that a narrow way leads to; see views.Flyable."""
+
+    mask: ByteArray
+    reachable: ByteArray
+    berth: FloatArray
+    revision: int
+    reachable_revision: IntArray

@@ -1,0 +1,1 @@
+"""Path search: lazy Theta*, string pulling, segment tests, path cache."""

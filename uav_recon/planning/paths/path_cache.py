@@ -1,0 +1,251 @@
+"""Shortest ways between the vehicle and the tasks, kept from plan to plan where no change of the map can have touched them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.planning.free_space.voxel_blocks import EDGE, Blocks, corner_of, part_at
+from uav_recon.planning.paths.segments import departure, distance, length_of, segment_is_open
+from uav_recon.planning.paths.theta_star import Memory, find_bends, memory_for
+from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.paths.string_pulling import pull_taut
+from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
+from uav_recon.types.maps import TILE
+
+PLACES = 32  # tasks whose ways are remembered
+MOST_POINTS = 24  # of a way that is remembered; a longer one is found again when it is asked for
+_ROOM = 1024  # points of a way before it is pulled taut
+
+
+class Known(NamedTuple):
+    """Ways between remembered places, for kernels. Entry [a, b] is the way from place a to b, where a comes first.
+
+    place: (P, 3), NaN = nobody's; used: (P,) the plan that last asked for it. kept: (P, P); length: (P, P) in
+    voxels; span: (P, P), see ``find_bends``; number: (P, P) of points; points: (P, P, MOST_POINTS, 3); leaves: (P, P, 2, 3)
+    unit directions in which it leaves a, and b.
+    """
+
+    place: FloatArray
+    used: IntArray
+    kept: BoolArray
+    length: FloatArray
+    span: FloatArray
+    number: IntArray
+    points: FloatArray
+    leaves: FloatArray
+
+
+class Ways:
+    """Ways between node 0 (the vehicle) and nodes 1..N (tasks); one object per flight.
+
+    lengths_m: (N+1, N+1), symmetric, inf where there is no way. departures: (N+1, N+1, 3), unit directions in which the way
+    from i to j leaves i, zero where it does not move. A straight line that is open is the way; else a way through flyable
+    parts, pulled taut. What is remembered is what would be found anew, to the last bit.
+    """
+
+    def __init__(self, space: FlyableSpace) -> None:
+        self._space = space
+        self._plan = 0
+        self.lengths_m, self.departures = np.zeros((1, 1)), np.zeros((1, 1, 3))
+        self._start(PLACES)
+
+    def _start(self, places: int) -> None:
+        self._regions = self._space.regions
+        self._memory = memory_for(self._regions.blocks)
+        self._seen = self._space.revision
+        self._buffer = np.empty((_ROOM, 3))
+        self._known = Known(
+            place=np.full((places, 3), np.nan),
+            used=np.zeros(places, dtype=np.int64),
+            kept=np.zeros((places, places), dtype=np.bool_),
+            length=np.zeros((places, places)),
+            span=np.zeros((places, places)),
+            number=np.zeros((places, places), dtype=np.int64),
+            points=np.zeros((places, places, MOST_POINTS, 3)),
+            leaves=np.zeros((places, places, 2, 3)),
+        )
+
+    def update(self, exit_cells: IntArray, position_world: FloatArray, places: FloatArray) -> None:
+        """Find the ways for the present map.
+
+        exit_cells: what ``FlyableSpace.stand`` answered for position_world; places: (N, 3) of the tasks' views, padded
+        voxel units, each in a flyable voxel.
+        """
+        if self._space.regions is not self._regions or len(places) > len(self._known.place):
+            self._start(max(len(places), PLACES))
+        space, blocks = self._space, self._regions.blocks
+        self._plan += 1
+        if space.revision != self._seen:
+            _forget(self._known, space.leap, blocks, space.mask_revision, space.block_revision, self._seen)
+            self._seen = space.revision
+        self._places = np.ascontiguousarray(places, dtype=np.float64)
+        self._seats = _seat(self._known, self._places, self._plan)
+        self._head = space.centre(exit_cells)
+        self._head[0] = space.padded(position_world)
+        lengths, self.departures = _connect(
+            self._known, blocks, space.leap, self._memory, self._seats, self._head, self._buffer
+        )
+        self.lengths_m = lengths * space.grid.resolution_m
+
+    def way_world(self, i: int, j: int) -> FloatArray:
+        """Polyline (M, 3) in world from node i to node j, both ends included; one point if they are the same place."""
+        way = self._way(i, j)
+        moved = np.concatenate(([True], np.any(np.abs(np.diff(way, axis=0)) > 1e-9, axis=1)))
+        return np.ascontiguousarray(self._space.world(way[moved]))
+
+    def _way(self, i: int, j: int) -> FloatArray:
+        if i == j:
+            return self._head[:1] if i == 0 else self._places[i - 1 : i]
+        if i > 0 and j > 0:
+            a, b = int(self._seats[i - 1]), int(self._seats[j - 1])
+            if a == b:
+                return self._places[i - 1 : i]
+            if _comes_first(self._known.place, b, a):
+                return self._way(j, i)[::-1]
+            if self._known.number[a, b] <= MOST_POINTS:
+                return self._known.points[a, b, : self._known.number[a, b]]
+            start = self._places[i - 1]
+        elif j == 0:
+            return self._way(j, i)[::-1]
+        else:
+            start = self._head[-1]
+        count, _, _ = _way_between(
+            self._regions.blocks, self._space.leap, self._memory, start, self._places[j - 1], self._buffer
+        )
+        way = self._buffer[:count].copy()
+        return np.concatenate([self._head[:-1], way]) if i == 0 else way
+
+
+@kernel
+def _forget(
+    known: Known, leap: ByteArray, blocks: Blocks, mask_revision: IntArray, block_revision: IntArray, seen: int
+) -> None:
+    """Forget each way whose span a change of the mask since ``seen`` meets."""
+    away = np.empty(len(known.place))
+    for tile in np.argwhere(mask_revision > seen):
+        low, high = _changed_box(blocks, block_revision, tile[0], tile[1], seen)
+        for a in range(len(known.place)):
+            away2 = 0.0
+            for axis in range(3):
+                away2 += max(low[axis] - known.place[a, axis], known.place[a, axis] - high[axis], 0.0) ** 2
+            away[a] = np.sqrt(away2)
+        for a in range(len(known.place)):
+            for b in range(len(known.place)):
+                if known.kept[a, b] and away[a] + away[b] <= known.span[a, b] + 1e-6:
+                    known.kept[a, b] = False
+
+
+@kernel
+def _changed_box(blocks: Blocks, block_revision: IntArray, across: int, along: int, seen: int) -> tuple[FloatArray, FloatArray]:
+    """Box (3,), (3,) in padded voxel units around the blocks of a tile that changed since ``seen``."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    per_tile = TILE // EDGE
+    for bx in range(across * per_tile + 1, min(across * per_tile + per_tile, blocks.shape[0] - 2) + 1):
+        for by in range(along * per_tile + 1, min(along * per_tile + per_tile, blocks.shape[1] - 2) + 1):
+            for bz in range(1, blocks.shape[2] - 1):
+                block = (bx * blocks.shape[1] + by) * blocks.shape[2] + bz
+                if block_revision[block] > seen:
+                    corner = corner_of(blocks, block)
+                    for axis in range(3):
+                        low[axis] = min(low[axis], float(corner[axis]))
+                        high[axis] = max(high[axis], float(corner[axis] + EDGE))
+    return low, high
+
+
+@kernel
+def _comes_first(places: FloatArray, a: int, b: int) -> bool:
+    """Whether place a (of P, 3) comes before place b: by x, then y, then z. False if they are the same, or nobody's."""
+    for axis in range(3):
+        if places[a, axis] != places[b, axis]:
+            return bool(places[a, axis] < places[b, axis])
+    return False
+
+
+@kernel
+def _seat_of(known: Known, place: FloatArray) -> int:
+    """The seat of a remembered place (3,), else -1."""
+    for a in range(len(known.place)):
+        if known.place[a, 0] == place[0] and known.place[a, 1] == place[1] and known.place[a, 2] == place[2]:
+            return a
+    return -1
+
+
+@kernel
+def _seat(known: Known, places: FloatArray, plan: int) -> IntArray:
+    """Give each place (N, 3) a seat (N,): its own if it is remembered, else the one that was not asked for for longest."""
+    seats = np.full(len(places), -1)
+    for n in range(len(places)):
+        seats[n] = _seat_of(known, places[n])
+        if seats[n] >= 0:
+            known.used[seats[n]] = plan
+    for n in range(len(places)):
+        if seats[n] < 0:
+            seats[n] = _seat_of(known, places[n])  # the same place may stand twice in the list
+        if seats[n] < 0:
+            a = int(np.argmin(known.used))
+            seats[n], known.place[a], known.used[a] = a, places[n], plan
+            known.kept[a, :] = False
+            known.kept[:, a] = False
+    return seats
+
+
+@kernel
+def _way_between(
+    blocks: Blocks, leap: ByteArray, memory: Memory, start: FloatArray, goal: FloatArray, points: FloatArray
+) -> tuple[int, float, float]:
+    """Write the way into ``points``; how many points it has (0: none), its length in voxels and its span."""
+    if segment_is_open(leap, start[0], start[1], start[2], goal[0], goal[1], goal[2]):
+        points[0], points[1] = start, goal
+        length = distance(start[0], start[1], start[2], goal[0], goal[1], goal[2])
+        return 2, length, length
+    ends, places = np.empty(2, dtype=np.int64), np.empty((2, 3))
+    places[0], places[1] = start, goal
+    for n in range(2):
+        ends[n] = part_at(blocks, int(places[n, 0]), int(places[n, 1]), int(places[n, 2]))
+        if ends[n] < 0:
+            return 0, np.inf, np.inf
+    count, span = find_bends(blocks, leap, memory, ends, places, points)
+    if count == 0:
+        return 0, np.inf, np.inf
+    count = pull_taut(leap, points, count)
+    return count, length_of(points[:count]), span
+
+
+@kernel
+def _connect(
+    known: Known, blocks: Blocks, leap: ByteArray, memory: Memory, seats: IntArray, head: FloatArray, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Lengths (N+1, N+1) in voxels and departures (N+1, N+1, 3); finds what is not remembered.
+
+    head: (M, 3) from where the vehicle stands to where it may fly.
+    """
+    nodes = len(seats) + 1
+    lengths, departures = np.full((nodes, nodes), np.inf), np.zeros((nodes, nodes, 3))
+    for n in range(nodes):
+        lengths[n, n] = 0.0
+    for n in range(1, nodes):
+        count, length, _ = _way_between(blocks, leap, memory, head[-1], known.place[seats[n - 1]], points)
+        if count == 0:
+            continue
+        lengths[0, n] = lengths[n, 0] = length + length_of(head)
+        departures[0, n] = departure(head) if len(head) > 1 else departure(points[:count])
+        departures[n, 0] = departure(points[:count][::-1])
+    for m in range(1, nodes):
+        for n in range(1, nodes):
+            a, b = seats[m - 1], seats[n - 1]
+            if a == b:
+                lengths[m, n] = 0.0
+            if not _comes_first(known.place, a, b):
+                continue
+            if not known.kept[a, b]:
+                count, length, span = _way_between(blocks, leap, memory, known.place[a], known.place[b], points)
+                known.kept[a, b], known.number[a, b], known.length[a, b], known.span[a, b] = count > 0, count, length, span
+                known.leaves[a, b, 0], known.leaves[a, b, 1] = departure(points[:count]), departure(points[:count][::-1])
+                if count <= MOST_POINTS:
+                    known.points[a, b, :count] = points[:count]
+            lengths[m, n] = lengths[n, m] = known.length[a, b]
+            departures[m, n], departures[n, m] = known.leaves[a, b, 0], known.leaves[a, b, 1]
+    return lengths, departures

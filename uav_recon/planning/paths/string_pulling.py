@@ -1,0 +1,174 @@
+"""Polylines pulled taut through a padded voxel mask. Positions are in padded voxel units, lengths in voxels.
+
+A polyline is open when each of its segments is (see ``segment_is_open``, also for ``leap``). Pulling keeps the ends, keeps it
+open and never makes it longer.
+"""
+
+from __future__ import annotations
+
+import math
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.planning.paths.segments import distance, segment_is_open
+from uav_recon.types.frames import ByteArray, FloatArray
+
+ROUNDS = 2
+WORTH = 0.05  # voxels: a gain below it is not looked for any further
+HALVINGS = 4
+SLOPES = (0.17, 0.7)  # how much of a sideways step goes straight inwards
+
+
+@kernel
+def pull_taut(leap: ByteArray, points: FloatArray, count: int) -> int:
+    """Pull the open polyline points[:count] of points (M, 3) taut in place; how many points it has then, at most M.
+
+    Corners are left out, slid sideways, cut from both sides, and rounded off into two where the way bends round a thick thing.
+    """
+    count = _settle(leap, points, count)
+    x = 1
+    while x < count - 1:
+        after = _round_off(leap, points, count, x)
+        x += 1 + after - count
+        count = after
+    return _settle(leap, points, count)
+
+
+@kernel
+def _settle(leap: ByteArray, points: FloatArray, count: int) -> int:
+    for _ in range(ROUNDS):
+        count = _straighten(leap, points, count)
+        gain = 0.0
+        for x in range(1, count - 1):
+            if x + 2 < count:
+                gain += _slide(leap, points, x, x + 1)
+            gain += _slide(leap, points, x, x) + _cut(leap, points, x - 1, x, x + 1) + _cut(leap, points, x + 1, x, x - 1)
+        if gain < WORTH:
+            break
+    return count
+
+
+@kernel
+def _open(leap: ByteArray, points: FloatArray, a: int, x: float, y: float, z: float) -> bool:
+    return segment_is_open(leap, points[a, 0], points[a, 1], points[a, 2], x, y, z)
+
+
+@kernel
+def _apart(points: FloatArray, a: int, x: float, y: float, z: float) -> float:
+    return distance(points[a, 0], points[a, 1], points[a, 2], x, y, z)
+
+
+@kernel
+def _straighten(leap: ByteArray, points: FloatArray, count: int) -> int:
+    """Leave out corners whose neighbours see each other; how many points are left."""
+    x = 1
+    while x < count - 1:
+        if _open(leap, points, x - 1, points[x + 1, 0], points[x + 1, 1], points[x + 1, 2]):
+            for n in range(x, count - 1):
+                points[n, 0], points[n, 1], points[n, 2] = points[n + 1, 0], points[n + 1, 1], points[n + 1, 2]
+            count -= 1
+            x = max(x - 1, 1)
+        else:
+            x += 1
+    return count
+
+
+@kernel
+def _cut(leap: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
+    """Move corner ``x`` along its segment towards ``b`` as far as ``a`` sees it; how much shorter the way became."""
+    px, py, pz = points[x, 0], points[x, 1], points[x, 2]
+    dx, dy, dz = points[b, 0] - px, points[b, 1] - py, points[b, 2] - pz
+    seen, step = 0.0, 1.0
+    for _ in range(HALVINGS):
+        step /= 2
+        t = seen + step
+        qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
+        # a corner lies in the mask itself; and a piece of an open segment has samples of its own
+        stands = leap[int(qx), int(qy), int(qz)] > 0 and _open(leap, points, a, qx, qy, qz)
+        if stands and _open(leap, points, b, qx, qy, qz):
+            seen = t
+    if seen == 0.0:
+        return 0.0
+    qx, qy, qz = px + seen * dx, py + seen * dy, pz + seen * dz
+    points[x, 0], points[x, 1], points[x, 2] = qx, qy, qz
+    return _apart(points, a, px, py, pz) + distance(px, py, pz, qx, qy, qz) - _apart(points, a, qx, qy, qz)
+
+
+@kernel
+def _slide(leap: ByteArray, points: FloatArray, first: int, last: int) -> float:
+    """Move corners [first, last] together, sideways and inwards, while that makes the way shorter; by how much.
+
+    What keeps a corner from moving straight inwards is a surface; along it there may still be a shorter way. Two corners of one
+    edge hold each other back unless they move together.
+    """
+    ax, ay, az = points[first, 0], points[first, 1], points[first, 2]
+    bx, by, bz = points[last, 0], points[last, 1], points[last, 2]
+    back, on = _apart(points, first - 1, ax, ay, az), _apart(points, last + 1, bx, by, bz)
+    if back < 0.1 or on < 0.1:
+        return 0.0
+    ux, uy, uz = (points[first - 1, 0] - ax) / back, (points[first - 1, 1] - ay) / back, (points[first - 1, 2] - az) / back
+    vx, vy, vz = (points[last + 1, 0] - bx) / on, (points[last + 1, 1] - by) / on, (points[last + 1, 2] - bz) / on
+    wx, wy, wz = ux + vx, uy + vy, uz + vz
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    inwards, sideways = math.sqrt(wx * wx + wy * wy + wz * wz), math.sqrt(nx * nx + ny * ny + nz * nz)
+    if inwards < 1e-3 or sideways < 1e-3:
+        return 0.0
+    before = back + on
+    for turn in range(2 * len(SLOPES)):
+        a = SLOPES[turn // 2] / inwards
+        b = math.sqrt(1.0 - SLOPES[turn // 2] ** 2) / sideways * (1 - 2 * (turn % 2))
+        dx, dy, dz = a * wx + b * nx, a * wy + b * ny, a * wz + b * nz
+        step = 2.0
+        while step > 0.6:
+            sx, sy, sz = step * dx, step * dy, step * dz
+            to_back = _apart(points, first - 1, points[first, 0] + sx, points[first, 1] + sy, points[first, 2] + sz)
+            to_on = _apart(points, last + 1, points[last, 0] + sx, points[last, 1] + sy, points[last, 2] + sz)
+            if back + on - to_back - to_on > WORTH and _may_move(leap, points, first, last, sx, sy, sz):
+                for x in range(first, last + 1):
+                    points[x, 0], points[x, 1], points[x, 2] = points[x, 0] + sx, points[x, 1] + sy, points[x, 2] + sz
+                back, on = to_back, to_on
+            else:
+                step /= 2.0
+    return before - back - on
+
+
+@kernel
+def _may_move(leap: ByteArray, points: FloatArray, first: int, last: int, sx: float, sy: float, sz: float) -> bool:
+    for x in range(first, last + 1):
+        if leap[int(points[x, 0] + sx), int(points[x, 1] + sy), int(points[x, 2] + sz)] == 0:
+            return False
+    for x in range(first, last + 2):
+        a, b = 1.0 if x > first else 0.0, 1.0 if x <= last else 0.0
+        if not segment_is_open(
+            leap, points[x - 1, 0] + a * sx, points[x - 1, 1] + a * sy, points[x - 1, 2] + a * sz,
+            points[x, 0] + b * sx, points[x, 1] + b * sy, points[x, 2] + b * sz,
+        ):  # fmt: skip
+            return False
+    return True
+
+
+@kernel
+def _round_off(leap: ByteArray, points: FloatArray, count: int, x: int) -> int:
+    """Make two corners of corner ``x`` where that is shorter; how many points there are then."""
+    px, py, pz = points[x, 0], points[x, 1], points[x, 2]
+    back, on = _apart(points, x - 1, px, py, pz), _apart(points, x + 1, px, py, pz)
+    if count >= len(points) or back < 1.0 or on < 1.0:
+        return count
+    ux, uy, uz = (points[x - 1, 0] - px) / back, (points[x - 1, 1] - py) / back, (points[x - 1, 2] - pz) / back
+    vx, vy, vz = (points[x + 1, 0] - px) / on, (points[x + 1, 1] - py) / on, (points[x + 1, 2] - pz) / on
+    seen, step = 0.0, 0.9 * min(back, on)
+    ax, ay, az, bx, by, bz = px, py, pz, px, py, pz
+    for _ in range(HALVINGS + 2):
+        d = seen + step
+        ex, ey, ez, fx, fy, fz = px + d * ux, py + d * uy, pz + d * uz, px + d * vx, py + d * vy, pz + d * vz
+        stand = leap[int(ex), int(ey), int(ez)] > 0 and leap[int(fx), int(fy), int(fz)] > 0
+        meet = stand and segment_is_open(leap, ex, ey, ez, fx, fy, fz)
+        if meet and _open(leap, points, x - 1, ex, ey, ez) and _open(leap, points, x + 1, fx, fy, fz):
+            seen, ax, ay, az, bx, by, bz = d, ex, ey, ez, fx, fy, fz
+        step /= 2
+    if seen * (2.0 - distance(ux, uy, uz, vx, vy, vz)) < WORTH:
+        return count
+    for n in range(count, x + 1, -1):
+        points[n, 0], points[n, 1], points[n, 2] = points[n - 1, 0], points[n - 1, 1], points[n - 1, 2]
+    points[x, 0], points[x, 1], points[x, 2] = ax, ay, az
+    points[x + 1, 0], points[x + 1, 1], points[x + 1, 2] = bx, by, bz
+    return count + 1

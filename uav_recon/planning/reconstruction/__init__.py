@@ -1,0 +1,1 @@
+"""Views that improve the reconstruction: surface elements, gains, candidate views."""

@@ -1,0 +1,212 @@
+"""What a view is worth: the sum of |n.v| sigma over the surface that it sees (paper, Algorithm 1), and the best of many views.
+
+All candidates are sorted by patches, which stand for the elements of a cell; the best few of them by the elements themselves,
+with one sight line to each cell; and the best of those are counted in full. Positions are in voxel units.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.traversal import is_visible
+from uav_recon.planning.camera_frustum import RANGE, TAN_H, TAN_V, Sight, aim, in_view, sight
+from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+
+TAIL = 1.5  # voxels before an element that may be occupied or unknown: the element's own wall
+PATCH_SHARE = 0.95  # of the weight in reach: the many cells that make up the rest are not asked
+_CELL_WIDTH = 5.2  # voxels: the diagonal of a cell, so that no element is farther from its middle one
+
+
+@kernel
+def _facing(line: Sight, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
+    """n.v: cosine of the angle between an outward normal and the direction to the eye; an element seen from behind is < 0."""
+    dx, dy, dz = line[0] - x, line[1] - y, line[2] - z
+    return (nx * dx + ny * dy + nz * dz) / math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@kernel
+def patches_near(
+    centre: FloatArray,
+    radius: float,
+    position: FloatArray,
+    normal: FloatArray,
+    weight: FloatArray,
+    cells: IntArray,
+) -> FloatArray:
+    """One row for each cell that lies within ``radius``, heaviest first, until they hold PATCH_SHARE of the weight there.
+
+    (M, 7): position and normal of the cell's middle element, and the weight of all its elements.
+    """
+    rows = np.empty((len(cells), 7))
+    count = 0
+    for c in range(len(cells)):
+        m = cells[c, 2]
+        dx, dy, dz = position[m, 0] - centre[0], position[m, 1] - centre[1], position[m, 2] - centre[2]
+        if dx * dx + dy * dy + dz * dz > radius * radius:
+            continue
+        total = 0.0
+        for n in range(cells[c, 0], cells[c, 1]):
+            total += weight[n]
+        if total > 0.0:
+            rows[count, :3], rows[count, 3:6], rows[count, 6] = position[m], normal[m], total
+            count += 1
+    order = np.argsort(-rows[:count, 6], kind="mergesort")
+    wanted = PATCH_SHARE * rows[:count, 6].sum()
+    taken, total = 0, 0.0
+    while taken < count and total < wanted:
+        total += rows[order[taken], 6]
+        taken += 1
+    return rows[order[:taken]]
+
+
+@kernel
+def promising(
+    state: ByteArray,
+    reachable: ByteArray,
+    lens: FloatArray,
+    places: FloatArray,
+    centre: FloatArray,
+    patches: FloatArray,
+    wanted: int,
+) -> IntArray:
+    """The (at most) ``wanted`` best of the reachable places (P, 3), judged by patches (M, 7), best first.
+
+    First without asking whether anything is hidden, which no view can beat; then with sight lines, from the best of these on,
+    until the rest cannot come among the wanted any more.
+    """
+    bound = np.zeros(len(places))
+    yaw, pitch = np.zeros(len(places)), np.zeros(len(places))
+    for p in range(len(places)):
+        x, y, z = places[p, 0], places[p, 1], places[p, 2]
+        i, j, k = int(x) + 1, int(y) + 1, int(z) + 1
+        if min(x, y, z) < 0.0 or i >= reachable.shape[0] or j >= reachable.shape[1] or k >= reachable.shape[2]:
+            continue
+        if reachable[i, j, k] == 0:
+            continue
+        yaw[p], pitch[p] = aim(lens, x, y, z, centre[0], centre[1], centre[2])
+        line = sight(lens, places[p], yaw[p], pitch[p])
+        for m in range(len(patches)):
+            px, py, pz = patches[m, 0], patches[m, 1], patches[m, 2]
+            if in_view(lens, line, px, py, pz):
+                bound[p] += max(_facing(line, px, py, pz, patches[m, 3], patches[m, 4], patches[m, 5]), 0.0) * patches[m, 6]
+    best = np.full(wanted, -1, dtype=np.int64)
+    score = np.zeros(wanted)
+    for p in np.argsort(-bound, kind="mergesort"):
+        if bound[p] <= score[wanted - 1]:
+            break
+        line = sight(lens, places[p], yaw[p], pitch[p])
+        total, left = 0.0, bound[p]
+        for m in range(len(patches)):
+            px, py, pz = patches[m, 0], patches[m, 1], patches[m, 2]
+            if not in_view(lens, line, px, py, pz):
+                continue
+            facing = _facing(line, px, py, pz, patches[m, 3], patches[m, 4], patches[m, 5])
+            if facing <= 0.0:
+                continue
+            left -= facing * patches[m, 6]
+            if is_visible(state, line[0], line[1], line[2], px, py, pz, TAIL):
+                total += facing * patches[m, 6]
+            elif total + left <= score[wanted - 1]:
+                break
+        if total <= score[wanted - 1]:
+            continue
+        same = False  # two directions of a small shell may end in one voxel
+        for b in range(wanted):
+            same = same or (best[b] >= 0 and (places[best[b]] == places[p]).all())
+        if same:
+            continue
+        slot = wanted - 1
+        while slot > 0 and score[slot - 1] < total:
+            best[slot], score[slot] = best[slot - 1], score[slot - 1]
+            slot -= 1
+        best[slot], score[slot] = p, total
+    return best[best >= 0]
+
+
+@kernel
+def seen(
+    state: ByteArray,
+    lens: FloatArray,
+    line: Sight,
+    position: FloatArray,
+    normal: FloatArray,
+    weight: FloatArray,
+    cells: IntArray,
+    in_full: bool,
+    cosine: FloatArray,
+) -> tuple[float, int]:
+    """Sum of (n.v) weight over visible elements, and their number. ``cosine`` (N,) takes n.v of each, 0 = not seen.
+
+    ``in_full``: a sight line to every element; else one to the middle of each cell.
+    """
+    ex, ey, ez, cy, sy, cp, sp = line
+    reach2 = (lens[RANGE] + _CELL_WIDTH) ** 2
+    # how far from a side plane of the frustum a cell's middle may lie while its rim is still inside
+    beside = _CELL_WIDTH * math.sqrt(1.0 + lens[TAN_H] ** 2)
+    above = _CELL_WIDTH * math.sqrt(1.0 + lens[TAN_V] ** 2)
+    total, count = 0.0, 0
+    cosine[:] = 0.0
+    for c in range(len(cells)):
+        m = cells[c, 2]
+        dx, dy, dz = position[m, 0] - ex, position[m, 1] - ey, position[m, 2] - ez
+        along = cy * dx + sy * dy
+        forward, left, up = cp * along - sp * dz, cy * dy - sy * dx, sp * along + cp * dz
+        if dx * dx + dy * dy + dz * dz > reach2:
+            continue
+        if abs(left) > forward * lens[TAN_H] + beside or abs(up) > forward * lens[TAN_V] + above:
+            continue
+        asked = in_full
+        for n in range(cells[c, 0], cells[c, 1]):
+            x, y, z = position[n, 0], position[n, 1], position[n, 2]
+            if not in_view(lens, line, x, y, z):
+                continue
+            facing = _facing(line, x, y, z, normal[n, 0], normal[n, 1], normal[n, 2])
+            if facing <= 0.0 or (in_full and not is_visible(state, ex, ey, ez, x, y, z, TAIL)):
+                continue
+            if not asked:
+                asked = True
+                if not is_visible(state, ex, ey, ez, position[m, 0], position[m, 1], position[m, 2], TAIL):
+                    break
+            cosine[n] = facing
+            total += facing * weight[n]
+            count += 1
+    return total, count
+
+
+@kernel
+def best_view(
+    state: ByteArray,
+    lens: FloatArray,
+    places: FloatArray,
+    centre: FloatArray,
+    position: FloatArray,
+    normal: FloatArray,
+    weight: FloatArray,
+    cells: IntArray,
+    min_visible: int,
+    full: int,
+    cosine: FloatArray,
+) -> tuple[int, float, float, float]:
+    """The place (of P, 3) whose view of the centre gains most: index (-1: none), yaw, pitch and gain, counted in full.
+
+    Only the ``full`` most promising are counted so. ``cosine`` (N,) takes n.v of what is seen from the best, 0 = not seen.
+    """
+    hoped = np.zeros(len(places))
+    for p in range(len(places)):
+        yaw, pitch = aim(lens, places[p, 0], places[p, 1], places[p, 2], centre[0], centre[1], centre[2])
+        line = sight(lens, places[p], yaw, pitch)
+        hoped[p] = seen(state, lens, line, position, normal, weight, cells, False, cosine)[0]
+    best, best_yaw, best_pitch, best_gain = -1, 0.0, 0.0, 0.0
+    trial = np.empty(len(cosine))
+    cosine[:] = 0.0
+    for p in np.argsort(-hoped, kind="mergesort")[:full]:
+        yaw, pitch = aim(lens, places[p, 0], places[p, 1], places[p, 2], centre[0], centre[1], centre[2])
+        line = sight(lens, places[p], yaw, pitch)
+        gain, count = seen(state, lens, line, position, normal, weight, cells, True, trial)
+        if count >= min_visible and gain > best_gain:
+            best, best_yaw, best_pitch, best_gain = p, yaw, pitch, gain
+            cosine[:] = trial
+    return best, best_yaw, best_pitch, best_gain

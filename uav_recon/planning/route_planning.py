@@ -1,0 +1,32 @@
+"""The way to one given place, home for instance: not to look at anything, only to be there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.planning.candidate_view import Proposal, Situation
+from uav_recon.types.tasks import Task, TaskKind, Viewpoint
+
+NEAR_ENOUGH_M = 0.4  # a pad whose own column may not be flown is reached beside it
+
+
+def proposal_for(situation: Situation, goal: Viewpoint) -> Proposal | None:
+    """The reachable cell nearest to ``goal`` as a proposal; None if all are farther away than NEAR_ENOUGH_M."""
+    space = situation.space
+    at = space.padded(goal.position_world)
+    reach = NEAR_ENOUGH_M / space.grid.resolution_m
+    low = np.clip(np.floor(at - reach), 0, space.reachable.shape).astype(np.int64)
+    high = np.clip(np.floor(at + reach) + 1, 0, space.reachable.shape).astype(np.int64)
+    around = space.reachable[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+    cells = np.argwhere(around) + low
+    if not len(cells):
+        return None
+    away = np.linalg.norm(cells + 0.5 - at, axis=1)
+    nearest = int(np.argmin(away))
+    if away[nearest] > reach:
+        return None
+    place = cells[nearest] + 0.5
+    place_world = space.world(place)
+    task = Task(TaskKind.EXPLORE, place_world, Viewpoint(place_world, goal.yaw_rad, goal.pitch_down_rad), 0.0)
+    nothing = np.zeros(0, dtype=np.int64)
+    return Proposal(task, place, nothing, nothing.astype(np.float64))

@@ -1,0 +1,161 @@
+"""What a way costs in time: flying, turning, braking (paper, section III-C, with turning added)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.planning.candidate_view import Proposal
+from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.types.frames import FloatArray
+
+LEAVING_TURN_SHARE = 0.25  # of the time to turn from a view's heading into the direction of flight: the camera should lead
+BRAKING_MPS2 = 0.8  # changing the present velocity costs time too
+LEVEL = 0.1  # of a direction's length: less is straight up or down, and has no heading
+
+
+class Price(Protocol):
+    """What legs are reckoned to take, by the way in which motion flies them."""
+
+    def seconds(
+        self, lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
+    ) -> FloatArray:
+        """Seconds (N, N) from node to node, at rest in both. lengths_m: (N, N); departures: (N, N, 3) unit directions in which
+        the way from i to j leaves i; yaw_rad, pitch_down_rad: (N,) where the camera looks at each node.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class TurningOnTheWay:
+    """The longer of flying and turning; leaving a view against its heading costs a share of that turn."""
+
+    speed_mps: float
+    rate_radps: float
+
+    def seconds(
+        self, lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
+    ) -> FloatArray:
+        """See Price."""
+        costs: FloatArray = turning_on_the_way(lengths_m, departures, yaw_rad, self.speed_mps, self.rate_radps)
+        return costs
+
+
+@dataclass(frozen=True, slots=True)
+class NoseFirst:
+    """Turned so far that the camera sees the way, flown, and turned to the view; or slowly, and turned on the way, if that is
+    faster.
+
+    off_rad: so far the nose may point beside the way; upright: tangent of half the camera's upright angle that is used.
+    """
+
+    speed_mps: float
+    rate_radps: float
+    blind_mps: float
+    off_rad: float
+    upright: float
+
+    def seconds(
+        self, lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
+    ) -> FloatArray:
+        """See Price."""
+        costs: FloatArray = nose_first(
+            lengths_m, departures, yaw_rad, pitch_down_rad, self.speed_mps, self.rate_radps, self.blind_mps, self.off_rad,
+            self.upright,
+        )  # fmt: skip
+        return costs
+
+
+def time_costs(
+    ways: Ways, proposals: list[Proposal], yaw_rad: float, velocity_world_mps: FloatArray, price: Price
+) -> FloatArray:
+    """Seconds (N+1, N+1) from node to node, asymmetric; leaving the vehicle's place costs the change of velocity too."""
+    views = [proposal.task.viewpoint for proposal in proposals]
+    yaws = np.array([yaw_rad, *(view.yaw_rad for view in views)], dtype=np.float64)
+    pitches = np.array([0.0, *(view.pitch_down_rad for view in views)], dtype=np.float64)  # none looks on its way to node 0
+    costs = price.seconds(ways.lengths_m, ways.departures, yaws, pitches)
+    leave(costs, ways.departures, np.ascontiguousarray(velocity_world_mps, dtype=np.float64))
+    return costs
+
+
+@kernel
+def leave(costs: FloatArray, departures: FloatArray, velocity_world_mps: FloatArray) -> None:
+    """Add to the costs from node 0 (N, N) what it takes to change the velocity (3,) there."""
+    speed_now = math.sqrt((velocity_world_mps * velocity_world_mps).sum())
+    for j in range(len(costs)):
+        x, y, z = departures[0, j, 0], departures[0, j, 1], departures[0, j, 2]
+        along = x * velocity_world_mps[0] + y * velocity_world_mps[1] + z * velocity_world_mps[2]
+        costs[0, j] += (speed_now - along) / BRAKING_MPS2
+
+
+@kernel
+def turning_on_the_way(
+    lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, speed_mps: float, rate_radps: float
+) -> FloatArray:
+    """TurningOnTheWay."""
+    nodes = len(yaw_rad)
+    costs = np.zeros((nodes, nodes))
+    for i in range(nodes):
+        for j in range(nodes):
+            x, y = departures[i, j, 0], departures[i, j, 1]
+            turn = abs(_wrapped(yaw_rad[j] - yaw_rad[i]))
+            leaving = abs(_wrapped(math.atan2(y, x) - yaw_rad[i])) if math.sqrt(x * x + y * y) > LEVEL else 0.0
+            costs[i, j] = max(lengths_m[i, j] / speed_mps, turn / rate_radps) + LEAVING_TURN_SHARE * leaving / rate_radps
+    return costs
+
+
+@kernel
+def nose_first(
+    lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray, speed_mps: float,
+    rate_radps: float, blind_mps: float, off_rad: float, upright: float,
+) -> FloatArray:  # fmt: skip
+    """NoseFirst. Of a way with bends its first and last direction are looked at."""
+    nodes = len(yaw_rad)
+    costs = np.zeros((nodes, nodes))
+    for i in range(nodes):
+        for j in range(nodes):
+            if i == j:
+                continue
+            slowly = max(lengths_m[i, j] / blind_mps, abs(_wrapped(yaw_rad[j] - yaw_rad[i])) / rate_radps)
+            costs[i, j] = slowly
+            first, last = departures[i, j], departures[j, i]  # the last points back
+            if not (_seen(first, 1.0, pitch_down_rad[j], upright) and _seen(last, -1.0, pitch_down_rad[j], upright)):
+                continue
+            there = _turned(yaw_rad[i], math.atan2(first[1], first[0]), off_rad)
+            arrived = _turned(there, math.atan2(-last[1], -last[0]), off_rad)
+            turn = abs(there - yaw_rad[i]) + abs(arrived - there) + abs(_wrapped(yaw_rad[j] - arrived))
+            costs[i, j] = min(slowly, turn / rate_radps + lengths_m[i, j] / speed_mps)
+    return costs
+
+
+@kernel
+def _seen(direction: FloatArray, sign: float, pitch_down_rad: float, upright: float) -> bool:
+    """Whether a way in this direction (3,), or back, is neither too steep nor without heading for a camera over it."""
+    ahead, up = math.sqrt(direction[0] ** 2 + direction[1] ** 2), sign * direction[2]
+    depth = math.cos(pitch_down_rad) * ahead - math.sin(pitch_down_rad) * up
+    below = -math.sin(pitch_down_rad) * ahead - math.cos(pitch_down_rad) * up
+    return bool(ahead > LEVEL and abs(below) <= upright * depth)
+
+
+@kernel
+def _turned(yaw_rad: float, bearing_rad: float, off_rad: float) -> float:
+    """From a heading no farther towards a bearing than until it is within off_rad."""
+    off = _wrapped(bearing_rad - yaw_rad)
+    return float(yaw_rad + math.copysign(max(abs(off) - off_rad, 0.0), off))
+
+
+@kernel
+def _wrapped(angle_rad: float) -> float:
+    return (angle_rad + math.pi) % (2 * math.pi) - math.pi
+
+
+def warm_up() -> None:
+    """Compile."""
+    none = np.zeros((2, 2)), np.zeros((2, 2, 3)), np.zeros(2), np.zeros(2)
+    leave(none[0], none[1], np.zeros(3))
+    TurningOnTheWay(1.0, 1.0).seconds(*none)
+    NoseFirst(1.0, 1.0, 0.3, 0.6, 0.5).seconds(*none)

@@ -1,0 +1,72 @@
+"""Where a frontier may be looked at from: all of the sphere around it that the mount can look from (paper, section III-A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.config import PlannerConfig
+from uav_recon.planning.camera_frustum import CameraGeometry
+from uav_recon.types.frames import FloatArray, IntArray
+
+_AZIMUTHS = 16
+_ELEVATIONS = 5
+NEAREST_M = 0.5  # in tight rooms
+FARTHEST_M = 4.2  # a fixed mount sees high and low cells from afar only
+RANGE_MARGIN_M = 0.2
+_STEEPEST_RAD = np.radians(80.0)
+_OFFSETS = (2048, 1024, 512)  # of the shell itself, beyond it, within it
+_PLACES = (150, 50, 30)  # so many of them are looked from, at most
+# the generalised golden ratio of three dimensions: its powers make a sequence that fills a cube evenly, however many are taken
+_RATIO = 1.2207440846057596
+
+
+def shell(camera: CameraGeometry, radii_m: tuple[float, ...], resolution_m: float) -> FloatArray:
+    """Offsets (K, 3) in voxels from a target to viewpoints: full circles, at all heights the mount can look from."""
+    half = camera.vfov_rad / 2 * 0.8
+    low, high = max(camera.pitch_min_rad - half, -_STEEPEST_RAD), min(camera.pitch_max_rad + half, _STEEPEST_RAD)
+    rows = [
+        (radius * np.cos(elevation) * np.cos(azimuth), radius * np.cos(elevation) * np.sin(azimuth), radius * np.sin(elevation))
+        for radius in radii_m
+        for elevation in np.linspace(low, high, _ELEVATIONS)
+        for azimuth in np.arange(_AZIMUTHS) * (2 * np.pi / _AZIMUTHS)
+    ]
+    return np.array(rows) / resolution_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shell:
+    """offsets (K, 3) in voxels from a frontier to places; ends, places (3,): where each of its parts ends, and how many places
+    of it are enough. The parts: [d_r, d_f] itself, what lies beyond it, what lies within it.
+    """
+
+    offsets: FloatArray
+    ends: IntArray
+    places: IntArray
+
+
+def explore_shell(config: PlannerConfig, camera: CameraGeometry, resolution_m: float) -> Shell:
+    """Places at all heights from which the mount brings the middle of the frontier into the picture.
+
+    Any first few offsets of a part are spread evenly over it: where most places are open, few need be asked.
+    """
+    near_m, far_m = config.shell_min_m, min(config.shell_max_m, camera.range_m - RANGE_MARGIN_M)
+    spans_m = ((near_m, max(far_m, near_m)), (far_m, min(FARTHEST_M, camera.range_m - RANGE_MARGIN_M)), (NEAREST_M, near_m))
+    parts = [
+        _part(camera, low_m / resolution_m, high_m / resolution_m, count) if high_m > low_m else np.zeros((0, 3))
+        for (low_m, high_m), count in zip(spans_m, _OFFSETS, strict=True)
+    ]
+    ends = np.cumsum([len(part) for part in parts])
+    return Shell(np.concatenate(parts), ends.astype(np.int64), np.array(_PLACES, dtype=np.int64))
+
+
+def _part(camera: CameraGeometry, low: float, high: float, count: int) -> FloatArray:
+    half = camera.vfov_rad / 2 * 1.1  # it may show a part of the frontier without its middle
+    lowest = np.sin(max(camera.pitch_min_rad - half, -_STEEPEST_RAD))
+    highest = np.sin(min(camera.pitch_max_rad + half, _STEEPEST_RAD))
+    spread = (0.5 + np.arange(1, count + 1)[:, None] / _RATIO ** np.arange(1, 4)) % 1.0
+    up = lowest + (highest - lowest) * spread[:, 0]
+    azimuth, radius = 2 * np.pi * spread[:, 1], low + (high - low) * spread[:, 2]
+    across = np.sqrt(1.0 - up**2)
+    return np.asarray(radius[:, None] * np.stack([across * np.cos(azimuth), across * np.sin(azimuth), up], axis=1))
