@@ -30,7 +30,7 @@ safety:
 # to the pilot; fails for one that has an effect.
 hostile: export PYTHONPATH = .:tests/safety
 hostile:
-	$(PYTHON) tests/autopilot/garbage.py 10000000 500
+	$(PYTHON) tests/autopilot/link/hostile_traffic.py 10000000 500
 	$(PYTHON) tests/mutated_configs.py 200
 	$(PYTHON) tests/safety/hostile_proposals.py 1000000
 

@@ -257,8 +257,8 @@ def _mapper(options: SimOptions, config: Config) -> Mapper:
 
 def _neural(config: Config, folder: Path) -> Mapper:
     from uav_recon.mapping.keyframe_store import KeyframeFolder
-    from uav_recon.mapping.neural.worker.mapper_process import KEYFRAMES
     from uav_recon.mapping.neural.worker.inline_mapper import InlineMapper
+    from uav_recon.mapping.neural.worker.mapper_process import KEYFRAMES
 
     trainer = run.make_trainer(config)
     trainer.warm_up()

@@ -41,7 +41,7 @@ def flown_up() -> Rig:
 def both_flown_up() -> dict[str, Rig]:
     """Hovering with each firmware: to be copied, not flown."""
     from flight_rig import Rig
-    from test_flight_ardupilot import CopterRig
+    from test_pilot_flight_ardupilot import CopterRig
 
     rigs = {"px4": Rig(), "ardupilot": CopterRig()}
     for rig in rigs.values():

@@ -17,8 +17,8 @@ from sitl.parameters import Parameters
 from sitl.px4 import Px4
 from sitl.transport import pipe
 from sitl.vehicle import Quadrotor
-from uav_recon.autopilot.gate import Gate
-from uav_recon.autopilot.parameter_file import PARAMETER_FILES, Wanted, load
+from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, Wanted, load
 from uav_recon.cli import app
 from uav_recon.clock import ManualClock
 from uav_recon.config import load as load_config

@@ -14,13 +14,13 @@ from rich.console import Console
 from rich.table import Table
 
 from uav_recon import run
-from uav_recon.autopilot.gate import Gate
-from uav_recon.autopilot.link import Link
-from uav_recon.autopilot.messages import ParameterValue
-from uav_recon.autopilot.parameter_file import PARAMETER_FILES, ParameterFileError, Wanted, load
-from uav_recon.autopilot.parameters import Inquiry, equal
-from uav_recon.autopilot.tlog import NoLog
-from uav_recon.autopilot.transport import LinkError, open_link
+from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.autopilot.mavlink.messages import ParameterValue
+from uav_recon.autopilot.mavlink.tlog import NoLog
+from uav_recon.autopilot.mavlink.transport import LinkError, open_link
+from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, ParameterFileError, Wanted, load
+from uav_recon.autopilot.parameters.reader import Inquiry, equal
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import LinkConfig
 from uav_recon.failure import EXIT_CONFIG, Failure

@@ -84,8 +84,8 @@ def claim_file(path: Path, otherwise: str) -> int:
 
 def pilot(config_path: Path, flight: Path | None) -> int:
     """Fly next to the autopilot until SIGTERM; in the air SIGTERM means: land, then end."""
-    from uav_recon.autopilot.tlog import Tlog
-    from uav_recon.autopilot.transport import LinkError, open_link
+    from uav_recon.autopilot.mavlink.tlog import Tlog
+    from uav_recon.autopilot.mavlink.transport import LinkError, open_link
 
     stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
     wires = file_wires(config.runtime.folder)
@@ -168,8 +168,8 @@ def is_flown(vehicle: Channel[VehicleState], now_s: float) -> bool:
 
 def mission(config_path: Path, flight: Path | None) -> int:
     """Fly one mission and write its folder; SIGTERM lands. Exit code 0 however the flight ended."""
-    from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
     from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
+    from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
     from uav_recon.mission.operator_commands import StandingOrders
     from uav_recon.recording.flight_log import FlightLog
     from uav_recon.recording.flight_report import FlightCard, account, publish

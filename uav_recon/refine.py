@@ -27,12 +27,12 @@ from uav_recon.usage import looked_at
 
 if TYPE_CHECKING:
     from uav_recon.config import Config
-    from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh
     from uav_recon.mapping.neural.sdf_interface import LearnedField
-    from uav_recon.mapping.neural.training_data import Gathered
     from uav_recon.mapping.neural.sdf_torch.checkpoint import Checkpoints, State
-    from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan, Refiner
     from uav_recon.mapping.neural.sdf_torch.distributed import Team
+    from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan, Refiner
+    from uav_recon.mapping.neural.training_data import Gathered
+    from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh
 
 REFINED, MESH_PLY, MESH_GLB = "refined", "mesh.ply", "mesh.glb"
 STOP_FILE, LOCK_FILE = ".stop", ".lock"
@@ -134,9 +134,9 @@ class _Work:
 
     def run(self) -> int:
         """The whole of it; 0, or Failure."""
-        from uav_recon.mapping.neural.watertight.watertight_mesh import ShellError
-        from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError
         from uav_recon.mapping.neural.sdf_torch.distributed import FullDeviceError
+        from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError
+        from uav_recon.mapping.neural.watertight.watertight_mesh import ShellError
 
         lock = self._claim() if self._team.leads else None
         try:
@@ -153,8 +153,8 @@ class _Work:
         return 0
 
     def _run(self) -> None:
-        from uav_recon.mapping.neural.watertight.watertight_mesh import closed_mesh
         from uav_recon.mapping.neural.surface.colour_fusion import Painted
+        from uav_recon.mapping.neural.watertight.watertight_mesh import closed_mesh
 
         gathered, refiner, checkpoints = self._prepare()
         done = self._learn(refiner, checkpoints)
@@ -176,8 +176,8 @@ class _Work:
         return claim_file(self._folder / LOCK_FILE, f"a refinement of {self._wanted.flight} runs already")
 
     def _prepare(self) -> tuple[Gathered, Refiner, Checkpoints]:
-        from uav_recon.mapping.neural.watertight.watertight_mesh import check_size
         from uav_recon.mapping.neural.sdf_torch.refiner import Refiner
+        from uav_recon.mapping.neural.watertight.watertight_mesh import check_size
 
         config, plan, checkpoints = _checkpoints(self._wanted, self._kind)
         state, said = _state(checkpoints)

@@ -18,12 +18,12 @@ from uav_recon.types.maps import GridSpec
 from uav_recon.wires import Wires
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
-    from uav_recon.autopilot.gate import Gate
-    from uav_recon.autopilot.parameter_check import ParameterCheck
-    from uav_recon.autopilot.parameters import NumberForm
-    from uav_recon.autopilot.personality import Personality
-    from uav_recon.autopilot.pilot import Pilot
-    from uav_recon.autopilot.tlog import FrameLog
+    from uav_recon.autopilot.firmware.profile import Personality
+    from uav_recon.autopilot.mavlink.allow_list import Gate
+    from uav_recon.autopilot.mavlink.tlog import FrameLog
+    from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
+    from uav_recon.autopilot.parameters.reader import NumberForm
+    from uav_recon.autopilot.pilot.pilot import Pilot
     from uav_recon.localization.perception import Perception
     from uav_recon.mapping.keyframe_selection import Coverage
     from uav_recon.mapping.neural.neural_mapper import Trainer
@@ -56,9 +56,9 @@ def load_config(path: Path) -> Config:
 
 def make_gate(way: LinkConfig, clock: Clock) -> Gate:
     """Who may speak on the link. Raises Failure with exit code 78 for a key or stamps that cannot be used."""
-    from uav_recon.autopilot.gate import AllowList, Gate
-    from uav_recon.autopilot.signing import KeyFileError, open_signature
-    from uav_recon.autopilot.stamps import StampsError
+    from uav_recon.autopilot.mavlink.allow_list import AllowList, Gate
+    from uav_recon.autopilot.mavlink.signing import KeyFileError, open_signature
+    from uav_recon.autopilot.mavlink.signing_timestamps import StampsError
 
     ids, key = AllowList(way.vehicle_system, way.vehicle_component, way.gimbal_component, way.autopilot_uid), way.signing_key
     try:
@@ -69,9 +69,9 @@ def make_gate(way: LinkConfig, clock: Clock) -> Gate:
 
 def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, clock: Clock, gate: Gate | None = None) -> Pilot:
     """The loop next to the autopilot. gate: the one that its link knows already, where there is one."""
-    from uav_recon.autopilot.briefing import Origin
-    from uav_recon.autopilot.pilot import Airframe, PilotChannels
-    from uav_recon.autopilot.pilot import make_pilot as wire_pilot
+    from uav_recon.autopilot.pilot.pilot import Airframe, PilotChannels
+    from uav_recon.autopilot.pilot.pilot import make_pilot as wire_pilot
+    from uav_recon.autopilot.pilot.preflight import Origin
     from uav_recon.safety.failsafe import Patience
     from uav_recon.safety.guard import Bounds, Guard
     from uav_recon.safety.obstacle_speed_limit import Margins
@@ -103,17 +103,17 @@ def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, cloc
 
 def firmware(name: str) -> tuple[Personality, NumberForm]:
     """What px4 or ardupilot is: its rules, and how it tells its parameters."""
-    from uav_recon.autopilot.ardupilot import ARDUPILOT
-    from uav_recon.autopilot.parameters import BYTEWISE, NUMERIC
-    from uav_recon.autopilot.px4 import PX4
+    from uav_recon.autopilot.firmware.ardupilot import ARDUPILOT
+    from uav_recon.autopilot.firmware.px4 import PX4
+    from uav_recon.autopilot.parameters.reader import BYTEWISE, NUMERIC
 
     return {"px4": (PX4, BYTEWISE), "ardupilot": (ARDUPILOT, NUMERIC)}[name]
 
 
 def make_parameter_check(config: Config) -> ParameterCheck:
     """What the vehicle must have before it is armed. Raises Failure with exit code 78 for a file that cannot be used."""
-    from uav_recon.autopilot.parameter_check import ParameterCheck
-    from uav_recon.autopilot.parameter_file import PARAMETER_FILES, ParameterFileError, load
+    from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, ParameterFileError, load
+    from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
 
     try:
         wanted = load(config.link.parameters or PARAMETER_FILES[config.link.autopilot])
@@ -264,8 +264,8 @@ def make_coverage(config: Config, voxels: Voxels) -> Coverage:
 
 def make_trainer(config: Config) -> Trainer:
     """The neural field of the mapper. Raises Failure if its prior model cannot be used."""
-    from uav_recon.mapping.neural.neural_mapper import Trainer
     from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
+    from uav_recon.mapping.neural.neural_mapper import Trainer
 
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)

@@ -19,7 +19,7 @@ from uav_recon.types.operator_command import GivenOrder
 from uav_recon.wires import Wires
 
 if TYPE_CHECKING:  # the mission and the command line need no pilot
-    from uav_recon.autopilot.pilot import Pilot
+    from uav_recon.autopilot.pilot.pilot import Pilot
 
 
 def operator_orders(folder: Path) -> Channel[GivenOrder]:

@@ -10,8 +10,8 @@ from box_world import FIXED, GIMBAL, MEETING_ROOM, TWO_ROOMS, BoxWorld, Solid, v
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.maps import FREE
 from uav_recon.types.tasks import NothingLeft
 

@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.narrow_passages import ON_A_NARROW_WAY, ThroughNarrows
-from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint

@@ -7,8 +7,8 @@ import numpy as np
 from uav_recon.config import PlannerConfig
 from uav_recon.mapping.occupancy.distance_field import distance2_to_not_free
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 

@@ -10,9 +10,9 @@ from scipy import ndimage
 
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.planning.task_generation import Harvest, Question
 from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import ByteArray
 from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath

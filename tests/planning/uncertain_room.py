@@ -7,9 +7,9 @@ import itertools
 import numpy as np
 from box_world import MEETING_ROOM, Solid, voxel_map
 
-from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.planning.candidate_view import Situation
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
 

@@ -16,8 +16,8 @@ from scipy import ndimage
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.narrow_passages import ThroughNarrows
-from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 

@@ -23,9 +23,9 @@ from uav_recon.bench.mapper_tables import figure
 from uav_recon.bench.tables import narrow_table
 from uav_recon.evaluation.triangle_surface import Surface
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.worker.checkpoint import Checkpoints
-from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.keyframes.ray_buffer import MOST_VIEWS
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.worker.checkpoint import Checkpoints
 from uav_recon.usage import UsageError
 
 PARTS = 10

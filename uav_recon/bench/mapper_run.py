@@ -19,8 +19,8 @@ from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.evaluation.metrics import PSNR_CAP_DB, share_within
 from uav_recon.evaluation.recall import ElementRecall
 from uav_recon.evaluation.triangle_surface import Surface
-from uav_recon.mapping.neural.sdf_interface import LearnedField
 from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.sdf_interface import LearnedField
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import Float32Array
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from uav_recon.bench import path_oracle
 from uav_recon.mapping.occupancy.distance_field import distance2_to_not_free
-from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.planning.paths.path_cache import Ways
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, GridSpec, VoxelMap

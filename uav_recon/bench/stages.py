@@ -19,16 +19,16 @@ from uav_recon.config import MotionConfig, PlannerConfig, VoxelConfig
 from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
 from uav_recon.planning import view_planner
 from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
-from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
-from uav_recon.planning.frontier.frontier_views import FrontierViews
-from uav_recon.planning.view_planner import ViewPlanner
-from uav_recon.planning.presets import derived
 from uav_recon.planning.candidate_view import Proposal
+from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.frontier.frontier_views import FrontierViews
+from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
+from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.presets import derived
 from uav_recon.planning.task_generation import MOST_FRONTIERS, places_of
 from uav_recon.planning.tour.travel_time import TurningOnTheWay, time_costs
-from uav_recon.planning.free_space.flyable_space import FlyableSpace
-from uav_recon.planning.paths.path_cache import Ways
 from uav_recon.planning.variants import variant
+from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.camera import Intrinsics, PosedFrame
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.maps import GridSpec, VoxelMap

@@ -25,10 +25,10 @@ from uav_recon.bench.laps import Spread, Stopwatch
 from uav_recon.bench.tables import narrow_table
 from uav_recon.failure import Failure
 from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
-from uav_recon.planning.frontier.frontiers import fence_box
-from uav_recon.planning.presets import derived
 from uav_recon.planning.candidate_view import Situation
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.frontier.frontiers import fence_box
+from uav_recon.planning.presets import derived
 from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.recording.map_file import load_map
 from uav_recon.recording.timelapse import load_states

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, voxel_beside
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, voxel_beside
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import Task

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.planning.frontier.cluster_table import OPENING
-from uav_recon.planning.frontier.frontiers import fence_box
-from uav_recon.planning.frontier.frontier_views import FrontierViews
-from uav_recon.planning.route_planning import proposal_for
-from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.planning.candidate_view import Proposal, Situation
-from uav_recon.planning.task_generation import places_of
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.frontier.cluster_table import OPENING
+from uav_recon.planning.frontier.frontier_views import FrontierViews
+from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.route_planning import proposal_for
+from uav_recon.planning.task_generation import places_of
+from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint

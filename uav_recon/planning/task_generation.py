@@ -9,10 +9,10 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.config import PlannerConfig
-from uav_recon.planning.frontier.cluster_table import OPENING
-from uav_recon.planning.frontier.frontiers import Frontiers
-from uav_recon.planning.frontier.frontier_views import FrontierViews
 from uav_recon.planning.candidate_view import Proposal, Situation
+from uav_recon.planning.frontier.cluster_table import OPENING
+from uav_recon.planning.frontier.frontier_views import FrontierViews
+from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.paths.path_cache import Ways
 from uav_recon.planning.reconstruction.gain_field import FieldViews
 from uav_recon.planning.reconstruction.surface_views import SurfaceViews

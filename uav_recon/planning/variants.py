@@ -10,8 +10,8 @@ from typing import Literal
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.mode_rules import Adaptive, AlwaysMerged, ExploreOnly, ExploreThenRefine, ModeRule
-from uav_recon.planning.tour.task_ordering import ByTheWay, Choice, Greedy, Tour
 from uav_recon.planning.tour.stopping_rule import Worth
+from uav_recon.planning.tour.task_ordering import ByTheWay, Choice, Greedy, Tour
 from uav_recon.types.tasks import TaskKind
 
 BOTH = frozenset(TaskKind)

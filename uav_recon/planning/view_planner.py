@@ -12,26 +12,25 @@ from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.geometry import traversal
 from uav_recon.planning import view_history
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.frontier import rejection_counts
-from uav_recon.planning.frontier import frontier_views as views
-from uav_recon.planning.frontier.rejection_counts import left_out
-from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
-from uav_recon.planning.frontier.frontier_views import FrontierViews
-from uav_recon.planning.route_planning import proposal_for
-from uav_recon.planning.presets import derived
 from uav_recon.planning.candidate_view import Proposal, Situation
-from uav_recon.planning.task_generation import Clusters, Field, Question, Source, places_of
-from uav_recon.planning.tour import travel_time
-from uav_recon.planning.paths import segments
 from uav_recon.planning.free_space import flyable_space as space
-from uav_recon.planning.tour.travel_time import Price, TurningOnTheWay, time_costs
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.frontier import frontier_views as views
+from uav_recon.planning.frontier import rejection_counts
+from uav_recon.planning.frontier.frontier_views import FrontierViews
+from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
+from uav_recon.planning.frontier.rejection_counts import left_out
+from uav_recon.planning.paths import segments
 from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.presets import derived
 from uav_recon.planning.reconstruction import gain_field
 from uav_recon.planning.reconstruction.gain_field import FieldViews
 from uav_recon.planning.reconstruction.surface_views import SurfaceViews
-from uav_recon.planning.tour import atsp
+from uav_recon.planning.route_planning import proposal_for
+from uav_recon.planning.task_generation import Clusters, Field, Question, Source, places_of
+from uav_recon.planning.tour import atsp, travel_time
 from uav_recon.planning.tour.stopping_rule import NOT_WORTH
+from uav_recon.planning.tour.travel_time import Price, TurningOnTheWay, time_costs
 from uav_recon.planning.variants import Variant, variant
 from uav_recon.planning.view_history import Visited
 from uav_recon.types.frames import FloatArray, IntArray

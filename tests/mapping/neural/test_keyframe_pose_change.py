@@ -5,11 +5,11 @@ import pytest
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, distance_to_walls, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.sdf_numba import adam
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
-from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.keyframes import keyframe_buffer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.sdf_numba import adam
+from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose

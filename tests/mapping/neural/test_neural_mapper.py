@@ -7,8 +7,8 @@ import pytest
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, WALL_RGB, distance_to_walls, look, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
+from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.pose import Pose
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.planning.paths.segments import segment_is_open
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.paths.segments import segment_is_open
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec, VoxelMap
 

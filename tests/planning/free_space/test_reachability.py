@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.planning.free_space.voxel_blocks import EDGE, SIDES, part_around, touches
 from uav_recon.planning.free_space.reachability import Regions
+from uav_recon.planning.free_space.voxel_blocks import EDGE, SIDES, part_around, touches
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, IntArray
 
 EVERY_NEIGHBOUR = np.ones((3, 3, 3))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from uav_recon.planning.candidate_view import Situation
-from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, LOW, OUTSIDE, SIDES2, berth_of, voxel_beside
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, LOW, OUTSIDE, SIDES2, berth_of, voxel_beside
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 
 CLEARANCE_M = 0.35

@@ -15,12 +15,12 @@ from uav_recon.bench import recording, view_oracle
 from uav_recon.config import PlannerConfig
 from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
 from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
-from uav_recon.planning.frontier import frontier_views as views_module
-from uav_recon.planning.frontier.frontiers import Frontiers
-from uav_recon.planning.frontier.view_cache import ViewTable
-from uav_recon.planning.frontier.frontier_views import BATCH, COVERED_SHARE, FrontierProposals, FrontierViews
 from uav_recon.planning.candidate_view import MIN_SEEN, Situation
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.frontier import frontier_views as views_module
+from uav_recon.planning.frontier.frontier_views import BATCH, COVERED_SHARE, FrontierProposals, FrontierViews
+from uav_recon.planning.frontier.frontiers import Frontiers
+from uav_recon.planning.frontier.view_cache import ViewTable
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
 

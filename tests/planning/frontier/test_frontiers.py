@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 from box_world import grid_of, voxel_map
 
-from uav_recon.planning.frontier.rejection_counts import left_out
 from uav_recon.planning.frontier.frontiers import FACES, Frontiers, fence_box
+from uav_recon.planning.frontier.rejection_counts import left_out
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from box_world import voxel_map
 
-from uav_recon.planning.frontier.unknown_volume import DEPTH, SHALLOW, beyond
 from uav_recon.planning.frontier.cluster_table import FARTHER, OPENING
 from uav_recon.planning.frontier.frontiers import FACES, Frontiers
+from uav_recon.planning.frontier.unknown_volume import DEPTH, SHALLOW, beyond
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 

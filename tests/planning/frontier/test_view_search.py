@@ -10,13 +10,13 @@ from growing_map import GrowingMap
 from uav_recon.bench import view_oracle
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
-from uav_recon.planning.frontier.frontiers import Frontiers
-from uav_recon.planning.frontier.visibility_bound import BOOK
-from uav_recon.planning.frontier.view_search import ROOM, _ranked, best_view
-from uav_recon.planning.frontier.view_cache import MOST_BLOCKERS, targets
-from uav_recon.planning.view_sampling import explore_shell
-from uav_recon.planning.free_space.subvoxel_clearance import SIDES2
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.free_space.subvoxel_clearance import SIDES2
+from uav_recon.planning.frontier.frontiers import Frontiers
+from uav_recon.planning.frontier.view_cache import MOST_BLOCKERS, targets
+from uav_recon.planning.frontier.view_search import ROOM, _ranked, best_view
+from uav_recon.planning.frontier.visibility_bound import BOOK
+from uav_recon.planning.view_sampling import explore_shell
 from uav_recon.types.maps import FREE, TILE
 
 START = np.array([1.0, 1.0, 1.1])

@@ -10,8 +10,8 @@ from box_world import FIXED, GIMBAL
 
 from uav_recon.geometry.traversal import is_visible
 from uav_recon.planning.camera_frustum import PITCH_MIN, RANGE, CameraGeometry, in_view, sight
-from uav_recon.planning.frontier.visibility_bound import FITTING, FRAMED, TURNED, cells_with, distinct, outlook
 from uav_recon.planning.frontier.view_cache import targets
+from uav_recon.planning.frontier.visibility_bound import FITTING, FRAMED, TURNED, cells_with, distinct, outlook
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 

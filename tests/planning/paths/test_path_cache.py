@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.graph import MCP_Geometric
 
-from uav_recon.planning.paths.segments import segment_is_open
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.paths.segments import segment_is_open
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, GridSpec, VoxelMap
 

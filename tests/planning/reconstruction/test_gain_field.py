@@ -11,8 +11,8 @@ from uncertain_room import elements_of, seen_room, situation_in
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.frontier.frontiers import FACES, Frontier, Frontiers, fence_box
 from uav_recon.planning.candidate_view import Situation
+from uav_recon.planning.frontier.frontiers import FACES, Frontier, Frontiers, fence_box
 from uav_recon.planning.reconstruction.gain_field import BEST_VIEWS, UNKNOWN_WEIGHT, FieldViews, frontier_patches
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import TaskKind

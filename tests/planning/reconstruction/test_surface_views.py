@@ -8,9 +8,9 @@ from uncertain_room import elements_of, seen_room, situation_in
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry.traversal import visible_targets
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.view_sampling import shell
 from uav_recon.planning.reconstruction.surface_elements import Elements
 from uav_recon.planning.reconstruction.surface_views import LOOK_DISCOUNT, SurfaceViews
+from uav_recon.planning.view_sampling import shell
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.tasks import TaskKind, Viewpoint

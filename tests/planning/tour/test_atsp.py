@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_recon.planning.tour.local_search import search_tour
 from uav_recon.planning.tour.atsp import EXACT_LIMIT, SEED, best_tour, rounds_for, tour_cost
+from uav_recon.planning.tour.local_search import search_tour
 from uav_recon.types.frames import FloatArray
 
 ATSP = Path(__file__).parents[4] / "shared" / "streams" / "two_room" / "atsp"

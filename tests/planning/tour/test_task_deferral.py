@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.planning.tour.task_deferral import NOW_SHARE, worth_now
 from uav_recon.planning.tour.stopping_rule import VIEW_S
+from uav_recon.planning.tour.task_deferral import NOW_SHARE, worth_now
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 Place = tuple[TaskKind, float, float, float]  # kind, x, y, gain; the vehicle is at the origin, a metre takes a second

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from uav_recon.planning.tour.task_ordering import DETOUR_S, DETOUR_SHARE, ByTheWay, Choice, Greedy, Tour
 from uav_recon.planning.tour.stopping_rule import VIEW_S, Worth
+from uav_recon.planning.tour.task_ordering import DETOUR_S, DETOUR_SHARE, ByTheWay, Choice, Greedy, Tour
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 

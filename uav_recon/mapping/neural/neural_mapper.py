@@ -8,14 +8,26 @@ from typing import Any
 import numpy as np
 
 from uav_recon.config import MapperConfig, UncertaintyName
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.keyframes.exposure_compensation import Exposure
+from uav_recon.mapping.neural.keyframes.keyframe_buffer import Album
+from uav_recon.mapping.neural.keyframes.keyframe_validation import (
+    FEWEST_VIEWS,
+    Doubt,
+    Refusal,
+    Refusals,
+    padded,
+    pose_refusal,
+    refusal,
+)
+from uav_recon.mapping.neural.keyframes.pose_refinement import Alignment
+from uav_recon.mapping.neural.keyframes.ray_records import in_rows
+from uav_recon.mapping.neural.keyframes.surfels import Patches
 from uav_recon.mapping.neural.sdf_interface import LearnedField
 from uav_recon.mapping.neural.sdf_numba.ray_rendering import render_rays
-from uav_recon.mapping.neural.training_data import Gathered
-from uav_recon.mapping.neural.training_step import Learner
-from uav_recon.mapping.neural.surface.incremental_surface import LiveSurface
+from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
 from uav_recon.mapping.neural.surface.colour_fusion import Painted
 from uav_recon.mapping.neural.surface.extraction import Evidence, WholeSurface, surface_elements, triangle_mesh, whole_surface
+from uav_recon.mapping.neural.surface.incremental_surface import LiveSurface
 from uav_recon.mapping.neural.surface.uncertainty import (
     ColourError,
     DepthInformation,
@@ -24,12 +36,8 @@ from uav_recon.mapping.neural.surface.uncertainty import (
     ProductUncertainty,
     SurfaceUncertainty,
 )
-from uav_recon.mapping.neural.keyframes.keyframe_buffer import Album
-from uav_recon.mapping.neural.keyframes.pose_refinement import Alignment
-from uav_recon.mapping.neural.keyframes.exposure_compensation import Exposure
-from uav_recon.mapping.neural.keyframes.keyframe_validation import FEWEST_VIEWS, Doubt, Refusal, Refusals, padded, pose_refusal, refusal
-from uav_recon.mapping.neural.keyframes.surfels import Patches
-from uav_recon.mapping.neural.keyframes.ray_records import in_rows
+from uav_recon.mapping.neural.training_data import Gathered
+from uav_recon.mapping.neural.training_step import Learner
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh

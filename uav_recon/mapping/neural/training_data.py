@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from uav_recon.mapping.neural.keyframes.depth_visibility import Testimony
+from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
 from uav_recon.mapping.neural.surface.extraction import Evidence
 from uav_recon.mapping.neural.surface.uncertainty import SurfaceUncertainty
-from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
-from uav_recon.mapping.neural.keyframes.depth_visibility import Testimony
 from uav_recon.types.frames import Float32Array
 
 

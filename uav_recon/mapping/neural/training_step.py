@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.keyframes.ray_sampling import Views, draw, make_batch
+from uav_recon.mapping.neural.sdf_numba.adam import Optimiser
 from uav_recon.mapping.neural.sdf_numba.feature_grid import POINTS
 from uav_recon.mapping.neural.sdf_numba.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
-from uav_recon.mapping.neural.sdf_numba.adam import Optimiser
+from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
 from uav_recon.mapping.neural.surface.uncertainty import ColourError
-from uav_recon.mapping.neural.keyframes.ray_sampling import Views, draw, make_batch
 from uav_recon.types.frames import AnyArray, Float32Array
 
 

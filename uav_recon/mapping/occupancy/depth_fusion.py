@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.occupancy.log_odds import doubtful_look
-from uav_recon.mapping.occupancy.free_space_carving import free, view_box
 from uav_recon.mapping.occupancy.depth_min_pooling import CELL, LEVELS, STRIP, pool
+from uav_recon.mapping.occupancy.free_space_carving import free, view_box
 from uav_recon.mapping.occupancy.hit_integration import count_hits, occupy
+from uav_recon.mapping.occupancy.log_odds import doubtful_look
 from uav_recon.types.frames import AnyArray, IntArray
 from uav_recon.types.maps import GridSpec
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.occupancy.log_odds import CLEAR, LOWEST, NOISE_SIGMAS, add
 from uav_recon.mapping.occupancy.depth_min_pooling import CELL, LARGEST_WINDOW, STRIP
+from uav_recon.mapping.occupancy.log_odds import CLEAR, LOWEST, NOISE_SIGMAS, add
 from uav_recon.types.frames import AnyArray
 
 VALID_SHARE = 0.75  # of the footprint must have a return before a voxel is freed

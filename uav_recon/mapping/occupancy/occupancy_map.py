@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_recon.mapping.occupancy.depth_fusion import FrameScratch, fuse
 from uav_recon.mapping.occupancy.distance_field import DistanceField
 from uav_recon.mapping.occupancy.log_odds import FREE_AT, LOWEST, new_states, paint
-from uav_recon.mapping.occupancy.depth_fusion import FrameScratch, fuse
-from uav_recon.mapping.occupancy.snapshot_pool import Pictures
 from uav_recon.mapping.occupancy.occlusion_reset import forget_behind
+from uav_recon.mapping.occupancy.snapshot_pool import Pictures
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, TILE, GridSpec, VoxelMap

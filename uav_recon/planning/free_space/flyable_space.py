@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.free_space.subvoxel_clearance import berth_of
-from uav_recon.planning.free_space.voxel_blocks import EDGE
 from uav_recon.planning.free_space.escape_path import Escape
 from uav_recon.planning.free_space.reachability import Regions
+from uav_recon.planning.free_space.subvoxel_clearance import berth_of
+from uav_recon.planning.free_space.voxel_blocks import EDGE
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.frontier.unknown_volume import weigh
 from uav_recon.planning.frontier.clustering import BLOCK, MIN_CELLS, cut, is_speck
+from uav_recon.planning.frontier.unknown_volume import weigh
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 _FIRST_ROWS = 256

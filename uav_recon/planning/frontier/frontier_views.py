@@ -10,10 +10,10 @@ import numpy as np
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import CameraGeometry
+from uav_recon.planning.candidate_view import MIN_SEEN, Proposal
 from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.frontier.reachable_tiles import Reach, ReachableTiles
 from uav_recon.planning.frontier.view_cache import ViewTable
-from uav_recon.planning.candidate_view import MIN_SEEN, Proposal
 from uav_recon.planning.view_sampling import explore_shell
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, GridSpec, VoxelMap

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.planning.frontier.unknown_volume import around, beyond_each
 from uav_recon.planning.frontier.cluster_table import ClusterTable
 from uav_recon.planning.frontier.clustering import BLOCK, MAX_EXTENT_M, scan
+from uav_recon.planning.frontier.unknown_volume import around, beyond_each
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE, GridSpec, VoxelMap
 

@@ -7,8 +7,8 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import first_obstacle
 from uav_recon.planning.camera_frustum import Sight, in_view, sight
-from uav_recon.planning.frontier.visibility_bound import Int32Array
 from uav_recon.planning.frontier.view_search import ROOM, best_view
+from uav_recon.planning.frontier.visibility_bound import Int32Array
 from uav_recon.planning.view_sampling import Shell
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 

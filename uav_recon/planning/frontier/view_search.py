@@ -12,10 +12,10 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera_frustum import CAM_X, CAM_Y, aim, look_at, sight
-from uav_recon.planning.frontier.camera_aiming import aimed, framed
-from uav_recon.planning.frontier.visibility_rays import Notes, Scene, confirmed, hoped_for, inside, note_sides, noted, revealed
-from uav_recon.planning.frontier.visibility_bound import BOOK, Int32Array, Targets, cells_with, distinct, outlook
 from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, SIDES2, voxel_beside
+from uav_recon.planning.frontier.camera_aiming import aimed, framed
+from uav_recon.planning.frontier.visibility_bound import BOOK, Int32Array, Targets, cells_with, distinct, outlook
+from uav_recon.planning.frontier.visibility_rays import Notes, Scene, confirmed, hoped_for, inside, note_sides, noted, revealed
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.free_space.voxel_blocks import EDGE, Blocks, corner_of, part_at
 from uav_recon.planning.paths.segments import departure, distance, length_of, segment_is_open
-from uav_recon.planning.paths.theta_star import Memory, find_bends, memory_for
-from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.paths.string_pulling import pull_taut
+from uav_recon.planning.paths.theta_star import Memory, find_bends, memory_for
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.planning.free_space.reachability import PartArray
 from uav_recon.planning.free_space.voxel_blocks import MOST_PARTS, ONE, Blocks, corner_of, touches
 from uav_recon.planning.paths.segments import distance, length_of, segment_is_open
-from uav_recon.planning.free_space.reachability import PartArray
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 EAGERNESS = 1.1  # towards the goal: half as many parts are looked at, for ways that differ by less than what pulling evens out

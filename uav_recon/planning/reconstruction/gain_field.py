@@ -15,11 +15,11 @@ from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import is_visible
 from uav_recon.planning.camera_frustum import CAM_Z, NEAR, RANGE, CameraGeometry, Sight, in_view, sight
-from uav_recon.planning.frontier.frontiers import FACES, Frontier
 from uav_recon.planning.candidate_view import MIN_SEEN, Proposal, Situation
+from uav_recon.planning.frontier.frontiers import FACES, Frontier
 from uav_recon.planning.reconstruction.surface_elements import CELL, Elements, KeptElements, squarest, weigh, within
-from uav_recon.planning.reconstruction.view_gain import TAIL, patches_near, seen
 from uav_recon.planning.reconstruction.surface_views import LOOK_DISCOUNT
+from uav_recon.planning.reconstruction.view_gain import TAIL, patches_near, seen
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import FREE, SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint

@@ -14,11 +14,11 @@ from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera_frustum import RANGE, CameraGeometry
 from uav_recon.planning.candidate_view import Proposal, Situation
-from uav_recon.planning.view_sampling import shell
-from uav_recon.planning.reconstruction.unmodelled_surface import bare_surface
-from uav_recon.planning.reconstruction.surface_elements import Elements, KeptElements, squarest, weigh, within
-from uav_recon.planning.reconstruction.view_gain import best_view, patches_near, promising
 from uav_recon.planning.reconstruction.geodesic_neighbourhood import seen_from_near, wave
+from uav_recon.planning.reconstruction.surface_elements import Elements, KeptElements, squarest, weigh, within
+from uav_recon.planning.reconstruction.unmodelled_surface import bare_surface
+from uav_recon.planning.reconstruction.view_gain import best_view, patches_near, promising
+from uav_recon.planning.view_sampling import shell
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint

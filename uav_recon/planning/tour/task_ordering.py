@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.planning.tour.atsp import best_tour
-from uav_recon.planning.tour.task_deferral import worth_now
 from uav_recon.planning.tour.stopping_rule import VIEW_S, Kept, Worth
+from uav_recon.planning.tour.task_deferral import worth_now
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.tasks import Task, TaskKind
 

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import Doubt, Refusal, Refusals, padded, refusal
+from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose

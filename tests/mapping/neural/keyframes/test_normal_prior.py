@@ -11,10 +11,10 @@ from box_room import BASELINE_M, DEPTH_LENS, HIGH, LOW, NOISE_PX, RGB_FROM_DEPTH
 from onnx import TensorProto, helper
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
-from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.keyframes.normal_prior import NormalPrior, PriorError, open_prior
 from uav_recon.mapping.neural.keyframes.ray_records import NORMAL_UNIT, ray_records
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose

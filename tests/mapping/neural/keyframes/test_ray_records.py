@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from box_room import BASELINE_M, DEPTH_LENS, HIGH, LOW, NOISE_PX, distance_to_walls, look
 
-from uav_recon.mapping.neural.keyframes.ray_records import ray_records
 from uav_recon.mapping.neural.keyframes.ray_buffer import RAYS_PER_VIEW, Replay, ViewRays
+from uav_recon.mapping.neural.keyframes.ray_records import ray_records
 from uav_recon.types.camera import PosedFrame
 
 SIGMA = NOISE_PX / (DEPTH_LENS.fx * BASELINE_M)

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mapping.neural.keyframes.ray_records import COLUMNS, DEPTH_UNIT_M
 from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
+from uav_recon.mapping.neural.keyframes.ray_records import COLUMNS, DEPTH_UNIT_M
 from uav_recon.mapping.neural.keyframes.ray_sampling import DISTANCE_FACTOR, FREE, LEAST_TRUST, NEAR, RAYS, draw, make_batch
 
 D435I = 0.08 / (447.0 * 0.05)  # inverse depth, sigma

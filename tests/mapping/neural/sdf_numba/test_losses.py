@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 import torch
 
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
-from uav_recon.mapping.neural.sdf_numba.feature_grid import LEVELS, POINTS, Grid
-from uav_recon.mapping.neural.sdf_numba.losses import STENCIL_M, TETRAHEDRON, VARIANCE_SHARE, fit_colour, fit_distance, fit_shape
-from uav_recon.mapping.neural.sdf_numba.network import OUTSIDE_BIAS_M, TRUNCATION_M
 from uav_recon.mapping.neural.sdf_numba.adam import Optimiser
+from uav_recon.mapping.neural.sdf_numba.feature_grid import LEVELS, POINTS, Grid
+from uav_recon.mapping.neural.sdf_numba.losses import (
+    STENCIL_M,
+    TETRAHEDRON,
+    VARIANCE_SHARE,
+    fit_colour,
+    fit_distance,
+    fit_shape,
+)
+from uav_recon.mapping.neural.sdf_numba.network import OUTSIDE_BIAS_M, TRUNCATION_M
+from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
 from uav_recon.types.frames import Float32Array
 
 LOW, HIGH = np.zeros(3), np.array([1.0, 0.8, 0.6])

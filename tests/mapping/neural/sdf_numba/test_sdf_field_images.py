@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
 from uav_recon.mapping.neural.sdf_numba.ray_rendering import EDGE_M, FARTHEST_M, render_rays
+from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
 from uav_recon.types.frames import BoolArray, Float32Array
 
 RADIUS_M = 2.0

@@ -8,10 +8,10 @@ import torch
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, WALL_RGB, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.training_data import Gathered
-from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan, Refiner
-from uav_recon.mapping.neural.sdf_torch.distributed import DeviceError, Team, device_kind
 from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.sdf_torch.distributed import DeviceError, Team, device_kind
+from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan, Refiner
+from uav_recon.mapping.neural.training_data import Gathered
 from uav_recon.types.frames import ByteArray, Float32Array
 
 PLAN = RefinePlan(steps=240, voxel_m=0.03, rays=256, seed=0)

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
-from uav_recon.mapping.neural.sdf_numba.feature_grid import FINEST_CELL_M, POINTS, Gradient
-from uav_recon.mapping.neural.sdf_numba.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
-from uav_recon.mapping.neural.sdf_numba.adam import Optimiser
-from uav_recon.mapping.neural.sdf_torch.sdf_field import TensorField
-from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError, lay_out
-from uav_recon.mapping.neural.sdf_torch.adam import Adam
-from uav_recon.mapping.neural.sdf_torch.ray_sampling import Batch, Replayed, draw, state_before
 from uav_recon.mapping.neural.keyframes import ray_sampling
 from uav_recon.mapping.neural.keyframes.ray_records import COLUMNS
+from uav_recon.mapping.neural.sdf_numba.adam import Optimiser
+from uav_recon.mapping.neural.sdf_numba.feature_grid import FINEST_CELL_M, POINTS, Gradient
+from uav_recon.mapping.neural.sdf_numba.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
+from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.sdf_torch.adam import Adam
+from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError, lay_out
+from uav_recon.mapping.neural.sdf_torch.ray_sampling import Batch, Replayed, draw, state_before
+from uav_recon.mapping.neural.sdf_torch.sdf_field import TensorField
 from uav_recon.types.frames import Float32Array
 
 LOW, HIGH = np.zeros(3), np.array([1.7, 1.2, 0.9])

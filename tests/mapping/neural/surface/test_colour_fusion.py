@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
+from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
+from uav_recon.mapping.neural.keyframes.ray_records import BEARING_UNIT, COLUMNS, DEPTH_UNIT_M
+from uav_recon.mapping.neural.keyframes.ray_sampling import TOE
 from uav_recon.mapping.neural.surface import colour_fusion
 from uav_recon.mapping.neural.surface.colour_fusion import CELL_M, FIELD_WORTH, Painted
-from uav_recon.mapping.neural.keyframes.ray_records import BEARING_UNIT, COLUMNS, DEPTH_UNIT_M
-from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
-from uav_recon.mapping.neural.keyframes.ray_sampling import TOE
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 
 LOW, HIGH = np.array([-1.0, -1.0, 0.0], dtype=np.float32), np.array([1.0, 1.0, 2.5], dtype=np.float32)

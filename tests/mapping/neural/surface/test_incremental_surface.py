@@ -5,8 +5,8 @@ import pytest
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, look, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.surface.extraction import Evidence
 from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.surface.extraction import Evidence
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements
 

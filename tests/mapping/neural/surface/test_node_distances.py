@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
-from uav_recon.mapping.neural.surface.surface_nets import node_points, wanted_nodes
 from uav_recon.mapping.neural.surface.node_distances import fill_distances
+from uav_recon.mapping.neural.surface.surface_nets import node_points, wanted_nodes
 
 LOW, HIGH = np.array([-0.4, 0.1, 0.0]), np.array([1.7, 1.9, 1.3])
 CELL_M = 0.05

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.mapping.neural.surface.extraction import Evidence, borne_out
 from uav_recon.mapping.neural.keyframes import depth_visibility
+from uav_recon.mapping.neural.surface.extraction import Evidence, borne_out
 from uav_recon.types.frames import Float32Array
 
 WALL_M = 1.52

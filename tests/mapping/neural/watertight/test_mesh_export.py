@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from uav_recon.mapping.neural.watertight.mesh_export import GLTF_FROM_WORLD, OBSERVED, UNSEEN, write_closed_ply, write_textured_glb
+from uav_recon.mapping.neural.watertight.mesh_export import (
+    GLTF_FROM_WORLD,
+    OBSERVED,
+    UNSEEN,
+    write_closed_ply,
+    write_textured_glb,
+)
 from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh
 from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.types.frames import Float32Array

@@ -8,10 +8,10 @@ import trimesh
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, WALL_RGB, distance_to_walls, tour
 
 from uav_recon.config import MapperConfig
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.training_data import Gathered
 from uav_recon.mapping.neural.watertight import watertight_mesh
 from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh, ShellError, closed_mesh
-from uav_recon.mapping.neural.training_data import Gathered
-from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.types.frames import Float32Array
 
 VOXEL_M = 0.04

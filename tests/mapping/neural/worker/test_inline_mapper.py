@@ -7,9 +7,9 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, bent, correction, distance
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.worker.inline_mapper import InlineMapper
-from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.worker.inline_mapper import InlineMapper
 
 CONFIG = MapperConfig(steps_per_view=10, polish_steps=20, mesh_voxel_m=0.05)
 

@@ -14,11 +14,10 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, look, tour
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
+from uav_recon.mapping.neural.keyframes import keyframe_buffer, ray_buffer
+from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.worker import checkpoint
 from uav_recon.mapping.neural.worker.checkpoint import EVERY_VIEWS, CheckpointError, Checkpoints
-from uav_recon.mapping.neural.neural_mapper import Trainer
-from uav_recon.mapping.neural.keyframes import keyframe_buffer
-from uav_recon.mapping.neural.keyframes import ray_buffer
 
 CONFIG, ORDER = MapperConfig(), {"config": {"seed": 0}, "box_min_m": [0.0, 0.0, 0.0]}
 VIEWS, STEPS = EVERY_VIEWS + 4, 6

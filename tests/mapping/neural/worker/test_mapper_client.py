@@ -18,11 +18,11 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, bent, correction, distance
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
+from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
 from uav_recon.mapping.neural.worker.checkpoint import EVERY_VIEWS
-from uav_recon.mapping.neural.worker.mapper_process import CHECKPOINT, FIRST_TO_GO, LOG_FILE, NICENESS
 from uav_recon.mapping.neural.worker.child_watchdog import ASLEEP_S, LOOK_S
 from uav_recon.mapping.neural.worker.mapper_client import RESTARTS, ProcessMapper
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
+from uav_recon.mapping.neural.worker.mapper_process import CHECKPOINT, FIRST_TO_GO, LOG_FILE, NICENESS
 
 CONFIG = MapperConfig(steps_per_view=10, idle_steps_hz=5.0, polish_steps=20, mesh_voxel_m=0.05)
 PATIENCE_S = 120.0

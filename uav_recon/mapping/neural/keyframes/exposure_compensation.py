@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.mapping.neural.keyframes.surfels import COLOUR, COLOURED, WHITENED, Patches
 from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
+from uav_recon.mapping.neural.keyframes.surfels import COLOUR, COLOURED, WHITENED, Patches
 from uav_recon.types.frames import BoolArray, FloatArray
 
 GAIN_SIGMA = 0.3  # of a log gain: one EV is 0.29

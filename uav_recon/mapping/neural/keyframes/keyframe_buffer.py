@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from uav_recon.mapping.neural.keyframes.depth_visibility import DepthImage, Testimony
+from uav_recon.mapping.neural.keyframes.eviction_policy import Remembered
 from uav_recon.mapping.neural.keyframes.keyframe_validation import FEWEST_RAYS
 from uav_recon.mapping.neural.keyframes.normal_prior import open_prior
-from uav_recon.mapping.neural.keyframes.ray_records import pixel_stride, ray_records
-from uav_recon.mapping.neural.keyframes.eviction_policy import Remembered
 from uav_recon.mapping.neural.keyframes.ray_buffer import MOST_VIEWS, Replay, ViewRays
-from uav_recon.mapping.neural.keyframes.depth_visibility import DepthImage, Testimony
+from uav_recon.mapping.neural.keyframes.ray_records import pixel_stride, ray_records
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 

@@ -13,8 +13,8 @@ from itertools import compress
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.neural.keyframes.surfels import NORMAL, POINT, VARIANCE, WEIGHT, Patches
 from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
+from uav_recon.mapping.neural.keyframes.surfels import NORMAL, POINT, VARIANCE, WEIGHT, Patches
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
-from uav_recon.mapping.neural.sdf_numba.network import TRUNCATION_M
 from uav_recon.mapping.neural.keyframes.ray_records import BEARING_UNIT, DEPTH_UNIT_M, NORMAL_UNIT
+from uav_recon.mapping.neural.sdf_numba.network import TRUNCATION_M
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, IntArray
 
 RAYS = 1024

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
 from uav_recon.mapping.neural.sdf_numba.feature_grid import FEATURES, Gradient, make_gradient
 from uav_recon.mapping.neural.sdf_numba.network import PARAMETERS, Network, views
+from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
 from uav_recon.types.frames import Float32Array
 
 BETA_1, BETA_2 = np.float32(0.9), np.float32(0.99)

@@ -12,10 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uav_recon.mapping.neural.sdf_numba.network import TRUNCATION_M
 from uav_recon.mapping.neural.keyframes import ray_sampling
 from uav_recon.mapping.neural.keyframes.ray_records import BEARING_UNIT, DEPTH_UNIT_M, NORMAL_UNIT
 from uav_recon.mapping.neural.keyframes.ray_sampling import FREE, NEAR, Views
+from uav_recon.mapping.neural.sdf_numba.network import TRUNCATION_M
 
 NUMBERS = 4 + NEAR + FREE  # that a ray takes from the stream: two for the view, one for the ray, its samples, the jitter
 SHAPE_SHARE = ray_sampling.SURFACE_POINTS / ray_sampling.RAYS  # of the rays that also say how the surface lies

@@ -8,14 +8,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uav_recon.mapping.neural.training_data import Gathered
-from uav_recon.mapping.neural.sdf_torch.checkpoint import Identity
-from uav_recon.mapping.neural.sdf_torch.sdf_field import TensorField
-from uav_recon.mapping.neural.sdf_torch.feature_grid import Blocks, lay_out
-from uav_recon.mapping.neural.sdf_torch.training_step import Learner, Sampling
-from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed
-from uav_recon.mapping.neural.sdf_torch.distributed import Team
 from uav_recon.mapping.neural.keyframes.ray_buffer import OFFSETS_M
+from uav_recon.mapping.neural.sdf_torch.checkpoint import Identity
+from uav_recon.mapping.neural.sdf_torch.distributed import Team
+from uav_recon.mapping.neural.sdf_torch.feature_grid import Blocks, lay_out
+from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed
+from uav_recon.mapping.neural.sdf_torch.sdf_field import TensorField
+from uav_recon.mapping.neural.sdf_torch.training_step import Learner, Sampling
+from uav_recon.mapping.neural.training_data import Gathered
 
 FINAL_RATE = 0.05  # the last step has this share of the learning rate; it falls from the middle of the run on
 CELL_VOXELS = 2.0  # finest cell in voxels of the mesh: a trilinear cell holds what two samples of it show

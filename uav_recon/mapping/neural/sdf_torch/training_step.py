@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from uav_recon.mapping.neural.sdf_torch.sdf_field import TensorField
 from uav_recon.mapping.neural.sdf_torch.adam import Adam
-from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed, draw, state_before
 from uav_recon.mapping.neural.sdf_torch.distributed import Team
+from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed, draw, state_before
+from uav_recon.mapping.neural.sdf_torch.sdf_field import TensorField
 from uav_recon.types.frames import Float32Array
 
 EAGER_STEPS = 3  # on a side stream before a graph is captured, so that every library has set itself up

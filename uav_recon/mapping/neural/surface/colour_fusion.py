@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
-from uav_recon.mapping.neural.sdf_interface import LearnedField
 from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
 from uav_recon.mapping.neural.keyframes.ray_sampling import TOE, WHITE, ray_points
+from uav_recon.mapping.neural.sdf_interface import LearnedField
 from uav_recon.types.frames import AnyArray, Float32Array
 
 CELL_M, EDGE = 0.02, 4  # cells live in blocks of EDGE³ that exist only where something was seen

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
-from uav_recon.mapping.neural.sdf_interface import LearnedField
-from uav_recon.mapping.neural.surface.surface_nets import net_vertices, surface_net, wanted_nodes
-from uav_recon.mapping.neural.surface.node_distances import fill_distances
-from uav_recon.mapping.neural.surface.uncertainty import Lattice, SurfaceUncertainty
 from uav_recon.mapping.neural.keyframes.depth_visibility import Testimony
+from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.surface.node_distances import fill_distances
+from uav_recon.mapping.neural.surface.surface_nets import net_vertices, surface_net, wanted_nodes
+from uav_recon.mapping.neural.surface.uncertainty import Lattice, SurfaceUncertainty
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
 from uav_recon.mapping.neural.sdf_numba.feature_grid import FEATURES, LEVELS, POINTS, Grid
 from uav_recon.mapping.neural.sdf_numba.network import Network, Scratch, distance_alone
+from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
 from uav_recon.mapping.neural.surface.surface_nets import ABSENT, EDGE, SparseNodes
 from uav_recon.types.frames import AnyArray, Float32Array
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from uav_recon.mapping.keyframe_store import write_whole
+from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.mapping.neural.surface.ply_writer import ply
 from uav_recon.mapping.neural.watertight.texture_atlas import unwrap
 from uav_recon.mapping.neural.watertight.texture_baking import painted
 from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh
-from uav_recon.mapping.neural.sdf_interface import LearnedField
-from uav_recon.mapping.neural.surface.ply_writer import ply
 from uav_recon.types.frames import FloatArray, IntArray
 
 OBSERVED, UNSEEN = "observed", "unseen"

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.mapping.neural.watertight.texture_atlas import Atlas
 from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.mapping.neural.watertight.texture_atlas import Atlas
 from uav_recon.types.frames import BoolArray, ByteArray
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.mapping.neural.sdf_interface import LearnedField
-from uav_recon.mapping.neural.training_data import Gathered
-from uav_recon.mapping.neural.surface.surface_nets import ABSENT, EDGE, node_points, wanted_nodes
 from uav_recon.mapping.neural.surface.extraction import EVIDENCE_CELL_M, FEWEST_ENDS, SHEET_M, borne_out
+from uav_recon.mapping.neural.surface.surface_nets import ABSENT, EDGE, node_points, wanted_nodes
+from uav_recon.mapping.neural.training_data import Gathered
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TriangleMesh
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.worker.mapper_process import MESH_FILE
-from uav_recon.mapping.neural.surface.ply_writer import write_ply
-from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal, in_words
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.surface.ply_writer import write_ply
+from uav_recon.mapping.neural.worker.mapper_process import MESH_FILE
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.pose import MapCorrection

@@ -18,6 +18,9 @@ from uav_recon.channels import FileChannel
 from uav_recon.clock import RateKeeper
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
+from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal, Refusals, in_words, padded, refusal
+from uav_recon.mapping.neural.keyframes.normal_prior import open_prior
+from uav_recon.mapping.neural.worker.child_watchdog import LOOK_S, Vigil, pulse_of
 from uav_recon.mapping.neural.worker.mapper_process import (
     CHECKPOINT,
     KEYFRAMES,
@@ -27,9 +30,6 @@ from uav_recon.mapping.neural.worker.mapper_process import (
     ChildProcess,
     Message,
 )
-from uav_recon.mapping.neural.worker.child_watchdog import LOOK_S, Vigil, pulse_of
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal, Refusals, in_words, padded, refusal
-from uav_recon.mapping.neural.keyframes.normal_prior import open_prior
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements

@@ -26,10 +26,10 @@ import numpy as np
 from uav_recon.channels import FileChannel
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
-from uav_recon.mapping.neural.worker.checkpoint import CheckpointError, Checkpoints
-from uav_recon.mapping.neural.surface.ply_writer import write_ply
-from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.surface.ply_writer import write_ply
+from uav_recon.mapping.neural.worker.checkpoint import CheckpointError, Checkpoints
 from uav_recon.types.maps import SurfaceElements
 
 LOG = logging.getLogger(__name__)

@@ -1,0 +1,126 @@
+"""ArduCopter's rules on constructed telemetry: what is missing, and how it is brought into the air."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_recon.autopilot.firmware import ardupilot
+from uav_recon.autopilot.firmware.ardupilot import CLIMB_M, TAKE_OFF, TakeOff
+from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, Outcome
+from uav_recon.autopilot.mavlink.telemetry import Telemetry
+
+STABILIZE, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 4, 5, 6, 9, 17
+
+
+def ready(**changes: Any) -> Telemetry:
+    good = Telemetry(
+        system=1, heard_s=10.0, heartbeat_s=10.0, firmware_family=3, version=(4, 8, 0), estimator_good=True,
+        prearm_good=True, origin_known=True, pose_fed_s=10.0,
+    )  # fmt: skip
+    return dataclasses.replace(good, **changes)
+
+
+def test_modes() -> None:
+    modes = (STABILIZE, GUIDED, LOITER, RTL, LAND, BRAKE)
+    assert [ardupilot.mode_name(m) for m in (*modes, 99)] == [
+        "STABILIZE", "GUIDED", "LOITER", "RTL", "LAND", "BRAKE", "MODE99",
+    ]  # fmt: skip
+    assert [m for m in modes if ardupilot.is_ours(m)] == [GUIDED]
+    assert [m for m in modes if ardupilot.is_landing(m)] == [LAND]
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({}, ""),
+        ({"heartbeat_s": 6.9}, "no heartbeat"),
+        ({"firmware_family": 12}, "not ArduPilot"),
+        ({"version": (4, 5, 1)}, "4.5.1 is older than 4.5.2"),
+        ({"pose_fed_s": -math.inf}, "no pose"),
+        ({"estimator_good": False}, "estimator"),
+        ({"origin_known": False}, "no origin"),
+        ({"prearm_good": False, "warning": "PreArm: Fence requires position"}, "fail: PreArm: Fence requires position"),
+    ],
+)
+def test_what_is_missing_is_named(changes: dict[str, Any], says: str) -> None:
+    missing = ardupilot.missing_for_arming(ready(**changes), True, 10.0)
+    assert says in missing
+    assert bool(missing) is bool(says)
+
+
+class Bench:
+    """Steps a take-off at 100 Hz under telemetry that the test sets."""
+
+    def __init__(self, **telemetry: Any) -> None:
+        self.t, self.take_off, self.tick = ready(**telemetry), TakeOff(0.0), 0
+        self.asked: list[tuple[float, int]] = []
+        self.outcome = Outcome.PENDING
+
+    def run(self, until_s: float) -> None:
+        while self.tick < until_s * 100 and self.outcome is Outcome.PENDING:
+            now = self.tick / 100
+            self.t.heartbeat_s = math.floor(now * 5) / 5
+            self.outcome, command = self.take_off.step(now, self.t)
+            if command is not None:
+                self.asked.append((now, command[0]))
+            self.tick += 1
+
+
+def test_no_setpoint_may_run_before_it_flies() -> None:
+    assert not TakeOff(0.0).streams
+
+
+def test_mode_then_motors_then_one_climb() -> None:
+    b = Bench(custom_mode=STABILIZE)
+    b.run(1.0)
+    b.t.custom_mode = GUIDED
+    b.run(2.0)
+    b.t.armed = True
+    b.run(5.0)
+    assert [command for _, command in b.asked] == [DO_SET_MODE, ARM_DISARM, TAKE_OFF]
+    b.t.position_m = np.array([0.0, 0.0, CLIMB_M - 0.05])
+    b.run(6.0)
+    assert b.outcome is Outcome.ARMED
+
+
+def test_an_old_heartbeat_is_no_proof_of_the_mode() -> None:
+    b = Bench(custom_mode=GUIDED)
+    b.run(0.1)
+    assert [command for _, command in b.asked] == [DO_SET_MODE]
+
+
+def test_a_climb_that_does_not_come_is_given_up_and_not_asked_for_again() -> None:
+    b = Bench(custom_mode=GUIDED, armed=True)
+    b.run(20.0)
+    assert [command for _, command in b.asked] == [DO_SET_MODE, TAKE_OFF]
+    assert b.outcome is Outcome.GIVEN_UP
+    assert "it climbed 0.00 m in 5 s" in b.take_off.reason
+
+
+def test_a_mode_changed_in_the_climb_gives_up() -> None:
+    b = Bench(custom_mode=GUIDED, armed=True)
+    b.run(2.0)
+    b.t.custom_mode = LOITER
+    b.run(3.0)
+    assert b.outcome is Outcome.GIVEN_UP
+    assert "LOITER" in b.take_off.reason
+
+
+def test_motors_that_stop_before_it_flew_give_up() -> None:
+    b = Bench(custom_mode=GUIDED, armed=True)
+    b.run(2.0)
+    b.t.armed = False
+    b.run(3.0)
+    assert b.outcome is Outcome.GIVEN_UP
+
+
+def test_motors_that_stay_off_are_asked_three_times() -> None:
+    b = Bench(custom_mode=GUIDED, warning="Arm: RC not found")
+    b.run(30.0)
+    assert [command for _, command in b.asked] == [DO_SET_MODE] + [ARM_DISARM] * 3
+    assert b.take_off.reason == "arming given up: motors stay off: Arm: RC not found"

@@ -1,0 +1,125 @@
+"""PX4's rules on constructed telemetry: what is missing, and how arming is asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from typing import Any
+
+import pytest
+
+from uav_recon.autopilot.firmware import px4
+from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, Outcome
+from uav_recon.autopilot.firmware.px4 import Arming
+from uav_recon.autopilot.mavlink.telemetry import Telemetry
+
+OFFBOARD, LAND, LOITER, POSCTL, RTL = 393216, 100925440, 50593792, 196608, 84148224  # the first three as measured
+
+
+def ready(**changes: Any) -> Telemetry:
+    good = Telemetry(
+        system=1,
+        heard_s=10.0,
+        heartbeat_s=10.0,
+        firmware_family=12,
+        custom_mode=LOITER,
+        version=(1, 17, 0),
+        estimator_good=True,
+        prearm_good=True,
+        origin_known=True,
+        pose_fed_s=10.0,
+    )
+    return dataclasses.replace(good, **changes)
+
+
+def test_modes_as_measured() -> None:
+    assert [px4.mode_name(m) for m in (OFFBOARD, LAND, LOITER, POSCTL, RTL)] == [
+        "OFFBOARD", "AUTO.LAND", "AUTO.LOITER", "POSCTL", "AUTO.RTL",
+    ]  # fmt: skip
+    assert px4.mode_name(99 << 16) == "MODE99"
+    assert [px4.is_ours(m) for m in (OFFBOARD, LAND, LOITER, POSCTL, RTL)] == [True, False, False, False, False]
+    assert [px4.is_landing(m) for m in (OFFBOARD, LAND, LOITER, POSCTL, RTL)] == [False, True, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({}, ""),
+        ({"heartbeat_s": 6.9}, "no heartbeat"),
+        ({"firmware_family": 3}, "not PX4"),
+        ({"twin_heard": True}, "our id"),
+        ({"version": None}, "version unknown"),
+        ({"version": (1, 15, 3)}, "1.15.3 is older than 1.15.4"),
+        ({"version": (1, 18, 0)}, "1.18.0 is not known: wants one before 1.18.0"),
+        ({"version": (1, 15, 4)}, ""),
+        ({"pose_fed_s": 9.4}, "no pose"),
+        ({"pose_fed_s": -math.inf}, "no pose"),
+        ({"estimator_good": False}, "estimator"),
+        ({"origin_known": False}, "no origin"),
+        ({"stale_frames": 1, "clock_answers": 499}, "late or twice"),
+        ({"stale_frames": 1, "clock_answers": 500}, ""),
+        ({"stale_frames": 0, "clock_answers": 0}, ""),
+        ({"prearm_good": False, "warning": "Battery low"}, "pre-arm checks fail: Battery low"),
+    ],
+)
+def test_what_is_missing_is_named(changes: dict[str, Any], says: str) -> None:
+    missing = px4.missing_for_arming(ready(**changes), True, 10.0)
+    assert says in missing
+    assert bool(missing) is bool(says)
+    assert "clocks" in px4.missing_for_arming(ready(), False, 10.0)
+
+
+def drive(
+    arming: Arming, telemetry: Telemetry, until_s: float, start_s: float = 0.0
+) -> tuple[list[tuple[float, int]], Outcome]:
+    """Step at 100 Hz under telemetry that never changes, with a heartbeat every 0.2 s."""
+    asked, outcome, tick = [], Outcome.PENDING, round(start_s * 100)
+    while tick < until_s * 100 and outcome is Outcome.PENDING:
+        now = tick / 100
+        telemetry.heartbeat_s = math.floor(now * 5) / 5
+        outcome, command = arming.step(now, telemetry)
+        if command is not None:
+            assert command[1][1:2] != (21196.0,), "never forced"
+            asked.append((now, command[0]))
+        tick += 1
+    return asked, outcome
+
+
+def test_a_mode_that_never_shows_is_asked_for_three_times() -> None:
+    arming = Arming(0.0)
+    asked, outcome = drive(arming, ready(warning="no RC"), 20.0)
+    assert [command for _, command in asked] == [DO_SET_MODE] * 3
+    assert asked[0][0] >= 1.0
+    assert outcome is Outcome.GIVEN_UP
+    assert arming.reason == "arming given up: mode stays AUTO.LOITER: no RC"
+
+
+def test_motors_that_stay_off_are_asked_three_times_five_seconds_apart() -> None:
+    arming = Arming(0.0)
+    asked, outcome = drive(arming, ready(custom_mode=OFFBOARD, warning="Arming denied: compass"), 30.0)
+    arms = [at for at, command in asked if command == ARM_DISARM]
+    assert len(arms) == 3
+    assert [b - a for a, b in itertools.pairwise(arms)] == pytest.approx([5.0, 5.0], abs=0.02)
+    assert outcome is Outcome.GIVEN_UP
+    assert arming.reason == "arming given up: motors stay off: Arming denied: compass"
+
+
+def test_offboard_left_over_from_before_is_no_proof() -> None:
+    """The mode is asked for even if an old heartbeat shows it already."""
+    asked, _ = drive(Arming(0.0), ready(custom_mode=OFFBOARD), 1.5)
+    assert asked[0][1] == DO_SET_MODE
+
+
+def test_a_mode_changed_before_arming_gives_up() -> None:
+    arming, telemetry = Arming(0.0), ready(custom_mode=OFFBOARD)
+    drive(arming, telemetry, 2.0)
+    telemetry.custom_mode = POSCTL
+    asked, outcome = drive(arming, telemetry, 4.0, start_s=2.0)
+    assert (asked, outcome) == ([], Outcome.GIVEN_UP)
+    assert "POSCTL" in arming.reason
+
+
+def test_armed_in_our_mode_is_the_end_of_it() -> None:
+    _, outcome = drive(Arming(0.0), ready(custom_mode=OFFBOARD, armed=True), 5.0)
+    assert outcome is Outcome.ARMED

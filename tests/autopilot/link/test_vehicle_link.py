@@ -1,0 +1,317 @@
+"""Who is listened to, and what the link will send."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as wire
+
+from uav_recon.autopilot.firmware.px4 import PX4
+from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.mavlink.allow_list import AllowList, Gate
+from uav_recon.autopilot.mavlink.tlog import NoLog
+from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.trajectory import Setpoint
+
+
+class Wire:
+    """A byte link whose other end is the test."""
+
+    def __init__(self) -> None:
+        self.inbox, self.error = b"", ""
+        self.sent: list[Any] = []
+        self._voices: dict[tuple[int, int], Any] = {}
+
+    def read(self) -> bytes:
+        if self.error:
+            raise OSError(5, self.error)
+        data, self.inbox = self.inbox, b""
+        return data
+
+    def write(self, data: bytes) -> None:
+        if self.error:
+            raise OSError(5, self.error)
+        self.sent.append(wire.MAVLink(None).decode(bytearray(data)))
+
+    def wait(self, timeout_s: float) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def restart(self) -> None:
+        self._voices.clear()
+
+    def hear(self, message: Any, system: int = 1, component: int = 1) -> None:
+        voice = self._voices.setdefault((system, component), wire.MAVLink(None, system, component))
+        self.inbox += bytes(message.pack(voice))
+        voice.seq = (voice.seq + 1) % 256
+
+
+def heartbeat(mode: int = 6 << 16, armed: bool = False, autopilot: int = 12) -> Any:
+    return wire.MAVLink_heartbeat_message(2, autopilot, 0x80 if armed else 0, mode, 4, 3)
+
+
+@pytest.fixture
+def far() -> Wire:
+    return Wire()
+
+
+@pytest.fixture
+def pair(far: Wire) -> tuple[Link, Wire]:
+    return Link(far, NoLog(), 0.0, PX4, Gate()), far
+
+
+def converge(link: Link, far: Wire, offset_s: float = 37.5) -> None:
+    far.hear(heartbeat())
+    link.receive(0.0)
+    for i in range(12):
+        now = 0.2 * i
+        far.hear(wire.MAVLink_timesync_message(int((now + 0.001 + offset_s) * 1e9), int(now * 1e9)))
+        link.receive(now + 0.002)
+    assert link.time_known
+
+
+def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
+    gate = Gate(AllowList(system=7, autopilot=1, gimbal=154))
+    link = Link(far, NoLog(), 0.0, PX4, gate)
+    far.hear(heartbeat(autopilot=8), 255, 190)  # a ground station
+    far.hear(heartbeat(mode=4 << 16, armed=True), 9, 1)  # another vehicle, and earlier than ours
+    far.hear(heartbeat(autopilot=8), 7, 154)  # a gimbal
+    link.receive(0.0)
+    system_before = link.telemetry.system
+    far.hear(heartbeat(mode=3 << 16), 7, 1)
+    for _ in range(5):
+        far.hear(heartbeat(mode=4 << 16, armed=True), 9, 1)
+        far.hear(heartbeat(mode=4 << 16, armed=True), 7, 2)
+    link.receive(0.1)
+    assert (system_before, link.telemetry.system) == (0, 7)
+    assert (link.telemetry.custom_mode, link.telemetry.armed) == (3 << 16, False)
+    twin_before = link.telemetry.twin_heard
+    far.hear(heartbeat(), 245, 191)
+    link.receive(0.2)
+    assert (twin_before, link.telemetry.twin_heard) == (False, True)
+    assert gate.refused == 12
+    named = [record.getMessage() for record in caplog.records]
+    assert [
+        sum(f"system {one}" in text for text in named) for one in ("255, component 190", "9, component 1", "7, component 2")
+    ]
+    assert len(named) == 3, "each is named once"
+
+
+def test_mavlink_1_is_counted_and_named_and_says_nothing(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
+    gate = Gate()
+    link = Link(far, NoLog(), 0.0, PX4, gate)
+    for _ in range(3):
+        far.inbox += bytes(heartbeat(armed=True).pack(wire.MAVLink(None, 1, 1), force_mavlink1=True))
+    link.receive(0.0)
+    assert (link.telemetry.system, link.telemetry.armed, gate.refused) == (0, False, 3)
+    assert [record.getMessage() for record in caplog.records] == ["link: MAVLink 1: not listened to"]
+
+
+def test_a_forger_with_a_thousand_names_fills_no_log(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
+    gate = Gate()
+    link = Link(far, NoLog(), 0.0, PX4, gate)
+    for system in range(2, 245):
+        for component in (1, 2, 3, 4):
+            far.hear(heartbeat(), system, component)
+    link.receive(0.0)
+    assert gate.refused == 4 * 243
+    assert len(caplog.records) == 32
+
+
+@pytest.mark.parametrize("stranger", [100, 1])
+def test_only_the_vehicles_own_gimbal_tells_its_angle(pair: tuple[Link, Wire], stranger: int) -> None:
+    link, far = pair
+    far.hear(heartbeat())
+    tilted = wire.MAVLink_gimbal_device_attitude_status_message(0, 0, 0, 0, [math.cos(0.1), 0, -math.sin(0.1), 0], 0, 0, 0, 0)
+    far.hear(tilted, 1 if stranger == 100 else 2, stranger if stranger == 100 else 154)
+    link.receive(0.0)
+    assert math.isnan(link.telemetry.camera_pitch_down_rad)
+
+
+def test_a_gimbal_may_speak_for_itself(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.hear(heartbeat())
+    far.hear(
+        wire.MAVLink_gimbal_device_attitude_status_message(0, 0, 0, 0, [math.cos(0.1), 0, -math.sin(0.1), 0], 0, 0, 0, 0),
+        1,
+        154,
+    )
+    link.receive(0.0)
+    assert link.telemetry.camera_pitch_down_rad == pytest.approx(0.2, abs=1e-6)
+
+
+def test_nothing_but_a_cleared_setpoint_is_streamed(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    with pytest.raises(AttributeError):
+        link.stream(Setpoint.hold(np.zeros(3), 0.0), 0.0, False)  # type: ignore[arg-type]
+    assert far.sent == []
+
+
+def test_we_speak_five_times_a_second_and_ask_for_the_clock(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    for i in range(1000):
+        link.keep_alive(i / 100)
+    assert [m.get_type() for m in far.sent] == ["HEARTBEAT"] * 50
+    far.hear(heartbeat())
+    link.receive(10.0)
+    for i in range(1000, 2000):
+        link.keep_alive(i / 100)
+    assert sum(m.get_type() == "TIMESYNC" for m in far.sent) == 100
+
+
+def test_no_pose_before_the_clock_is_known_and_then_on_its_clock(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    pose = StampedPose(2.5, Pose.identity(), np.zeros(3))
+    link.feed_pose(pose, 2.5)
+    assert far.sent == []
+    converge(link, far)
+    link.feed_pose(pose, 2.5)
+    assert far.sent[-1].time_usec == pytest.approx(40_000_000, abs=1100)
+
+
+def test_only_an_answer_that_comes_at_once_teaches_the_autopilot_our_clock(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    converge(link, far)
+    for n, late_s in enumerate((0.001, 0.02, 0.15, 0.5, 0.004)):
+        asked_s = 10.0 + n
+        far.hear(wire.MAVLink_timesync_message(0, int((asked_s + 37.5) * 1e9)))
+        link.receive(asked_s + late_s)
+    answers = [m for m in far.sent if m.get_type() == "TIMESYNC" and m.tc1 != 0]
+    assert len(answers) == 5
+    assert link.telemetry.clock_answers == 3
+
+
+def test_its_questions_are_answered_on_its_own_clock(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.hear(heartbeat())
+    far.hear(wire.MAVLink_timesync_message(0, 777))
+    link.receive(0.0)
+    assert far.sent == [], "before convergence any answer would be a lie"
+    converge(link, far)
+    far.hear(wire.MAVLink_timesync_message(0, 778))
+    link.receive(5.0)
+    assert far.sent[-1].ts1 == 778
+    assert far.sent[-1].tc1 == pytest.approx(42.5e9, abs=2e6)
+
+
+def test_no_heartbeat_pretends_that_we_hear(pair: tuple[Link, Wire]) -> None:
+    """ArduPilot lands two seconds after the last one: within 3.7 s of the link's end, and never before its third second."""
+    link, far = pair
+    for phase_s in (10.0, 20.3, 30.6, 40.9):
+        for n in range(100):
+            link.keep_alive(phase_s - 1.0 + 0.01 * n)
+        far.hear(heartbeat())
+        link.receive(phase_s)
+        last_s = 0.0
+        for n in range(800):
+            far.sent.clear()
+            link.keep_alive(phase_s + 0.01 * n)
+            last_s = 0.01 * n if any(m.get_type() == "HEARTBEAT" for m in far.sent) else last_s
+        assert 1.5 <= last_s <= 1.7
+    far.hear(heartbeat())
+    link.receive(50.0)
+    far.sent.clear()
+    link.keep_alive(50.0)
+    assert any(m.get_type() == "HEARTBEAT" for m in far.sent)
+
+
+def test_what_comes_late_or_twice_undoes_nothing(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.hear(heartbeat(mode=3 << 16))
+    old = far.inbox
+    link.receive(0.0)
+    far.hear(heartbeat(mode=6 << 16, armed=True))
+    link.receive(0.1)
+    far.inbox = old
+    link.receive(0.2)
+    assert (link.telemetry.custom_mode, link.telemetry.armed, link.telemetry.heard_s) == (6 << 16, True, 0.1)
+    assert link.telemetry.stale_frames == 1
+
+
+def test_a_battery_that_is_told_no_more_is_not_known(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.hear(heartbeat())
+    far.hear(wire.MAVLink_sys_status_message(0, 0, 0, 0, 15000, 0, 62, 0, 0, 0, 0, 0, 0))
+    link.receive(5.0)
+    assert link.telemetry.battery_at(5.9) == 0.62
+    far.hear(heartbeat())
+    link.receive(6.0)
+    assert math.isnan(link.telemetry.battery_at(6.1)), "other words go on"
+
+
+def test_a_reboot_forgets_the_origin(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    converge(link, far)
+    far.hear(wire.MAVLink_gps_global_origin_message(1, 2, 3))
+    link.receive(3.0)
+    known_before = link.telemetry.origin_known
+    for i in range(6):
+        now = 4.0 + 0.2 * i
+        far.hear(wire.MAVLink_timesync_message(int((now - 3.0) * 1e9), int(now * 1e9)))
+        link.receive(now + 0.001)
+    assert link.telemetry.reboots == 1
+    assert (known_before, link.telemetry.origin_known) == (True, False)
+    assert not link.time_known
+
+
+def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[Link, Wire]) -> None:
+    """An autopilot that begins anew in the air: the first answer of its new clock ends the feed, and we ask more often."""
+    link, far = pair
+    converge(link, far)
+    pose, sent = StampedPose(4.0, Pose.identity(), np.zeros(3)), []
+
+    def fed(now: float) -> int:
+        far.sent.clear()
+        link.feed_pose(pose, now)
+        return len(far.sent)
+
+    for i in range(12):
+        now = 4.0 + 0.02 * i
+        sent.append(fed(now))
+        far.hear(wire.MAVLink_timesync_message(int((now - 3.0) * 1e9), int(now * 1e9)))
+        link.receive(now + 0.001)
+        link.keep_alive(now + 0.001)
+        assert link.time_known or "TIMESYNC" in [message.get_type() for message in far.sent]
+    assert sent == [1] + [0] * 9 + [1, 1]
+    assert far.sent[0].time_usec == pytest.approx(1e6, abs=2e3)
+
+
+def test_an_autopilot_that_counts_anew_is_understood_at_once(pair: tuple[Link, Wire]) -> None:
+    """Its first answer is numbered like one of before; by its round trip it is new."""
+    link, far = pair
+    converge(link, far)
+    for n in range(5):
+        far.restart()
+        now = 2.4 + 0.02 * n
+        far.hear(wire.MAVLink_timesync_message(int((now - 2.0) * 1e9), int(now * 1e9)))
+        link.receive(now + 0.001)
+        assert not link.time_known
+    assert link.telemetry.reboots == 1
+    far.hear(heartbeat(mode=2 << 16))
+    link.receive(2.6)
+    assert link.telemetry.custom_mode == 2 << 16
+
+
+def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[Link, Wire]) -> None:
+    link, far = pair
+    far.error = "Input/output error"
+    link.receive(0.0)
+    link.keep_alive(0.0)
+    assert link.telemetry.failure == "link: Input/output error"
+    far.error = ""
+    link.receive(0.1)
+    assert link.telemetry.failure == "", "it is back"
+
+
+def test_the_pilots_imports_stay_small() -> None:
+    heavy = {"torch", "open3d", "rerun", "cv2", "numba", "scipy", "pydantic"}
+    code = f"import sys, uav_recon.autopilot.pilot.pilot, uav_recon.autopilot.mavlink.transport; print({heavy!r} & set(sys.modules))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert out.stdout.strip() == "set()"

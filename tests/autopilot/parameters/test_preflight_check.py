@@ -1,0 +1,165 @@
+"""No arming while the vehicle has another parameter than the flight relies on: both simulated firmwares."""
+
+from __future__ import annotations
+
+import pytest
+from flight_rig import ARM, TAKEOFF_LAG_S, Rig
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.ardupilot import ArduCopter
+from sitl.ardupilot_parameters import ArduPilotParameters
+from sitl.autopilot import Autopilot
+from sitl.transport import ByteEnd
+from uav_recon.autopilot.firmware.ardupilot import ARDUPILOT
+from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, Wanted, load
+from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
+from uav_recon.autopilot.parameters.reader import BYTEWISE, NUMERIC
+from uav_recon.types.trajectory import Goal
+from uav_recon.types.vehicle import FlightPhase
+
+INT32 = mavlink.MAV_PARAM_TYPE_INT32
+READY_S = {"px4": 20.0, "ardupilot": 60.0}
+
+
+class CheckedRig(Rig):
+    """PX4, with a pilot that reads parameters back."""
+
+    name, form = "px4", BYTEWISE
+
+    def __init__(self, wanted: tuple[Wanted, ...] = ()) -> None:
+        self.parameters = ParameterCheck(wanted or load(PARAMETER_FILES[self.name]), self.form)
+        super().__init__()
+
+
+class CheckedArduRig(CheckedRig):
+    """ArduCopter."""
+
+    name, form, firmware = "ardupilot", NUMERIC, ARDUPILOT
+
+    def _fly(self, end: ByteEnd, seed: int) -> Autopilot:
+        return ArduCopter(self.vehicle, end, ArduPilotParameters.load(), seed)
+
+
+def until_noted(rig: Rig, seconds: float = 60.0) -> str:
+    """Until the pilot names a parameter; its words, a second later still the same."""
+    for _ in range(round(seconds)):
+        rig.run(1.0)
+        if rig.state.note.startswith("parameter "):
+            break
+    note = rig.state.note
+    rig.run(1.0)
+    assert rig.state.note == note
+    return note
+
+
+RIGS = [CheckedRig, CheckedArduRig]
+
+
+@pytest.mark.parametrize("kind", RIGS)
+def test_with_the_flown_parameters_it_is_ready_as_soon_as_without(kind: type[CheckedRig]) -> None:
+    rig = kind()
+    rig.until(FlightPhase.READY, READY_S[rig.name])
+    asked = [m.param_id for _, m in rig.tap.sent if m.get_type() == "PARAM_REQUEST_READ"]
+    assert asked == [one.name for one in load(PARAMETER_FILES[rig.name]) if one.reason.refused]
+    assert rig.tap.since(0.0)["PARAM_SET"] == 0
+    rig.intent = (Goal.FLY, None)
+    rig.until(FlightPhase.FLYING, 15.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "words"),
+    [
+        (CheckedRig, "COM_OBL_RC_ACT", 0, "parameter COM_OBL_RC_ACT is 0, wanted 4"),
+        (CheckedRig, "COM_OF_LOSS_T", 5.0, "parameter COM_OF_LOSS_T is 5, wanted 0.5 s"),
+        (CheckedArduRig, "FS_GCS_ENABLE", 0, "parameter FS_GCS_ENABLE is 0, wanted 5"),
+        (CheckedArduRig, "VISO_POS_M_NSE", 0.2, "parameter VISO_POS_M_NSE is 0.2, wanted 0.1 m"),
+    ],
+)
+def test_another_value_keeps_it_on_the_ground_and_is_named(kind: type[CheckedRig], name: str, value: float, words: str) -> None:
+    rig = kind()
+    rig.autopilot.parameters.set(name, value)
+    rig.intent = (Goal.FLY, None)
+    assert until_noted(rig) == f"{words}: see uav-recon params diff"
+    assert rig.pilot.phase is FlightPhase.CONNECTING
+    assert rig.tap.since(0.0)[f"COMMAND_LONG {ARM}"] == 0
+    rig.autopilot.parameters.set(name, {one.name: one.value for one in load(PARAMETER_FILES[rig.name])}[name])
+    rig.until(FlightPhase.FLYING, 20.0)  # mended at a ground station: read again, and no restart is needed
+
+
+def test_a_change_on_the_ground_is_seen_before_the_next_flight() -> None:
+    rig = CheckedRig()
+    rig.until(FlightPhase.READY, 20.0)
+    rig.autopilot.parameters.set("NAV_RCL_ACT", 2)
+    assert "NAV_RCL_ACT is 2, wanted 3" in until_noted(rig, 31.0)
+    assert rig.pilot.phase is FlightPhase.CONNECTING
+
+
+def test_what_the_room_decides_may_differ() -> None:
+    rig = CheckedArduRig()
+    rig.autopilot.parameters.set("FENCE_ALT_MAX", 2.4)
+    rig.until(FlightPhase.READY, READY_S["ardupilot"])
+
+
+def test_a_parameter_that_the_firmware_does_not_know_is_named(tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.mktemp("p") / "mine.params"
+    path.write_text(PARAMETER_FILES["px4"].read_text() + "1\t1\tNOT_OF_THIS_FW\t1\t6\n")
+    rig = CheckedRig(load(path))
+    assert until_noted(rig) == "parameter NOT_OF_THIS_FW is not told by the autopilot, wanted 1: see uav-recon params diff"
+
+
+def test_several_faults_are_counted() -> None:
+    rig = CheckedRig()
+    for name, value in (("GF_ACTION", 2), ("NAV_RCL_ACT", 2), ("COM_OBL_RC_ACT", 0)):
+        rig.autopilot.parameters.set(name, value)
+    assert until_noted(rig).startswith("parameter COM_OBL_RC_ACT is 0, wanted 4, and 2 more")
+
+
+def test_nothing_is_asked_for_in_flight() -> None:
+    rig = CheckedRig()
+    rig.airborne()
+    begin_s = rig.clock.now_s()
+    rig.run(35.0)
+    assert rig.tap.since(begin_s)["PARAM_REQUEST_READ"] == 0
+
+
+def told_of(rig: CheckedRig, name: str, value: float) -> bytes:
+    """What the firmware tells everybody when a ground station has written a parameter."""
+    message = mavlink.MAVLink_param_value_message(name.encode(), rig.form.number_of(value, INT32), INT32, 1, 0)
+    return bytes(message.pack(mavlink.MAVLink(None, 1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "right"),
+    [(CheckedRig, "COM_OBL_RC_ACT", 0, 4), (CheckedArduRig, "FS_GCS_ENABLE", 0, 5)],
+)
+def test_a_change_in_flight_is_held_for_and_told_until_it_is_taken_back(
+    kind: type[CheckedRig], name: str, value: float, right: float
+) -> None:
+    rig = kind()
+    rig.until(FlightPhase.READY, READY_S[rig.name])
+    rig.intent = (Goal.FLY, None)
+    rig.until(FlightPhase.FLYING, 15.0)
+    rig.run(rig.fly((0.0, 0.0, 1.1)).duration_s + TAKEOFF_LAG_S)
+    rig.fly((2.0, 0.0, 1.1), identifier=2)
+    rig.run(1.5)
+    rig.tap.forged, changed_s = told_of(rig, name, value), rig.clock.now_s()
+    rig.run(0.1)
+    assert rig.state.note.startswith(f"in flight parameter {name} is {value}, wanted {right}")
+    rig.run(2.0)
+    assert rig.tap.since(changed_s)["STATUSTEXT"] > 0
+    stood = rig.autopilot.truth().position[0]
+    rig.run(3.0)
+    assert abs(rig.autopilot.truth().position[0] - stood) < 0.05
+    rig.tap.forged = told_of(rig, name, right)
+    rig.run(0.5)
+    rig.fly((2.0, 0.0, 1.1), identifier=3)
+    rig.run(8.0)
+    assert abs(rig.autopilot.truth().position[0] - 2.0) < 0.1
+
+
+def test_what_may_differ_may_be_changed_in_flight() -> None:
+    rig = CheckedRig()
+    rig.airborne()
+    rig.tap.forged = told_of(rig, "COM_DL_LOSS_T", 5)
+    rig.run(1.0)
+    assert rig.state.note == ""

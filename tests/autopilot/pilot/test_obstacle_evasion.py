@@ -1,0 +1,174 @@
+"""Something new before a vehicle that hovers at the middle of a free hall, or flies there."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from uav_recon.autopilot.pilot.obstacle_evasion import IDENTIFIER, Evasion
+from uav_recon.autopilot.pilot.sudden_obstacle import Intruder
+from uav_recon.safety.envelope import Envelope, Fence
+from uav_recon.safety.free_space_check import KnownFree
+from uav_recon.safety.guard import Bounds, Guard, Situation
+from uav_recon.safety.obstacle_speed_limit import Margins
+from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.types.frames import BoolArray
+from uav_recon.types.maps import FreeSpace, GridSpec
+from uav_recon.types.polygon import Polygon
+from uav_recon.types.trajectory import Setpoint, Trajectory
+
+GRID = GridSpec(np.array([-4.0, -4.0, -1.0]), 0.1, (80, 80, 40))
+HERE = np.array([0.0, 0.0, 1.1])
+REST = Setpoint.hold(HERE, 0.0)
+MANY, FEW = 8, 7
+
+
+def _free(free: BoolArray | None = None) -> KnownFree:
+    whole = np.ones(GRID.shape, np.bool_) if free is None else free
+    return KnownFree(FreeSpace(GRID, np.packbits(whole), 1), 0.2, 0.2)
+
+
+def _situation(now_s: float, free: KnownFree | None = None) -> Situation:
+    return Situation(now_s, (0.0, 0.0, 1.1), 0.0, np.eye(3), 0.03, 0.05, 0, free or _free(), None)
+
+
+def _seen(stamp_s: float, away_m: float, cells: int = MANY) -> Intruder:
+    return Intruder(stamp_s, np.tile(HERE + np.array([away_m, 0.0, 0.0]), (cells, 1)), away_m)
+
+
+@pytest.fixture
+def evasion() -> Evasion:
+    envelope = Envelope(Fence(Polygon.box((-3.0, -3.0), (3.0, 3.0)), -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
+    return Evasion(Guard(envelope, Bounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4)), Sight(10.0, 0.2)))
+
+
+def test_nothing_stops_a_vehicle_before_which_nothing_came(evasion: Evasion) -> None:
+    evasion.hear(None)
+    assert not evasion.stops(1.0)
+    assert evasion.why() == ""
+
+
+def test_much_of_it_stops_at_once_and_little_of_it_at_its_second_sight(evasion: Evasion) -> None:
+    evasion.hear(_seen(1.0, 1.5, FEW))
+    assert not evasion.stops(1.1)
+    evasion.hear(_seen(1.17, 1.5, FEW))
+    assert evasion.stops(1.2)
+    assert evasion.why() == "1.50 m from something that was not there"
+
+
+def test_two_sights_far_apart_are_two_first_ones(evasion: Evasion) -> None:
+    evasion.hear(_seen(1.0, 1.5, FEW))
+    evasion.hear(_seen(1.6, 1.5, FEW))
+    assert not evasion.stops(1.6)
+
+
+def test_the_same_sight_heard_twice_is_one(evasion: Evasion) -> None:
+    little = _seen(1.0, 1.5, FEW)
+    evasion.hear(little)
+    evasion.hear(little)
+    assert not evasion.stops(1.0)
+
+
+@pytest.mark.parametrize(("away_m", "stops"), [(1.6, True), (1.61, False)])
+def test_what_stands_stops_within_a_metre_and_a_half(evasion: Evasion, away_m: float, stops: bool) -> None:
+    evasion.hear(_seen(1.0, away_m))
+    assert evasion.stops(1.0) is stops
+    assert evasion.stops(1.5) is stops
+    assert not evasion.stops(1.51), "half a second old"
+
+
+@pytest.mark.parametrize(("away_m", "mps", "stops"), [(2.5, 0.3, True), (2.51, 0.3, False), (2.4, 0.2, False)])
+def test_what_comes_on_stops_from_farther_off(evasion: Evasion, away_m: float, mps: float, stops: bool) -> None:
+    evasion.hear(_seen(1.0, away_m + 0.2 * mps))
+    evasion.hear(_seen(1.2, away_m))
+    assert evasion.stops(1.2) is stops
+    assert (evasion.step_aside(REST, _situation(1.2)) is not None) is stops
+
+
+def test_a_step_aside_leads_out_of_its_way(evasion: Evasion) -> None:
+    evasion.hear(_seen(1.0, 2.2))
+    evasion.hear(_seen(1.2, 2.04))
+    way = evasion.step_aside(REST, _situation(1.2))
+    assert isinstance(way, Trajectory)
+    assert way.identifier == IDENTIFIER
+    gone = way.position_m[-1] - HERE
+    assert np.linalg.norm(gone) == pytest.approx(1.2, abs=0.01)
+    assert abs(gone[1]) > 0.8, "aside, and not before it"
+    assert np.linalg.norm(way.velocity_mps, axis=1).max() <= 0.5
+    assert not evasion.over(way, way.start_s + way.duration_s + 0.9)
+    assert evasion.over(way, way.start_s + way.duration_s + 1.1)
+
+
+def test_a_step_aside_goes_where_it_is_known_free_and_inside_the_fence(evasion: Evasion) -> None:
+    evasion.hear(_seen(1.0, 2.2))
+    evasion.hear(_seen(1.2, 2.04))
+    left = np.ones(GRID.shape, np.bool_)
+    left[:, 50:] = False  # y from 1 m on
+    way = evasion.step_aside(REST, _situation(1.2, _free(left)))
+    assert isinstance(way, Trajectory)
+    assert way.position_m[-1][1] < -0.8
+    nowhere = np.zeros(GRID.shape, np.bool_)
+    assert evasion.step_aside(REST, _situation(1.2, _free(nowhere))) == "nowhere to give way to"
+    assert evasion.step_aside(REST, dataclasses.replace(_situation(1.2), free=None)) == "nowhere to give way to"
+
+
+def _cone(half_rad: float) -> BoolArray:
+    """Known free: what a camera looks at along the x axis, and a column about the pad."""
+    x, y = np.meshgrid(*(-4.0 + 0.1 * (np.arange(80) + 0.5) for _ in range(2)), indexing="ij")
+    seen = (np.abs(np.arctan2(y, x)) <= half_rad) | (np.hypot(x, y) <= 0.45)
+    return np.repeat(seen[..., None], GRID.shape[2], axis=2)
+
+
+@pytest.mark.parametrize(("half_deg", "away_m", "leads"), [(43.0, 2.24, False), (65.0, 2.24, True), (65.0, 1.6, False)])
+def test_a_step_aside_does_not_lead_into_what_comes_on(evasion: Evasion, half_deg: float, away_m: float, leads: bool) -> None:
+    evasion.hear(_seen(1.0, away_m + 0.16))
+    evasion.hear(_seen(1.2, away_m))
+    way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(half_deg)))))
+    assert isinstance(way, Trajectory) if leads else way == "nowhere to give way to"
+
+
+@pytest.mark.parametrize("left", [1.0, -1.0])
+def test_a_step_aside_reckons_with_all_that_is_seen_of_what_comes_on(evasion: Evasion, left: float) -> None:
+    wide = HERE + np.column_stack([np.full(MANY, 2.4), left * np.linspace(0.0, 1.2, MANY), np.zeros(MANY)])
+    for stamp_s, nearer_m in ((1.0, 0.0), (1.2, 0.16)):
+        evasion.hear(Intruder(stamp_s, wide - np.array([nearer_m, 0.0, 0.0]), 2.4 - nearer_m))
+    way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(90.0)))))
+    assert isinstance(way, Trajectory)
+    assert left * way.position_m[-1][1] < -0.8, "its nearest corner is straight ahead, and the rest of it to one side"
+
+
+def test_what_stands_is_not_given_way_to_while_the_vehicle_still_comes_nearer(evasion: Evasion) -> None:
+    box = np.tile(HERE + np.array([0.9, 0.0, 0.0]), (MANY, 1))
+    evasion.hear(Intruder(1.0, box, 1.1))  # seen from 0.2 m before the rest, then from 0.1 m
+    evasion.hear(Intruder(1.2, box, 1.0))
+    assert evasion.stops(1.2)
+    assert evasion.step_aside(REST, _situation(1.2)) is None
+
+
+def _lane(half_m: float) -> BoolArray:
+    """Known free so far to both sides of the x axis; the nearest voxels that are not lie half a voxel beyond."""
+    free, half = np.zeros(GRID.shape, np.bool_), round(half_m / 0.1)
+    free[:, 40 - half : 40 + half] = True
+    return free
+
+
+@pytest.mark.parametrize(("half_m", "sideways_m"), [(1.3, 0.95), (0.9, 0.55), (0.4, 0.15), (0.3, 0.05), (0.2, 0.0)])
+def test_a_step_aside_keeps_the_room_of_planned_ways_where_there_is_any(
+    evasion: Evasion, half_m: float, sideways_m: float
+) -> None:
+    evasion.hear(_seen(1.0, 2.2))
+    evasion.hear(_seen(1.2, 2.04))
+    way = evasion.step_aside(REST, _situation(1.2, _free(_lane(half_m))))
+    assert isinstance(way, Trajectory)
+    assert abs(way.position_m[-1][1]) <= sideways_m + 1e-9
+
+
+def test_a_step_aside_along_the_fence_keeps_inside_its_inset(evasion: Evasion) -> None:
+    here = np.array([0.0, 2.2, 1.1])
+    for stamp_s, away_m in ((1.0, 2.2), (1.2, 2.04)):
+        evasion.hear(Intruder(stamp_s, np.tile(here - np.array([0.0, away_m, 0.0]), (MANY, 1)), away_m))
+    way = evasion.step_aside(Setpoint.hold(here, 0.0), _situation(1.2))
+    assert isinstance(way, Trajectory)
+    assert way.position_m[-1][1] <= 2.6 + 1e-9, "0.1 m inside the inset, which ends at 2.7"

@@ -1,0 +1,82 @@
+"""From odometry to the autopilot: what is fed once, and which resets it hears of."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_recon.autopilot.pilot.pose_feed import PoseFeed
+from uav_recon.channels import FileChannel, MemoryChannel
+from uav_recon.safety.pose_gate import PoseGate
+from uav_recon.types.pose import Pose, StampedPose
+
+STEP_S = 1 / 30
+
+
+class Fed:
+    """In the link's place."""
+
+    def __init__(self) -> None:
+        self.poses: list[StampedPose] = []
+
+    def feed_pose(self, pose: StampedPose, now_s: float) -> None:
+        self.poses.append(pose)
+
+
+def _pose(stamp_s: float, x_m: float = 0.0, resets: int = 0) -> StampedPose:
+    return StampedPose(stamp_s, Pose.from_yaw(0.0, np.array([x_m, 0.0, 1.0])), np.zeros(3), reset_counter=resets)
+
+
+def _feed(odom: Any) -> tuple[PoseFeed, list[StampedPose]]:
+    link: Any = Fed()
+    return PoseFeed(odom, link, PoseGate(0.8)), link.poses
+
+
+@pytest.mark.parametrize("resets", [0, 7, 255])
+def test_the_autopilot_hears_of_a_jump_that_the_source_did_not_count(resets: int) -> None:
+    """Perception was started again, counts from where it did, and its odom lies 0.4 m beside the old one."""
+    odom = MemoryChannel(StampedPose)
+    feed, fed = _feed(odom)
+    anew = []
+    for n in range(90):
+        t = n * STEP_S
+        odom.publish(_pose(t, 0.4 * (n >= 30), resets))
+        anew.append(feed.step(t + 0.01))
+    steps = [(b.odom_from_body.translation_m[0] - a.odom_from_body.translation_m[0]) for a, b in itertools.pairwise(fed)]
+    counted = [b.reset_counter - a.reset_counter for a, b in itertools.pairwise(fed)]
+    assert max(steps) == pytest.approx(0.4)
+    assert [step % 256 for step in counted] == [int(step > 0.1) for step in steps]
+    assert sum(anew) == 1
+    assert feed.pose is not None
+    assert feed.pose.reset_counter == resets
+
+
+def test_a_reset_that_the_source_counts_is_counted_once() -> None:
+    odom = MemoryChannel(StampedPose)
+    feed, fed = _feed(odom)
+    for n in range(60):
+        odom.publish(_pose(n * STEP_S, 0.4 * (n >= 30), int(n >= 30)))
+        feed.step(n * STEP_S + 0.01)
+    assert [pose.reset_counter for pose in fed] == [0] * 30 + [1] * 30
+
+
+def test_a_record_that_is_being_written_is_fed_once_it_is_whole(tmp_path: Path) -> None:
+    """Its writer was preempted between the head and the data."""
+    writer, reader = (FileChannel(tmp_path / "odom.channel", StampedPose) for _ in range(2))
+    feed, fed = _feed(reader)
+    for n in range(4):
+        writer.publish(_pose(n * STEP_S))
+        whole = bytes(writer._map)
+        writer._map[24:32] = struct.pack("<q", -1)
+        assert not feed.step(n * STEP_S + 0.001)
+        assert len(fed) == n
+        writer._map[:] = whole
+        for _ in range(3):
+            feed.step(n * STEP_S + 0.01)
+        assert [pose.stamp_s for pose in fed] == [k * STEP_S for k in range(n + 1)]
+    assert feed.refused == 0

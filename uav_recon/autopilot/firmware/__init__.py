@@ -1,0 +1,1 @@
+"""Firmware profiles: what differs between PX4 and ArduCopter."""

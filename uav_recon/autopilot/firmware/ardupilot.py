@@ -1,0 +1,145 @@
+"""ArduCopter's personality: its modes, what it must tell us, when it may arm, and how it is brought into the air.
+
+Facts from ../shared/AUTOPILOTS.md (measured on 4.8-dev) and its sources: an origin is taken once per boot, and leaves the
+vehicle without a home if it comes before the estimator follows the poses; on the ground setpoints do nothing, or end a
+take-off, so none is sent before it is in the air; when setpoints end it hovers for ever, so the landing is ours to command,
+and a heartbeat that ends is what lands it after our death.
+"""
+
+from __future__ import annotations
+
+import math
+
+from uav_recon.autopilot.firmware.profile import (
+    ARM,
+    DO_SET_MODE,
+    Command,
+    Outcome,
+    Personality,
+    Request,
+    missing_to_arm,
+    missing_to_follow,
+)
+from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.autopilot.pilot.takeoff_monitor import LiftOff
+
+TAKE_OFF = 22
+CLIMB_M = 0.5  # by command; from there on setpoints are followed
+MIN_VERSION = (4, 5, 2)  # before it, VISO_DELAY_MS had no effect
+LOCAL_FRD = 20  # MAV_FRAME: odometry in any other is dropped without a word
+_FAMILY = 3
+_CUSTOM_MODE_ENABLED = 1.0
+_GUIDED, _LAND = 4, 9
+_MODES = {
+    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
+    11: "DRIFT", 13: "SPORT", 14: "FLIP", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 19: "AVOID_ADSB",
+    20: "GUIDED_NOGPS", 21: "SMART_RTL", 22: "FLOWHOLD", 23: "FOLLOW", 24: "ZIGZAG", 25: "SYSTEMID", 26: "AUTOROTATE",
+    27: "AUTO_RTL", 28: "TURTLE",
+}  # fmt: skip
+
+FLY: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _GUIDED))
+LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _LAND))
+CLIMB: Command = (TAKE_OFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, CLIMB_M))
+
+# Place, speed, acceleration and yaw (read). Measured was 2496, without accelerations: in simulation it strays twice as far.
+ALL_BUT_YAW_RATE = 2048
+
+STREAMS_HZ = (
+    (0, 10.0),  # HEARTBEAT: a human's mode is to be seen at once
+    (1, 2.0),  # SYS_STATUS
+    (31, 30.0),  # ATTITUDE_QUATERNION
+    (32, 30.0),  # LOCAL_POSITION_NED
+    (49, 1.0),  # GPS_GLOBAL_ORIGIN
+    (193, 5.0),  # EKF_STATUS_REPORT
+    (245, 5.0),  # EXTENDED_SYS_STATE
+    (285, 10.0),  # GIMBAL_DEVICE_ATTITUDE_STATUS
+)
+ASKED_ONCE = (148,)  # AUTOPILOT_VERSION
+
+
+def mode_name(custom_mode: int) -> str:
+    """The mode as ArduPilot's own tools call it."""
+    return _MODES.get(custom_mode, f"MODE{custom_mode}")
+
+
+def is_ours(custom_mode: int) -> bool:
+    """GUIDED: the vehicle follows our setpoints."""
+    return custom_mode == _GUIDED
+
+
+def is_landing(custom_mode: int) -> bool:
+    """LAND, by our word or by a failsafe."""
+    return custom_mode == _LAND
+
+
+def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> str:
+    """What is missing before the origin may be sent, '' for nothing."""
+    return missing_to_follow(t, time_known, now_s, "ArduPilot", _FAMILY, MIN_VERSION)
+
+
+def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
+    """What is missing before arming may be asked for, '' for nothing."""
+    return missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
+
+
+class TakeOff:
+    """GUIDED, motors, and a climb by command; each is believed when it is seen. The climb is asked for once. A mode that is
+    neither the one it began in nor ours is somebody's choice.
+    """
+
+    LIFT_S = 5.0  # a real one is 0.2 m up 3.95 s after the order: its motors alone take three
+    ARRIVED_M, CLIMB_S = 0.10, 12.0
+
+    def __init__(self, now_s: float) -> None:
+        self.streams, self.reason = False, ""
+        self._start_s = now_s
+        self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
+        self._mode_before: int | None = None
+        self._mode_seen, self._ground_m = False, math.nan
+        self._climb_s, self._lift_off = math.inf, LiftOff(math.nan)
+
+    def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+        """What has been reached, and the command to send now. No setpoint may be sent before it is ARMED."""
+        self._mode_before = t.custom_mode if self._mode_before is None else self._mode_before
+        if not is_ours(t.custom_mode) and (self._mode_seen or t.custom_mode != self._mode_before):
+            return self._give_up(f"mode changed to {mode_name(t.custom_mode)}")
+        if not self._mode_seen:
+            if not (is_ours(t.custom_mode) and t.heartbeat_s > self._mode.asked_s > -math.inf):
+                return self._ask(self._mode, now_s, f"mode stays {mode_name(t.custom_mode)}", t)
+            self._mode_seen = True
+        if not t.armed:
+            if self._climb_s < math.inf:
+                return self._give_up(f"disarmed before it flew{': ' + t.warning if t.warning else ''}")
+            return self._ask(self._arm, now_s, "motors stay off", t)
+        return self._climb(now_s, t)
+
+    def _climb(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+        height_m = float(t.position_m[2])
+        if self._climb_s == math.inf:
+            self._climb_s, self._ground_m, self._lift_off = now_s, height_m, LiftOff(height_m, self.LIFT_S)
+            self._lift_off.begin(now_s)
+            return Outcome.PENDING, CLIMB
+        fault = self._lift_off.fault(now_s, t)
+        if fault:
+            return self._give_up(fault)
+        climbed_m, took_s = height_m - self._ground_m, now_s - self._climb_s
+        if climbed_m >= CLIMB_M - self.ARRIVED_M:
+            return Outcome.ARMED, None
+        if took_s > self.CLIMB_S:
+            return self._give_up(f"it climbed {climbed_m:.2f} m in {took_s:.0f} s")
+        return Outcome.PENDING, None
+
+    def _ask(self, request: Request, now_s: float, why: str, t: Telemetry) -> tuple[Outcome, Command | None]:
+        command, self.reason = request.step(now_s, why, t)
+        return (Outcome.GIVEN_UP if self.reason else Outcome.PENDING), command
+
+    def _give_up(self, why: str) -> tuple[Outcome, Command | None]:
+        self.reason = f"take-off given up: {why}"
+        return Outcome.GIVEN_UP, None
+
+
+ARDUPILOT = Personality(
+    mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, TakeOff,
+    land=LAND, pose_frame=LOCAL_FRD, setpoint_mask=ALL_BUT_YAW_RATE, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
+    polled_hz=(),
+)  # fmt: skip

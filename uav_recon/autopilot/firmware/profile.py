@@ -1,0 +1,123 @@
+"""What differs between the firmwares we fly, as one value each; what they have in common in their handshakes.
+
+On both, commands are believed when HEARTBEAT and telemetry show their effect, never by their ACK.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from uav_recon.autopilot.link.link_alerts import TWO
+from uav_recon.autopilot.mavlink.telemetry import Telemetry
+
+DO_SET_MODE, ARM_DISARM = 176, 400
+_HEARTBEAT_S, _POSE_S = 3.0, 0.5
+
+Command = tuple[int, tuple[float, ...]]
+Version = tuple[int, int, int]
+
+ARM: Command = (ARM_DISARM, (1.0,))  # the second parameter stays 0: the autopilot's own checks are never forced
+DISARM: Command = (ARM_DISARM, (0.0,))  # likewise: in the air the autopilot refuses it
+
+
+class Outcome(Enum):
+    """Where an attempt to arm stands."""
+
+    PENDING = "pending"
+    ARMED = "armed"
+    GIVEN_UP = "given up"
+
+
+class Arming(Protocol):
+    """From the ground to where setpoints are followed. streams: setpoints run all the while; else none may be sent."""
+
+    streams: bool
+    reason: str
+
+    def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+        """What has been reached, and the command to send now. A reason is given with GIVEN_UP."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Personality:
+    """Its rules. Modes are HEARTBEAT's custom_mode.
+
+    missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, '' for
+    nothing. pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: what of a setpoint it is to ignore. streams_hz: messages to
+    ask for; asked_once: once; polled_hz: one by one, so often, where a rate cannot be set.
+    """
+
+    mode_name: Callable[[int], str]
+    is_ours: Callable[[int], bool]
+    is_landing: Callable[[int], bool]
+    missing_for_origin: Callable[[Telemetry, bool, float], str]
+    missing_for_arming: Callable[[Telemetry, bool, float], str]
+    arming: Callable[[float], Arming]
+    land: Command
+    pose_frame: int
+    setpoint_mask: int
+    streams_hz: tuple[tuple[int, float], ...]
+    asked_once: tuple[int, ...]
+    polled_hz: tuple[tuple[int, float], ...]
+
+
+def missing_to_follow(
+    t: Telemetry, time_known: bool, now_s: float, name: str, family: int, oldest: Version, unknown: Version | None = None
+) -> str:
+    """What is missing until an autopilot of this family (MAV_AUTOPILOT) follows our poses, '' for nothing.
+
+    unknown: the first version that nobody has read the source of; None where any newer one will do.
+    """
+    if not now_s - t.heartbeat_s <= _HEARTBEAT_S:
+        return "no heartbeat from the autopilot"
+    if t.firmware_family != family:
+        return f"the autopilot is not {name} (MAV_AUTOPILOT {t.firmware_family})"
+    if t.twin_heard:
+        return "another companion speaks with our id"
+    if t.doubled or t.stranger:
+        return t.stranger or TWO
+    if t.version is None:
+        return "firmware version unknown"
+    if t.version < oldest:
+        return f"{name} {'.'.join(map(str, t.version))} is older than {'.'.join(map(str, oldest))}"
+    if unknown is not None and t.version >= unknown:
+        return f"{name} {'.'.join(map(str, t.version))} is not known: wants one before {'.'.join(map(str, unknown))}"
+    if not time_known:
+        return "clocks not synchronised yet"
+    if not now_s - t.pose_fed_s <= _POSE_S:
+        return "no pose to feed"
+    if not t.estimator_good:
+        return "the estimator does not follow the poses yet"
+    return ""
+
+
+def missing_to_arm(t: Telemetry) -> str:
+    """What is missing once it follows our poses, '' for nothing."""
+    if not t.origin_known:
+        return "no origin yet"
+    return "" if t.prearm_good else f"pre-arm checks fail{': ' + t.warning if t.warning else ''}"
+
+
+@dataclass(slots=True)
+class Request:
+    """One command, asked for a few times until the state shows it."""
+
+    command: Command
+    patience_s: float
+    tries: int = 3
+    asked: int = 0
+    asked_s: float = -math.inf
+
+    def step(self, now_s: float, why: str, t: Telemetry) -> tuple[Command | None, str]:
+        """The command when it is due, and why it is given up when it was asked for in vain too often."""
+        if now_s - self.asked_s < self.patience_s:
+            return None, ""
+        if self.asked >= self.tries:
+            return None, f"arming given up: {why}{': ' + t.warning if t.warning else ''}"
+        self.asked, self.asked_s = self.asked + 1, now_s
+        return self.command, ""

@@ -1,0 +1,123 @@
+"""PX4's personality: its modes, what it must tell us, when it may arm, and how arming is asked for.
+
+Facts from ../shared/AUTOPILOTS.md (measured on 1.17) and PX4's sources: OFFBOARD wants a running setpoint stream first;
+the origin may be set only once the estimator follows the poses.
+"""
+
+from __future__ import annotations
+
+import math
+
+from uav_recon.autopilot.firmware.profile import (
+    ARM,
+    DO_SET_MODE,
+    Command,
+    Outcome,
+    Personality,
+    Request,
+    missing_to_arm,
+    missing_to_follow,
+)
+from uav_recon.autopilot.mavlink.telemetry import Telemetry
+
+_PX4_FAMILY = 12
+_CUSTOM_MODE_ENABLED = 1.0
+_OFFBOARD, _AUTO, _AUTO_LAND = 6, 4, 6
+_MAIN_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED", 8: "RATTITUDE"}
+_AUTO_MODES = {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND", 8: "FOLLOW", 9: "PRECLAND"}
+
+FLY: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _OFFBOARD))
+LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _AUTO_LAND))
+
+LOCAL_NED = 1  # MAV_FRAME: a heading in LOCAL_FRD is none to it, so no global position, no Hold and no arming
+CLOCK_ANSWERS = 500  # until PX4 believes stamps: fifty seconds
+MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
+UNKNOWN_VERSION = (1, 18, 0)  # what it does with our words is not known: AUTOPILOTS reads up to 1.17
+
+STREAMS_HZ = (
+    (1, 2.0),  # SYS_STATUS
+    (31, 30.0),  # ATTITUDE_QUATERNION
+    (32, 30.0),  # LOCAL_POSITION_NED
+    (49, 1.0),  # GPS_GLOBAL_ORIGIN
+    (230, 5.0),  # ESTIMATOR_STATUS
+    (245, 5.0),  # EXTENDED_SYS_STATE
+    (285, 10.0),  # GIMBAL_DEVICE_ATTITUDE_STATUS
+)
+POLLED_HZ = ((0, 10.0),)  # HEARTBEAT: once a second by itself, whatever it is told (measured): too late for a human's mode
+ASKED_ONCE = (148,)  # AUTOPILOT_VERSION
+
+
+def mode_name(custom_mode: int) -> str:
+    """The mode as PX4's own tools call it."""
+    main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+    name = _MAIN_MODES.get(main, f"MODE{main}")
+    return f"{name}.{_AUTO_MODES.get(sub, sub)}" if main == _AUTO else name
+
+
+def is_ours(custom_mode: int) -> bool:
+    """OFFBOARD: the vehicle follows our setpoints."""
+    return custom_mode >> 16 & 0xFF == _OFFBOARD
+
+
+def is_landing(custom_mode: int) -> bool:
+    """AUTO.LAND, by our word or by a failsafe (a blind descent shows as LAND too)."""
+    return custom_mode >> 16 & 0xFFFF == _AUTO_LAND << 8 | _AUTO
+
+
+def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> str:
+    """What is missing before the origin may be sent, '' for nothing. Sent too early, PX4 puts local z at the altitude."""
+    return missing_to_follow(t, time_known, now_s, "PX4", _PX4_FAMILY, MIN_VERSION, UNKNOWN_VERSION)
+
+
+def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
+    """What is missing before arming may be asked for, '' for nothing.
+
+    Until its TIMESYNC has converged PX4 takes a pose for as old as its arrival (HAZARDS 0.8): on a link that repeats frames or
+    lets some come late, old poses would pass for new ones.
+    """
+    missing = missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
+    if not missing and t.stale_frames and t.clock_answers < CLOCK_ANSWERS:
+        return f"frames come late or twice: PX4 must know our clock first ({t.clock_answers} of {CLOCK_ANSWERS} answers)"
+    return missing
+
+
+class Arming:
+    """From a running stream to armed in OFFBOARD: the mode first, then the motors, three tries each. A mode that is neither
+    the one it began in nor ours is somebody's choice.
+    """
+
+    STREAM_S = 1.0
+
+    def __init__(self, now_s: float) -> None:
+        self.streams, self.reason = True, ""
+        self._start_s = now_s
+        self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
+        self._mode_before: int | None = None
+        self._mode_seen = False
+
+    def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+        """What has been reached, and the command to send now. Setpoints must be streaming all the while."""
+        self._mode_before = t.custom_mode if self._mode_before is None else self._mode_before
+        if not is_ours(t.custom_mode) and (self._mode_seen or t.custom_mode != self._mode_before):
+            self.reason = f"arming given up: mode changed to {mode_name(t.custom_mode)}"
+            return Outcome.GIVEN_UP, None
+        if now_s - self._start_s < self.STREAM_S:
+            return Outcome.PENDING, None
+        if not self._mode_seen:
+            if not (is_ours(t.custom_mode) and t.heartbeat_s > self._mode.asked_s > -math.inf):
+                return self._ask(self._mode, now_s, f"mode stays {mode_name(t.custom_mode)}", t)
+            self._mode_seen = True
+        if t.armed:
+            return Outcome.ARMED, None
+        return self._ask(self._arm, now_s, "motors stay off", t)
+
+    def _ask(self, request: Request, now_s: float, why: str, t: Telemetry) -> tuple[Outcome, Command | None]:
+        command, self.reason = request.step(now_s, why, t)
+        return (Outcome.GIVEN_UP if self.reason else Outcome.PENDING), command
+
+
+PX4 = Personality(
+    mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, Arming,
+    land=LAND, pose_frame=LOCAL_NED, setpoint_mask=0, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
+    polled_hz=POLLED_HZ,
+)  # fmt: skip

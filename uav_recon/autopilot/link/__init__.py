@@ -1,0 +1,1 @@
+"""The link to one vehicle: sending, receiving, time synchronisation, alerts."""

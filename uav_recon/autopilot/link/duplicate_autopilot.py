@@ -1,0 +1,85 @@
+"""Whether two autopilots speak under one name: two boot clocks at the same time, or a mode that goes to and fro.
+
+No frame is told apart by it: who is right, only a signature can say. A link that delays, repeats or shuffles frames by half a
+second is one autopilot, and so is one that restarts: its old clock falls silent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from uav_recon.autopilot.mavlink.framing import kind_of, payload_of
+from uav_recon.autopilot.mavlink.messages import Heartbeat, Received
+
+_STAMPED = (31, 32)  # ATTITUDE_QUATERNION and LOCAL_POSITION_NED begin with milliseconds since boot
+_WRAP_S = 2.0**32 / 1000.0
+_APART_S = 0.8  # clocks farther apart are two; frames of one come half a second late at most
+_LIVED_S, _SILENT_S = 0.6, 0.4  # a clock heard for longer, and not silent for longer: longer than frames of a restart mix
+_MOST_CLOCKS = 3
+_CHANGES, _WITHIN_S = 6, 3.0  # of a mode: frames that are 0.3 s late make five of one switch
+_AGAIN_S = 1.0
+_CALM_S = 2.0
+_TOLD_S = 0.25  # what was told so lately stands: a vehicle tells its mode ten times a second
+
+
+@dataclass(slots=True)
+class _BootClock:
+    """ahead_s: of ours, as its newest frame had it."""
+
+    ahead_s: float
+    first_s: float
+    heard_s: float
+
+
+class Double:
+    """Hears every frame of the vehicle's autopilot, before anything is left out."""
+
+    def __init__(self) -> None:
+        self._clocks: list[_BootClock] = []
+        self._copies: dict[bytes, float] = {}  # heartbeats of the last second
+        self._state: tuple[bool, int] | None = None
+        self._changed_s: deque[float] = deque(maxlen=_CHANGES)
+        self._told_s: dict[tuple[bool, int], float] = {}
+        self._seen_s = -math.inf
+
+    def hear(self, received: Received, now_s: float) -> None:
+        """One frame that the gate let in."""
+        if isinstance(received.message, Heartbeat):
+            self._hear_state(received.message, received.frame, now_s)
+        elif kind_of(received.frame) in _STAMPED:
+            self._hear_clock(int.from_bytes(payload_of(received.frame)[:4], "little") / 1000.0 - now_s, now_s)
+
+    def speaks(self, now_s: float) -> bool:
+        """Whether there are two, now or within the last two seconds."""
+        return now_s - self._seen_s <= _CALM_S
+
+    def told(self, now_s: float) -> list[tuple[bool, int]]:
+        """Whether armed, and in which mode, as heartbeats of the last quarter second say; more than one where they contradict
+        each other or change.
+        """
+        return [state for state, at_s in self._told_s.items() if now_s - at_s < _TOLD_S]
+
+    def _hear_clock(self, ahead_s: float, now_s: float) -> None:
+        self._clocks = [clock for clock in self._clocks if now_s - clock.heard_s <= _SILENT_S]
+        mine = [clock for clock in self._clocks if abs(math.remainder(clock.ahead_s - ahead_s, _WRAP_S)) <= _APART_S]
+        if mine:
+            mine[0].ahead_s, mine[0].heard_s = ahead_s, now_s
+        else:
+            self._clocks.append(_BootClock(ahead_s, now_s, now_s))
+        settled = sum(now_s - clock.first_s >= _LIVED_S for clock in self._clocks)
+        if settled > 1 or len(self._clocks) > _MOST_CLOCKS:
+            self._clocks, self._seen_s = self._clocks[-_MOST_CLOCKS:], now_s
+
+    def _hear_state(self, message: Heartbeat, frame: bytes, now_s: float) -> None:
+        state = message.armed, message.custom_mode
+        self._told_s = {told: self._told_s[told] for told in self.told(now_s)} | {state: now_s}
+        self._copies = {old: at_s for old, at_s in self._copies.items() if now_s - at_s <= _AGAIN_S}
+        if self._copies.setdefault(frame, now_s) != now_s:
+            return
+        if self._state not in (None, state):
+            self._changed_s.append(now_s)
+            if len(self._changed_s) == _CHANGES and now_s - self._changed_s[0] <= _WITHIN_S:
+                self._seen_s = now_s
+        self._state = state

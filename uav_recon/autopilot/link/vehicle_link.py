@@ -1,0 +1,287 @@
+"""One link: bytes in become telemetry of the one autopilot we fly; what we send goes out here and nowhere else."""
+
+from __future__ import annotations
+
+import math
+
+from uav_recon.autopilot.firmware.profile import Personality
+from uav_recon.autopilot.link.autopilot_identity import Identity
+from uav_recon.autopilot.link.duplicate_autopilot import Double
+from uav_recon.autopilot.link.link_alerts import OLD_FRAMES, TWO, Intrusions
+from uav_recon.autopilot.link.stale_frame_filter import Succession
+from uav_recon.autopilot.link.timesync import TimeSyncFilter
+from uav_recon.autopilot.mavlink.allow_list import NOT_AN_AUTOPILOT, Gate
+from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
+from uav_recon.autopilot.mavlink.messages import (
+    Ack,
+    Attitude,
+    EstimatorStatus,
+    Firmware,
+    GimbalAttitude,
+    Heartbeat,
+    LandedState,
+    LocalPosition,
+    Message,
+    OriginSet,
+    ParameterValue,
+    Received,
+    StatusText,
+    SystemStatus,
+    TimeSync,
+)
+from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.autopilot.mavlink.tlog import FrameLog
+from uav_recon.clock import RateKeeper
+from uav_recon.protocols import ByteLink
+from uav_recon.safety.guard import ClearedSetpoint
+from uav_recon.types.pose import StampedPose
+
+_WARNING = 4
+_DEAF_S = 1.7
+_SLOW_TRIP_S, _SLOW_FOR_S = 0.2, 10.0  # 0.1 s each way: at 0.8 m/s it lags by 0.08 m more
+_SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
+_NS = 1_000_000_000
+_PROMPT_NS = 25_000_000  # a question is answered so soon, or its round trip is too long to be learned from
+# Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most.
+_CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
+_AUTOPILOT_VERSION = 148.0
+
+
+class Link:
+    """Speaks MAVLink with one autopilot over one byte link. Methods never block and never raise on what arrives.
+
+    firmware: whose rules hold on the other end. gate: who may speak there.
+    """
+
+    def __init__(
+        self,
+        bytes_link: ByteLink,
+        log: FrameLog,
+        start_s: float,
+        firmware: Personality,
+        gate: Gate,
+        system: int = 245,
+        component: int = 191,
+    ) -> None:
+        self._bytes, self._log, self._gate = bytes_link, log, gate
+        self.firmware = firmware
+        self.mute = False  # no heartbeat any more
+        self._own = (system, component)
+        self._decoder, self._encoder = Decoder(), Encoder(system, component)
+        self._timesync, self._succession, self._double = TimeSyncFilter(), Succession(), Double()
+        self._identity = Identity(gate.uid)
+        self._slow_s = -math.inf
+        keepers = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
+        self._heartbeat, self._sync, self._resync, self._gimbal = keepers
+        self._polled = [(identifier, RateKeeper(rate_hz, start_s)) for identifier, rate_hz in firmware.polled_hz]
+        self._asked_parameters: set[str] = set()
+        self.telemetry, self.intrusions = Telemetry(), Intrusions(self._own)
+
+    @property
+    def time_known(self) -> bool:
+        """Whether the autopilot's clock is known."""
+        return self._timesync.converged
+
+    def receive(self, now_s: float) -> None:
+        """Take in whatever arrived."""
+        try:
+            data = self._bytes.read()
+        except OSError as error:
+            self.telemetry.failure = f"link: {error.strerror or error}"
+            return
+        self.telemetry.failure = ""
+        old_frames = self._decoder.mavlink1_frames
+        for received in self._decoder.feed(data):
+            self._log.record(now_s, received.frame)
+            self._hear(received, now_s)
+        self._notice_slowness(now_s)
+        self.telemetry.doubled = self._double.speaks(now_s)
+        if self.telemetry.doubled:
+            self.intrusions.note(TWO)
+        if self._decoder.mavlink1_frames > old_frames:
+            self.intrusions.note(OLD_FRAMES)
+        self._gate.refuse("MAVLink 1", self._decoder.mavlink1_frames - old_frames)
+
+    def _notice_slowness(self, now_s: float) -> None:
+        """A link is slow until it has been quick for a while: each change of speed costs a stop."""
+        trip_s = self._timesync.usual_trip_s
+        if trip_s > _SLOW_TRIP_S:
+            self._slow_s = now_s
+            self.intrusions.note("slow link", f"the link is slow: there and back takes {trip_s:.2f} s")
+        self.telemetry.slow = now_s - self._slow_s < _SLOW_FOR_S
+
+    def keep_alive(self, now_s: float) -> None:
+        """Our heartbeat, and the question for the autopilot's clock. No heartbeat while we are deaf: one that lands only when
+        it takes us for dead (ArduPilot, two seconds later) is to land before the vehicle is given up for lost.
+        """
+        deaf = -math.inf < self.telemetry.heard_s < now_s - _DEAF_S
+        if self._heartbeat.due(now_s) and not (self.mute or deaf):
+            self._send(self._encoder.heartbeat(), now_s)
+        if self.telemetry.system and (self._resync if self._timesync.lost else self._sync).due(now_s):
+            self._send(self._encoder.timesync(0, int(now_s * _NS)), now_s)
+        self.poll(now_s)
+        if self._identity.asks(now_s):
+            self.command(now_s, _REQUEST_MESSAGE, _AUTOPILOT_VERSION)
+
+    def poll(self, now_s: float) -> None:
+        """For what does not come often enough by itself."""
+        for identifier, keeper in self._polled:
+            if self.telemetry.system and keeper.due(now_s):
+                self.command(now_s, _REQUEST_MESSAGE, float(identifier))
+
+    def stop_heartbeats(self) -> None:
+        """From now on the autopilot is to take us for dead, and to land by itself where it is ours no more."""
+        self.mute = True
+
+    def feed_pose(self, pose: StampedPose, now_s: float) -> None:
+        """ODOMETRY on the autopilot's clock; nothing before it is known, while it is in doubt, or for another."""
+        if not self.time_known or self.telemetry.stranger:
+            return
+        time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000
+        self._send(self._encoder.odometry(pose, time_us, self.firmware.pose_frame), now_s)
+        self.telemetry.pose_fed_s = now_s
+
+    def stream(self, cleared: ClearedSetpoint, now_s: float, gimbal: bool) -> None:
+        """Put a cleared setpoint on the wire, and at most ten times a second its camera pitch."""
+        boot_ms = self._timesync.autopilot_ns(now_s) // 1_000_000
+        self._send(self._encoder.setpoint(self.telemetry.system, cleared.setpoint, boot_ms, self.firmware.setpoint_mask), now_s)
+        if gimbal and self._gimbal.due(now_s):
+            pitch_rad = min(max(cleared.setpoint.camera_pitch_down_rad, -math.pi / 2), math.pi / 2)
+            self._send(self._encoder.gimbal_pitch(self.telemetry.system, pitch_rad), now_s)
+
+    def command(self, now_s: float, command: int, *parameters: float) -> None:
+        """COMMAND_LONG to the autopilot."""
+        self._send(self._encoder.command(self.telemetry.system, command, *parameters), now_s)
+
+    def say(self, now_s: float, text: str) -> None:
+        """STATUSTEXT for the people at a ground station."""
+        self._send(self._encoder.text(text), now_s)
+
+    def request_streams(self, now_s: float, rates_hz: tuple[tuple[int, float], ...], once: tuple[int, ...]) -> None:
+        """Ask for messages (id, rate) to be sent steadily, and for others to be sent once."""
+        for identifier, rate_hz in rates_hz:
+            self.command(now_s, _SET_MESSAGE_INTERVAL, float(identifier), 1e6 / rate_hz)
+        for identifier in once:
+            self.command(now_s, _REQUEST_MESSAGE, float(identifier))
+
+    def claim_gimbal(self, now_s: float) -> None:
+        """DO_GIMBAL_MANAGER_CONFIGURE: we hold primary control; nobody secondary."""
+        self.command(now_s, 1001, float(self._own[0]), float(self._own[1]), -1.0, -1.0)
+
+    def send_origin(self, now_s: float, lat_deg: float, lon_deg: float, alt_m: float) -> None:
+        """Hand the autopilot a geographic origin."""
+        self._send(self._encoder.origin(self.telemetry.system, lat_deg, lon_deg, alt_m), now_s)
+
+    def ask_parameter(self, now_s: float, name: str) -> None:
+        """PARAM_REQUEST_READ; from now on telemetry holds the newest value that is told of this parameter."""
+        self._asked_parameters.add(name)
+        self._send(self._encoder.parameter_request(self.telemetry.system, name), now_s)
+
+    def set_parameter(self, now_s: float, value: ParameterValue) -> None:
+        """PARAM_SET. Nobody but a person's own command may ask for it."""
+        self._send(self._encoder.parameter_set(self.telemetry.system, value), now_s)
+
+    def wait(self, timeout_s: float) -> None:
+        """Block until bytes are there or the time is over."""
+        self._bytes.wait(timeout_s)
+
+    def _send(self, frame: bytes, now_s: float) -> None:
+        frame = self._gate.seal.put(frame, now_s)
+        try:
+            self._bytes.write(frame)
+        except OSError as error:
+            self.telemetry.failure = f"link: {error.strerror or error}"
+            return
+        self._log.record(now_s, frame)
+
+    def _hear(self, received: Received, now_s: float) -> None:
+        """Whom the gate admits is heard, after the vehicle's first heartbeat, and of the autopilot what is news."""
+        t, message = self.telemetry, received.message
+        if (received.system, received.component) == self._own:
+            t.twin_heard = True
+            self.intrusions.hear(received)
+            return
+        if not self._gate.admits(received):
+            self.intrusions.hear(received)
+            return
+        from_autopilot = self._gate.is_autopilot(received)
+        if isinstance(message, Heartbeat) and from_autopilot and message.autopilot != NOT_AN_AUTOPILOT:
+            t.system = received.system
+        if t.system == 0 or message is None:
+            return
+        if from_autopilot:
+            self._double.hear(received, now_s)
+            dated = isinstance(message, TimeSync) and message.tc1_ns != 0  # its round trip tells how late it is
+            if not self._succession.is_news(received.frame, now_s) and not (dated or t.doubled):  # of two, nobody's is older
+                t.stale_frames += 1
+                return
+            t.heard_s = now_s
+            self._identity.hear(now_s, self._timesync.lost)
+            self._take(message, now_s)
+        elif isinstance(message, GimbalAttitude):
+            t.camera_pitch_down_rad = message.pitch_down_rad
+
+    def _take(self, message: Message, now_s: float) -> None:
+        t = self.telemetry
+        match message:
+            case Heartbeat():
+                self._take_state(message, now_s)
+            case TimeSync():
+                self._synchronise(message, now_s)
+            case EstimatorStatus():
+                t.estimator_good = message.position_good
+            case LandedState():
+                t.on_ground_s = now_s if message.on_ground else -math.inf
+            case SystemStatus():
+                t.prearm_good, t.battery_fraction, t.battery_s = message.prearm_good, message.battery_fraction, now_s
+            case LocalPosition():
+                t.position_m, t.velocity_mps = message.position_m, message.velocity_mps
+            case Attitude():
+                t.quat_wxyz = message.quat_wxyz
+            case OriginSet():
+                t.origin_known = True
+            case Firmware():
+                t.version = message.version
+                self._identity.told(message.uid)
+                t.stranger = self._identity.fault
+            case StatusText():
+                t.warning = message.text if message.severity <= _WARNING else t.warning
+            case GimbalAttitude():
+                t.camera_pitch_down_rad = message.pitch_down_rad
+            case ParameterValue():
+                if message.name in self._asked_parameters:
+                    t.parameters[message.name] = message
+            case Ack():
+                t.refused_command = message.command if message.result not in (0, 5) else t.refused_command
+
+    def _take_state(self, message: Heartbeat, now_s: float) -> None:
+        """Motors stand once nobody says that they run. Of two autopilots a mode that is not ours counts before ours, so that a
+        pilot always wins, and ours before a landing, so that nobody talks us out of asking for one.
+        """
+        t, told = self.telemetry, self._double.told(now_s)
+        armed = [mode for runs, mode in told if runs]
+        if armed and not message.armed:
+            return
+        t.heartbeat_s, t.firmware_family = now_s, message.autopilot
+        t.armed, t.custom_mode = message.armed, message.custom_mode
+        if t.doubled:
+            rules = self.firmware
+            t.custom_mode = min(armed or [t.custom_mode], key=lambda mode: rules.is_ours(mode) + 2 * rules.is_landing(mode))
+
+    def _synchronise(self, message: TimeSync, now_s: float) -> None:
+        """Learn from answers; answer requests in the autopilot's OWN clock, once we know it.
+
+        Pose stamps are on that clock too, so an autopilot that corrects stamps by what it learns from our answers finds
+        an offset of zero, and one that takes stamps as they are is right as well.
+        """
+        if message.tc1_ns == 0:
+            if self.time_known:
+                self._send(self._encoder.timesync(self._timesync.autopilot_ns(now_s), message.ts1_ns), now_s)
+                asked_ago_ns = self._timesync.autopilot_ns(now_s) - message.ts1_ns
+                self.telemetry.clock_answers += abs(asked_ago_ns) <= _PROMPT_NS  # a copy that comes late teaches it nothing
+            return
+        self._timesync.observe(message.ts1_ns, message.tc1_ns, int(now_s * _NS))
+        if self._timesync.restarts > self.telemetry.reboots:
+            self.telemetry.reboots, self._succession = self._timesync.restarts, Succession()
+            self.telemetry.origin_known = self.telemetry.estimator_good = self.telemetry.prearm_good = False
+            self.telemetry.parameters.clear()

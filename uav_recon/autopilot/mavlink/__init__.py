@@ -1,0 +1,1 @@
+"""MAVLink: framing, codec, frame conversion, signing, allow list, telemetry, transport, log."""

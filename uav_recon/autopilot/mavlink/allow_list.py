@@ -1,0 +1,75 @@
+"""Who may speak to us on the link: one system's autopilot and gimbal. Everybody else is counted, and named once."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+from uav_recon.autopilot.mavlink.codec import Decoder
+from uav_recon.autopilot.mavlink.messages import Heartbeat, Received
+from uav_recon.autopilot.mavlink.signing import NoSeal, Seal
+
+NOT_AN_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
+_MOST_NAMES = 32
+
+
+@dataclass(frozen=True, slots=True)
+class AllowList:
+    """MAVLink ids of the vehicle: its system, and in it the components of its autopilot and of its gimbal. uid: of the
+    autopilot's hardware, in hex; '' for whoever answers.
+    """
+
+    system: int = 1
+    autopilot: int = 1
+    gimbal: int = 154
+    uid: str = ""
+
+
+class Gate:
+    """The allow-list of one link. refused: how many frames and datagrams were not let in so far. seal: what frames bear."""
+
+    def __init__(self, allowed: AllowList | None = None, seal: Seal | None = None) -> None:
+        self._allowed, self.seal = allowed or AllowList(), seal or NoSeal()
+        self._named: set[str] = set()
+        self.refused = 0
+
+    @property
+    def uid(self) -> str:
+        """Of the one autopilot that may be flown, '' for any."""
+        return self._allowed.uid
+
+    def greets(self, data: bytes) -> bool:
+        """Whether the frames of a datagram hold a heartbeat of the vehicle's autopilot. Changes nothing."""
+        return any(self._is_greeting(received) for received in Decoder().feed(data))
+
+    def admits(self, received: Received) -> bool:
+        """Whether a frame may say anything about the vehicle; who may not is named."""
+        ours = (self._allowed.autopilot, self._allowed.gimbal)
+        known = received.system == self._allowed.system and received.component in ours
+        if known and self.seal.accept(received.frame):
+            return True
+        fault = " without a true and new signature" if known else ""
+        self.refuse(f"system {received.system}, component {received.component}{fault}")
+        return False
+
+    def is_autopilot(self, received: Received) -> bool:
+        """Whether the vehicle's autopilot says so of itself."""
+        return (received.system, received.component) == (self._allowed.system, self._allowed.autopilot)
+
+    def refuse(self, who: str, times: int = 1) -> None:
+        """Somebody was not let in. The log names each once, and no more than a screenful: a forger has names without end."""
+        self.refused += times
+        if times and who not in self._named and len(self._named) < _MOST_NAMES:
+            self._named.add(who)
+            logging.getLogger(__name__).warning("link: %s: not listened to", who)
+
+    def close(self) -> None:
+        """Keep what a restart must know."""
+        self.seal.close()
+
+    def _is_greeting(self, received: Received) -> bool:
+        message = received.message
+        from_autopilot = (
+            isinstance(message, Heartbeat) and message.autopilot != NOT_AN_AUTOPILOT and self.is_autopilot(received)
+        )
+        return from_autopilot and self.seal.trusts(received.frame)

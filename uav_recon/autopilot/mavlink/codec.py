@@ -1,0 +1,296 @@
+"""THE codec: MAVLink 2 bytes to values in our frames, and our values to bytes. NED and FRD end here.
+
+Nothing that arrives raises. A frame counts only if its checksum holds; MAVLink 1 frames are dropped and counted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from uav_recon.autopilot.mavlink.frame_conversion import swap_attitude, swap_body, swap_covariance, swap_world, swap_yaw
+from uav_recon.autopilot.mavlink.framing import (
+    MAGIC_1,
+    MAGIC_2,
+    Layout,
+    frame_length,
+    framed,
+    is_intact,
+    kind_of,
+    sender_of,
+    wire,
+)
+from uav_recon.autopilot.mavlink.messages import (
+    Ack,
+    Attitude,
+    EstimatorStatus,
+    Firmware,
+    GimbalAttitude,
+    Heartbeat,
+    LandedState,
+    LocalPosition,
+    Message,
+    OriginSet,
+    ParameterValue,
+    Received,
+    StatusText,
+    SystemStatus,
+    TimeSync,
+)
+from uav_recon.types.pose import StampedPose
+from uav_recon.types.trajectory import Setpoint
+
+_BUFFER_LIMIT = 1 << 16
+_LARGEST = float(np.finfo(np.float32).max)
+_UPPER = np.triu_indices(6)
+# (m/s)² and (rad/s)²: the pose filter publishes neither; PX4 reads the first three of the diagonal
+_TWIST_COVARIANCE = np.diag([0.1**2] * 3 + [100.0] * 3)[_UPPER].tolist()
+
+
+class Decoder:
+    """Finds frames in a byte stream. Counters: garbage bytes, frames of MAVLink 1, frames of unknown kind."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self.garbage_bytes = 0
+        self.mavlink1_frames = 0
+        self.unknown_frames = 0
+
+    def feed(self, data: bytes) -> list[Received]:
+        """Every whole frame up to the end of these bytes, oldest first; an unfinished one waits for the next call."""
+        self._buffer += data[-_BUFFER_LIMIT:]
+        received, at, end = [], 0, len(self._buffer)
+        while at < end:
+            length = frame_length(self._buffer, at)
+            if length < 0:
+                break
+            frame = self._buffer[at : at + length]
+            kind = wire.mavlink_map.get(kind_of(frame)) if length else None
+            if not length or not (self._followed(at + length) if kind is None else is_intact(frame, kind)):
+                self.garbage_bytes += 1
+                at += 1
+                continue
+            if frame[0] == MAGIC_1:
+                self.mavlink1_frames += 1
+            elif kind is None:
+                self.unknown_frames += 1
+            else:
+                received.append(Received(*sender_of(frame), _value(kind.id, frame), frame))
+            at += length
+        self._buffer = self._buffer[at:]
+        return received
+
+    def _followed(self, end: int) -> bool:
+        """Whether nothing or another frame comes next: all that speaks for a frame of unknown kind."""
+        return end == len(self._buffer) or self._buffer[end] in (MAGIC_1, MAGIC_2)
+
+
+class Encoder:
+    """Our voice on the link: system and component id, and our own sequence number. Every method returns one frame."""
+
+    def __init__(self, system: int, component: int) -> None:
+        self._mavlink = wire.MAVLink(None, srcSystem=system, srcComponent=component)
+
+    def heartbeat(self) -> bytes:
+        """An onboard controller that is active."""
+        who = (wire.MAV_TYPE_ONBOARD_CONTROLLER, wire.MAV_AUTOPILOT_INVALID)
+        return self._frame(_HEARTBEAT, _HEARTBEAT.unpacker.pack(0, *who, 0, wire.MAV_STATE_ACTIVE, 3))
+
+    def timesync(self, tc1_ns: int, ts1_ns: int) -> bytes:
+        """A request (tc1_ns = 0, our clock) or an answer (our clock, their ts1)."""
+        return self._frame(_TIMESYNC, _TIMESYNC.unpacker.pack(tc1_ns, ts1_ns))
+
+    def command(self, target: int, command: int, *parameters: float) -> bytes:
+        """COMMAND_LONG to the autopilot of system ``target``; missing parameters are 0."""
+        padded = (*parameters, *([0.0] * (7 - len(parameters))))
+        return self._pack(wire.MAVLink_command_long_message(target, wire.MAV_COMP_ID_AUTOPILOT1, command, 0, *padded))
+
+    def origin(self, target: int, lat_deg: float, lon_deg: float, alt_m: float) -> bytes:
+        """SET_GPS_GLOBAL_ORIGIN: where on the globe the local origin is to be."""
+        return self._pack(
+            wire.MAVLink_set_gps_global_origin_message(
+                target, round(lat_deg * 1e7), round(lon_deg * 1e7), round(alt_m * 1e3), 0
+            )
+        )
+
+    def odometry(self, pose: StampedPose, time_us: int, frame: int) -> bytes:
+        """ODOMETRY, pose in frame (LOCAL_NED or LOCAL_FRD, the same axes to us) and BODY_FRD velocity; time_us in the
+        autopilot's clock.
+
+        The angular rate is not known here: zero with a variance that says so (nothing on this wire is ever NaN).
+        Quality is clipped to 1..100 (0 would say "unknown").
+        """
+        velocity_body = pose.odom_from_body.rotation().T @ pose.velocity_odom_mps
+        payload = _packed(
+            _ODOMETRY,
+            time_us,
+            *swap_world(pose.odom_from_body.translation_m.tolist()),
+            *swap_attitude(pose.odom_from_body.quat_wxyz.tolist()),
+            *swap_body(velocity_body.tolist()),
+            *(0.0, 0.0, 0.0),
+            *swap_covariance(pose.covariance)[_UPPER].tolist(),
+            *_TWIST_COVARIANCE,
+            frame,
+            wire.MAV_FRAME_BODY_FRD,
+            pose.reset_counter % 256,
+            wire.MAV_ESTIMATOR_TYPE_VIO,
+            min(max(pose.quality, 1), 100),
+        )
+        return self._frame(_ODOMETRY, payload)
+
+    def setpoint(self, target: int, setpoint: Setpoint, time_boot_ms: int, mask: int) -> bytes:
+        """SET_POSITION_TARGET_LOCAL_NED; mask: the bits of what is to be ignored, 0 = nothing."""
+        payload = _packed(
+            _SETPOINT,
+            time_boot_ms % (1 << 32),
+            *swap_world(setpoint.position_m.tolist()),
+            *swap_world(setpoint.velocity_mps.tolist()),
+            *swap_world(setpoint.acceleration_mps2.tolist()),
+            swap_yaw(setpoint.yaw_rad),
+            -setpoint.yaw_rate_radps,
+            mask,
+            target,
+            wire.MAV_COMP_ID_AUTOPILOT1,
+            wire.MAV_FRAME_LOCAL_NED,
+        )
+        return self._frame(_SETPOINT, payload)
+
+    def gimbal_pitch(self, target: int, pitch_down_rad: float) -> bytes:
+        """GIMBAL_MANAGER_SET_PITCHYAW: pitch against the horizon, yaw stays with the vehicle."""
+        flags = wire.GIMBAL_MANAGER_FLAGS_ROLL_LOCK | wire.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
+        return self._pack(
+            wire.MAVLink_gimbal_manager_set_pitchyaw_message(
+                target, wire.MAV_COMP_ID_AUTOPILOT1, flags, 0, -pitch_down_rad, 0.0, math.nan, math.nan
+            )
+        )
+
+    def text(self, text: str) -> bytes:
+        """STATUSTEXT, a warning: its first fifty characters, what is not ASCII as a question mark."""
+        return self._pack(wire.MAVLink_statustext_message(wire.MAV_SEVERITY_WARNING, text.encode("ascii", "replace")[:50]))
+
+    def parameter_request(self, target: int, name: str) -> bytes:
+        """PARAM_REQUEST_READ by name."""
+        return self._pack(wire.MAVLink_param_request_read_message(target, wire.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1))
+
+    def parameter_set(self, target: int, value: ParameterValue) -> bytes:
+        """PARAM_SET."""
+        return self._pack(
+            wire.MAVLink_param_set_message(target, wire.MAV_COMP_ID_AUTOPILOT1, value.name.encode(), value.number, value.kind)
+        )
+
+    def _pack(self, message: Any) -> bytes:
+        frame = bytes(message.pack(self._mavlink))
+        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+        return frame
+
+    def _frame(self, kind: Any, payload: bytes) -> bytes:
+        """What is said many times a second: fields in the order of the wire."""
+        frame = framed(kind, payload, self._mavlink.seq, self._mavlink.srcSystem, self._mavlink.srcComponent)
+        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+        return frame
+
+
+def _packed(kind: Any, *fields: float) -> bytes:
+    """Fields in the order of the wire. Whoever speaks has bounded his numbers; one that a float32 cannot hold raises nothing
+    all the same, and goes out as the largest that it can.
+    """
+    try:
+        return bytes(kind.unpacker.pack(*fields))
+    except OverflowError:
+        return bytes(kind.unpacker.pack(*(min(max(f, -_LARGEST), _LARGEST) if isinstance(f, float) else f for f in fields)))
+
+
+def _value(identifier: int, frame: bytes) -> Message | None:
+    """What a checked frame says in our frames, or None for kinds we do not use and numbers that are not finite."""
+    reader = _READERS.get(identifier)
+    if reader is None:
+        return None
+    layout, make = reader
+    return make(*layout.read(frame))
+
+
+def _heartbeat(kind: int, autopilot: int, base_mode: int, custom_mode: int) -> Message:
+    return Heartbeat(kind, autopilot, bool(base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED), custom_mode)
+
+
+def _system_status(health: int, battery_remaining: int) -> Message:
+    battery = battery_remaining / 100 if 0 <= battery_remaining <= 100 else math.nan
+    return SystemStatus(bool(health & wire.MAV_SYS_STATUS_PREARM_CHECK), battery)  # PX4 never says that it is present
+
+
+def _local_position(*numbers: float) -> Message | None:
+    if not all(map(math.isfinite, numbers)):
+        return None
+    return LocalPosition(np.array(swap_world(numbers[:3])), np.array(swap_world(numbers[3:])))
+
+
+def _attitude(*quat: float) -> Message | None:
+    good = abs(math.hypot(*quat) - 1.0) < 1e-2  # never of what is not finite
+    return Attitude(np.array(swap_attitude(quat))) if good else None
+
+
+def _firmware(number: int, uid: int, uid2: tuple[int, ...]) -> Message:
+    told = bytes(uid2).hex() if any(uid2) else f"{uid:016x}" if uid else ""
+    return Firmware((number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF), told)
+
+
+def _status_text(severity: int, text: bytes) -> Message:
+    return StatusText(severity, "".join(c for c in text.split(b"\0")[0].decode(errors="replace") if c.isprintable()))
+
+
+def _gimbal(quat: tuple[float, float, float, float]) -> Message | None:
+    w, x, y, z = quat
+    sine = 2.0 * (w * y - z * x)  # FRD: positive pitch is nose up
+    return GimbalAttitude(-math.asin(min(max(sine, -1.0), 1.0))) if math.isfinite(sine) else None
+
+
+def _ekf(flags: int, horizontal: float) -> Message:
+    """ArduPilot's: it follows, it knows where it is, and it does not refuse what it is fed (innovation over gate)."""
+    return EstimatorStatus(flags & (_EKF_FOLLOWS | _EKF_DOES_NOT) == _EKF_FOLLOWS and horizontal < 1.0)
+
+
+def _parameter(name: bytes, number: float, kind: int) -> Message:
+    return ParameterValue(name.split(b"\0")[0].decode(errors="replace"), number, kind)
+
+
+def _origin() -> Message:
+    return OriginSet()
+
+
+_EKF_FOLLOWS = 0x33F  # attitude, velocities, positions and their predictions (measured)
+_EKF_DOES_NOT = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED
+_ODOMETRY, _SETPOINT = wire.MAVLink_odometry_message, wire.MAVLink_set_position_target_local_ned_message
+_HEARTBEAT, _TIMESYNC = wire.MAVLink_heartbeat_message, wire.MAVLink_timesync_message
+_READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = (
+    (wire.MAVLink_heartbeat_message, ("type", "autopilot", "base_mode", "custom_mode"), _heartbeat),
+    (wire.MAVLink_command_ack_message, ("command", "result"), Ack),
+    (wire.MAVLink_timesync_message, ("tc1", "ts1"), TimeSync),
+    (
+        wire.MAVLink_estimator_status_message,
+        ("flags",),
+        lambda flags: EstimatorStatus(bool(flags & wire.ESTIMATOR_POS_HORIZ_REL)),
+    ),
+    (
+        wire.MAVLink_extended_sys_state_message,
+        ("landed_state",),
+        lambda state: LandedState(state == wire.MAV_LANDED_STATE_ON_GROUND),
+    ),
+    (wire.MAVLink_ekf_status_report_message, ("flags", "pos_horiz_variance"), _ekf),
+    (
+        wire.MAVLink_sys_status_message,
+        ("onboard_control_sensors_health", "battery_remaining"),
+        _system_status,
+    ),
+    (wire.MAVLink_local_position_ned_message, ("x", "y", "z", "vx", "vy", "vz"), _local_position),
+    (wire.MAVLink_attitude_quaternion_message, ("q1", "q2", "q3", "q4"), _attitude),
+    (wire.MAVLink_gps_global_origin_message, (), _origin),
+    (wire.MAVLink_home_position_message, (), _origin),
+    (wire.MAVLink_autopilot_version_message, ("flight_sw_version", "uid", "uid2"), _firmware),
+    (wire.MAVLink_statustext_message, ("severity", "text"), _status_text),
+    (wire.MAVLink_gimbal_device_attitude_status_message, ("q",), _gimbal),
+    (wire.MAVLink_param_value_message, ("param_id", "param_value", "param_type"), _parameter),
+)
+_READERS = {kind.id: (Layout(kind, *names), make) for kind, names, make in _READ}

@@ -1,0 +1,161 @@
+"""MAVLink 2 signing: what only a holder of the key can say, and can say once.
+
+Behind a signed frame come a link id, 48 bits of time and six bytes of SHA-256 over the key and all before (mavlink.io, Message
+Signing). pymavlink's own check notes a sender's time before it has found the signature true, so one forged frame silences the
+true vehicle for good; here nothing is noted of a frame that is not true.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+import stat
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from uav_recon.autopilot.mavlink.framing import is_signed, marked_signed, sender_of
+from uav_recon.autopilot.mavlink.signing_timestamps import Stamps
+from uav_recon.clock import ThreadExecutor
+from uav_recon.protocols import Clock
+
+KEY_BYTES = 32
+_MOST_BYTES = 1024
+_SHORTEST_PHRASE = 8
+_TAIL = 13  # link id, time, signature
+_HASH = 6
+
+
+class KeyFileError(Exception):
+    """A key that cannot be used; its text is one line that names the file, and never what is in it."""
+
+
+class Seal(Protocol):
+    """How frames are made ours, and others' are known to be theirs."""
+
+    def put(self, frame: bytes, now_s: float) -> bytes:
+        """A frame of ours as it is to be sent."""
+        ...
+
+    def trusts(self, frame: bytes) -> bool:
+        """Whether a frame that arrived would be accepted. Changes nothing."""
+        ...
+
+    def accept(self, frame: bytes) -> bool:
+        """Whether a frame that arrived is true and new; then never again."""
+        ...
+
+    def close(self) -> None:
+        """Keep what a restart must know."""
+        ...
+
+
+class NoSeal:
+    """Signing is off: everything is taken as it is."""
+
+    def put(self, frame: bytes, now_s: float) -> bytes:
+        """Unsigned."""
+        return frame
+
+    def trusts(self, frame: bytes) -> bool:
+        """Always."""
+        return True
+
+    def accept(self, frame: bytes) -> bool:
+        """Always."""
+        return True
+
+    def close(self) -> None:
+        """There is nothing."""
+
+
+class Signature:
+    """Signing is on: each frame of ours is signed, and none without a true signature is accepted.
+
+    RADIO_STATUS, which the specification lets in unsigned, says nothing that is used here.
+    """
+
+    def __init__(self, key: bytes, link_id: int, stamps: Stamps) -> None:
+        self._key, self._link_id, self._stamps = key, bytes((link_id,)), stamps
+        self._heard_on: dict[tuple[int, int], int] = {}  # the link id on which each system and component was heard first
+
+    def put(self, frame: bytes, now_s: float) -> bytes:
+        """Marked as signed, and signed at this instant."""
+        stamped = marked_signed(frame) + self._link_id + self._stamps.next(now_s).to_bytes(6, "little")
+        return stamped + self._hash(stamped)
+
+    def trusts(self, frame: bytes) -> bool:
+        """Whether the signature is true, the stamp new, and the frame made for no other link of its sender's."""
+        if not is_signed(frame) or not hmac.compare_digest(frame[-_HASH:], self._hash(frame[:-_HASH])):
+            return False
+        if self._heard_on.get(sender_of(frame), frame[-_TAIL]) != frame[-_TAIL]:
+            return False
+        return self._stamps.is_new(self._stream(frame), self._stamp(frame))
+
+    def accept(self, frame: bytes) -> bool:
+        """As trusts(), and its stamp is used up."""
+        if not self.trusts(frame):
+            return False
+        self._heard_on[sender_of(frame)] = frame[-_TAIL]
+        self._stamps.note(self._stream(frame), self._stamp(frame))
+        return True
+
+    def close(self) -> None:
+        """Write the stamps."""
+        self._stamps.close()
+
+    def _hash(self, stamped: bytes) -> bytes:
+        return hashlib.sha256(self._key + stamped).digest()[:_HASH]
+
+    @staticmethod
+    def _stream(frame: bytes) -> tuple[int, int, int]:
+        return (frame[-_TAIL], *sender_of(frame))
+
+    @staticmethod
+    def _stamp(frame: bytes) -> int:
+        return int.from_bytes(frame[1 - _TAIL : -_HASH], "little")
+
+
+def open_signature(key: Path, link_id: int, stamps: Path, clock: Clock, wall_s: Callable[[], float] = time.time) -> Signature:
+    """What a vehicle's key file and its file of stamps say. wall_s: seconds since 1970, asked here and never again. Raises
+    KeyFileError or StampsError.
+    """
+    secret = read_key(key)
+    return Signature(secret, link_id, Stamps(stamps, wall_s(), clock.now_s(), ThreadExecutor("signing")))
+
+
+def read_key(path: Path) -> bytes:
+    """The key of a file that only its owner may read: a line of text is a passphrase, as ground stations take it (its SHA-256
+    is the key); anything else must be 32 bytes. Raises KeyFileError.
+    """
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+    except OSError as error:
+        raise KeyFileError(f"signing_key {path}: cannot be read ({error.strerror})") from None
+    try:
+        mode = os.fstat(file).st_mode
+        content = os.read(file, _MOST_BYTES + 1) if stat.S_ISREG(mode) else b""
+    finally:
+        os.close(file)
+    if not stat.S_ISREG(mode):
+        raise KeyFileError(f"signing_key {path}: not a file")
+    if mode & 0o077:
+        raise KeyFileError(f"signing_key {path}: permissions {mode & 0o777:04o}, want 0600: others may read or change the key")
+    phrase = _phrase(content)
+    if phrase is not None and len(phrase) <= _MOST_BYTES:
+        if len(phrase) < _SHORTEST_PHRASE:
+            raise KeyFileError(f"signing_key {path}: a passphrase of {len(phrase)} bytes, want {_SHORTEST_PHRASE} at least")
+        return hashlib.sha256(phrase).digest()
+    if len(content) != KEY_BYTES:
+        raise KeyFileError(f"signing_key {path}: {len(content)} bytes, want {KEY_BYTES}, or one line of text as a passphrase")
+    return content
+
+
+def _phrase(content: bytes) -> bytes | None:
+    try:
+        line = content.decode().removesuffix("\n")
+    except UnicodeDecodeError:
+        return None
+    return line.encode() if line.isprintable() else None

@@ -1,0 +1,1 @@
+"""Autopilot parameters: read from the vehicle, compared with the parameter file."""

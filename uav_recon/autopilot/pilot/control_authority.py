@@ -1,0 +1,95 @@
+"""Whose vehicle it is: ours from the mode we asked for until anybody else's will shows, and then never again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from uav_recon.autopilot.firmware.profile import Personality
+from uav_recon.autopilot.link.link_alerts import TWO
+from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.types.vehicle import FlightPhase
+
+_IDLE = (FlightPhase.CONNECTING, FlightPhase.READY)
+IN_THE_AIR = (FlightPhase.FLYING, FlightPhase.LANDING)
+
+_LATE_ARM_S = 5.0
+_LINK_LOST_S = 3.0
+_BACK_S = 1.0  # after a mode that was not ours: so soon no human gives the vehicle back
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """The phase that the flight is in because of somebody else, and why. abandoned: nobody flies it now, so the autopilot is
+    to take us for dead and to land by itself.
+    """
+
+    phase: FlightPhase
+    why: str
+    abandoned: bool = False
+
+
+class Authority:
+    """The ownership token. Whatever we did not ask for is somebody else's will: yield, or accept the autopilot's landing."""
+
+    def __init__(self, firmware: Personality) -> None:
+        self._firmware = firmware
+        self._arm_asked_s = self._idle_s = -math.inf
+        self._reboots = 0
+        self._yielded_s = math.inf
+
+    def asked_to_arm(self, now_s: float) -> None:
+        """Motors that start within a while are ours."""
+        self._arm_asked_s = now_s
+
+    def motors_may_start(self, now_s: float) -> bool:
+        """Whether that while is not over."""
+        return now_s - self._arm_asked_s < _LATE_ARM_S
+
+    def watch(self, phase: FlightPhase, t: Telemetry, now_s: float) -> Loss | None:
+        """What the autopilot's state means for the phase we are in, None for nothing. Motors are ours only in the attempt that
+        asked for them.
+        """
+        rebooted, self._reboots = t.reboots != self._reboots, t.reboots
+        if phase in _IDLE:
+            self._idle_s = now_s
+        if phase in (*_IDLE, FlightPhase.ARMING) and t.armed and self._arm_asked_s <= self._idle_s:
+            ours = self._firmware.is_ours(t.custom_mode)
+            if (ours or self._firmware.is_landing(t.custom_mode)) and self.motors_may_start(now_s):
+                return Loss(FlightPhase.LANDING, "armed after the request was withdrawn")
+            return yielded("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
+        if t.stranger and phase in (FlightPhase.ARMING, *IN_THE_AIR):
+            return yielded(t.stranger, abandoned=True)
+        if phase in IN_THE_AIR and rebooted:
+            return yielded("the autopilot restarted in flight")
+        if phase in IN_THE_AIR and now_s - t.heard_s > _LINK_LOST_S:
+            return yielded("the autopilot is silent", abandoned=True)
+        if phase is not FlightPhase.FLYING:
+            return None
+        if not t.armed:
+            return Loss(FlightPhase.LANDED, "disarmed in flight")
+        if self._firmware.is_landing(t.custom_mode):
+            return Loss(FlightPhase.LANDING, f"the autopilot lands: {t.warning}")
+        if not self._firmware.is_ours(t.custom_mode):
+            return yielded(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
+        return None
+
+    def given_back(self, t: Telemetry, now_s: float) -> str:
+        """What a human has to know who chose our mode again, '' if none did: it is not taken up."""
+        ours = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s > _BACK_S
+        return f"{self._firmware.mode_name(t.custom_mode)}: nobody flies, choose another mode" if ours else ""
+
+    def unattended(self, t: Telemetry, now_s: float) -> Loss | None:
+        """Of a vehicle that was yielded: where the mode that it was yielded to was forged, nobody flies it. A human's mode
+        outlives our heartbeats.
+        """
+        self._yielded_s = min(self._yielded_s, now_s)
+        if t.stranger or t.doubled:
+            return yielded(f"{t.stranger or TWO}: its failsafe is to land", abandoned=True)
+        back = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s <= _BACK_S
+        return yielded("our mode goes on: its failsafe is to land", abandoned=True) if back else None
+
+
+def yielded(why: str, abandoned: bool = False) -> Loss:
+    """Never ours again."""
+    return Loss(FlightPhase.YIELDED, f"yielded: {why}", abandoned)

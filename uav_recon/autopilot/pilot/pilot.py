@@ -1,0 +1,321 @@
+"""The pilot: the one loop that feeds poses, asks for modes, and streams what the guard clears."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from uav_recon.autopilot.firmware.profile import ARM, Arming, Outcome, Personality
+from uav_recon.autopilot.link.link_alerts import TWO
+from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.autopilot.mavlink.tlog import FrameLog, NoLog
+from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
+from uav_recon.autopilot.pilot.control_authority import IN_THE_AIR, Authority, Loss
+from uav_recon.autopilot.pilot.landing import Landing
+from uav_recon.autopilot.pilot.mission_input import Mandate
+from uav_recon.autopilot.pilot.pose_feed import PoseFeed
+from uav_recon.autopilot.pilot.preflight import Briefing, Origin
+from uav_recon.autopilot.pilot.refusal_timer import InVain
+from uav_recon.autopilot.pilot.setpoint_selection import Steering
+from uav_recon.autopilot.pilot.situation import Awareness
+from uav_recon.autopilot.pilot.statustext_reporter import Herald
+from uav_recon.autopilot.pilot.surroundings import Lookout
+from uav_recon.autopilot.pilot.takeoff_monitor import LiftOff
+from uav_recon.clock import RateKeeper
+from uav_recon.protocols import ByteLink, Channel, Clock
+from uav_recon.safety.failsafe import Ladder, Patience, Rung
+from uav_recon.safety.guard import Guard
+from uav_recon.safety.pose_gate import PoseGate
+from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.types.maps import FreeSpace
+from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.pose import StampedPose
+from uav_recon.types.trajectory import Goal, Intent
+from uav_recon.types.vehicle import FlightPhase, VehicleState
+
+_LINK_HOLD_S = 0.5
+_TICK_S = 0.01
+_RESET_REST_S = 1.0
+_ANEW = "odom began anew: the map does not fit it"  # nor can the mission tell what of it does
+
+
+@dataclass(frozen=True, slots=True)
+class PilotChannels:
+    """Where the pilot meets perception and mission."""
+
+    odom: Channel[StampedPose]
+    intent: Channel[Intent]
+    vehicle: Channel[VehicleState]
+    free: Channel[FreeSpace]
+    nearby: Channel[Nearby]
+
+
+@dataclass(frozen=True, slots=True)
+class Airframe:
+    """What the pilot must know of the vehicle and its flight: the hull (m), the hover over the pad (m), a gimbal."""
+
+    hull_radius_m: float
+    hull_height_m: float
+    hover_height_m: float
+    gimbal: bool = False
+
+
+class Pilot:
+    """Owner calls step() about a hundred times a second, or whenever bytes arrive; it never blocks and never raises
+    on what the autopilot, perception or the mission say.
+
+    YIELDED means: no setpoint, mode or arm command any more, until the process is started anew. Poses, heartbeats and
+    TIMESYNC go on, because a human flying by position needs them.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        guard: Guard,
+        sight: Sight,
+        patience: Patience,
+        channels: PilotChannels,
+        clock: Clock,
+        origin: Origin,
+        airframe: Airframe,
+        setpoint_rate_hz: float = 30.0,
+        parameters: ParameterCheck | NoParameterCheck | None = None,
+    ) -> None:
+        self._link, self._guard, self._patience, self._clock = link, guard, patience, clock
+        self._firmware, self._airframe, self._vehicle = link.firmware, airframe, channels.vehicle
+        parameters = parameters or NoParameterCheck()
+        self._briefing = Briefing(link, origin, airframe.gimbal, parameters)
+        self._tick = RateKeeper(setpoint_rate_hz, clock.now_s())
+        self._poses = PoseFeed(channels.odom, link, PoseGate(guard.envelope.max_yaw_rate_radps))
+        self._mandate = Mandate(channels.intent, patience.intent_hold_s)
+        hull = (airframe.hull_radius_m, airframe.hull_height_m)
+        self._lookout = Lookout(channels.free, channels.nearby, sight, *hull)
+        self._authority, self._steering = Authority(link.firmware), Steering(guard, self._mandate, airframe.hover_height_m)
+        self._aware = Awareness(link, guard, self._poses, self._mandate, self._lookout, self._steering, parameters)
+        self._in_vain = InVain(patience.intent_land_s)
+        self._ladder, self._rung, self._low = Ladder(patience), Rung.FLY, ""  # where it stands, and why no higher
+        self.phase = FlightPhase.CONNECTING
+        self._note, self._herald = "", Herald(link)
+        self._arming: Arming | None = None
+        self._landing: Landing | None = None
+        self._lift_off: LiftOff | None = None
+        self._grounded = ""  # why the take-off is no good
+        self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
+        self._land_wanted, self._held, self._operator_s = "", False, -math.inf
+        self._anew_s = math.inf  # since when the flight goes on in another odom than it began in
+
+    def step(self) -> None:
+        """One turn: listen, feed, judge, act, stream, tell."""
+        now_s = self._clock.now_s()
+        self._link.receive(now_s)
+        self._listen(now_s)
+        self._judge(now_s)
+        self._advance(now_s)
+        if self._tick.due(now_s):
+            self._stream(now_s)
+            self._publish(now_s)
+        self._tell(now_s)
+        self._link.keep_alive(now_s)
+
+    def wait(self) -> None:
+        """Block until bytes arrive or the next turn is due (at once on a link in memory)."""
+        now_s = self._clock.now_s()
+        self._link.wait(min(self._tick.next_s() - now_s, _TICK_S))
+
+    def request_land(self, why: str = "asked to end") -> None:
+        """End the flight here and now, whatever the mission says. On the ground: no flight is begun any more."""
+        self._land_wanted = self._land_wanted or why
+
+    def request_hold(self, hold: bool) -> None:
+        """Stay here, whatever the mission says; or follow it again. Whatever ends a flight still ends it, and so does a
+        mission that nobody attends.
+        """
+        self._held = hold
+
+    def hear_operator(self) -> None:
+        """A sign of life, by a way that nobody else can speak on: never a HEARTBEAT, which anybody can forge."""
+        self._operator_s = self._clock.now_s()
+
+    @property
+    def in_flight(self) -> bool:
+        """Whether the vehicle is, or may be, in the air by our doing, or may still start its motors by it."""
+        over = self.phase in (FlightPhase.LANDED, FlightPhase.YIELDED)
+        motors = not over and self._authority.motors_may_start(self._clock.now_s())
+        return motors or self.phase in (FlightPhase.ARMING, *IN_THE_AIR)
+
+    # ---- listen and judge -------------------------------------------------------------------------------------
+
+    def _listen(self, now_s: float) -> None:
+        if self._poses.step(now_s):
+            self._note = "pose source was reset: holding"
+            self._steering.rebase(self._aware.situation(now_s), _RESET_REST_S)
+            self._lookout.forget()
+            self._anew_s = min(self._anew_s, now_s) if self.in_flight else math.inf
+        self._lookout.step(self._poses.pose, now_s)
+        if self.phase in IN_THE_AIR:  # what passes while it arms is none of its business: it stands, and gives way to nobody
+            self._steering.evasion.hear(self._lookout.intruder)
+        fault = self._mandate.hear(now_s)
+        if fault:
+            self._note = f"refused: {fault}"
+        self._held = self._held and not self._mandate.unattended(now_s)
+        self._may_arm = self._may_arm or self._mandate.goal(now_s) is not Goal.FLY
+
+    def _judge(self, now_s: float) -> None:
+        loss = self._authority.watch(self.phase, self._link.telemetry, now_s)
+        if self.phase is FlightPhase.YIELDED and not self._link.mute:
+            loss = self._authority.unattended(self._link.telemetry, now_s)
+            self._note = self._authority.given_back(self._link.telemetry, now_s) or self._note
+        if loss is not None:
+            self._lose(loss)
+        if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
+            self._grounded = self._lift_off.fault(now_s, self._link.telemetry)
+        if self.phase is FlightPhase.FLYING:
+            before, (self._rung, low) = self._rung, self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))
+            self._low = low if self._link.time_known or not low else f"{low}: the autopilot's clock is in doubt"
+            self._note = self._low if self._rung > before else self._note
+            if self._poses.pose is not None and self._rung < Rung.RETREAT:
+                self._steering.was_at(self._poses.pose.odom_from_body)
+
+    # ---- act --------------------------------------------------------------------------------------------------
+
+    def _enter(self, phase: FlightPhase, why: str, landing_seen: bool = False) -> None:
+        """Every change of phase but those of an undisturbed flight. Its reason is told at once: a note is talked over."""
+        self.phase, self._note, self._arming = phase, why or self._note, None
+        if why:
+            self._herald.say(why, self._clock.now_s())
+        if phase is FlightPhase.LANDING:
+            self._landing = Landing(landing_seen, lifted=self._lift_off is None or self._lift_off.lifted)
+        if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
+            self._mandate.forsake()
+
+    def _lose(self, loss: Loss) -> None:
+        self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
+        if loss.abandoned:
+            self._link.stop_heartbeats()
+
+    def _advance(self, now_s: float) -> None:
+        """One step of the sequence for the phase we are in."""
+        if self.phase is FlightPhase.CONNECTING:
+            missing = self._briefing.missing(now_s)
+            self.phase, self._note = (FlightPhase.CONNECTING if missing else FlightPhase.READY), missing
+        elif self.phase is FlightPhase.READY:
+            self._stand_ready(now_s)
+        elif self.phase is FlightPhase.ARMING:
+            self._arm(now_s)
+        elif self.phase is FlightPhase.FLYING:
+            self._fly(now_s)
+        elif self.phase is FlightPhase.LANDING:
+            self._land(now_s)
+
+    def _stand_ready(self, now_s: float) -> None:
+        if self._briefing.missing(now_s):
+            self.phase = FlightPhase.CONNECTING
+        elif self._mandate.goal(now_s) is Goal.FLY and self._may_arm and not self._land_wanted:
+            here = self._aware.situation(now_s)
+            blocked = self._guard.fault_of_take_off(here, self._airframe.hover_height_m)
+            if blocked:
+                self._abandon_arming(f"take-off refused: {blocked}")
+                return
+            self._anew_s = math.inf
+            self._link.intrusions.begin()
+            self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
+            self._lift_off = LiftOff(float(self._link.telemetry.position_m[2]))
+            self._ladder, self._rung, self._low = Ladder(self._patience), Rung.FLY, ""
+            self._in_vain = InVain(self._patience.intent_land_s, self._aware.refusals)
+            self._steering.rebase(here, rest_s=0.0)
+
+    def _arm(self, now_s: float) -> None:
+        arming, t = self._arming, self._link.telemetry
+        unfit = self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))[0] is Rung.LAND
+        ended = self._land_wanted or (TWO if t.doubled else "")
+        if arming is None or ended or self._mandate.goal(now_s) is not Goal.FLY or unfit:
+            self._abandon_arming(ended or "arming withdrawn")
+            return
+        outcome, command = arming.step(now_s, t)
+        if outcome is Outcome.ARMED:
+            self.phase, self._note = FlightPhase.FLYING, ""
+            if not arming.streams:
+                self._steering.rebase(self._aware.situation(now_s), rest_s=0.0)
+        elif outcome is Outcome.GIVEN_UP:
+            self._abandon_arming(arming.reason)
+        elif command is not None:
+            if command == ARM:
+                self._authority.asked_to_arm(now_s)
+            self._link.command(now_s, command[0], *command[1])
+
+    def _abandon_arming(self, why: str) -> None:
+        """Back on the ground, or into a landing if the motors may have started in between."""
+        self._may_arm = False
+        self._enter(FlightPhase.LANDING if self._link.telemetry.armed else FlightPhase.READY, why)
+
+    def _fly(self, now_s: float) -> None:
+        wanted = "the mission asks to land" if self._mandate.goal(now_s) is Goal.LAND else ""
+        wanted = _ANEW if now_s - self._anew_s >= _RESET_REST_S else wanted
+        wanted = f"take-off given up: {self._grounded}" if self._grounded else wanted
+        blocked = ": ".join(filter(None, (self._low, self._steering.blocked))) if self._steering.blocked else ""
+        why = self._land_wanted or (self._low if self._rung is Rung.LAND else "") or blocked or wanted
+        brakes = self._rung is Rung.LAND and not self._land_wanted and not self._steering.at_rest
+        if why and not brakes:  # a firmware told to land in motion looks for its own place to stop, farther on
+            self._enter(FlightPhase.LANDING, why)
+            self._land(now_s)
+
+    def _land(self, now_s: float) -> None:
+        landing = self._landing = self._landing or Landing(seen=False)
+        loss = landing.step(self._link, now_s)
+        self._note = landing.alert or self._note
+        if loss is not None:
+            self._lose(loss)
+
+    # ---- stream and tell --------------------------------------------------------------------------------------
+
+    def _stream(self, now_s: float) -> None:
+        """One setpoint, if the vehicle is ours: the guard's answer to the trajectory, or its hold."""
+        arming = self.phase is FlightPhase.ARMING and self._arming is not None and self._arming.streams
+        landing = self.phase is FlightPhase.LANDING and self._landing is not None and not self._landing.seen
+        if not (arming or landing or self.phase is FlightPhase.FLYING):
+            return
+        linked = now_s - self._link.telemetry.heard_s <= _LINK_HOLD_S
+        steered = linked and not self._held and self.phase is FlightPhase.FLYING
+        cleared, refusal = self._steering.steer(self._rung if steered else Rung.HOLD, self._aware.situation(now_s))
+        self._in_vain.heed(self._aware.refusals, self._steering.moves, now_s)
+        if refusal is not None:
+            self._note = f"refused: {refusal.reason}"
+        if self._lift_off is not None and self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:
+            self._lift_off.begin(now_s)
+        self._link.stream(cleared, now_s, self._airframe.gimbal)
+
+    def _tell(self, now_s: float) -> None:
+        if self.phase in (FlightPhase.CONNECTING, FlightPhase.READY):
+            return
+        aloft = self.phase in IN_THE_AIR
+        news = [*self._link.intrusions.news(), *([self._mandate.news] if aloft and self._mandate.news else [])]
+        for words in news:
+            self._herald.say(words, now_s)
+        if aloft and news:
+            self._note = news[-1]
+        self._herald.step(self._note, now_s)
+
+    def _publish(self, now_s: float) -> None:
+        gimbal = self._airframe.gimbal
+        self._vehicle.publish(self._aware.state(now_s, self.phase, self._note, self._operator_s, gimbal))
+
+
+def make_pilot(
+    bytes_link: ByteLink,
+    firmware: Personality,
+    guard: Guard,
+    sight: Sight,
+    patience: Patience,
+    channels: PilotChannels,
+    clock: Clock,
+    origin: Origin,
+    airframe: Airframe,
+    setpoint_rate_hz: float = 30.0,
+    log: FrameLog | None = None,
+    parameters: ParameterCheck | None = None,
+    gate: Gate | None = None,
+) -> Pilot:
+    """Wire a pilot that flies a firmware over the given bytes. gate: who may speak there; None: system 1."""
+    link = Link(bytes_link, log or NoLog(), clock.now_s(), firmware, gate or Gate())
+    return Pilot(link, guard, sight, patience, channels, clock, origin, airframe, setpoint_rate_hz, parameters)

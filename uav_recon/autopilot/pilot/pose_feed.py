@@ -1,0 +1,70 @@
+"""From odometry to the autopilot: every new, good and young pose once; anything else is silence, never a repetition."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TypeVar
+
+from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.protocols import Channel
+from uav_recon.safety.pose_gate import PoseGate
+from uav_recon.types.pose import PoseHealth, StampedPose
+
+T = TypeVar("T")
+
+_UNSOUND = (PoseHealth.LOST, PoseHealth.WRONG)
+
+
+class PoseFeed:
+    """Holds the newest pose that is fit to be believed; sound_s is the stamp of the newest one that was neither lost nor wrong.
+
+    ``refused`` counts those that were not fit. The autopilot hears of each time that odom begins anew: where the source did not
+    count it, as one that was started again cannot, the reset counter that is fed does.
+    """
+
+    def __init__(self, odom: Channel[StampedPose], link: Link, gate: PoseGate) -> None:
+        self._odom, self._link, self._gate = odom, link, gate
+        self._heard: StampedPose | None = None
+        self._uncounted = 0
+        self.pose: StampedPose | None = None
+        self.refused, self.sound_s = 0, -math.inf
+
+    @property
+    def lost(self) -> str:
+        """Why the newest pose is lost, '' if it is not."""
+        return self._why(PoseHealth.LOST)
+
+    @property
+    def wrong(self) -> str:
+        """Why the newest pose is wrong, '' if it is not."""
+        return self._why(PoseHealth.WRONG)
+
+    def step(self, now_s: float) -> bool:
+        """Take over what is new; whether it begins odom anew, so that nothing from before it holds any more."""
+        pose = newest(self._odom, self._heard)
+        if pose is None:
+            return False
+        self._heard = pose
+        verdict = self._gate.judge(pose, now_s)
+        if not verdict.good:
+            self.refused += 1
+            return False
+        if verdict.anew and self.pose is not None:
+            self._uncounted += pose.reset_counter == self.pose.reset_counter
+        self.pose = pose
+        self.sound_s = self.sound_s if pose.health in _UNSOUND else pose.stamp_s
+        self._link.feed_pose(replace(pose, reset_counter=(pose.reset_counter + self._uncounted) % 256), now_s)
+        return verdict.anew
+
+    def _why(self, health: PoseHealth) -> str:
+        return self.pose.why if self.pose is not None and self.pose.health is health else ""
+
+
+def newest(channel: Channel[T], heard: T | None) -> T | None:
+    """The newest value if it is another than the one heard before; a record that is just being written comes the next time."""
+    try:
+        value = channel.latest()
+    except ValueError:
+        return None
+    return None if value is heard else value

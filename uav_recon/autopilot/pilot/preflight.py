@@ -1,0 +1,45 @@
+"""Before a flight: the autopilot is asked for what it has to tell, and told where on the globe it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
+
+_AGAIN_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """The place on the globe that the autopilot is told; indoors any will do."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+
+
+class Briefing:
+    """Asks again every two seconds for as long as something is missing."""
+
+    def __init__(self, link: Link, origin: Origin, gimbal: bool, parameters: ParameterCheck | NoParameterCheck) -> None:
+        self._link, self._origin, self._gimbal, self._parameters = link, origin, gimbal, parameters
+        self._asked_s = -math.inf
+
+    def missing(self, now_s: float) -> str:
+        """What is still missing before arming, '' for nothing. Parameters are read back beside everything else."""
+        t, parameters = self._link.telemetry, self._parameters.missing(now_s, self._link)
+        missing = self._link.firmware.missing_for_arming(t, self._link.time_known, now_s)
+        if missing and t.system != 0 and now_s - self._asked_s >= _AGAIN_S:
+            self._asked_s = now_s
+            self._ask(now_s)
+        return (t.failure or missing) if missing else parameters
+
+    def _ask(self, now_s: float) -> None:
+        t, firmware = self._link.telemetry, self._link.firmware
+        self._link.request_streams(now_s, firmware.streams_hz, () if t.version else firmware.asked_once)
+        if self._gimbal:
+            self._link.claim_gimbal(now_s)
+        if not t.origin_known and not firmware.missing_for_origin(t, self._link.time_known, now_s):
+            self._link.send_origin(now_s, self._origin.lat_deg, self._origin.lon_deg, self._origin.alt_m)

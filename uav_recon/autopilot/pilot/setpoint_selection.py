@@ -1,0 +1,202 @@
+"""Which motion is put before the guard: the mission's, the pilot's own way back or aside, or none, which brakes and holds."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import deque
+
+import numpy as np
+
+from uav_recon.autopilot.pilot.breadcrumb_retreat import Breadcrumbs
+from uav_recon.autopilot.pilot.mission_input import Mandate
+from uav_recon.autopilot.pilot.obstacle_evasion import Evasion
+from uav_recon.autopilot.pilot.setpoint_blending import Handover
+from uav_recon.safety.failsafe import Rung
+from uav_recon.safety.guard import ClearedSetpoint, Guard, Proposal, Situation
+from uav_recon.types.pose import Pose
+from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
+
+_WAYS = 3  # ways back that are tried, each from rest: what refused the last may have passed, a late pose or a late turn of ours
+_SETTLES_S = 1.0  # after a refusal the vehicle itself rests too: it follows its setpoints late
+_STANDS_M = 0.3  # before the hull, as the way is refused: what stands there stays, and is not felt along
+_ASTRAY_M = 0.35  # level, ahead of or beside the newest setpoint in _SOON_S: something pushes it. Untroubled: within 0.17 m
+_SOON_S, _PACED_S, _LED_MPS = 0.3, 0.2, 0.2  # as it has gone for so long, while setpoints lead it on
+_LONGEST_AGE_S = 0.1  # of a setpoint that is carried on by its velocity
+_HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
+
+
+class Steering:
+    """Keeps the breadcrumbs. ``blocked``: why there is no way back or aside any more, '' while there is one. ``gave_way``
+    counts what was not flown on because something stood there all of a sudden, and each step aside. ``moves``: the newest
+    setpoint is of a motion, and not of a hold.
+    """
+
+    def __init__(self, guard: Guard, mandate: Mandate, hover_height_m: float) -> None:
+        self._guard, self._mandate, self._hover_height_m = guard, mandate, hover_height_m
+        self._crumbs = Breadcrumbs()
+        self._flown: Setpoint | None = None  # the newest setpoint on the wire
+        self._flown_s = -math.inf
+        self._off: deque[tuple[float, float]] = deque()  # (instant, metres) off its way
+        self._braking = False  # from a refusal to rest: nothing new is taken up on the way
+        self._way_back: Trajectory | None = None
+        self._refused_ways, self._refused_for, self._refused_s = 0, "", -math.inf
+        self._handed: Trajectory | None = None  # the trajectory that the handover leads to
+        self._handover: Handover | None = None
+        self._aside: Trajectory | None = None
+        self._giving = False  # something near decides what is flown
+        self.evasion = Evasion(guard)
+        self.blocked, self.gave_way, self.moves = "", 0, False
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the newest setpoint is."""
+        return self._flown is None or not np.any(self._flown.velocity_mps)
+
+    @property
+    def odom_from_rest(self) -> Pose | None:
+        """Where braking from the newest setpoint ends; None before the first."""
+        if self._flown is None:
+            return None
+        (x, y, z), (vx, vy, vz) = self._flown.position_m.tolist(), self._flown.velocity_mps.tolist()
+        stop_m = self._guard.envelope.stopping_point((x, y, z), (vx, vy, vz))
+        return Pose.from_yaw(self._flown.yaw_rad, np.array(stop_m))
+
+    def was_at(self, odom_from_body: Pose) -> None:
+        """In flight, and not on the way back."""
+        self._crumbs.drop(odom_from_body)
+        self._way_back, self._refused_ways = None, 0
+
+    def rebase(self, situation: Situation, rest_s: float) -> None:
+        """Odom is another, or a flight begins: nothing that was flown counts."""
+        self._guard.rebase(situation, rest_s)
+        self._flown = None
+        self._crumbs.forget()
+        self._mandate.forsake()
+        self._way_back, self._refused_ways, self._aside, self.blocked = None, 0, None, ""
+
+    def steer(self, rung: Rung, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+        """The guard's word for this instant. What it turned down is not proposed again."""
+        self.moves = False
+        before, self._giving = self._giving, rung <= Rung.HOLD and self._gives_way(situation)
+        if self._giving:
+            cleared, refusal = self._give_way(situation)
+            if not before:
+                self._turn_down()
+                refusal = Refusal(self.evasion.why(), cleared.setpoint)
+        elif rung is Rung.FLY:
+            cleared, refusal = self._fly(situation)
+        elif rung is Rung.RETREAT:
+            cleared, refusal = self._retreat(situation)
+        else:
+            cleared, refusal = self._guard.clear(None, situation)
+        self._flown, self._flown_s, self.moves = cleared.setpoint, situation.now_s, self.moves and refusal is None
+        return cleared, refusal
+
+    def _fly(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+        trajectory = self._mandate.trajectory
+        self._braking = self._braking and not self.at_rest
+        if trajectory is None or self._braking:
+            return self._guard.clear(None, situation)
+        off_m = self._soon_off_its_way_m(situation)
+        astray = off_m > _ASTRAY_M
+        cleared, refusal = self._guard.clear(None if astray else self._proposal(trajectory, situation.now_s, False), situation)
+        if astray:  # pushed as well as led outwards it would be over the fence before it stops
+            refusal, self.gave_way = Refusal(f"{off_m:.2f} m off its way", cleared.setpoint), self.gave_way + 1
+        if refusal is not None:
+            self._braking = True
+            self._mandate.forsake()
+        return cleared, refusal
+
+    def _soon_off_its_way_m(self, situation: Situation) -> float:
+        """As it goes: to wait until a push has moved it is to lead it on meanwhile. At a hold it is led nowhere, and swings."""
+        now_s, off_m = situation.now_s, self._off_its_way_m(situation)
+        self._off.append((now_s, off_m))
+        while now_s - self._off[0][0] > _PACED_S:
+            self._off.popleft()
+        begun_s, begun_m = self._off[0]
+        led = self._flown is not None and float(np.linalg.norm(self._flown.velocity_mps)) > _LED_MPS
+        if not led or now_s - begun_s < 0.5 * _PACED_S:
+            return off_m
+        return off_m + _SOON_S * max((off_m - begun_m) / (now_s - begun_s), 0.0)
+
+    def _off_its_way_m(self, situation: Situation) -> float:
+        """Level, from where it is told to be: ahead of it or beside it. Behind its setpoints it is late, and not pushed."""
+        if self._flown is None:
+            return 0.0
+        (x, y, _), (vx, vy, _) = self._flown.position_m.tolist(), self._flown.velocity_mps.tolist()
+        off_x_m, off_y_m, speed_mps = situation.position_m[0] - x, situation.position_m[1] - y, math.hypot(vx, vy)
+        if speed_mps > 0.0:
+            ux, uy = vx / speed_mps, vy / speed_mps
+            late_m = min(off_x_m * ux + off_y_m * uy, 0.0)
+            off_x_m, off_y_m = off_x_m - late_m * ux, off_y_m - late_m * uy
+        return math.hypot(off_x_m, off_y_m)
+
+    def _gives_way(self, situation: Situation) -> bool:
+        """Whether something near decides what is flown: it came all of a sudden, or the vehicle is still stepping aside."""
+        if self._aside is not None and self.evasion.over(self._aside, situation.now_s):
+            self._aside = None
+            self._turn_down()
+        return self._aside is not None or self.evasion.stops(situation.now_s)
+
+    def _give_way(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+        """Stop, and from rest step aside if it comes on."""
+        if self._aside is not None:
+            aside = dataclasses.replace(self._proposal(self._aside, situation.now_s, True), giving_way=True)
+            cleared, refusal = self._guard.clear(aside, situation)
+            if refusal is not None:
+                self.blocked = f"way aside blocked: {refusal.reason}"
+            return cleared, refusal
+        cleared, _ = self._guard.clear(None, situation)
+        if not np.any(cleared.setpoint.velocity_mps):
+            way = self.evasion.step_aside(cleared.setpoint, situation)
+            self._aside = way if isinstance(way, Trajectory) else None
+            self.blocked = way if isinstance(way, str) else self.blocked
+        return cleared, None
+
+    def _turn_down(self) -> None:
+        """What the mission wants is made anew, from where the vehicle is."""
+        self.gave_way += 1
+        self._mandate.forsake()
+
+    def _retreat(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+        """From rest back along the breadcrumbs, and a hold where they begin; it ends, at rest, where ways are refused again and
+        again, or the first time that something stands in it.
+        """
+        way, now_s = self._way_back, situation.now_s
+        if way is None or self.blocked:
+            cleared, _ = self._guard.clear(None, situation)
+            rest = cleared.setpoint
+            if np.any(rest.velocity_mps) or now_s - self._refused_s < _SETTLES_S:
+                return cleared, None
+            if self._refused_ways >= _WAYS:
+                self.blocked = f"retreat blocked: {self._refused_for}"
+                return cleared, None
+            seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_hold_s
+            height_m, speed_mps = _HOVER_SHARE * self._hover_height_m, self._guard.bounds.retreat_mps
+            self._way_back = self._crumbs.way_back(rest, height_m, now_s, speed_mps, situation.map_epoch, seeing)
+            return cleared, None
+        proposal = self._proposal(way, now_s, True)
+        cleared, refusal = self._guard.clear(proposal, situation)
+        if refusal is not None:
+            self._way_back, self._refused_for, self._refused_s = None, refusal.reason, now_s
+            self._refused_ways += _WAYS if _stands_before(proposal.setpoint, situation) else 1
+        return cleared, refusal
+
+    def _proposal(self, trajectory: Trajectory, now_s: float, retreating: bool) -> Proposal:
+        if self._handed is not trajectory:
+            self._handed = trajectory
+            age_s = min(now_s - self._flown_s, _LONGEST_AGE_S)
+            self._handover = Handover(self._flown, age_s, trajectory, now_s) if self._flown else None
+        sample = trajectory.setpoint_at(now_s)
+        self.moves = bool(np.any(sample.velocity_mps)) or sample.yaw_rate_radps != 0.0
+        wanted = self._handover.apply(sample, now_s) if self._handover else sample
+        return Proposal(wanted, trajectory.identifier, trajectory.map_epoch, retreating)
+
+
+def _stands_before(setpoint: Setpoint, situation: Situation) -> bool:
+    """Whether depth, believed or not, shows something close before the hull where it is to go."""
+    speed_mps = float(np.linalg.norm(setpoint.velocity_mps))
+    if situation.ahead is None or speed_mps == 0.0:
+        return False
+    return situation.ahead.room_m(situation.body_from_odom @ setpoint.velocity_mps / speed_mps) < _STANDS_M

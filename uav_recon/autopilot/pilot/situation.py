@@ -1,0 +1,99 @@
+"""What the pilot knows at an instant, in the words of those who ask: the guard, the ladder, the mission."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.autopilot.link.link_alerts import TWO
+from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
+from uav_recon.autopilot.pilot.mission_input import Mandate
+from uav_recon.autopilot.pilot.pose_feed import PoseFeed
+from uav_recon.autopilot.pilot.setpoint_selection import Steering
+from uav_recon.autopilot.pilot.surroundings import Lookout
+from uav_recon.safety.envelope import Vec3
+from uav_recon.safety.failsafe import Health
+from uav_recon.safety.guard import Guard, Situation
+from uav_recon.types.pose import Pose, PoseHealth
+from uav_recon.types.vehicle import FlightPhase, VehicleState
+
+_LONGEST_NOTE = 200
+
+
+class Awareness:
+    """Put together anew at each question from what the pilot's parts know; keeps nothing itself."""
+
+    def __init__(
+        self,
+        link: Link,
+        guard: Guard,
+        poses: PoseFeed,
+        mandate: Mandate,
+        lookout: Lookout,
+        steering: Steering,
+        parameters: ParameterCheck | NoParameterCheck,
+    ) -> None:
+        self._link, self._guard, self._poses, self._parameters = link, guard, poses, parameters
+        self._mandate, self._lookout, self._steering = mandate, lookout, steering
+
+    @property
+    def refusals(self) -> int:
+        """Proposals turned down so far, by whomever."""
+        return self._guard.refusals + self._mandate.malformed + self._steering.gave_way
+
+    def situation(self, now_s: float) -> Situation:
+        """For the guard. Without a pose it is at odom's origin, with a pose that is infinitely old."""
+        pose, intent_age_s = self._poses.pose, self._mandate.age_s(now_s)
+        free, ahead = self._lookout.known_free, self._lookout.ahead
+        if pose is None:
+            return Situation(now_s, self._position_m, 0.0, np.eye(3), math.inf, intent_age_s, 0, free, ahead)
+        body_from_odom, yaw_rad = pose.odom_from_body.rotation().T, pose.odom_from_body.yaw_rad()
+        age_s = now_s - pose.stamp_s
+        slow = pose.health is not PoseHealth.GOOD or self._link.telemetry.slow
+        return Situation(
+            now_s, self._position_m, yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow
+        )
+
+    def health(self, now_s: float, refused_s: float) -> Health:
+        """For the ladder. refused_s: of refusals without a motion."""
+        inside = self._guard.envelope.fence.holds(self._position_m)
+        pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # it flies by no others
+        lost = (TWO if self._link.telemetry.doubled else "") or self._parameters.changed(self._link) or self._poses.lost
+        ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
+        return Health(now_s, *ages_s, inside, self.refusals, lost, self._poses.wrong, refused_s)
+
+    def state(self, now_s: float, phase: FlightPhase, note: str, operator_s: float, gimbal: bool) -> VehicleState:
+        """For the mission: where odometry says that the vehicle is, or the autopilot before there is any.
+
+        operator_s: when the operator was heard. gimbal: whether there is one whose pitch means something.
+        """
+        t, pose, trajectory = self._link.telemetry, self._poses.pose, self._mandate.trajectory
+        if pose is not None:
+            world_from_body, velocity = pose.odom_from_body, pose.velocity_odom_mps
+        else:
+            world_from_body, velocity = Pose(t.quat_wxyz, t.position_m), t.velocity_mps
+        return VehicleState(
+            stamp_s=now_s,
+            world_from_body=world_from_body,
+            velocity_world_mps=velocity,
+            armed=t.armed,
+            mode=self._link.firmware.mode_name(t.custom_mode) if math.isfinite(t.heartbeat_s) else "",
+            phase=phase,
+            battery_fraction=t.battery_at(now_s),
+            human_in_control=phase is FlightPhase.YIELDED,
+            camera_pitch_down_rad=t.camera_pitch_down_rad if gimbal else math.nan,
+            trajectory_id=-1 if trajectory is None else trajectory.identifier,
+            refusals=self.refusals,
+            note=note[:_LONGEST_NOTE],
+            operator_heard_s=operator_s,
+            most_mps=self._guard.bounds.retreat_mps if t.slow or (pose and pose.health is not PoseHealth.GOOD) else math.inf,
+            world_from_rest=self._steering.odom_from_rest,
+        )
+
+    @property
+    def _position_m(self) -> Vec3:
+        """In odom; its origin before the first pose."""
+        x, y, z = self._poses.pose.odom_from_body.translation_m.tolist() if self._poses.pose else (0.0, 0.0, 0.0)
+        return x, y, z

@@ -1,1 +1,0 @@
-"""The learned field itself, and one step of learning: the CPU kernels."""

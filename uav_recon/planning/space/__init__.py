@@ -1,1 +1,0 @@
-"""Where one may fly, and the ways there."""

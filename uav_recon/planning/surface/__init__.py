@@ -1,1 +1,0 @@
-"""Uncertain surface, and the best views of it."""
