@@ -250,7 +250,7 @@ def bench_planner(
     json: JsonOption = None,
 ) -> None:
     """What a frame costs from fusion to tour, and how good the answers are; all on one thread."""
-    from uav_recon.bench import planner as bench_of_planner
+    from uav_recon.bench.planner import planner_bench as bench_of_planner
 
     exit_with(lambda: bench_of_planner.bench_planner(stream, size, stride, scale, json))
 
@@ -261,9 +261,9 @@ def bench_tasks(
     json: JsonOption = None,
 ) -> None:
     """What it costs to find views of the learned surface, along a flight that was flown; all on one thread."""
-    from uav_recon.bench import tasks
+    from uav_recon.bench.planner import task_bench
 
-    exit_with(lambda: tasks.bench_tasks(flight, json))
+    exit_with(lambda: task_bench.bench_tasks(flight, json))
 
 
 @bench.command("mapper")
@@ -294,7 +294,7 @@ def bench_mapper(
 
     Example: `uav-recon bench mapper --scene ../shared/scenes/meeting_room --camera wide --depth-noise kinect`
     """
-    from uav_recon.bench import mapper as bench_of_mapper
+    from uav_recon.bench.mapper import mapper_bench as bench_of_mapper
 
     exit_with(
         lambda: bench_of_mapper.bench_mapper(
@@ -321,8 +321,8 @@ def bench_endurance(
 
     Example: `uav-recon bench endurance --scene ../shared/scenes/meeting_room --steps-per-view 5`
     """
-    from uav_recon.bench import endurance as bench_of_endurance
-    from uav_recon.bench import mapper as bench_of_mapper
+    from uav_recon.bench.mapper import endurance as bench_of_endurance
+    from uav_recon.bench.mapper import mapper_bench as bench_of_mapper
 
     wanted = bench_of_mapper.MapperBench(
         scene, views, camera, depth_noise, "fixed:15", "0,0", steps_per_view, seed, "cpu", json
@@ -343,9 +343,9 @@ def bench_setpoints(
 
     Stamped by the kernel at a simulated autopilot. Bars: p99 50 ms, p99.9 75 ms, max 250 ms between two.
     """
-    from uav_recon.bench import setpoints
+    from uav_recon.bench.setpoints import setpoint_bench
 
-    exit_with(lambda: setpoints.bench_setpoints(minutes, negative, autopilot, json))
+    exit_with(lambda: setpoint_bench.bench_setpoints(minutes, negative, autopilot, json))
 
 
 @bench.command("uncertainty")
@@ -371,8 +371,8 @@ def bench_uncertainty(
 
     Example: `uav-recon bench uncertainty --scene ../shared/scenes/two_rooms --after 20,30`
     """
-    from uav_recon.bench import mapper as bench_of_mapper
-    from uav_recon.bench import uncertainty as bench_of_uncertainty
+    from uav_recon.bench.mapper import mapper_bench as bench_of_mapper
+    from uav_recon.bench.mapper import uncertainty_bench as bench_of_uncertainty
 
     def measure() -> int:
         views = bench_of_uncertainty.views_of(after)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from uav_recon import config
-from uav_recon.bench import setpoints
+from uav_recon.bench.setpoints import setpoint_bench
 
 FOLDER = Path(__file__).parents[2] / "systemd"
 SERVICES = ["pilot", "perception", "mission"]
@@ -172,5 +172,5 @@ def test_an_operator_of_the_group_reaches_the_pilots_socket() -> None:
 
 
 def test_the_bench_of_setpoints_runs_the_pilot_as_its_unit_does() -> None:
-    assert _options("pilot")["CPUSchedulingPriority"] == [str(setpoints._PILOT_FIFO)]
+    assert _options("pilot")["CPUSchedulingPriority"] == [str(setpoint_bench._PILOT_FIFO)]
     assert _options("pilot")["CPUSchedulingPolicy"] == ["fifo"]

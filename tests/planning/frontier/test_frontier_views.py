@@ -11,7 +11,7 @@ import pytest
 from box_world import FIXED, GIMBAL, MEETING_ROOM, TWO_ROOMS, Solid, room, voxel_map
 from growing_map import GrowingMap
 
-from uav_recon.bench import recording, view_oracle
+from uav_recon.bench.planner import recorded_stream, view_oracle
 from uav_recon.config import PlannerConfig
 from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
 from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
@@ -282,7 +282,7 @@ def test_on_the_stream_a_view_shows_nearly_what_the_best_of_a_thousand_shows(
 ) -> None:
     """Every cell of the cluster counts, not only those promised; the thousand may stand and look anywhere."""
     monkeypatch.setattr(views_module, "SEARCHES", 1000)
-    stream = recording.load(STREAM, "320x240", 1)
+    stream = recorded_stream.load(STREAM, "320x240", 1)
     low, high = (tuple(float(v) for v in corner) for corner in (stream.low_m, stream.high_m))
     mapping = Voxels(stream.grid, SENSOR, stream.max_range_m, low, high, 1.1)
     follower = Follower(stream.grid, camera)

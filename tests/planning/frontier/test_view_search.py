@@ -7,7 +7,7 @@ import pytest
 from box_world import FIXED, GIMBAL, MEETING_ROOM, TWO_ROOMS, Solid
 from growing_map import GrowingMap
 
-from uav_recon.bench import view_oracle
+from uav_recon.bench.planner import view_oracle
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
 from uav_recon.planning.free_space.flyable_space import FlyableSpace

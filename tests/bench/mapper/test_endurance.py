@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from stub_visible_truth import quick_cut
+from typer.testing import CliRunner
+
+import sitl.fly_report
+from uav_recon.bench.mapper import endurance, seeded_views, training_run
+from uav_recon.cli import app
+from uav_recon.mapping.neural.keyframes import keyframe_buffer
+
+
+def bench(*arguments: str) -> tuple[int, str, str]:
+    done = CliRunner().invoke(app, ["bench", "endurance", *arguments])
+    return done.exit_code, done.stdout, done.stderr
+
+
+@pytest.mark.slow
+def test_memory_disk_and_views_stay_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sitl.fly_report, "truth_cut", quick_cut)
+    monkeypatch.setattr(seeded_views, "TRUTH_POINTS", 30_000)
+    monkeypatch.setattr(training_run, "SAMPLES", 30_000)
+    monkeypatch.setattr(keyframe_buffer, "MOST_VIEWS", 16)
+    monkeypatch.setattr(endurance, "MOST_VIEWS", 16)
+    monkeypatch.setattr(keyframe_buffer, "KEPT_VIEWS", 12)
+    written = tmp_path / "result.json"
+    code, out, errors = bench("--views", "8", "--hours", "0.02", "--steps-per-view", "2", "--json", str(written))
+    assert code == 0, errors
+    result = json.loads(written.read_text())
+    parts = result["parts"]
+    assert len(parts) == 10
+    assert parts[-1]["views"] == 48
+    assert max(part["kept"] for part in parts) <= 16
+    assert parts[-1]["kept"] >= 12
+    assert parts[-1]["resident_mb"] < parts[5]["resident_mb"] + 20.0
+    assert parts[-1]["checkpoint_mb"] < parts[5]["checkpoint_mb"] + 10.0
+    assert result["at_the_end"]["accuracy_cm"] < result["when_full"]["accuracy_cm"] + 0.1
+    assert "when 16 views were kept" in out
+
+
+@pytest.mark.parametrize("arguments", [("--hours", "0"), ("--hours", "1000"), ("--period-s", "0"), ("--views", "1")])
+def test_bad_words_are_an_error_in_one_line(arguments: tuple[str, str]) -> None:
+    code, _, errors = bench(*arguments)
+    assert code != 0
+    assert len(errors.strip().splitlines()) == 1

@@ -1,0 +1,1 @@
+"""The mapper benchmark: accuracy, speed and uncertainty against a TSDF."""

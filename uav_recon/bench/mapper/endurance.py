@@ -1,0 +1,165 @@
+"""`uav-recon bench endurance`: hours of keyframes without a flight; memory, disk and time per view must stay what they are.
+
+The views of `bench mapper` are seen again and again, each time round in another order. Each goes the mapper's whole way: to
+the disk, into memory, steps, surface, and a checkpoint when one is due.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from uav_recon.bench import host_info
+from uav_recon.bench.machine_calibration import calibrate
+from uav_recon.bench.mapper import seeded_views, training_run
+from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH, MapperBench, write_json
+from uav_recon.bench.mapper.mapper_tables import figure
+from uav_recon.bench.planner.planner_tables import narrow_table
+from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.mapping.keyframe_store import KeyframeFolder
+from uav_recon.mapping.neural.keyframes.ray_buffer import MOST_VIEWS
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.worker.checkpoint import Checkpoints
+from uav_recon.usage import UsageError
+
+PARTS = 10
+HOURS = (0.01, 10.0)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A tenth of the run. Times are medians over its views, processor milliseconds of the mapper's thread.
+
+    calibration_cpu: how much slower than the reference the machine was at its end; others may use it too.
+    """
+
+    views: int
+    kept: int
+    save_ms: float
+    add_ms: float
+    step_ms: float
+    surface_ms: float
+    checkpoint_ms: float  # the longest that a checkpoint held the mapper up
+    resident_mb: float
+    checkpoint_mb: float
+    slots: int
+    calibration_cpu: float
+
+
+@dataclass(frozen=True)
+class Endurance:
+    """What was measured; accuracy when memory was full for the first time (None: never) and at the end."""
+
+    parts: list[Part]
+    when_full: training_run.Accuracy | None
+    at_the_end: training_run.Accuracy
+
+
+def bench_endurance(wanted: MapperBench, hours: float, period_s: float) -> int:
+    """Measure, print a table, write JSON. Raises Failure in one line for bad input."""
+    if not HOURS[0] <= hours <= HOURS[1] or not 0.1 <= period_s <= 60.0:
+        raise UsageError(f"--hours {hours:g} --period-s {period_s:g}: want {HOURS[0]:g} to {HOURS[1]:g} h, 0.1 to 60 s")
+    options, console = wanted.checked(), Console(stderr=True)
+    with console.status("loading ...") as status:
+        scene = seeded_views.load(options, lambda what: status.update(f"{what} ..."))
+        training_run.warm_up(scene.keyframes[0])
+    count = max(int(hours * 3600.0 / period_s), PARTS)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
+        task = progress.add_task("keyframes", total=count)
+
+        def tick() -> None:
+            progress.advance(task)
+            progress.refresh()
+
+        result = endure(scene, count, wanted.steps_per_view, wanted.seed, tick)
+    _show(
+        Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH),
+        result,
+        f"{scene.name}: {count} keyframes of {len(scene.keyframes)} views, {wanted.steps_per_view} steps each",
+    )
+    if wanted.json is not None:
+        about = {"machine": host_info.processor(), "commit": host_info.commit()}
+        write_json(asdict(result) | {"about": about}, wanted.json)
+    return 0
+
+
+def endure(
+    scene: seeded_views.MapperScene, count: int, steps_per_view: int, seed: int, tick: training_run.Tick = lambda: None
+) -> Endurance:
+    """Give the mapper ``count`` keyframes."""
+    random, trainer, order = (
+        np.random.default_rng(seed),
+        training_run.make_trainer(scene, steps_per_view, seed),
+        np.zeros(0, int),
+    )
+    parts: list[Part] = []
+    when_full: training_run.Accuracy | None = None
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        keyframes, checkpoints = KeyframeFolder(folder / "keyframes"), Checkpoints(folder / "checkpoint", {"seed": seed})
+        laps: list[list[float]] = []
+        for n in range(count):
+            if not len(order):
+                order = random.permutation(len(scene.keyframes))
+            view, order = scene.keyframes[order[0]], order[1:]
+            lap = [time.thread_time()]
+            keyframes.save(view)
+            lap.append(time.thread_time())
+            trainer.add(view)
+            lap.append(time.thread_time())
+            trainer.train(steps_per_view)
+            lap.append(time.thread_time())
+            trainer.surface()
+            lap.append(time.thread_time())
+            checkpoints.save_if_due(trainer, n + 1, keyframes.stamp_s(n))
+            lap.append(time.thread_time())
+            laps.append(lap)
+            if len(trainer.kept) == MOST_VIEWS and when_full is None:
+                when_full = _accuracy(trainer, scene)
+            if (n + 1) * PARTS // count > len(parts):
+                checkpoints.wait()
+                took = np.diff(np.array(laps) * 1e3)
+                disk_mb = sum(path.stat().st_size for path in (folder / "checkpoint").iterdir()) / 1e6 if n >= 8 else 0.0
+                save, add, train, surface, _ = np.median(took, axis=0)
+                parts.append(
+                    Part(
+                        n + 1, len(trainer.kept), save, add, train / steps_per_view, surface, took[:, 4].max(),
+                        host_info.resident_mb(), disk_mb, trainer.field.slots, calibrate().cpu_factor,
+                    )
+                )  # fmt: skip
+                laps = []
+            tick()
+        checkpoints.wait()
+    return Endurance(parts, when_full, _accuracy(trainer, scene))
+
+
+def _accuracy(trainer: Trainer, scene: seeded_views.MapperScene) -> training_run.Accuracy:
+    mesh = trainer.mesh(training_run.MESH_VOXEL_M)
+    return training_run.against_truth(Surface(mesh.vertices_world, mesh.faces), scene)
+
+
+def _show(console: Console, result: Endurance, title: str) -> None:
+    table = narrow_table(title, "views", "kept", "save", "add", "step", "surface", "held up", "RAM", "disk")
+    for part in result.parts:
+        numbers = (part.save_ms, part.add_ms, part.step_ms, part.surface_ms, part.checkpoint_ms)
+        table.add_row(
+            str(part.views), str(part.kept), *(f"{ms / part.calibration_cpu:.1f}" for ms in numbers),
+            f"{part.resident_mb:.0f}", f"{part.checkpoint_mb:.0f}",
+        )  # fmt: skip
+    console.print(table)
+    console.print("save to held up (the longest wait for a checkpoint): ms, calibrated; RAM and disk (the checkpoint's): MB")
+    for when, accuracy in ((f"when {MOST_VIEWS} views were kept", result.when_full), ("at the end", result.at_the_end)):
+        if accuracy is not None:
+            console.print(
+                f"{when}: accuracy {figure(accuracy.accuracy_cm, 2)} cm, completion {figure(accuracy.completion_cm, 2)} cm, "
+                f"recall {figure(accuracy.recall_seen_5cm, 3)}",
+                highlight=False,
+            )

@@ -1,0 +1,220 @@
+"""`uav-recon bench mapper`: how well, how fast and how honestly the mapper learns a scene from so many views of it."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from uav_recon.bench import host_info
+from uav_recon.bench.machine_calibration import calibrate
+from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run, tsdf_baseline
+from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.failure import EXIT_FAILURE, Failure
+from uav_recon.usage import UsageError, need_file
+
+PRINTED_WIDTH = 100  # where no terminal says
+VIEWS, STEPS = (4, 2000), (1, 200)
+CENTIMETRES, DEGREES = 10.0, 5.0  # the most that told poses may err
+MOST_EV = 2.0
+SIGMA_SEEDS = 3  # the median of the paper's sigma differs by a tenth from one beginning to the next
+
+Result = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class MapperBench:
+    """The words of the command line."""
+
+    scene: str | None
+    views: int
+    camera: str
+    depth_noise: str
+    mount: str
+    pose_noise: str
+    steps_per_view: int
+    seed: int
+    device: str
+    json: Path | None
+    exposure: float = 0.0
+
+    def checked(self) -> seeded_views.SceneOptions:
+        """Raises Failure in one line."""
+        need_file("--json", self.json)
+        if not VIEWS[0] <= self.views <= VIEWS[1]:
+            raise UsageError(f"--views {self.views}: want {VIEWS[0]} to {VIEWS[1]}")
+        if not STEPS[0] <= self.steps_per_view <= STEPS[1]:
+            raise UsageError(f"--steps-per-view {self.steps_per_view}: want {STEPS[0]} to {STEPS[1]}")
+        if not 0.0 <= self.exposure <= MOST_EV:
+            raise UsageError(f"--exposure {self.exposure:g}: want 0 to {MOST_EV:g}")
+        if self.device != "cpu":
+            raise UsageError(f"--device {self.device}: want cpu; the mapper has no other path yet")
+        return seeded_views.SceneOptions(
+            self.scene, self.views, self.camera, self.depth_noise, self.mount, _pose_sigma(self.pose_noise), self.seed
+        )
+
+
+def bench_mapper(wanted: MapperBench) -> int:
+    """Measure, print tables, write JSON. Raises Failure in one line for bad input."""
+    options = wanted.checked()
+    console = Console(stderr=True)
+    with console.status("loading ...") as status:
+        scene = seeded_views.load(options, lambda what: status.update(f"{what} ..."))
+        status.update("compiling ...")
+        began_s = time.perf_counter()
+        training_run.warm_up(scene.keyframes[0])
+        compile_s = time.perf_counter() - began_s
+        calibration = calibrate()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
+        ev = seeded_views.exposures(scene, wanted.exposure, wanted.seed)
+        shown = seeded_views.exposed(scene, ev) if wanted.exposure else scene
+        result = _measured(shown, wanted, calibration.cpu_factor, progress)
+        result["about"] |= _compared(scene, shown, options, wanted, progress)
+    result["about"] = _about(scene, wanted) | {"compile_s": compile_s} | result["about"]
+    mapper_tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
+    if wanted.json is not None:
+        write_json(result, wanted.json)
+    return 0
+
+
+def write_json(result: Result, path: Path) -> None:
+    """Raises Failure if the disk refuses."""
+    try:
+        path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise Failure(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
+
+
+def ticking(progress: Progress, name: str, total: int) -> training_run.Tick:
+    """A bar that is drawn when it moves: a thread of its own would be in the way of what is timed."""
+    task = progress.add_task(name, total=total)
+
+    def tick() -> None:
+        progress.advance(task)
+        progress.refresh()
+
+    return tick
+
+
+def _measured(scene: seeded_views.MapperScene, wanted: MapperBench, factor_before: float, progress: Progress) -> Result:
+    """The fields of the bench as measured, times in this machine's processor milliseconds; beside them, in ``about``,
+    the same calibrated, by the clock, and the baseline.
+
+    A machine that others use too is now faster, now slower: the factor is the mean of one before and one after.
+    """
+    views = len(scene.keyframes)
+    run = training_run.online(scene, wanted.steps_per_view, wanted.seed, ticking(progress, "view by view", views))
+    room = training_run.room_extraction(run.trainer)
+    mesh = run.trainer.mesh(training_run.MESH_VOXEL_M)
+    quality = training_run.against_truth(Surface(mesh.vertices_world, mesh.faces), scene)
+    psnr_db = training_run.picture_psnr_db(run.trainer, run.trainer.painted(), scene.pictures)
+    unpainted_db = training_run.picture_psnr_db(run.trainer, run.trainer.field, scene.pictures)
+    looks = training_run.RECALL_STEPS // training_run.RECALL_EVERY
+    recalls = training_run.time_to_recall(scene, wanted.seed, ticking(progress, "all views at once", looks))
+    factor = math.sqrt(factor_before * calibrate().cpu_factor)
+    baseline = training_run.against_truth(
+        tsdf_baseline.tsdf_surface(scene.keyframes, ticking(progress, "TSDF beside it", views)), scene
+    )
+    times: Result = {
+        "step_ms": run.step.median_ms,
+        "view_update_ms": run.view_update.median_ms,
+        "time_to_recall_s": recalls,
+        "extraction_ms": {"room": room.median_ms, "view": run.extraction_view.median_ms},
+    }
+    return {
+        **times,
+        "accuracy_cm": quality.accuracy_cm,
+        "completion_cm": quality.completion_cm,
+        "recall_seen_5cm": quality.recall_seen_5cm,
+        "psnr_db": psnr_db,
+        "ause_all": run.ause_all,
+        "ause_observed": run.ause_observed,
+        "hallucinated_fraction": quality.hallucinated_fraction,
+        "memory_mb": run.memory_mb,
+        "about": {
+            "calibrated": _divided(times, factor),
+            "calibration_cpu": factor,
+            "wall_ms": {"step": run.step_wall.median_ms, "view_update": run.view_update_wall.median_ms},
+            "p95_ms": {
+                "step": run.step.p95_ms,
+                "view_update": run.view_update.p95_ms,
+                "extraction_room": room.p95_ms,
+                "extraction_view": run.extraction_view.p95_ms,
+            },
+            "psnr_unpainted_db": unpainted_db,
+            "tsdf_2cm": asdict(baseline),
+        },
+    }
+
+
+def _compared(
+    plain: seeded_views.MapperScene,
+    shown: seeded_views.MapperScene,
+    options: seeded_views.SceneOptions,
+    wanted: MapperBench,
+    progress: Progress,
+) -> Result:
+    """What corrections are worth, where poses or exposures err: the same views without, and with the exposure that is right."""
+    result: Result = {}
+    views, steps, seed = len(plain.keyframes), wanted.steps_per_view, wanted.seed
+    if options.pose_sigma != (0.0, 0.0) or wanted.exposure:
+        trainer = training_run.learned(shown, steps, seed, False, ticking(progress, "without corrections", views))
+        mesh = trainer.mesh(training_run.MESH_VOXEL_M)
+        quality = training_run.against_truth(Surface(mesh.vertices_world, mesh.faces), plain)
+        result["uncorrected"] = asdict(quality) | {
+            "psnr_db": training_run.picture_psnr_db(trainer, trainer.painted(), shown.pictures)
+        }
+    if wanted.exposure:
+        sigmas = [
+            training_run.colour_sigmas(
+                scene, steps, range(seed, seed + SIGMA_SEEDS), ticking(progress, name, views * SIGMA_SEEDS)
+            )
+            for scene, name in ((plain, "one exposure"), (shown, "many exposures"))
+        ]
+        result["colour_sigma"] = {"one_exposure": sigmas[0], "many_exposures": sigmas[1]}
+    return result
+
+
+def _about(scene: seeded_views.MapperScene, wanted: MapperBench) -> Result:
+    return {
+        "scene": scene.name,
+        "views": len(scene.keyframes),
+        "camera": wanted.camera,
+        "depth_noise": wanted.depth_noise,
+        "mount": wanted.mount,
+        "pose_noise": wanted.pose_noise,
+        "exposure": wanted.exposure,
+        "steps_per_view": wanted.steps_per_view,
+        "seed": wanted.seed,
+        "device": wanted.device,
+        "seen_points": len(scene.points),
+        "held_out_pixels": len(scene.pictures.rgb),
+        "machine": host_info.processor(),
+        "commit": host_info.commit(),
+    }
+
+
+def _divided(tree: Result, factor: float) -> Result:
+    """Every time in a tree as the reference machine would have taken it."""
+    return {
+        name: _divided(value, factor) if isinstance(value, dict) else None if value is None else value / factor
+        for name, value in tree.items()
+    }
+
+
+def _pose_sigma(words: str) -> tuple[float, float]:
+    try:
+        centimetres, degrees = (float(word) for word in words.split(","))
+    except ValueError:
+        centimetres = degrees = -1.0
+    if not (0.0 <= centimetres <= CENTIMETRES and 0.0 <= degrees <= DEGREES):
+        raise UsageError(f"--pose-noise {words}: want CM,DEG, 0 or more and at most {CENTIMETRES:g} and {DEGREES:g}")
+    return centimetres * 0.01, math.radians(degrees)

@@ -1,0 +1,206 @@
+"""The mapper at work on a scene's views, timed: one view after the other as in flight, or all of them at once.
+
+Times are processor seconds of the calling thread, which a busy machine does not lengthen.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.bench import host_info
+from uav_recon.bench.mapper.seeded_views import MapperScene, PictureRays
+from uav_recon.bench.mapper.sparsification import ause
+from uav_recon.bench.planner.stage_timing import Spread
+from uav_recon.config import MapperConfig, UncertaintyName
+from uav_recon.evaluation.metrics import PSNR_CAP_DB, share_within
+from uav_recon.evaluation.recall import ElementRecall
+from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.frames import Float32Array
+
+RECALLS = (0.90, 0.95, 0.99)
+RECALL_EVERY, RECALL_STEPS = 10, 1000  # steps between two looks at the recall, and when to give up
+SAMPLES = 300_000
+FAR_M = 0.10  # surface farther than this from truth is hallucinated
+WITHIN_M = 0.05
+PARTIAL_SHARE = 0.375  # of the views, after which the uncertainty is asked
+MESH_VOXEL_M, WHOLE_VOXEL_M = 0.02, 0.05
+ROOM_RUNS = 7
+COLOUR_SIGMAS: tuple[UncertaintyName, ...] = ("colour", "paper")
+
+Tick = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """A mesh against what could be seen. cm are means; hallucinated: share of its area."""
+
+    accuracy_cm: float | None
+    completion_cm: float | None
+    recall_seen_5cm: float
+    hallucinated_fraction: float | None
+
+
+@dataclass(frozen=True)
+class Online:
+    """One view after the other. The first two and the last are spreads over views; *_wall_ms beside them by the clock."""
+
+    trainer: Trainer
+    step: Spread
+    step_wall: Spread
+    view_update: Spread
+    view_update_wall: Spread
+    extraction_view: Spread
+    memory_mb: float
+    ause_all: float | None
+    ause_observed: float | None
+
+
+def make_trainer(scene: MapperScene, steps_per_view: int, seed: int) -> Trainer:
+    """A mapper of the scene's box."""
+    config = MapperConfig(seed=seed, steps_per_view=steps_per_view)
+    return Trainer(config, scene.low_m, scene.high_m, scene.depth_noise_px, 0.05)
+
+
+def online(scene: MapperScene, steps_per_view: int, seed: int, tick: Tick = lambda: None) -> Online:
+    """Take the views one by one, with steps_per_view steps after each."""
+    resident_mb = host_info.resident_mb()
+    trainer = make_trainer(scene, steps_per_view, seed)
+    steps, updates, extractions = [], [], []
+    partial = max(1, round(PARTIAL_SHARE * len(scene.keyframes)))
+    all_score, observed_score = None, None
+    for n, keyframe in enumerate(scene.keyframes):
+        began = _clocks()
+        trainer.add(keyframe)
+        added = _clocks()
+        trainer.train(steps_per_view)
+        trained = _clocks()
+        trainer.surface()
+        extractions.append(_clocks() - trained)
+        steps.append((trained - added) / steps_per_view)
+        updates.append(trained - began)
+        if n + 1 == partial:
+            all_score, observed_score = uncertainty_scores(trainer, scene.surface)
+        tick()
+    grown_mb = host_info.resident_mb() - resident_mb
+    (step, step_wall), (update, update_wall), (extraction, _) = (_spreads(t) for t in (steps, updates, extractions))
+    return Online(
+        trainer, step, step_wall, update, update_wall, extraction, grown_mb, all_score, observed_score
+    )  # fmt: skip
+
+
+def learned(scene: MapperScene, steps_per_view: int, seed: int, correct: bool, tick: Tick = lambda: None) -> Trainer:
+    """The same views one by one, untimed; without ``correct`` poses and exposures are taken as they are told."""
+    trainer = make_trainer(scene, steps_per_view, seed)
+    trainer.align_views = trainer.learn_gains = correct
+    for keyframe in scene.keyframes:
+        trainer.add(keyframe)
+        trainer.train(steps_per_view)
+        tick()
+    return trainer
+
+
+def colour_sigmas(scene: MapperScene, steps_per_view: int, seeds: Iterable[int], tick: Tick = lambda: None) -> dict[str, float]:
+    """Median of each colour sigma over the surface, 0..1; of that the geometric mean over seeds."""
+    logs = []
+    for seed in seeds:
+        trainer = learned(scene, steps_per_view, seed, True, tick)
+        points = trainer.whole_room().position_world.astype(np.float32)
+        logs.append([np.log(np.median(trainer.uncertainties[name].at(points))) for name in COLOUR_SIGMAS])
+    means = np.exp(np.mean(logs, axis=0))
+    return {name: float(mean) for name, mean in zip(COLOUR_SIGMAS, means, strict=True)}
+
+
+def uncertainty_scores(trainer: Trainer, truth: Surface) -> tuple[float | None, float | None]:
+    """AUSE of the mapper's uncertainty over every vertex of the field's surface, and over those that were observed."""
+    whole = trainer.whole_surface(WHOLE_VOXEL_M)
+    error = truth.distance_m(whole.vertices.astype(np.float64))
+    uncertainty = trainer.uncertainty.at(whole.vertices).astype(np.float64)
+    return ause(error, uncertainty), ause(error[whole.observed], uncertainty[whole.observed])
+
+
+def room_extraction(trainer: Trainer) -> Spread:
+    """Elements of the whole room from nothing, some times over."""
+    took = []
+    for _ in range(ROOM_RUNS):
+        began = _clocks()
+        trainer.whole_room()
+        took.append(_clocks() - began)
+    return _spreads(took)[0]
+
+
+def time_to_recall(scene: MapperScene, seed: int, tick: Tick = lambda: None) -> dict[str, float | None]:
+    """Seconds of training on all views at once until elements recall so much of what was seen; intake is not counted."""
+    trainer = make_trainer(scene, 1, seed)
+    for keyframe in scene.keyframes:
+        trainer.add(keyframe)
+    truth = ElementRecall(scene.points, trainer.element_spacing_m)
+    reached: dict[str, float | None] = {f"{recall:.2f}": None for recall in RECALLS}
+    took_s = 0.0
+    for _ in range(0, RECALL_STEPS, RECALL_EVERY):
+        began = _clocks()
+        trainer.train(RECALL_EVERY)
+        took_s += float((_clocks() - began)[0]) * 1e-3
+        surface = trainer.whole_room()
+        recall = truth.of(surface.position_world, surface.normal_world)
+        for name, value in reached.items():
+            if value is None and recall >= float(name):
+                reached[name] = took_s
+        tick()
+        if all(value is not None for value in reached.values()):
+            break
+    return reached
+
+
+def against_truth(model: Surface, scene: MapperScene, seed: int = 0) -> Accuracy:
+    """Point to surface both ways, 300,000 points drawn on the model by area."""
+    to_truth_m = scene.surface.distance_m(model.sample(SAMPLES, seed))
+    to_model_m = model.distance_m(scene.points)
+    empty = not len(to_truth_m)
+    return Accuracy(
+        None if empty else 100.0 * float(to_truth_m.mean()),
+        None if empty else 100.0 * float(to_model_m.mean()),
+        share_within(to_model_m, WITHIN_M) or 0.0,
+        None if empty else float(np.mean(to_truth_m > FAR_M)),
+    )
+
+
+def picture_psnr_db(trainer: Trainer, field: LearnedField, pictures: PictureRays) -> float | None:
+    """Mean over held-out pictures, drawn through a trainer's field, painted or not; a pixel that meets no surface is black."""
+    if not len(pictures.rgb):
+        return None
+    rgb = trainer.look(field, pictures.origin, pictures.direction)
+    square = ((rgb.astype(np.float64) - pictures.rgb / 255.0) ** 2).mean(axis=1)
+    pixels = np.bincount(pictures.picture)
+    error = np.bincount(pictures.picture, square)[pixels > 0] / pixels[pixels > 0]
+    worst = 10.0 ** (-0.1 * PSNR_CAP_DB)
+    return float(np.mean(-10.0 * np.log10(np.maximum(error, worst))))
+
+
+def warm_up(keyframe: PosedFrame) -> None:
+    """Compile everything that is timed."""
+    position = keyframe.world_from_depth.translation_m
+    trainer = Trainer(MapperConfig(), position - 1.5, position + 1.5, 0.02, 0.05)
+    trainer.warm_up()
+    trainer.add(keyframe)
+    trainer.train(2)
+    trainer.surface()
+    trainer.whole_surface(WHOLE_VOXEL_M)
+    ray: Float32Array = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
+    trainer.look(trainer.painted(), position[None].astype(np.float32), ray)
+
+
+def _clocks() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Milliseconds of this thread's processor and of the wall."""
+    return np.array([time.thread_time() * 1e3, time.perf_counter() * 1e3])
+
+
+def _spreads(took: list[np.ndarray[tuple[int], np.dtype[np.float64]]]) -> tuple[Spread, Spread]:
+    columns = np.array(took).reshape(-1, 2)
+    return Spread.of(columns[:, 0]), Spread.of(columns[:, 1])

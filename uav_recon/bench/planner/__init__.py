@@ -1,0 +1,1 @@
+"""The planner benchmark: timing, tours, paths and views against oracles."""

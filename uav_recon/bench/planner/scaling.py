@@ -1,0 +1,97 @@
+"""What a frame costs when the building is ten and a hundred times as large.
+
+The building of the recording stands there many times, wall to wall. Every copy but one is filled beforehand by the whole
+recording, frame by frame as a flight would have done it, so that it is in the map with its walls, its rooms and the frontiers
+that are left; then the recording is replayed in the last one, the middle of the map, and each frame is fused and planned.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uav_recon.bench.host_info import resident_mb
+from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, Recording
+from uav_recon.bench.planner.replay import timed_plans
+from uav_recon.bench.planner.stage_timing import Spread, Stopwatch
+from uav_recon.bench.planner.stages import WHOLE, Mapped, request_of
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import GridSpec
+from uav_recon.types.pose import Pose
+
+COPIES = (1, 10, 100)
+WALL_M = 0.2  # of map beyond the room on each side: its walls
+FILLING_STEP = 2  # every second frame of the recording fills the other copies: each place is still seen often enough
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """One size of map. stages: processor time, which a busy machine does not lengthen.
+
+    memory_mb: what map and planner hold after the last frame.
+    """
+
+    copies: int
+    area_m2: float
+    voxels: tuple[int, int, int]
+    stages: dict[str, Spread]
+    memory_mb: float
+
+
+def layout(copies: int) -> tuple[int, int]:
+    """Columns and rows of copies, as square as they divide."""
+    rows = next(n for n in range(math.isqrt(copies), 0, -1) if copies % n == 0)
+    return copies // rows, rows
+
+
+def measure(recording: Recording, copies: int, tick: Callable[[int], None]) -> Size:
+    """Replay the recording in a map of so many copies; ``tick`` is told of every frame (see ticks)."""
+    columns, rows = layout(copies)
+    wall_m = np.array([WALL_M, WALL_M, 0.0])
+    pitch_m = recording.high_m - recording.low_m + 2 * wall_m
+    upper_m = recording.low_m - wall_m + pitch_m * [columns, rows, 1]
+    grid = GridSpec.covering(recording.low_m - wall_m, upper_m, RESOLUTION_M)
+    gc.collect()
+    before_mb = resident_mb()
+    mapped = Mapped(recording, grid, (recording.low_m - wall_m, upper_m))
+    planner = mapped.planner()
+    live = (columns // 2, rows // 2)
+    for place in np.ndindex(columns, rows):
+        if place != live:
+            for posed in recording.frames[::FILLING_STEP]:
+                mapped.voxels.integrate(_moved(posed, pitch_m * [*place, 0]))
+                tick(1)
+    frames = [_moved(posed, pitch_m * [*live, 0]) for posed in recording.frames]
+    mapped.start(frames[0])
+    # what lies in the map already is looked at by the planner once, unmeasured: a flight would have seen it grow
+    planner.plan(request_of(mapped.fuse(frames[0], Stopwatch()), frames[0]))
+    laps = timed_plans(mapped, planner, _told(frames, tick)).cpu
+    gc.collect()
+    return Size(
+        copies=copies,
+        area_m2=float(pitch_m[0] * pitch_m[1] * copies),
+        voxels=grid.shape,
+        stages={stage: laps.spread(*parts) for stage, parts in WHOLE.items()},
+        memory_mb=resident_mb() - before_mb,
+    )
+
+
+def _told(frames: list[PosedFrame], tick: Callable[[int], None]) -> Iterator[PosedFrame]:
+    for posed in frames:
+        yield posed
+        tick(1)
+
+
+def ticks(recording: Recording, copies: int) -> int:
+    """How many frames measure() goes through."""
+    return len(recording.frames) + (copies - 1) * len(recording.frames[::FILLING_STEP])
+
+
+def _moved(posed: PosedFrame, by_m: FloatArray) -> PosedFrame:
+    pose = posed.world_from_depth
+    return replace(posed, world_from_depth=Pose(pose.quat_wxyz, pose.translation_m + by_m))

@@ -1,0 +1,227 @@
+"""The stages from a depth frame to a tour, driven one by one with a clock between them, once per recorded frame.
+
+The same objects in the same order as ViewPlanner.plan(), which has no clock inside; and plan() itself, as a whole. The drone
+follows the recorded poses; nothing that is planned is flown, so that every frame asks for a whole decision.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from uav_recon.bench.planner.recorded_stream import Recording
+from uav_recon.bench.planner.stage_timing import Stopwatch
+from uav_recon.bench.planner.view_oracle import Frontier, Lens
+from uav_recon.config import MotionConfig, PlannerConfig, VoxelConfig
+from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
+from uav_recon.planning import view_planner
+from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
+from uav_recon.planning.candidate_view import Proposal
+from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.frontier.frontier_views import FrontierViews
+from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
+from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.presets import derived
+from uav_recon.planning.task_generation import MOST_FRONTIERS, places_of
+from uav_recon.planning.tour.travel_time import TurningOnTheWay, time_costs
+from uav_recon.planning.variants import variant
+from uav_recon.planning.view_planner import ViewPlanner
+from uav_recon.types.camera import Intrinsics, PosedFrame
+from uav_recon.types.frames import BoolArray, FloatArray, IntArray
+from uav_recon.types.maps import GridSpec, VoxelMap
+from uav_recon.types.tasks import PlanRequest
+
+# the recordings are free of noise but for their millimetres
+SENSOR = DepthSensor(depth_min_m=0.1, noise_px=0.001, baseline_m=0.05)
+Mount = Literal["gimbal", "fixed"]
+# how far down each can look
+MOUNTS_RAD: dict[Mount, tuple[float, float]] = {
+    "gimbal": (float(np.radians(-60.0)), float(np.radians(60.0))),
+    "fixed": (float(np.radians(15.0)), float(np.radians(15.0))),
+}
+VIEWS_LEFT = 1000
+WARM_FRAMES = 20
+# laps of a frame, and the stages that they add up to
+SEARCH, VIEWPOINTS, TOUR = ("frontiers", "space"), ("views",), ("ways", "order")
+STAGES: dict[str, tuple[str, ...]] = {
+    "fusion": ("fusion",),
+    "distance": ("distance",),
+    "search": SEARCH,
+    "viewpoints": VIEWPOINTS,
+    "tour": TOUR,
+    "decision": (*SEARCH, *VIEWPOINTS, *TOUR),
+    "total": ("fusion", "distance", *SEARCH, *VIEWPOINTS, *TOUR),
+}
+WHOLE: dict[str, tuple[str, ...]] = {
+    "fusion": ("fusion",),
+    "distance": ("distance",),
+    "plan": ("plan",),
+    "total": ("fusion", "distance", "plan"),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChosenView:
+    """A view that the planner chose for a frontier: (x, y, z, yaw, pitch down), lengths in voxels."""
+
+    view: FloatArray
+    frontier: Frontier
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """What one frame came to: tasks, and the order (M,) in which a tour visits those that cannot wait, of ``tasks``."""
+
+    voxels: VoxelMap
+    tasks: tuple[Proposal, ...]
+    order: IntArray
+
+
+NOTHING = np.zeros(0, dtype=np.int64)
+
+
+def camera_of(lens: Intrinsics, range_m: float, mount: Mount = "gimbal") -> CameraGeometry:
+    """The recording camera as the planner sees it: at the body's centre, on a gimbal or tilted down for good."""
+    low_rad, high_rad = MOUNTS_RAD[mount]
+    return CameraGeometry(
+        hfov_rad=2 * float(np.arctan(lens.width / 2 / lens.fx)),
+        vfov_rad=2 * float(np.arctan(lens.height / 2 / lens.fy)),
+        position_body_m=np.zeros(3),
+        pitch_min_rad=low_rad,
+        pitch_max_rad=high_rad,
+        range_m=range_m,
+        near_m=SENSOR.depth_min_m,
+    )
+
+
+def oracle_lens(camera: CameraGeometry, resolution_m: float) -> Lens:
+    """The same camera for the brute force, with the same margin at the picture's edge."""
+    return Lens(
+        tan_h=float(np.tan(camera.hfov_rad / 2)) * EDGE_MARGIN,
+        tan_v=float(np.tan(camera.vfov_rad / 2)) * EDGE_MARGIN,
+        near=camera.near_m / resolution_m,
+        reach=camera.range_m / resolution_m,
+        pitch_min_rad=camera.pitch_min_rad,
+        pitch_max_rad=camera.pitch_max_rad,
+    )
+
+
+class Mapped:
+    """The map of one replay. fence_m: lower and upper corner (3,) in world."""
+
+    def __init__(
+        self, recording: Recording, grid: GridSpec, fence_m: tuple[FloatArray, FloatArray], mount: Mount = "gimbal"
+    ) -> None:
+        self.fence_m, self.fence = fence_m, fence_box(grid, *fence_m)
+        self.camera = camera_of(recording.lens, recording.max_range_m, mount)
+        self.config = derived(PlannerConfig(variant="explore"), *fence_m, self.camera)
+        low, high = (tuple(corner.tolist()) for corner in fence_m)
+        self.voxels = Voxels(
+            grid, SENSOR, recording.max_range_m, low, high, VoxelConfig().distance_cap_m, pixel_stride=recording.stride
+        )
+
+    def start(self, posed: PosedFrame) -> None:
+        """The operator's word, as before any take-off: the cylinder over the pad is free."""
+        place = posed.world_from_depth.translation_m
+        self.voxels.declare_free(place, VoxelConfig().takeoff_radius_m, 0.0, float(place[2]) + 0.3)
+
+    def fuse(self, posed: PosedFrame, watch: Stopwatch) -> VoxelMap:
+        """Fuse a frame; laps fusion and distance."""
+        watch.restart()
+        self.voxels.integrate(posed)
+        watch.lap("fusion")
+        voxels = self.voxels.snapshot()
+        watch.lap("distance")
+        return voxels
+
+    def planner(self) -> ViewPlanner:
+        """A planner for this map's fence and camera."""
+        motion = MotionConfig()
+        price = TurningOnTheWay(motion.speed_mps, math.radians(motion.yaw_rate_degps))
+        return ViewPlanner(self.config, *self.fence_m, self.camera, price)
+
+
+class Stages:
+    """The planner's stages over a map."""
+
+    def __init__(self, mapped: Mapped) -> None:
+        grid, self._mapped, motion = mapped.voxels.grid, mapped, MotionConfig()
+        inset_m = mapped.config.clearance_m
+        self._space = FlyableSpace(grid, inset_m, *fence_box(grid, mapped.fence_m[0] + inset_m, mapped.fence_m[1] - inset_m))
+        self._frontiers, self._ways = Frontiers(), Ways(self._space)
+        self._views = FrontierViews(mapped.config, mapped.camera)
+        self._choice = variant(mapped.config.variant, mapped.config).choice
+        self._none_ignored = np.zeros(grid.shape, dtype=np.uint8)
+        self._price = TurningOnTheWay(motion.speed_mps, math.radians(motion.yaw_rate_degps))
+
+    def decide(self, voxels: VoxelMap, posed: PosedFrame, watch: Stopwatch) -> Decision:
+        """Plan from the pose of a frame; the laps are those of STAGES."""
+        place = posed.world_from_depth.translation_m
+        watch.restart()
+        self._frontiers.update(voxels, *self._mapped.fence, self._none_ignored)
+        watch.lap("frontiers")
+        self._space.update(voxels)
+        exit_cells = self._space.stand(place)
+        watch.lap("space")
+        if exit_cells is None:
+            return Decision(voxels, (), NOTHING)
+        nearest = self._views.update(voxels, self._space, self._frontiers, place).proposals[:MOST_FRONTIERS]
+        gains = self._frontiers.beyond(voxels, [one.promised for one in nearest])
+        tasks = [one.gaining(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
+        watch.lap("views")
+        return Decision(voxels, tuple(tasks), self._tour(exit_cells, posed, tasks, watch))
+
+    def reachable(self) -> BoolArray:
+        """Voxels (nx, ny, nz) that the vehicle could fly to when the last decision was made."""
+        mask: BoolArray = self._space.reachable[1:-1, 1:-1, 1:-1] > 0
+        return mask
+
+    def _tour(self, exit_cells: IntArray, posed: PosedFrame, tasks: list[Proposal], watch: Stopwatch) -> IntArray:
+        if not tasks:
+            return NOTHING
+        self._ways.update(exit_cells, posed.world_from_depth.translation_m, places_of(tasks))
+        costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._price)
+        watch.lap("ways")
+        order = self._choice.order([one.task for one in tasks], costs_s).order
+        watch.lap("order")
+        return order - 1
+
+    def chosen(self, decision: Decision) -> tuple[ChosenView, ...]:
+        """The views of a decision's tasks, each with the frontier that it was chosen for; only of the last decision."""
+        return tuple(self._chosen(decision.voxels.grid, task) for task in decision.tasks)
+
+    def _chosen(self, grid: GridSpec, proposal: Proposal) -> ChosenView:
+        view = proposal.task.viewpoint
+        place = (view.position_world - grid.origin_world_m) / grid.resolution_m
+        centre = (proposal.task.centroid_world - grid.origin_world_m) / grid.resolution_m
+        rows = self._frontiers.rows()
+        away2 = ((self._frontiers.table.centre[rows] - centre) ** 2).sum(axis=1)
+        cells = self._frontiers.cluster(int(rows[np.argmin(away2)])).cells
+        return ChosenView(np.array([*place, view.yaw_rad, view.pitch_down_rad]), Frontier(cells, *self._mapped.fence))
+
+
+def request_of(voxels: VoxelMap, posed: PosedFrame) -> PlanRequest:
+    """What a mission that hovers at the frame's pose would ask of the planner."""
+    return PlanRequest(voxels, None, posed.world_from_depth.translation_m, heading_rad(posed), VIEWS_LEFT)
+
+
+def heading_rad(posed: PosedFrame) -> float:
+    """Where the optical axis points, seen from above."""
+    axis = posed.world_from_depth.rotation()[:, 2]
+    return float(np.arctan2(axis[1], axis[0]))
+
+
+def warm_up(recording: Recording) -> None:
+    """Compile every kernel that a replay runs; then the first frames on a flight of their own."""
+    mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
+    mapped.voxels.warm_up()
+    view_planner.warm_up(mapped.config.variant)
+    stages, whole = Stages(mapped), mapped.planner()
+    mapped.start(recording.frames[0])
+    for posed in recording.frames[:WARM_FRAMES]:
+        voxels = mapped.fuse(posed, Stopwatch())
+        stages.decide(voxels, posed, Stopwatch())
+        whole.plan(request_of(voxels, posed))

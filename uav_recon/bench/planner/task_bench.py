@@ -1,0 +1,140 @@
+"""`uav-recon bench tasks`: what it costs to find views of the learned surface, along a flight that was flown.
+
+The map is the flight's last one; the surface is the mapper's, as it was known at each state that the flight kept, and the
+vehicle is where it took the keyframe before. How uncertain an element is was not kept: random numbers stand for it, so that
+surface everywhere asks to be looked at, and every plan looks for as many tasks as it may have.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from uav_recon import run
+from uav_recon.bench import host_info
+from uav_recon.bench.machine_calibration import calibrate
+from uav_recon.bench.planner.planner_tables import narrow_table
+from uav_recon.bench.planner.stage_timing import Spread, Stopwatch
+from uav_recon.failure import Failure
+from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
+from uav_recon.planning.candidate_view import Situation
+from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.planning.frontier.frontiers import fence_box
+from uav_recon.planning.presets import derived
+from uav_recon.planning.reconstruction.surface_views import SurfaceViews
+from uav_recon.recording.map_file import load_map
+from uav_recon.recording.timelapse import load_states
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.maps import SurfaceElements
+from uav_recon.usage import UsageError, looked_at, need_file
+
+PRINTED_WIDTH = 100  # where no terminal says
+SEED = 20240321
+PHASES = ("merged", "end phase")  # within R_loc, and within alpha times that
+
+Result = dict[str, Any]
+
+
+def bench_tasks(flight: Path, json_path: Path | None) -> int:
+    """Measure, print a table, write JSON. Raises Failure in one line for a folder that is no whole flight."""
+    need_file("--json", json_path)
+    with looked_at(str(flight)):
+        folder, flown = flight.is_dir(), (flight / "config.toml").is_file()
+    if not folder:
+        raise UsageError(f"{flight}: no such flight folder")
+    if not flown:
+        raise UsageError(f"{flight}: has no config.toml: not a flight")
+    times, tasks, elements = _measure(flight)
+    calibration = calibrate()
+    result: Result = {
+        "flight": flight.name,
+        "elements": elements,
+        "machine": host_info.processor(),
+        "commit": host_info.commit(),
+        "calibration_cpu": calibration.cpu_factor,
+        "phases": {
+            phase: {
+                "plans": len(times[phase]),
+                "tasks": float(np.mean(tasks[phase])),
+                "cpu_ms": asdict(Spread.of(times[phase])),
+                "cpu_ms_calibrated": asdict(Spread.of(times[phase]).divided_by(calibration.cpu_factor)),
+            }
+            for phase in PHASES
+        },
+    }
+    _show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
+    if json_path is not None:
+        json_path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]], int]:
+    """Milliseconds and number of tasks of each plan, by phase, and how many elements the last surface has."""
+    config, voxels = run.load_config(flight / "config.toml"), load_map(flight)
+    if voxels is None:
+        raise UsageError(f"{flight}: has no voxels.npz: not a flight that ended")
+    low, high = np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m)
+    camera = run.camera_geometry(config)
+    planner = derived(config.planner, low, high, camera)
+    space = FlyableSpace(voxels.grid, planner.clearance_m, *fence_box(voxels.grid, low, high))
+    space.update(voxels)
+    views, looks = SurfaceViews(planner, camera), np.zeros(voxels.grid.shape, dtype=np.float32)
+    moments = list(_moments(flight))
+    times: dict[str, list[float]] = {phase: [] for phase in PHASES}
+    tasks: dict[str, list[int]] = {phase: [] for phase in PHASES}
+    console = Console(stderr=True)
+    for lap in range(2):  # the first compiles, and is forgotten
+        for n, (surface, position) in enumerate(track(moments, "plans", console=console, transient=True)):
+            exit_cells = space.stand(position)
+            if exit_cells is None:
+                continue
+            situation = Situation(voxels, space, exit_cells, position)
+            for phase, factor in zip(PHASES, (1.0, planner.end_factor), strict=True):
+                fresh = SurfaceElements(*surface, revision=(lap * len(moments) + n) * len(PHASES) + PHASES.index(phase))
+                watch = Stopwatch()
+                found = views.propose(situation, fresh, looks, factor)
+                watch.lap(phase)
+                if lap:
+                    times[phase].append(watch.cpu_ms[phase])
+                    tasks[phase].append(len(found))
+    if not times[PHASES[0]]:
+        raise Failure(f"{flight}: no keyframe stands where this vehicle may fly")
+    return times, tasks, len(moments[-1][0][0])
+
+
+def _moments(flight: Path) -> Iterator[tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]]:
+    """Positions, normals and uncertainty of each state of the surface, and where the vehicle was."""
+    try:
+        keyframes = KeyframeFolder(flight / "keyframes")
+    except KeyframeError as error:
+        raise UsageError(str(error)) from None
+    states, random = load_states(flight), np.random.default_rng(SEED)
+    if not states or not len(keyframes):
+        raise UsageError(f"{flight}: has no states of the surface, or no keyframes: not a flight with a mapper")
+    stamps = np.array([keyframes.stamp_s(n) for n in range(len(keyframes))])
+    for state in states:
+        last = keyframes.load(max(int(np.searchsorted(stamps, state.stamp_s)) - 1, 0))
+        surface = (state.position_world, state.normal_world, random.random(len(state.position_world)))
+        yield surface, last.world_from_depth.translation_m
+
+
+def _show(console: Console, result: Result) -> None:
+    console.print(
+        f"{result['flight']}: surface of {result['elements']} elements in the end; commit {result['commit']}, "
+        f"{result['machine']}, its processor {result['calibration_cpu']:.2f} times as slow as the reference machine.",
+        highlight=False,
+    )
+    title = "tasks of surface: milliseconds of the processor, and calibrated"
+    table = narrow_table(title, "phase", "plans", "tasks", "median", "p95", "max", "cal.", "p95", "max")
+    for phase, told in result["phases"].items():
+        spreads = [told[name][key] for name in ("cpu_ms", "cpu_ms_calibrated") for key in ("median_ms", "p95_ms", "max_ms")]
+        table.add_row(phase, str(told["plans"]), f"{told['tasks']:.1f}", *(f"{value:.1f}" for value in spreads))
+    console.print(table)

@@ -1,0 +1,1 @@
+"""The setpoint benchmark: gaps of the stream at the receiver, under load."""

@@ -1,0 +1,75 @@
+"""The load beside which setpoints must stay steady: `python -m uav_recon.bench.setpoints.load CONFIG FOLDER [pilot]`.
+
+What the mission's and the mapper's processes do to their machine, all in this one: the field learns, four threads of plain
+Python never rest, a disk is written and flushed, and frames are published for the recorder. With the word ``pilot`` the pilot's
+loop runs in here too, as one thread among them. Runs until it is killed.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from uav_recon import config as configuration
+from uav_recon import processes
+from uav_recon.bench.mapper import seeded_views, training_run
+from uav_recon.wires import file_wires
+
+LEARNING = "learning"  # a file of this name tells that all of it runs
+BUSY_THREADS, VIEWS, STEPS_PER_VIEW = 4, 8, 20
+_BLOCK, _BLOCKS = os.urandom(1 << 22), 16  # 4 MiB, so often into one file
+_FRAMES_S = 0.1
+
+
+def load_machine(config_path: Path, folder: Path, with_pilot: bool) -> None:
+    """Begin all of it, and then be the pilot, or wait."""
+    options = seeded_views.SceneOptions(None, VIEWS, "d435i", "d435i", "fixed:15", (0.0, 0.0), 0)
+    scene = seeded_views.load(options)
+    training_run.warm_up(scene.keyframes[0])
+    wires = file_wires(configuration.load(config_path).runtime.folder)
+
+    def learn() -> None:
+        trainer = training_run.make_trainer(scene, STEPS_PER_VIEW, seed=0)
+        for view in itertools.chain(scene.keyframes, itertools.repeat(None)):
+            if view is not None:
+                trainer.add(view)
+            trainer.train(STEPS_PER_VIEW)
+            trainer.surface()
+            (folder / LEARNING).touch()
+
+    def be_busy() -> None:
+        for number in itertools.count():
+            sum(k * number for k in range(1000))
+
+    def write() -> None:
+        while True:
+            with (folder / "disk").open("wb") as file:
+                for _ in range(_BLOCKS):
+                    file.write(_BLOCK)
+                    file.flush()
+                    os.fsync(file.fileno())
+
+    def publish() -> None:
+        for view in itertools.cycle(scene.keyframes):
+            wires.frames.publish(view)
+            time.sleep(_FRAMES_S)
+
+    for work in (learn, write, publish, *[be_busy] * BUSY_THREADS):
+        _beside(work)
+    if with_pilot:
+        processes.pilot(config_path, folder / "flight")
+    signal.pause()
+
+
+def _beside(work: Callable[[], None]) -> None:
+    threading.Thread(target=work, name=work.__name__, daemon=True).start()
+
+
+if __name__ == "__main__":
+    load_machine(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:] == ["pilot"])

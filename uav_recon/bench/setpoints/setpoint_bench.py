@@ -1,0 +1,195 @@
+"""`uav-recon bench setpoints`: how steadily setpoints arrive while the machine is loaded, stamped at the receiver.
+
+The pilot is the process that flies, a simulated autopilot in a process of its own is the receiver, the load is a third and the
+recorder a fourth. The negative control runs the same pilot as a thread of the load: it must miss the bar, or the bar is blind.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from uav_recon import config as configuration
+from uav_recon.bench import host_info
+from uav_recon.bench.machine_calibration import calibrate
+from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH, write_json
+from uav_recon.bench.planner.planner_tables import narrow_table
+from uav_recon.bench.setpoints import load as setpoint_load
+from uav_recon.config import Config
+from uav_recon.failure import Failure
+from uav_recon.types.frames import FloatArray
+from uav_recon.usage import UsageError, need_file
+
+MINUTES = (0.1, 120.0)
+BARS_MS = {"p99": 50.0, "p99.9": 75.0, "max": 250.0}
+AUTOPILOTS = ("px4", "ardupilot")
+_LOADED_S = 300.0  # compiling may take long
+_MARGIN_S = 240.0  # over the time that is measured: boot, parameters, take-off
+_PILOT_NICE, _RECEIVER_NICE, _RECORDER_NICE = -10, -5, 10  # as their services have it, where it is allowed
+_PILOT_FIFO = 50  # CPUSchedulingPriority of its unit
+
+
+@dataclass(frozen=True)
+class Steadiness:
+    """Milliseconds between setpoints as they arrived; the last one ends with the time that was measured."""
+
+    setpoints: int
+    rate_hz: float
+    median_ms: float
+    p99_ms: float
+    p999_ms: float
+    max_ms: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether all three bars hold."""
+        return all(told <= bar for told, bar in zip(self.told_ms, BARS_MS.values(), strict=True))
+
+    @property
+    def told_ms(self) -> tuple[float, float, float]:
+        """What the bars are for, in their order."""
+        return self.p99_ms, self.p999_ms, self.max_ms
+
+
+def steadiness(arrivals_s: FloatArray, begin_s: float, end_s: float) -> Steadiness:
+    """Of the arrivals (N,) from begin_s to end_s. A stream that stops, or never came, is a gap to the end."""
+    inside = arrivals_s[(arrivals_s >= begin_s) & (arrivals_s <= end_s)]
+    gaps_ms = np.diff(np.concatenate([[begin_s], inside, [end_s]])) * 1e3
+    median, p99, p999 = (float(np.percentile(gaps_ms, q, method="higher")) for q in (50, 99, 99.9))
+    return Steadiness(len(inside), len(inside) / (end_s - begin_s), median, p99, p999, float(gaps_ms.max()))
+
+
+def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path | None) -> int:
+    """Measure, print, write JSON; returns 1 if a bar is missed, or if the control keeps them all. Raises Failure."""
+    if not MINUTES[0] <= minutes <= MINUTES[1]:
+        raise UsageError(f"--minutes {minutes:g}: want {MINUTES[0]:g} to {MINUTES[1]:g}")
+    if autopilot not in AUTOPILOTS:
+        raise UsageError(f"--autopilot {autopilot}: want one of {', '.join(AUTOPILOTS)}")
+    need_file("--json", json)
+    status = Console(stderr=True)
+    with status.status("loading ...") as now:
+        measured = measure(minutes * 60.0, negative, autopilot, lambda what: now.update(f"{what} ..."))
+    factor = calibrate().cpu_factor
+    _show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), measured, minutes, negative, factor)
+    if json is not None:
+        about = {
+            "machine": host_info.processor(), "commit": host_info.commit(), "calibration_cpu": factor, "minutes": minutes,
+            "negative": negative, "autopilot": autopilot,
+        }  # fmt: skip
+        write_json({**asdict(measured), "bars_ms": BARS_MS, "kept": measured.kept, "about": about}, json)
+    return int(measured.kept == negative)
+
+
+def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str], None] = lambda _: None) -> Steadiness:
+    """Start everything, fly for so long, end everything. Raises Failure."""
+    with tempfile.TemporaryDirectory(prefix="uav_recon-") as name, contextlib.ExitStack() as ends:
+        folder = Path(name)
+        config, path, log = _config(folder, autopilot), folder / "config.toml", folder / "log"
+        configuration.save(config, path)
+        out = folder / "arrivals.npz"
+        product, ours = ["uav_recon.cli"], ["--config", str(path), "--flight", str(folder / "flight")]
+        load = ["uav_recon.bench.setpoints.load", str(path), str(folder), *(["pilot"] if negative else [])]
+        loader = ends.enter_context(_child(load, log, _PILOT_NICE if negative else 0))
+        say("loading the machine")
+        _await(folder / setpoint_load.LEARNING, loader, log)
+        ends.enter_context(_child([*product, "record", *ours], log, _RECORDER_NICE))
+        if not negative:
+            ends.enter_context(_child([*product, "pilot", *ours], log, _PILOT_NICE, _PILOT_FIFO))
+        say(f"flying for {seconds / 60.0:g} minutes")
+        far = ["sitl.fly_receiver", str(path), f"{seconds}", autopilot, str(out)]
+        receiver = ends.enter_context(_child(far, log, _RECEIVER_NICE))
+        try:
+            flown = receiver.wait(seconds + _MARGIN_S) == 0
+        except subprocess.TimeoutExpired:
+            flown = False
+        if not flown and not negative:
+            raise Failure(f"the vehicle did not fly: {_last_words(log)}")
+        if not flown:  # the control kept it from the air: no setpoint came
+            return steadiness(np.zeros(0), 0.0, seconds)
+        with np.load(out) as told:
+            return steadiness(told["arrivals_s"], float(told["begin_s"]), float(told["end_s"]))
+
+
+def _config(folder: Path, autopilot: str) -> Config:
+    """An empty hall, and a port that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    safety = {
+        "fence_min_m": [-3.0, -3.0, -0.3], "fence_max_m": [3.0, 3.0, 2.5], "fence_corners_m": [], "fence_inset_m": 0.3,
+        "max_speed_mps": 1.0, "max_acceleration_mps2": 2.0, "max_yaw_rate_degps": 60.0, "vehicle_radius_m": 0.2,
+        "vehicle_height_m": 0.2, "stop_clearance_m": 0.1, "fast_clearance_m": 0.4, "blind_speed_mps": 1.0,
+        "blind_memory_s": 10.0, "retreat_speed_mps": 0.3, "silence_way_m": 0.45, "intent_timeout_s": 0.5,
+        "retreat_timeout_s": 5.0, "pose_timeout_s": 0.25, "pose_land_s": 0.7, "land_timeout_s": 20.0, "depth_timeout_s": 0.3,
+        "depth_retreat_s": 3.0, "depth_land_s": 10.0,
+    }  # fmt: skip
+    tree: dict[str, Any] = {
+        "safety": safety,
+        "link": {"autopilot": autopilot, "url": f"udp:127.0.0.1:{port}"},
+        "recording": {"folder": str(folder)},
+        "runtime": {"folder": str(folder / "run")},
+    }
+    return configuration.parse(tree, "setpoints")
+
+
+@contextlib.contextmanager
+def _child(module: list[str], log: Path, niceness: int, fifo: int = 0) -> Iterator[subprocess.Popen[bytes]]:
+    """A Python program of ours, as its unit runs it where we may; it ends with us, however we go, or with the block."""
+    from sitl.leash import leashed
+
+    command = leashed([sys.executable, "-m", *module])
+    with log.open("ab") as out:
+        process = subprocess.Popen(  # noqa: S603 - our own programs
+            command, stdin=subprocess.PIPE, stdout=out, stderr=out, start_new_session=True
+        )
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, process.pid, niceness)
+        if fifo:
+            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(fifo))
+    with contextlib.suppress(OSError):  # where the kernel weighs whole sessions and not processes: sched(7), autogroup
+        Path(f"/proc/{process.pid}/autogroup").write_text(str(niceness), encoding="ascii")
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def _await(path: Path, process: subprocess.Popen[bytes], log: Path) -> None:
+    deadline_s = time.monotonic() + _LOADED_S
+    while not path.exists():
+        if process.poll() is not None or time.monotonic() > deadline_s:
+            raise Failure(f"the load did not begin: {_last_words(log)}")
+        time.sleep(0.2)
+
+
+def _last_words(log: Path) -> str:
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    return lines[-1].strip() if lines else "and nobody said why"
+
+
+def _show(console: Console, told: Steadiness, minutes: float, negative: bool, factor: float) -> None:
+    who = "the pilot as a thread of the load (negative control)" if negative else "the pilot as it flies"
+    console.print(f"{who}: {told.setpoints} setpoints in {minutes:g} minutes, {told.rate_hz:.2f} a second", highlight=False)
+    table = narrow_table("", "between two", "ms", "bar")
+    table.add_row("median", f"{told.median_ms:.1f}", "")
+    for (name, bar_ms), value_ms in zip(BARS_MS.items(), told.told_ms, strict=True):
+        table.add_row(name, f"{value_ms:.1f}", f"{bar_ms:.0f}")
+    console.print(table)
+    word = "kept" if told.kept else "missed"
+    wanted = "missed, as it must be" if negative and not told.kept else word
+    console.print(
+        f"{wanted}; commit {host_info.commit()}, {host_info.processor()}, {factor:.2f} times as slow as the reference"
+    )
