@@ -31,7 +31,7 @@ safety:
 hostile: export PYTHONPATH = .:tests/safety
 hostile:
 	$(PYTHON) tests/autopilot/link/hostile_traffic.py 10000000 500
-	$(PYTHON) tests/mutated_configs.py 200
+	$(PYTHON) tests/app/mutated_configs.py 200
 	$(PYTHON) tests/safety/hostile_proposals.py 1000000
 
 # One flight of two hours with all processes; memory and descriptors once a second, in soak.svg. SOAK=G9-5min is a shorter one.

@@ -15,9 +15,9 @@ from rich.console import Console
 
 from sitl.fly_progress import Screen
 from sitl.leash import leashed
+from uav_recon.app.flight_channels import file_wires
 from uav_recon.failure import Failure
 from uav_recon.types.vehicle import FlightPhase
-from uav_recon.wires import file_wires
 
 READY_TIMEOUT_S = 240.0
 LANDING_S = 300.0  # from the first Ctrl-C to the mission's end, model and report included; as its service has it

@@ -23,17 +23,17 @@ from sitl.pace import QUICK, REAL
 from sitl.scene import Scene
 from sitl.transport import pipe
 from sitl.world import World
-from uav_recon import run, run_desk
+from uav_recon.app import factory, operator_factory
+from uav_recon.app.flight_channels import memory_wires
+from uav_recon.app.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
-from uav_recon.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
 from uav_recon.protocols import ByteLink, Mapper, Pending
 from uav_recon.recording.flight_log import FlightLog
 from uav_recon.recording.map_file import save_map
 from uav_recon.recording.timelapse import Timelapse
 from uav_recon.types.operator_command import GivenOrder
-from uav_recon.wires import memory_wires
 
 if TYPE_CHECKING:
     from uav_recon.recording.rerun_recorder import Recorder
@@ -169,16 +169,16 @@ def fly_in_lockstep(
     ours, theirs = pipe()
     world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s, pace)
     meddler.enter(world, wires, START_S)
-    run.warm_up(config)
+    factory.warm_up(config)
     mapper = _mapper(options, config)
     log, journal = MemoryTlog(options.out / "flight.tlog"), FlightLog(options.out)
     link, executor = meddler.link(ours), Calls(InlineExecutor(clock), meddler)
-    pilot = run.make_pilot(config, wires, link, log, clock)
-    perception = run.make_perception(config, wires, clock)
-    conductor = run.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
+    pilot = factory.make_pilot(config, wires, link, log, clock)
+    perception = factory.make_perception(config, wires, clock)
+    conductor = factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
     watchers: list[Recorder | Timelapse] = []  # the recorder keeps states of the surface too
     if config.recording.rerun:
-        watchers.append(run.make_recorder(config, wires, options.out, clock))
+        watchers.append(factory.make_recorder(config, wires, options.out, clock))
     elif timelapse:
         watchers.append(Timelapse(options.out, wires.surface, clock))
     conductor.request_start()
@@ -196,11 +196,11 @@ def fly_in_lockstep(
             if world.frame_due(now_s):
                 world.develop(world.expose(now_s))
             if meddler.restarts("perception"):
-                perception = run.make_perception(config, wires, clock)
+                perception = factory.make_perception(config, wires, clock)
             if meddler.runs("perception"):
                 perception.step()
             if meddler.restarts("mission"):
-                conductor = run.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
+                conductor = factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
                 conductor.request_start()
             if mission_rate.due(now_s) and meddler.runs("mission"):
                 if land():
@@ -209,10 +209,10 @@ def fly_in_lockstep(
                     conductor.request_hold()
                 conductor.step()
             if meddler.restarts("pilot"):
-                pilot = run.make_pilot(config, wires, link, log, clock)
+                pilot = factory.make_pilot(config, wires, link, log, clock)
             if meddler.runs("pilot"):
                 if operator_rate.due(now_s) and meddler.attends():
-                    run_desk.make_clerk(wires, pilot, orders, clock).serve("status")
+                    operator_factory.make_clerk(wires, pilot, orders, clock).serve("status")
                 pilot.step()
             if record_rate.due(now_s):
                 for watcher in watchers:
@@ -260,7 +260,7 @@ def _neural(config: Config, folder: Path) -> Mapper:
     from uav_recon.mapping.neural.worker.inline_mapper import InlineMapper
     from uav_recon.mapping.neural.worker.mapper_process import KEYFRAMES
 
-    trainer = run.make_trainer(config)
+    trainer = factory.make_trainer(config)
     trainer.warm_up()
     return InlineMapper(trainer, config.mapper, KeyframeFolder(folder / KEYFRAMES))
 

@@ -13,9 +13,9 @@ from sitl.d435i import Model, Noise
 from sitl.firmware.px4 import COMPANION_PORT as PX4_PORT
 from sitl.fly_world import WorldOptions
 from sitl.scene import HULL_HEIGHT_M, Scene
+from uav_recon.app.option_validation import UsageError, looked_at
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
 from uav_recon.failure import EXIT_CONFIG, Failure
-from uav_recon.usage import UsageError, looked_at
 
 __all__ = ["SimOptions", "UsageError"]
 

@@ -8,8 +8,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from uav_recon.app.flight_channels import Wires
 from uav_recon.types.vehicle import MissionProgress
-from uav_recon.wires import Wires
 
 
 class Screen:

@@ -22,7 +22,8 @@ from sitl.px4 import Px4
 from sitl.transport import ByteEnd, UdpPeer
 from sitl.vehicle import Quadrotor
 from uav_recon import config as configuration
-from uav_recon import run
+from uav_recon.app import factory
+from uav_recon.app.flight_channels import file_wires
 from uav_recon.clock import RateKeeper
 from uav_recon.config import Config
 from uav_recon.types.camera import body_from_camera
@@ -31,7 +32,6 @@ from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase
-from uav_recon.wires import file_wires
 
 GIVE_UP_S = 180.0  # not flying by then
 SETTLE_S = 1.0  # from the first setpoint that is flown to those that count
@@ -44,7 +44,7 @@ class Hover:
     def __init__(self, config: Config, autopilot: Autopilot, start_s: float) -> None:
         self._config, self._autopilot = config, autopilot
         self._wires = file_wires(config.runtime.folder)
-        self._motion = run.make_motion(config, config.planner.clearance_m)
+        self._motion = factory.make_motion(config, config.planner.clearance_m)
         self._motion.warm_up()
         self._poses, self._depth, self._intents = (RateKeeper(hz, start_s) for hz in (_POSES_HZ, _DEPTH_HZ, _INTENT_HZ))
         self._ranges = np.full((12, 16), 9.0, dtype=np.float32)

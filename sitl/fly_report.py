@@ -17,7 +17,7 @@ from sitl.oracle import SEEN_WELL_S
 from sitl.raster import Renderer
 from sitl.scene import Scene
 from sitl.visibility import TruthCut, load_truth_cut
-from uav_recon import run
+from uav_recon.app import factory
 from uav_recon.config import Config
 from uav_recon.evaluation import metrics
 from uav_recon.evaluation.path_visibility import Lookahead, lookahead
@@ -93,7 +93,9 @@ def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -
         path_length_m=_path_length_m(truth),
         flight_time_s=_flight_time_s(truth),
         stream=_stream(truth),
-        safety=_safety(truth, report.safety.refusals, scene, _lookahead(truth, run.load_config(options.out / "config.toml"))),
+        safety=_safety(
+            truth, report.safety.refusals, scene, _lookahead(truth, factory.load_config(options.out / "config.toml"))
+        ),
     )
 
 
@@ -125,7 +127,7 @@ def recall_over_time(folder: Path, cut: TruthCut) -> tuple[tuple[float, int, flo
     start_s = timeline.took_off_s()
     if start_s is None or not states or not len(cut.points):
         return None
-    truth = ElementRecall(cut.points.astype(np.float64), run.load_config(folder / "config.toml").mapper.surface_voxel_m)
+    truth = ElementRecall(cut.points.astype(np.float64), factory.load_config(folder / "config.toml").mapper.surface_voxel_m)
     taken_s = np.array([view.stamp_s for view in timeline.views])
     return tuple(
         (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Generic, TypeVar
 
-from uav_recon.wires import Wires
+from uav_recon.app.flight_channels import Wires
 
 T = TypeVar("T")
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from uav_recon import processes
+from uav_recon.app import processes
 from uav_recon.cli_exit import end, exit_with
 from uav_recon.cli_faults import faults
 from uav_recon.cli_operator import register
@@ -225,7 +225,7 @@ def refine(
     The mesh is watertight. Faces that close what nobody saw are marked (mesh.ply: property `observed`; mesh.glb: primitive
     `unseen`) and are part of no figure. Ctrl-C saves; the same command goes on, also after a kill.
     """
-    from uav_recon import refine as refinement
+    from uav_recon.app import refine as refinement
 
     wanted = refinement.RefineOptions(flight, steps, voxel, device, processes, save_every)
     exit_with(lambda: refinement.refine(wanted))

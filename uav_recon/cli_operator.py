@@ -11,7 +11,7 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from uav_recon import run, run_desk
+from uav_recon.app import factory, operator_factory
 from uav_recon.cli_exit import exit_with
 from uav_recon.failure import Failure
 from uav_recon.operator.client import CallError, call
@@ -83,7 +83,7 @@ def _watch(config: Path, socket: Path | None, as_json: bool) -> int:
     plain = as_json or not out.isatty()
     page = Lines(out, sys.stderr, _as_json if as_json else in_a_line) if plain else Block(out)
     try:
-        _reached(lambda: run_desk.watch_status(lambda: _asked(path), page))
+        _reached(lambda: operator_factory.watch_status(lambda: _asked(path), page))
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())  # or the interpreter complains as it ends
     return 0
@@ -102,7 +102,7 @@ def _as_json(status: Status) -> str:
 
 
 def _path(config: Path, socket: Path | None) -> Path:
-    return socket or run_desk.operator_socket(run.load_config(config))
+    return socket or operator_factory.operator_socket(factory.load_config(config))
 
 
 def _reached(work: Callable[[], T]) -> T:

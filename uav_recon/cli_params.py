@@ -31,7 +31,7 @@ def check(
     autopilot: AutopilotOption = None, link: LinkOption = None, file: FileOption = None, config: ConfigOption = FLOWN
 ) -> None:
     """Every parameter beside the vehicle's. Exit code 0: all as wanted; 1: some differ; 69: no answer; 78: bad input."""
-    from uav_recon import params as parameters
+    from uav_recon.app import parameter_tool as parameters
 
     exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config), every_row=True))
 
@@ -41,7 +41,7 @@ def diff(
     autopilot: AutopilotOption = None, link: LinkOption = None, file: FileOption = None, config: ConfigOption = FLOWN
 ) -> None:
     """Only what differs; exit codes as of check. `!` keeps the vehicle from being armed, `~` does not."""
-    from uav_recon import params as parameters
+    from uav_recon.app import parameter_tool as parameters
 
     exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config), every_row=False))
 
@@ -55,7 +55,7 @@ def write(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
 ) -> None:
     """Write what differs, after a question, and read it back; never while armed. Says whether a reboot is needed."""
-    from uav_recon import params as parameters
+    from uav_recon.app import parameter_tool as parameters
 
     def confirm(question: str) -> bool:
         if not yes and not sys.stdin.isatty():

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from uav_recon.app.flight_channels import file_wires
 from uav_recon.types.pose import Pose
 from uav_recon.types.vehicle import FlightPhase, VehicleState
-from uav_recon.wires import file_wires
 
 PATIENCE_S = 30.0
 

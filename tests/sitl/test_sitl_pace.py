@@ -11,7 +11,7 @@ from sitl.parameters import Parameters
 from sitl.px4 import Px4
 from sitl.transport import pipe
 from sitl.vehicle import Quadrotor
-from uav_recon.processes import MISSION_RATE_HZ
+from uav_recon.app.processes import MISSION_RATE_HZ
 
 
 class Paced(Companion):

@@ -16,6 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from uav_recon.app.option_validation import UsageError
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper import seeded_views, training_run
@@ -27,7 +28,6 @@ from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.keyframes.ray_buffer import MOST_VIEWS
 from uav_recon.mapping.neural.neural_mapper import Trainer
 from uav_recon.mapping.neural.worker.checkpoint import Checkpoints
-from uav_recon.usage import UsageError
 
 PARTS = 10
 HOURS = (0.01, 10.0)

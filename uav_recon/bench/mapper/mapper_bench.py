@@ -13,12 +13,12 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from uav_recon.app.option_validation import UsageError, need_file
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run, tsdf_baseline
 from uav_recon.evaluation.triangle_surface import Surface
 from uav_recon.failure import EXIT_FAILURE, Failure
-from uav_recon.usage import UsageError, need_file
 
 PRINTED_WIDTH = 100  # where no terminal says
 VIEWS, STEPS = (4, 2000), (1, 200)

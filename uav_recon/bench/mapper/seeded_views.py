@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from uav_recon.app.option_validation import UsageError
 from uav_recon.evaluation.triangle_surface import Surface
 from uav_recon.sensors.stream_camera import depth_table
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.pose import Pose
-from uav_recon.usage import UsageError
 
 if TYPE_CHECKING:
     from sitl.captures import Captures

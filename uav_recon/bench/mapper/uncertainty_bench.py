@@ -10,13 +10,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from uav_recon.app.option_validation import UsageError
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run
 from uav_recon.bench.mapper.mapper_bench import VIEWS, MapperBench, ticking, write_json
 from uav_recon.bench.mapper.sparsification import ause, spearman
 from uav_recon.mapping.neural.neural_mapper import Trainer
-from uav_recon.usage import UsageError
 
 PRINTED_WIDTH = 100  # where no terminal says
 RANDOM_SEED = 20240320

@@ -14,6 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
+from uav_recon.app.option_validation import UsageError, need_file
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import Calibration, calibrate
 from uav_recon.bench.planner import builtin_building, path_lengths, planner_tables, scaling, tours
@@ -24,7 +25,6 @@ from uav_recon.bench.planner.stages import MOUNTS_RAD, STAGES, warm_up
 from uav_recon.failure import EXIT_FAILURE, Failure
 from uav_recon.planning.tour import atsp
 from uav_recon.types.maps import UNKNOWN
-from uav_recon.usage import UsageError, need_file
 
 PRINTED_WIDTH = 110  # where no terminal says
 GOOD_VIEW = 0.95  # of what the best random view sees

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from uav_recon.app.option_validation import UsageError, looked_at
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, ByteArray, FloatArray
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
-from uav_recon.usage import UsageError, looked_at
 
 RESOLUTION_M = 0.1
 # In such a stream a zero is "no return within the range": the recording says that space is free up to it. From a real camera

@@ -18,7 +18,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from uav_recon import run
+from uav_recon.app import factory
+from uav_recon.app.option_validation import UsageError, looked_at, need_file
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.planner.planner_tables import narrow_table
@@ -34,7 +35,6 @@ from uav_recon.recording.map_file import load_map
 from uav_recon.recording.timelapse import load_states
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements
-from uav_recon.usage import UsageError, looked_at, need_file
 
 PRINTED_WIDTH = 100  # where no terminal says
 SEED = 20240321
@@ -78,11 +78,11 @@ def bench_tasks(flight: Path, json_path: Path | None) -> int:
 
 def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]], int]:
     """Milliseconds and number of tasks of each plan, by phase, and how many elements the last surface has."""
-    config, voxels = run.load_config(flight / "config.toml"), load_map(flight)
+    config, voxels = factory.load_config(flight / "config.toml"), load_map(flight)
     if voxels is None:
         raise UsageError(f"{flight}: has no voxels.npz: not a flight that ended")
     low, high = np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m)
-    camera = run.camera_geometry(config)
+    camera = factory.camera_geometry(config)
     planner = derived(config.planner, low, high, camera)
     space = FlyableSpace(voxels.grid, planner.clearance_m, *fence_box(voxels.grid, low, high))
     space.update(voxels)

@@ -17,9 +17,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from uav_recon import config as configuration
-from uav_recon import processes
+from uav_recon.app import processes
+from uav_recon.app.flight_channels import file_wires
 from uav_recon.bench.mapper import seeded_views, training_run
-from uav_recon.wires import file_wires
 
 LEARNING = "learning"  # a file of this name tells that all of it runs
 BUSY_THREADS, VIEWS, STEPS_PER_VIEW = 4, 8, 20

@@ -22,6 +22,7 @@ import numpy as np
 from rich.console import Console
 
 from uav_recon import config as configuration
+from uav_recon.app.option_validation import UsageError, need_file
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH, write_json
@@ -30,7 +31,6 @@ from uav_recon.bench.setpoints import load as setpoint_load
 from uav_recon.config import Config
 from uav_recon.failure import Failure
 from uav_recon.types.frames import FloatArray
-from uav_recon.usage import UsageError, need_file
 
 MINUTES = (0.1, 120.0)
 BARS_MS = {"p99": 50.0, "p99.9": 75.0, "max": 250.0}

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from uav_recon import steady
+from uav_recon.app import memory_lock
 
 SETTLED = """
 import ctypes, gc, json, mmap, resource, sys
@@ -66,7 +66,7 @@ def thawed() -> Iterator[None]:
 @pytest.mark.parametrize(("libc", "asked"), [(Libc(refuses=True), 1), (object(), 0)])
 def test_where_it_may_not_be_locked_it_stays_as_it_is(monkeypatch: pytest.MonkeyPatch, libc: object, asked: int) -> None:
     monkeypatch.setattr(ctypes, "CDLL", lambda name: libc)
-    assert not steady.settle()
+    assert not memory_lock.settle()
     assert len(getattr(libc, "asked", [])) == asked
 
 
@@ -84,5 +84,5 @@ def test_under_a_limit_that_would_refuse_later_memory_nothing_stays_locked(
     monkeypatch.setattr(ctypes, "CDLL", lambda name: libc)
     monkeypatch.setattr(resource, "getrlimit", lambda which: (limit_bytes, limit_bytes))
     monkeypatch.setattr(mmap, "mmap", refuse)
-    assert not steady.settle()
+    assert not memory_lock.settle()
     assert [word for word, *_ in libc.asked] == ["mlockall", "munlockall"]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon import notify, processes
+from uav_recon.app import processes, systemd_notify
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.sensors.realsense import RealSenseError
@@ -54,8 +54,8 @@ def test_perception_that_is_asked_to_end_goes_on_until_the_pilot_has_landed_by_i
     """As a stop of the target asks both; and systemd, which gives it 5 s, is told at each turn that it takes longer."""
     flight, fed, prolonged = Turns(), [0], list[float]()
     flight.asked_s = 15.0
-    monkeypatch.setattr(notify, "watchdog", lambda: fed.append(flight.turns))
-    monkeypatch.setattr(notify, "extend", prolonged.append)
+    monkeypatch.setattr(systemd_notify, "watchdog", lambda: fed.append(flight.turns))
+    monkeypatch.setattr(systemd_notify, "extend", prolonged.append)
     assert flight.run() == ""
     assert flight.clock.now_s() == pytest.approx(20.0, abs=0.02)
     assert fed == list(range(flight.turns + 1))

@@ -10,7 +10,7 @@ import pytest
 import tomli_w
 from mutated_configs import FLOWN, SerialLine, command, end_of, mutants
 
-from uav_recon import processes
+from uav_recon.app import processes
 from uav_recon.cli_exit import exit_with
 from uav_recon.config import load
 
@@ -20,7 +20,7 @@ ALL = mutants()
 def test_each_of_two_hundred_is_refused_by_one_line_that_names_key_and_range_before_anything_begins(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uav_recon.processes.file_wires", lambda folder: pytest.fail("it began to run"))
+    monkeypatch.setattr("uav_recon.app.processes.file_wires", lambda folder: pytest.fail("it began to run"))
     path = tmp_path / "config.toml"
     assert len(ALL) >= 200
     for mutant in ALL:

@@ -17,14 +17,14 @@ from types import FrameType
 import numpy as np
 
 from uav_recon import config as configuration
-from uav_recon import notify, run, run_desk, steady
+from uav_recon.app import factory, memory_lock, operator_factory, systemd_notify
+from uav_recon.app.flight_channels import file_wires
+from uav_recon.app.option_validation import UsageError, looked_at
 from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
 from uav_recon.config import Config
 from uav_recon.failure import EXIT_CONFIG, EXIT_SECOND_COPY, Failure
 from uav_recon.protocols import Channel, Clock
 from uav_recon.types.vehicle import FlightPhase, VehicleState
-from uav_recon.usage import UsageError, looked_at
-from uav_recon.wires import file_wires
 
 PERCEPTION_RATE_HZ = 100.0
 PILOT_SILENT_S = 1.0  # longer than a lost turn: a pilot that tells nothing for so long flies nothing
@@ -87,25 +87,25 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     from uav_recon.autopilot.mavlink.tlog import Tlog
     from uav_recon.autopilot.mavlink.transport import LinkError, open_link
 
-    stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
+    stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_wires(config.runtime.folder)
     claim("pilot", config)
-    gate = run.make_gate(config.link, clock)
+    gate = factory.make_gate(config.link, clock)
     try:
         link = open_link(config.link.url, gate, clock, config.link.peer_host)
     except LinkError as error:
         raise Failure(str(error)) from None
     log = Tlog(flight_folder(config, flight) / "flight.tlog", time.time() - clock.now_s())
-    the_pilot = run.make_pilot(config, wires, link, log, clock, gate)
-    desk = run_desk.make_desk(config, wires, the_pilot, clock)
-    steady.settle()
-    notify.ready()
+    the_pilot = factory.make_pilot(config, wires, link, log, clock, gate)
+    desk = operator_factory.make_desk(config, wires, the_pilot, clock)
+    memory_lock.settle()
+    systemd_notify.ready()
     while not (stop.asked and not the_pilot.in_flight and has_told(the_pilot.phase, wires.vehicle)):
         if stop.asked:
             the_pilot.request_land()
         desk.poll()
         the_pilot.step()
-        notify.watchdog()
+        systemd_notify.watchdog()
         the_pilot.wait()
     desk.close()
     log.close()
@@ -124,11 +124,11 @@ def has_told(phase: FlightPhase, vehicle: Channel[VehicleState]) -> bool:
 
 def perception(config_path: Path) -> int:
     """Turn camera and poses into odometry and posed frames until SIGTERM, or until the camera is gone, which is a Failure."""
-    stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
+    stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_wires(config.runtime.folder)
     claim("perception", config)
-    the_perception = run.make_perception(config, wires, clock, lambda: stop.asked)
-    notify.ready()
+    the_perception = factory.make_perception(config, wires, clock, lambda: stop.asked)
+    systemd_notify.ready()
     gone = perceive(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
     if gone and not stop.asked:
         raise Failure(gone)
@@ -148,13 +148,13 @@ def perceive(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Cl
             logging.getLogger(__name__).warning("%s: ends once it has landed, for it flies by these poses", why)
         said = why
         if asked():
-            notify.extend(STOP_AGAIN_S)
+            systemd_notify.extend(STOP_AGAIN_S)
         try:
             step()
             gone = ""
         except RealSenseError as error:
             gone = gone or str(error)
-        notify.watchdog()
+        systemd_notify.watchdog()
         rate.due(clock.now_s())
         clock.sleep_until(rate.next_s())
     return gone
@@ -175,9 +175,9 @@ def mission(config_path: Path, flight: Path | None) -> int:
     from uav_recon.recording.flight_report import FlightCard, account, publish
     from uav_recon.recording.map_file import save_map
 
-    stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
+    stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires, begun_s = file_wires(config.runtime.folder), clock.now_s()
-    orders = StandingOrders(run_desk.operator_orders(config.runtime.folder), begun_s)
+    orders = StandingOrders(operator_factory.operator_orders(config.runtime.folder), begun_s)
     claim("mission", config)
     folder = flight_folder(config, flight)
     configuration.save(config, folder / "config.toml")
@@ -190,16 +190,16 @@ def mission(config_path: Path, flight: Path | None) -> int:
     recorder = _start_recorder(config_path, folder)
     journal, executor = FlightLog(folder), ThreadExecutor("planner", PLANNER_PATIENCE_S)
     try:
-        run.warm_up(config)
-        conductor = run.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
-        notify.ready()
+        factory.warm_up(config)
+        conductor = factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
+        systemd_notify.ready()
         rate = RateKeeper(MISSION_RATE_HZ, clock.now_s())
         while not conductor.finished:
             if stop.asked:
                 conductor.request_abort("the operator asked to land")
             orders.pass_on(conductor, mapper.ready(), config.mission.autostart)
             conductor.step()
-            notify.watchdog()
+            systemd_notify.watchdog()
             rate.due(clock.now_s())
             clock.sleep_until(rate.next_s())
         outcome = conductor.close()
@@ -207,7 +207,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
             save_map(folder, conductor.map)
     finally:
         executor.close()
-        notify.stopping()
+        systemd_notify.stopping()
         mapper.finish(folder)
         journal.refused_views(clock.now_s(), mapper.refused())
         journal.close()
@@ -221,9 +221,9 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
 def record(config_path: Path, flight: Path | None) -> int:
     """Subscribe to the channels and write down what they say until SIGTERM."""
-    stop, clock, config = Stop(), MonotonicClock(), run.load_config(config_path)
+    stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_wires(config.runtime.folder)
-    recorder = run.make_recorder(config, wires, flight_folder(config, flight), clock)
+    recorder = factory.make_recorder(config, wires, flight_folder(config, flight), clock)
     _loop(recorder.step, RECORDER_RATE_HZ, clock, lambda: stop.asked or _hung_up(sys.stdin.fileno()))
     recorder.close()
     return 0
@@ -250,7 +250,7 @@ def _loop(step: Callable[[], None], rate_hz: float, clock: MonotonicClock, done:
     rate = RateKeeper(rate_hz, clock.now_s())
     while not done():
         step()
-        notify.watchdog()
+        systemd_notify.watchdog()
         rate.due(clock.now_s())
         clock.sleep_until(rate.next_s())
 

@@ -13,7 +13,8 @@ from typing import TypeVar
 from rich.console import Console
 from rich.table import Table
 
-from uav_recon import run
+from uav_recon.app import factory
+from uav_recon.app.option_validation import looked_at
 from uav_recon.autopilot.link.vehicle_link import Link
 from uav_recon.autopilot.mavlink.allow_list import Gate
 from uav_recon.autopilot.mavlink.messages import ParameterValue
@@ -25,7 +26,6 @@ from uav_recon.clock import MonotonicClock
 from uav_recon.config import LinkConfig
 from uav_recon.failure import EXIT_CONFIG, Failure
 from uav_recon.protocols import ByteLink, Clock
-from uav_recon.usage import looked_at
 
 T = TypeVar("T")
 
@@ -60,7 +60,7 @@ class ParamsOptions:
             there = config.exists()
         if not there:
             raise Failure(f"give --autopilot and --link, or a --config that says them ({config} is not there)", EXIT_CONFIG)
-        says = run.load_config(config).link
+        says = factory.load_config(config).link
         return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters, says)
 
 
@@ -83,7 +83,7 @@ class Vehicle:
 
     def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: Gate) -> None:
         self._clock, self._options = clock, options
-        self._firmware, self._form = run.firmware(options.autopilot)
+        self._firmware, self._form = factory.firmware(options.autopilot)
         self._link = Link(bytes_link, NoLog(), clock.now_s(), self._firmware, gate)
         self._await_heartbeat()
 
@@ -218,7 +218,7 @@ def _wanted(options: ParamsOptions) -> tuple[Wanted, ...]:
 
 def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
     clock = MonotonicClock()
-    gate = run.make_gate(options.says, clock)
+    gate = factory.make_gate(options.says, clock)
     try:
         link = open_link(options.link, gate, clock, options.says.peer_host)
     except LinkError as error:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_recon.app.flight_channels import Wires
 from uav_recon.channels import FileChannel
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import Config
@@ -16,7 +17,6 @@ from uav_recon.operator.status import Status
 from uav_recon.operator.status_watch import Page, watch
 from uav_recon.protocols import Channel, Clock
 from uav_recon.types.operator_command import GivenOrder
-from uav_recon.wires import Wires
 
 if TYPE_CHECKING:  # the mission and the command line need no pilot
     from uav_recon.autopilot.pilot.pilot import Pilot

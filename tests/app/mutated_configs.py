@@ -1,4 +1,4 @@
-"""Broken configs: `python tests/mutated_configs.py [N]`. Starts the pilot on N of them; exit 1 where one ends as it must not.
+"""Broken configs: `python tests/app/mutated_configs.py [N]`. Starts the pilot on N of them; exit 1 where one ends as it must not.
 
 Each is the flown config with one thing wrong: a bound passed by the least that a float can tell, a number that is none, a word
 for a number and a number for a word, a key missing or misspelt, two numbers the wrong way round. The pilot's serial line ends

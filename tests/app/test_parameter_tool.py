@@ -17,13 +17,13 @@ from sitl.parameters import Parameters
 from sitl.px4 import Px4
 from sitl.transport import pipe
 from sitl.vehicle import Quadrotor
+from uav_recon.app.parameter_tool import ParamsOptions, Vehicle, show, write_to
 from uav_recon.autopilot.mavlink.allow_list import Gate
 from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, Wanted, load
 from uav_recon.cli import app
 from uav_recon.clock import ManualClock
 from uav_recon.config import load as load_config
 from uav_recon.failure import Failure
-from uav_recon.params import ParamsOptions, Vehicle, show, write_to
 
 FIRMWARES = ["px4", "ardupilot"]
 WRONG = {"px4": {"COM_OBL_RC_ACT": 0.0, "SYS_HAS_GPS": 1.0, "MPC_XY_VEL_MAX": 12.0, "COM_FLT_TIME_MAX": 60.0},

@@ -20,10 +20,10 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from uav_recon import run
+from uav_recon.app import factory
+from uav_recon.app.option_validation import looked_at
+from uav_recon.app.processes import Stop, claim_file
 from uav_recon.failure import EXIT_USAGE, Failure
-from uav_recon.processes import Stop, claim_file
-from uav_recon.usage import looked_at
 
 if TYPE_CHECKING:
     from uav_recon.config import Config
@@ -236,7 +236,7 @@ def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, 
     from uav_recon.mapping.neural.sdf_torch.checkpoint import Checkpoints
     from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan
 
-    config = run.load_config(wanted.flight / "config.toml")
+    config = factory.load_config(wanted.flight / "config.toml")
     plan = RefinePlan(wanted.steps, wanted.voxel_m, RAYS[kind], config.mapper.seed)
     return config, plan, Checkpoints(wanted.flight / REFINED, plan.identity(_digest(wanted.flight, config)))
 
@@ -255,7 +255,7 @@ def _gathered(flight: Path, config: Config, say: Callable[[str], None]) -> Gathe
     """Take every readable view. Raises Failure if there is none."""
     from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 
-    trainer = run.make_trainer(config)
+    trainer = factory.make_trainer(config)
     try:
         folder = KeyframeFolder(flight / "keyframes")
     except KeyframeError as error:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from uav_recon import notify
+from uav_recon.app import systemd_notify
 
 
 @pytest.mark.parametrize("abstract", [False, True])
@@ -14,19 +14,19 @@ def test_systemd_hears_every_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
         ear.bind("\0" + name[1:] if abstract else name)
         monkeypatch.setenv("NOTIFY_SOCKET", name)
-        notify.ready()
-        notify.watchdog()
-        notify.stopping()
-        notify.extend(3.0)
+        systemd_notify.ready()
+        systemd_notify.watchdog()
+        systemd_notify.stopping()
+        systemd_notify.extend(3.0)
         heard = [ear.recv(64) for _ in range(4)]
         assert heard == [b"READY=1", b"WATCHDOG=1", b"STOPPING=1", b"EXTEND_TIMEOUT_USEC=3000000"]
 
 
 def test_without_systemd_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    notify.ready()
+    systemd_notify.ready()
 
 
 def test_a_deaf_systemd_does_not_stop_the_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
-    notify.watchdog()
+    systemd_notify.watchdog()

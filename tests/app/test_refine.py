@@ -20,11 +20,11 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, WALL_RGB, tour
 from typer.testing import CliRunner
 
 from uav_recon import config as configuration
-from uav_recon import refine
+from uav_recon.app import refine
+from uav_recon.app.processes import claim_file
 from uav_recon.cli import app
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.sdf_torch.checkpoint import BEFORE, LAST
-from uav_recon.processes import claim_file
 from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.types.frames import ByteArray
 
@@ -143,7 +143,7 @@ def test_a_wrong_word_is_one_line_with_the_range(flight: Path, arguments: tuple[
 def test_more_processes_than_there_is_memory_for_are_refused(
     flight: Path, monkeypatch: pytest.MonkeyPatch, asked: str, memory_gb: float, want: str
 ) -> None:
-    monkeypatch.setattr("uav_recon.refine.memory_gb", lambda: memory_gb)
+    monkeypatch.setattr("uav_recon.app.refine.memory_gb", lambda: memory_gb)
     assert call(flight, "--processes", asked) == (2, f"uav-recon: --processes {asked}: want {want}\n")
 
 

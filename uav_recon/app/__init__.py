@@ -1,0 +1,1 @@
+"""Composition roots: they build the objects of each process and connect them."""
