@@ -86,7 +86,7 @@ def flight_in_real_time(row: Row, options: SimOptions, runtime: Path, number: in
     order = runtime / "order.json"
     binary = None if firmware is None else str(firmware)
     Order(str(runtime / "world.json"), row.id, number, str(options.out / "config.toml"), binary, line).save(order)
-    product, given = [sys.executable, "-m", "uav_recon.cli"], ["--config", str(options.out / "config.toml")]
+    product, given = [sys.executable, "-m", "uav_recon.cli.main"], ["--config", str(options.out / "config.toml")]
     flight = ["--flight", str(options.out)]
     commands = {
         "world": [sys.executable, "-m", "sitl.fly_outside", str(order)],

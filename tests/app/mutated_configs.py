@@ -188,7 +188,7 @@ def command(tree: dict[str, Any], folder: Path, line: SerialLine) -> list[str]:
     link = {**link, "url": line.url if link["url"] == load(FLOWN).link.url else link["url"]}
     path = folder / "config.toml"
     path.write_text(tomli_w.dumps({**tree, "link": link, "runtime": {**tree["runtime"], "folder": str(folder / "run")}}))
-    return [sys.executable, "-m", "uav_recon.cli", "pilot", "--config", str(path)]
+    return [sys.executable, "-m", "uav_recon.cli.main", "pilot", "--config", str(path)]
 
 
 def end_of(mutant: Mutant, folder: Path, line: SerialLine) -> End:

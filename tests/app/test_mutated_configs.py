@@ -11,7 +11,7 @@ import tomli_w
 from mutated_configs import FLOWN, SerialLine, command, end_of, mutants
 
 from uav_recon.app import processes
-from uav_recon.cli_exit import exit_with
+from uav_recon.cli.exit_codes import exit_with
 from uav_recon.config import load
 
 ALL = mutants()

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from uav_recon.app.option_validation import UsageError, need_file, need_folder
-from uav_recon.cli import app
+from uav_recon.cli.main import app
 
 UNREADABLE = "/tmp/" + "x" * 300  # no system looks into it, whoever asks: also not for root, whom no permission stops
 

@@ -20,7 +20,7 @@ from sitl.vehicle import Quadrotor
 from uav_recon.app.parameter_tool import ParamsOptions, Vehicle, show, write_to
 from uav_recon.autopilot.mavlink.allow_list import Gate
 from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, Wanted, load
-from uav_recon.cli import app
+from uav_recon.cli.main import app
 from uav_recon.clock import ManualClock
 from uav_recon.config import load as load_config
 from uav_recon.failure import Failure

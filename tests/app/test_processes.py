@@ -34,7 +34,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def start(name: str, config: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "uav_recon.cli", name, "--config", str(config)]
+    command = [sys.executable, "-m", "uav_recon.cli.main", name, "--config", str(config)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -113,7 +113,16 @@ def test_a_key_that_others_can_read_ends_the_pilot_before_a_byte_is_sent(config:
 
 
 def test_the_recorder_ends_with_the_mission_that_started_it_even_if_that_was_before_it_looked(config: Path) -> None:
-    command = [sys.executable, "-m", "uav_recon.cli", "record", "--config", str(config), "--flight", str(config.parent / "f")]
+    command = [
+        sys.executable,
+        "-m",
+        "uav_recon.cli.main",
+        "record",
+        "--config",
+        str(config),
+        "--flight",
+        str(config.parent / "f"),
+    ]
     recorder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert recorder.stdin is not None
     recorder.stdin.close()
@@ -124,7 +133,7 @@ def test_the_recorder_ends_with_the_mission_that_started_it_even_if_that_was_bef
 
 
 def say(word: str, config: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "uav_recon.cli", *word.split(), "--config", str(config)]
+    command = [sys.executable, "-m", "uav_recon.cli.main", *word.split(), "--config", str(config)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
@@ -146,7 +155,7 @@ def test_an_operator_is_told_how_it_stands_and_what_is_missing(pilot: subprocess
 def test_an_operator_watches_until_he_interrupts_or_the_pilot_is_gone(pilot: subprocess.Popen[str], config: Path) -> None:
     while say("status", config).returncode != 0:
         assert pilot.poll() is None
-    command = [sys.executable, "-m", "uav_recon.cli", "status", "--watch", "--config", str(config)]
+    command = [sys.executable, "-m", "uav_recon.cli.main", "status", "--watch", "--config", str(config)]
     first, second = (subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2))
     for watcher in (first, second):
         assert watcher.stdout is not None
@@ -170,7 +179,7 @@ def test_readiness_and_then_the_turns_of_the_loop_are_told_to_systemd(config: Pa
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))
         systemd.settimeout(60.0)
-        command = [sys.executable, "-m", "uav_recon.cli", "pilot", "--config", str(config)]
+        command = [sys.executable, "-m", "uav_recon.cli.main", "pilot", "--config", str(config)]
         environment = os.environ | {"NOTIFY_SOCKET": str(tmp_path / "notify")}
         process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE)
         try:
@@ -193,7 +202,7 @@ def test_a_pilot_that_is_ready_has_settled_and_is_small(config: Path, tmp_path: 
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))
         systemd.settimeout(60.0)
-        command = [sys.executable, "-m", "uav_recon.cli", "pilot", "--config", str(config)]
+        command = [sys.executable, "-m", "uav_recon.cli.main", "pilot", "--config", str(config)]
         process = subprocess.Popen(command, env=os.environ | {"NOTIFY_SOCKET": str(tmp_path / "notify")})
         try:
             assert systemd.recv(100) == b"READY=1"
@@ -288,7 +297,7 @@ def test_a_socket_of_somebody_else_is_told(word: str, answer: dict[str, object],
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as desk:
         desk.bind(str(path))
         desk.listen(1)
-        command = [sys.executable, "-m", "uav_recon.cli", word, "--socket", str(path)]
+        command = [sys.executable, "-m", "uav_recon.cli.main", word, "--socket", str(path)]
         caller = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         connection, _ = desk.accept()
         with connection:

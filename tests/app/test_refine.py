@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from uav_recon import config as configuration
 from uav_recon.app import refine
 from uav_recon.app.processes import claim_file
-from uav_recon.cli import app
+from uav_recon.cli.main import app
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.sdf_torch.checkpoint import BEFORE, LAST
 from uav_recon.recording.mesh_file import load_mesh
@@ -171,7 +171,18 @@ def test_a_second_copy_is_told_so(flight: Path) -> None:
 
 
 def start(flight: Path, *arguments: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "uav_recon.cli", "refine", str(flight), *arguments, "--device", "cpu", "--voxel", "0.05"]
+    command = [
+        sys.executable,
+        "-m",
+        "uav_recon.cli.main",
+        "refine",
+        str(flight),
+        *arguments,
+        "--device",
+        "cpu",
+        "--voxel",
+        "0.05",
+    ]
     threads = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | threads)
 

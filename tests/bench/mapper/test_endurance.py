@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import sitl.fly_report
 from uav_recon.bench.mapper import endurance, seeded_views, training_run
-from uav_recon.cli import app
+from uav_recon.cli.main import app
 from uav_recon.mapping.neural.keyframes import keyframe_buffer
 
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import sitl.fly_report
 from uav_recon.bench.mapper import seeded_views, training_run
-from uav_recon.cli import app
+from uav_recon.cli.main import app
 from uav_recon.evaluation.triangle_surface import Surface
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import sitl.fly_report
 from uav_recon.bench.mapper import seeded_views
-from uav_recon.cli import app
+from uav_recon.cli.main import app
 
 MEASURES = ["paper", "colour", "information", "product", "agreement"]
 SCORES = {"ause_all", "ause_observed", "spearman_all", "spearman_observed"}

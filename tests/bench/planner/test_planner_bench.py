@@ -8,7 +8,7 @@ from small_recorded_stream import SIZE, write_stream
 from typer.testing import CliRunner
 
 from uav_recon.bench.planner.stages import STAGES
-from uav_recon.cli import app
+from uav_recon.cli.main import app
 
 STREAM = Path(__file__).parents[3] / "shared" / "streams" / "two_room"
 SPREAD = {"median_ms", "p95_ms", "max_ms"}

@@ -12,7 +12,7 @@ from typing import Annotated, TypeVar
 import typer
 
 from uav_recon.app import factory, operator_factory
-from uav_recon.cli_exit import exit_with
+from uav_recon.cli.exit_codes import exit_with
 from uav_recon.failure import Failure
 from uav_recon.operator.client import CallError, call
 from uav_recon.operator.status import Status

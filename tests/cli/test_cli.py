@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 import typer
 
-from uav_recon.cli import app, main
-from uav_recon.cli_exit import exit_with
+from uav_recon.cli.exit_codes import exit_with
+from uav_recon.cli.main import app, main
 
 
 def callbacks(group: typer.Typer) -> Iterator[Callable[..., Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from typer.testing import CliRunner
 
-from uav_recon.cli import app
+from uav_recon.cli.main import app
 
 
 @pytest.mark.parametrize(

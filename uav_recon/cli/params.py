@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from uav_recon.cli_exit import exit_with
+from uav_recon.cli.exit_codes import exit_with
 
 params = typer.Typer(no_args_is_help=True, help="The vehicle's parameters: read back, compared with a file, written.")
 

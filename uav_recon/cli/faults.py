@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from uav_recon.cli_exit import exit_with
+from uav_recon.cli.exit_codes import exit_with
 
 
 def faults(

@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from uav_recon.app import processes
-from uav_recon.cli_exit import end, exit_with
-from uav_recon.cli_faults import faults
-from uav_recon.cli_operator import register
-from uav_recon.cli_params import params
+from uav_recon.cli.exit_codes import end, exit_with
+from uav_recon.cli.faults import faults
+from uav_recon.cli.operator import register
+from uav_recon.cli.params import params
 
 app = typer.Typer(
     add_completion=False,

@@ -1,0 +1,1 @@
+"""The command line: parse the options, call the composition roots, end with an exit code."""
