@@ -14,7 +14,7 @@ from sitl.fly_children import Children
 from sitl.fly_options import SimOptions
 from sitl.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
-from uav_recon.failure import EXIT_USAGE, Failure
+from uav_recon.errors import EXIT_USAGE, Failure
 
 __all__ = ["SimOptions", "simulate"]
 

@@ -16,7 +16,7 @@ from rich.console import Console
 from sitl.fly_progress import Screen
 from sitl.leash import leashed
 from uav_recon.app.flight_channels import file_wires
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 from uav_recon.types.vehicle import FlightPhase
 
 READY_TIMEOUT_S = 240.0

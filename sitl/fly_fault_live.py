@@ -19,7 +19,7 @@ from sitl.fly_children import Children
 from sitl.fly_options import SimOptions
 from sitl.fly_outside import Order
 from uav_recon import config as product_config
-from uav_recon.failure import EXIT_CONFIG, EXIT_SECOND_COPY, Failure
+from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, Failure
 
 RESTART_S = {"pilot": 0.2, "perception": 0.5, "mission": 1.0}  # RestartSec of the units
 NEVER_AGAIN = (EXIT_SECOND_COPY, EXIT_CONFIG)  # their RestartPreventExitStatus

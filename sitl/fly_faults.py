@@ -23,7 +23,7 @@ from sitl.fly_case import one_thread
 from sitl.fly_fault import FaultCase, FaultRecord, Stage, fly
 from sitl.fly_options import AUTOPILOTS, UsageError, check_jobs, check_program
 from uav_recon.app.option_validation import looked_at, need_file, need_folder
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 
 BOTH = "both"
 FIRMWARE_OFFERS = {"px4": Needs.PROCESSES | Needs.LINE, "ardupilot": Needs.PROCESSES | Needs.LINE | Needs.STICKS}

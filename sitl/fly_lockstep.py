@@ -29,7 +29,7 @@ from uav_recon.app.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
-from uav_recon.protocols import ByteLink, Mapper, Pending
+from uav_recon.interfaces import ByteLink, Mapper, Pending
 from uav_recon.recording.flight_log import FlightLog
 from uav_recon.recording.map_file import save_map
 from uav_recon.recording.timelapse import Timelapse

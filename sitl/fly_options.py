@@ -15,7 +15,7 @@ from sitl.fly_world import WorldOptions
 from sitl.scene import HULL_HEIGHT_M, Scene
 from uav_recon.app.option_validation import UsageError, looked_at
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
-from uav_recon.failure import EXIT_CONFIG, Failure
+from uav_recon.errors import EXIT_CONFIG, Failure
 
 __all__ = ["SimOptions", "UsageError"]
 

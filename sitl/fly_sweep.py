@@ -19,7 +19,7 @@ from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree, one_thread
 from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs, mount_pitch_deg
 from sitl.scene import GENERATED
 from uav_recon.app.option_validation import looked_at, need_file
-from uav_recon.failure import EXIT_USAGE, Failure
+from uav_recon.errors import EXIT_USAGE, Failure
 
 RANDOM, BUILT_IN = "random", "built-in"  # words for scenes: a new flat with each seed; the room of `sim`
 BAD_SHOWN = 20

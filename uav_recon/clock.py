@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from queue import SimpleQueue
 from typing import Generic, TypeVar
 
-from uav_recon.protocols import Clock, Pending
+from uav_recon.interfaces import Clock, Pending
 
 T = TypeVar("T")
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from uav_recon import relations
+from uav_recon import config_constraints
 from uav_recon.types.link_url import link_address
 from uav_recon.types.polygon import Polygon
 
@@ -289,7 +289,7 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _everything_fits_together(self) -> Config:
-        fault = relations.fault_of(self)
+        fault = config_constraints.fault_of(self)
         if fault:
             raise ValueError(fault)
         return self

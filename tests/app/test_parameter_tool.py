@@ -23,7 +23,7 @@ from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, Wante
 from uav_recon.cli.main import app
 from uav_recon.clock import ManualClock
 from uav_recon.config import load as load_config
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 
 FIRMWARES = ["px4", "ardupilot"]
 WRONG = {"px4": {"COM_OBL_RC_ACT": 0.0, "SYS_HAS_GPS": 1.0, "MPC_XY_VEL_MAX": 12.0, "COM_FLT_TIME_MAX": 60.0},

@@ -10,9 +10,9 @@ import pytest
 from conductor_fixture import Desk
 
 from uav_recon.clock import InlineExecutor
+from uav_recon.interfaces import Pending
 from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.state_machine import Phase
-from uav_recon.protocols import Pending
 from uav_recon.types.trajectory import Goal
 
 T = TypeVar("T")

@@ -19,7 +19,7 @@ from sitl.faults.injector import Theatre
 from sitl.faults.roster import Exit, Roster, child_of
 from sitl.faults.signals import Asked, Killed, Stopped
 from sitl.fly_fault_live import Supervised
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 
 PATIENCE_S = 20.0
 SLEEPER = "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: sys.exit(7)); print(flush=True); signal.pause()"

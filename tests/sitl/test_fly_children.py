@@ -48,7 +48,7 @@ LAUNCHER = """
     from rich.console import Console
     from sitl import fly_children
     from sitl.leash import leashed
-    from uav_recon.failure import Failure
+    from uav_recon.errors import Failure
 
     def through(command):  # the launcher keeps no pipe open but these programs tell us of themselves
         return ["/bin/sh", "-c", 'exec "$@" ' + sys.argv[2] + '> ' + sys.argv[3], "sh", *command, sys.argv[2]]

@@ -11,7 +11,7 @@ from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree
 from sitl.fly_faults import FaultOptions
 from sitl.fly_options import UsageError
 from sitl.fly_sweep import SweepOptions, sweep
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 
 BROKEN = Case("/nowhere", 0, 0.2, "adaptive", "fixed:15", "fast", 8)
 

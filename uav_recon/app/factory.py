@@ -12,8 +12,8 @@ import numpy as np
 from uav_recon import config as configuration
 from uav_recon.app.flight_channels import Wires
 from uav_recon.config import Config, LinkConfig
-from uav_recon.failure import EXIT_CONFIG, EXIT_FAILURE, Failure
-from uav_recon.protocols import ByteLink, Camera, Clock, Executor, Journal, Mapper, PoseSource
+from uav_recon.errors import EXIT_CONFIG, EXIT_FAILURE, Failure
+from uav_recon.interfaces import ByteLink, Camera, Clock, Executor, Journal, Mapper, PoseSource
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.maps import GridSpec
 

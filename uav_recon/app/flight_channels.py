@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from uav_recon.channels import FileChannel, MemoryChannel
-from uav_recon.failure import EXIT_CONFIG, Failure
-from uav_recon.protocols import Channel
+from uav_recon.errors import EXIT_CONFIG, Failure
+from uav_recon.interfaces import Channel
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.min_range_grid import Nearby

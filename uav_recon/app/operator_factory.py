@@ -10,12 +10,12 @@ from uav_recon.app.flight_channels import Wires
 from uav_recon.channels import FileChannel
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import Config
-from uav_recon.failure import EXIT_CONFIG, Failure
+from uav_recon.errors import EXIT_CONFIG, Failure
+from uav_recon.interfaces import Channel, Clock
 from uav_recon.operator.command_handler import Clerk
 from uav_recon.operator.command_socket import Desk, DeskError
 from uav_recon.operator.status import Status
 from uav_recon.operator.status_watch import Page, watch
-from uav_recon.protocols import Channel, Clock
 from uav_recon.types.operator_command import GivenOrder
 
 if TYPE_CHECKING:  # the mission and the command line need no pilot

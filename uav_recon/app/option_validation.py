@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from uav_recon.failure import EXIT_USAGE, Failure
+from uav_recon.errors import EXIT_USAGE, Failure
 
 
 class UsageError(Failure):

@@ -24,8 +24,8 @@ from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, Param
 from uav_recon.autopilot.parameters.reader import Inquiry, equal
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import LinkConfig
-from uav_recon.failure import EXIT_CONFIG, Failure
-from uav_recon.protocols import ByteLink, Clock
+from uav_recon.errors import EXIT_CONFIG, Failure
+from uav_recon.interfaces import ByteLink, Clock
 
 T = TypeVar("T")
 

@@ -22,8 +22,8 @@ from uav_recon.app.flight_channels import file_wires
 from uav_recon.app.option_validation import UsageError, looked_at
 from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
 from uav_recon.config import Config
-from uav_recon.failure import EXIT_CONFIG, EXIT_SECOND_COPY, Failure
-from uav_recon.protocols import Channel, Clock
+from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, Failure
+from uav_recon.interfaces import Channel, Clock
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 PERCEPTION_RATE_HZ = 100.0

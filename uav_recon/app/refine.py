@@ -23,7 +23,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from uav_recon.app import factory
 from uav_recon.app.option_validation import looked_at
 from uav_recon.app.processes import Stop, claim_file
-from uav_recon.failure import EXIT_USAGE, Failure
+from uav_recon.errors import EXIT_USAGE, Failure
 
 if TYPE_CHECKING:
     from uav_recon.config import Config

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import typer
 
-from uav_recon.failure import EXIT_USAGE, Failure
+from uav_recon.errors import EXIT_USAGE, Failure
 
 EXIT_INTERRUPTED = 130
 ParserError: type[Exception] = cast(Any, typer.BadParameter).__bases__[0]  # click's UsageError, or typer's own: it has moved

@@ -13,7 +13,7 @@ import typer
 
 from uav_recon.app import factory, operator_factory
 from uav_recon.cli.exit_codes import exit_with
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 from uav_recon.operator.client import CallError, call
 from uav_recon.operator.status import Status
 from uav_recon.operator.status_watch import Block, Lines, in_a_line

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from typing import Protocol
 
-from uav_recon.protocols import Channel
+from uav_recon.interfaces import Channel
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose

@@ -7,12 +7,12 @@ from collections import deque
 from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
+from uav_recon.interfaces import Camera, Channel, Clock, PoseSource
 from uav_recon.localization import error_propagation, min_range_binning
 from uav_recon.localization.camera_mount import Mount
 from uav_recon.localization.depth_consistency import Credence
 from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.min_range_binning import nearest_in_cells
-from uav_recon.protocols import Camera, Channel, Clock, PoseSource
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import Nearby
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose

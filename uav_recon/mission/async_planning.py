@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_recon.interfaces import Executor, Motion, Pending, Planner
 from uav_recon.mission.flight_track import Departure
 from uav_recon.mission.path_heading import nose_ahead
-from uav_recon.protocols import Executor, Motion, Pending, Planner
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from uav_recon.interfaces import Clock, Executor, Journal
 from uav_recon.mission.async_planning import Decider
 from uav_recon.mission.battery_policy import Steward
 from uav_recon.mission.events import Facts, observe
@@ -19,7 +20,6 @@ from uav_recon.mission.survey import Survey
 from uav_recon.mission.takeoff import Ascent
 from uav_recon.mission.trajectory_execution import Helm
 from uav_recon.mission.view_schedule import Captures
-from uav_recon.protocols import Clock, Executor, Journal
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.trajectory import Goal, Intent

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from uav_recon.interfaces import Mapper
 from uav_recon.mission.mission_setup import MissionWires
-from uav_recon.protocols import Mapper
 from uav_recon.types.maps import FreeSpace, VoxelMap
 from uav_recon.types.trajectory import Trajectory
 

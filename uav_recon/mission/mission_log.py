@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from uav_recon.interfaces import Journal
 from uav_recon.mission.state_machine import Phase
-from uav_recon.protocols import Journal
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import NothingLeft, TaskKind, ViewPath

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.protocols import Channel, Mapper, PacedMotion, Planner, ViewBudget, Voxels
+from uav_recon.interfaces import Channel, Mapper, PacedMotion, Planner, ViewBudget, Voxels
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from uav_recon.protocols import Channel
+from uav_recon.interfaces import Channel
 from uav_recon.types.operator_command import GivenOrder, Order
 
 

@@ -7,11 +7,11 @@ import math
 
 import numpy as np
 
+from uav_recon.interfaces import Pending
 from uav_recon.mission.async_planning import Decider, Decision
 from uav_recon.mission.landing_site import LandingSite
 from uav_recon.mission.mission_log import Account
 from uav_recon.mission.trajectory_execution import Helm
-from uav_recon.protocols import Pending
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import PlanRequest, Viewpoint

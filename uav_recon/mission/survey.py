@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from uav_recon.interfaces import Pending
 from uav_recon.mission.async_planning import Decider, Decision
 from uav_recon.mission.flight_track import Departure
 from uav_recon.mission.mission_log import Account
 from uav_recon.mission.mission_setup import MissionWires, Orders, Stages
 from uav_recon.mission.trajectory_execution import Helm
-from uav_recon.protocols import Pending
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest
 from uav_recon.types.trajectory import Setpoint, Trajectory

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from uav_recon.interfaces import Motion
 from uav_recon.mission.trajectory_execution import Helm
-from uav_recon.protocols import Motion
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 LIFT_M, LIFTED_M = 0.3, 0.2  # so high first, and what counts as off the floor

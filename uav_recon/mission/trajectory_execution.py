@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 
+from uav_recon.interfaces import Motion
 from uav_recon.mission.flight_track import Course
 from uav_recon.mission.mission_log import Account
 from uav_recon.mission.view_schedule import Captures
-from uav_recon.protocols import Motion
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.trajectory import Trajectory
 from uav_recon.types.vehicle import VehicleState

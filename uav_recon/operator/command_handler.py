@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Protocol, TypeVar
 
+from uav_recon.interfaces import Channel, Clock
 from uav_recon.operator.command_socket import Answer
 from uav_recon.operator.status import Status
-from uav_recon.protocols import Channel, Clock
 from uav_recon.types.operator_command import GivenOrder, Order
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.trajectory import Intent

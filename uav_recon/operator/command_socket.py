@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from uav_recon.protocols import Clock
+from uav_recon.interfaces import Clock
 
 Answer = dict[str, Any]
 

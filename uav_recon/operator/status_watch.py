@@ -6,9 +6,9 @@ import shutil
 from collections.abc import Callable
 from typing import Protocol, TextIO
 
+from uav_recon.interfaces import Clock
 from uav_recon.operator.client import CallError
 from uav_recon.operator.status import Status
-from uav_recon.protocols import Clock
 
 PERIOD_S, MOST_LOST = 1.0, 3  # a pilot that is started again is back before three answers are lost
 

@@ -17,7 +17,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from uav_recon.clock import RateKeeper
-from uav_recon.protocols import Channel, Clock
+from uav_recon.interfaces import Channel, Clock
 from uav_recon.recording import blueprint as names
 from uav_recon.recording import rerun_archetypes
 from uav_recon.recording.mesh_file import load_mesh

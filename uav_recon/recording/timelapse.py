@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_recon.protocols import Channel, Clock
+from uav_recon.interfaces import Channel, Clock
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.maps import SurfaceElements
 

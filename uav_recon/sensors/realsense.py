@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from uav_recon.protocols import Clock
+from uav_recon.interfaces import Clock
 from uav_recon.sensors.stream_camera import depth_table
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics

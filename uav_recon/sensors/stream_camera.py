@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_recon.protocols import Clock
+from uav_recon.interfaces import Clock
 from uav_recon.sensors.stream_format import CameraSpec, RawFrame, StreamError, StreamReader
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import Float32Array

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as wire
 from uav_recon.autopilot.mavlink.allow_list import Gate
 from uav_recon.autopilot.mavlink.transport import PEER_SILENT_S, LinkError, SerialLink, UdpLink, open_link
 from uav_recon.clock import ManualClock
-from uav_recon.protocols import ByteLink
+from uav_recon.interfaces import ByteLink
 
 
 def free_port() -> int:

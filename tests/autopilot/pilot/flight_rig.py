@@ -25,7 +25,7 @@ from uav_recon.autopilot.pilot.pilot import Airframe, Pilot, PilotChannels, make
 from uav_recon.autopilot.pilot.preflight import Origin
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
-from uav_recon.protocols import ByteLink
+from uav_recon.interfaces import ByteLink
 from uav_recon.safety.envelope import Envelope, Fence
 from uav_recon.safety.failsafe import Patience
 from uav_recon.safety.guard import Bounds, Guard

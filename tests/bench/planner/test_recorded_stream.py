@@ -8,7 +8,7 @@ import pytest
 from small_recorded_stream import LENS, SIZE, write_stream
 
 from uav_recon.bench.planner.recorded_stream import load
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 from uav_recon.types.maps import OCCUPIED
 
 

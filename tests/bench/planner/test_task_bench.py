@@ -10,7 +10,7 @@ from uav_recon.bench.planner.task_bench import bench_tasks
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.config import load, save
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.recording.map_file import save_map
 from uav_recon.recording.timelapse import Timelapse

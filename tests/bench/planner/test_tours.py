@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uav_recon.bench.planner import tours
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 
 
 def write_case(folder: Path, tasks: int, seed: int = 0) -> float:

@@ -9,7 +9,7 @@ import pytest
 
 from uav_recon.bench.setpoints import setpoint_bench
 from uav_recon.bench.setpoints.setpoint_bench import bench_setpoints, steadiness
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 from uav_recon.types.frames import FloatArray
 
 STEADY = 100.0 + np.arange(1, 3000) / 30.0  # (2999,) to 200 s

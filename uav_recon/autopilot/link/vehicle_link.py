@@ -32,7 +32,7 @@ from uav_recon.autopilot.mavlink.messages import (
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.clock import RateKeeper
-from uav_recon.protocols import ByteLink
+from uav_recon.interfaces import ByteLink
 from uav_recon.safety.guard import ClearedSetpoint
 from uav_recon.types.pose import StampedPose
 

@@ -19,7 +19,7 @@ from typing import Protocol
 from uav_recon.autopilot.mavlink.framing import is_signed, marked_signed, sender_of
 from uav_recon.autopilot.mavlink.signing_timestamps import Stamps
 from uav_recon.clock import ThreadExecutor
-from uav_recon.protocols import Clock
+from uav_recon.interfaces import Clock
 
 KEY_BYTES = 32
 _MOST_BYTES = 1024

@@ -8,7 +8,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from uav_recon.protocols import Executor
+from uav_recon.interfaces import Executor
 
 UNITS_PER_S = 100_000  # MAVLink counts tens of microseconds since 2015-01-01
 AHEAD_S = 10.0  # what the file says of ours has not been used yet; less than the minute by which a frame may be late

@@ -12,7 +12,7 @@ import termios
 from typing import Any
 
 from uav_recon.autopilot.mavlink.allow_list import Gate
-from uav_recon.protocols import ByteLink, Clock
+from uav_recon.interfaces import ByteLink, Clock
 from uav_recon.types.link_url import BAUDS, EVERYWHERE
 
 PEER_SILENT_S = 3.0  # by then the pilot has given up a flight: only now may the vehicle speak from another address

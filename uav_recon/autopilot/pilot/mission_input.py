@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from uav_recon.autopilot.pilot.message_validation import fault_of
-from uav_recon.protocols import Channel
+from uav_recon.interfaces import Channel
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 
 _FUTURE_S = 0.1

@@ -23,7 +23,7 @@ from uav_recon.autopilot.pilot.statustext_reporter import Herald
 from uav_recon.autopilot.pilot.surroundings import Lookout
 from uav_recon.autopilot.pilot.takeoff_monitor import LiftOff
 from uav_recon.clock import RateKeeper
-from uav_recon.protocols import ByteLink, Channel, Clock
+from uav_recon.interfaces import ByteLink, Channel, Clock
 from uav_recon.safety.failsafe import Ladder, Patience, Rung
 from uav_recon.safety.guard import Guard
 from uav_recon.safety.pose_gate import PoseGate

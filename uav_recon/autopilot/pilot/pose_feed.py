@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from uav_recon.autopilot.link.vehicle_link import Link
-from uav_recon.protocols import Channel
+from uav_recon.interfaces import Channel
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import PoseHealth, StampedPose
 

@@ -8,7 +8,7 @@ from collections import deque
 from uav_recon.autopilot.pilot.message_validation import tells_of_depth, tells_of_space
 from uav_recon.autopilot.pilot.pose_feed import newest
 from uav_recon.autopilot.pilot.sudden_obstacle import Intruder, Neighbourhood
-from uav_recon.protocols import Channel
+from uav_recon.interfaces import Channel
 from uav_recon.safety.free_space_check import KnownFree
 from uav_recon.safety.obstacle_speed_limit import Ahead
 from uav_recon.safety.recently_seen_space import Sight

@@ -17,8 +17,8 @@ from uav_recon.app.option_validation import UsageError, need_file
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run, tsdf_baseline
+from uav_recon.errors import EXIT_FAILURE, Failure
 from uav_recon.evaluation.triangle_surface import Surface
-from uav_recon.failure import EXIT_FAILURE, Failure
 
 PRINTED_WIDTH = 100  # where no terminal says
 VIEWS, STEPS = (4, 2000), (1, 200)

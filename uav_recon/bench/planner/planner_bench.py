@@ -22,7 +22,7 @@ from uav_recon.bench.planner.map_agreement import agreement
 from uav_recon.bench.planner.recorded_stream import SIZE, STRIDE, Recording, load
 from uav_recon.bench.planner.replay import judged_views, mapped_of, timed_plans, timed_stages
 from uav_recon.bench.planner.stages import MOUNTS_RAD, STAGES, warm_up
-from uav_recon.failure import EXIT_FAILURE, Failure
+from uav_recon.errors import EXIT_FAILURE, Failure
 from uav_recon.planning.tour import atsp
 from uav_recon.types.maps import UNKNOWN
 

@@ -24,7 +24,7 @@ from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.planner.planner_tables import narrow_table
 from uav_recon.bench.planner.stage_timing import Spread, Stopwatch
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 from uav_recon.planning.candidate_view import Situation
 from uav_recon.planning.free_space.flyable_space import FlyableSpace

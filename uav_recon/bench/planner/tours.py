@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 from uav_recon.planning.tour.atsp import best_tour
 from uav_recon.types.frames import FloatArray, IntArray
 

@@ -29,7 +29,7 @@ from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH, write_json
 from uav_recon.bench.planner.planner_tables import narrow_table
 from uav_recon.bench.setpoints import load as setpoint_load
 from uav_recon.config import Config
-from uav_recon.failure import Failure
+from uav_recon.errors import Failure
 from uav_recon.types.frames import FloatArray
 
 MINUTES = (0.1, 120.0)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from uav_recon.config import ConfigError, load, parse
-from uav_recon.relations import RELATIONS, WRITTEN_RELATIONS
+from uav_recon.config_constraints import RELATIONS, WRITTEN_RELATIONS
 
 FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
 EDGE = "the edge of 30 million voxels from safety.fence_min_m to safety.fence_max_m with voxels.margin_m around"
