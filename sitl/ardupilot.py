@@ -14,13 +14,13 @@ from sitl.ardupilot_tuning import estimator_tuning
 from sitl.autopilot import Autopilot
 from sitl.estimator import Estimator
 from sitl.eyes import Eyes
-from sitl.gimbal import Gimbal
+from sitl.geometry.quaternion import Vec3
 from sitl.jitter import JitterCorrection
 from sitl.mavlink_server import MavlinkServer
-from sitl.pace import REAL
-from sitl.rotation import Vec3
 from sitl.transport import ByteEnd
-from sitl.vehicle import Quadrotor
+from sitl.world.gimbal import Gimbal
+from sitl.world.quadrotor import Quadrotor
+from sitl.world.step_sizes import REAL
 
 BOOTED_BEFORE_S = 12.5  # its pre-arm checks pass 25 s after boot
 

@@ -10,10 +10,10 @@ from sitl.ardupilot_flight import Target
 from sitl.ardupilot_modes import Mode
 from sitl.ardupilot_state import State
 from sitl.estimator import ExternalPose
+from sitl.geometry.quaternion import Quat, Vec3, from_euler
 from sitl.mavlink_server import MavlinkServer
 from sitl.mavlink_wire import Heard, packet
 from sitl.requests import ACCEPTED, DENIED, FAILED, FORCE, FORCE_SET, NO_YAW, NO_YAW_RATE, Requests
-from sitl.rotation import Quat, Vec3, from_euler
 
 _NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION = 0b111, 0b111000, 0b111000000
 _STILL: Vec3 = (0.0, 0.0, 0.0)

@@ -17,10 +17,10 @@ from sitl.ardupilot_tuning import control_gains, shaping_limits
 from sitl.control import Controller, ControlSetpoint
 from sitl.estimator import Estimator
 from sitl.eyes import Eyes
+from sitl.geometry.quaternion import Vec3
 from sitl.landing import LandDetector
-from sitl.rotation import Vec3
 from sitl.shaper import Shaper
-from sitl.vehicle import GRAVITY_MPS2
+from sitl.world.quadrotor import GRAVITY_MPS2
 
 _LAND_DETECT_S = 1.0
 _ARMING_DELAY_S = 2.0

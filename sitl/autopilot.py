@@ -11,13 +11,13 @@ from typing import Protocol
 from sitl.board import Board
 from sitl.estimator import Estimator
 from sitl.eyes import Eyes
-from sitl.frames import frd_from_flu
-from sitl.imu import Imu
+from sitl.geometry.ned_frd import frd_from_flu
+from sitl.geometry.quaternion import Quat, Vec3, conjugate, rotate
 from sitl.mavlink_server import MavlinkServer
 from sitl.parameter_table import ParameterTable
 from sitl.requests import Requests
-from sitl.rotation import Quat, Vec3, conjugate, rotate
-from sitl.vehicle import Quadrotor
+from sitl.world.imu import Imu
+from sitl.world.quadrotor import Quadrotor
 
 _SLOW_S = 0.02  # commander and barometer at 50 Hz
 

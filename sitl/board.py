@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from sitl.battery import Battery
 from sitl.estimator import Estimator
-from sitl.gimbal import Gimbal
-from sitl.rotation import Vec3
+from sitl.geometry.quaternion import Vec3
+from sitl.world.battery import Battery
+from sitl.world.gimbal import Gimbal
 
 
 @dataclass(slots=True, kw_only=True)

@@ -12,12 +12,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl import d435i
-from sitl.raster import Renderer
-from sitl.scene import Scene
-from sitl.sight import Sight
-from sitl.transform import body_from_camera, inverse, rigid, world_from_body
-from sitl.visibility import GIMBAL_RAD
+from sitl.camera import d435i
+from sitl.geometry.transform import body_from_camera, inverse, rigid, world_from_body
+from sitl.scene.rasterizer import Renderer
+from sitl.scene.scene import Scene
+from sitl.truth.line_of_sight import Sight
+from sitl.truth.visibility import GIMBAL_RAD
 from uav_recon.sensors.stream_format import CameraSpec, StreamHeader
 
 POSE_STREAM = 0xCA97

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from sitl.rotation import Vec3, wrapped
-from sitl.vehicle import GRAVITY_MPS2
+from sitl.geometry.quaternion import Vec3, wrapped
+from sitl.world.quadrotor import GRAVITY_MPS2
 
 _NAN3 = (math.nan, math.nan, math.nan)
 

@@ -12,8 +12,19 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sitl.rotation import IDENTITY, Quat, Vec3, from_small_rotation, from_yaw, multiply, normalised, rotate, wrapped, yaw_of
-from sitl.vehicle import GRAVITY_MPS2
+from sitl.geometry.quaternion import (
+    IDENTITY,
+    Quat,
+    Vec3,
+    from_small_rotation,
+    from_yaw,
+    multiply,
+    normalised,
+    rotate,
+    wrapped,
+    yaw_of,
+)
+from sitl.world.quadrotor import GRAVITY_MPS2
 
 _HISTORY_S = 0.32  # samples older than 0.2 s delay + 0.1 s search window are never fused (HAZARDS 0.8)
 _EXPECTED_GAP_S = 0.2  # EV_MAX_INTERVAL

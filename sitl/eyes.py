@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from sitl.frames import ned_frd_from_enu_flu, ned_from_enu
-from sitl.rotation import Quat, Vec3, yaw_of
-from sitl.vehicle import Quadrotor
+from sitl.geometry.ned_frd import ned_frd_from_enu_flu, ned_from_enu
+from sitl.geometry.quaternion import Quat, Vec3, yaw_of
+from sitl.world.quadrotor import Quadrotor
 
 
 class Eyes:

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from sitl.fly_children import Children
 from sitl.fly_options import SimOptions
-from sitl.scene import Scene, SceneError, load_scene
+from sitl.scene.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
 from uav_recon.errors import EXIT_USAGE, Failure
 

@@ -85,7 +85,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
     from sitl.fly_lockstep import fly_in_lockstep
     from sitl.fly_options import SimOptions
     from sitl.fly_report import against_truth, flown, truth_cut
-    from sitl.scene import load_scene
+    from sitl.scene.scene import load_scene
     from uav_recon import config as product_config
 
     options = SimOptions.parse(

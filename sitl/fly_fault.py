@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sitl.d435i import Model
+from sitl.camera.d435i import Model
 from sitl.faults.arena import arena
 from sitl.faults.attendance import TIMEOUT_S
 from sitl.faults.everywhere import violations
@@ -21,8 +21,8 @@ from sitl.faults.row import Arena, Row, Verdict, judge
 from sitl.faults.table import ROWS
 from sitl.faults.trouble import Trouble
 from sitl.fly_evidence import evidence_of
-from sitl.fork import Fork
-from sitl.scene import HULL_RADIUS_M
+from sitl.runtime.process_fork import Fork
+from sitl.scene.scene import HULL_RADIUS_M
 
 if TYPE_CHECKING:
     from uav_recon.config import Config

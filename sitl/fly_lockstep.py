@@ -19,10 +19,10 @@ from sitl.fly_progress import Screen
 from sitl.fly_tlog import MemoryTlog
 from sitl.fly_wires import direct_wires
 from sitl.fly_world import make_world
-from sitl.pace import QUICK, REAL
-from sitl.scene import Scene
+from sitl.outside_world import World
+from sitl.scene.scene import Scene
 from sitl.transport import pipe
-from sitl.world import World
+from sitl.world.step_sizes import QUICK, REAL
 from uav_recon.app import factory, operator_factory
 from uav_recon.app.flight_channels import memory_wires
 from uav_recon.app.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ

@@ -21,9 +21,9 @@ from sitl.firmware.process import FirmwareError
 from sitl.firmware.relay import Relay
 from sitl.fly_evidence import evidence_of
 from sitl.fly_world import WorldOptions, binary_of, make_world, make_world_of, run
-from sitl.line import SerialLine
+from sitl.outside_world import World
+from sitl.runtime.serial_line import SerialLine
 from sitl.transport import UdpPeer
-from sitl.world import World
 from uav_recon import config as product_config
 from uav_recon.clock import RateKeeper
 

@@ -20,7 +20,7 @@ from sitl.fly_world import STEP_S
 from sitl.parameters import Parameters
 from sitl.px4 import Px4
 from sitl.transport import ByteEnd, UdpPeer
-from sitl.vehicle import Quadrotor
+from sitl.world.quadrotor import Quadrotor
 from uav_recon import config as configuration
 from uav_recon.app import factory
 from uav_recon.app.flight_channels import file_wires

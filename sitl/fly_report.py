@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from sitl.cache import cache_folder
-from sitl.d435i import Model
+from sitl.camera.d435i import Model
 from sitl.fly_options import SimOptions
-from sitl.oracle import SEEN_WELL_S
-from sitl.raster import Renderer
-from sitl.scene import Scene
-from sitl.visibility import TruthCut, load_truth_cut
+from sitl.runtime.array_cache import cache_folder
+from sitl.scene.rasterizer import Renderer
+from sitl.scene.scene import Scene
+from sitl.truth.reference_times import SEEN_WELL_S
+from sitl.truth.visibility import TruthCut, load_truth_cut
 from uav_recon.app import factory
 from uav_recon.config import Config
 from uav_recon.evaluation import metrics

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sitl import elements
-from sitl.elements import SurfaceMemory
+from sitl.camera import depth_surfels
+from sitl.camera.depth_surfels import SurfaceMemory
 from uav_recon.config import Config
 from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusals, in_words, padded, refusal
 from uav_recon.types.camera import PosedFrame
@@ -20,7 +20,7 @@ class StandInMapper:
 
     def __init__(self, config: Config) -> None:
         """Compiles its kernel."""
-        elements.warm_up()
+        depth_surfels.warm_up()
         self._low, self._high = padded(np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m))
         self._voxel_m = config.mapper.surface_voxel_m
         self._memory = SurfaceMemory(self._low, self._high, self._voxel_m)

@@ -16,26 +16,26 @@ from pathlib import Path
 
 import numpy as np
 
-from sitl import d435i
 from sitl.ardupilot import ArduCopter
 from sitl.ardupilot_parameters import ArduPilotParameters
 from sitl.ardupilot_tuning import lean_lag_s
 from sitl.autopilot import Autopilot
-from sitl.clearance import Clearance
+from sitl.camera import d435i
 from sitl.firmware.ardupilot import ArduPilotBinary
 from sitl.firmware.process import FirmwareError
 from sitl.firmware.px4 import Px4Binary
 from sitl.firmware.vehicle import FirmwareVehicle
-from sitl.merged import merged
-from sitl.pace import REAL, Pace
+from sitl.outside_world import Darkroom, Flyer, World
 from sitl.parameters import Parameters
-from sitl.poses import NoisyPoses
 from sitl.px4 import Px4
-from sitl.raster import Renderer
-from sitl.scene import Scene, load_scene
+from sitl.scene.mesh_simplification import merged
+from sitl.scene.rasterizer import Renderer
+from sitl.scene.scene import Scene, load_scene
 from sitl.transport import ByteEnd, UdpPeer
-from sitl.vehicle import Airframe, Quadrotor
-from sitl.world import Darkroom, Flyer, World
+from sitl.truth.hull_clearance import Clearance
+from sitl.world.pose_tracker import NoisyPoses
+from sitl.world.quadrotor import Airframe, Quadrotor
+from sitl.world.step_sizes import REAL, Pace
 from uav_recon.sensors.stream_format import StreamWriter
 
 STEP_S = 0.004

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from sitl.rotation import Vec3
-from sitl.vehicle import GRAVITY_MPS2
+from sitl.geometry.quaternion import Vec3
+from sitl.world.quadrotor import GRAVITY_MPS2
 
 
 class LandDetector:

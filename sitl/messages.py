@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.board import Board
 from sitl.control import ControlSetpoint
+from sitl.geometry.quaternion import euler_of
 from sitl.mavlink_wire import Packet, packet
-from sitl.rotation import euler_of
 
 SENSORS = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO

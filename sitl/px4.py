@@ -7,9 +7,8 @@ import math
 from sitl.autopilot import Autopilot, Truth
 from sitl.estimator import Estimator
 from sitl.eyes import Eyes
-from sitl.gimbal import Gimbal
+from sitl.geometry.quaternion import Vec3
 from sitl.mavlink_server import MavlinkServer
-from sitl.pace import REAL
 from sitl.parameters import Parameters
 from sitl.px4_commands import Commands
 from sitl.px4_flight import Flight
@@ -17,10 +16,11 @@ from sitl.px4_messages import Messages
 from sitl.px4_modes import Commander, Mode
 from sitl.px4_state import State
 from sitl.px4_tuning import estimator_tuning
-from sitl.rotation import Vec3
 from sitl.timesync import TimeSync
 from sitl.transport import ByteEnd
-from sitl.vehicle import Quadrotor
+from sitl.world.gimbal import Gimbal
+from sitl.world.quadrotor import Quadrotor
+from sitl.world.step_sizes import REAL
 
 __all__ = ["BOOTED_BEFORE_S", "Px4", "Truth"]
 

@@ -11,13 +11,13 @@ import math
 from sitl.control import Controller, ControlSetpoint
 from sitl.estimator import Estimator
 from sitl.eyes import Eyes
+from sitl.geometry.quaternion import Vec3
 from sitl.landing import LandDetector
 from sitl.parameters import Parameters
 from sitl.px4_modes import Mode
 from sitl.px4_smoothing import Smoothing
 from sitl.px4_tuning import control_gains, smoothing_limits
-from sitl.rotation import Vec3
-from sitl.vehicle import GRAVITY_MPS2
+from sitl.world.quadrotor import GRAVITY_MPS2
 
 _LAND_DETECT_S = 0.6
 _IDLE: Vec3 = (0.0, 0.0, -0.1 * GRAVITY_MPS2)

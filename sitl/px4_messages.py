@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.geometry.quaternion import conjugate, rotate
 from sitl.mavlink_wire import Packet, packet
 from sitl.messages import Telling
 from sitl.px4_modes import Mode
 from sitl.px4_state import State
-from sitl.rotation import conjugate, rotate
 
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT

@@ -8,7 +8,7 @@ from sitl.control import Gains
 from sitl.estimator import Tuning
 from sitl.parameters import Parameters
 from sitl.px4_smoothing import Limits
-from sitl.vehicle import GRAVITY_MPS2
+from sitl.world.quadrotor import GRAVITY_MPS2
 
 _REJECT_S = 1.0  # no_aid_timeout_max: then reset to vision
 _RESETS_IN_AIR = 5

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sitl.rotation import Vec3
+from sitl.geometry.quaternion import Vec3
 
 _Plane = tuple[float, ...]  # components of the plane, or the one of an axis
 

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from sitl.faults.passage import Gap
-from sitl.mesh import Mesh, joined
-from sitl.scene import Scene, place
-from sitl.solids import Workshop
-from sitl.texture import plain, wood
+from sitl.scene.mesh import Mesh, joined
+from sitl.scene.primitives import Workshop
+from sitl.scene.scene import Scene, place
+from sitl.scene.texture import plain, wood
 
 LENGTH_M, WIDTH_M, HEIGHT_M = 10.0, 7.0, 2.8
 START = (1.4, 3.5, 1.2, 0.0)

@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.clearance import Clearance
 from sitl.faults.injector import TAKEN_OVER
 from sitl.faults.meddler import OURS, Meddler, Moment
 from sitl.faults.wire import Wire, decode, modes_told, setpoints_in
-from sitl.world import BODY_ABOVE_FLOOR_M, PAD_HEIGHT_M
+from sitl.outside_world import BODY_ABOVE_FLOOR_M, PAD_HEIGHT_M
+from sitl.truth.hull_clearance import Clearance
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -12,7 +12,7 @@ import numpy as np
 from sitl.faults.injector import Depth, Injector, Needs, Theatre
 from sitl.faults.link import Late
 from sitl.faults.obstacle import Furnished, Obstacle
-from sitl.rotation import yaw_of
+from sitl.geometry.quaternion import yaw_of
 
 Change = Callable[[Any, np.random.Generator], Any]
 HULL_M = 0.20

@@ -11,9 +11,9 @@ from typing import Any
 from sitl.faults.link import Late, Tap
 from sitl.faults.obstacle import Obstacle
 from sitl.faults.roster import Roster
-from sitl.line import SerialLine
-from sitl.poses import PoseRecord
-from sitl.world import World
+from sitl.outside_world import World
+from sitl.runtime.serial_line import SerialLine
+from sitl.world.pose_tracker import PoseRecord
 
 TAKEN_OVER = "taken over"  # note: the instant of the pilot's switch
 ATTENDED = "attended"  # note: the instant of the operator's last sign of life

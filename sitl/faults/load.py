@@ -12,7 +12,7 @@ from pathlib import Path
 from sitl.faults.injector import Injector, Needs, Theatre
 from sitl.faults.roster import child_of
 from sitl.faults.signals import MAPPER, RECORDER, roster_of
-from sitl.leash import leashed
+from sitl.runtime.die_with_parent import leashed
 
 BUSY = "while True: pass"
 THRASHING = """

@@ -15,16 +15,16 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.d435i import pinhole
+from sitl.camera.d435i import pinhole
 from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import ATTENDED, Depth, Injector, Theatre
 from sitl.faults.link import Bytes, Late, Proxy, Tap
 from sitl.faults.trouble import STANDS_S, Onset, Trouble
-from sitl.poses import PoseRecord
-from sitl.rotation import yaw_of
-from sitl.transform import body_from_camera, world_from_body
+from sitl.geometry.quaternion import yaw_of
+from sitl.geometry.transform import body_from_camera, world_from_body
+from sitl.outside_world import Outlet, World
 from sitl.transport import ByteEnd
-from sitl.world import Outlet, World
+from sitl.world.pose_tracker import PoseRecord
 
 T = TypeVar("T")
 OURS = ("OFFBOARD", "GUIDED")

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.d435i import Sight
-from sitl.raster import Renderer, Rendering
-from sitl.scene import HULL_HEIGHT_M
-from sitl.solids import Workshop
-from sitl.texture import plain
-from sitl.transform import inverse, rigid
+from sitl.camera.d435i import Sight
+from sitl.geometry.transform import inverse, rigid
+from sitl.scene.primitives import Workshop
+from sitl.scene.rasterizer import Renderer, Rendering
+from sitl.scene.scene import HULL_HEIGHT_M
+from sitl.scene.texture import plain
 from uav_recon.sensors.stream_format import CameraSpec
 
 F64 = NDArray[np.float64]

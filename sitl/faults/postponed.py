@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.link import Late
-from sitl.poses import PoseRecord
+from sitl.world.pose_tracker import PoseRecord
 
 
 class Postponed(Injector):

@@ -9,13 +9,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from sitl.d435i import Model
+from sitl.camera.d435i import Model
 from sitl.faults.everywhere import USUAL, Room
 from sitl.faults.evidence import Evidence
 from sitl.faults.injector import Injector, Needs
 from sitl.faults.measures import Measure
 from sitl.faults.trouble import STANDS_S, Onset
-from sitl.scene import HULL_RADIUS_M
+from sitl.scene.scene import HULL_RADIUS_M
 
 Arena = Literal["hall", "pen", "stage", "corridor", "gallery"]
 ON_THE_WAY = Onset()

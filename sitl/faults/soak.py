@@ -17,7 +17,7 @@ from sitl.faults.footprint import Footprints
 from sitl.faults.injector import Injector, Needs, Theatre
 from sitl.faults.row import Bar, Row
 from sitl.faults.trouble import Onset
-from sitl.leash import leashed
+from sitl.runtime.die_with_parent import leashed
 
 EVERY_S, FOR_S, TIMES = 30.0, 5.0, 10  # so often, for so long and so many times it goes on
 BREATH_MB = 2.3  # between the least and the most that perception's heap has while frames come and go

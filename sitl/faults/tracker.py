@@ -10,8 +10,8 @@ import numpy as np
 
 from sitl.faults.injector import Injector
 from sitl.faults.link import Late
-from sitl.poses import PoseRecord
-from sitl.rotation import from_yaw, multiply
+from sitl.geometry.quaternion import from_yaw, multiply
+from sitl.world.pose_tracker import PoseRecord
 
 Change = Callable[[PoseRecord, float], PoseRecord]
 

@@ -6,9 +6,20 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from sitl.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
-from sitl.rotation import IDENTITY, Quat, Vec3, conjugate, from_small_rotation, from_yaw, multiply, normalised, rotate, yaw_of
-from sitl.vehicle import GRAVITY_MPS2
+from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from sitl.geometry.quaternion import (
+    IDENTITY,
+    Quat,
+    Vec3,
+    conjugate,
+    from_small_rotation,
+    from_yaw,
+    multiply,
+    normalised,
+    rotate,
+    yaw_of,
+)
+from sitl.world.quadrotor import GRAVITY_MPS2
 
 _LONGEST_S = 0.1  # no reading is carried further than this
 _SLOPE_S = 0.05  # velocities so far apart, a centimetre a second coarse, tell accelerations to 0.2 m/s^2

@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
-from sitl.leash import leashed
+from sitl.runtime.die_with_parent import leashed
 
 _ROOT = Path(__file__).resolve().parents[2]
 _GRACE_S = 3.0
@@ -19,7 +19,7 @@ class FirmwareError(Exception):
 
 
 class FirmwareProcess:
-    """Starts the program in a folder of its own. To be made in the main thread, see sitl/leash.py."""
+    """Starts the program in a folder of its own. To be made in the main thread, see sitl/runtime/die_with_parent.py."""
 
     def __init__(self, command: list[str], environment: Mapping[str, str], folder: Path, log: Path) -> None:
         self._program, self._log = Path(command[0]), log

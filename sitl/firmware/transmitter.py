@@ -8,7 +8,7 @@ import struct
 from collections.abc import Mapping
 
 from sitl.autopilot import Truth
-from sitl.rotation import yaw_of
+from sitl.geometry.quaternion import yaw_of
 
 _PULSES = struct.Struct("<8H")  # microseconds of channels 1 to 8; 0 leaves one as it is
 _MIDDLE_US, _MOST_US = 1500, 300

@@ -16,7 +16,7 @@ from sitl.autopilot import Autopilot
 from sitl.parameters import Parameters
 from sitl.px4 import Px4
 from sitl.transport import pipe
-from sitl.vehicle import Quadrotor
+from sitl.world.quadrotor import Quadrotor
 from uav_recon.app.parameter_tool import ParamsOptions, Vehicle, show, write_to
 from uav_recon.autopilot.mavlink.allow_list import Gate
 from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, Wanted, load

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sitl.texture import noise
+from sitl.scene.texture import noise
 from uav_recon.types.camera import Frame, Intrinsics, body_from_camera
 from uav_recon.types.frames import ByteArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose

@@ -16,10 +16,10 @@ from sitl.ardupilot import ArduCopter
 from sitl.ardupilot_modes import Mode
 from sitl.ardupilot_parameters import ArduPilotParameters
 from sitl.autopilot import Truth
-from sitl.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from sitl.mavlink_wire import Listener, Packet, Speaker, packet
 from sitl.transport import UdpPeer
-from sitl.vehicle import Quadrotor
+from sitl.world.quadrotor import Quadrotor
 
 LATITUDE_E7, LONGITUDE_E7, METRES_PER_E7 = 473977420, 85455940, 0.011131884502145034
 TURN_S, TRUTH_S, HEARTBEAT_S = 0.004, 0.01, 0.2

@@ -8,11 +8,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.frames import ned_frd_from_enu_flu
+from sitl.geometry.ned_frd import ned_frd_from_enu_flu
 from sitl.parameters import Parameters
 from sitl.px4 import Px4
 from sitl.transport import ByteEnd, pipe
-from sitl.vehicle import Quadrotor
+from sitl.world.quadrotor import Quadrotor
 
 LOITER, LAND, OFFBOARD, POSCTL = 50593792, 100925440, 393216, 196608
 PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK

@@ -17,7 +17,7 @@ from rich.console import Console
 from sitl.fly_case import one_thread
 from sitl.fly_lockstep import Nobody, fly_in_lockstep
 from sitl.fly_options import SimOptions
-from sitl.scene import load_scene
+from sitl.scene.scene import load_scene
 from uav_recon.bench.machine_calibration import calibrate
 
 EVERY_S = 2.0

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from sitl.camera.d435i import stream_header
 from sitl.captures import capture, held_out, seen
-from sitl.d435i import stream_header
-from sitl.scene import Scene
+from sitl.scene.scene import Scene
 
 HALF_M = 1.5
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32) * np.float32(HALF_M)

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sitl.d435i import FAST_DEPTH_SPEC
+from sitl.camera.d435i import FAST_DEPTH_SPEC
 from sitl.faults import eye, tracker
 from sitl.faults.cartographer import AGAIN, CLAIMED, FREED, SETTLED_S, UNDER_WAY_S, Cartographer, Claims, Tally
 from sitl.faults.host import Crash, Stall
@@ -20,13 +20,13 @@ from sitl.faults.obstacle import Furnished, Obstacle
 from sitl.faults.table import ROWS, TABLE
 from sitl.fly_lockstep import Calls, Nobody
 from sitl.fly_wires import DirectChannel
-from sitl.mesh import joined
-from sitl.poses import PoseRecord
-from sitl.raster import Renderer
-from sitl.rotation import yaw_of
-from sitl.solids import Workshop
-from sitl.texture import plain
-from sitl.transform import body_from_camera
+from sitl.geometry.quaternion import yaw_of
+from sitl.geometry.transform import body_from_camera
+from sitl.scene.mesh import joined
+from sitl.scene.primitives import Workshop
+from sitl.scene.rasterizer import Renderer
+from sitl.scene.texture import plain
+from sitl.world.pose_tracker import PoseRecord
 from uav_recon.clock import InlineExecutor, ManualClock
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, FreeSpace, GridSpec, VoxelMap
 

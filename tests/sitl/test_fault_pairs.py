@@ -22,7 +22,7 @@ from sitl.faults.tracker import Silence
 from sitl.faults.wires import Loss
 from sitl.fly_faults import FaultOptions
 from sitl.fly_options import UsageError
-from sitl.poses import PoseRecord
+from sitl.world.pose_tracker import PoseRecord
 
 POSE = PoseRecord(10.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 1e-4), 100, 0)
 PICTURE = Depth(10.0, np.zeros((4, 6), np.uint16), None)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sitl.firmware.path import Grain, Inertial, Reading, TruePath
-from sitl.rotation import Quat, Vec3
+from sitl.geometry.quaternion import Quat, Vec3
 
 LEVEL: Quat = (1.0, 0.0, 0.0, 0.0)
 GRAIN = Grain(metres_per_e7=0.011131884502145034, height_step_m=0.01)

@@ -15,7 +15,7 @@ from sitl.faults.farlink import FarProxy
 from sitl.faults.link import Late
 from sitl.firmware.relay import Relay
 from sitl.firmware.transmitter import Transmitter
-from sitl.rotation import from_yaw
+from sitl.geometry.quaternion import from_yaw
 from sitl.transport import UdpPeer
 
 LEFT = from_yaw(math.pi / 2.0)  # the nose points along the world's second axis

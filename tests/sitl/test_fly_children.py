@@ -47,7 +47,7 @@ LAUNCHER = """
     from pathlib import Path
     from rich.console import Console
     from sitl import fly_children
-    from sitl.leash import leashed
+    from sitl.runtime.die_with_parent import leashed
     from uav_recon.errors import Failure
 
     def through(command):  # the launcher keeps no pipe open but these programs tell us of themselves
@@ -172,5 +172,7 @@ def test_a_launcher_that_is_killed_leaves_nothing(launch: Callable[[], Flight], 
 
 
 def test_a_program_whose_parent_is_gone_does_not_start() -> None:
-    alone = subprocess.run([sys.executable, "-m", "sitl.leash", "1", "echo", "here"], capture_output=True, check=False)
+    alone = subprocess.run(
+        [sys.executable, "-m", "sitl.runtime.die_with_parent", "1", "echo", "here"], capture_output=True, check=False
+    )
     assert (alone.returncode, alone.stdout) == (1, b"")

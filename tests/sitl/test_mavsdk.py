@@ -17,12 +17,12 @@ import pytest
 from sitl.ardupilot import ArduCopter
 from sitl.ardupilot_parameters import ArduPilotParameters
 from sitl.autopilot import Autopilot
-from sitl.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from sitl.geometry.quaternion import conjugate, rotate
 from sitl.parameters import Parameters
 from sitl.px4 import Px4
-from sitl.rotation import conjugate, rotate
 from sitl.transport import UdpPeer
-from sitl.vehicle import Quadrotor
+from sitl.world.quadrotor import Quadrotor
 
 pytest.importorskip("mavsdk", reason="MAVSDK is not installed")
 from mavsdk import Autopilot as Firmware

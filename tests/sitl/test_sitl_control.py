@@ -7,7 +7,7 @@ import pytest
 from sitl.control import Controller, ControlSetpoint
 from sitl.parameters import Parameters
 from sitl.px4_tuning import control_gains
-from sitl.vehicle import GRAVITY_MPS2
+from sitl.world.quadrotor import GRAVITY_MPS2
 
 DT = 0.004
 STILL = (0.0, 0.0, 0.0)

@@ -16,12 +16,12 @@ from sitl.estimator import (
     Estimator,
     ExternalPose,
 )
-from sitl.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
-from sitl.imu import Imu
+from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from sitl.geometry.quaternion import Quat, Vec3, from_yaw, multiply
 from sitl.parameters import Parameters
 from sitl.px4_tuning import estimator_tuning
-from sitl.rotation import Quat, Vec3, from_yaw, multiply
-from sitl.vehicle import GRAVITY_MPS2, Quadrotor
+from sitl.world.imu import Imu
+from sitl.world.quadrotor import GRAVITY_MPS2, Quadrotor
 
 DT = 0.004
 LOOSE = {"EKF2_EV_CTRL": 11, "EKF2_EV_QMIN": 20, "EKF2_EVP_NOISE": 0.1, "EKF2_EVP_GATE": 5.0, "EKF2_NOAID_TOUT": 5_000_000}

@@ -10,10 +10,10 @@ from companion import LAND, Companion
 from px4_rig import companion, flying
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.pace import REAL
 from sitl.parameters import Parameters
 from sitl.px4 import Px4
-from sitl.vehicle import Quadrotor
+from sitl.world.quadrotor import Quadrotor
+from sitl.world.step_sizes import REAL
 
 
 def square(start_s: float, side: float, speed: float) -> tuple[Any, float]:

@@ -15,7 +15,7 @@ from sitl.autopilot import Autopilot
 from sitl.parameters import Parameters
 from sitl.px4 import Px4
 from sitl.transport import ByteEnd, pipe
-from sitl.vehicle import Quadrotor
+from sitl.world.quadrotor import Quadrotor
 from uav_recon.autopilot.firmware.profile import Personality
 from uav_recon.autopilot.firmware.px4 import PX4
 from uav_recon.autopilot.mavlink.allow_list import Gate

@@ -6,10 +6,10 @@ import types
 
 import numpy as np
 
-from sitl.d435i import MOUNT_M, stream_header
+from sitl.camera.d435i import MOUNT_M, stream_header
 from sitl.fly_options import SimOptions
-from sitl.scene import Scene
-from sitl.transform import body_from_camera, world_from_body
+from sitl.geometry.transform import body_from_camera, world_from_body
+from sitl.scene.scene import Scene
 
 
 def quick_cut(options: SimOptions, scene: Scene) -> types.SimpleNamespace:

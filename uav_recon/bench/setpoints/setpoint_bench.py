@@ -147,7 +147,7 @@ def _config(folder: Path, autopilot: str) -> Config:
 @contextlib.contextmanager
 def _child(module: list[str], log: Path, niceness: int, fifo: int = 0) -> Iterator[subprocess.Popen[bytes]]:
     """A Python program of ours, as its unit runs it where we may; it ends with us, however we go, or with the block."""
-    from sitl.leash import leashed
+    from sitl.runtime.die_with_parent import leashed
 
     command = leashed([sys.executable, "-m", *module])
     with log.open("ab") as out:

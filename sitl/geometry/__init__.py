@@ -1,0 +1,1 @@
+"""The simulator's own geometry: quaternions, transforms, NED/FRD conversion, point grid."""

@@ -1,0 +1,1 @@
+"""Scenes: built-in room, generated rooms, meshes, textures, rendering."""

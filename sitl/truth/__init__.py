@@ -1,0 +1,1 @@
+"""Ground truth: visibility, clearance, line of sight, reference times."""

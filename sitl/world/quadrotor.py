@@ -1,0 +1,195 @@
+"""The true quadrotor: first-order attitude, yaw-rate and thrust lags, drag, gusts, a floor and what stands on it.
+
+World ENU, body FLU, metres, radians, seconds. The world's origin is the body's centre while it stands on the pad,
+so the body rests at z = 0 (its skids reach 0.10 m lower).
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sitl.geometry.quaternion import IDENTITY, Quat, Vec3, conjugate, from_yaw, multiply, normalised, rotate, small_rotation
+
+GRAVITY_MPS2 = 9.80665
+
+
+@dataclass(frozen=True, slots=True)
+class Airframe:
+    """Constants of a 250-size indoor quadrotor."""
+
+    tilt_lag_s: float = 0.08  # first order, thrust axis
+    yaw_rate_lag_s: float = 0.10  # first order
+    thrust_lag_s: float = 0.04  # first order, motors
+    max_tilt_rad: float = math.radians(45.0)
+    max_thrust_mps2: float = 2.0 * GRAVITY_MPS2  # twice the hover thrust
+    max_yaw_rate_radps: float = math.radians(200.0)
+    max_speed_mps: float = 8.0  # a wall against numbers running away
+    drag_per_s: float = 0.15  # linear, on the airspeed
+    floor_friction_mps2: float = 4.0  # skids on the floor
+    gust_time_s: float = 1.5  # correlation time of the wind
+
+
+def bare_floor(position: Vec3) -> float:
+    """Nothing stands on the floor."""
+    return -math.inf
+
+
+class Quadrotor:
+    """State and motion of the vehicle. Start pose: on the pad at `start`, heading `yaw_rad` (0 = east).
+
+    wind_mps: rms of the gusts per horizontal axis (a third of it vertically); indoors 0.1 to 0.2. standing_m: height of the
+    body once it stands on what is straight below it, where that is higher than the pad's floor. What it meets from the side
+    does not stop it: that is the referee's to see.
+    Attributes after each step(): position, velocity (ENU), quat_wxyz (enu_from_flu), gyro (FLU, rad/s),
+    specific_force (FLU, m/s^2; what an ideal accelerometer reads), outside_mps2 (ENU; a force from outside divided by the
+    mass, set by whoever pushes, felt by the accelerometer), on_ground, touchdowns (impact speeds, m/s).
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        wind_mps: float = 0.15,
+        start: Vec3 = (0.0, 0.0, 0.0),
+        yaw_rad: float = 0.0,
+        airframe: Airframe | None = None,
+        standing_m: Callable[[Vec3], float] = bare_floor,
+    ) -> None:
+        self._frame = airframe or Airframe()
+        self._standing_m = standing_m
+        self._random = random.Random(seed)
+        self._wind_rms = wind_mps
+        self._gust: Vec3 = (0.0, 0.0, 0.0)
+        self._floor = start[2]
+        self._thrust = 0.0
+        self._up: Vec3 = (0.0, 0.0, 1.0)
+        self._yaw = yaw_rad
+        self._yaw_rate = 0.0
+        self._step_s = 0.0
+        self._gains = (0.0, 0.0, 0.0, 0.0, 0.0)
+        self._highest = 0.0
+        self._share = 1.0  # of the wanted thrust that it has
+        self.position: Vec3 = start
+        self.velocity: Vec3 = (0.0, 0.0, 0.0)
+        self.quat_wxyz: Quat = multiply(IDENTITY, from_yaw(yaw_rad))
+        self.gyro: Vec3 = (0.0, 0.0, 0.0)
+        self.specific_force: Vec3 = (0.0, 0.0, GRAVITY_MPS2)
+        self.outside_mps2: Vec3 = (0.0, 0.0, 0.0)
+        self.on_ground = True
+        self.touchdowns: list[float] = []
+
+    def weaken(self, share: float) -> None:
+        """From now on the rotors lift it by this share of what is wanted: too heavy, or a motor that does not turn."""
+        self._share = share
+
+    def push(self, velocity_change: Vec3) -> None:
+        """Hit the vehicle: add to its velocity (ENU, m/s). For tests of disturbances."""
+        v = self.velocity
+        self.velocity = (v[0] + velocity_change[0], v[1] + velocity_change[1], v[2] + velocity_change[2])
+
+    def step(self, dt_s: float, specific_thrust_world: Vec3, yaw_rate_radps: float, motors_on: bool) -> None:
+        """Advance by dt_s, well below the lags (20 ms at most).
+
+        specific_thrust_world: wanted rotor force divided by mass, ENU, m/s^2. Gravity is NOT added here: hovering
+        is (0, 0, 9.80665), the zero vector is motors at idle. yaw_rate_radps: wanted, counter-clockwise from above.
+        """
+        if dt_s != self._step_s:
+            self._prepare(dt_s)
+        wanted_up, wanted_thrust = self._command(specific_thrust_world, motors_on)
+        self._turn(dt_s, wanted_up, yaw_rate_radps if motors_on else 0.0)
+        up = self._up
+        self._thrust += self._gains[2] * (self._share * wanted_thrust - self._thrust)
+        wind = self._blow()
+        drag = 0.0 if self.on_ground else self._frame.drag_per_s
+        v, outside = self.velocity, self.outside_mps2
+        ax = self._thrust * up[0] - drag * (v[0] - wind[0]) + outside[0]
+        ay = self._thrust * up[1] - drag * (v[1] - wind[1]) + outside[1]
+        az = self._thrust * up[2] - drag * (v[2] - wind[2]) + outside[2] - GRAVITY_MPS2
+        self._move(dt_s, ax, ay, az)
+        change = self.velocity
+        force = ((change[0] - v[0]) / dt_s, (change[1] - v[1]) / dt_s, (change[2] - v[2]) / dt_s + GRAVITY_MPS2)
+        self.specific_force = rotate(conjugate(self.quat_wxyz), force)
+
+    def _prepare(self, dt_s: float) -> None:
+        f = self._frame
+        decay = math.exp(-dt_s / f.gust_time_s)
+        self._step_s = dt_s
+        self._gains = (
+            1.0 - math.exp(-dt_s / f.tilt_lag_s),
+            1.0 - math.exp(-dt_s / f.yaw_rate_lag_s),
+            1.0 - math.exp(-dt_s / f.thrust_lag_s),
+            decay,
+            self._wind_rms * math.sqrt(1.0 - decay * decay),
+        )
+
+    def _command(self, force: Vec3, motors_on: bool) -> tuple[Vec3, float]:
+        """Wanted thrust axis within the tilt limit, and thrust along the axis the vehicle has now."""
+        if not motors_on:
+            return (self._up, 0.0)
+        fx, fy, fz = force
+        up = self._up
+        thrust = min(max(fx * up[0] + fy * up[1] + fz * up[2], 0.0), self._frame.max_thrust_mps2)
+        if self.on_ground and fz < GRAVITY_MPS2:
+            return ((0.0, 0.0, 1.0), thrust)
+        lift = max(fz, 0.2 * GRAVITY_MPS2)  # a falling command must not turn the vehicle over
+        side = math.hypot(fx, fy)
+        most = lift * math.tan(self._frame.max_tilt_rad)
+        if side > most:
+            fx, fy, side = fx * most / side, fy * most / side, most
+        norm = math.sqrt(side * side + lift * lift)
+        return ((fx / norm, fy / norm, lift / norm), thrust)
+
+    def _turn(self, dt_s: float, wanted_up: Vec3, yaw_rate: float) -> None:
+        limit = self._frame.max_yaw_rate_radps
+        wanted_rate = 0.0 if self.on_ground else min(max(yaw_rate, -limit), limit)
+        self._yaw_rate += self._gains[1] * (wanted_rate - self._yaw_rate)
+        self._yaw += self._yaw_rate * dt_s
+        k = self._gains[0]
+        ux, uy, uz = self._up
+        ux, uy, uz = ux + k * (wanted_up[0] - ux), uy + k * (wanted_up[1] - uy), uz + k * (wanted_up[2] - uz)
+        norm = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
+        self._up = (ux * norm, uy * norm, uz * norm)
+        # Shortest turn of the vertical onto the thrust axis, after the heading.
+        tilt = normalised((1.0 + self._up[2], -self._up[1], self._up[0], 0.0))
+        attitude = multiply(tilt, from_yaw(self._yaw))
+        turn = small_rotation(multiply(conjugate(self.quat_wxyz), attitude))
+        self.gyro = (turn[0] / dt_s, turn[1] / dt_s, turn[2] / dt_s)
+        self.quat_wxyz = attitude
+
+    def _blow(self) -> Vec3:
+        """Ornstein-Uhlenbeck gusts."""
+        _, _, _, decay, kick = self._gains
+        gauss = self._random.gauss
+        g = self._gust
+        self._gust = (
+            decay * g[0] + kick * gauss(0.0, 1.0),
+            decay * g[1] + kick * gauss(0.0, 1.0),
+            decay * g[2] + 0.33 * kick * gauss(0.0, 1.0),
+        )
+        return self._gust
+
+    def _move(self, dt_s: float, ax: float, ay: float, az: float) -> None:
+        x, y, z = self.position
+        vx, vy, vz = self.velocity
+        vx, vy, vz = vx + ax * dt_s, vy + ay * dt_s, vz + az * dt_s
+        speed = math.sqrt(vx * vx + vy * vy + vz * vz)
+        if speed > self._frame.max_speed_mps:
+            scale = self._frame.max_speed_mps / speed
+            vx, vy, vz = vx * scale, vy * scale, vz * scale
+        floor = max(self._floor, self._standing_m((x, y, z))) if vz <= 0.0 else self._floor
+        x, y, z = x + vx * dt_s, y + vy * dt_s, z + vz * dt_s
+        if z <= floor and vz <= 0.0:
+            if self._highest > 0.05:  # a real touchdown, not settling on the skids
+                self.touchdowns.append(-vz)
+            self._highest = 0.0
+            side = math.hypot(vx, vy)
+            keep = max(0.0, 1.0 - self._frame.floor_friction_mps2 * dt_s / side) if side > 1e-9 else 0.0
+            vx, vy, vz, z = vx * keep, vy * keep, 0.0, floor
+            self.on_ground = True
+        else:
+            self.on_ground = False
+            self._highest = max(self._highest, z - self._floor)
+        self.position = (x, y, z)
+        self.velocity = (vx, vy, vz)

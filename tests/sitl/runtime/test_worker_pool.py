@@ -1,0 +1,79 @@
+"""Processes that work for another one: a Ctrl-C ends them and what they started, at once and in silence."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sitl.runtime.worker_pool import crew
+
+SCRIPT = """
+import subprocess, sys, time
+from sitl.runtime.worker_pool import crew
+
+if __name__ == "__main__":
+    try:
+        with crew(2) as hands:
+            hands.submit(subprocess.run, ["sleep", "61.5"])
+            hands.submit(time.sleep, 60).result()
+    except KeyboardInterrupt:
+        sys.exit(130)
+"""
+
+
+def of_session(session: int) -> dict[int, str]:
+    """Every process of a session that lives, with its command line."""
+    told = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (folder / "stat").read_text().rpartition(")")[2].split()
+            line = (folder / "cmdline").read_text().replace("\0", " ")
+        except OSError:
+            continue
+        if int(words[3]) == session and words[0] != "Z" and "resource_tracker" not in line:  # it goes a moment later
+            told[int(folder.name)] = line
+    return told
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_nobody_is_left_and_nothing_is_said(tmp_path: Path, number: signal.Signals) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    chief = subprocess.Popen([sys.executable, str(script)], start_new_session=True, stderr=subprocess.PIPE, text=True)
+    while "sleep 61.5" not in "".join(of_session(chief.pid).values()):
+        assert chief.poll() is None, chief.communicate()[1]
+        time.sleep(0.05)
+    os.kill(chief.pid, number) if number is signal.SIGKILL else os.killpg(chief.pid, number)
+    assert chief.wait(timeout=30) == (130 if number is signal.SIGINT else -9)
+    if number is signal.SIGINT:
+        assert of_session(chief.pid) == {}
+        assert chief.communicate()[1] == ""
+        return
+    deadline_s = time.monotonic() + 10.0
+    while any("python" in line for line in of_session(chief.pid).values()):
+        assert time.monotonic() < deadline_s, of_session(chief.pid)
+        time.sleep(0.05)
+    for left in of_session(chief.pid):  # what was not ours to put on a leash
+        os.kill(left, signal.SIGKILL)
+    assert chief.stderr is not None
+    chief.stderr.close()
+
+
+def test_work_is_done_and_what_it_raises_is_told() -> None:
+    with crew(2) as hands:
+        assert hands.submit(divmod, 7, 3).result() == (2, 1)
+        with pytest.raises(ZeroDivisionError):
+            hands.submit(divmod, 1, 0).result()
+
+
+def test_what_a_program_of_theirs_warns_of_is_not_said_on_this_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+    with crew(1) as hands:
+        hands.submit(logging.getLogger("link").warning, "not listened to").result()
+    assert capfd.readouterr() == ("", "")

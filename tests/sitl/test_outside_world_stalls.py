@@ -1,0 +1,45 @@
+"""What the sensors say while the computer that simulates them stalls."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sitl.outside_world import World
+
+
+class Turning:
+    """An autopilot whose vehicle turns faster and faster: its gyro reads the time."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def step(self, now_s: float) -> None:
+        self.now_s = now_s
+
+    def truth(self) -> Any:
+        return SimpleNamespace(
+            gyro=(self.now_s, 0.0, 0.0), specific_force=(0.0, 0.0, 9.8), position=(0.0, 0.0, 0.0),
+            quat_wxyz=(1.0, 0.0, 0.0, 0.0), armed=False, mode="OFFBOARD",
+        )  # fmt: skip
+
+
+class Tape:
+    def __init__(self) -> None:
+        self.samples: list[tuple[float, float]] = []
+
+    def write_imu(self, stamp_s: float, gyro_radps: Any, _: Any) -> None:
+        self.samples.append((stamp_s, float(gyro_radps[0])))
+
+
+def test_inertial_samples_are_of_their_own_instants_however_late_the_step() -> None:
+    tape, poses = Tape(), SimpleNamespace(due=lambda _: False)
+    world = World(*cast(Any, (Turning(), None, poses, None, tape, 10.0, 0.0)))
+    for now_s in (10.0, 10.01, 10.15):  # 0.14 s of silence
+        world.step(now_s)
+    stamps, gyros = np.array(tape.samples).T
+    assert len(stamps) == pytest.approx(0.15 * 200 + 1, abs=1)
+    assert np.array_equal(stamps, gyros)

@@ -1,0 +1,53 @@
+"""The quick pace flies as the real one does: same hover, same step, within the wind's own scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from companion import Companion
+
+from sitl.parameters import Parameters
+from sitl.px4 import Px4
+from sitl.transport import pipe
+from sitl.world.quadrotor import Quadrotor
+from sitl.world.step_sizes import QUICK, REAL, Pace
+from uav_recon.app.processes import MISSION_RATE_HZ
+
+
+class Paced(Companion):
+    """A companion whose autopilot steps at a pace."""
+
+    def __init__(self, pace: Pace) -> None:
+        super().__init__(seed=3)
+        self.vehicle = Quadrotor(3, yaw_rad=0.3)
+        end, self._pipe = pipe()
+        self.autopilot = Px4(self.vehicle, end, Parameters.load(), 3, pace.physics_s)
+        self.px4.step(self.now_s)
+
+
+def offsets_m(pace: Pace) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Distance (N,) from where it is told to be: five seconds of hover, a step of a metre, five more."""
+    c = Paced(pace)
+    c.take_off()
+    found = []
+    for goal in ((0.0, 0.0, -1.2), (1.0, 0.0, -1.2)):
+        c.go_to(*goal)
+        c.run(5.0 if goal[0] == 0.0 else 4.0)
+        for _ in range(20):
+            c.run(0.25)
+            n, e, d = goal
+            x, y, z = c.vehicle.position
+            found.append(np.sqrt((y - n) ** 2 + (x - e) ** 2 + (z + d) ** 2))
+    return np.array(found)
+
+
+def test_hover_and_step_are_flown_alike() -> None:
+    real, quick = offsets_m(REAL), offsets_m(QUICK)
+    assert np.sqrt((quick**2).mean()) == pytest.approx(np.sqrt((real**2).mean()), rel=0.25, abs=0.01)
+    assert quick.max() < 1.5 * real.max() + 0.02
+
+
+def test_the_rates_of_the_product_divide_the_quick_turns() -> None:
+    for rate_hz in (MISSION_RATE_HZ, 30.0, 6.0, 10.0, QUICK.truth_hz):
+        assert (1.0 / QUICK.turn_s) % rate_hz == pytest.approx(0.0, abs=1e-9)
+    assert QUICK.turn_s / QUICK.physics_s == pytest.approx(round(QUICK.turn_s / QUICK.physics_s))
