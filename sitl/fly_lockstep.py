@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from rich.console import Console
 
+from sitl.autopilots.byte_links import pipe
 from sitl.fly_options import SimOptions
 from sitl.fly_progress import Screen
 from sitl.fly_tlog import MemoryTlog
@@ -21,7 +22,6 @@ from sitl.fly_wires import direct_wires
 from sitl.fly_world import make_world
 from sitl.outside_world import World
 from sitl.scene.scene import Scene
-from sitl.transport import pipe
 from sitl.world.step_sizes import QUICK, REAL
 from uav_recon.app import factory, operator_factory
 from uav_recon.app.flight_channels import memory_wires

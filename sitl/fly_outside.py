@@ -10,6 +10,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from sitl.autopilots.byte_links import UdpPeer
 from sitl.faults.arena import arena
 from sitl.faults.evidence import Evidence
 from sitl.faults.farlink import FarProxy
@@ -23,7 +24,6 @@ from sitl.fly_evidence import evidence_of
 from sitl.fly_world import WorldOptions, binary_of, make_world, make_world_of, run
 from sitl.outside_world import World
 from sitl.runtime.serial_line import SerialLine
-from sitl.transport import UdpPeer
 from uav_recon import config as product_config
 from uav_recon.clock import RateKeeper
 

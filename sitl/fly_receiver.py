@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sitl.ardupilot import ArduCopter
-from sitl.ardupilot_parameters import ArduPilotParameters
-from sitl.autopilot import Autopilot
+from sitl.autopilots.ardupilot.autopilot import ArduCopter
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.base_autopilot import Autopilot
+from sitl.autopilots.byte_links import ByteEnd, UdpPeer
+from sitl.autopilots.px4.autopilot import Px4
+from sitl.autopilots.px4.parameters import Parameters
 from sitl.fly_world import STEP_S
-from sitl.parameters import Parameters
-from sitl.px4 import Px4
-from sitl.transport import ByteEnd, UdpPeer
 from sitl.world.quadrotor import Quadrotor
 from uav_recon import config as configuration
 from uav_recon.app import factory

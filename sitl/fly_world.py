@@ -16,22 +16,22 @@ from pathlib import Path
 
 import numpy as np
 
-from sitl.ardupilot import ArduCopter
-from sitl.ardupilot_parameters import ArduPilotParameters
-from sitl.ardupilot_tuning import lean_lag_s
-from sitl.autopilot import Autopilot
+from sitl.autopilots.ardupilot.autopilot import ArduCopter
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.ardupilot.tuning import lean_lag_s
+from sitl.autopilots.base_autopilot import Autopilot
+from sitl.autopilots.byte_links import ByteEnd, UdpPeer
+from sitl.autopilots.px4.autopilot import Px4
+from sitl.autopilots.px4.parameters import Parameters
 from sitl.camera import d435i
 from sitl.firmware.ardupilot import ArduPilotBinary
 from sitl.firmware.process import FirmwareError
 from sitl.firmware.px4 import Px4Binary
 from sitl.firmware.vehicle import FirmwareVehicle
 from sitl.outside_world import Darkroom, Flyer, World
-from sitl.parameters import Parameters
-from sitl.px4 import Px4
 from sitl.scene.mesh_simplification import merged
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene, load_scene
-from sitl.transport import ByteEnd, UdpPeer
 from sitl.truth.hull_clearance import Clearance
 from sitl.world.pose_tracker import NoisyPoses
 from sitl.world.quadrotor import Airframe, Quadrotor

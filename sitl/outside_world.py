@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.autopilot import Autopilot, Truth
+from sitl.autopilots.base_autopilot import Autopilot, Truth
 from sitl.camera.d435i import Camera
 from sitl.geometry.transform import rigid, rotation_from_quat
 from sitl.truth.hull_clearance import Clearance

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from sitl.autopilots.byte_links import ByteEnd
 from sitl.faults.link import Fate, Queue, frames
-from sitl.transport import ByteEnd
 
 
 class FarProxy:

@@ -15,6 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.autopilots.byte_links import ByteEnd
 from sitl.camera.d435i import pinhole
 from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import ATTENDED, Depth, Injector, Theatre
@@ -23,7 +24,6 @@ from sitl.faults.trouble import STANDS_S, Onset, Trouble
 from sitl.geometry.quaternion import yaw_of
 from sitl.geometry.transform import body_from_camera, world_from_body
 from sitl.outside_world import Outlet, World
-from sitl.transport import ByteEnd
 from sitl.world.pose_tracker import PoseRecord
 
 T = TypeVar("T")

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.ardupilot_modes import Mode
-from sitl.ardupilot_parameters import DEFAULT_FILE
+from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.parameters import DEFAULT_FILE
+from sitl.autopilots.mavlink_codec import Heard
 from sitl.firmware.path import Grain, Inertial, Reading, TruePath
 from sitl.firmware.transmitter import Transmitter
-from sitl.mavlink_wire import Heard
 
 _HOME = "47.397742,8.545594,0,0"  # latitude, longitude, height, heading: any place will do
 _SERIAL_PORTS = 9

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from sitl.transport import UdpPeer
+from sitl.autopilots.byte_links import UdpPeer
 
 
 class Passage(Protocol):

@@ -7,7 +7,7 @@ import socket
 import struct
 from collections.abc import Mapping
 
-from sitl.autopilot import Truth
+from sitl.autopilots.base_autopilot import Truth
 from sitl.geometry.quaternion import yaw_of
 
 _PULSES = struct.Struct("<8H")  # microseconds of channels 1 to 8; 0 leaves one as it is

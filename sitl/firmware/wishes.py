@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.mavlink_wire import Heard, Packet, packet
+from sitl.autopilots.mavlink_codec import Heard, Packet, packet
 
 SYSTEM, COMPONENT = 1, 1  # of every firmware that is not told otherwise
 _LATER = (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_IN_PROGRESS)

@@ -10,12 +10,12 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from sitl.ardupilot import ArduCopter
-from sitl.ardupilot_parameters import ArduPilotParameters
-from sitl.autopilot import Autopilot
-from sitl.parameters import Parameters
-from sitl.px4 import Px4
-from sitl.transport import pipe
+from sitl.autopilots.ardupilot.autopilot import ArduCopter
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.base_autopilot import Autopilot
+from sitl.autopilots.byte_links import pipe
+from sitl.autopilots.px4.autopilot import Px4
+from sitl.autopilots.px4.parameters import Parameters
 from sitl.world.quadrotor import Quadrotor
 from uav_recon.app.parameter_tool import ParamsOptions, Vehicle, show, write_to
 from uav_recon.autopilot.mavlink.allow_list import Gate

@@ -12,13 +12,13 @@ import time
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.ardupilot import ArduCopter
-from sitl.ardupilot_modes import Mode
-from sitl.ardupilot_parameters import ArduPilotParameters
-from sitl.autopilot import Truth
+from sitl.autopilots.ardupilot.autopilot import ArduCopter
+from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.base_autopilot import Truth
+from sitl.autopilots.byte_links import UdpPeer
+from sitl.autopilots.mavlink_codec import Listener, Packet, Speaker, packet
 from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
-from sitl.mavlink_wire import Listener, Packet, Speaker, packet
-from sitl.transport import UdpPeer
 from sitl.world.quadrotor import Quadrotor
 
 LATITUDE_E7, LONGITUDE_E7, METRES_PER_E7 = 473977420, 85455940, 0.011131884502145034

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.autopilots.byte_links import PipeEnd, UdpPeer, pipe
 from sitl.faults.farlink import FarProxy
 from sitl.faults.injector import Injector
 from sitl.faults.link import Late, Proxy, frames, message_id
 from sitl.faults.wire import decode, modes_told, setpoints_in
 from sitl.faults.wires import Corrupted, Gauge, Jitter, Loss, Repeated, Rewritten, version
-from sitl.transport import PipeEnd, UdpPeer, pipe
 
 VOICE = mavlink.MAVLink(None, 245, 191)
 

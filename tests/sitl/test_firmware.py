@@ -14,19 +14,19 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.autopilots.mavlink_codec import Heard, Listener, Speaker, packet
 from sitl.firmware.ardupilot import ArduPilotBinary
 from sitl.firmware.path import TruePath
 from sitl.firmware.process import FirmwareError
 from sitl.firmware.px4 import COMPANION_PORT, Px4Binary
 from sitl.firmware.vehicle import FirmwareVehicle, _version
-from sitl.mavlink_wire import Heard, Listener, Speaker, packet
 
 HALF = math.sqrt(0.5)
 EAST = (HALF, 0.0, 0.0, HALF)  # ned_from_frd of a level body whose nose points east
 STAND_IN = """#!{python}
 import socket, sys, time
 from pymavlink.dialects.v20 import common as mavlink
-from sitl.mavlink_wire import Listener, Speaker, packet
+from sitl.autopilots.mavlink_codec import Listener, Speaker, packet
 
 port = int(next(a for a in sys.argv if a.startswith("--serial1=")).rpartition(":")[2])
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:

@@ -10,13 +10,13 @@ from contextlib import closing
 
 import pytest
 
-from sitl.autopilot import Truth
+from sitl.autopilots.base_autopilot import Truth
+from sitl.autopilots.byte_links import UdpPeer
 from sitl.faults.farlink import FarProxy
 from sitl.faults.link import Late
 from sitl.firmware.relay import Relay
 from sitl.firmware.transmitter import Transmitter
 from sitl.geometry.quaternion import from_yaw
-from sitl.transport import UdpPeer
 
 LEFT = from_yaw(math.pi / 2.0)  # the nose points along the world's second axis
 

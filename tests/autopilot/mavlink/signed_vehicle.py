@@ -6,7 +6,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as wire
 
-from sitl.transport import ByteEnd
+from sitl.autopilots.byte_links import ByteEnd
 
 
 def signer(key: bytes, stamp: int, link_id: int = 0, sender: tuple[int, int] = (1, 1)) -> Any:

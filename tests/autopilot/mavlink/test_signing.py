@@ -16,9 +16,9 @@ from pymavlink.dialects.v20 import ardupilotmega as wire
 from signed_vehicle import SignedEnd, signer
 from test_pilot_flight_ardupilot import CopterRig
 
-from sitl.ardupilot import ArduCopter
-from sitl.ardupilot_parameters import ArduPilotParameters
-from sitl.transport import ByteEnd
+from sitl.autopilots.ardupilot.autopilot import ArduCopter
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.byte_links import ByteEnd
 from uav_recon.autopilot.firmware.px4 import PX4
 from uav_recon.autopilot.link.vehicle_link import Link
 from uav_recon.autopilot.mavlink.allow_list import Gate

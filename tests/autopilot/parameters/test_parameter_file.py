@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sitl.ardupilot_parameters import ArduPilotParameters
-from sitl.parameters import Parameters
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.px4.parameters import Parameters
 from uav_recon.autopilot.parameters.parameter_file import (
     FOLDER,
     PARAMETER_FILES,

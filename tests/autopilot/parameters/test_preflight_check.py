@@ -6,10 +6,10 @@ import pytest
 from flight_rig import ARM, TAKEOFF_LAG_S, Rig
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.ardupilot import ArduCopter
-from sitl.ardupilot_parameters import ArduPilotParameters
-from sitl.autopilot import Autopilot
-from sitl.transport import ByteEnd
+from sitl.autopilots.ardupilot.autopilot import ArduCopter
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.base_autopilot import Autopilot
+from sitl.autopilots.byte_links import ByteEnd
 from uav_recon.autopilot.firmware.ardupilot import ARDUPILOT
 from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, Wanted, load
 from uav_recon.autopilot.parameters.preflight_check import ParameterCheck

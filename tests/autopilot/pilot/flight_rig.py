@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot import Autopilot
-from sitl.parameters import Parameters
-from sitl.px4 import Px4
-from sitl.transport import ByteEnd, pipe
+from sitl.autopilots.base_autopilot import Autopilot
+from sitl.autopilots.byte_links import ByteEnd, pipe
+from sitl.autopilots.px4.autopilot import Px4
+from sitl.autopilots.px4.parameters import Parameters
 from sitl.world.quadrotor import Quadrotor
 from uav_recon.autopilot.firmware.profile import Personality
 from uav_recon.autopilot.firmware.px4 import PX4

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from flight_rig import ARM, MODE, TAKEOFF_LAG_S, TICK_S, Rig, Tap
 
-from sitl.ardupilot import ArduCopter
-from sitl.ardupilot_parameters import ArduPilotParameters
-from sitl.transport import ByteEnd
+from sitl.autopilots.ardupilot.autopilot import ArduCopter
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.byte_links import ByteEnd
 from uav_recon.autopilot.firmware.ardupilot import ARDUPILOT
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from companion import Companion
+from scripted_companion import Companion
 
-from sitl.parameters import Parameters
-from sitl.px4 import Px4
-from sitl.transport import pipe
+from sitl.autopilots.byte_links import pipe
+from sitl.autopilots.px4.autopilot import Px4
+from sitl.autopilots.px4.parameters import Parameters
 from sitl.world.quadrotor import Quadrotor
 from sitl.world.step_sizes import QUICK, REAL, Pace
 from uav_recon.app.processes import MISSION_RATE_HZ

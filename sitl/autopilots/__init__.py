@@ -1,0 +1,1 @@
+"""Simulated autopilots: what PX4 and ArduCopter share."""

@@ -1,0 +1,87 @@
+"""An ArduCopter-like autopilot with its vehicle."""
+
+from __future__ import annotations
+
+import math
+
+from sitl.autopilots.ardupilot.commands import Commands
+from sitl.autopilots.ardupilot.jitter_correction import JitterCorrection
+from sitl.autopilots.ardupilot.messages import Messages
+from sitl.autopilots.ardupilot.mode_controllers import Flight
+from sitl.autopilots.ardupilot.modes import Commander, Mode
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.ardupilot.state import State
+from sitl.autopilots.ardupilot.tuning import estimator_tuning
+from sitl.autopilots.base_autopilot import Autopilot
+from sitl.autopilots.byte_links import ByteEnd
+from sitl.autopilots.ekf import Estimator
+from sitl.autopilots.mavlink_server import MavlinkServer
+from sitl.autopilots.pilot_view import Eyes
+from sitl.geometry.quaternion import Vec3
+from sitl.world.gimbal import Gimbal
+from sitl.world.quadrotor import Quadrotor
+from sitl.world.step_sizes import REAL
+
+BOOTED_BEFORE_S = 12.5  # its pre-arm checks pass 25 s after boot
+
+
+class ArduCopter(Autopilot):
+    """The simulated ArduCopter. Raises ValueError for parameters whose failsafe is not simulated."""
+
+    def __init__(
+        self, vehicle: Quadrotor, link: ByteEnd, parameters: ArduPilotParameters, seed: int, step_s: float = REAL.physics_s
+    ) -> None:
+        """step_s: of physics, estimator and control; well below the lags of the vehicle."""
+        self._parameters = parameters
+        server = MavlinkServer(link, parameters)
+        flight = Flight(parameters)
+        estimator = Estimator(estimator_tuning(parameters), flight.estimate_jumped)
+        commander = Commander(parameters, server.say)
+        gimbal = Gimbal(math.radians(parameters["MNT1_PITCH_MIN"]), math.radians(parameters["MNT1_PITCH_MAX"]))
+        self._state = State(
+            commander=commander, estimator=estimator, flight=flight, gimbal=gimbal, capacity_mah=parameters["BATT_CAPACITY"]
+        )
+        commands = Commands(self._state, server)
+        for message_id, (build, rate_hz) in Messages(self._state).rates().items():
+            server.add_stream(message_id, build, rate_hz)
+        super().__init__(vehicle, parameters, server, self._state, commander, commands, BOOTED_BEFORE_S, seed, step_s)
+
+    def pilot_takes_over(self, mode: str = "LOITER") -> None:
+        """A switch on the transmitter. Raises KeyError for an unknown mode."""
+        self._state.commander.takeover(Mode[mode])
+
+    def pilot_disarms(self) -> None:
+        """The kill switch: motors stop, wherever the vehicle is."""
+        self._state.commander.request_arming(arm=False, force=True, c=self._state.condition())
+
+    def _forget(self) -> None:
+        s = self._state
+        s.estimator, s.jitter = Estimator(estimator_tuning(self._parameters)), JitterCorrection()
+        s.home_follows, s.flight.home = False, None
+        s.commander.gcs_heard_s = math.inf
+        s.commander.takeover(Mode.STABILIZE)
+
+    def lose_land_detector(self) -> None:
+        """From now on no landing is noticed."""
+        self._state.flight.lose_land_detector()
+
+    @property
+    def _landed(self) -> bool:
+        return self._state.flight.landed
+
+    def _configure(self) -> None:
+        p, s = self._parameters, self._state
+        s.estimator.configure(estimator_tuning(p))
+        s.flight.configure(p)
+        s.commander.configure(p)
+        s.capacity_mah = p["BATT_CAPACITY"]
+
+    def _think(self, dt_s: float) -> None:
+        s = self._state
+        self._sense_slowly(dt_s)
+        s.settle_home()
+        s.commander.step(s.condition())
+
+    def _fly(self, dt_s: float, seen: Estimator | Eyes) -> tuple[Vec3, float]:
+        s = self._state
+        return s.flight.step(dt_s, s.commander.armed, s.commander.mode, seen, s.commander.pause_s)

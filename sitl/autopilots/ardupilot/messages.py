@@ -1,0 +1,106 @@
+"""What the simulated ArduCopter tells: nothing but HEARTBEAT before it is asked for more."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.state import State
+from sitl.autopilots.base_messages import Telling
+from sitl.autopilots.mavlink_codec import Packet, packet
+
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
+_VERSION_4_8_0_DEV = 4 << 24 | 8 << 16
+_UID = 0x5349544C41500801
+_UNINITIALISED, _CONSTANT, _BLIND, _FOLLOWING = 0x400, 0xA5, 0x25, 0x33F  # EKF_STATUS_REPORT, the last two measured
+_VISION_HEALTHY_S = 0.3  # after the last pose
+
+
+class Messages(Telling):
+    """ArduCopter's own beside the shared ones."""
+
+    def __init__(self, state: State) -> None:
+        super().__init__(state)
+        self._s = state
+
+    def rates(self) -> dict[int, tuple[Callable[[], Packet | None], float]]:
+        """Message id to (builder, default rate in Hz); rate 0 is sent on request only."""
+        return {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: (self.heartbeat, 1.0),
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: (self.timesync, 0.1),
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: (self.sys_status, 0.0),
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (self.battery_status, 0.0),
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: (self.attitude, 0.0),
+            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (self.attitude_quaternion, 0.0),
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (self.local_position, 0.0),
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: (self.position_target, 0.0),
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: (self.ekf_status, 0.0),
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (self.extended_sys_state, 0.0),
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: (self.home_position, 0.0),
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: (self.global_origin, 0.0),
+            mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: (self.gimbal_attitude, 0.0),
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (self.version, 0.0),
+        }
+
+    def heartbeat(self) -> Packet:
+        """1 Hz; custom_mode is the only proof of a mode."""
+        c = self._s.commander
+        base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        base |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if c.mode in (Mode.GUIDED, Mode.LAND) else 0
+        base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if c.armed else 0
+        status = mavlink.MAV_STATE_ACTIVE if c.armed else mavlink.MAV_STATE_STANDBY
+        kind, family = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+        return packet(mavlink.MAVLink_heartbeat_message, kind, family, base, int(c.mode), status, 3)
+
+    def timesync(self) -> Packet:
+        """Its question."""
+        return packet(mavlink.MAVLink_timesync_message, 0, self._s.boot_us * 1000)
+
+    def sys_status(self) -> Packet:
+        """Sensors, battery and the PREARM bit; the camera is healthy while poses come (read)."""
+        c, s = self._s.commander, self._s
+        vision = mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
+        heard = vision if s.estimator.pose_age_s <= _VISION_HEALTHY_S else 0
+        more = vision | mavlink.MAV_SYS_STATUS_PREARM_CHECK  # PX4 has it healthy or not, and never present (measured)
+        return self._health(c.armed or not c.arming_refusal(s.condition()), more, heard)
+
+    def position_target(self) -> Packet | None:
+        """What the controller follows now."""
+        return self._followed(self._s.flight.active) if self._s.commander.armed else None
+
+    def ekf_status(self) -> Packet:
+        """Flags and innovations over their gates: above 1 poses are being refused."""
+        s, e = self._s, self._s.estimator
+        if not s.ekf_active:
+            flags = _UNINITIALISED
+        elif not e.started:
+            flags = _CONSTANT
+        else:
+            flags = _FOLLOWING if e.horizontal_valid else _BLIND
+        horizontal, vertical = math.sqrt(e.position_test_ratio), math.sqrt(e.height_test_ratio)
+        return packet(mavlink.MAVLink_ekf_status_report_message, flags, 0.0, horizontal, vertical, 0.0, 0.0)
+
+    def extended_sys_state(self) -> Packet:
+        """Landed state."""
+        flight, half = self._s.flight, None
+        if flight.taking_off:
+            half = mavlink.MAV_LANDED_STATE_TAKEOFF
+        elif self._s.commander.mode is Mode.LAND:
+            half = mavlink.MAV_LANDED_STATE_LANDING
+        return self._landed_state(flight.landed, half)
+
+    def version(self) -> Packet:
+        """ArduCopter 4.8.0-dev."""
+        none = [0] * 8
+        return packet(
+            mavlink.MAVLink_autopilot_version_message, _CAPABILITIES, _VERSION_4_8_0_DEV, 0, 0, 0, none, none, none, 0, 0, _UID
+        )

@@ -1,0 +1,231 @@
+"""ArduCopter's judgement: the modes, what arming asks for, and which failsafe answers which trouble.
+
+Behaviour as measured on ArduCopter 4.8-dev; what was only read in its sources is marked so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.base_commands import ACCEPTED, FAILED
+
+_SETTLED_S = 25.0  # from boot until the pre-arm checks can pass
+_EKF_FAILSAFE_S = 0.8  # from the flags falling to LAND
+_PAUSE_S = 4.0  # LAND_WITH_DELAY_MS: a failsafe's landing hovers so long first
+_BREACH, _SILENT = "Fence breached", "Companion silent"
+_AT_ONCE = (_BREACH, _SILENT)  # these do not
+_TELL_AGAIN_S = 30.0  # a failing pre-arm check is told so often
+_LAND, _ALWAYS_LAND, _BRAKE_OR_LAND = 1, 2, 4
+_RADIO_LAND, _GCS_LAND = 3, 5
+_ALT_MAX, _CIRCLE = 1, 2  # FENCE_TYPE
+_KEEP_PILOTS_MODES = 16  # FS_OPTIONS
+
+CRITICAL, WARNING, INFO = 2, 4, 6
+
+
+class Mode(IntEnum):
+    """custom_mode of HEARTBEAT."""
+
+    STABILIZE = 0
+    ACRO = 1
+    ALT_HOLD = 2
+    AUTO = 3
+    GUIDED = 4
+    LOITER = 5
+    RTL = 6
+    LAND = 9
+    POSHOLD = 16
+    BRAKE = 17
+
+
+_NEED_POSITION = (Mode.GUIDED, Mode.LOITER, Mode.POSHOLD, Mode.BRAKE)
+_PILOTS = (Mode.STABILIZE, Mode.ACRO, Mode.ALT_HOLD, Mode.LOITER, Mode.POSHOLD)
+_ARMABLE = (*_PILOTS, Mode.GUIDED)
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What the commander looks at, 50 times a second."""
+
+    now_s: float
+    booted_s: float  # since boot
+    position_valid: bool
+    landed: bool
+    has_home: bool
+    battery_mah: float  # left
+    distance_from_home_m: float  # horizontal; NaN without a home
+    height_above_home_m: float
+    rc_lost_s: float  # how long the transmitter has been silent; 0 while it is heard
+
+
+class Commander:
+    """Mode and arming state. say(severity, text) sends a STATUSTEXT."""
+
+    def __init__(self, parameters: ArduPilotParameters, say: Callable[[int, str], None]) -> None:
+        self._say = say
+        self.mode: Mode = Mode.STABILIZE
+        self.pause_s = 0.0  # before the mode's descent
+        self.armed = False
+        self.armed_at_s = math.inf
+        self.failsafes: list[str] = []
+        self.gcs_heard_s = math.inf  # inf: never heard, and its failsafe sleeps
+        self._invalid_since_s = math.inf
+        self._idle_since_s = math.inf
+        self._troubles: set[str] = set()
+        self._told_s = 0.0
+        self.configure(parameters)
+
+    def configure(self, parameters: ArduPilotParameters) -> None:
+        """Take over changed parameters. Raises ValueError for a failsafe action that is not simulated."""
+        p = parameters
+        self._gcs_system = p.integer("MAV_GCS_SYSID")
+        self._own_system = p.integer("MAV_SYSID")
+        self._disarm_s = float(p.integer("DISARM_DELAY"))
+        self._gcs_lands, self._gcs_timeout_s = self._lands(p, "FS_GCS_ENABLE", _GCS_LAND), p["FS_GCS_TIMEOUT"]
+        self._silence_s = p["UVR_SILENCE_S"] if p.integer("SCR_ENABLE") else math.inf  # ardupilot_silence.lua on its card
+        self._radio_lands, self._radio_timeout_s = self._lands(p, "FS_THR_ENABLE", _RADIO_LAND), p["RC_FS_TIMEOUT"]
+        self._pilots_modes_stay = bool(p.integer("FS_OPTIONS") & _KEEP_PILOTS_MODES)
+        self._ekf_lands = self._lands(p, "FS_EKF_ACTION", _LAND)
+        self._low_lands, self._low_mah = self._lands(p, "BATT_FS_LOW_ACT", _LAND), p["BATT_LOW_MAH"]
+        self._critical_lands, self._critical_mah = self._lands(p, "BATT_FS_CRT_ACT", _LAND), p["BATT_CRT_MAH"]
+        self._arm_mah = p["BATT_ARM_MAH"]
+        fenced = p.integer("FENCE_ENABLE") == 1
+        self._fence_lands = self._lands(p, "FENCE_ACTION", _ALWAYS_LAND, _BRAKE_OR_LAND) if fenced else False
+        self._fenced = fenced
+        self._ceiling_m = p["FENCE_ALT_MAX"] if fenced and p.integer("FENCE_TYPE") & _ALT_MAX else math.inf
+        self._radius_m = p["FENCE_RADIUS"] if fenced and p.integer("FENCE_TYPE") & _CIRCLE else math.inf
+
+    @staticmethod
+    def _lands(p: ArduPilotParameters, name: str, *landing: int) -> bool:
+        if p.integer(name) not in (0, *landing):
+            raise ValueError(f"{name} {p.integer(name)} is not simulated (0 nothing, {landing[0]} Land)")
+        return p.integer(name) != 0
+
+    # -- requests -------------------------------------------------------------------------------------------------
+
+    def request_mode(self, wanted: int, c: Condition) -> int:
+        """DO_SET_MODE. After a failsafe GUIDED is granted like at any other time, and the flight resumes."""
+        try:
+            mode = Mode(wanted)
+        except ValueError:
+            self._say(WARNING, f"No such mode {wanted}")
+            return FAILED
+        if mode in (Mode.AUTO, Mode.RTL):
+            return self._refuse(mode, "init failed")
+        if mode in _NEED_POSITION and not c.position_valid:
+            return self._refuse(mode, "requires position")
+        self.mode, self.pause_s = mode, 0.0
+        return ACCEPTED
+
+    def request_arming(self, arm: bool, force: bool, c: Condition) -> int:
+        """MAV_CMD_COMPONENT_ARM_DISARM."""
+        if arm == self.armed:
+            return ACCEPTED
+        if not arm:
+            if not c.landed and not force:
+                return FAILED
+            self._disarm()
+            return ACCEPTED
+        if not force:
+            reason = "" if self.mode in _ARMABLE else f"{self.mode.name} mode not armable"
+            reason = reason or self.arming_refusal(c)
+            if reason:
+                self._say(CRITICAL, f"Arm: {reason}")
+                return FAILED
+        self.armed, self.armed_at_s = True, c.now_s
+        self._idle_since_s = math.inf
+        self._troubles.clear()
+        self._say(INFO, "Arming motors")
+        return ACCEPTED
+
+    def may_take_off(self, c: Condition) -> bool:
+        """MAV_CMD_NAV_TAKEOFF: armed, in GUIDED, and still on the ground."""
+        return self.armed and self.mode is Mode.GUIDED and c.landed
+
+    def arming_refusal(self, c: Condition) -> str:
+        """What the pre-arm checks find wrong, '' for nothing. Also the PREARM bit."""
+        if c.booted_s < _SETTLED_S:
+            return "AHRS: not settled"
+        if not c.position_valid:
+            return "Need Position Estimate"
+        if self._fenced and not c.has_home:
+            return "Fence requires position"
+        if c.battery_mah < self._arm_mah:
+            return "Battery 1 below minimum arming capacity"
+        if self._radio_lands and c.rc_lost_s > self._radio_timeout_s:
+            return "RC not found"
+        return ""
+
+    def heartbeat_from(self, system: int, now_s: float) -> None:
+        """Of the ground station named by MAV_GCS_SYSID; another vehicle part with our own id is none (measured)."""
+        if system == self._gcs_system and system != self._own_system:
+            self.gcs_heard_s = now_s
+
+    def admits(self, distance_m: float, height_m: float) -> bool:
+        """Whether a target so far from home and so high above it is inside the fence; NaN (no home) is."""
+        return not (distance_m > self._radius_m or height_m > self._ceiling_m)
+
+    def takeover(self, mode: Mode) -> None:
+        """A pilot's switch: wins at once."""
+        self.mode, self.pause_s = mode, 0.0
+
+    # -- 50 Hz ----------------------------------------------------------------------------------------------------
+
+    def step(self, c: Condition) -> None:
+        """Look for trouble, disarm after landing, tell what forbids arming."""
+        self._invalid_since_s = math.inf if c.position_valid else min(self._invalid_since_s, c.now_s)
+        if self.armed:
+            self._watch(c)
+            self._disarm_by_itself(c)
+        elif c.booted_s - self._told_s >= _TELL_AGAIN_S:
+            self._told_s = c.booted_s
+            reason = self.arming_refusal(c)
+            if reason:
+                self._say(CRITICAL, f"PreArm: {reason}")
+
+    def _watch(self, c: Condition) -> None:
+        """Each trouble acts once, when it begins."""
+        pilots = self.mode in _PILOTS
+        blind = self.mode in _NEED_POSITION and c.now_s - self._invalid_since_s >= _EKF_FAILSAFE_S
+        self._judge("EKF Failsafe", blind, self._ekf_lands)
+        silent_s = c.now_s - self.gcs_heard_s
+        self._judge(_SILENT, silent_s > self._silence_s and self.mode is Mode.GUIDED, True)
+        silent = silent_s > self._gcs_timeout_s
+        self._judge("GCS Failsafe", silent and not (pilots and self._pilots_modes_stay), self._gcs_lands)
+        self._judge("Radio Failsafe", c.rc_lost_s > self._radio_timeout_s, self._radio_lands)
+        self._judge("Battery is low", c.battery_mah < self._low_mah, self._low_lands)
+        self._judge("Battery is critical", c.battery_mah < self._critical_mah, self._critical_lands)
+        self._judge(_BREACH, not self.admits(c.distance_from_home_m, c.height_above_home_m), self._fence_lands)
+
+    def _judge(self, trouble: str, present: bool, lands: bool) -> None:
+        if not present:
+            self._troubles.discard(trouble)
+        elif trouble not in self._troubles:
+            self._troubles.add(trouble)
+            self._say(CRITICAL, trouble)
+            if lands and self.mode is not Mode.LAND:
+                self.failsafes.append(f"{trouble}: LAND")
+                self.mode, self.pause_s = Mode.LAND, 0.0 if trouble in _AT_ONCE else _PAUSE_S
+
+    def _disarm_by_itself(self, c: Condition) -> None:
+        """LAND ends with the landing; in other modes the motors idle for DISARM_DELAY."""
+        if not c.landed:
+            self._idle_since_s = math.inf
+            return
+        self._idle_since_s = min(self._idle_since_s, c.now_s)
+        if self.mode is Mode.LAND or c.now_s - self._idle_since_s >= self._disarm_s > 0.0:
+            self._disarm()
+
+    # -- transitions ----------------------------------------------------------------------------------------------
+
+    def _disarm(self) -> None:
+        self.armed, self.armed_at_s = False, math.inf
+        self._say(INFO, "Disarming motors")
+
+    def _refuse(self, mode: Mode, why: str) -> int:
+        self._say(WARNING, f"Mode change to {mode.name} failed: {why}")
+        return FAILED

@@ -1,0 +1,115 @@
+"""What every simulated autopilot tells alike: one builder per message, from the estimator's view, never from the truth."""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.autopilots.autopilot_state import Board
+from sitl.autopilots.mavlink_codec import Packet, packet
+from sitl.autopilots.position_controller import ControlSetpoint
+from sitl.geometry.quaternion import euler_of
+
+SENSORS = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+    | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
+    | mavlink.MAV_SYS_STATUS_AHRS
+)
+
+
+class Telling:
+    """Builders over the board; each returns a message, or None when there is nothing to tell."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+
+    def battery_status(self) -> Packet:
+        """Four cells."""
+        b = self._board.battery
+        cells = [round(b.voltage * 250)] * 4 + [65535] * 6
+        return packet(
+            mavlink.MAVLink_battery_status_message,
+            0,
+            0,
+            0,
+            32767,
+            cells,
+            round(b.current_a * 100),
+            round(b.used_mah),
+            -1,
+            round(b.fraction * 100),
+        )
+
+    def attitude(self) -> Packet:
+        """Euler angles, FRD in NED."""
+        e = self._board.estimator
+        roll, pitch, yaw = euler_of(e.quat_wxyz)
+        return packet(mavlink.MAVLink_attitude_message, self._board.boot_ms, roll, pitch, yaw, *e.angular_rate)
+
+    def attitude_quaternion(self) -> Packet:
+        """Attitude ned_from_frd."""
+        e = self._board.estimator
+        return packet(mavlink.MAVLink_attitude_quaternion_message, self._board.boot_ms, *e.quat_wxyz, *e.angular_rate)
+
+    def local_position(self) -> Packet | None:
+        """Nothing before the first pose was fused."""
+        e = self._board.estimator
+        if not e.started:
+            return None
+        return packet(mavlink.MAVLink_local_position_ned_message, self._board.boot_ms, *e.position, *e.velocity)
+
+    def home_position(self) -> Packet | None:
+        """Home, once there is an origin and a position."""
+        b = self._board
+        if b.origin is None or b.home is None:
+            return None
+        lat, lon, alt = b.origin
+        return packet(
+            mavlink.MAVLink_home_position_message, lat, lon, alt, *b.home, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, b.boot_us
+        )
+
+    def global_origin(self) -> Packet | None:
+        """The origin as it was accepted."""
+        if self._board.origin is None:
+            return None
+        return packet(mavlink.MAVLink_gps_global_origin_message, *self._board.origin, self._board.boot_us)
+
+    def gimbal_attitude(self) -> Packet:
+        """Pitch relative to the body; the autopilot drives the gimbal itself: device id 1, component its own."""
+        g = self._board.gimbal
+        half = 0.5 * g.pitch
+        return packet(
+            mavlink.MAVLink_gimbal_device_attitude_status_message,
+            0, 0, self._board.boot_ms, mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME,
+            [math.cos(half), 0.0, math.sin(half), 0.0], 0.0, g.pitch_rate, 0.0, 0, 0.0, 0.0, 1,
+        )  # fmt: skip
+
+    def _health(self, ready: bool, more: int = 0, healthy: int = 0) -> Packet:
+        """SYS_STATUS: sensors, battery and the PREARM bit. more: sensors of this firmware, and which of them are healthy."""
+        battery, prearm = self._board.battery, mavlink.MAV_SYS_STATUS_PREARM_CHECK if ready else 0
+        return packet(
+            mavlink.MAVLink_sys_status_message,
+            SENSORS | more,
+            SENSORS | more,
+            SENSORS | prearm | healthy,
+            300,
+            round(battery.voltage * 1000),
+            round(battery.current_a * 100),
+            round(battery.fraction * 100),
+        )
+
+    def _landed_state(self, landed: bool, half: int | None) -> Packet:
+        """EXTENDED_SYS_STATE. half: MAV_LANDED_STATE of a take-off or landing under way."""
+        state = mavlink.MAV_LANDED_STATE_ON_GROUND if landed else half or mavlink.MAV_LANDED_STATE_IN_AIR
+        return packet(mavlink.MAVLink_extended_sys_state_message, 0, state)
+
+    def _followed(self, t: ControlSetpoint) -> Packet:
+        """POSITION_TARGET_LOCAL_NED: what the controller follows."""
+        fields = (*t.position, *t.velocity, *t.acceleration)
+        mask = sum(1 << i for i, value in enumerate(fields) if not math.isfinite(value))
+        frame = mavlink.MAV_FRAME_LOCAL_NED
+        boot_ms = self._board.boot_ms
+        return packet(mavlink.MAVLink_position_target_local_ned_message, boot_ms, frame, mask, *fields, t.yaw, t.yaw_rate)

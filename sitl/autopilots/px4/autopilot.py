@@ -1,0 +1,94 @@
+"""A PX4-like autopilot with its vehicle."""
+
+from __future__ import annotations
+
+import math
+
+from sitl.autopilots.base_autopilot import Autopilot, Truth
+from sitl.autopilots.byte_links import ByteEnd
+from sitl.autopilots.ekf import Estimator
+from sitl.autopilots.mavlink_server import MavlinkServer
+from sitl.autopilots.pilot_view import Eyes
+from sitl.autopilots.px4.commander import Commander, Mode
+from sitl.autopilots.px4.commands import Commands
+from sitl.autopilots.px4.flight_tasks import Flight
+from sitl.autopilots.px4.messages import Messages
+from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.state import State
+from sitl.autopilots.px4.timesync import TimeSync
+from sitl.autopilots.px4.tuning import estimator_tuning
+from sitl.geometry.quaternion import Vec3
+from sitl.world.gimbal import Gimbal
+from sitl.world.quadrotor import Quadrotor
+from sitl.world.step_sizes import REAL
+
+__all__ = ["BOOTED_BEFORE_S", "Px4", "Truth"]
+
+BOOTED_BEFORE_S = 37.5  # the autopilot's clock is not the world's: stamps must go through TIMESYNC
+
+
+class Px4(Autopilot):
+    """The simulated PX4. Raises ValueError for parameters whose failsafe is not simulated."""
+
+    def __init__(
+        self, vehicle: Quadrotor, link: ByteEnd, parameters: Parameters, seed: int, step_s: float = REAL.physics_s
+    ) -> None:
+        """step_s: of physics, estimator and control; well below the lags of the vehicle."""
+        self._parameters = parameters
+        server = MavlinkServer(link, parameters)
+        flight = Flight(parameters)
+        estimator = Estimator(estimator_tuning(parameters), flight.estimate_jumped)
+        commander = Commander(parameters, seed + 1, server.say)
+        half_range_rad = math.radians(parameters["MNT_RANGE_PITCH"]) / 2
+        gimbal = Gimbal(-half_range_rad, half_range_rad)
+        self._state = State(commander=commander, estimator=estimator, flight=flight, gimbal=gimbal)
+        commands = Commands(self._state, server, seed + 2)
+        for message_id, (build, rate_hz) in Messages(self._state).rates().items():
+            server.add_stream(message_id, build, rate_hz)
+        super().__init__(vehicle, parameters, server, self._state, commander, commands, BOOTED_BEFORE_S, seed, step_s)
+
+    @property
+    def timesync_converged(self) -> bool:
+        """Whether the companion's stamps are believed."""
+        return self._state.timesync.converged
+
+    def pilot_takes_over(self, mode: str = "POSCTL") -> None:
+        """A switch on the transmitter. Raises KeyError for an unknown mode."""
+        self._state.commander.takeover(Mode[mode])
+
+    def pilot_disarms(self) -> None:
+        """The kill switch: motors stop, wherever the vehicle is."""
+        self._state.commander.request_arming(arm=False, force=True, condition=self._state.condition())
+
+    def lose_land_detector(self) -> None:
+        """From now on no landing is noticed."""
+        self._state.flight.lose_land_detector()
+
+    @property
+    def _landed(self) -> bool:
+        return self._state.flight.landed
+
+    def _configure(self) -> None:
+        p, s = self._parameters, self._state
+        s.estimator.configure(estimator_tuning(p))
+        s.flight.configure(p)
+        s.commander.configure(p)
+
+    def _forget(self) -> None:
+        s = self._state
+        s.estimator, s.timesync = Estimator(estimator_tuning(self._parameters)), TimeSync()
+        s.commander.origin_at_s, s.commander.heading_known = math.inf, False
+        s.commander.takeover(Mode.ALTCTL)
+
+    def _think(self, dt_s: float) -> None:
+        s = self._state
+        self._sense_slowly(dt_s)
+        if s.origin is not None and not s.commander.armed and s.estimator.started:
+            s.home = s.estimator.position
+        s.commander.step(s.condition())
+        if s.flight.takeoff_complete:
+            s.commander.request_mode(Mode.LOITER, s.condition())
+
+    def _fly(self, dt_s: float, seen: Estimator | Eyes) -> tuple[Vec3, float]:
+        s = self._state
+        return s.flight.step(dt_s, s.commander.armed, s.commander.mode, seen)

@@ -1,0 +1,290 @@
+"""PX4's commander: who decides the mode, what arming asks for, and which failsafe answers which trouble.
+
+Behaviour as measured on PX4 1.17; what was only read in its sources is marked so.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+from sitl.autopilots.base_commands import ACCEPTED, DENIED, TEMPORARILY_REJECTED
+from sitl.autopilots.px4.parameters import Parameters
+
+_OFFBOARD_PROOF_S = 1.0  # a stream must run for so long before OFFBOARD engages
+_PREARM_AFTER_ORIGIN_S = 5.0
+_POSE_LOSS_HYSTERESIS_S = 0.6  # from the flag falling to LAND (measured 0.6 to 0.9 s)
+_STREAM_LOSS_REACTION_S = (0.1, 0.8)  # beyond COM_OF_LOSS_T (measured 0.6 to 1.3 s in all)
+
+EMERGENCY, CRITICAL, WARNING, INFO = 0, 2, 4, 6
+
+
+class Mode(IntEnum):
+    """custom_mode of HEARTBEAT: main mode << 16 | sub mode << 24."""
+
+    MANUAL = 1 << 16
+    ALTCTL = 2 << 16
+    POSCTL = 3 << 16
+    ACRO = 5 << 16
+    OFFBOARD = 6 << 16
+    STABILIZED = 7 << 16
+    TAKEOFF = 4 << 16 | 2 << 24
+    LOITER = 4 << 16 | 3 << 24
+    MISSION = 4 << 16 | 4 << 24
+    RTL = 4 << 16 | 5 << 24
+    LAND = 4 << 16 | 6 << 24
+
+
+_STICK_MODES = (Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.ACRO, Mode.STABILIZED)
+_NEED_POSITION = (Mode.POSCTL, Mode.OFFBOARD, Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL)
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What the commander looks at, 50 times a second."""
+
+    now_s: float
+    position_valid: bool
+    landed: bool
+    has_flown: bool  # since arming
+    battery: float
+    distance_from_home_m: float  # horizontal; NaN without a home
+    height_above_home_m: float
+    rc_lost_s: float  # how long the transmitter has been silent; 0 while it is heard
+
+
+class OffboardStream:
+    """Proof of life of the companion: setpoints without a gap of COM_OF_LOSS_T, for at least a second."""
+
+    def __init__(self) -> None:
+        self.timeout_s = 1.0
+        self.last_s = -math.inf
+        self._since_s = math.inf
+
+    def arrived(self, now_s: float) -> None:
+        """A usable setpoint."""
+        if now_s - self.last_s >= self.timeout_s:
+            self._since_s = now_s
+        self.last_s = now_s
+
+    def available(self, now_s: float) -> bool:
+        """Whether OFFBOARD may be entered."""
+        return now_s - self.last_s < self.timeout_s and now_s - self._since_s >= _OFFBOARD_PROOF_S
+
+
+class MissionComputer:
+    """Its heartbeats: when they stop PX4 says so, and does nothing else. Sleeps until the first. say as the commander's."""
+
+    def __init__(self, say: Callable[[int, str], None]) -> None:
+        self._say, self._heard_s, self._lost = say, math.inf, False
+        self.timeout_s = 5.0
+
+    def heard(self, now_s: float) -> None:
+        """One came."""
+        self._heard_s = now_s
+        if self._lost:
+            self._lost = False
+            self._say(INFO, "Connection to mission computer regained")
+
+    def step(self, now_s: float) -> None:
+        """Tell once of a silence of COM_OBC_LOSS_T."""
+        if not self._lost and now_s - self._heard_s > self.timeout_s:
+            self._lost = True
+            self._say(CRITICAL, "Connection to mission computer lost")
+
+
+class Commander:
+    """Mode and arming state. say(severity, text) sends a STATUSTEXT."""
+
+    def __init__(self, parameters: Parameters, seed: int, say: Callable[[int, str], None]) -> None:
+        self._random = random.Random(seed)
+        self._say = say
+        self.stream, self.companion = OffboardStream(), MissionComputer(say)
+        self.mode = Mode.LOITER
+        self.armed = False
+        self.armed_at_s = math.inf
+        self.origin_at_s = math.inf
+        self.heading_known = False
+        self.failsafes: list[str] = []
+        self._wanted = Mode.LOITER
+        self._before_land = Mode.LOITER
+        self._invalid_since_s = math.inf
+        self._reaction_s = 0.0
+        self._landed_since_s = math.inf
+        self._fence_since_s = math.inf
+        self._answered: set[str] = set()
+        self.configure(parameters)
+
+    def configure(self, parameters: Parameters) -> None:
+        """Take over changed parameters. Raises ValueError for a failsafe action that is not simulated."""
+        p = parameters
+        self.stream.timeout_s, self.companion.timeout_s = p["COM_OF_LOSS_T"], p["COM_OBC_LOSS_T"]
+        self._offboard_action = p.integer("COM_OBL_RC_ACT")
+        self._act_delay_s = p["COM_FAIL_ACT_T"]
+        self._disarm_land_s, self._disarm_preflight_s = p["COM_DISARM_LAND"], p["COM_DISARM_PRFLT"]
+        self._low_battery_action = p.integer("COM_LOW_BAT_ACT")
+        self._battery_low, self._battery_critical = p["BAT_LOW_THR"], p["BAT_CRIT_THR"]
+        self._fence_action = p.integer("GF_ACTION")
+        self._fence_xy, self._fence_z = p["GF_MAX_HOR_DIST"], p["GF_MAX_VER_DIST"]
+        self._rc_needed = not p.integer("COM_RCL_EXCEPT") & 4
+        self._rc_loss_s, self._rc_action = p["COM_RC_LOSS_T"], p.integer("NAV_RCL_ACT")
+        if self._offboard_action not in (0, 4, 5):
+            raise ValueError(f"COM_OBL_RC_ACT {self._offboard_action} is not simulated (0 Position, 4 Land, 5 Hold)")
+
+    # -- requests -------------------------------------------------------------------------------------------------
+
+    def request_mode(self, wanted: int, condition: Condition) -> int:
+        """DO_SET_MODE. The answer 0 is no proof for OFFBOARD: without a stream the mode stays, and engages later."""
+        try:
+            mode = Mode(wanted)
+        except ValueError:
+            return DENIED
+        if mode in (Mode.MISSION, Mode.RTL) or (mode in _STICK_MODES and condition.rc_lost_s > 0.0):
+            return self._refuse(mode)
+        if self.armed and mode is not Mode.OFFBOARD and mode in _NEED_POSITION and not condition.position_valid:
+            return self._refuse(mode)
+        if self.armed and mode is Mode.LOITER and not self.has_global(condition.now_s):
+            return self._refuse(mode)  # Hold needs a global position (read)
+        self._wanted = mode
+        if mode is Mode.OFFBOARD and not self.stream.available(condition.now_s):
+            return ACCEPTED
+        self._enter(mode)
+        return ACCEPTED
+
+    def request_arming(self, arm: bool, force: bool, condition: Condition) -> int:
+        """MAV_CMD_COMPONENT_ARM_DISARM."""
+        if arm == self.armed:
+            return ACCEPTED
+        if not arm:
+            if not condition.landed and not force:
+                self._say(CRITICAL, "Disarming denied: not landed")
+                return TEMPORARILY_REJECTED
+            self._disarm("by external command")
+            return ACCEPTED
+        reason = self.arming_refusal(condition)
+        if reason and not force:
+            self._say(CRITICAL, f"Arming denied: {reason}")
+            return TEMPORARILY_REJECTED
+        self.armed = True
+        self.armed_at_s = condition.now_s
+        self._landed_since_s = math.inf
+        self._answered.clear()
+        self._say(INFO, "Armed by external command")
+        return ACCEPTED
+
+    def arming_refusal(self, condition: Condition) -> str:
+        """Why the vehicle cannot be armed in the mode it was asked for; '' if it can. Also the PREARM bit."""
+        if self._wanted is Mode.OFFBOARD and not self.stream.available(condition.now_s):
+            return "No offboard signal"
+        if self._wanted in (Mode.LAND, Mode.RTL):
+            return "Mode not suitable for takeoff"
+        if self._wanted in _NEED_POSITION and not condition.position_valid:
+            return "Position estimate required"
+        if self._wanted is Mode.LOITER and not self.has_global(condition.now_s):
+            return "Global position estimate required"
+        if condition.battery <= self._battery_low:
+            return "Low battery"
+        if self._rc_needed and condition.rc_lost_s > self._rc_loss_s:
+            return "No manual control input"
+        return ""
+
+    def has_global(self, now_s: float) -> bool:
+        """Whether the estimator has had an origin long enough for a global position, and knows where north is."""
+        return self.heading_known and now_s - self.origin_at_s >= _PREARM_AFTER_ORIGIN_S
+
+    def takeover(self, mode: Mode) -> None:
+        """A pilot's switch: wins at once and ends any request."""
+        self._wanted = mode
+        self._enter(mode)
+
+    # -- 50 Hz ----------------------------------------------------------------------------------------------------
+
+    def step(self, condition: Condition) -> None:
+        """Miss the companion, engage a pending OFFBOARD, look for trouble, disarm after landing."""
+        now = condition.now_s
+        self.companion.step(now)
+        self._invalid_since_s = math.inf if condition.position_valid else min(self._invalid_since_s, now)
+        pending = self._wanted is Mode.OFFBOARD and self.mode is not Mode.OFFBOARD
+        if pending and self.stream.available(now) and (condition.position_valid or not self.armed):
+            self._enter(Mode.OFFBOARD)
+        if self.armed:
+            self._watch(condition)
+            self._disarm_by_itself(condition)
+
+    def _watch(self, c: Condition) -> None:
+        landing = self.mode is Mode.LAND
+        if self.mode in _NEED_POSITION and c.now_s - self._invalid_since_s >= _POSE_LOSS_HYSTERESIS_S:
+            self._fail("pose", "position estimate lost", Mode.LAND)
+        elif self.mode is Mode.OFFBOARD and self._stream_dead(c.now_s):
+            action = {0: Mode.POSCTL, 4: Mode.LAND, 5: Mode.LOITER}[self._offboard_action]
+            self._fail("stream", "offboard signal lost", action)
+        elif not landing and c.battery <= self._battery_critical and self._low_battery_action >= 2:
+            self._fail("battery", "battery critical", Mode.LAND)
+        elif not landing and self._rc_needed and c.rc_lost_s > self._rc_loss_s + self._act_delay_s and self._rc_action == 3:
+            self._fail("rc", "manual control lost", Mode.LAND)
+        elif not landing:
+            self._watch_fence(c)
+
+    def _stream_dead(self, now_s: float) -> bool:
+        silent = now_s - self.stream.last_s
+        if silent < self.stream.timeout_s:
+            self._reaction_s = self._random.uniform(*_STREAM_LOSS_REACTION_S)
+            return False
+        return silent >= self.stream.timeout_s + self._reaction_s
+
+    def _watch_fence(self, c: Condition) -> None:
+        """Inert without a home: the comparison with NaN is false."""
+        out = 0.0 < self._fence_xy < c.distance_from_home_m or 0.0 < self._fence_z < c.height_above_home_m
+        if not out or self._fence_action < 2:
+            return
+        if "fence" not in self._answered and self._fence_since_s == math.inf:
+            self._fence_since_s = c.now_s
+            self._fail("fence hold", "geofence breached", Mode.LOITER)
+        elif c.now_s - self._fence_since_s >= self._act_delay_s and self._fence_action == 5:
+            self._fail("fence", "geofence breached", Mode.LAND)
+
+    def _disarm_by_itself(self, c: Condition) -> None:
+        if not c.landed:
+            self._landed_since_s = math.inf
+            return
+        self._landed_since_s = min(self._landed_since_s, c.now_s)
+        on_floor = c.now_s - self._landed_since_s
+        if c.has_flown and on_floor >= self._disarm_land_s > 0.0:
+            self._disarm("by landing")
+        elif not c.has_flown and c.now_s - self.armed_at_s >= self._disarm_preflight_s > 0.0:
+            self._disarm("by auto preflight disarming")
+
+    # -- transitions ----------------------------------------------------------------------------------------------
+
+    def _fail(self, key: str, cause: str, mode: Mode) -> None:
+        if key in self._answered:
+            return
+        self._answered.add(key)
+        self._wanted = mode  # latched: the mode comes back only when somebody asks for it
+        self._enter(mode)
+        self.failsafes.append(f"{cause}: {mode.name}")
+        self._say(EMERGENCY, f"Failsafe activated: {cause}, {mode.name.lower()}")
+
+    def _enter(self, mode: Mode) -> None:
+        if mode is Mode.LAND and self.mode is not Mode.LAND:
+            self._before_land = self.mode
+        if mode is not Mode.LAND:
+            self._answered.discard("stream")
+            self._answered.discard("pose")
+        self.mode = mode
+
+    def _disarm(self, how: str) -> None:
+        self.armed = False
+        self.armed_at_s = math.inf
+        self._fence_since_s = math.inf
+        self._say(INFO, f"Disarmed {how}")
+        if self.mode is Mode.LAND:  # measured: the mode reverts, usually to OFFBOARD
+            self._wanted = self._before_land
+            self.mode = self._before_land
+
+    def _refuse(self, mode: Mode) -> int:
+        self._say(CRITICAL, f"Switching to {mode.name.capitalize()} is currently not available")
+        return TEMPORARILY_REJECTED

@@ -1,0 +1,130 @@
+"""What the simulated PX4 tells: one builder per message, from the estimator's view, never from the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.autopilots.base_messages import Telling
+from sitl.autopilots.mavlink_codec import Packet, packet
+from sitl.autopilots.px4.commander import Mode
+from sitl.autopilots.px4.state import State
+from sitl.geometry.quaternion import conjugate, rotate
+
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
+_VERSION_1_17_0 = 1 << 24 | 17 << 16 | 0 << 8 | 255  # major, minor, patch, official release
+_UID = 0x5349544C50583401
+_HALF_LIFTED = {Mode.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF, Mode.LAND: mavlink.MAV_LANDED_STATE_LANDING}
+_NAN21 = [math.nan] * 21
+
+
+class Messages(Telling):
+    """PX4's own beside the shared ones."""
+
+    def __init__(self, state: State) -> None:
+        super().__init__(state)
+        self._s = state
+
+    def rates(self) -> dict[int, tuple[Callable[[], Packet | None], float]]:
+        """Message id to (builder, default rate in Hz); rate 0 is sent on request only."""
+        return {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: (self.heartbeat, 1.0),
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: (self.timesync, 10.0),
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: (self.sys_status, 5.0),
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (self.battery_status, 0.5),
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: (self.attitude, 50.0),
+            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (self.attitude_quaternion, 50.0),
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (self.local_position, 30.0),
+            mavlink.MAVLINK_MSG_ID_ODOMETRY: (self.odometry, 30.0),
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: (self.position_target, 10.0),
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (self.estimator_status, 5.0),
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (self.extended_sys_state, 5.0),
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: (self.home_position, 0.5),
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: (self.global_origin, 1.0),
+            mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: (self.gimbal_attitude, 30.0),
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (self.version, 0.0),
+        }
+
+    def heartbeat(self) -> Packet:
+        """1 Hz; custom_mode is the only proof of a mode."""
+        c = self._s.commander
+        base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        base |= (
+            mavlink.MAV_MODE_FLAG_GUIDED_ENABLED | mavlink.MAV_MODE_FLAG_AUTO_ENABLED if c.mode >> 16 & 0xFF in (4, 6) else 0
+        )
+        base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if c.armed else 0
+        status = mavlink.MAV_STATE_ACTIVE if c.armed else mavlink.MAV_STATE_STANDBY
+        return packet(
+            mavlink.MAVLink_heartbeat_message,
+            mavlink.MAV_TYPE_QUADROTOR,
+            mavlink.MAV_AUTOPILOT_PX4,
+            base,
+            int(c.mode),
+            status,
+            3,
+        )
+
+    def timesync(self) -> Packet:
+        """Our question; the answer teaches us the companion's clock."""
+        return packet(mavlink.MAVLink_timesync_message, 0, self._s.boot_us * 1000)
+
+    def sys_status(self) -> Packet:
+        """Sensors, battery and the PREARM bit."""
+        c = self._s.commander
+        return self._health(c.armed or not c.arming_refusal(self._s.condition()))
+
+    def odometry(self) -> Packet | None:
+        """The estimate in one message: local NED, velocity in the body."""
+        s, e = self._s, self._s.estimator
+        if not e.started:
+            return None
+        body_velocity = rotate(conjugate(e.quat_wxyz), e.velocity)
+        covariance = [math.nan, *_NAN21[1:]]
+        return packet(
+            mavlink.MAVLink_odometry_message,
+            s.boot_us, mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD, *e.position, e.quat_wxyz, *body_velocity,
+            *e.angular_rate, covariance, covariance, e.reset_count & 255, mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT, 100,
+        )  # fmt: skip
+
+    def position_target(self) -> Packet | None:
+        """What the controller follows now."""
+        return self._followed(self._s.flight.active) if self._s.commander.armed else None
+
+    def estimator_status(self) -> Packet:
+        """Flags and innovation test ratios."""
+        e = self._s.estimator
+        return packet(
+            mavlink.MAVLink_estimator_status_message,
+            self._s.boot_us, e.flags, 0.0, math.sqrt(e.position_test_ratio), math.sqrt(e.height_test_ratio), 0.0, 0.0, 0.0,
+            e.position_accuracy_m, e.position_accuracy_m,
+        )  # fmt: skip
+
+    def extended_sys_state(self) -> Packet:
+        """Landed state."""
+        return self._landed_state(self._s.flight.landed, _HALF_LIFTED.get(self._s.commander.mode))
+
+    def version(self) -> Packet:
+        """PX4 1.17.0."""
+        none = [0] * 8
+        return packet(
+            mavlink.MAVLink_autopilot_version_message,
+            _CAPABILITIES,
+            _VERSION_1_17_0,
+            0,
+            0,
+            0,
+            none,
+            none,
+            none,
+            0x26AC,
+            0x0010,
+            _UID,
+        )

@@ -1,0 +1,63 @@
+"""PX4's parameters as the estimator and the position controller take them."""
+
+from __future__ import annotations
+
+import math
+
+from sitl.autopilots.ekf import Tuning
+from sitl.autopilots.position_controller import Gains
+from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.trajectory_smoothing import Limits
+from sitl.world.quadrotor import GRAVITY_MPS2
+
+_REJECT_S = 1.0  # no_aid_timeout_max: then reset to vision
+_RESETS_IN_AIR = 5
+
+
+def estimator_tuning(p: Parameters) -> Tuning:
+    """EKF2. Measured with EKF2_NOAID_TOUT = 5 s: the position flag falls 4.7 s after the last pose."""
+    control = p.integer("EKF2_EV_CTRL")
+    no_aid_s = max(p["EKF2_NOAID_TOUT"], 500000.0) * 1e-6
+    return Tuning(
+        fuse_xy=bool(control & 1),
+        fuse_z=bool(control & 2),
+        fuse_yaw=bool(control & 8),
+        noise_from_message=p.integer("EKF2_EV_NOISE_MD") == 0,
+        position_noise_m=p["EKF2_EVP_NOISE"],
+        yaw_noise_rad=p["EKF2_EVA_NOISE"],
+        gate=p["EKF2_EVP_GATE"],
+        quality_min=p.integer("EKF2_EV_QMIN"),
+        delay_s=p["EKF2_EV_DELAY"] * 1e-3,
+        valid_s=max(no_aid_s - 0.3, 0.6),
+        reject_s=_REJECT_S,
+        resets_in_air=_RESETS_IN_AIR,
+    )
+
+
+def control_gains(p: Parameters) -> Gains:
+    """mc_pos_control: tilt and thrust limit it, no parameter of acceleration does (read)."""
+    hover = p["MPC_THR_HOVER"]
+    return Gains(
+        xy_p=p["MPC_XY_P"],
+        z_p=p["MPC_Z_P"],
+        yaw_p=p["MC_YAW_P"],
+        xy_velocity=(p["MPC_XY_VEL_P_ACC"], p["MPC_XY_VEL_I_ACC"], p["MPC_XY_VEL_D_ACC"]),
+        z_velocity=(p["MPC_Z_VEL_P_ACC"], p["MPC_Z_VEL_I_ACC"], p["MPC_Z_VEL_D_ACC"]),
+        speed_xy=p["MPC_XY_VEL_MAX"],
+        speed_up=p["MPC_Z_VEL_MAX_UP"],
+        speed_down=p["MPC_Z_VEL_MAX_DN"],
+        accel_up=GRAVITY_MPS2 * (p["MPC_THR_MAX"] / hover - 1.0),
+        accel_down=GRAVITY_MPS2 * (1.0 - p["MPC_THR_MIN"] / hover),
+        tilt_rad=math.radians(p["MPC_TILTMAX_AIR"]),
+        yaw_rate=math.radians(p["MPC_YAWRAUTO_MAX"]),
+    )
+
+
+def smoothing_limits(p: Parameters) -> tuple[Limits, Limits, Limits]:
+    """Of FlightTaskAuto: level, upwards, downwards."""
+    jerk = p["MPC_JERK_AUTO"]
+    return (
+        Limits(min(p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"]), p["MPC_ACC_HOR"], jerk),
+        Limits(p["MPC_Z_V_AUTO_UP"], p["MPC_ACC_UP_MAX"], jerk),
+        Limits(p["MPC_Z_V_AUTO_DN"], p["MPC_ACC_DOWN_MAX"], jerk),
+    )
