@@ -18,11 +18,11 @@ from sitl.faults.meddler import Meddler
 from sitl.faults.roster import Roster
 from sitl.faults.table import ROWS
 from sitl.faults.trouble import Trouble
-from sitl.firmware.process import FirmwareError
-from sitl.firmware.relay import Relay
 from sitl.fly_evidence import evidence_of
 from sitl.fly_world import WorldOptions, binary_of, make_world, make_world_of, run
 from sitl.outside_world import World
+from sitl.real_firmware.process import FirmwareError
+from sitl.real_firmware.relay import Relay
 from sitl.runtime.serial_line import SerialLine
 from uav_recon import config as product_config
 from uav_recon.clock import RateKeeper

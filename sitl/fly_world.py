@@ -24,11 +24,11 @@ from sitl.autopilots.byte_links import ByteEnd, UdpPeer
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.parameters import Parameters
 from sitl.camera import d435i
-from sitl.firmware.ardupilot import ArduPilotBinary
-from sitl.firmware.process import FirmwareError
-from sitl.firmware.px4 import Px4Binary
-from sitl.firmware.vehicle import FirmwareVehicle
 from sitl.outside_world import Darkroom, Flyer, World
+from sitl.real_firmware.ardupilot import ArduPilotBinary
+from sitl.real_firmware.firmware_vehicle import FirmwareVehicle
+from sitl.real_firmware.process import FirmwareError
+from sitl.real_firmware.px4 import Px4Binary
 from sitl.scene.mesh_simplification import merged
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene, load_scene

@@ -18,8 +18,8 @@ from pathlib import Path
 import pytest
 
 from sitl.faults.table import ROWS
-from sitl.firmware.px4 import COMPANION_PORT
 from sitl.fly_faults import FIRMWARE_OFFERS
+from sitl.real_firmware.px4 import COMPANION_PORT
 from uav_recon.recording.report import Report
 
 pytestmark = [pytest.mark.slow, pytest.mark.real_time, pytest.mark.timeout(1800)]

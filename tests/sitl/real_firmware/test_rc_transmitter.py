@@ -14,9 +14,9 @@ from sitl.autopilots.base_autopilot import Truth
 from sitl.autopilots.byte_links import UdpPeer
 from sitl.faults.farlink import FarProxy
 from sitl.faults.link import Late
-from sitl.firmware.relay import Relay
-from sitl.firmware.transmitter import Transmitter
 from sitl.geometry.quaternion import from_yaw
+from sitl.real_firmware.rc_transmitter import Transmitter
+from sitl.real_firmware.relay import Relay
 
 LEFT = from_yaw(math.pi / 2.0)  # the nose points along the world's second axis
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.autopilots.mavlink_codec import Heard
 from sitl.autopilots.px4.commander import Mode
 from sitl.autopilots.px4.parameters import DEFAULT_FILE, Parameters
-from sitl.firmware.path import Grain, Inertial, Reading, TruePath
+from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TruePath
 
 COMPANION_PORT = 14540  # where its first instance sends, as system 1
 _TRUTH_PORT = 19410  # where its start script sends SIH's display

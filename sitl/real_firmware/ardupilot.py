@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.autopilots.ardupilot.modes import Mode
 from sitl.autopilots.ardupilot.parameters import DEFAULT_FILE
 from sitl.autopilots.mavlink_codec import Heard
-from sitl.firmware.path import Grain, Inertial, Reading, TruePath
-from sitl.firmware.transmitter import Transmitter
+from sitl.real_firmware.rc_transmitter import Transmitter
+from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TruePath
 
 _HOME = "47.397742,8.545594,0,0"  # latitude, longitude, height, heading: any place will do
 _SERIAL_PORTS = 9

@@ -15,11 +15,11 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.mavlink_codec import Heard, Listener, Speaker, packet
-from sitl.firmware.ardupilot import ArduPilotBinary
-from sitl.firmware.path import TruePath
-from sitl.firmware.process import FirmwareError
-from sitl.firmware.px4 import COMPANION_PORT, Px4Binary
-from sitl.firmware.vehicle import FirmwareVehicle, _version
+from sitl.real_firmware.ardupilot import ArduPilotBinary
+from sitl.real_firmware.firmware_vehicle import FirmwareVehicle, _version
+from sitl.real_firmware.process import FirmwareError
+from sitl.real_firmware.px4 import COMPANION_PORT, Px4Binary
+from sitl.real_firmware.true_trajectory import TruePath
 
 HALF = math.sqrt(0.5)
 EAST = (HALF, 0.0, 0.0, HALF)  # ned_from_frd of a level body whose nose points east

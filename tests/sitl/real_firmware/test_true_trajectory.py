@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sitl.firmware.path import Grain, Inertial, Reading, TruePath
 from sitl.geometry.quaternion import Quat, Vec3
+from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TruePath
 
 LEVEL: Quat = (1.0, 0.0, 0.0, 0.0)
 GRAIN = Grain(metres_per_e7=0.011131884502145034, height_step_m=0.01)

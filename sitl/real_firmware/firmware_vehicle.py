@@ -13,10 +13,10 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.autopilots.base_autopilot import Truth
 from sitl.autopilots.byte_links import UdpPeer
 from sitl.autopilots.mavlink_codec import Heard, Listener, Speaker
-from sitl.firmware.path import Grain, TruePath
-from sitl.firmware.process import FirmwareError, FirmwareProcess
-from sitl.firmware.transmitter import Transmitter
-from sitl.firmware.wishes import COMPONENT, SYSTEM, Wishes
+from sitl.real_firmware.process import FirmwareError, FirmwareProcess
+from sitl.real_firmware.rc_transmitter import Transmitter
+from sitl.real_firmware.request_queue import COMPONENT, SYSTEM, Wishes
+from sitl.real_firmware.true_trajectory import Grain, TruePath
 
 _OURS = (251, 1)  # neither the vehicle's nor the companion's: it is told nothing but what to send
 _BOOT_S, _SILENT_S, _ASK_S, _POLL_S = 60.0, 5.0, 1.0, 0.02

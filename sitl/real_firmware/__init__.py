@@ -1,0 +1,1 @@
+"""Real firmware binaries in place of the simulated autopilots."""
