@@ -151,9 +151,9 @@ def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str
     """
     from rich.console import Console
 
+    from sitl.apps.lockstep import fly_in_lockstep
+    from sitl.apps.sim_options import SimOptions
     from sitl.fly_hostile import hostile
-    from sitl.fly_lockstep import fly_in_lockstep
-    from sitl.fly_options import SimOptions
     from uav_recon import config as product_config
 
     options = SimOptions.parse(
@@ -187,8 +187,8 @@ def attended(config: Config) -> Config:
 
 def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:
     """The same in real time, with the mapper that learns. Raises Failure."""
+    from sitl.apps.sim_options import SimOptions
     from sitl.fly_fault_live import flight_in_real_time, free_port
-    from sitl.fly_options import SimOptions
 
     options = SimOptions.parse(
         seed=case.number,

@@ -10,13 +10,13 @@ from pathlib import Path
 
 from rich.console import Console
 
+from sitl.apps.sim_options import SimOptions
+from sitl.apps.sim_processes import Children
 from sitl.faults.arena import arena
 from sitl.faults.evidence import Evidence
 from sitl.faults.injector import Needs
 from sitl.faults.roster import Exit, Roster
 from sitl.faults.row import Row
-from sitl.fly_children import Children
-from sitl.fly_options import SimOptions
 from sitl.fly_outside import Order
 from uav_recon import config as product_config
 from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, Failure

@@ -12,15 +12,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sitl.apps.sim_options import AUTOPILOTS, UsageError, check_jobs, check_program
+from sitl.apps.sweep_case import one_thread
 from sitl.faults.injector import Needs
 from sitl.faults.page import write_page
 from sitl.faults.result import Result, result_of
 from sitl.faults.row import Row
 from sitl.faults.soak import SOAKS
 from sitl.faults.table import NAMED, PAIRS, ROWS, TABLE
-from sitl.fly_case import one_thread
 from sitl.fly_fault import FaultCase, FaultRecord, Stage, fly
-from sitl.fly_options import AUTOPILOTS, UsageError, check_jobs, check_program
 from sitl.runtime.worker_pool import crew
 from uav_recon.app.option_validation import looked_at, need_file, need_folder
 from uav_recon.errors import Failure

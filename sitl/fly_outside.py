@@ -10,6 +10,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from sitl.apps.world_process import WorldOptions, binary_of, make_world, make_world_of, run
 from sitl.autopilots.byte_links import UdpPeer
 from sitl.faults.arena import arena
 from sitl.faults.evidence import Evidence
@@ -19,7 +20,6 @@ from sitl.faults.roster import Roster
 from sitl.faults.table import ROWS
 from sitl.faults.trouble import Trouble
 from sitl.fly_evidence import evidence_of
-from sitl.fly_world import WorldOptions, binary_of, make_world, make_world_of, run
 from sitl.outside_world import World
 from sitl.real_firmware.process import FirmwareError
 from sitl.real_firmware.relay import Relay

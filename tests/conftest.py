@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sitl.fly_case import one_thread
+from sitl.apps.sweep_case import one_thread
 
 if TYPE_CHECKING:
     from flight_rig import Rig

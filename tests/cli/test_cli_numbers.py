@@ -28,7 +28,7 @@ from uav_recon.cli.main import app
     ],
 )
 def test_a_mistyped_number_is_one_line(words: str, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sitl.fly_options.memory_gb", lambda: 16.0)
+    monkeypatch.setattr("sitl.apps.sim_options.memory_gb", lambda: 16.0)
     ended = CliRunner().invoke(app, words.split())
     assert ended.exit_code == 2, ended.output
     assert ended.output.startswith(f"uav-recon: {line}")

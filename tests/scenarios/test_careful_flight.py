@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sitl.fly import SimOptions, simulate
+from sitl.apps.sim import SimOptions, simulate
 from uav_recon.recording.report import Report
 from uav_recon.types.frames import FloatArray
 

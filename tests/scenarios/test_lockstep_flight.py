@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sitl.fly import SimOptions, simulate
+from sitl.apps.sim import SimOptions, simulate
 from uav_recon import config
 from uav_recon.recording.report import Report
 from uav_recon.recording.review import check_recording

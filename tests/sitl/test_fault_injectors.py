@@ -10,6 +10,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from sitl.apps.direct_channels import DirectChannel
+from sitl.apps.lockstep import Calls, Nobody
 from sitl.camera.d435i import FAST_DEPTH_SPEC
 from sitl.faults import eye, tracker
 from sitl.faults.cartographer import AGAIN, CLAIMED, FREED, SETTLED_S, UNDER_WAY_S, Cartographer, Claims, Tally
@@ -18,8 +20,6 @@ from sitl.faults.injector import Depth, Injector, Theatre
 from sitl.faults.meddler import off_nose_rad
 from sitl.faults.obstacle import Furnished, Obstacle
 from sitl.faults.table import ROWS, TABLE
-from sitl.fly_lockstep import Calls, Nobody
-from sitl.fly_wires import DirectChannel
 from sitl.geometry.quaternion import yaw_of
 from sitl.geometry.transform import body_from_camera
 from sitl.scene.mesh import joined

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from fault_evidence import ONSET_S, evidence
 
+from sitl.apps.sim_options import UsageError
 from sitl.faults.host import Crash, Stall
 from sitl.faults.injector import Depth, Needs, Theatre
 from sitl.faults.pairs import APART_S, PAIRED, REACTIONS
@@ -21,7 +22,6 @@ from sitl.faults.table import PAIRS, ROWS, TABLE
 from sitl.faults.tracker import Silence
 from sitl.faults.wires import Loss
 from sitl.fly_faults import FaultOptions
-from sitl.fly_options import UsageError
 from sitl.world.pose_tracker import PoseRecord
 
 POSE = PoseRecord(10.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 1e-4), 100, 0)

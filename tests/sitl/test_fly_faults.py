@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from fault_evidence import evidence
 
+from sitl.apps.sim_options import AUTOPILOTS, UsageError
 from sitl.faults import measures as m
 from sitl.faults.evidence import Evidence
 from sitl.faults.page import render
@@ -19,7 +20,6 @@ from sitl.faults.row import Bar, Row, Verdict, judge
 from sitl.faults.table import ROWS, TABLE
 from sitl.fly_fault import FaultCase, FaultRecord, fly_together
 from sitl.fly_faults import FaultOptions, _line, _missed, faults
-from sitl.fly_options import AUTOPILOTS, UsageError
 
 GAP = Bar("gap", m.longest_gap(), 0.25, "s")
 CLEAR = Bar("clearance", m.clearance, 0.4, "m", at_least=True, ardupilot=0.6)

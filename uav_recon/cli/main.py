@@ -124,7 +124,7 @@ def sim(
     The outside world (scene, camera, autopilot) is simulated; the pilot, perception and mission processes are the very
     programs that fly a real drone. Ctrl-C lands and still writes the report; a second Ctrl-C ends everything at once.
     """
-    from sitl.fly import SimOptions, simulate
+    from sitl.apps.sim import SimOptions, simulate
 
     exit_with(
         lambda: simulate(
@@ -162,8 +162,8 @@ def sweep(
     Flights go through scenes, radii and variants, then the same again with the next seed. Exit code 1 if any flight
     touched something or broke; such a flight is repeated by the command that is printed.
     """
-    from sitl.fly_sweep import SweepOptions
-    from sitl.fly_sweep import sweep as fly_all
+    from sitl.apps.sweep import SweepOptions
+    from sitl.apps.sweep import sweep as fly_all
 
     exit_with(
         lambda: fly_all(

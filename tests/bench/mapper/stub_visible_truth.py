@@ -6,8 +6,8 @@ import types
 
 import numpy as np
 
+from sitl.apps.sim_options import SimOptions
 from sitl.camera.d435i import MOUNT_M, stream_header
-from sitl.fly_options import SimOptions
 from sitl.geometry.transform import body_from_camera, world_from_body
 from sitl.scene.scene import Scene
 

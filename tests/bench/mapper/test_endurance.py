@@ -7,7 +7,7 @@ import pytest
 from stub_visible_truth import quick_cut
 from typer.testing import CliRunner
 
-import sitl.fly_report
+import sitl.apps.flight_judge
 from uav_recon.bench.mapper import endurance, seeded_views, training_run
 from uav_recon.cli.main import app
 from uav_recon.mapping.neural.keyframes import keyframe_buffer
@@ -20,7 +20,7 @@ def bench(*arguments: str) -> tuple[int, str, str]:
 
 @pytest.mark.slow
 def test_memory_disk_and_views_stay_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sitl.fly_report, "truth_cut", quick_cut)
+    monkeypatch.setattr(sitl.apps.flight_judge, "truth_cut", quick_cut)
     monkeypatch.setattr(seeded_views, "TRUTH_POINTS", 30_000)
     monkeypatch.setattr(training_run, "SAMPLES", 30_000)
     monkeypatch.setattr(keyframe_buffer, "MOST_VIEWS", 16)

@@ -7,7 +7,7 @@ import pytest
 from stub_visible_truth import quick_cut
 from typer.testing import CliRunner
 
-import sitl.fly_report
+import sitl.apps.flight_judge
 from uav_recon.bench.mapper import seeded_views
 from uav_recon.cli.main import app
 
@@ -22,7 +22,7 @@ def bench(*arguments: str) -> tuple[int, str, str]:
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sitl.fly_report, "truth_cut", quick_cut)
+    monkeypatch.setattr(sitl.apps.flight_judge, "truth_cut", quick_cut)
     monkeypatch.setattr(seeded_views, "TRUTH_POINTS", 30_000)
     monkeypatch.setattr(seeded_views, "HELD_OUT_STRIDE", 16)
 

@@ -19,8 +19,8 @@ from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArra
 from uav_recon.types.pose import Pose
 
 if TYPE_CHECKING:
+    from sitl.apps.scene_captures import Captures
     from sitl.camera.d435i import Model, Noise
-    from sitl.captures import Captures
 
 TRUTH_POINTS, TRUTH_SEED = 300_000, 20240319
 HELD_OUT, HELD_OUT_STRIDE = 20, 4  # pictures, and pixels between those that are compared
@@ -78,9 +78,9 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
 
     say(what) is called as the work goes on.
     """
-    from sitl import captures as outside
-    from sitl.fly_options import NOISE_PX, SimOptions
-    from sitl.fly_report import truth_cut
+    from sitl.apps import scene_captures as outside
+    from sitl.apps.flight_judge import truth_cut
+    from sitl.apps.sim_options import NOISE_PX, SimOptions
     from sitl.scene.mesh_sampling import area_weighted_samples
     from sitl.scene.scene import SceneError, load_scene
 

@@ -108,7 +108,7 @@ def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str],
         if not negative:
             ends.enter_context(_child([*product, "pilot", *ours], log, _PILOT_NICE, _PILOT_FIFO))
         say(f"flying for {seconds / 60.0:g} minutes")
-        far = ["sitl.fly_receiver", str(path), f"{seconds}", autopilot, str(out)]
+        far = ["sitl.apps.setpoint_receiver", str(path), f"{seconds}", autopilot, str(out)]
         receiver = ends.enter_context(_child(far, log, _RECEIVER_NICE))
         try:
             flown = receiver.wait(seconds + _MARGIN_S) == 0

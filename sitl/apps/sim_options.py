@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast, get_args
 
+from sitl.apps.world_process import WorldOptions
 from sitl.camera.d435i import Model, Noise
-from sitl.fly_world import WorldOptions
 from sitl.real_firmware.px4 import COMPANION_PORT as PX4_PORT
 from sitl.scene.scene import HULL_HEIGHT_M, Scene
 from uav_recon.app.option_validation import UsageError, looked_at

@@ -1,4 +1,4 @@
-"""How fast lockstep is: `python tests/sitl/lockstep_speed.py [SCENE [VIEWS [SEED]]]`, with the mapper's stand-in.
+"""How fast lockstep is: `python tests/sitl/apps/lockstep_speed.py [SCENE [VIEWS [SEED]]]`, with the mapper's stand-in.
 
 A machine that others share is not equally fast for a minute. So it is calibrated every second between two turns of the flight,
 which does not count it, and the flight's time is divided by the mean of all of these.
@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from sitl.fly_case import one_thread
-from sitl.fly_lockstep import Nobody, fly_in_lockstep
-from sitl.fly_options import SimOptions
+from sitl.apps.lockstep import Nobody, fly_in_lockstep
+from sitl.apps.sim_options import SimOptions
+from sitl.apps.sweep_case import one_thread
 from sitl.scene.scene import load_scene
 from uav_recon.bench.machine_calibration import calibrate
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from sitl.apps.sim_options import SimOptions
 from sitl.camera.d435i import Model
-from sitl.fly_options import SimOptions
 from sitl.runtime.array_cache import cache_folder
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from sitl.apps.scene_captures import capture, held_out, seen
 from sitl.camera.d435i import stream_header
-from sitl.captures import capture, held_out, seen
 from sitl.scene.scene import Scene
 
 HALF_M = 1.5

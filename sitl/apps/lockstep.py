@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from rich.console import Console
 
+from sitl.apps.direct_channels import direct_wires
+from sitl.apps.memory_tlog import MemoryTlog
+from sitl.apps.progress_display import Screen
+from sitl.apps.sim_options import SimOptions
+from sitl.apps.world_process import make_world
 from sitl.autopilots.byte_links import pipe
-from sitl.fly_options import SimOptions
-from sitl.fly_progress import Screen
-from sitl.fly_tlog import MemoryTlog
-from sitl.fly_wires import direct_wires
-from sitl.fly_world import make_world
 from sitl.outside_world import World
 from sitl.scene.scene import Scene
 from sitl.world.step_sizes import QUICK, REAL
@@ -266,6 +266,6 @@ def _neural(config: Config, folder: Path) -> Mapper:
 
 
 def _stand_in(config: Config, folder: Path) -> Mapper:
-    from sitl.fly_standin import StandInMapper
+    from sitl.apps.depth_only_mapper import StandInMapper
 
     return StandInMapper(config)

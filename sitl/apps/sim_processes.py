@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sitl.fly_progress import Screen
+from sitl.apps.progress_display import Screen
 from sitl.runtime.die_with_parent import leashed
 from uav_recon.app.flight_channels import file_wires
 from uav_recon.errors import Failure

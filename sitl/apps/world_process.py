@@ -1,4 +1,4 @@
-"""Builds the outside world, and is its process: `python -m sitl.fly_world OPTIONS.json`."""
+"""Builds the outside world, and is its process: `python -m sitl.apps.world_process OPTIONS.json`."""
 
 from __future__ import annotations
 

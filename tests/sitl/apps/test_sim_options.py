@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sitl.fly_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, UsageError
-from sitl.fly_world import WorldOptions
+from sitl.apps.sim_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, UsageError
+from sitl.apps.world_process import WorldOptions
 from sitl.scene.scene import Scene
 from uav_recon.config import load
 from uav_recon.motion.yaw_policy import AT_VIEWS, NoseAhead, gaze_of

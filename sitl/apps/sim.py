@@ -10,8 +10,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sitl.fly_children import Children
-from sitl.fly_options import SimOptions
+from sitl.apps.sim_options import SimOptions
+from sitl.apps.sim_processes import Children
 from sitl.scene.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
 from uav_recon.errors import EXIT_USAGE, Failure
@@ -30,7 +30,7 @@ def simulate(options: SimOptions) -> int:
         config = options.config(scene, Path(runtime))
         product_config.save(config, options.out / "config.toml")
         if options.lockstep:
-            from sitl.fly_lockstep import fly_in_lockstep, interrupts
+            from sitl.apps.lockstep import fly_in_lockstep, interrupts
 
             with interrupts() as land:
                 flown = fly_in_lockstep(options, config, scene, console, land)
@@ -39,7 +39,7 @@ def simulate(options: SimOptions) -> int:
             _claim_port(options.port)
             times_real = None
             fault = Children(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console).fly()
-    from sitl.fly_report import judge, summary
+    from sitl.apps.flight_judge import judge, summary
 
     report = judge(options, scene, time.monotonic() - started_s, fault, console)
     console.print(summary(report, options.out))
@@ -79,7 +79,7 @@ def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:
     options.world(runtime).save(world)
     product, config = [sys.executable, "-m", "uav_recon.cli.main"], ["--config", str(options.out / "config.toml")]
     return {
-        "world": [sys.executable, "-m", "sitl.fly_world", str(world)],
+        "world": [sys.executable, "-m", "sitl.apps.world_process", str(world)],
         "pilot": [*product, "pilot", *config, *flight],
         "perception": [*product, "perception", *config],
         "mission": [*product, "mission", *config, *flight],

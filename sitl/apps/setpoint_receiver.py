@@ -1,6 +1,6 @@
 """The far end of `uav-recon bench setpoints`: a simulated autopilot, and a perception and a mission that want to hover.
 
-A process of its own: `python -m sitl.fly_receiver CONFIG SECONDS AUTOPILOT OUT`. So long after the first setpoint that it flew
+A process of its own: `python -m sitl.apps.setpoint_receiver CONFIG SECONDS AUTOPILOT OUT`. So long after the first setpoint that it flew
 it writes OUT (arrivals_s, begin_s, end_s), as the kernel stamped what came; exit code 1 if it never flew.
 """
 
@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
+from sitl.apps.world_process import STEP_S
 from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.base_autopilot import Autopilot
 from sitl.autopilots.byte_links import ByteEnd, UdpPeer
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.parameters import Parameters
-from sitl.fly_world import STEP_S
 from sitl.world.quadrotor import Quadrotor
 from uav_recon import config as configuration
 from uav_recon.app import factory

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from sitl import fly_world
+from sitl.apps import world_process
 
 
 class NotesDown:
@@ -49,8 +49,8 @@ def collections() -> Iterator[list[int]]:
 
 
 def test_a_long_flight_is_never_gone_through_as_a_whole(collections: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fly_world, "Darkroom", NoDarkroom)
+    monkeypatch.setattr(world_process, "Darkroom", NoDarkroom)
     world = NotesDown()
-    fly_world.run(world, lambda _: len(world.notes) >= 400_000)  # type: ignore[arg-type]
+    world_process.run(world, lambda _: len(world.notes) >= 400_000)  # type: ignore[arg-type]
     assert collections.count(0) > 100
     assert 2 not in collections

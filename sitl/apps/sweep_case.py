@@ -82,9 +82,9 @@ def fly_case(case: Case, truth: bool) -> Record:
 def _fly(case: Case, folder: Path, truth: bool) -> Record:
     from rich.console import Console
 
-    from sitl.fly_lockstep import fly_in_lockstep
-    from sitl.fly_options import SimOptions
-    from sitl.fly_report import against_truth, flown, truth_cut
+    from sitl.apps.flight_judge import against_truth, flown, truth_cut
+    from sitl.apps.lockstep import fly_in_lockstep
+    from sitl.apps.sim_options import SimOptions
     from sitl.scene.scene import load_scene
     from uav_recon import config as product_config
 

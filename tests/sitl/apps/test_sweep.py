@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree
+from sitl.apps.sim_options import UsageError
+from sitl.apps.sweep import SweepOptions, sweep
+from sitl.apps.sweep_case import Case, Record, as_tree, fly_case, from_tree
 from sitl.fly_faults import FaultOptions
-from sitl.fly_options import UsageError
-from sitl.fly_sweep import SweepOptions, sweep
 from uav_recon.errors import Failure
 
 BROKEN = Case("/nowhere", 0, 0.2, "adaptive", "fixed:15", "fast", 8)
 
 
 def test_more_jobs_than_there_is_memory_for_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sitl.fly_options.memory_gb", lambda: 4.1)
+    monkeypatch.setattr("sitl.apps.sim_options.memory_gb", lambda: 4.1)
     assert SweepOptions.parse(jobs=5).jobs == 5
     for parse in (SweepOptions.parse, FaultOptions.parse):
         with pytest.raises(UsageError, match=r"^--jobs 6: want 1 to 5; each may take 0\.8 GB of memory$") as caught:

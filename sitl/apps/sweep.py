@@ -14,8 +14,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from sitl.fly_case import Case, Record, as_tree, fly_case, from_tree, one_thread
-from sitl.fly_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs, mount_pitch_deg
+from sitl.apps.sim_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs, mount_pitch_deg
+from sitl.apps.sweep_case import Case, Record, as_tree, fly_case, from_tree, one_thread
 from sitl.runtime.worker_pool import crew
 from sitl.scene.scene import GENERATED
 from uav_recon.app.option_validation import looked_at, need_file

@@ -1,0 +1,1 @@
+"""Composition roots of the simulator: sim, sweep, lockstep, the world process."""
