@@ -10,13 +10,13 @@ import subprocess
 import sys
 from collections.abc import Sequence
 
-from sitl.faults import measures as m
-from sitl.faults.bars import NO_FAILSAFE, STEADY, STREAMS, down, lands_no_sooner
-from sitl.faults.body import Battery
-from sitl.faults.footprint import Footprints
-from sitl.faults.injector import Injector, Needs, Theatre
-from sitl.faults.row import Bar, Row
-from sitl.faults.trouble import Onset
+from sitl.faults.fault import Onset
+from sitl.faults.injectors.base import Injector, Needs, Theatre
+from sitl.faults.injectors.vehicle_and_autopilot import Battery
+from sitl.faults.judges import reaction_metrics as m
+from sitl.faults.resource_usage import Footprints
+from sitl.faults.table.acceptance_limits import NO_FAILSAFE, STEADY, STREAMS, down, lands_no_sooner
+from sitl.faults.table.scenario import Bar, Row
 from sitl.runtime.die_with_parent import leashed
 
 EVERY_S, FOR_S, TIMES = 30.0, 5.0, 10  # so often, for so long and so many times it goes on

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sitl.faults.body import Push
-from sitl.faults.everywhere import violations
-from sitl.faults.evidence import Evidence
-from sitl.faults.host import Stall
-from sitl.faults.row import Row, judge
-from sitl.faults.table import ROWS
-from sitl.faults.trouble import Onset
-from sitl.fly_fault import FaultCase, FaultRecord, Stage, flight, fly, record_of
+from sitl.faults.fault import Onset
+from sitl.faults.fault_flight import FaultCase, FaultRecord, Stage, flight, fly, record_of
+from sitl.faults.flight_evidence import Evidence
+from sitl.faults.injectors.companion import Stall
+from sitl.faults.injectors.vehicle_and_autopilot import Push
+from sitl.faults.judges.invariants import violations
+from sitl.faults.table.all_scenarios import ROWS
+from sitl.faults.table.scenario import Row, judge
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 PROMISES = {

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from sitl.faults.table import ROWS
-from sitl.fly_faults import FIRMWARE_OFFERS
+from sitl.faults.campaign import FIRMWARE_OFFERS
+from sitl.faults.table.all_scenarios import ROWS
 from sitl.real_firmware.px4 import COMPANION_PORT
 from uav_recon.recording.report import Report
 

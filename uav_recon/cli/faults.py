@@ -48,8 +48,8 @@ def faults(
 
     Judged by the simulator's truth and by what was on the wire. Exit code 1 if any row failed.
     """
-    from sitl.fly_faults import FaultOptions
-    from sitl.fly_faults import faults as fly_all
+    from sitl.faults.campaign import FaultOptions
+    from sitl.faults.campaign import faults as fly_all
 
     exit_with(
         lambda: fly_all(

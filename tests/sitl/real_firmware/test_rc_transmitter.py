@@ -12,8 +12,8 @@ import pytest
 
 from sitl.autopilots.base_autopilot import Truth
 from sitl.autopilots.byte_links import UdpPeer
-from sitl.faults.farlink import FarProxy
-from sitl.faults.link import Late
+from sitl.faults.autopilot_side_proxy import FarProxy
+from sitl.faults.mavlink_proxy import Late
 from sitl.geometry.quaternion import from_yaw
 from sitl.real_firmware.rc_transmitter import Transmitter
 from sitl.real_firmware.relay import Relay

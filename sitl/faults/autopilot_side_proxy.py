@@ -1,0 +1,53 @@
+"""The MAVLink proxy at the autopilot's end of the link, where a flight in real time has its outside world."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from sitl.autopilots.byte_links import ByteEnd
+from sitl.faults.mavlink_proxy import Fate, Queue, frames
+
+
+class FarProxy:
+    """As link.Proxy, from the other side: sent has the instants at which datagrams came, before the troubles."""
+
+    def __init__(self, end: ByteEnd, now_s: Callable[[], float], up: Fate, down: Fate) -> None:
+        self._end, self._now_s, self._up, self._down = end, now_s, up, down
+        self._rising, self._falling = Queue(), Queue()
+        self.sent: list[tuple[float, bytes]] = []
+        self.arrived: list[tuple[float, bytes]] = []
+        self.heard: list[tuple[float, bytes]] = []
+
+    @property
+    def arrival_s(self) -> float | None:
+        """Of the last datagram."""
+        return self._end.arrival_s
+
+    def read(self) -> bytes:
+        """What the product said and the troubles let through."""
+        now_s = self._now_s()
+        if data := self._end.read():
+            self.sent.append((self._end.arrival_s or now_s, data))
+            for frame in frames(data):
+                self._rising.put(now_s, self._up(frame))
+        ready = self._rising.take(now_s)
+        self.arrived += [(now_s, frame) for frame in ready]
+        return b"".join(ready)
+
+    def write(self, data: bytes) -> None:
+        """What the autopilot says, as far as the troubles leave it."""
+        for frame in frames(data):
+            self._falling.put(self._now_s(), self._down(frame))
+        self.forward()
+
+    def forward(self) -> None:
+        """Let late frames arrive; once a turn."""
+        now_s = self._now_s()
+        for frame in self._falling.take(now_s):
+            self.heard.append((now_s, frame))
+            self._end.write(frame)
+
+    def forge(self, data: bytes) -> None:
+        """Slip bytes into what the product reads next."""
+        self.heard.append((self._now_s(), data))
+        self._end.write(data)

@@ -1,0 +1,26 @@
+"""What a flight with a trouble leaves for its judges."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sitl.faults.fault_director import Meddler
+from sitl.faults.flight_evidence import Evidence, Limits, gather
+from uav_recon.config import Config
+from uav_recon.recording.flight_log import read_timeline
+
+
+def evidence_of(meddler: Meddler, config: Config, truth: Path, radius_m: float) -> Evidence:
+    """Of a flight that is over. truth: what the world wrote, beside the product's own account; radius_m: of the hull."""
+    safety = config.safety
+    limits = Limits(
+        safety.fence_min_m, safety.fence_max_m, safety.fence_inset_m, safety.max_speed_mps, safety.max_acceleration_mps2,
+        float(np.radians(safety.max_yaw_rate_degps)),
+    )  # fmt: skip
+    with np.load(truth) as told:
+        measured = np.isfinite(told["hull_m"])
+        hull_s, hull_m = told["stamp_s"][measured], told["hull_m"][measured]
+    outcomes = read_timeline(truth.parent).outcomes
+    return gather(meddler, limits, hull_s, hull_m, radius_m, outcomes[-1].stop_reason if outcomes else "")

@@ -1,0 +1,106 @@
+"""One flight of the fault campaign in real time: the product's own processes, supervised as its services are."""
+
+from __future__ import annotations
+
+import pickle
+import socket
+import sys
+import time
+from pathlib import Path
+
+from rich.console import Console
+
+from sitl.apps.sim_options import SimOptions
+from sitl.apps.sim_processes import Children
+from sitl.faults.flight_evidence import Evidence
+from sitl.faults.injectors.base import Needs
+from sitl.faults.process_registry import Exit, Roster
+from sitl.faults.scenario_world_process import Order
+from sitl.faults.table.arenas import arena
+from sitl.faults.table.scenario import Row
+from uav_recon import config as product_config
+from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, Failure
+
+RESTART_S = {"pilot": 0.2, "perception": 0.5, "mission": 1.0}  # RestartSec of the units
+NEVER_AGAIN = (EXIT_SECOND_COPY, EXIT_CONFIG)  # their RestartPreventExitStatus
+_LOOK_S = 0.02
+
+
+class Supervised(Children):
+    """World and product until the world has seen enough; what ends meanwhile is started again, as the units have it."""
+
+    def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path) -> None:
+        super().__init__(commands, logs, runtime, Console(quiet=True))
+        self._roster, self._exits = Roster(runtime), list[Exit]()
+        self._pids: dict[str, int] = {}
+        self._due_s: dict[str, float] = {}  # when a process that ended is to be started again
+
+    def watch(self) -> None:
+        """Fly. Raises Failure if the world itself dies."""
+        try:
+            for name in self._commands:
+                self._start(name, self._commands[name])
+                self._pids[name] = self._child(name).process.pid
+            self._roster.tell(self._pids, self._exits)
+            while self._child("world").process.poll() is None:
+                self._bury()
+                self._raise_again()
+                time.sleep(_LOOK_S)
+            world = self._child("world")
+            if world.process.returncode != 0:
+                raise Failure(f"world died: {world.last_words()}")
+        finally:
+            self._end_all()
+
+    def _bury(self) -> None:
+        for child in [c for c in self._children if c.process.poll() is not None and c.name != "world"]:
+            code = int(child.process.returncode)
+            self._children.remove(child)
+            self._exits.append(Exit(child.name, code, time.monotonic()))
+            self._pids.pop(child.name, None)
+            if code not in NEVER_AGAIN and (code != 0 or child.name == "pilot"):
+                self._due_s[child.name] = time.monotonic() + RESTART_S[child.name]
+            self._roster.tell(self._pids, self._exits)
+
+    def _raise_again(self) -> None:
+        kept_down = self._roster.kept_down() if self._due_s else frozenset[str]()
+        for name, due_s in list(self._due_s.items()):
+            if name not in kept_down and time.monotonic() >= due_s:
+                del self._due_s[name]
+                self._start(name, self._commands[name])
+                self._pids[name] = self._child(name).process.pid
+                self._roster.tell(self._pids, self._exits)
+
+
+def flight_in_real_time(row: Row, options: SimOptions, runtime: Path, number: int, firmware: Path | None = None) -> Evidence:
+    """Fly a row's trouble with processes. options: whose folder is made. firmware: a real one, for the simulated autopilot.
+    Raises Failure.
+    """
+    config, line = options.config(arena(row.arena, options.radius_m), runtime), None
+    if Needs.LINE in row.needs(number, live=True):
+        line = str(runtime / "autopilot")
+        link = config.link.model_copy(update={"url": f"serial:{line}:921600"})
+        config = config.model_copy(update={"link": link})
+    product_config.save(config, options.out / "config.toml")
+    options.world(runtime).save(runtime / "world.json")
+    order = runtime / "order.json"
+    binary = None if firmware is None else str(firmware)
+    Order(str(runtime / "world.json"), row.id, number, str(options.out / "config.toml"), binary, line).save(order)
+    product, given = [sys.executable, "-m", "uav_recon.cli.main"], ["--config", str(options.out / "config.toml")]
+    flight = ["--flight", str(options.out)]
+    commands = {
+        "world": [sys.executable, "-m", "sitl.faults.scenario_world_process", str(order)],
+        "pilot": [*product, "pilot", *given, *flight],
+        "perception": [*product, "perception", *given],
+        "mission": [*product, "mission", *given, *flight],
+    }
+    Supervised(commands, options.out / "logs", runtime).watch()
+    evidence: Evidence = pickle.loads(order.with_suffix(".evidence").read_bytes())  # noqa: S301 - our own world wrote it
+    return evidence
+
+
+def free_port() -> int:
+    """A UDP port of loopback that nobody has."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

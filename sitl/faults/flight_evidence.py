@@ -1,0 +1,169 @@
+"""All that a flight's judges may look at: the simulator's truth and the wire. What the product says proves nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.faults.fault_director import OURS, Meddler, Moment
+from sitl.faults.injectors.base import TAKEN_OVER
+from sitl.faults.wire_capture import Wire, decode, modes_told, setpoints_in
+from sitl.outside_world import BODY_ABOVE_FLOOR_M, PAD_HEIGHT_M
+from sitl.truth.hull_clearance import Clearance
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+LOW_M = PAD_HEIGHT_M - BODY_ABOVE_FLOOR_M  # over what it stands on, as over the pad
+BLIND_S = 0.15  # without ODOMETRY: the product knows of no pose
+HANDED_S = 0.3  # after the pilot's switch the last setpoint has been sent, row E1
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the product was told it may do: fence corners (m), inset (m), speed (m/s), acceleration (m/s²), yaw (rad/s)."""
+
+    fence_min_m: tuple[float, float, float]
+    fence_max_m: tuple[float, float, float]
+    inset_m: float
+    speed_mps: float
+    acceleration_mps2: float
+    yaw_rate_radps: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One flight. Instants on the world's clock; onset_s: when the trouble began, inf if it never came to that.
+
+    stamp_s (K,), position_m and velocity_mps (K, 3), yaw_rad (K,), armed (K,), mode (K,), charge (K,; share of the battery)
+    of each turn; hull_s (H,) and hull_m (H,): true clearance where it counts. arrived_s (A,): of setpoints at the
+    autopilot, behind the troubles. heard: (instant, custom mode, armed) of heartbeats that reached the product. boxes_m
+    (K,): how near the hull is to the obstacles of the trouble, inf without one and on the ground. standing_m (K,): where the
+    body would stand on what is straight below it, while it lands and after; 0 is the floor. notes: what the injectors
+    measured themselves, by its name. firmware: version of a real one, "" for none. stop_reason: why the product says that
+    it ended, for a judge that asks whether it said so; "" for nothing.
+    """
+
+    onset_s: float
+    end_s: float
+    stamp_s: F64
+    position_m: F64
+    velocity_mps: F64
+    yaw_rad: F64
+    armed: Bools
+    mode: tuple[str, ...]
+    hull_s: F64
+    hull_m: F64
+    boxes_m: F64
+    standing_m: F64
+    charge: F64
+    failsafes: tuple[str, ...]
+    texts: tuple[str, ...]
+    wire: Wire
+    arrived_s: F64
+    heard: tuple[tuple[float, int, bool], ...]
+    limits: Limits
+    boot_s: float = 0.0
+    notes: dict[str, float] = field(default_factory=dict)
+    firmware: str = ""
+    stop_reason: str = ""
+
+    @cached_property
+    def speed_mps(self) -> F64:
+        """True speed (K,)."""
+        return np.asarray(np.linalg.norm(self.velocity_mps, axis=1))
+
+    @cached_property
+    def answered_for(self) -> Bools:
+        """Whether the product has to answer for where the vehicle is (K,). It may say no word to one that a pilot took, whose
+        sticks nobody touches here: without a position it drifts for as long as it is watched.
+        """
+        return (self.stamp_s < self.notes.get(TAKEN_OVER, math.inf) + HANDED_S) | self.ours
+
+    @cached_property
+    def clearance_m(self) -> float:
+        """Least true clearance to the scene, inf for none."""
+        counts = np.interp(self.hull_s, self.stamp_s, self.answered_for & ~self.set_down) > 0.5
+        return float(self.hull_m[counts].min(initial=math.inf))
+
+    @cached_property
+    def set_down(self) -> Bools:
+        """Whether it comes down on what stands below it, as on a pad, with nobody who could have chosen the place: when the
+        landing began the product fed no pose (K,).
+        """
+        begun = np.flatnonzero(self.landing & self.armed)
+        if not len(begun):
+            return np.zeros(len(self.stamp_s), dtype=np.bool_)
+        at_s = self.stamp_s[begun[0]]
+        fed = bool(((self.wire.odometry_s > at_s - BLIND_S) & (self.wire.odometry_s <= at_s)).any())
+        low: Bools = self.position_m[:, 2] - self.standing_m < LOW_M
+        down: Bools = low & (self.standing_m > 0.0) & (self.stamp_s >= at_s)
+        return down & (not fed)
+
+    @cached_property
+    def box_m(self) -> float:
+        """The nearest that the hull came to an obstacle of the trouble, inf without one."""
+        return float(self.boxes_m[self.answered_for].min(initial=math.inf))
+
+    @cached_property
+    def ours(self) -> Bools:
+        """Whether the vehicle followed our setpoints (K,)."""
+        return np.array([mode in OURS for mode in self.mode], dtype=np.bool_) & self.armed
+
+    @cached_property
+    def landing(self) -> Bools:
+        """Whether the autopilot was landing (K,)."""
+        return np.array(["LAND" in mode for mode in self.mode], dtype=np.bool_)
+
+    def since(self, mask: Bools, from_s: float) -> float:
+        """Seconds from an instant to the first turn after it in which mask (K,) holds; inf for never."""
+        found = np.flatnonzero(mask & (self.stamp_s >= from_s))
+        return float(self.stamp_s[found[0]] - from_s) if len(found) else math.inf
+
+
+def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m: float, stop_reason: str) -> Evidence:
+    """Of a flight that is over. hull_m: against the scene; obstacles of the trouble are added here."""
+    world, ledger, tap = meddler.theatre.world, meddler.ledger, meddler.proxy
+    assert tap is not None
+    stamps = np.array([m.stamp_s for m in ledger])
+    positions = np.array([m.position_m for m in ledger]).reshape(-1, 3)
+    armed = np.array([m.armed for m in ledger], dtype=np.bool_)
+    aloft, boxes_m = armed & (positions[:, 2] > 0.05), np.full(len(stamps), math.inf)
+    for obstacle in meddler.theatre.obstacles:
+        boxes_m[aloft] = np.minimum(boxes_m[aloft], obstacle.hull_m(stamps[aloft], positions[aloft], radius_m))
+    return Evidence(
+        onset_s=meddler.onset_s,
+        end_s=meddler.end_s,
+        stamp_s=stamps,
+        position_m=positions,
+        velocity_mps=np.array([m.velocity_mps for m in ledger]).reshape(-1, 3),
+        yaw_rad=np.array([m.yaw_rad for m in ledger]),
+        armed=armed,
+        mode=tuple(m.mode for m in ledger),
+        hull_s=hull_s,
+        hull_m=hull_m,
+        boxes_m=boxes_m,
+        standing_m=_standing(world.clearance, ledger),
+        charge=np.array([m.charge for m in ledger]),
+        failsafes=tuple(world.flyer.failsafes),
+        texts=tuple(world.flyer.texts),
+        wire=decode(tap.sent),
+        arrived_s=setpoints_in(tap.arrived),
+        heard=tuple(modes_told(tap.heard)),
+        limits=limits,
+        boot_s=world.flyer.boot_s,
+        notes=dict(meddler.theatre.notes),
+        firmware=world.flyer.version,
+        stop_reason=stop_reason,
+    )
+
+
+def _standing(room: Clearance, ledger: Sequence[Moment]) -> F64:
+    """Of each turn (K,), from the first of a landing on."""
+    begun = next((k for k, m in enumerate(ledger) if m.armed and "LAND" in m.mode), len(ledger))
+    return np.array([0.0] * begun + [max(room.standing_m(m.position_m), 0.0) for m in ledger[begun:]])

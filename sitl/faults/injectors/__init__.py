@@ -1,0 +1,1 @@
+"""Fault injectors: what is made to fail, and when."""

@@ -1,0 +1,180 @@
+"""Troubles of the depth camera: frames that are lost, late, repeated or wrong, and things that were not there before."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from sitl.faults.injectors.base import Depth, Injector, Needs, Theatre
+from sitl.faults.injectors.obstacle import Furnished, Obstacle
+from sitl.faults.mavlink_proxy import Late
+from sitl.geometry.quaternion import yaw_of
+
+Change = Callable[[Any, np.random.Generator], Any]
+HULL_M = 0.20
+
+
+class Dark(Injector):
+    """No frame for a while."""
+
+    def __init__(self, for_s: float = 1e9) -> None:
+        self._for_s = for_s
+
+    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+        """Lost."""
+        return [] if since_s < self._for_s else [(0.0, frame)]
+
+
+class Painted(Injector):
+    """The picture itself is wrong for a while."""
+
+    def __init__(self, change: Change, for_s: float = 1e9) -> None:
+        self._change, self._for_s, self._rng = change, for_s, np.random.default_rng(5)
+
+    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+        """Stamp and order are right."""
+        if since_s >= self._for_s:
+            return [(0.0, frame)]
+        return [(0.0, dataclasses.replace(frame, depth_mm=self._change(frame.depth_mm, self._rng)))]
+
+
+class LateFrames(Injector):
+    """Frames arrive late, their stamps right."""
+
+    def __init__(self, delay_s: float) -> None:
+        self._delay_s = delay_s
+
+    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+        """All of them."""
+        return [(self._delay_s, frame)]
+
+
+class Shuffled(Injector):
+    """Every frame twice, and every third one behind its successor."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+        """Again after a turn or two."""
+        self._count += 1
+        return [(0.35 if self._count % 3 == 0 else 0.0, frame), (0.05, frame)]
+
+
+class Redated(Injector):
+    """Stamps go by another clock for a while: the picture is right, and so is when it comes."""
+
+    def __init__(self, off_s: float, for_s: float = 1e9) -> None:
+        self._off_s, self._for_s = off_s, for_s
+
+    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+        """As many seconds off."""
+        off_s = self._off_s if since_s < self._for_s else 0.0
+        return [(0.0, dataclasses.replace(frame, stamp_s=frame.stamp_s + off_s))]
+
+
+class FrozenPicture(Injector):
+    """The same picture again and again under new stamps, as a hung sensor gives it."""
+
+    def __init__(self) -> None:
+        self._kept: Depth | None = None
+
+    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+        """The first one of the trouble."""
+        self._kept = self._kept or frame
+        return [(0.0, dataclasses.replace(self._kept, stamp_s=frame.stamp_s))]
+
+
+def constant(value: int) -> Change:
+    """Every pixel says so many millimetres; 0 is no return."""
+    return lambda depth, _: np.full_like(depth, value)
+
+
+def salted(share: float) -> Change:
+    """So many pixels are random."""
+    return lambda depth, rng: np.where(rng.random(depth.shape) < share, rng.integers(300, 6000, depth.shape), depth).astype(
+        np.uint16
+    )
+
+
+def shifted(pixels: int) -> Change:
+    """The picture is rolled sideways."""
+    return lambda depth, _: np.roll(depth, pixels, axis=1)
+
+
+def bit_errors() -> Change:
+    """One bit in each pixel of a third of them."""
+    return lambda depth, rng: np.where(
+        rng.random(depth.shape) < 0.33, depth ^ (1 << rng.integers(0, 13, depth.shape)), depth
+    ).astype(np.uint16)
+
+
+def scaled(factor: float) -> Change:
+    """A wrong unit or calibration."""
+    return lambda depth, _: np.clip(depth * factor, 0, 65535).astype(np.uint16)
+
+
+class Appears(Injector):
+    """A box as big as a person stands ahead_m before the hull's nose, on the way it flies; it stays."""
+
+    def __init__(self, ahead_m: float, half_m: tuple[float, float, float] = (0.25, 0.35, 1.0)) -> None:
+        self._ahead_m, self._half_m = ahead_m, half_m
+
+    def begin(self, at: Theatre) -> None:
+        """Where the vehicle is heading now."""
+        truth = at.world.flyer.truth()
+        speed = math.hypot(*truth.velocity[:2]) or 1.0
+        away = HULL_M + self._ahead_m + self._half_m[0]
+        x, y = (truth.position[k] + truth.velocity[k] / speed * away for k in (0, 1))
+        put(at, Obstacle(at.now_s, self._half_m, lambda _: (x, y, self._half_m[2] - 0.1)))
+
+
+class Approaches(Injector):
+    """The vehicle is told to stay; then a box comes from ahead_m before the camera at speed_mps, to where the vehicle
+    hovers, and stops there.
+    """
+
+    needs = Needs.STAGES
+
+    def __init__(self, speed_mps: float, ahead_m: float = 3.0, after_s: float = 1.5) -> None:
+        self._speed_mps, self._ahead_m, self._after_s, self._come = speed_mps, ahead_m, after_s, False
+
+    def begin(self, at: Theatre) -> None:
+        """Stay."""
+        at.hold = True
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Along the camera's axis, once it hovers."""
+        if self._come or since_s < self._after_s:
+            return
+        self._come = True
+        truth, start_s, half_m = at.world.flyer.truth(), at.now_s, (0.25, 0.25, 1.0)
+        yaw, (px, py, _) = yaw_of(truth.quat_wxyz), truth.position
+
+        def place(now_s: float) -> tuple[float, float, float]:
+            away = max(self._ahead_m - self._speed_mps * max(now_s - start_s, 0.0), 0.0)
+            return px + away * math.cos(yaw), py + away * math.sin(yaw), 0.9
+
+        put(at, Obstacle(start_s, half_m, place))
+
+
+class Stands(Injector):
+    """A box stands at a place of the world."""
+
+    def __init__(self, place: tuple[float, float, float], half_m: tuple[float, float, float]) -> None:
+        self._place, self._half_m = place, half_m
+
+    def begin(self, at: Theatre) -> None:
+        """From now on."""
+        put(at, Obstacle(at.now_s, self._half_m, lambda _: self._place))
+
+
+def put(at: Theatre, obstacle: Obstacle) -> None:
+    """Into the camera's view and the referee's book."""
+    camera = at.world.camera
+    camera.renderer = Furnished(camera.renderer, obstacle, lambda: at.now_s)
+    at.obstacles.append(obstacle)

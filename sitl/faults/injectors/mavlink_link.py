@@ -1,0 +1,234 @@
+"""Troubles of the MAVLink link: loss, delay, repetition, disorder, garbage and forgery."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.faults.injectors.base import Injector, Needs, Theatre
+from sitl.faults.mavlink_proxy import Late, Tap, frames, message_id
+
+_COMMAND_LONG, SYS_STATUS = 76, 1
+
+
+class Loss(Injector):
+    """Frames are lost for a while, all of them or a share, up (to the autopilot), down or both ways."""
+
+    def __init__(self, way: str, for_s: float = 1e9, share: float = 1.0, seed: int = 0, only: tuple[int, ...] = ()) -> None:
+        self._way, self._for_s, self._share, self._only, self._dice = way, for_s, share, only, random.Random(seed)
+
+    def _fate(self, way: str, since_s: float, frame: bytes) -> Late[bytes]:
+        hit = self._way in (way, "both") and since_s < self._for_s
+        hit = hit and (not self._only or message_id(frame) in self._only)
+        return [] if hit and self._dice.random() < self._share else [(0.0, frame)]
+
+    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """Lost with this probability."""
+        return self._fate("up", since_s, frame)
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """Lost with this probability."""
+        return self._fate("down", since_s, frame)
+
+
+class Unplugged(Injector):
+    """The plug of a serial line is out for a while."""
+
+    needs = Needs.LINE
+
+    def __init__(self, for_s: float) -> None:
+        self._for_s, self._out = for_s, False
+
+    def begin(self, at: Theatre) -> None:
+        """Out."""
+        assert at.line is not None
+        at.line.unplug()
+        self._out = True
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """In again, once."""
+        assert at.line is not None
+        if self._out and since_s >= self._for_s:
+            at.line.plug()
+            self._out = False
+
+
+class Refused(Injector):
+    """The autopilot never carries out one kind of command: it is lost on its way."""
+
+    def __init__(self, command: int) -> None:
+        self._command = command
+
+    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """COMMAND_LONG carries its number behind seven floats."""
+        hit = message_id(frame) == _COMMAND_LONG and int.from_bytes(frame[38:40], "little") == self._command
+        return [] if hit else [(0.0, frame)]
+
+
+class Jitter(Injector):
+    """For a while every frame is late by a random time, so that some overtake others."""
+
+    def __init__(self, most_s: float, for_s: float = 1e9, seed: int = 0) -> None:
+        self._most_s, self._for_s, self._dice = most_s, for_s, random.Random(seed)
+
+    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """Uniform."""
+        return [(self._dice.uniform(0.0, self._most_s) if since_s < self._for_s else 0.0, frame)]
+
+    to_product = to_autopilot
+
+
+class Repeated(Injector):
+    """Every frame comes three times, the copies late and among later ones."""
+
+    def __init__(self, late_s: float = 0.5) -> None:
+        self._late_s = late_s
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """Once in time."""
+        return [(0.0, frame), (0.3 * self._late_s, frame), (self._late_s, frame)]
+
+    to_autopilot = to_product
+
+
+class Corrupted(Injector):
+    """One byte in a share of the frames is another."""
+
+    def __init__(self, share: float, seed: int = 0) -> None:
+        self._share, self._dice = share, random.Random(seed)
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """Anywhere, the start byte too."""
+        if self._dice.random() >= self._share:
+            return [(0.0, frame)]
+        spoilt = bytearray(frame)
+        spoilt[self._dice.randrange(len(spoilt))] ^= self._dice.randrange(1, 256)
+        return [(0.0, bytes(spoilt))]
+
+    to_autopilot = to_product
+
+
+class Garbage(Injector):
+    """Random bytes poured into what the product reads."""
+
+    def __init__(self, bytes_per_s: int, for_s: float) -> None:
+        self._per_s, self._for_s, self._before_s = bytes_per_s, for_s, 0.0
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """A turn's share."""
+        if since_s < self._for_s:
+            count = int(self._per_s * (since_s - self._before_s))
+            proxy_of(at).forge(at.dice.randbytes(count))
+        self._before_s = since_s
+
+
+class Forger(Injector):
+    """Somebody on the link speaks as system: heartbeats in other modes, disarmed, false poses, commands to the product."""
+
+    def __init__(self, system: int, component: int = 1, for_s: float = 10.0, version_1: bool = False) -> None:
+        self._for_s, self._voice = for_s, mavlink.MAVLink(None, system, component)
+        self._version_1 = version_1
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """All kinds, each turn."""
+        if since_s >= self._for_s:
+            return
+        boot_ms = int(since_s * 1000)
+        for message in (
+            mavlink.MAVLink_heartbeat_message(2, 12, 1, 3 << 16, 3, 3),
+            mavlink.MAVLink_heartbeat_message(2, 12, 1, 84148224, 4, 3),
+            mavlink.MAVLink_local_position_ned_message(boot_ms, 90.0, -80.0, 5.0, 3.0, 3.0, 3.0),
+            mavlink.MAVLink_command_long_message(245, 191, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_command_long_message(245, 191, 176, 0, 1.0, 4.0, 6.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_command_long_message(245, 191, 185, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0),
+        ):
+            proxy_of(at).forge(bytes(message.pack(self._voice, force_mavlink1=self._version_1)))
+
+
+class SecondAutopilot(Injector):
+    """Another autopilot on the link with the vehicle's own name: it counts its frames and its time itself, stands elsewhere,
+    and says that it is in a mode, ten times a second; or briefly, and nothing else, with the numbers that are due. modes:
+    HEARTBEAT's on PX4 and on ArduPilot.
+    """
+
+    OURS, PILOTS, LANDING = (6 << 16, 4), (3 << 16, 5), (6 << 24 | 4 << 16, 9)
+
+    def __init__(self, modes: tuple[int, int], armed: bool = True, for_s: float = 10.0, briefly: bool = False) -> None:
+        self._modes, self._armed, self._for_s, self._briefly = modes, armed, for_s, briefly
+        self._voice, self._turns = mavlink.MAVLink(None, 1, 1), 0
+        self._heartbeat: mavlink.MAVLink_message | None = None
+
+    def begin(self, at: Theatre) -> None:
+        """Of the vehicle's kind."""
+        px4 = at.world.flyer.truth().mode == "OFFBOARD"
+        family, mode, base = 12 if px4 else 3, self._modes[0 if px4 else 1], 1 | 128 * self._armed
+        self._heartbeat = mavlink.MAVLink_heartbeat_message(2, family, base, mode, 4, 3)
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Booted a quarter of an hour ago."""
+        if self._briefly and since_s < 0.1:
+            self._voice.seq = (frames(proxy_of(at).heard[-1][1])[-1][4] + 16) % 256
+            self._say(at, self._heartbeat)
+        if self._briefly or since_s >= self._for_s:
+            return
+        boot_ms = int((900.0 + since_s) * 1000)
+        if self._turns % 10 == 0:
+            self._say(at, self._heartbeat)
+        if self._turns % 3 == 0:
+            self._say(at, mavlink.MAVLink_local_position_ned_message(boot_ms, 3.0, -2.0, -1.5, 0.3, 0.0, 0.0))
+            self._say(at, mavlink.MAVLink_attitude_quaternion_message(boot_ms, 0.6, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0))
+        self._turns += 1
+
+    def _say(self, at: Theatre, message: mavlink.MAVLink_message | None) -> None:
+        assert message is not None
+        proxy_of(at).forge(bytes(message.pack(self._voice)))
+        self._voice.seq = (self._voice.seq + 1) % 256
+
+
+class Rewritten(Injector):
+    """Frames of one kind from the autopilot are replaced by what a function makes of them."""
+
+    def __init__(self, kind: int, change: Callable[[bytes], bytes]) -> None:
+        self._kind, self._change = kind, change
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """The others go through."""
+        return [(0.0, self._change(frame) if message_id(frame) == self._kind else frame)]
+
+
+class Gauge(Injector):
+    """SYS_STATUS tells another share of the battery in some spells: from and until (s) and the share, NaN for unknown."""
+
+    def __init__(self, *spells: tuple[float, float, float]) -> None:
+        self._spells = spells
+
+    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+        """The frame keeps its number, or it would be taken for one that comes late."""
+        told = [share for from_s, until_s, share in self._spells if from_s <= since_s < until_s]
+        if not told or message_id(frame) != SYS_STATUS:
+            return [(0.0, frame)]
+        message, voice = mavlink.MAVLink(None).decode(bytearray(frame)), mavlink.MAVLink(None, 1, 1)
+        message.battery_remaining, voice.seq = -1 if math.isnan(told[0]) else round(told[0] * 100), frame[4]
+        return [(0.0, bytes(message.pack(voice)))]
+
+
+def version(major: int, minor: int, patch: int) -> Callable[[bytes], bytes]:
+    """AUTOPILOT_VERSION of another firmware."""
+    voice = mavlink.MAVLink(None, 1, 1)
+
+    def change(frame: bytes) -> bytes:
+        message = mavlink.MAVLink(None).decode(bytearray(frame))
+        message.flight_sw_version = major << 24 | minor << 16 | patch << 8 | 255
+        return bytes(message.pack(voice))
+
+    return change
+
+
+def proxy_of(at: Theatre) -> Tap:
+    """The link's proxy, which the meddler keeps in the theatre."""
+    assert at.proxy is not None
+    return at.proxy

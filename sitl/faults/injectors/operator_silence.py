@@ -1,0 +1,85 @@
+"""The operator of a flight goes, or is heard now and then; and what a judge sees of the answer to it (row D8)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.faults.flight_evidence import Evidence
+from sitl.faults.injectors.base import ATTENDED, Injector, Needs, Theatre
+from sitl.faults.injectors.mavlink_link import proxy_of
+from sitl.faults.judges.reaction_metrics import Measure
+
+TIMEOUT_S = 30.0  # of the campaign's flights, all of which have an operator
+_MISSED, _RETURNING = "no operator", "returning"
+_TURNED_S = 1.0  # from word of it to the way home
+
+
+class Gone(Injector):
+    """The operator asks no more."""
+
+    needs = Needs.STAGES
+
+    def begin(self, at: Theatre) -> None:
+        """For good."""
+        at.attends = False
+
+
+class Rare(Injector):
+    """The operator asks once in so many seconds, beginning now."""
+
+    needs = Needs.STAGES
+
+    def __init__(self, every_s: float) -> None:
+        self._every_s = every_s
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """One question falls into a second."""
+        at.attends = since_s % self._every_s < 1.0
+
+
+class GroundStation(Injector):
+    """Heartbeats of a ground station reach the product once a second, as anybody can send them."""
+
+    def __init__(self, system: int = 255) -> None:
+        self._voice, self._next_s = mavlink.MAVLink(None, system, 190), 0.0
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """From a system that ground stations have."""
+        if since_s >= self._next_s:
+            self._next_s += 1.0
+            beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+            proxy_of(at).forge(bytes(beat.pack(self._voice)))
+
+
+def acts_after(e: Evidence) -> float:
+    """Seconds from the operator's last sign of life to word on the wire that it returns, or to a landing."""
+    last_s = e.notes.get(ATTENDED, math.inf)
+    said = [stamp_s for stamp_s, text in e.wire.texts if stamp_s >= last_s and _RETURNING in text]
+    return min([stamp_s - last_s for stamp_s in said] + [e.since(e.landing & e.armed, last_s)])
+
+
+def warns_after(e: Evidence) -> float:
+    """Seconds from the operator's last sign of life to the first word of it; inf for none."""
+    last_s = e.notes.get(ATTENDED, math.inf)
+    return min((stamp_s - last_s for stamp_s, text in e.wire.texts if stamp_s >= last_s and _MISSED in text), default=math.inf)
+
+
+def warnings(e: Evidence) -> float:
+    """How often people were told that nobody attends."""
+    return float(sum(_MISSED in text for _, text in e.wire.texts))
+
+
+def astray(after_s: float) -> Measure:
+    """Metres flown, level, from so long after the operator's last sign of life on, beyond the straight way to the pad."""
+
+    def measure(e: Evidence) -> float:
+        from_s = e.notes.get(ATTENDED, math.inf) + after_s + _TURNED_S
+        way = e.position_m[(e.stamp_s >= from_s) & e.armed, :2]
+        if not len(way):
+            return 0.0 if from_s < math.inf else math.inf
+        return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum() - np.linalg.norm(way[0]))
+
+    return measure

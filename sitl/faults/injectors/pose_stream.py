@@ -1,0 +1,136 @@
+"""Troubles of the pose stream, at the place where a tracking system would have them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from sitl.faults.injectors.base import Injector
+from sitl.faults.mavlink_proxy import Late
+from sitl.geometry.quaternion import from_yaw, multiply
+from sitl.world.pose_tracker import PoseRecord
+
+Change = Callable[[PoseRecord, float], PoseRecord]
+
+
+class Silence(Injector):
+    """No pose for a while."""
+
+    def __init__(self, for_s: float = 1e9) -> None:
+        self._for_s = for_s
+
+    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+        """Lost."""
+        return [] if since_s < self._for_s else [(0.0, record)]
+
+
+class Altered(Injector):
+    """Poses between two instants are changed; count: so many of them at most."""
+
+    def __init__(self, change: Change, from_s: float = 0.0, for_s: float = 1e9, count: int = 1 << 30) -> None:
+        self._change, self._from_s, self._until_s, self._left = change, from_s, from_s + for_s, count
+
+    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+        """Changed while it lasts."""
+        if not self._from_s <= since_s < self._until_s or self._left <= 0:
+            return [(0.0, record)]
+        self._left -= 1
+        return [(0.0, self._change(record, since_s))]
+
+
+class Thinned(Injector):
+    """At most rate_hz poses a second."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period_s, self._next_s = 1.0 / rate_hz, 0.0
+
+    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+        """The rest is lost."""
+        if since_s < self._next_s:
+            return []
+        self._next_s = since_s + self._period_s
+        return [(0.0, record)]
+
+
+class Later(Injector):
+    """Poses arrive so much later than they would."""
+
+    def __init__(self, delay_s: float) -> None:
+        self._delay_s = delay_s
+
+    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+        """Their stamps are right."""
+        return [(self._delay_s, record)]
+
+
+def moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
+    """Shifted in odom, metres."""
+    return lambda record, _: dataclasses.replace(record, position_m=record.position_m + np.array([x, y, z]))
+
+
+def drifting(x: float, y: float, most_m: float = 3.0) -> Change:
+    """Shifted more and more, m/s, up to a distance."""
+
+    def change(record: PoseRecord, since_s: float) -> PoseRecord:
+        drift_s = min(since_s, most_m / math.hypot(x, y))
+        return dataclasses.replace(record, position_m=record.position_m + np.array([x, y, 0.0]) * drift_s)
+
+    return change
+
+
+def turned(degrees: float) -> Change:
+    """The heading is off."""
+    turn = from_yaw(math.radians(degrees))
+
+    def change(record: PoseRecord, _: float) -> PoseRecord:
+        w, x, y, z = (float(v) for v in record.quat_wxyz)
+        return dataclasses.replace(record, quat_wxyz=np.array(multiply(turn, (w, x, y, z))))
+
+    return change
+
+
+def map_turned(degrees: float) -> Change:
+    """The whole of odom is turned about its origin: what a loop closure does to a tracker without a map frame."""
+    turn, angle = turned(degrees), math.radians(degrees)
+    c, s = math.cos(angle), math.sin(angle)
+    spin = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return lambda record, since_s: dataclasses.replace(turn(record, since_s), position_m=spin @ record.position_m)
+
+
+def stamped(shift_s: float) -> Change:
+    """A stamp of another clock."""
+    return lambda record, _: dataclasses.replace(record, stamp_s=record.stamp_s + shift_s)
+
+
+class Frozen(Injector):
+    """Every pose carries the stamp of the first one."""
+
+    def __init__(self) -> None:
+        self._stamp_s = math.nan
+
+    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+        """Its place is right."""
+        self._stamp_s = record.stamp_s if math.isnan(self._stamp_s) else self._stamp_s
+        return [(0.0, dataclasses.replace(record, stamp_s=self._stamp_s))]
+
+
+def spoilt(kind: str) -> Change:
+    """A field that makes no sense: nan place, inf place, nan turn, zero turn, long turn, nan variance, nan stamp."""
+    bad = {"nan": math.nan, "inf": math.inf, "zero": 0.0, "long": 1.7}
+    word, field = kind.split()
+
+    def change(record: PoseRecord, _: float) -> PoseRecord:
+        value = bad[word]
+        if field == "place":
+            return dataclasses.replace(record, position_m=np.array([value, 0.0, 1.0]))
+        if field == "turn":
+            quat = record.quat_wxyz * value if word == "long" else np.full(4, value)
+            return dataclasses.replace(record, quat_wxyz=quat)
+        if field == "variance":
+            return dataclasses.replace(record, variance=np.full(6, value))
+        return dataclasses.replace(record, stamp_s=value)
+
+    return change

@@ -1,0 +1,142 @@
+"""Troubles of vehicle and autopilot: pushes, motors, battery, transmitter, the pilot's own switch."""
+
+from __future__ import annotations
+
+import math
+
+from sitl.faults.injectors.base import TAKEN_OVER, Injector, Needs, Theatre
+
+
+class Push(Injector):
+    """A steady force for a while along the way that it flies, as an acceleration in m/s²; its accelerometer feels it."""
+
+    needs = Needs.INSIDES
+
+    def __init__(self, acceleration_mps2: float, for_s: float) -> None:
+        self._force, self._for_s = acceleration_mps2, for_s
+        self._along = (0.0, 0.0)
+
+    def begin(self, at: Theatre) -> None:
+        """On along the way that it flies."""
+        vx, vy, _ = at.world.flyer.truth().velocity
+        speed = math.hypot(vx, vy) or 1.0
+        self._along = (vx / speed, vy / speed)
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """While it lasts."""
+        force = self._force if since_s <= self._for_s else 0.0
+        at.world.autopilot.vehicle.outside_mps2 = (self._along[0] * force, self._along[1] * force, 0.0)
+
+
+class Dragged(Injector):
+    """To a place beside its way and kept there until it is down, by whatever force that takes: y in the world (m)."""
+
+    needs = Needs.INSIDES
+    _PER_S, _FASTEST_MPS, _STIFF_PER_S, _MOST_MPS2, _DOWN_M = 2.0, 0.8, 25.0, 15.0, 0.2
+
+    def __init__(self, y_m: float) -> None:
+        self._y_m = y_m
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """While it is in the air."""
+        (_, y_m, z_m), (_, vy_mps, _) = (truth := at.world.flyer.truth()).position, truth.velocity
+        wanted_mps = min(max(self._PER_S * (self._y_m - y_m), -self._FASTEST_MPS), self._FASTEST_MPS)
+        force = min(max(self._STIFF_PER_S * (wanted_mps - vy_mps), -self._MOST_MPS2), self._MOST_MPS2)
+        force = force if z_m > self._DOWN_M else 0.0
+        at.world.autopilot.vehicle.outside_mps2 = (0.0, force, 0.0)
+
+
+class HeldDown(Injector):
+    """The rotors cannot lift it: three times too heavy."""
+
+    needs = Needs.INSIDES
+
+    def begin(self, at: Theatre) -> None:
+        """For good."""
+        at.world.autopilot.vehicle.weaken(1.0 / 3.0)
+
+
+class Takeover(Injector):
+    """The pilot's switch, later_s after the moment. modes: the same thing as each firmware calls it."""
+
+    needs = Needs.STICKS
+
+    def __init__(self, *modes: str, later_s: float = 0.0) -> None:
+        self._modes, self._later_s, self._done = modes, later_s, False
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Once."""
+        if not self._done and since_s >= self._later_s:
+            self._done, at.notes[TAKEN_OVER] = True, at.now_s
+            switch(at, self._modes)
+
+
+class Reboot(Injector):
+    """The autopilot starts anew in the air."""
+
+    needs = Needs.INSIDES
+
+    def begin(self, at: Theatre) -> None:
+        """Once."""
+        at.world.autopilot.reboot()
+
+
+class Unnoticed(Injector):
+    """The landing is not noticed: a slope, a rug, a land detector that fails."""
+
+    needs = Needs.INSIDES
+
+    def begin(self, at: Theatre) -> None:
+        """For good."""
+        at.world.autopilot.lose_land_detector()
+
+
+class TransmitterLost(Injector):
+    """The pilot's transmitter is no longer heard."""
+
+    needs = Needs.INSIDES
+
+    def begin(self, at: Theatre) -> None:
+        """For good."""
+        at.world.autopilot.transmitter(heard=False)
+
+
+class Battery(Injector):
+    """The charge falls to a fraction at once, and then by so much each second."""
+
+    needs = Needs.INSIDES
+
+    def __init__(self, fraction: float, per_s: float = 0.0) -> None:
+        self._fraction, self._per_s = fraction, per_s
+
+    def turn(self, at: Theatre, since_s: float) -> None:
+        """Linear."""
+        at.world.autopilot.set_battery(max(self._fraction - self._per_s * since_s, 0.0))
+
+
+class Parameter(Injector):
+    """A parameter of the autopilot is another than the product counts on. values: its name and value on each firmware."""
+
+    needs = Needs.INSIDES
+
+    def __init__(self, *values: tuple[str, float]) -> None:
+        self._values = values
+
+    def begin(self, at: Theatre) -> None:
+        """Raises KeyError where the personality has none of them."""
+        autopilot = at.world.autopilot
+        known = [(name, value) for name, value in self._values if name in autopilot.parameters]
+        if not known:
+            raise KeyError(self._values[0][0])
+        autopilot.write_parameter(*known[0])
+
+
+def switch(at: Theatre, modes: tuple[str, ...]) -> None:
+    """The first of these modes that the personality has. Raises KeyError for none."""
+    for mode in modes:
+        try:
+            at.world.flyer.pilot_takes_over(mode)
+        except KeyError:
+            continue
+        return
+    raise KeyError(modes[0])

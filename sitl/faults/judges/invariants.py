@@ -1,0 +1,146 @@
+"""What holds in every flight of the campaign, whatever the trouble."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.faults.flight_evidence import Bools, Evidence
+from sitl.faults.injectors.base import TAKEN_OVER
+from sitl.faults.judges import reaction_metrics
+from sitl.faults.judges.statustext_checks import untold
+
+Indices = NDArray[np.int64]
+
+CONTACT_M = 1e-3
+AIRBORNE_M, UNATTENDED_S = 0.15, 60.0
+_STEP_M, _SPEED_MPS, _PUSH_MPS2, _TURN_RADPS = 0.03, 0.06, 1e-3, 1e-3  # what single floats and 30 Hz may add
+_HEADING_RAD = 0.03
+_INSIDE_M = 0.02
+_TURN_S = 1.0 / 60.0
+_PERIOD_S = 1.0 / 30.0  # of setpoints
+_WHILE_S = 0.4
+
+
+@dataclass(frozen=True)
+class Room:
+    """What a flight keeps around it: clear_m of the scene, at least; overshoot_m of the fence, at most."""
+
+    clear_m: float = 0.10
+    overshoot_m: float = 0.30
+
+
+USUAL = Room()
+
+
+def violations(e: Evidence, room: Room = USUAL) -> list[str]:
+    """What was broken, in words with figures; empty for a flight that kept all of it."""
+    checks = (_numbers, _speed, _steps, _place, _authority, _disarm, _end, untold)
+    told = (check(e) for check in checks)
+    return [said for said in (_clear(e, room.clear_m), *told, _fence(e, room.overshoot_m)) if said]
+
+
+def _clear(e: Evidence, least_m: float) -> str:
+    kept_m = reaction_metrics.clearance(e)
+    if kept_m < CONTACT_M:
+        return f"contact: clearance {kept_m:.3f} m"
+    return f"clearance {kept_m:.3f} m of {least_m:.2f}" if kept_m < least_m - 1e-9 else ""
+
+
+def _fence(e: Evidence, most_m: float) -> str:
+    out_m = reaction_metrics.overshoot(e)
+    return f"fence overshot by {out_m:.2f} m" if out_m > most_m else ""
+
+
+def _numbers(e: Evidence) -> str:
+    return f"{e.wire.not_finite} frames with NaN or infinity on the wire" if e.wire.not_finite else ""
+
+
+def _speed(e: Evidence) -> str:
+    w, limits = e.wire, e.limits
+    speed = float(np.linalg.norm(w.velocity_mps, axis=1).max(initial=0.0))
+    push = float(np.linalg.norm(w.acceleration_mps2, axis=1).max(initial=0.0))
+    turn = float(np.abs(w.yaw_rate_radps).max(initial=0.0))
+    if speed > limits.speed_mps + 1e-3:
+        return f"setpoint of {speed:.2f} m/s"
+    if push > limits.acceleration_mps2 + _PUSH_MPS2:
+        return f"setpoint of {push:.2f} m/s²"
+    return f"setpoint of {turn:.2f} rad/s" if turn > limits.yaw_rate_radps + _TURN_RADPS else ""
+
+
+def _steps(e: Evidence) -> str:
+    """From one setpoint to the next, and over a while: what a frame may be off adds up to nothing in a dozen of them."""
+    stamps = e.wire.setpoint_s
+    k = np.arange(max(len(stamps) - 1, 0))
+    later = np.searchsorted(stamps, stamps + _WHILE_S - 1e-6)
+    begun = np.flatnonzero(later < len(stamps))
+    return _leaps(e, k, k + 1) or _leaps(e, begun, later[begun])
+
+
+def _leaps(e: Evidence, i: Indices, j: Indices) -> str:
+    """From setpoints i (P,) to the later ones j (P,), as far as nothing between them begins anew.
+
+    Two that were sent a thirtieth of a second apart may arrive together, where the receiver comes late: the longer time counts,
+    but of what their sender says no more than that for each.
+    """
+    w, limits = e.wire, e.limits
+    breaks = np.append(0, np.cumsum(_anew(e)))
+    i, j = i[breaks[i] == breaks[j]], j[breaks[i] == breaks[j]]
+    told_s = (w.setpoint_stamp_ms[j] - w.setpoint_stamp_ms[i]) / 1e3
+    dt = np.maximum(w.setpoint_s[j] - w.setpoint_s[i], np.minimum(told_s, _PERIOD_S * (j - i)))
+    step = np.linalg.norm(w.position_m[j] - w.position_m[i], axis=1) - limits.speed_mps * (dt + _TURN_S)
+    change = np.linalg.norm(w.velocity_mps[j] - w.velocity_mps[i], axis=1) - limits.acceleration_mps2 * (dt + _TURN_S)
+    turned = reaction_metrics.turned_rad(w.yaw_rad[i], w.yaw_rad[j]) if len(w.yaw_rad) else np.zeros(len(i))
+    turn = turned - limits.yaw_rate_radps * (dt + _TURN_S)
+    within = f" within {float(np.median(dt)):.2f} s" if len(dt) else ""
+    if (step > _STEP_M).any():
+        return f"setpoint jumps {float(step.max()):.2f} m farther than allowed{within}"
+    if (turn > _HEADING_RAD).any():
+        return f"heading jumps by {float(np.degrees(turn.max())):.0f} degrees too much{within}"
+    return f"velocity jumps by {float(change.max()):.2f} m/s too much{within}" if (change > _SPEED_MPS).any() else ""
+
+
+def _anew(e: Evidence) -> Bools:
+    """Of each setpoint but the first (N - 1,): a reset of the pose moved it along, or a pilot began anew with it."""
+    w = e.wire
+    anew: Bools = np.diff(w.setpoint_s) >= 0.5
+    for reset_s in w.odometry_s[1:][np.diff(w.reset_counter) != 0]:
+        anew |= np.abs(w.setpoint_s[1:] - reset_s) < 0.1
+    return anew
+
+
+def _place(e: Evidence) -> str:
+    """The pad lies below the inset's floor: what is under it is no violation over the pad."""
+    w, limits = e.wire, e.limits
+    low, high = np.array(limits.fence_min_m) + limits.inset_m, np.array(limits.fence_max_m) - limits.inset_m
+    out = np.maximum(low - w.position_m, w.position_m - high)
+    pad = np.hypot(w.position_m[:, 0], w.position_m[:, 1]) < 0.6
+    out[pad, 2] = np.minimum(out[pad, 2], 0.0)
+    worst_m = float(out.max(initial=0.0))
+    return f"setpoint {worst_m:.2f} m out of the inset fence" if worst_m > _INSIDE_M else ""
+
+
+def _authority(e: Evidence) -> str:
+    count = int(reaction_metrics.commands_once_known(e))
+    return f"{count} mode or arm commands after the pilot took over" if count else ""
+
+
+def _disarm(e: Evidence) -> str:
+    """Asked for, or met, above the ground; what the pilot's own switch does is the pilot's."""
+    height = e.position_m[:, 2] - e.standing_m
+    for order in e.wire.orders:
+        stop = (order.command == 400 and order.first < 0.5) or (order.command == 185 and order.first > 0.5)
+        if stop and np.interp(order.stamp_s, e.stamp_s, height) > AIRBORNE_M:
+            return "asked for the motors to stop in the air"
+    fell = e.armed[:-1] & ~e.armed[1:] & (height[:-1] > AIRBORNE_M)
+    return "disarmed in the air" if fell.any() else ""
+
+
+def _end(e: Evidence) -> str:
+    """Down with motors off, in a pilot's hands, or not yet so long alone."""
+    human = TAKEN_OVER in e.notes and not e.ours[-1] and not e.landing[-1]
+    unattended = bool(e.armed[-1]) and not human and e.end_s - e.onset_s > UNATTENDED_S - 1.0
+    still = unattended and float(np.linalg.norm(np.diff(e.position_m[-int(30 / _TURN_S) :], axis=0), axis=1).sum()) < 3.0
+    return "hovers armed and unattended" if still else ""

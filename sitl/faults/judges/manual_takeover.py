@@ -1,0 +1,33 @@
+"""Whether a vehicle that a pilot took stayed the pilot's, where the switch and an order of ours cross on their way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sitl.faults.flight_evidence import Evidence
+from sitl.faults.injectors.base import TAKEN_OVER
+
+_LAND = (176, 21)  # DO_SET_MODE and NAV_LAND
+_HEARD_S, _FLIES_S = 0.02, 0.1  # from the arrival of a heartbeat to what comes of it; of an order on its way
+
+
+def mode_taken_back(e: Evidence) -> float:
+    """Turns in another mode than the pilot's after the switch; a landing that was asked for before anybody could hear of the
+    switch is none. inf if the mode never was the pilot's, and no such landing is why.
+    """
+    switched_s = e.notes.get(TAKEN_OVER, math.inf)
+    blind_until_s = next((stamp_s for stamp_s, _, _ in e.heard if stamp_s >= switched_s), math.inf) + _HEARD_S
+    blind = [o.stamp_s for o in e.wire.orders if o.command in _LAND and switched_s - _FLIES_S < o.stamp_s <= blind_until_s]
+    after = e.armed & (e.stamp_s > switched_s)
+    theirs = np.flatnonzero(after & ~e.ours & ~e.landing)
+    asked = [e.since(after & e.landing, o) <= _FLIES_S for o in blind]
+    if not len(theirs):
+        return 0.0 if any(asked) and not (e.ours & (e.stamp_s > max(blind) + _FLIES_S)).any() else math.inf
+    other = np.flatnonzero(
+        after & np.array([mode != e.mode[theirs[0]] for mode in e.mode]) & (e.stamp_s > e.stamp_s[theirs[0]])
+    )
+    begun_s = float(e.stamp_s[other[0]]) if len(other) else math.inf
+    excused = any(0.0 <= begun_s - o <= _FLIES_S for o in blind) and bool(e.landing[other].all())
+    return 0.0 if excused else float(len(other))

@@ -1,0 +1,91 @@
+"""Whether people at a ground station were told of what the product did, and why: a STATUSTEXT within a second (HAZARDS, G7).
+
+words: a regular expression, for the fifty characters that a STATUSTEXT has; the product says no more than one at a time.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+
+from sitl.faults.flight_evidence import Evidence
+from sitl.faults.judges.reaction_metrics import Measure, tries_s
+
+_LAND = (176, 21)  # DO_SET_MODE and NAV_LAND; in the air the product asks for no other mode
+_TOLD_S = 1.0 + 0.05  # and a turn or two of the pilot's loop
+_ALOFT_M = 0.3
+_BEFORE_S = 0.5  # it may say so first, and ask when it knows the mode of this instant
+_FLYING_S = 0.5  # who streamed so lately had the vehicle, and lives
+_OURS_S = 3.0  # a landing so soon after it was asked for is what was asked for
+_WHOSE = re.compile(r"^yielded|the autopilot lands")
+DRIFT = "odom creeps|surfaces stand|of what was seen"  # what depth may say against the pose
+# What a reason for a landing is: a refusal, a stranger or a slow link is none; whose the vehicle is by then is one too.
+_WHY_LAND = re.compile(
+    r"asked to |asks to |no pose|poses |mission silent|no depth|refused for|refusals in|odom |outside the fence"
+    r"|blocked|nowhere|two autopilots|take-off given up|arm(ed|ing) |LAND is asked for|in flight parameter"
+    rf"|{DRIFT}|{_WHOSE.pattern}"
+)
+_FLOOR_M = 0.05  # above where it comes to lie
+
+
+def told_after(words: str) -> Measure:
+    """Seconds from the trouble to the product's first STATUSTEXT with these words."""
+    return lambda e: _since(e, words, e.onset_s)
+
+
+def told_on_the_floor(words: str) -> Measure:
+    """The same from when the vehicle has come down, after the trouble."""
+
+    def measure(e: Evidence) -> float:
+        height = e.position_m[:, 2]
+        low = height <= height[e.stamp_s >= e.onset_s].min(initial=math.inf) + _FLOOR_M
+        return _since(e, words, e.onset_s + e.since(low, e.onset_s))
+
+    return measure
+
+
+def told_after_arming(words: str) -> Measure:
+    """The same from the first arm command."""
+    return lambda e: _since(e, words, tries_s(e)[0]) if tries_s(e) else math.inf
+
+
+def _since(e: Evidence, words: str, from_s: float) -> float:
+    said = [stamp_s for stamp_s, text in e.wire.texts if stamp_s >= from_s and re.search(words, text)]
+    return said[0] - from_s if said else math.inf
+
+
+def untold(e: Evidence) -> str:
+    """The first reaction that nobody was told of in time, in words; '' for none."""
+    asked = [o.stamp_s for o in e.wire.orders if o.command in _LAND and _aloft(e, o.stamp_s)]
+    due = [("landing asked for", _WHY_LAND, asked[0], asked[0])] if asked else []
+    due += [("another's mode", _WHY_LAND if lands else _WHOSE, lost_s, heard_s) for lost_s, heard_s, lands in _lost(e, asked)]
+    for what, why, from_s, known_s in due:
+        said = [stamp_s for stamp_s, text in e.wire.texts if why.search(text)]
+        told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in said)
+        if not told and known_s + _TOLD_S < e.end_s:
+            return f"{what} {known_s - e.onset_s:.1f} s after the trouble and not told within {_TOLD_S:.2f} s"
+    return ""
+
+
+def _aloft(e: Evidence, stamp_s: float) -> bool:
+    """Whether it was off the ground, where the flight's own mode has been asked for."""
+    return bool(np.interp(stamp_s, e.stamp_s, e.position_m[:, 2]) > _ALOFT_M)
+
+
+def _lost(e: Evidence, asked: list[float]) -> list[tuple[float, float, bool]]:
+    """Each instant in which the vehicle left our mode unasked, under our setpoints, and in which the product heard of it; and
+    whether it is landing: a product that is about to land by itself and says why has no more to say, nor to ask for.
+    """
+    left = np.flatnonzero(e.ours[:-1] & ~e.ours[1:] & e.armed[1:]) + 1
+    found = []
+    for at in left.tolist():
+        lost_s = float(e.stamp_s[at])
+        flown = ((e.wire.setpoint_s > lost_s - _FLYING_S) & (e.wire.setpoint_s <= lost_s)).any()
+        ours = any(0.0 <= lost_s - stamp_s < _OURS_S for stamp_s in asked)
+        before = next((mode for stamp_s, mode, _ in reversed(e.heard) if stamp_s < lost_s), None)
+        heard_s = next((stamp_s for stamp_s, mode, _ in e.heard if stamp_s >= lost_s and mode != before), math.inf)
+        if flown and not ours:
+            found.append((lost_s, heard_s, bool(e.landing[at])))
+    return found

@@ -1,0 +1,115 @@
+"""What came of a row over all its flights: for each bar the worst figure, and what was broken of what holds everywhere."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sitl.faults.table.scenario import Bar, Row, Verdict
+
+REAL_FIRMWARE = "T1"
+
+
+@dataclass(frozen=True)
+class Result:
+    """passed None: not flown. worst: of each bar over the flights. missed: numbers of flights that did not pass; remarks: what
+    else broke. firmware: version of a real one, "" for none. how: the words that say how it was flown, "" for in lockstep.
+    """
+
+    row: Row
+    autopilot: str
+    seeds: int
+    missed: tuple[int, ...]
+    passed: bool | None
+    worst: tuple[float, ...]
+    remarks: tuple[str, ...]
+    firmware: str = ""
+    how: str = ""
+
+    @property
+    def kept(self) -> int:
+        """Flights that passed."""
+        return self.seeds - len(self.missed)
+
+    @property
+    def figures(self) -> list[tuple[Bar, float]]:
+        """Each bar with its worst figure; none where nothing was flown."""
+        return list(zip(self.row.bars, self.worst, strict=True)) if self.seeds else []
+
+    def again(self, number: int) -> str:
+        """The words that fly one of its flights again."""
+        return f"--only {self.row.id} --autopilot {self.autopilot} {self.how} --seeds 1 --seed0 {number}".replace("  ", " ")
+
+    def headline(self) -> tuple[Bar, float] | None:
+        """The bar that is used up most, and its figure."""
+        if not self.figures:
+            return None
+        return max(self.figures, key=lambda pair: pair[0].badness(pair[1], self.autopilot))
+
+    def sentence(self) -> str:
+        """Every broken bar with its figure; the tightest one where none is."""
+        head = self.headline()
+        return ", ".join(self.broken() or ([self._words(*head)] if head else []))
+
+    def broken(self) -> list[str]:
+        """Words for each broken bar."""
+        return [self._words(bar, figure) for bar, figure in self.figures if not bar.holds(figure, self.autopilot)]
+
+    def used(self) -> list[tuple[str, float]]:
+        """For each bar its words, and the share of it that is used up: above 1 it is broken; infinity: it never came."""
+        return [(self._words(bar, figure), bar.badness(figure, self.autopilot)) for bar, figure in self.figures]
+
+    def _words(self, bar: Bar, figure: float) -> str:
+        said = "never" if math.isinf(figure) else "-" if math.isnan(figure) else f"{figure:.2f}"
+        sign = ">=" if bar.at_least else "<="
+        return f"{bar.name} {said} {sign} {bar.limit_of(self.autopilot):g} {bar.unit}".rstrip()
+
+    def tree(self) -> dict[str, object]:
+        """For JSON; a figure that is null never came, or could not be measured."""
+        head = self.headline()
+        return {
+            "id": self.row.id,
+            "tier": REAL_FIRMWARE if self.firmware else self.row.tier,
+            "autopilot": self.autopilot,
+            "firmware": self.firmware,
+            "seeds": self.seeds,
+            "passed": self.passed,
+            "missed": list(self.missed),
+            "figure": _number(head[1]) if head else None,
+            "bar": head[0].limit_of(self.autopilot) if head else None,
+            "unit": head[0].unit if head else "",
+            "measure": head[0].name if head else "",
+            "bars": [
+                {
+                    "measure": b.name,
+                    "figure": _number(f),
+                    "bar": b.limit_of(self.autopilot),
+                    "unit": b.unit,
+                    "at_least": b.at_least,
+                }
+                for b, f in self.figures
+            ],
+            "remarks": list(self.remarks),
+            "why": self.row.why,
+        }
+
+
+def result_of(
+    row: Row, autopilot: str, verdicts: Sequence[Verdict], firmware: str = "", first: int = 0, how: str = ""
+) -> Result:
+    """Worst of all flights, which are numbered from the first on. A row without flights was not flown."""
+    if not verdicts:
+        return Result(row, autopilot, 0, (), None, (), ())
+    worst = []
+    for k, bar in enumerate(row.bars):
+        worst.append(max((v.figures[k] for v in verdicts), key=lambda figure: bar.badness(figure, autopilot)))
+    missed = tuple(n for n, verdict in enumerate(verdicts, first) if not verdict.passed(row, autopilot))
+    said = Counter(words for verdict in verdicts for words in verdict.broken)
+    remarks = tuple(words if count == 1 else f"{words} ({count} times)" for words, count in said.items())
+    return Result(row, autopilot, len(verdicts), missed, not missed, tuple(worst), remarks, firmware, how)
+
+
+def _number(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None

@@ -1,0 +1,94 @@
+"""Where faults are flown: a hall with room to be fast in, a pen inside it, a stage at its far end, two small rooms with a tight
+gap between, and a gallery to be far from home in.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+
+from sitl.faults.judges.gap_passage import Gap
+from sitl.scene.mesh import Mesh, joined
+from sitl.scene.primitives import Workshop
+from sitl.scene.scene import Scene, place
+from sitl.scene.texture import plain, wood
+
+LENGTH_M, WIDTH_M, HEIGHT_M = 10.0, 7.0, 2.8
+START = (1.4, 3.5, 1.2, 0.0)
+PEN = (0.4, 1.0, 0.0, 8.4, 6.0, 2.6)
+SMALL_M = (5.8, 2.8, 2.4)  # of both rooms: soon looked round in
+GALLERY_M = (32.0, 3.5, 2.8)
+STAGE_M = (2.9, 0.6)  # where it begins, and its height
+GAP, GAP_WIDTH_M = Gap(1.2, 2.2), 0.9
+_WALLS, _FLOOR, _GREY = plain((0.80, 0.80, 0.75)), wood((0.55, 0.42, 0.30)), plain((0.50, 0.50, 0.55))
+
+
+@functools.cache  # a campaign flies in the same few, again and again
+def arena(name: str, radius_m: float, painted: bool = False) -> Scene:
+    """hall, pen, stage, corridor or gallery. The start is the same in all. In the pen nothing stands: out of it a vehicle is
+    pushed. painted: for a camera that sees colour; a second.
+    """
+    pieces = {"hall": _hall, "pen": _yard, "stage": _stage, "corridor": _corridor, "gallery": _gallery}[name]
+    scene = place(name, joined(pieces(Workshop(fine=False))), START, PEN if name == "pen" else None, radius_m)
+    if not painted:
+        return scene
+    fine = joined(pieces(Workshop()))
+    vertices = np.ascontiguousarray(fine.vertices - scene.scene_from_world_m, np.float32)
+    return replace(scene, paint=replace(fine, vertices=vertices))
+
+
+def _shell(w: Workshop, x: float, y: float, z: float) -> list[Mesh]:
+    """Of a length, a width whose middle is the hall's, and a height."""
+    low, high = 0.5 * (WIDTH_M - y), 0.5 * (WIDTH_M + y)
+    return [
+        w.patch((0, low, 0), (x, 0, 0), (0, y, 0), _FLOOR),
+        w.patch((0, low, z), (0, y, 0), (x, 0, 0), _WALLS),
+        w.patch((0, low, 0), (0, 0, z), (x, 0, 0), _WALLS),
+        w.patch((0, high, 0), (x, 0, 0), (0, 0, z), _WALLS),
+        w.patch((0, low, 0), (0, y, 0), (0, 0, z), _WALLS),
+        w.patch((x, low, 0), (0, 0, z), (0, y, 0), _WALLS),
+    ]
+
+
+def _yard(w: Workshop) -> list[Mesh]:
+    return _shell(w, LENGTH_M, WIDTH_M, HEIGHT_M)
+
+
+def _hall(w: Workshop) -> list[Mesh]:
+    return [
+        *_yard(w),
+        w.box((4.2, 1.2, 0.0), (4.7, 1.7, HEIGHT_M), _GREY),
+        w.box((6.5, 5.0, 0.0), (7.0, 5.5, HEIGHT_M), _GREY),
+        w.box((7.6, 1.4, 0.0), (9.0, 2.0, 0.8), _GREY),
+    ]
+
+
+def _stage(w: Workshop) -> list[Mesh]:
+    (begin, z), wide = STAGE_M, (0, WIDTH_M, 0)
+    return [
+        *_yard(w),
+        w.patch((begin, 0, z), (LENGTH_M - begin, 0, 0), wide, _GREY),
+        w.patch((begin, 0, 0), (0, 0, z), wide, _GREY),
+    ]
+
+
+def _gallery(w: Workshop) -> list[Mesh]:
+    _, middle, *_ = START
+    pillars = [(9.0, 0.9), (16.0, -0.9), (23.0, 0.9)]
+    return [
+        *_shell(w, *GALLERY_M),
+        *(w.box((x, middle + y - 0.2, 0.0), (x + 0.4, middle + y + 0.2, GALLERY_M[2]), _GREY) for x, y in pillars),
+    ]
+
+
+def _corridor(w: Workshop) -> list[Mesh]:
+    _, width_m, height_m = SMALL_M
+    (pad_m, middle, *_), half_m = START, 0.5 * GAP_WIDTH_M
+    begin, end = pad_m + GAP.begin_m, pad_m + GAP.end_m
+    return [
+        *_shell(w, *SMALL_M),
+        w.box((begin, middle - 0.5 * width_m, 0.0), (end, middle - half_m, height_m), _GREY),
+        w.box((begin, middle + half_m, 0.0), (end, middle + 0.5 * width_m, height_m), _GREY),
+    ]

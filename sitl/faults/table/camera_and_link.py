@@ -1,0 +1,284 @@
+"""Tables C (camera and depth) and D (link)."""
+
+from __future__ import annotations
+
+from sitl.faults.fault import Onset
+from sitl.faults.injectors import operator_silence
+from sitl.faults.injectors.base import Injector
+from sitl.faults.injectors.companion import Crash
+from sitl.faults.injectors.depth_camera import (
+    Appears,
+    Approaches,
+    Dark,
+    FrozenPicture,
+    LateFrames,
+    Painted,
+    Redated,
+    Shuffled,
+    bit_errors,
+    constant,
+    salted,
+    scaled,
+    shifted,
+)  # fmt: skip
+from sitl.faults.injectors.mavlink_link import Corrupted, Garbage, Jitter, Loss, Repeated, Unplugged
+from sitl.faults.injectors.process_signals import Killed
+from sitl.faults.injectors.vehicle_and_autopilot import Reboot
+from sitl.faults.judges import odometry_metrics
+from sitl.faults.judges import reaction_metrics as m
+from sitl.faults.judges.map_integrity import AGAIN, CLAIMED, FREED, Cartographer, Claims, Tally
+from sitl.faults.table.acceptance_limits import (
+    COMPLETES,
+    NO_FAILSAFE,
+    NO_ORDER,
+    RETURN_ACTS,
+    RETURNS,
+    STEADY,
+    STREAMS,
+    UNHEARD_LANDS,
+    clear,
+    down,
+    flies_on,
+    holds,
+    lands,
+    told,
+)
+from sitl.faults.table.scenario import SHORT_VIEWS, Bar, Row
+
+FAST = Onset(speed_mps=0.6)
+STILL = Onset(speed_mps=0.0, view_m=3.8)
+ONCE = Bar("frames mapped again", m.noted(AGAIN), 0.0, "")
+
+TABLE_C = (
+    Row(
+        "C1",
+        "frames lost for 0.3 s",
+        "no frame for 0.3 s",
+        lambda n: [Dark(0.3)],
+        (flies_on(2.0, late_s=0.3), STREAMS, NO_FAILSAFE),
+        onset=FAST,
+        longest_s=12.0,
+    ),
+    Row(
+        "C1b",
+        "frames lost for 3 s",
+        "no frame for 3 s at speed",
+        lambda n: [Dark(3.0)],
+        (holds(0.4), STREAMS, COMPLETES, told("no depth|depth is stale", 1.4)),
+        onset=Onset(speed_mps=0.5),
+        longest_s=180.0,
+        views=24,
+    ),
+    Row(
+        "C1c",
+        "frames lost",
+        "no frame any more",
+        lambda n: [Dark()],
+        (holds(0.4), Bar("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5)),
+        onset=FAST,
+    ),
+    Row(
+        "C2",
+        "camera unplugged",
+        "perception dies at speed and is back after 2 s",
+        lambda n: [Crash("perception", back_s=2.0)],
+        (holds(0.3), lands(1.2), down(30.0)),
+        onset=FAST,
+        live=lambda n: [Killed("perception", for_s=0.0)],  # and its supervisor starts it again
+    ),
+    Row(
+        "C3",
+        "depth corrupted",
+        "salt on 30 % of the pixels; 64 pixels aside; bit errors; half and twice the range; frozen",
+        lambda n: [_corrupt(n), Cartographer()],
+        (holds(0.5), Bar("known occupied freed", m.noted(FREED), 0.1, "%"), clear(0.10)),
+    ),
+    Row(
+        "C4",
+        "lens covered",
+        "every pixel 0; every pixel 65535",
+        lambda n: [Painted(constant((0, 65535)[n % 2]))],
+        (holds(0.4), clear(0.10)),
+        onset=FAST,
+    ),
+    Row(
+        "C4b",
+        "lens covered, the map",
+        "as C4, and the map is looked at",
+        lambda n: [Painted(constant((0, 65535)[n % 2])), Cartographer(), Claims()],
+        (Bar("known occupied freed", m.noted(FREED), 0.0, "%"), Bar("voxels marked free", m.noted(CLAIMED), 0.0, "")),
+        onset=FAST,
+    ),
+    Row("C5", "glass, black, mirror", "surfaces that stereo does not see", why="T2 and T4: glass is not rendered"),
+    Row(
+        "C6",
+        "frames late",
+        "all of them 0.5 s late",
+        lambda n: [LateFrames(0.5)],
+        (
+            Bar("speed 2 s later", m.speed_from(2.0), 0.3, "m/s"),
+            clear(0.10),
+        ),
+    ),
+    Row(
+        "C7",
+        "frames repeated and out of order",
+        "each twice, every third behind the next",
+        lambda n: [Shuffled(), Tally()],
+        (COMPLETES, ONCE),
+        longest_s=180.0,
+        views=SHORT_VIEWS,
+    ),
+    Row(
+        "C7b",
+        "stamps of another clock for 1 s",
+        "an hour ago or ahead, for 1 s at speed",
+        lambda n: [Redated((-3600.0, 3600.0)[n % 2], 1.0), Tally()],
+        (holds(0.4), STREAMS, flies_on(2.0, late_s=1.0), ONCE),  # sooner than a way back begins
+        onset=FAST,
+        longest_s=15.0,
+    ),
+    Row(
+        "C7c",
+        "stamps of another clock",
+        "an hour ago or ahead, at speed and for good",
+        lambda n: [Redated((-3600.0, 3600.0)[n % 2]), Tally()],
+        (holds(0.4), Bar("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5), ONCE),
+        onset=FAST,
+    ),
+    Row(
+        "C8",
+        "obstacle appears",
+        "a box stands 1.0 m ahead of the hull, at speed",
+        lambda n: [Appears(1.0)],
+        (holds(0.25), Bar("stops short of it by", m.stopped_short, 0.40, "m", at_least=True), clear(0.10)),
+        onset=Onset(speed_mps=0.6, seeing=True),
+        longest_s=25.0,
+    ),
+    Row(
+        "C9",
+        "obstacle approaches",
+        "told to stay, and a box comes from 3 m ahead at 0.8 m/s to where it hovers",
+        lambda n: [Approaches(0.8)],
+        (Bar("clearance of it", lambda e: e.box_m, 0.30, "m", at_least=True), clear(0.10)),
+        onset=STILL,
+        longest_s=20.0,
+    ),
+)
+
+
+def _corrupt(n: int) -> Injector:
+    changes = (salted(0.3), shifted(32), bit_errors(), scaled(0.5), scaled(2.0))
+    return FrozenPicture() if n % 6 == 5 else Painted(changes[n % 6])
+
+
+TABLE_D = (
+    Row(
+        "D1",
+        "nothing heard for 1 s",
+        "autopilot to product lost for 1 s at speed",
+        lambda n: [Loss("down", 1.0)],
+        (holds(0.6), NO_FAILSAFE, STREAMS),
+        onset=FAST,
+        longest_s=12.0,
+    ),
+    Row(
+        "D1b",
+        "nothing heard for 10 s",
+        "autopilot to product lost for 10 s at speed",
+        lambda n: [Loss("down", 10.0)],
+        (holds(0.6), Bar("stream ends", m.streams_after, 3.1, "s"), lands(4.5, ardupilot=3.8), NO_ORDER),
+        onset=FAST,
+    ),
+    Row(
+        "D2",
+        "nothing said for 3 s",
+        "product to autopilot lost for 3 s",
+        lambda n: [Loss("up", 3.0)],
+        (UNHEARD_LANDS, NO_ORDER, down(30.0), told("the autopilot lands", 2.3, ardupilot=3.5)),
+        onset=FAST,
+    ),
+    Row(
+        "D3",
+        "bad link",
+        "20 % lost both ways; for a minute up to 0.3 s late; 0.3 s holes",
+        lambda n: [(Loss("both", share=0.2, seed=n), Jitter(0.3, 60.0, n), Loss("both", 0.3))[n % 3]],
+        (
+            NO_FAILSAFE,
+            STEADY,
+            Bar("setpoints that arrive in a second, of ten", m.slowest_ten_seconds_arrived, 20.0, "1/s", at_least=True),
+            Bar("gap between those that arrive", m.longest_gap_arrived, 0.5, "s"),  # at which the autopilot takes over
+            COMPLETES,
+        ),
+        onset=Onset(speed_mps=0.0),
+        longest_s=240.0,
+        views=22,
+    ),
+    Row(
+        "D4",
+        "frames repeated and out of order",
+        "each three times, up to 0.5 s late",
+        lambda n: [Repeated(0.5)],
+        (Bar("arm commands", m.arm_tries, 1.0, ""), NO_FAILSAFE, RETURNS),
+        onset=Onset((0.0, 0.0), at_boot=True),
+        longest_s=240.0,
+        views=14,
+    ),
+    Row(
+        "D5",
+        "garbage",
+        "1 MB/s of random bytes for 10 s, then a fifth of the frames spoilt",
+        lambda n: [Garbage(1_000_000, 10.0), Corrupted(0.2, n)],
+        (NO_FAILSAFE, STEADY, STREAMS, COMPLETES),
+        longest_s=180.0,
+        views=SHORT_VIEWS,
+    ),
+    Row(
+        "D6",
+        "serial line unplugged",
+        "the device is gone for 1 s at speed",
+        bars=(holds(0.3, late_s=1.0), Bar("poses again after", odometry_metrics.poses_again_after(1.0), 2.0, "s"), down(120.0)),
+        onset=FAST,
+        longest_s=125.0,
+        views=SHORT_VIEWS,
+        why="needs a serial line, a pseudo terminal: flown in real time",
+        live=lambda n: [Unplugged(1.0)],
+    ),
+    Row(
+        "D7",
+        "autopilot restarts in the air",
+        "it begins anew, clock and all, and a pilot catches it",
+        lambda n: [Reboot()],
+        (
+            NO_ORDER,
+            Bar("stream ends", m.streams_after, 1.2, "s"),
+            Bar("poses dated wrongly", odometry_metrics.misdated_for, 0.15, "s"),
+            Bar("poses dated rightly", odometry_metrics.dated_after, 1.0, "s"),
+        ),
+        longest_s=20.0,
+    ),
+    Row(
+        "D8",
+        "operator lost",
+        "nobody asks how it stands any more, in flight; every second time somebody forges a ground station's heartbeats",
+        lambda n: [operator_silence.Gone(), *([operator_silence.GroundStation()] if n % 2 else [])],
+        (
+            RETURN_ACTS,
+            Bar("returns not before", operator_silence.acts_after, operator_silence.TIMEOUT_S - 1.0, "s", at_least=True),
+            Bar("warned", operator_silence.warns_after, 6.0, "s"),
+            Bar("way astray", operator_silence.astray(operator_silence.TIMEOUT_S), 3.0, "m"),
+            RETURNS,
+            down(120.0),
+        ),
+        longest_s=120.0,
+    ),
+    Row(
+        "D8b",
+        "operator heard now and then",
+        "asks how it stands once in ten seconds",
+        lambda n: [operator_silence.Rare(10.0)],
+        (COMPLETES, Bar("warnings", operator_silence.warnings, 1.0, ""), NO_FAILSAFE),
+        longest_s=180.0,
+        views=SHORT_VIEWS,
+    ),
+)

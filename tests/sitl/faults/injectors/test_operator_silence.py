@@ -1,0 +1,100 @@
+"""The operator of the campaign's flights, the troubles that take him away, and what is measured of the answer."""
+
+from __future__ import annotations
+
+import math
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made_up_evidence import evidence, rewired
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.faults.fault import Trouble
+from sitl.faults.fault_director import Meddler
+from sitl.faults.fault_flight import attended
+from sitl.faults.injectors.base import ATTENDED, Theatre
+from sitl.faults.injectors.operator_silence import Gone, GroundStation, Rare, acts_after, astray, warnings, warns_after
+from sitl.faults.table.all_scenarios import ROWS
+from uav_recon import config as product_config
+
+WARNED, RETURNS = "no operator for 5 s: returns after 30", "no operator for 30 s: returning"
+
+
+class Line:
+    """The proxy, as far as somebody can slip bytes into it."""
+
+    def __init__(self) -> None:
+        self.forged: list[bytes] = []
+
+    def forge(self, data: bytes) -> None:
+        self.forged.append(data)
+
+
+def theatre() -> Theatre:
+    world: Any = None
+    line: Any = Line()
+    return Theatre(world, random.Random(1), proxy=line)
+
+
+def test_who_has_gone_asks_no_more_and_his_last_question_is_noted() -> None:
+    meddler = Meddler([Trouble("D8", [Gone()])], 0)
+    at = meddler.theatre = theatre()
+    at.now_s = 7.0
+    assert meddler.attends()
+    Gone().begin(at)
+    at.now_s = 8.0
+    assert not meddler.attends()
+    assert at.notes == {ATTENDED: 7.0}
+
+
+def test_who_is_heard_now_and_then_asks_once_in_ten_seconds() -> None:
+    at, rare = theatre(), Rare(10.0)
+    asked = []
+    for second in range(40):
+        rare.turn(at, second + 0.4)
+        asked.append(at.attends)
+    assert [second for second, asks in enumerate(asked) if asks] == [0, 10, 20, 30]
+
+
+def test_a_forged_ground_station_is_heard_once_a_second_and_looks_like_one() -> None:
+    at, station = theatre(), GroundStation()
+    for turn in range(60 * 3):
+        station.turn(at, turn / 60.0)
+    proxy: Any = at.proxy
+    (beat,) = mavlink.MAVLink(None).parse_buffer(proxy.forged[0])
+    assert len(proxy.forged) == 3
+    assert (beat.get_srcSystem(), beat.type, beat.autopilot) == (255, mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID)
+
+
+def test_the_answer_counts_from_the_last_sign_of_life() -> None:
+    e = rewired(evidence(notes={ATTENDED: 4.0}), texts=((3.0, RETURNS), (6.0, "holding"), (9.2, WARNED), (12.5, RETURNS)))
+    assert warns_after(e) == pytest.approx(5.2)
+    assert acts_after(e) == pytest.approx(8.5)
+    assert warnings(e) == 3.0
+    untold = rewired(evidence(notes={ATTENDED: 4.0}), texts=())
+    assert acts_after(untold) == pytest.approx(11.0, abs=0.05), "a landing is an answer too"
+    assert warns_after(untold) == acts_after(evidence(mode=("OFFBOARD",) * 600)) == math.inf
+
+
+def test_a_way_that_leads_elsewhere_is_astray() -> None:
+    """It flies 4 m along x until 10.5 s and lands there."""
+    e = evidence(notes={ATTENDED: 4.0})
+    assert astray(0.0)(e) == pytest.approx(4.0 - 0.5 * 2.75 - 0.5 * 2.75, abs=0.2)
+    home = np.interp(e.stamp_s, [0.0, 5.0, 12.0], [3.0, 3.0, 0.0])
+    straight = evidence(notes={ATTENDED: 4.0}, position_m=np.stack([home, 0.0 * home, 0.0 * home + 1.0], axis=1))
+    assert astray(0.0)(straight) == pytest.approx(0.0, abs=1e-6)
+    assert astray(0.0)(evidence()) == math.inf, "nobody ever attended"
+
+
+def test_every_flight_in_lockstep_has_somebody_who_has_to_attend() -> None:
+    flown = product_config.load(Path(__file__).parents[2] / "systemd" / "config.toml")
+    alone = flown.model_copy(update={"mission": flown.mission.model_copy(update={"operator_timeout_s": None})})
+    assert attended(alone).mission.operator_timeout_s == 30.0
+    assert attended(alone) == flown, "nothing else is another"
+
+
+def test_every_second_flight_of_d8_has_a_forger() -> None:
+    assert [len(ROWS["D8"].injectors(n)) for n in range(3)] == [1, 2, 1]

@@ -1,0 +1,268 @@
+"""What holds in every flight: a sound flight passes, and each violation is seen and named."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from made_up_evidence import DT_S, rewired, spoilt
+from made_up_evidence import evidence as flown
+
+from sitl.faults.flight_evidence import Evidence
+from sitl.faults.injectors.base import TAKEN_OVER
+from sitl.faults.judges.invariants import Room, violations
+from sitl.faults.table.all_scenarios import TABLE
+from sitl.faults.wire_capture import Order
+
+Spoil = Callable[[Evidence], Evidence]
+LIMIT_RADPS = 1.0  # of the flight's limits
+
+
+def evidence(**changes: Any) -> Evidence:
+    """The flight that never was, which says why it lands and turns all the way, past the back."""
+    plain = flown(**changes)
+    turns = np.remainder(0.7 * plain.wire.setpoint_s, 2.0 * np.pi)
+    return rewired(plain, texts=((6.0, "holding"), (15.1, "the mission asks to land")), yaw_rad=turns)
+
+
+def hovering(e: Evidence, mode: str = "OFFBOARD", **changes: Any) -> Evidence:
+    """Armed and alone until the end, and the end is far."""
+    t = np.arange(0.0, 90.0, 1.0 / 30.0)
+    place = np.tile([1.0, 0.0, 1.0], (len(t), 1))
+    return dataclasses.replace(
+        e, stamp_s=t, position_m=place, velocity_mps=np.zeros_like(place), yaw_rad=np.zeros(len(t)),
+        armed=np.ones(len(t), bool), mode=(mode,) * len(t), boxes_m=np.full(len(t), np.inf), standing_m=np.zeros(len(t)),
+        end_s=90.0, **changes,
+    )  # fmt: skip
+
+
+def taken(e: Evidence, mode: str = "POSCTL", **said: Any) -> Evidence:
+    """Another's mode is set at 9.9 s, the product hears of it at 10 s and sends no setpoint any more."""
+    theirs = dataclasses.replace(
+        e, mode=tuple(mode if t > 9.9 else "OFFBOARD" for t in e.stamp_s),
+        heard=tuple((t, 3 << 16 if t >= 10.0 else 6 << 16, True) for t in range(20)),
+    )  # fmt: skip
+    sent = e.wire.setpoint_s < 10.0
+    streams = {
+        name: getattr(e.wire, name)[sent]
+        for name in (
+            "setpoint_s", "setpoint_stamp_ms", "position_m", "velocity_mps", "acceleration_mps2", "yaw_rate_radps", "yaw_rad",
+        )
+    }  # fmt: skip
+    return rewired(theirs, orders=e.wire.orders[:2], **streams, **said)
+
+
+SPOILS: dict[str, Spoil] = {
+    "contact": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.0)),
+    "contact: clearance": lambda e: dataclasses.replace(e, boxes_m=np.zeros(len(e.stamp_s))),
+    "clearance 0.090 m": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.09)),
+    "clearance 0.080 m": lambda e: dataclasses.replace(e, boxes_m=np.full(len(e.stamp_s), 0.08)),
+    "fence overshot": lambda e: dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 1), 3.4)),
+    "NaN": lambda e: rewired(e, not_finite=1),
+    "m/s²": lambda e: rewired(e, acceleration_mps2=spoilt(e.wire.acceleration_mps2, (100, 0), 2.1)),
+    "m/s": lambda e: rewired(e, velocity_mps=spoilt(e.wire.velocity_mps, slice(100, 110), (1.25, 0.0, 0.0))),
+    "rad/s": lambda e: rewired(e, yaw_rate_radps=spoilt(e.wire.yaw_rate_radps, 100, -1.1)),
+    "jumps 0": lambda e: rewired(e, position_m=e.wire.position_m + np.where(e.wire.setpoint_s > 7.0, 0.2, 0.0)[:, None]),
+    "heading jumps": lambda e: rewired(e, yaw_rad=e.wire.yaw_rad + np.where(e.wire.setpoint_s > 7.0, 0.2, 0.0)),
+    "velocity jumps": lambda e: rewired(e, velocity_mps=spoilt(e.wire.velocity_mps, (100, 1), 0.5)),
+    "out of the inset fence": lambda e: rewired(e, position_m=spoilt(e.wire.position_m, (slice(None), 1), 2.8)),
+    "after the pilot took over": lambda e: rewired(
+        dataclasses.replace(e, mode=tuple("POSCTL" if t > 8.0 else m for t, m in zip(e.stamp_s, e.mode, strict=True))),
+        orders=(*e.wire.orders, Order(9.0, 176, 1.0, 6.0)),
+    ),
+    "motors to stop": lambda e: rewired(e, orders=(*e.wire.orders, Order(9.0, 400, 0.0, 21196.0))),
+    "disarmed in the air": lambda e: dataclasses.replace(e, armed=e.stamp_s < 9.0),
+    "hovers": hovering,
+    "hovers armed": lambda e: hovering(e, "LOITER"),
+    "landing asked for 10.0 s after the trouble and not told": lambda e: rewired(e, texts=e.wire.texts[:1]),
+    "landing asked for 10.0 s after": lambda e: rewired(e, texts=(*e.wire.texts[:1], (15.1, "refused: jump of 0.58 m"))),
+    "another's mode 5.0 s after the trouble and not told": lambda e: taken(e, texts=((12.0, "yielded"),)),
+    "another's mode 5.0 s after the trouble and not": lambda e: taken(e, "LAND", texts=((10.2, "refused: speed 0.81 m/s"),)),
+    "another's mode 5.0 s": lambda e: taken(e, texts=((9.9, "no pose for 0.7 s"),)),
+    "another's mode 5.0 s after": lambda e: taken(e, texts=((10.9, "no operator for 5 s: returns after 30"),)),
+}
+
+
+def test_a_sound_flight_breaks_nothing() -> None:
+    assert violations(evidence()) == []
+
+
+@pytest.mark.parametrize("said", SPOILS)
+def test_each_violation_is_seen_and_named(said: str) -> None:
+    assert any(said in words for words in violations(SPOILS[said](evidence())))
+
+
+def test_what_is_allowed_is_no_violation() -> None:
+    reset = evidence()
+    counter = np.where(reset.wire.odometry_s > 7.0, 1.0, 0.0)
+    shifted = reset.wire.position_m + counter[:, None] * (0.5, 0.0, 0.0)
+    assert violations(rewired(reset, reset_counter=counter, position_m=shifted)) == [], "setpoints move with a reset pose"
+    over = tuple("POSCTL" if t > 14.0 else m for t, m in zip(reset.stamp_s, reset.mode, strict=True))
+    quiet = dataclasses.replace(reset, mode=over)
+    assert violations(rewired(quiet, orders=reset.wire.orders[:2])) == [], "a pilot may take over"
+
+
+def on_a_table(fed_until_s: float, touched_s: float = 16.8) -> Evidence:
+    """Comes down on something 0.3 m high and stands there at 17.1 s, its hull near it from such an instant on."""
+    e = evidence()
+    over, fed = e.stamp_s > 15.0, e.wire.odometry_s < fed_until_s
+    place = np.where(over[:, None], np.maximum(e.position_m, (-9.0, -9.0, 0.3)), e.position_m)
+    down = dataclasses.replace(
+        e, position_m=place, standing_m=np.where(over, 0.3, 0.0), hull_s=e.stamp_s,
+        hull_m=np.where(e.stamp_s > touched_s, 0.0, 0.5),
+    )  # fmt: skip
+    return rewired(down, odometry_s=e.wire.odometry_s[fed], reset_counter=e.wire.reset_counter[fed])
+
+
+def test_without_a_pose_it_may_come_down_on_what_stands_below_it() -> None:
+    assert violations(on_a_table(14.5)) == []
+    assert any("contact" in said for said in violations(on_a_table(15.0))), "with one it could have chosen a place"
+    assert any("contact" in said for said in violations(on_a_table(14.5, 15.5))), "still high over it"
+    nothing_there = dataclasses.replace(on_a_table(14.5), standing_m=np.zeros(len(evidence().stamp_s)))
+    assert any("disarmed in the air" in said for said in violations(nothing_there))
+
+
+def test_a_pilot_who_took_the_vehicle_may_hover_with_it() -> None:
+    silent = rewired(evidence(), orders=())
+    assert violations(hovering(silent, "LOITER", notes={TAKEN_OVER: 6.0})) == []
+    for mode in ("OFFBOARD", "LAND"):
+        gone = hovering(silent, mode, notes={TAKEN_OVER: 6.0})
+        assert violations(gone) == ["hovers armed and unattended"], "it is the pilot's no more"
+
+
+WHY = (
+    "the mission asks to land", "the operator asked to land", "asked to end", "no pose for 1.0 s", "mission silent for 20.0 s",
+    "no depth for 10.0 s", "poses disagree for 0.3 s, holding for 20 s", "3 poses a second, holding for 20 s",
+    "odom creeps by 0.025 m/s against what is seen", "surfaces stand 0.20 m off where they stood 28 s ago",
+    "57% of what was seen 2 s ago is not there",
+    "odom began anew: the map does not fit it", "outside the fence for 3 s", "refused for 20.0 s",
+    "3 refusals in a second, holding for 20 s", "two autopilots speak with one id, holding for 20 s",
+    "retreat blocked: 0.19 m from something at 0.27 m/s", "way aside blocked: not known free at 1.00 2.00 1.20 m",
+    "nowhere to give way to", "take-off given up: it climbed 0.10 m in 4 s", "armed after the request was withdrawn",
+    "yielded: mode changed to POSCTL", "the autopilot lands: Failsafe activated: battery",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("why", WHY)
+def test_each_reason_of_the_product_is_one_for_a_landing_in_the_characters_that_are_sent(why: str) -> None:
+    assert violations(rewired(evidence(), texts=((15.1, why[:50]),))) == []
+
+
+OTHER = (
+    "refused: speed 0.65 m/s", "refused: trajectory is not finite", "pose source was reset: holding", "holding",
+    "intruder: somebody speaks MAVLink 1", "the link is slow: there and back takes 0.25 s", "the operator is back",
+    "no operator for 30 s: returning",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("other", OTHER)
+def test_what_is_said_of_another_thing_is_no_reason_for_a_landing(other: str) -> None:
+    assert violations(rewired(evidence(), texts=((15.1, other[:50]),))) != []
+
+
+def test_a_pilot_who_takes_the_vehicle_out_of_our_landing_keeps_it() -> None:
+    e = evidence()
+    kept = dataclasses.replace(e, mode=tuple("POSCTL" if t > 16.0 else m for t, m in zip(e.stamp_s, e.mode, strict=True)))
+    again = rewired(kept, orders=(*e.wire.orders, Order(17.0, 176, 1.0, 4.0)))
+    assert violations(kept) == [], "the order to land came before"
+    assert violations(again) == ["1 mode or arm commands after the pilot took over"]
+    known_s = next(s for s, _, _ in e.heard if s > 16.0)
+    under_way = rewired(kept, orders=(*e.wire.orders, Order(known_s + 0.01, 176, 1.0, 4.0)))
+    assert violations(under_way) == [], "sent before it could have heard"
+
+
+def test_what_was_told_in_time_or_could_not_be_known_is_no_violation() -> None:
+    assert violations(taken(evidence(), texts=((10.9, "yielded"),))) == []
+    assert violations(taken(evidence(), "LAND", texts=((9.9, "no pose for 0.7 s"),))) == [], (
+        "it was about to land, and said why"
+    )
+    deaf = taken(evidence(), texts=())
+    assert violations(dataclasses.replace(deaf, heard=deaf.heard[:10])) == [], "it never heard of it"
+    dead = rewired(deaf, setpoint_s=deaf.wire.setpoint_s - 0.6)
+    assert violations(dead) == [], "it had no part in it"
+    landing = tuple("LAND" if t > 15.2 else "OFFBOARD" for t in evidence().stamp_s)
+    assert violations(evidence(mode=landing)) == [], "the mode that it asked for"
+
+
+def test_setpoints_that_arrive_together_were_sent_apart() -> None:
+    flown = evidence()
+    brake = spoilt(
+        flown.wire.velocity_mps, slice(150, 152), ((0.5, 0.0, 0.0), (0.39, 0.0, 0.0))
+    )  # 0.11 m/s in a turn of the loop
+    brake[152:, 0] = np.minimum(brake[152:, 0], 0.39)
+    late = spoilt(flown.wire.setpoint_s, 150, float(flown.wire.setpoint_s[151]) - 0.001)
+    held_up = rewired(flown, setpoint_s=late, velocity_mps=brake)
+    assert violations(held_up) == []
+    together = spoilt(flown.wire.setpoint_stamp_ms, 150, float(flown.wire.setpoint_stamp_ms[151]) - 1.0)
+    assert any("velocity jumps" in words for words in violations(rewired(held_up, setpoint_stamp_ms=together)))
+
+
+def ramped(speed_mps: float, acceleration_mps2: float) -> Evidence:
+    """From 7 s on setpoints go faster and faster aside for 1 s, and then on so fast."""
+    e = evidence()
+    since_s = np.clip(e.wire.setpoint_s - 7.0, 0.0, 1.0)
+    gone_m = np.cumsum(np.where((e.wire.setpoint_s > 7.0) & (e.wire.setpoint_s < 7.5), speed_mps, 0.0)) * DT_S
+    aside, push = np.array([0.0, 1.0, 0.0]), np.minimum(since_s * acceleration_mps2, 1.0)
+    return rewired(
+        e, position_m=e.wire.position_m * [0.0, 0.0, 1.0] + gone_m[:, None] * aside,
+        velocity_mps=e.wire.velocity_mps * [0.0, 0.0, 1.0] + push[:, None] * aside,
+    )  # fmt: skip
+
+
+def turning(rate_radps: float) -> Evidence:
+    """From 7 s on setpoints turn at this rate for a second."""
+    e = evidence()
+    return rewired(e, yaw_rad=rate_radps * np.clip(e.wire.setpoint_s - 7.0, 0.0, 1.0))
+
+
+def test_the_heading_may_turn_as_fast_as_the_limit_says() -> None:
+    assert evidence().limits.yaw_rate_radps == LIMIT_RADPS
+    assert violations(turning(LIMIT_RADPS)) == violations(turning(-LIMIT_RADPS)) == []
+    assert any("heading jumps" in words for words in violations(turning(1.5 * LIMIT_RADPS))), "over a while, in no frame"
+    frame = rewired(evidence(), yaw_rad=spoilt(np.zeros(len(evidence().wire.setpoint_s)), slice(150, None), 0.1))
+    assert any("heading jumps by 3 degrees too much within 0.03 s" in words for words in violations(frame))
+
+
+def test_a_heading_that_a_reset_turns_jumps_not_and_one_that_is_not_asked_for_cannot() -> None:
+    e = evidence()
+    later = e.wire.odometry_s > 7.0
+    turned = e.wire.yaw_rad + np.where(later, 0.5, 0.0)
+    assert violations(rewired(e, yaw_rad=turned)) != []
+    assert violations(rewired(e, yaw_rad=turned, reset_counter=np.where(later, 1.0, 0.0))) == []
+    assert violations(rewired(e, yaw_rad=np.full(len(turned), np.nan))) == []
+
+
+def test_what_each_frame_may_be_off_does_not_add_up_over_a_while() -> None:
+    assert violations(ramped(1.2, 2.0)) == []
+    assert any("setpoint jumps" in words for words in violations(ramped(2.2, 0.0)))
+    assert any("velocity jumps" in words for words in violations(ramped(0.0, 4.2)))
+
+
+def test_a_pilot_that_starts_anew_may_begin_elsewhere_also_over_a_while() -> None:
+    e = evidence()
+    anew = np.where(e.wire.setpoint_s > 8.0, 0.9, 0.0)
+    keep = (e.wire.setpoint_s < 7.4) | (e.wire.setpoint_s > 8.0)
+    parts = {
+        name: getattr(e.wire, name)[keep]
+        for name in ("setpoint_s", "setpoint_stamp_ms", "velocity_mps", "yaw_rate_radps", "yaw_rad")
+    }
+    moved = (e.wire.position_m + anew[:, None] * (0.0, 1.0, 0.0))[keep]
+    assert violations(rewired(e, **parts, position_m=moved, acceleration_mps2=e.wire.acceleration_mps2[keep])) == []
+
+
+@pytest.mark.parametrize("leap_ms", [200.0, 5000.0])
+def test_stamps_that_leap_hide_no_jump(leap_ms: float) -> None:
+    jumps = SPOILS["jumps 0"](evidence())
+    stamps = jumps.wire.setpoint_stamp_ms + np.where(jumps.wire.setpoint_s > 7.0, leap_ms, 0.0)
+    assert any("jumps 0" in words for words in violations(rewired(jumps, setpoint_stamp_ms=stamps)))
+
+
+def test_a_row_may_allow_more_of_the_fence_and_is_held_to_that() -> None:
+    e = evidence()
+    out = dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 1), 3.5))
+    assert violations(out) == violations(out, Room(overshoot_m=0.30)) == ["fence overshot by 0.50 m"]
+    assert violations(out, Room(overshoot_m=0.51)) == []
+    assert all(row.room.overshoot_m == 0.30 for row in TABLE), "none but a pair of two troubles"

@@ -1,0 +1,167 @@
+"""Two troubles in one flight: each from its own moment on, and held to the worse of the two reactions."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+from made_up_evidence import ONSET_S, evidence
+
+from sitl.apps.sim_options import UsageError
+from sitl.faults.campaign import FaultOptions
+from sitl.faults.injectors.base import Depth, Needs, Theatre
+from sitl.faults.injectors.companion import Crash, Stall
+from sitl.faults.injectors.delayed import Postponed
+from sitl.faults.injectors.mavlink_link import Loss
+from sitl.faults.injectors.pose_stream import Silence
+from sitl.faults.soak import SOAKS
+from sitl.faults.table.all_scenarios import PAIRS, ROWS, TABLE
+from sitl.faults.table.pairs import APART_S, PAIRED, REACTIONS
+from sitl.faults.table.scenario import Row, judge
+from sitl.world.pose_tracker import PoseRecord
+
+POSE = PoseRecord(10.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 1e-4), 100, 0)
+PICTURE = Depth(10.0, np.zeros((4, 6), np.uint16), None)
+
+
+def theatre() -> Theatre:
+    world: Any = None
+    return Theatre(world, random.Random(1), now_s=7.0)
+
+
+def moments(row: Row, number: int) -> dict[str, float]:
+    """When each trouble of the pair's n-th flight begins, in seconds after the flight's moment, to a hundredth."""
+    at = theatre()
+    for trouble in row.injectors(number):
+        for turn in range(int(APART_S * 100) + 1):
+            at.now_s = turn / 100.0
+            trouble.turn(at, at.now_s)
+    return at.notes
+
+
+def test_until_its_moment_there_is_no_trouble_and_then_it_is_told() -> None:
+    at, silence = theatre(), Postponed(Silence(for_s=1.0), 0.5, "B1")
+    silence.turn(at, 0.49)
+    assert (len(silence.pose(0.49, POSE)), at.notes) == (1, {})
+    silence.turn(at, 0.52)
+    assert (silence.pose(0.52, POSE), at.notes) == ([], {"B1": 7.0})
+    at.now_s = 8.0
+    silence.turn(at, 1.51)
+    assert (silence.pose(1.51, POSE), at.notes) == ([], {"B1": 7.0}), "a second of it, from when it began"
+    assert len(silence.pose(1.53, POSE)) == 1
+
+
+def test_whatever_a_trouble_touches_it_touches_later() -> None:
+    at = theatre()
+    lost, crash = Postponed(Loss("both", 1.0), 0.5, "D3"), Postponed(Crash("pilot", back_s=0.2), 0.5, "A7")
+    for trouble in (lost, crash):
+        trouble.turn(at, 0.4)
+    assert (lost.to_autopilot(0.4, b"a"), lost.to_product(0.4, b"b")) == ([(0.0, b"a")], [(0.0, b"b")])
+    assert not crash.stalls(0.4, "pilot")
+    assert not crash.restarts(9.0, "pilot")
+    for trouble in (lost, crash):
+        trouble.turn(at, 0.5)
+    assert lost.to_autopilot(0.6, b"a") == lost.to_product(0.6, b"b") == []
+    assert crash.stalls(0.69, "pilot")
+    assert [crash.restarts(0.69, "pilot"), crash.restarts(0.71, "pilot"), crash.restarts(0.8, "pilot")] == [False, True, False]
+    assert Postponed(Stall("mission"), 0.5, "A1").needs is Needs.STAGES
+    dark = Postponed(next(iter(ROWS["C1"].injectors(0))), 0.1, "C1")
+    assert dark.depth(0.2, PICTURE) == [(0.0, PICTURE)]
+    dark.turn(at, 0.2)
+    assert dark.depth(0.3, PICTURE) == []
+
+
+def test_a_trouble_that_never_began_has_nothing_to_end() -> None:
+    class Ended(Silence):
+        ends = 0
+
+        def end(self, at: Theatre) -> None:
+            self.ends += 1
+
+    for turned_s, ends in ((0.4, 0), (0.6, 1)):
+        trouble = Ended()
+        late = Postponed(trouble, 0.5, "X")
+        late.turn(theatre(), turned_s)
+        late.end(theatre())
+        assert trouble.ends == ends
+
+
+def test_ten_rows_make_forty_five_pairs_none_with_itself() -> None:
+    assert [row.id for row in TABLE if row.id in PAIRED] == list(PAIRED)
+    assert len({row.id for row in PAIRS}) == len(PAIRS) == 45
+    assert all(len(set(row.id.split("+"))) == 2 for row in PAIRS)
+    assert len(ROWS) == len(TABLE) + len(SOAKS) + len(PAIRS), "no two of one name"
+
+
+def test_a_pair_takes_the_stricter_moment_and_the_place_that_either_needs() -> None:
+    assert (ROWS["B4+E1"].onset.after_s, ROWS["B4+E1"].onset.speed_mps) == ((2.0, 15.0), 0.4)
+    assert ROWS["A1+E5"].onset.speed_mps == 0.6
+    assert (ROWS["F2+G2"].arena, ROWS["A1+F2"].arena, ROWS["A1+B1"].arena) == ("pen", "pen", "hall")
+    assert (ROWS["E1+E5"].longest_s, ROWS["A1+E5"].longest_s, ROWS["B1+E5"].longest_s) == (12.0, 160.0, 60.0)
+
+
+def test_a_pair_flies_no_longer_than_the_shorter_of_its_flights() -> None:
+    assert ROWS["A1+E5"].views == ROWS["E5"].views < ROWS["A1"].views
+
+
+@pytest.mark.parametrize("name", ["A1+B1", "B4+D2", "C1+D2"])
+def test_either_trouble_may_come_first_and_the_other_follows_soon(name: str) -> None:
+    begun = [moments(ROWS[name], number) for number in range(12)]
+    assert begun == [moments(ROWS[name], number) for number in range(12)], "a flight can be flown again"
+    first, second = name.split("+")
+    apart_s = [moment[second] - moment[first] for moment in begun]
+    assert min(apart_s) < -0.1 < 0.1 < max(apart_s)
+    assert all(min(moment.values()) == 0.0 for moment in begun)
+
+
+def test_the_worse_of_two_reactions_wins() -> None:
+    """The flight of the evidence lands 10 s after the moment, and is down after 13."""
+    late = evidence(notes={"A1": ONSET_S, "B1": ONSET_S + 9.0})
+    row = ROWS["A1+B1"]
+    verdict = judge(row, late, [])
+    assert dict(zip([bar.name for bar in row.bars], verdict.figures, strict=True)) == pytest.approx(
+        {"setpoint gap": 1 / 30, "landing mode after B1": 1.0, "disarmed after B1": 4.0}, abs=0.05
+    )
+    assert verdict.passed(row, "px4")
+    assert not judge(row, dataclasses.replace(late, notes={"A1": ONSET_S, "B1": ONSET_S + 8.0}), []).passed(row, "px4")
+    only = judge(row, dataclasses.replace(late, notes={"A1": ONSET_S}), [])
+    assert math.isnan(only.figures[1])
+    assert not only.passed(row, "px4"), "a trouble that never came proves nothing"
+
+
+def test_each_pair_is_held_to_what_its_worse_row_does_and_to_its_stream() -> None:
+    for row in PAIRS:
+        worse = next((name for name in REACTIONS if name in row.id.split("+")), None)
+        names = [bar.name for bar in row.bars]
+        assert names[0] == "setpoint gap"
+        assert names[1:] == ([f"{bar.name} after {worse}" for bar in REACTIONS[worse]] if worse else []), row.id
+        gentler = {"D2+E1": (1.3, 0.3)}.get(row.id)
+        limits = [(bar.limit, bar.ardupilot) for bar in (REACTIONS[worse] if worse else ())]
+        assert [(bar.limit, bar.ardupilot) for bar in row.bars[1:]] == ([gentler] if gentler else limits), row.id
+        assert row.room.overshoot_m == (1.0 if row.id in ("B1+F2", "D2+F2") else 0.30), row.id
+    assert [bar.name for bar in ROWS["B1+E1"].bars] == ["setpoint gap", "stream ends after E1"], "a pilot's hand beats all"
+    assert [bar.name for bar in ROWS["C1+F2"].bars] == ["setpoint gap"]
+
+
+def test_a_reaction_is_a_bar_of_its_own_row() -> None:
+    for name, bars in REACTIONS.items():
+        own = {bar.name: bar for bar in ROWS[name].bars}
+        for bar in bars:
+            assert (bar.limit, bar.ardupilot, bar.at_least) == (own[bar.name].limit, own[bar.name].ardupilot, bar.at_least)
+
+
+def test_pairs_are_flown_by_their_rows_name_and_not_by_default() -> None:
+    assert FaultOptions.parse(only="G10").rows == PAIRS
+    assert [row.id for row in FaultOptions.parse(only="B1+E5, A1").rows] == ["A1", "B1+E5"]
+    assert not set(FaultOptions.parse().rows) & set(PAIRS)
+    assert "--only G10" in ROWS["G10"].why
+    groups = FaultOptions.parse(only="G10", seeds=5).groups()
+    assert (len(groups), sum(map(len, groups))) == (2 * 5 * 4, 2 * 5 * 45), "hall and pen, long and short"
+    with pytest.raises(UsageError, match=r"no row E1\+D8; there are A1.*G10, G9-2h.* and pairs as A1\+B1"):
+        FaultOptions.parse(only="E1+D8")
+    with pytest.raises(UsageError, match="G10: not flown in real time"):
+        FaultOptions.parse(only="G10", live=True)

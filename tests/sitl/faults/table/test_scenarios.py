@@ -1,0 +1,174 @@
+"""Rows of the table on flights that never were: what a row is there for breaks one of its own bars, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from made_up_evidence import BOOT_S, DT_S, evidence, rewired, spoilt, turning
+
+from sitl.faults.flight_evidence import Evidence
+from sitl.faults.table.all_scenarios import ROWS
+
+
+def broken(row: str, e: Evidence, autopilot: str = "px4") -> set[str]:
+    """Names of a row's bars that such a flight does not hold."""
+    return {bar.name for bar in ROWS[row].bars if not bar.holds(bar.measure(e), autopilot)}
+
+
+def test_odometry_that_takes_up_a_jump_slowly_breaks_b4() -> None:
+    e = evidence()
+    taken_m = np.clip(0.1 * (e.wire.odometry_s - 6.0), 0.0, 0.5)
+    assert broken("B4", e) == set()
+    assert broken("B4", rewired(e, odometry_m=e.wire.odometry_m + taken_m[:, None] * (1, 0, 0))) == {"motion of the error"}
+
+
+def late(e: Evidence, by_s: float) -> Evidence:
+    """Poses of so long ago under new stamps, from the trouble on."""
+    w = e.wire
+    old_s = np.where(w.odometry_s >= e.onset_s, w.odometry_s - by_s, w.odometry_s)
+    return rewired(e, odometry_m=np.stack([np.interp(old_s, w.odometry_s, w.odometry_m[:, k]) for k in range(3)], axis=1))
+
+
+def losing_the_pose(last_s: float = 5.4) -> Evidence:
+    """Brakes from 5.1 s on and lands at 6.1 s; no ODOMETRY after last_s."""
+    e = evidence()
+    speed = e.velocity_mps.copy()
+    speed[:, 0] = np.where(e.stamp_s < 5.1, speed[:, 0], np.clip(0.5 - (e.stamp_s - 5.1), 0.0, 0.5))
+    place = np.cumsum(speed, axis=0) * DT_S
+    mode = tuple("OFFBOARD" if s < 6.1 else "LAND" for s in e.stamp_s)
+    said, fed = e.stamp_s < 6.1, e.stamp_s <= last_s
+    flown = dataclasses.replace(e, velocity_mps=speed, position_m=place, mode=mode, armed=e.stamp_s < 12.0)
+    return rewired(
+        flown, setpoint_s=e.stamp_s[said], position_m=place[said], velocity_mps=speed[said],
+        odometry_s=e.stamp_s[fed], odometry_m=place[fed] + 0.01,
+        odometry_yaw_rad=turning(e.stamp_s[fed]), odometry_stamp_us=(e.stamp_s[fed] - BOOT_S) * 1e6,
+        reset_counter=np.zeros(np.count_nonzero(fed)), texts=((5.1, "refused: speed 0.65 m/s"), (6.1, "no pose for 0.7 s")),
+    )  # fmt: skip
+
+
+def test_old_poses_under_new_stamps_break_b8() -> None:
+    assert broken("B8", evidence()) == set()
+    assert broken("B8", late(evidence(), 0.12)) == {"motion of the error"}
+
+
+def test_poses_too_old_for_use_are_answered_as_lost_ones() -> None:
+    assert broken("B8l", losing_the_pose()) == set()
+    assert broken("B8l", late(losing_the_pose(), 0.3)) == {"motion of the error"}
+    assert broken("B8l", evidence()) == {"hold commanded", "landing mode"}
+
+
+def test_a_heading_that_reaches_the_wire_for_one_pose_breaks_b9() -> None:
+    e = evidence()
+    flipped = np.isclose(e.wire.odometry_s, 6.0, atol=1e-6)
+    assert np.count_nonzero(flipped) == 1
+    assert broken("B9", e) == set()
+    assert broken("B9", rewired(e, odometry_yaw_rad=e.wire.odometry_yaw_rad + np.where(flipped, np.pi, 0.0))) == {"heading off"}
+    assert broken("B9", rewired(e, odometry_yaw_rad=e.wire.odometry_yaw_rad - np.where(flipped, 0.05, 0.0))) == {"heading off"}
+    assert broken("B9", rewired(e, odometry_yaw_rad=np.full(len(flipped), np.nan))) == {"heading off"}
+
+
+@pytest.mark.parametrize("row", ["B1", "B7"])
+def test_odometry_that_goes_on_without_poses_breaks(row: str) -> None:
+    assert broken(row, losing_the_pose()) - {"drift"} == set()
+    assert "ODOMETRY ends" in broken(row, losing_the_pose(last_s=6.0))
+    still = losing_the_pose()
+    repeated = still.wire.odometry_m.copy()
+    repeated[still.wire.odometry_s > 5.0] = repeated[still.wire.odometry_s <= 5.0][-1]
+    assert "motion of the error" in broken(row, rewired(still, odometry_m=repeated)), "the last pose, under new stamps"
+
+
+def test_setpoints_that_do_not_arrive_break_d3() -> None:
+    e = evidence(onset_s=2.0)
+    lost = np.arange(len(e.arrived_s)) % 5 > 1
+    hole = (e.arrived_s > 8.0) & (e.arrived_s < 8.6)
+    few, gap = "setpoints that arrive in a second, of ten", "gap between those that arrive"
+    assert broken("D3", e) & {few, gap} == set()
+    assert broken("D3", dataclasses.replace(e, arrived_s=e.arrived_s[~lost])) & {few, gap} == {few}
+    assert broken("D3", dataclasses.replace(e, arrived_s=e.arrived_s[~hole])) & {few, gap} == {gap}
+
+
+TELLING = {
+    "A1": ("told", "mission silent for 0.5 s"),
+    "B1": ("told", "no pose for 0.7 s"),
+    "B5": ("alarm", "odom creeps by 0.021 m/s against what is seen"),
+    "C1b": ("told", "no depth for 0.3 s"),
+    "D2": ("told", "the autopilot lands: GCS Failsafe"),
+    "E4": ("told", "intruder: system 42, component 1 tells state"),
+    "E4b": ("told", "two autopilots speak with one id"),
+    "E4c": ("told", "yielded: mode changed to POSCTL"),
+    "E4d": ("told", "the autopilot lands: "),
+    "E6": ("reason told", "arming given up: motors stay off"),
+    "E10": ("told", "the mission asks to land"),
+}
+
+
+@pytest.mark.parametrize("row", TELLING)
+def test_a_row_that_asks_for_words_takes_no_others(row: str) -> None:
+    bar, words = TELLING[row]
+    at_s = 5.9
+    assert bar not in broken(row, rewired(evidence(), texts=((at_s, words),)))
+    assert bar in broken(row, rewired(evidence(), texts=((at_s, "refused: jump of 0.58 m"), (at_s, "the operator is back"))))
+
+
+def test_an_alert_before_the_floor_is_none_for_a_landing_that_does_not_end() -> None:
+    words = "landing does not end: switch the motors off"
+    assert broken("E9", rewired(evidence(), texts=((19.0, words),))) == set()
+    assert broken("E9", rewired(evidence(), texts=((16.0, words), (19.0, "the mission asks to land")))) == {"alert"}
+
+
+def retreating(from_s: float) -> Evidence:
+    """Stands from 5.2 s on and goes back along its way at from_s."""
+    e = evidence()
+    going = (e.stamp_s >= from_s) & (e.stamp_s < from_s + 3.0)
+    speed = np.where((e.stamp_s < 5.2)[:, None], e.velocity_mps, 0.0)
+    speed[going, 0] = -0.3
+    place, said = np.cumsum(speed, axis=0) * DT_S, e.stamp_s < 15.0
+    flown = dataclasses.replace(e, velocity_mps=speed, position_m=place)
+    return rewired(flown, velocity_mps=speed[said], position_m=place[said])
+
+
+def test_a_retreat_begins_neither_late_nor_early_in_a2() -> None:
+    retreats = {"retreat begun", "retreat not before"}
+    assert broken("A2", retreating(10.0)) & retreats == set()
+    assert broken("A2", retreating(9.0)) & retreats == {"retreat not before"}
+    assert broken("A2", retreating(10.8)) & retreats == {"retreat begun"}
+
+
+def test_only_an_arducopter_may_not_go_on_before_it_lands_in_a6() -> None:
+    flies_on = evidence(onset_s=8.0)
+    assert "goes on below 0.1 m/s" in broken("A6", flies_on, "ardupilot")
+    assert "goes on below 0.1 m/s" not in broken("A6", flies_on, "px4")
+    assert "goes on below 0.1 m/s" not in broken("A6", evidence(onset_s=9.0), "ardupilot"), "1.4 s later"
+
+
+def test_a_vehicle_that_circles_breaks_b9p_while_it_is_ours() -> None:
+    e = evidence(mode=tuple("OFFBOARD" if s < 6.4 else "LAND" for s in evidence().stamp_s))
+    assert broken("B9p", e) & {"off its way"} == set()
+    circling = dataclasses.replace(e, position_m=spoilt(e.position_m, (185, 1), 0.35))
+    assert broken("B9p", circling) & {"off its way"} == {"off its way"}
+
+
+def test_a_speed_that_is_cut_late_breaks_b10() -> None:
+    def slow(from_s: float) -> Evidence:
+        e = evidence()
+        return rewired(e, velocity_mps=np.where((e.wire.setpoint_s > from_s)[:, None], 0.4, 1.0) * e.wire.velocity_mps)
+
+    assert broken("B10", slow(6.9)) == set()
+    assert broken("B10", slow(7.1)) == {"speed 1 s later"}
+
+
+def test_a_map_that_is_marked_free_by_nothing_breaks_c4b() -> None:
+    freed, claimed = "known occupied freed", "voxels marked free"
+    assert broken("C4b", evidence(notes={freed: 0.0, claimed: 0.0})) == set()
+    assert broken("C4b", evidence(notes={freed: 0.01, claimed: 0.0})) == {freed}
+    assert broken("C4b", evidence(notes={freed: 0.0, claimed: 1.0})) == {claimed}
+    assert broken("C4b", evidence()) == {freed, claimed}, "what nobody measured"
+
+
+def test_who_hovers_before_the_wall_breaks_f5() -> None:
+    stops_late = evidence(onset_s=6.0)
+    assert broken("F5", stops_late) == set()
+    dithers = evidence(mode=tuple("OFFBOARD" if s < 17.0 else "LAND" for s in evidence().stamp_s), onset_s=6.0)
+    assert broken("F5", dithers) == {"landing mode after its last stop"}

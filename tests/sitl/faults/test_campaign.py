@@ -1,0 +1,207 @@
+"""The campaign: which flights it is made of, what a row's result says, and how it is written down."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_up_evidence import evidence
+
+from sitl.apps.sim_options import AUTOPILOTS, UsageError
+from sitl.faults.campaign import FaultOptions, _line, _missed, faults
+from sitl.faults.fault_flight import FaultCase, FaultRecord, fly_together
+from sitl.faults.flight_evidence import Evidence
+from sitl.faults.judges import reaction_metrics as m
+from sitl.faults.report.html_page import render
+from sitl.faults.report.scenario_result import result_of
+from sitl.faults.table.all_scenarios import ROWS, TABLE
+from sitl.faults.table.scenario import Bar, Row, Verdict, judge
+
+GAP = Bar("gap", m.longest_gap(), 0.25, "s")
+CLEAR = Bar("clearance", m.clearance, 0.4, "m", at_least=True, ardupilot=0.6)
+ROW = Row("X1", "a <hazard>", "something", bars=(GAP, CLEAR))
+
+
+def test_rows_come_in_the_tables_order() -> None:
+    options = FaultOptions.parse(only="B4, A1", autopilot="px4", seeds=2, out=Path("/somewhere"))
+    assert [row.id for row in options.rows] == ["A1", "B4"]
+    cases = options.cases(ROWS["A1"], "px4")
+    assert [case.number for case in cases] == [0, 1, 2, 3, 4, 5]
+    assert cases[1].out == Path("/somewhere/A1-px4-1")
+    assert options.cases(ROWS["A4"], "px4") == []
+    assert FaultOptions.parse().autopilots == AUTOPILOTS
+    assert {row.id for row in FaultOptions.parse(live=True).rows} == {*(f"A{k}" for k in range(1, 12)), "C2", "D6", "G2", "G3"}
+    with pytest.raises(UsageError, match="B4: not flown in real time"):
+        FaultOptions.parse(only="B4", live=True)
+    assert FaultOptions.parse().rows == TABLE
+
+
+def test_a_real_firmware_flies_what_it_has_the_means_for(tmp_path: Path) -> None:
+    binary = tmp_path / "arducopter"
+    with pytest.raises(UsageError, match="no such file"):
+        FaultOptions.parse(autopilot="ardupilot", firmware=binary)
+    binary.write_bytes(b"")
+    with pytest.raises(UsageError, match="not executable"):
+        FaultOptions.parse(autopilot="ardupilot", firmware=binary)
+    binary.chmod(0o755)
+    with pytest.raises(UsageError, match="--autopilot both: with --firmware want px4 or ardupilot"):
+        FaultOptions.parse(firmware=binary)
+    copter = FaultOptions.parse(autopilot="ardupilot", firmware=binary, jobs=4)
+    names = {row.id for row in copter.rows}
+    assert {"A1", "A6", "B1", "B4", "C4", "D2", "E1", "G6"} <= names
+    assert not names & {"E5", "E7", "F1", "F2", "D7", "G9", "B11"}, "they need the insides of a simulated one, or are none"
+    assert (copter.live, copter.jobs) == (True, 1)
+    assert copter.cases(ROWS["B1"], "ardupilot")[0].firmware == binary
+    assert "E1" not in {row.id for row in FaultOptions.parse(autopilot="px4", firmware=binary).rows}, "nobody holds its sticks"
+    with pytest.raises(UsageError, match="E7: not flown with a real ardupilot"):
+        FaultOptions.parse(only="E7", autopilot="ardupilot", firmware=binary)
+
+
+def test_what_rows_have_in_common_is_flown_once() -> None:
+    options = FaultOptions.parse(only="A1,A6,C7,F2,G7", seeds=2)
+    groups = [[(case.row, case.autopilot, case.number) for case in group] for group in options.groups()]
+    assert groups[:3] == [[("A1", "px4", 0), ("A6", "px4", 0)], [("C7", "px4", 0)], [("F2", "px4", 0)]]
+    assert groups[3][0] == ("A1", "px4", 1)
+    alone = [group for group in groups if group[0][2] >= 2]
+    assert alone == [[("A1", autopilot, number)] for autopilot in AUTOPILOTS for number in range(2, 6)], (
+        "A1 is flown more often"
+    )
+    assert sum(len(group) for group in groups) == 2 * (6 + 2 + 2 + 2)
+    live = FaultOptions.parse(only="A1,A6", seeds=2, live=True).groups()
+    assert [len(group) for group in live] == [1] * 8, "and not in real time"
+
+
+def test_twenty_seeds_are_sixty_of_the_five_rows_that_take_most_turns() -> None:
+    options = FaultOptions.parse(seeds=20)
+    often = [row.id for row in options.rows if len(options.cases(row, "px4")) == 60]
+    assert often == ["A1", "B1", "B4", "E1", "F1"]
+
+
+def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: Path) -> None:
+    options = FaultOptions.parse(only="B1,B3", autopilot="px4", seeds=1, seed0=7, out=tmp_path)
+    assert [case.number for case in options.cases(ROWS["B3"], "px4")] == [7]
+    assert [case.number for case in options.cases(ROWS["B1"], "px4")] == [7, 8, 9]
+    assert options.cases(ROWS["B3"], "px4")[0].out == tmp_path / "B3-px4-7"
+    record = FaultRecord(FaultCase("B3", "px4", 7), Verdict((0.30, 0.0), ("contact",)))
+    assert _missed(record).startswith(
+        "missed: motion of the error 0.30 <= 0.05 m, contact (--only B3 --autopilot px4 --seeds 1 --seed0 7)"
+    )
+    assert "seed 7, 9" in _line(
+        result_of(ROWS["B3"], "px4", [record.verdict, Verdict((0.0, 0.0), ()), record.verdict], first=7)
+    )
+
+
+@pytest.mark.parametrize("row", ["B6", "A5", "G9"])
+def test_where_nothing_is_flown_at_all_nothing_has_passed(row: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(UsageError, match="nothing was flown"):
+        faults(FaultOptions.parse(only=row, autopilot="px4", seeds=1))
+    told = capsys.readouterr().out
+    assert row in told
+    assert "not flown: " in told
+
+
+def test_flights_that_are_there_are_not_flown_over(tmp_path: Path) -> None:
+    (tmp_path / "A1-px4-0").mkdir()
+    with pytest.raises(UsageError, match="holds flights already, A1-px4-0"):
+        faults(FaultOptions.parse(only="A1", autopilot="px4", seeds=1, out=tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [({"only": "A1,Z9"}, "Z9"), ({"only": "A1,"}, "no row ''"), ({"autopilot": "inav"}, "autopilot")],
+)
+def test_a_word_that_is_unknown_is_told(words: dict[str, str], named: str) -> None:
+    with pytest.raises(UsageError, match=named):
+        FaultOptions.parse(**words)  # type: ignore[arg-type]
+
+
+def test_a_flight_is_held_to_its_bars() -> None:
+    verdict = judge(ROW, evidence(), [])
+    assert verdict.passed(ROW, "px4")
+    assert not verdict.passed(ROW, "ardupilot"), "whose bar is higher"
+    assert not judge(ROW, evidence(boxes_m=np.full(600, 0.3)), []).passed(ROW, "px4")
+    assert not judge(ROW, evidence(), ["contact"]).passed(ROW, "px4")
+    assert not judge(ROW, evidence(onset_s=math.inf), []).passed(ROW, "px4"), "a trouble that never came proves nothing"
+
+
+def test_a_program_that_breaks_fails_its_rows_and_says_with_what(monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(*_: object) -> Evidence:
+        raise OSError("gone")
+
+    monkeypatch.setattr("sitl.faults.fault_flight.flight", breaks)
+    records = fly_together([FaultCase(row, "px4", 0) for row in ("A1", "A2")])
+    assert [record.case.row for record in records] == ["A1", "A2"]
+    for record in records:
+        assert record.verdict.broken == ("OSError: gone",)
+        assert not record.verdict.passed(ROWS[record.case.row], "px4")
+        assert "Traceback" in record.trace
+
+
+def test_a_row_is_as_good_as_its_worst_flight() -> None:
+    result = result_of(ROW, "px4", [Verdict((0.03, 0.5), ()), Verdict((0.30, 0.45), ()), Verdict((0.05, 0.7), ("contact",))])
+    assert (result.kept, result.seeds, result.passed, result.missed) == (1, 3, False, (1, 2))
+    assert result.tree()["missed"] == [1, 2]
+    assert result.worst == (0.30, 0.45)
+    tree = result.tree()
+    assert (tree["figure"], tree["bar"], tree["unit"], tree["passed"]) == (0.3, 0.25, "s", False)
+    assert "gap 0.30 <= 0.25 s" in result.sentence()
+    assert result.remarks == ("contact",)
+
+
+def test_a_result_names_the_firmware_that_flew() -> None:
+    result = result_of(ROW, "ardupilot", [Verdict((0.03, 0.7), ())], "4.8.0 (8f898471)")
+    assert (result.tree()["tier"], result.tree()["firmware"]) == ("T1", "4.8.0 (8f898471)")
+    assert "<td>ardupilot 4.8.0 (8f898471)</td>" in render([result])
+    assert result_of(ROW, "px4", []).tree()["tier"] == "T0"
+
+
+def test_what_never_came_is_null_and_breaks_the_bar() -> None:
+    result = result_of(ROW, "px4", [Verdict((math.inf, math.nan), ())])
+    assert result.passed is False
+    assert result.tree()["figure"] is None
+    assert "gap never" in result.sentence()
+    json.dumps(result.tree(), allow_nan=False)
+
+
+def test_a_row_that_cannot_be_flown_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert json.dumps(result_of(ROWS["A5"], "px4", []).tree()), "one that has bars, but flies in real time alone"
+    options = FaultOptions.parse(only="G7", autopilot="px4", jobs=1, json=tmp_path / "f.json", out=tmp_path / "out")
+    with pytest.raises(UsageError, match="nothing was flown"):
+        faults(options)
+    assert "not flown: T3" in capsys.readouterr().out
+    row = json.loads((tmp_path / "f.json").read_text())["rows"][0]
+    assert set(row) >= {"id", "tier", "autopilot", "seeds", "passed", "figure", "bar", "unit"}
+    assert row["passed"] is None
+    assert "not flown" in (tmp_path / "out" / "faults.html").read_text()
+
+
+def test_the_page_tells_figures_and_keeps_its_tags() -> None:
+    page = render([result_of(ROW, "px4", [Verdict((0.3, 0.5), ("contact <1>",))])])
+    assert "0 of 1 rows pass" in page
+    assert "gap 0.30 &lt;= 0.25 s" in page
+    assert "a &lt;hazard&gt;" in page
+    assert "contact &lt;1&gt;" in page
+
+
+def test_the_page_shows_how_much_of_each_bar_is_used_up_and_how_to_fly_what_missed() -> None:
+    page = render([result_of(ROW, "px4", [Verdict((0.1, 0.5), ()), Verdict((0.3, 0.5), ())], first=7)])
+    assert '<i class="over"><u style="width:100%"></u></i>gap 0.30' in page
+    assert '<i><u style="width:80%"></u></i>clear' in page
+    assert "faults --only X1 --autopilot px4 --seeds 1 --seed0 8" in page
+    assert "--seed0 7" not in page
+    assert "missed: X1 px4" in page
+
+
+@pytest.mark.parametrize(
+    ("live", "firmware", "how"),
+    [(False, None, ""), (True, None, "--real-time "), (True, Path("/a b/px4"), "--firmware '/a b/px4' ")],
+)
+def test_what_missed_is_flown_again_the_same_way(live: bool, firmware: Path | None, how: str) -> None:
+    case = FaultCase("B3", "px4", 7, live=live, firmware=firmware)
+    verdict, again = Verdict((0.30, 0.0), ()), f"--only B3 --autopilot px4 {how}--seeds 1 --seed0 7"
+    assert f"({again})" in _missed(FaultRecord(case, verdict))
+    assert again in html.unescape(render([result_of(ROWS["B3"], "px4", [verdict], first=7, how=case.how)]))
