@@ -37,10 +37,10 @@ hostile:
 # One flight of two hours with all processes; memory and descriptors once a second, in soak.svg. SOAK=G9-5min is a shorter one.
 SOAK ?= G9-2h
 soak:
-	$(PYTHON) -m uav_recon.cli.main faults --only $(SOAK) --real-time --autopilot px4 --seeds 1 --out flights/$(SOAK)
+	$(PYTHON) -m uav_recon faults --only $(SOAK) --real-time --autopilot px4 --seeds 1 --out flights/$(SOAK)
 
 sim:
-	$(PYTHON) -m uav_recon.cli.main sim
+	$(PYTHON) -m uav_recon sim
 
 clean:
 	rm -rf .venv flights build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache

@@ -1,7 +1,7 @@
 """The far end of `uav-recon bench setpoints`: a simulated autopilot, and a perception and a mission that want to hover.
 
-A process of its own: `python -m sitl.apps.setpoint_receiver CONFIG SECONDS AUTOPILOT OUT`. So long after the first setpoint that it flew
-it writes OUT (arrivals_s, begin_s, end_s), as the kernel stamped what came; exit code 1 if it never flew.
+Run as a process: `python -m sitl.apps.setpoint_receiver CONFIG SECONDS AUTOPILOT OUT`. SECONDS after the first setpoint in
+flight it writes OUT (arrivals_s, begin_s, end_s, kernel receive times). Exit code 1: the vehicle never flew.
 """
 
 from __future__ import annotations

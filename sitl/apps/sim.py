@@ -77,7 +77,7 @@ def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:
     """The outside world and the unmodified product, in the order in which they start."""
     world, flight = runtime / "world.json", ["--flight", str(options.out)]
     options.world(runtime).save(world)
-    product, config = [sys.executable, "-m", "uav_recon.cli.main"], ["--config", str(options.out / "config.toml")]
+    product, config = [sys.executable, "-m", "uav_recon"], ["--config", str(options.out / "config.toml")]
     return {
         "world": [sys.executable, "-m", "sitl.apps.world_process", str(world)],
         "pilot": [*product, "pilot", *config, *flight],

@@ -35,7 +35,7 @@ class Told(Injector):
     def turn(self, at: Theatre, since_s: float) -> None:
         """Say what is due; nobody waits for an answer."""
         while self._orders and since_s >= self._orders[0][0]:
-            command = [sys.executable, "-m", "uav_recon.cli.main", self._orders.pop(0)[1], "--config", str(at.config)]
+            command = [sys.executable, "-m", "uav_recon", self._orders.pop(0)[1], "--config", str(at.config)]
             self._told.append(subprocess.Popen(leashed(command), stdout=subprocess.DEVNULL))  # noqa: S603 - our own program
         self._told = [each for each in self._told if each.poll() is None]
 

@@ -1,7 +1,8 @@
-"""Becomes another program, one that ends with whoever started it: `python -m sitl.runtime.die_with_parent PARENT_PID PROGRAM ARGUMENTS...`.
+"""Run a program that is killed when its parent ends.
 
-The kernel sends SIGKILL when the parent is gone, however it went, kill -9 included: see PR_SET_PDEATHSIG in prctl(2). The
-wish outlives execve(2). The parent is to start it from its main thread: the kernel means the thread that forked.
+Run as `python -m sitl.runtime.die_with_parent PARENT_PID PROGRAM ARGUMENTS...`. The kernel sends SIGKILL when the parent has
+ended for any reason, kill -9 included: see PR_SET_PDEATHSIG in prctl(2). The setting survives execve(2). Start it from the
+parent's main thread: the kernel watches the thread that forked.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Broken configs: `python tests/app/mutated_configs.py [N]`. Starts the pilot on N of them; exit 1 where one ends as it must not.
+"""Start the pilot on N broken configs: `python tests/app/mutated_configs.py [N]`. Exit code 1: one ended the wrong way.
 
 Each is the flown config with one thing wrong: a bound passed by the least that a float can tell, a number that is none, a word
 for a number and a number for a word, a key missing or misspelt, two numbers the wrong way round. The pilot's serial line ends
@@ -27,7 +27,7 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from uav_recon.config import Config, load
 
-FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
+FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
 LONGEST_S = 1.0
 
 
@@ -188,7 +188,7 @@ def command(tree: dict[str, Any], folder: Path, line: SerialLine) -> list[str]:
     link = {**link, "url": line.url if link["url"] == load(FLOWN).link.url else link["url"]}
     path = folder / "config.toml"
     path.write_text(tomli_w.dumps({**tree, "link": link, "runtime": {**tree["runtime"], "folder": str(folder / "run")}}))
-    return [sys.executable, "-m", "uav_recon.cli.main", "pilot", "--config", str(path)]
+    return [sys.executable, "-m", "uav_recon", "pilot", "--config", str(path)]
 
 
 def end_of(mutant: Mutant, folder: Path, line: SerialLine) -> End:

@@ -16,13 +16,13 @@ from uav_recon.app import memory_lock
 
 SETTLED = """
 import ctypes, gc, json, mmap, resource, sys
-from uav_recon import steady
+from uav_recon.app import memory_lock
 limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
 room = mmap.mmap(-1, (1 << 20 if limit == resource.RLIM_INFINITY else limit) + 1)
 place = ctypes.c_void_p(ctypes.addressof(ctypes.c_char.from_buffer(room)))
 may = ctypes.CDLL(None).mlock2(place, ctypes.c_size_t(len(room)), 1) == 0
 ctypes.CDLL(None).munlockall()
-locked = steady.settle()
+locked = memory_lock.settle()
 made = bytearray(64 << 20)
 status = open("/proc/self/status").read().splitlines()
 kilobytes = int(next(line for line in status if line.startswith("VmLck")).split()[1])

@@ -227,7 +227,7 @@ def test_bad_input_is_one_line_and_78(arguments: list[str], words: str) -> None:
 
 
 def test_the_config_says_what_is_not_given(tmp_path: Path) -> None:
-    flown = Path(__file__).parents[1] / "systemd" / "config.toml"
+    flown = Path(__file__).parents[2] / "systemd" / "config.toml"
     options = ParamsOptions.of(None, None, None, flown)
     assert options == ParamsOptions("px4", "serial:/dev/fc:921600", None, load_config(flown).link)
     assert ParamsOptions.of("ardupilot", "udp:127.0.0.1:14540", None, tmp_path / "none") == ParamsOptions(

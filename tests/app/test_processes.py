@@ -15,7 +15,7 @@ import pytest
 
 from uav_recon import config as configuration
 
-FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
+FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
 
 
 @pytest.fixture()
@@ -34,7 +34,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def start(name: str, config: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "uav_recon.cli.main", name, "--config", str(config)]
+    command = [sys.executable, "-m", "uav_recon", name, "--config", str(config)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -116,7 +116,7 @@ def test_the_recorder_ends_with_the_mission_that_started_it_even_if_that_was_bef
     command = [
         sys.executable,
         "-m",
-        "uav_recon.cli.main",
+        "uav_recon",
         "record",
         "--config",
         str(config),
@@ -133,7 +133,7 @@ def test_the_recorder_ends_with_the_mission_that_started_it_even_if_that_was_bef
 
 
 def say(word: str, config: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "uav_recon.cli.main", *word.split(), "--config", str(config)]
+    command = [sys.executable, "-m", "uav_recon", *word.split(), "--config", str(config)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
@@ -155,7 +155,7 @@ def test_an_operator_is_told_how_it_stands_and_what_is_missing(pilot: subprocess
 def test_an_operator_watches_until_he_interrupts_or_the_pilot_is_gone(pilot: subprocess.Popen[str], config: Path) -> None:
     while say("status", config).returncode != 0:
         assert pilot.poll() is None
-    command = [sys.executable, "-m", "uav_recon.cli.main", "status", "--watch", "--config", str(config)]
+    command = [sys.executable, "-m", "uav_recon", "status", "--watch", "--config", str(config)]
     first, second = (subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2))
     for watcher in (first, second):
         assert watcher.stdout is not None
@@ -179,7 +179,7 @@ def test_readiness_and_then_the_turns_of_the_loop_are_told_to_systemd(config: Pa
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))
         systemd.settimeout(60.0)
-        command = [sys.executable, "-m", "uav_recon.cli.main", "pilot", "--config", str(config)]
+        command = [sys.executable, "-m", "uav_recon", "pilot", "--config", str(config)]
         environment = os.environ | {"NOTIFY_SOCKET": str(tmp_path / "notify")}
         process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE)
         try:
@@ -202,7 +202,7 @@ def test_a_pilot_that_is_ready_has_settled_and_is_small(config: Path, tmp_path: 
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))
         systemd.settimeout(60.0)
-        command = [sys.executable, "-m", "uav_recon.cli.main", "pilot", "--config", str(config)]
+        command = [sys.executable, "-m", "uav_recon", "pilot", "--config", str(config)]
         process = subprocess.Popen(command, env=os.environ | {"NOTIFY_SOCKET": str(tmp_path / "notify")})
         try:
             assert systemd.recv(100) == b"READY=1"
@@ -297,7 +297,7 @@ def test_a_socket_of_somebody_else_is_told(word: str, answer: dict[str, object],
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as desk:
         desk.bind(str(path))
         desk.listen(1)
-        command = [sys.executable, "-m", "uav_recon.cli.main", word, "--socket", str(path)]
+        command = [sys.executable, "-m", "uav_recon", word, "--socket", str(path)]
         caller = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         connection, _ = desk.accept()
         with connection:

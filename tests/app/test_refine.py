@@ -28,7 +28,7 @@ from uav_recon.mapping.neural.sdf_torch.checkpoint import BEFORE, LAST
 from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.types.frames import ByteArray
 
-FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
+FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
 SMALL = ("--steps", "150", "--voxel", "0.05", "--device", "cpu")
 
 
@@ -174,7 +174,7 @@ def start(flight: Path, *arguments: str) -> subprocess.Popen[str]:
     command = [
         sys.executable,
         "-m",
-        "uav_recon.cli.main",
+        "uav_recon",
         "refine",
         str(flight),
         *arguments,

@@ -1,4 +1,4 @@
-"""A million hostile proposals: `python tests/safety/hostile_proposals.py [N [SEED]]`. Prints their fates; exit 1 for a violation.
+"""Hostile setpoint proposals: `python tests/safety/hostile_proposals.py [N [SEED]]`. Prints the results; exit 1: a violation.
 
 Half of them are random numbers of every size, NaN and infinities among them, before and after their time; half are small
 steps from what flew last, so that they reach the checks behind the first. The space has walls, holes and a person walking.

@@ -36,16 +36,16 @@ from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkR
 from uav_recon.types.pose import Pose
 
 HERE = Path(__file__).parent
-BY_GUARD = ("test_guard_borders", "test_guard", "test_safety_values")
+BY_GUARD = ("test_guard_limits", "test_guard", "test_safety_values")
 TESTS = {
     "envelope": ("test_envelope", *BY_GUARD),
     "guard": BY_GUARD,
-    "knownfree": ("test_knownfree", *BY_GUARD),
-    "steps": ("test_steps", *BY_GUARD),
-    "ladder": ("test_ladder", "test_safety_values"),
-    "posegate": ("test_posegate", "test_safety_values"),
-    "proximity": ("test_proximity", *BY_GUARD),
-    "sight": ("test_seen_lately", *BY_GUARD),
+    "free_space_check": ("test_free_space_check", *BY_GUARD),
+    "setpoint_continuity": ("test_setpoint_continuity", *BY_GUARD),
+    "failsafe": ("test_failsafe", "test_safety_values"),
+    "pose_gate": ("test_pose_gate", "test_safety_values"),
+    "obstacle_speed_limit": ("test_obstacle_speed_limit", *BY_GUARD),
+    "recently_seen_space": ("test_recently_seen_space", *BY_GUARD),
 }
 AT_RANDOM = "not nothing_invalid_ever_leaves and not nothing_hostile_reaches"
 NEEDLESS = ("dash", "terminal", "cacheprovider", "unraisableexception", "threadexception", "hypothesispytest")

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 def uav_recon(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "uav_recon.cli.main", *arguments], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-m", "uav_recon", *arguments], capture_output=True, text=True, timeout=120, check=False
     )
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from sitl.faults.fault import Onset
-from sitl.faults.fault_flight import FaultCase, FaultRecord, Stage, flight, fly, record_of
 from sitl.faults.flight_evidence import Evidence
+from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, flight, fly, record_of
 from sitl.faults.injectors.companion import Stall
 from sitl.faults.injectors.vehicle_and_autopilot import Push
 from sitl.faults.judges.invariants import violations

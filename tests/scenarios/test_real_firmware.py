@@ -17,13 +17,13 @@ from pathlib import Path
 
 import pytest
 
-from sitl.faults.campaign import FIRMWARE_OFFERS
+from sitl.faults.flights.campaign import FIRMWARE_OFFERS
 from sitl.faults.table.all_scenarios import ROWS
 from sitl.real_firmware.px4 import COMPANION_PORT
 from uav_recon.recording.report import Report
 
 pytestmark = [pytest.mark.slow, pytest.mark.real_time, pytest.mark.timeout(1800)]
-STAND_IN = Path(__file__).with_name("firmware_stand_in.py")
+STAND_IN = Path(__file__).with_name("simulated_firmware_program.py")
 ALWAYS_FLOWN = ("A1", "A6", "B1", "B4", "E1")
 BINARIES = {"ardupilot": "UAV_RECON_ARDUCOPTER", "px4": "UAV_RECON_PX4"}
 FLOWN = [
@@ -49,7 +49,7 @@ def free_port(autopilot: str) -> int:
 def flown(autopilot: str, firmware: str, views: int, folder: Path) -> Report:
     """The report of a flight that completed."""
     words = ["--autopilot", autopilot, "--firmware", firmware, "--port", str(free_port(autopilot)), "--views", str(views)]
-    command = [sys.executable, "-m", "uav_recon.cli.main", "sim", *words, "--out", str(folder)]
+    command = [sys.executable, "-m", "uav_recon", "sim", *words, "--out", str(folder)]
     sim = subprocess.run(command, capture_output=True, text=True, timeout=1500.0, check=False)
     logs = "\n".join(f"{log.name}: {log.read_text(errors='replace')[-2000:]}" for log in folder.glob("logs/*.log"))
     assert sim.returncode == 0, sim.stdout + sim.stderr + logs
@@ -86,7 +86,7 @@ def test_no_row_is_left_out_but_the_takeover_that_px4_has_no_sticks_for() -> Non
 def fault_row(autopilot: str, firmware: str, row: str, folder: Path) -> dict[str, object]:
     """What came of one flight of a row."""
     words = ["--only", row, "--seeds", "1", "--autopilot", autopilot, "--firmware", firmware, "--json", str(folder / "f.json")]
-    command = [sys.executable, "-m", "uav_recon.cli.main", "faults", *words, "--out", str(folder / "f")]
+    command = [sys.executable, "-m", "uav_recon", "faults", *words, "--out", str(folder / "f")]
     told = subprocess.run(command, capture_output=True, text=True, timeout=900.0, check=False)
     assert told.returncode in (0, 1), told.stdout + told.stderr
     rows: list[dict[str, object]] = json.loads((folder / "f.json").read_text(encoding="utf-8"))["rows"]

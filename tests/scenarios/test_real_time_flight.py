@@ -54,7 +54,7 @@ class Sim:
 
     def __init__(self, folder: Path, views: int) -> None:
         self.folder = folder
-        command = [sys.executable, "-m", "uav_recon.cli.main", "sim", "--views", str(views), "--out", str(folder)]
+        command = [sys.executable, "-m", "uav_recon", "sim", "--views", str(views), "--out", str(folder)]
         self.process = subprocess.Popen(
             [*command, "--port", str(free_port())], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )

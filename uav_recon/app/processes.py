@@ -256,7 +256,7 @@ def _loop(step: Callable[[], None], rate_hz: float, clock: MonotonicClock, done:
 
 
 def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "uav_recon.cli.main", "record", "--config", str(config_path), "--flight", str(folder)]
+    command = [sys.executable, "-m", "uav_recon", "record", "--config", str(config_path), "--flight", str(folder)]
     return subprocess.Popen(["nice", "-n", "10", *command], stdin=subprocess.PIPE)  # noqa: S603, S607 - our own program
 
 

@@ -114,7 +114,7 @@ def _under_torchrun(wanted: RefineOptions, processes: int) -> int:
     ]
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
     child = subprocess.Popen(  # noqa: S603 - this very command
-        [*torchrun, "-m", "uav_recon.cli.main", *worker],
+        [*torchrun, "-m", "uav_recon", *worker],
         env={"OMP_NUM_THREADS": threads} | os.environ | {WORKER: "1"},
         start_new_session=True,
     )

@@ -48,8 +48,8 @@ def faults(
 
     Judged by the simulator's truth and by what was on the wire. Exit code 1 if any row failed.
     """
-    from sitl.faults.campaign import FaultOptions
-    from sitl.faults.campaign import faults as fly_all
+    from sitl.faults.flights.campaign import FaultOptions
+    from sitl.faults.flights.campaign import faults as fly_all
 
     exit_with(
         lambda: fly_all(

@@ -35,7 +35,7 @@ _DEFAULTS: dict[str, int | float] = {
     "WP_ACC": 2.5, "WP_ACC_Z": 1.0, "WP_SPD": 10.0, "WP_SPD_DN": 1.5, "WP_SPD_UP": 2.5, "WP_YAW_BEHAVIOR": 2,
 }  # fmt: skip
 
-DEFAULT_FILE = Path(__file__).resolve().parent.parent / "firmware_params" / "ardupilot_indoor.param"
+DEFAULT_FILE = Path(__file__).resolve().parents[3] / "firmware_params" / "ardupilot_indoor.param"
 
 
 class ArduPilotParameters(ParameterTable):

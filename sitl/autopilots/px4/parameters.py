@@ -38,7 +38,7 @@ _DEFAULTS: dict[str, int | float] = {
     "SDLOG_PROFILE": 1, "SYS_AUTOSTART": 4001, "SYS_FAILURE_EN": 0, "SYS_HAS_GPS": 1, "SYS_HAS_MAG": 1,
 }  # fmt: skip
 
-DEFAULT_FILE = Path(__file__).resolve().parent.parent / "firmware_params" / "px4_indoor.params"
+DEFAULT_FILE = Path(__file__).resolve().parents[3] / "firmware_params" / "px4_indoor.params"
 
 
 class Parameters(ParameterTable):

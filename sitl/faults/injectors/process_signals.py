@@ -11,7 +11,7 @@ from typing import cast
 from sitl.faults.injectors.base import Injector, Needs, Theatre
 from sitl.faults.process_registry import Roster, child_of, send
 
-MAPPER, RECORDER = "mapping.neural.process.child", "uav_recon.cli.main\0record"  # words of their command lines
+MAPPER, RECORDER = "mapping.neural.worker.mapper_process", "uav_recon\0record"  # words of their command lines
 
 
 class Stopped(Injector):
@@ -93,7 +93,7 @@ class SecondPilot(Injector):
 
     def begin(self, at: Theatre) -> None:
         """With the flight's own config."""
-        command = [sys.executable, "-m", "uav_recon.cli.main", "pilot", "--config", str(at.config)]
+        command = [sys.executable, "-m", "uav_recon", "pilot", "--config", str(at.config)]
         self._began_s = time.monotonic()
         self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)  # noqa: S603 - our own program
 

@@ -1,4 +1,4 @@
-"""A hostile wire: `python tests/autopilot/link/hostile_traffic.py [BYTES [FORGED [SEED]]]`. Prints what it did; exit 1 for an effect.
+"""Hostile traffic on the link: `python tests/autopilot/link/hostile_traffic.py [BYTES [FORGED [SEED]]]`. Exit 1: it had an effect.
 
 Bursts of random bytes, rich in the bytes that frames begin with, and among them forged frames: of other vehicles and other
 components, of MAVLink 1, and orders that no autopilot gives to a companion. After each burst the true autopilot speaks on, no

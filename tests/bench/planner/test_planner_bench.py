@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from uav_recon.bench.planner.stages import STAGES
 from uav_recon.cli.main import app
 
-STREAM = Path(__file__).parents[3] / "shared" / "streams" / "two_room"
+STREAM = Path(__file__).parents[4] / "shared" / "streams" / "two_room"
 SPREAD = {"median_ms", "p95_ms", "max_ms"}
 
 

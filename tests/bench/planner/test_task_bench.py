@@ -18,7 +18,7 @@ from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.pose import Pose
 
-FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
+FLOWN = Path(__file__).parents[3] / "systemd" / "config.toml"
 LENS = Intrinsics.from_fov(32, 24, 1.5, 1.0)
 
 

@@ -12,7 +12,7 @@ from uav_recon.types.frames import ByteArray, Float32Array, FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec
 from uav_recon.types.pose import Pose
 
-STREAM = Path(__file__).parents[3] / "shared" / "streams" / "two_room"
+STREAM = Path(__file__).parents[4] / "shared" / "streams" / "two_room"
 LENS = Intrinsics.from_fov(212, 120, np.radians(87), np.radians(58))
 GRID = GridSpec(np.array([-2.0, -3.0, 0.0]), 0.1, (80, 60, 30))
 D435I = DepthSensor(0.3, 0.04, 0.05)

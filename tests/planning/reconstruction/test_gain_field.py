@@ -111,16 +111,17 @@ from numba.core.registry import CPUDispatcher as Dispatcher
 sys.path[:0] = sys.argv[1:]
 import numpy as np
 from test_gain_field import CONFIG, FIXED, GIMBAL, elements_of, half_seen, looks_of, FieldViews, MEETING_ROOM
-from uav_recon.planning.surface import field, elements
+from uav_recon.planning.reconstruction import gain_field, surface_elements
 
 def compiled():
-    return {(m, k): len(v.signatures) for m in ("surface.field", "surface.gains", "surface.elements", "camera")
+    names = [f"reconstruction.{m}" for m in ("gain_field", "view_gain", "surface_elements")] + ["camera_frustum"]
+    return {(m, k): len(v.signatures) for m in names
             for k, v in vars(sys.modules["uav_recon.planning." + m]).items() if isinstance(v, Dispatcher)}
 
 situation, frontiers = half_seen(FIXED)
 surface = elements_of(MEETING_ROOM)
-elements.Elements.of(surface, situation.voxels.grid, 5)  # as SurfaceViews' warm-up does
-field.warm_up()
+surface_elements.Elements.of(surface, situation.voxels.grid, 5)  # as SurfaceViews' warm-up does
+gain_field.warm_up()
 before = compiled()
 FieldViews(CONFIG, GIMBAL).propose(situation, frontiers, surface, looks_of(situation))
 after = compiled()

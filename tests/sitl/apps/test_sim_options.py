@@ -140,7 +140,7 @@ def test_a_blind_speed_below_the_greatest_turns_the_nose_ahead(tmp_path: Path) -
 
 
 def test_the_vehicle_flies_by_the_rule_of_blind_directions_that_the_simulator_flew(tmp_path: Path) -> None:
-    vehicle = load(Path(__file__).parents[2] / "systemd" / "config.toml").safety
+    vehicle = load(Path(__file__).parents[3] / "systemd" / "config.toml").safety
     flown = SimOptions.parse().config(SCENE, tmp_path).safety
     assert (vehicle.blind_speed_mps, vehicle.blind_memory_s) == (flown.blind_speed_mps, flown.blind_memory_s)
     assert flown.blind_speed_mps == 0.3

@@ -46,7 +46,7 @@ LAUNCHER = """
     import sys
     from pathlib import Path
     from rich.console import Console
-    from sitl import fly_children
+    from sitl.apps import sim_processes
     from sitl.runtime.die_with_parent import leashed
     from uav_recon.errors import Failure
 
@@ -56,9 +56,9 @@ LAUNCHER = """
     folder, stubborn, orderly = Path(sys.argv[1]), sys.argv[4], sys.argv[5]
     commands = {name: through([sys.executable, "-c", stubborn]) for name in ("world", "pilot", "perception")}
     commands["mission"] = through([sys.executable, "-c", orderly])
-    fly_children.GRACE_S = dict.fromkeys(fly_children.GRACE_S, 0.2)
+    sim_processes.GRACE_S = dict.fromkeys(sim_processes.GRACE_S, 0.2)
     try:
-        fault = fly_children.Children(commands, folder, folder, Console()).fly()
+        fault = sim_processes.Children(commands, folder, folder, Console()).fly()
     except Failure as failure:
         print(failure)
         sys.exit(failure.code)

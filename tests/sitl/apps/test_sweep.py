@@ -10,7 +10,7 @@ import pytest
 from sitl.apps.sim_options import UsageError
 from sitl.apps.sweep import SweepOptions, sweep
 from sitl.apps.sweep_case import Case, Record, as_tree, fly_case, from_tree
-from sitl.faults.campaign import FaultOptions
+from sitl.faults.flights.campaign import FaultOptions
 from uav_recon.errors import Failure
 
 BROKEN = Case("/nowhere", 0, 0.2, "adaptive", "fixed:15", "fast", 8)

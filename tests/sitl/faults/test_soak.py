@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from made_up_evidence import ONSET_S, evidence
 
-from sitl.faults.campaign import FaultOptions
+from sitl.faults.flights.campaign import FaultOptions
 from sitl.faults.injectors.base import Theatre
 from sitl.faults.process_registry import Roster
 from sitl.faults.report.resource_chart import Track, draw

@@ -12,7 +12,7 @@ import trimesh
 from sitl.scene.mesh import Mesh, joined
 from sitl.scene.scene import SceneError, load_scene, place
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "scenes"
+SHARED = Path(__file__).resolve().parents[4] / "shared" / "scenes"
 START = (2.0, 2.0, 0.5, 90.0)
 
 

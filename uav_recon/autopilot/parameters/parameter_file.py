@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-FOLDER = Path(__file__).resolve().parents[2] / "firmware_params"
+FOLDER = Path(__file__).resolve().parents[3] / "firmware_params"
 REASONS = FOLDER / "README.md"
 PARAMETER_FILES = {"px4": FOLDER / "px4_indoor.params", "ardupilot": FOLDER / "ardupilot_indoor.param"}
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")

@@ -99,7 +99,7 @@ def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str],
         config, path, log = _config(folder, autopilot), folder / "config.toml", folder / "log"
         configuration.save(config, path)
         out = folder / "arrivals.npz"
-        product, ours = ["uav_recon.cli.main"], ["--config", str(path), "--flight", str(folder / "flight")]
+        product, ours = ["uav_recon"], ["--config", str(path), "--flight", str(folder / "flight")]
         load = ["uav_recon.bench.setpoints.load", str(path), str(folder), *(["pilot"] if negative else [])]
         loader = ends.enter_context(_child(load, log, _PILOT_NICE if negative else 0))
         say("loading the machine")

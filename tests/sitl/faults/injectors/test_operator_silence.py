@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.faults.fault import Trouble
 from sitl.faults.fault_director import Meddler
-from sitl.faults.fault_flight import attended
+from sitl.faults.flights.fault_flight import attended
 from sitl.faults.injectors.base import ATTENDED, Theatre
 from sitl.faults.injectors.operator_silence import Gone, GroundStation, Rare, acts_after, astray, warnings, warns_after
 from sitl.faults.table.all_scenarios import ROWS
@@ -90,7 +90,7 @@ def test_a_way_that_leads_elsewhere_is_astray() -> None:
 
 
 def test_every_flight_in_lockstep_has_somebody_who_has_to_attend() -> None:
-    flown = product_config.load(Path(__file__).parents[2] / "systemd" / "config.toml")
+    flown = product_config.load(Path(__file__).parents[4] / "systemd" / "config.toml")
     alone = flown.model_copy(update={"mission": flown.mission.model_copy(update={"operator_timeout_s": None})})
     assert attended(alone).mission.operator_timeout_s == 30.0
     assert attended(alone) == flown, "nothing else is another"

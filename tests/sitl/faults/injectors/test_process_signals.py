@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from sitl.faults.fault_flight_real_time import Supervised
+from sitl.faults.flights.fault_flight_real_time import Supervised
 from sitl.faults.injectors.base import Theatre
 from sitl.faults.injectors.process_signals import Asked, Killed, Stopped
 from sitl.faults.process_registry import Exit, Roster, child_of

@@ -12,7 +12,7 @@ import pytest
 from made_up_evidence import ONSET_S, evidence
 
 from sitl.apps.sim_options import UsageError
-from sitl.faults.campaign import FaultOptions
+from sitl.faults.flights.campaign import FaultOptions
 from sitl.faults.injectors.base import Depth, Needs, Theatre
 from sitl.faults.injectors.companion import Crash, Stall
 from sitl.faults.injectors.delayed import Postponed

@@ -1,7 +1,7 @@
 """The mapper's own process, and the parent's handle on it: JSON lines down a pipe, JSON lines back.
 
-Run as ``python -m uav_recon.mapping.neural.worker.mapper_process``. The first line is the order (config, box, noise, folder); then
-{"keyframe": N} for each view on disk; {"repose": EPOCH} when those on disk have other poses, of a new map epoch;
+Run as ``python -m uav_recon.mapping.neural.worker.mapper_process``. The first line is the order (config, box, noise, folder);
+then {"keyframe": N} for each view on disk; {"repose": EPOCH} when those on disk have other poses, of a new map epoch;
 {"answer": true} to see whether it still gets on; {"finish": FOLDER} at the end. Back come {"event": "ready" | "answer" |
 "finished"} and, when views were refused, {"event": "refused", "counts": {REASON: N so far}}.
 """

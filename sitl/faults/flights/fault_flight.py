@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sitl.camera.d435i import Model
-from sitl.faults.collect_evidence import evidence_of
+from sitl.faults.flights.collect_evidence import evidence_of
 from sitl.faults.fault import Trouble
 from sitl.faults.fault_director import Meddler, alone
 from sitl.faults.flight_evidence import Evidence
@@ -153,7 +153,7 @@ def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str
 
     from sitl.apps.lockstep import fly_in_lockstep
     from sitl.apps.sim_options import SimOptions
-    from sitl.faults.hostile_planner import hostile
+    from sitl.faults.flights.hostile_planner import hostile
     from uav_recon import config as product_config
 
     options = SimOptions.parse(
@@ -188,7 +188,7 @@ def attended(config: Config) -> Config:
 def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:
     """The same in real time, with the mapper that learns. Raises Failure."""
     from sitl.apps.sim_options import SimOptions
-    from sitl.faults.fault_flight_real_time import flight_in_real_time, free_port
+    from sitl.faults.flights.fault_flight_real_time import flight_in_real_time, free_port
 
     options = SimOptions.parse(
         seed=case.number,

@@ -1,4 +1,4 @@
-"""The outside world of a fault row in real time, with its trouble in it: `python -m sitl.faults.scenario_world_process ORDER.json`."""
+"""The outside world of a fault row in real time, with its trouble in it: `python -m sitl.faults.flights.scenario_world_process ORDER.json`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from sitl.apps.world_process import WorldOptions, binary_of, make_world, make_world_of, run
 from sitl.autopilots.byte_links import UdpPeer
 from sitl.faults.autopilot_side_proxy import FarProxy
-from sitl.faults.collect_evidence import evidence_of
+from sitl.faults.flights.collect_evidence import evidence_of
 from sitl.faults.fault import Trouble
 from sitl.faults.fault_director import Meddler
 from sitl.faults.flight_evidence import Evidence

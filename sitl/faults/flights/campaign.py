@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sitl.apps.sim_options import AUTOPILOTS, UsageError, check_jobs, check_program
 from sitl.apps.sweep_case import one_thread
-from sitl.faults.fault_flight import FaultCase, FaultRecord, Stage, fly
+from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, fly
 from sitl.faults.injectors.base import Needs
 from sitl.faults.report.html_page import write_page
 from sitl.faults.report.scenario_result import Result, result_of

@@ -15,7 +15,7 @@ from sitl.apps.sim_processes import Children
 from sitl.faults.flight_evidence import Evidence
 from sitl.faults.injectors.base import Needs
 from sitl.faults.process_registry import Exit, Roster
-from sitl.faults.scenario_world_process import Order
+from sitl.faults.flights.scenario_world_process import Order
 from sitl.faults.table.arenas import arena
 from sitl.faults.table.scenario import Row
 from uav_recon import config as product_config
@@ -86,10 +86,10 @@ def flight_in_real_time(row: Row, options: SimOptions, runtime: Path, number: in
     order = runtime / "order.json"
     binary = None if firmware is None else str(firmware)
     Order(str(runtime / "world.json"), row.id, number, str(options.out / "config.toml"), binary, line).save(order)
-    product, given = [sys.executable, "-m", "uav_recon.cli.main"], ["--config", str(options.out / "config.toml")]
+    product, given = [sys.executable, "-m", "uav_recon"], ["--config", str(options.out / "config.toml")]
     flight = ["--flight", str(options.out)]
     commands = {
-        "world": [sys.executable, "-m", "sitl.faults.scenario_world_process", str(order)],
+        "world": [sys.executable, "-m", "sitl.faults.flights.scenario_world_process", str(order)],
         "pilot": [*product, "pilot", *given, *flight],
         "perception": [*product, "perception", *given],
         "mission": [*product, "mission", *given, *flight],

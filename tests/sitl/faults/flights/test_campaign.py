@@ -12,8 +12,8 @@ import pytest
 from made_up_evidence import evidence
 
 from sitl.apps.sim_options import AUTOPILOTS, UsageError
-from sitl.faults.campaign import FaultOptions, _line, _missed, faults
-from sitl.faults.fault_flight import FaultCase, FaultRecord, fly_together
+from sitl.faults.flights.campaign import FaultOptions, _line, _missed, faults
+from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, fly_together
 from sitl.faults.flight_evidence import Evidence
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.report.html_page import render
@@ -132,7 +132,7 @@ def test_a_program_that_breaks_fails_its_rows_and_says_with_what(monkeypatch: py
     def breaks(*_: object) -> Evidence:
         raise OSError("gone")
 
-    monkeypatch.setattr("sitl.faults.fault_flight.flight", breaks)
+    monkeypatch.setattr("sitl.faults.flights.fault_flight.flight", breaks)
     records = fly_together([FaultCase(row, "px4", 0) for row in ("A1", "A2")])
     assert [record.case.row for record in records] == ["A1", "A2"]
     for record in records:
