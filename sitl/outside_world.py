@@ -11,12 +11,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.autopilots.base_autopilot import Autopilot, Truth
-from sitl.camera.d435i import Camera
+from sitl.autopilots.base_autopilot import Autopilot, VehicleTruth
+from sitl.camera.d435i import SimulatedD435i
 from sitl.geometry.transform import rigid, rotation_from_quat
-from sitl.truth.hull_clearance import Clearance
-from sitl.world.pose_tracker import NoisyPoses
-from sitl.world.step_sizes import REAL, Pace
+from sitl.truth.hull_clearance import HullClearance
+from sitl.world.pose_tracker import SimulatedTracker
+from sitl.world.step_sizes import REAL, StepSizes
 
 F64 = NDArray[np.float64]
 PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # taking off and landing so low over the ground, nearness to it is no fault
@@ -64,7 +64,7 @@ class Flyer(Protocol):
         """Advance to now_s on the world's clock."""
         ...
 
-    def truth(self) -> Truth:
+    def truth(self) -> VehicleTruth:
         """The vehicle as it really is at the last step."""
         ...
 
@@ -96,7 +96,7 @@ class TruthLog:
 
     rows: list[tuple[float, ...]]
 
-    def save(self, path: Path, world: World) -> None:
+    def save(self, path: Path, world: OutsideWorld) -> None:
         """Write it with the setpoint arrivals and the failsafes; atomic."""
         table = np.array(self.rows, dtype=np.float64).reshape(-1, 11)
         hull_m, measured = np.full(len(table), np.nan), table[:, 8] > 0
@@ -116,19 +116,19 @@ class TruthLog:
         temporary.replace(path)
 
 
-class World:
+class OutsideWorld:
     """Everything outside the product. step(now_s) is called every few milliseconds of its clock."""
 
     def __init__(
         self,
         flyer: Flyer,
-        camera: Camera,
-        poses: NoisyPoses,
-        clearance: Clearance,
+        camera: SimulatedD435i,
+        poses: SimulatedTracker,
+        clearance: HullClearance,
         stream: Outlet,
         start_s: float,
         mount_pitch_down_rad: float | None,
-        pace: Pace = REAL,
+        pace: StepSizes = REAL,
     ) -> None:
         """A mount_pitch_down_rad of None is a gimbal: its angle is the flyer's."""
         self._imu_hz, self._truth_hz = pace.imu_hz, pace.truth_hz
@@ -190,21 +190,21 @@ class World:
         self._frame_count = int((now_s - self._start_s) / self.camera.period_s + 1e-9) + 1
         return True
 
-    def expose(self, now_s: float) -> Exposure:
+    def expose(self, now_s: float) -> PendingFrame:
         """What the shutter caught: take it in the stepping thread, develop it anywhere."""
         pitch_rad = self._mount_pitch_down_rad
         if pitch_rad is None:
             pitch_rad = self.flyer.truth().gimbal_pitch_down_rad
-        return Exposure(now_s, self._world_from_body(), pitch_rad)
+        return PendingFrame(now_s, self._world_from_body(), pitch_rad)
 
-    def develop(self, exposure: Exposure) -> None:
+    def develop(self, exposure: PendingFrame) -> None:
         """Render an exposure and publish it."""
         depth_mm, rgb = self.camera.capture(exposure.world_from_body, exposure.pitch_down_rad)
         self.stream.write_frame(exposure.stamp_s, depth_mm, rgb)
 
 
 @dataclass(frozen=True)
-class Exposure:
+class PendingFrame:
     """Where the camera was when the shutter opened."""
 
     stamp_s: float
@@ -215,15 +215,15 @@ class Exposure:
 class Darkroom:
     """A thread that develops the newest exposure, so that rendering never delays the autopilot."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: OutsideWorld) -> None:
         self._world = world
-        self._newest: Exposure | None = None
+        self._newest: PendingFrame | None = None
         self._wake = threading.Condition()
         self._open = True
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
 
-    def submit(self, exposure: Exposure) -> None:
+    def submit(self, exposure: PendingFrame) -> None:
         """Hand over an exposure; an older one not begun yet is dropped, as a real camera would."""
         with self._wake:
             self._newest = exposure

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from uav_recon.config import ConfigError, load, parse
-from uav_recon.config_constraints import RELATIONS, WRITTEN_RELATIONS
+from uav_recon.config_constraints import CONSTRAINTS, WRITTEN_RELATIONS
 
 FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
 EDGE = "the edge of 30 million voxels from safety.fence_min_m to safety.fence_max_m with voxels.margin_m around"
@@ -70,7 +70,7 @@ def test_each_relation_at_its_border(section: str, key: str, last: float, first:
 
 def test_every_relation_has_its_border_here() -> None:
     told = {(f"{section}.{key}", limit.partition(", which")[0]) for section, key, _, _, limit in BORDERS}
-    assert told == {(one.key, f"{one.must_be} {one.limit}") for one in (*RELATIONS, *WRITTEN_RELATIONS)}
+    assert told == {(one.key, f"{one.must_be} {one.limit}") for one in (*CONSTRAINTS, *WRITTEN_RELATIONS)}
 
 
 def test_a_shell_of_which_the_preset_gives_one_end_is_the_presets_business() -> None:

@@ -16,7 +16,7 @@ _HOLDS: dict[str, Callable[[float, float], bool]] = {
 MOST_VOXELS = 30e6  # a channel of 64 MB takes 33 million
 
 
-class Relation(NamedTuple):
+class Constraint(NamedTuple):
     """A key, how it must stand to a limit, that in words, and what it comes to. rounding: what floats may lose of a sum."""
 
     key: str
@@ -33,11 +33,11 @@ def _volume_m3(config: Any) -> float:
     return float(x * y * z)
 
 
-def _to(key: str, must_be: str, limit: str) -> Relation:
-    return Relation(key, must_be, limit, attrgetter(limit))
+def _to(key: str, must_be: str, limit: str) -> Constraint:
+    return Constraint(key, must_be, limit, attrgetter(limit))
 
 
-RELATIONS = (
+CONSTRAINTS = (
     _to("motion.speed_mps", "at most", "safety.max_speed_mps"),
     _to("motion.tight_speed_mps", "at most", "safety.max_speed_mps"),
     _to("motion.climb_mps", "at most", "safety.max_speed_mps"),
@@ -46,7 +46,7 @@ RELATIONS = (
     _to("motion.yaw_rate_degps", "at most", "safety.max_yaw_rate_degps"),
     _to("safety.vehicle_radius_m", "at most", "safety.fence_inset_m"),  # or the hull would leave the fence
     _to("voxels.takeoff_radius_m", "at least", "safety.vehicle_radius_m"),  # declared free: the hull must fit in
-    Relation(
+    Constraint(
         "planner.clearance_m",  # or the guard would stop what is planned
         "at least",
         "safety.vehicle_radius_m + safety.stop_clearance_m",
@@ -54,21 +54,21 @@ RELATIONS = (
         rounding=1e-9,
     ),
     _to("voxels.distance_cap_m", "at least", "planner.clearance_m"),  # or no place would be known to be clear enough
-    Relation(
+    Constraint(
         "mission.takeoff_height_m",
         "at most",
         "safety.fence_max_m.2 - safety.fence_inset_m",
         lambda c: c.safety.fence_max_m[2] - c.safety.fence_inset_m,
         rounding=1e-9,
     ),
-    Relation(
+    Constraint(
         "mission.takeoff_height_m",
         "at least",
         "safety.fence_min_m.2 + safety.fence_inset_m",
         lambda c: c.safety.fence_min_m[2] + c.safety.fence_inset_m,
         rounding=1e-9,
     ),
-    Relation(
+    Constraint(
         "voxels.resolution_m",  # or neither memory nor the channels would hold the map
         "at least",
         "the edge of 30 million voxels from safety.fence_min_m to safety.fence_max_m with voxels.margin_m around",
@@ -78,7 +78,7 @@ RELATIONS = (
     _to("camera.depth_min_m", "less than", "camera.depth_max_m"),
     _to("camera.depth_min_m", "less than", "voxels.max_range_m"),  # or no depth would ever mark anything
     _to("localization.frame_wait_s", "less than", "safety.depth_timeout_s"),  # or depth would be old when it comes
-    Relation(
+    Constraint(
         "localization.rate_hz",  # or each pose would be old before the next
         "at least",
         "1 / safety.pose_timeout_s",
@@ -89,27 +89,27 @@ RELATIONS = (
 WRITTEN_RELATIONS = (_to("planner.shell_min_m", "less than", "planner.shell_max_m"),)  # a preset gives what is not written
 
 
-class Need(NamedTuple):
+class Requirement(NamedTuple):
     """What one setting asks of others: when it is broken, and that in words."""
 
     broken: Callable[[Any], bool]
     words: str
 
 
-NEEDS = (
-    Need(
+REQUIREMENTS = (
+    Requirement(
         lambda c: c.link.signing_key is not None and c.link.autopilot == "px4",
         "link.signing_key: signs with link.autopilot ardupilot; PX4 has no signing before 1.18",
     ),
-    Need(
+    Requirement(
         lambda c: c.link.url.startswith("udp:") and not c.link.url.startswith("udp:127.") and c.link.peer_host is None,
         "link.peer_host: must name who may speak where link.url listens on a network; without it only udp:127.x is heard",
     ),
-    Need(
+    Requirement(
         lambda c: c.camera.source == "recorded" and c.camera.recording is None,
         "camera.recording: must name a flight folder where camera.source is recorded",
     ),
-    Need(
+    Requirement(
         lambda c: c.recording.live and not c.recording.rerun,
         "recording.live: true wants recording.rerun true",
     ),
@@ -118,14 +118,14 @@ NEEDS = (
 
 def fault_of(config: Any) -> str:
     """What does not hold, in one line that names key, value and allowed range; '' for nothing. config: the whole tree."""
-    for key, must_be, limit, of, rounding in (*RELATIONS, *(r for r in WRITTEN_RELATIONS if _written(config, r))):
+    for key, must_be, limit, of, rounding in (*CONSTRAINTS, *(r for r in WRITTEN_RELATIONS if _written(config, r))):
         value, most = attrgetter(key)(config), of(config)
         slack = -rounding if must_be == "at least" else rounding
         if not _HOLDS[must_be](value, most + slack):
             return f"{key} {value:g} must be {must_be} {limit}, which is {most:g}"
-    return next((need.words for need in NEEDS if need.broken(config)), "")
+    return next((need.words for need in REQUIREMENTS if need.broken(config)), "")
 
 
-def _written(config: Any, relation: Relation) -> bool:
+def _written(config: Any, relation: Constraint) -> bool:
     """Whether both keys stand in the file."""
     return all(key.split(".")[1] in config.planner.model_fields_set for key in (relation.key, relation.limit))

@@ -5,7 +5,7 @@ from __future__ import annotations
 EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 
 
-class Failure(Exception):  # noqa: N818 - it is what the user is told, not a bug
+class UserError(Exception):
     """Something a person can mend, in one line; code is the exit code."""
 
     code = EXIT_FAILURE

@@ -70,7 +70,7 @@ class Executor(Protocol):
         ...
 
 
-class Camera(Protocol):
+class DepthCamera(Protocol):
     """A depth camera. poll() never blocks; a frame is handed out once, newest first, older ones dropped."""
 
     def poll(self) -> Frame | None:
@@ -175,7 +175,7 @@ class Planner(Protocol):
         ...
 
 
-class Voxels(Protocol):
+class OccupancyMapInterface(Protocol):
     """The occupancy map. Nothing blocks; costs are a few milliseconds."""
 
     def integrate(self, posed: PosedFrame) -> int:
@@ -199,7 +199,7 @@ class Voxels(Protocol):
         ...
 
 
-class Motion(Protocol):
+class MotionPlannerInterface(Protocol):
     """Pure: paths to trajectories under limits. A str answer is the reason why there is none."""
 
     def through(
@@ -231,7 +231,7 @@ class Motion(Protocol):
         ...
 
 
-class PacedMotion(Motion, Protocol):
+class SpeedLimitedMotion(MotionPlannerInterface, Protocol):
     """Motion that is told how fast it may be."""
 
     def allow(self, most_mps: float) -> None:

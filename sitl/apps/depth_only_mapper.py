@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from sitl.camera import depth_surfels
-from sitl.camera.depth_surfels import SurfaceMemory
+from sitl.camera.depth_surfels import DepthSurfels
 from uav_recon.config import Config
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusals, in_words, padded, refusal
+from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectCounts, in_words, padded, reject_reason
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.pose import MapCorrection
 
 
-class StandInMapper:
+class DepthOnlyMapper:
     """A Mapper for lockstep: it takes and refuses the same views as the neural one and gives as dense a surface, no mesh."""
 
     def __init__(self, config: Config) -> None:
@@ -23,15 +23,15 @@ class StandInMapper:
         depth_surfels.warm_up()
         self._low, self._high = padded(np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m))
         self._voxel_m = config.mapper.surface_voxel_m
-        self._memory = SurfaceMemory(self._low, self._high, self._voxel_m)
+        self._memory = DepthSurfels(self._low, self._high, self._voxel_m)
         self._noise_px, self._baseline_m = config.camera.depth_noise_px, config.camera.baseline_m
-        self._refusals = Refusals()
+        self._refusals = RejectCounts()
         self._surface: SurfaceElements | None = None
         self._revision, self._map_epoch, self._stale = 0, 0, False
 
     def add(self, keyframe: PosedFrame) -> bool:
         """Take a view; a few milliseconds. False where the neural mapper would refuse it too."""
-        reason = refusal(keyframe, self._low, self._high)
+        reason = reject_reason(keyframe, self._low, self._high)
         if reason is not None:
             self._refusals.note(reason)
             return False
@@ -49,7 +49,7 @@ class StandInMapper:
 
     def repose(self, correction: MapCorrection) -> None:
         """Forget the old map: unlike the neural mapper it keeps no views to learn a new one from."""
-        self._memory = SurfaceMemory(self._low, self._high, self._voxel_m)
+        self._memory = DepthSurfels(self._low, self._high, self._voxel_m)
         self._surface, self._map_epoch, self._stale = None, correction.map_epoch, False
 
     def surface(self) -> SurfaceElements | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Generic, TypeVar
 
-from uav_recon.app.flight_channels import Wires
+from uav_recon.app.flight_channels import FlightChannels
 
 T = TypeVar("T")
 
@@ -30,9 +30,9 @@ class DirectChannel(Generic[T]):
         return self._sequence
 
 
-def direct_wires() -> Wires:
+def direct_channels() -> FlightChannels:
     """All of a flight's channels."""
-    return Wires(
+    return FlightChannels(
         DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
         DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
     )  # fmt: skip

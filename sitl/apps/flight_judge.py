@@ -16,15 +16,15 @@ from sitl.runtime.array_cache import cache_folder
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene
 from sitl.truth.reference_times import SEEN_WELL_S
-from sitl.truth.visibility import TruthCut, load_truth_cut
+from sitl.truth.visibility import VisibleTruth, load_visible_truth
 from uav_recon.app import factory
 from uav_recon.config import Config
 from uav_recon.evaluation import metrics
-from uav_recon.evaluation.path_visibility import Lookahead, lookahead
+from uav_recon.evaluation.path_visibility import PathVisibility, path_visibility
 from uav_recon.evaluation.recall import ElementRecall, time_to
-from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.recording.flight_log import read_timeline
-from uav_recon.recording.flight_report import FlightCard, account, publish
+from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 from uav_recon.recording.map_file import load_map
 from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.recording.report import TIMED_RECALLS, Report, ReportQuality, ReportSafety, ReportStream
@@ -36,7 +36,7 @@ CONTACT_M = 1e-3
 
 
 @dataclass(frozen=True)
-class TruthOfFlight:
+class FlightTruth:
     """What the simulator saw; hull_m is NaN on the ground and on the pad."""
 
     stamp_s: F64
@@ -48,12 +48,12 @@ class TruthOfFlight:
     failsafes: int
 
     @staticmethod
-    def load(path: Path) -> TruthOfFlight | None:
+    def load(path: Path) -> FlightTruth | None:
         """Read what the world wrote; None if it could not write."""
         if not path.exists():
             return None
         with np.load(path) as data:
-            return TruthOfFlight(
+            return FlightTruth(
                 data["stamp_s"], data["position_m"], data["quat_wxyz"], data["hull_m"], data["armed"],
                 data["setpoint_arrivals_s"], len(data["failsafes"]),
             )  # fmt: skip
@@ -62,7 +62,7 @@ class TruthOfFlight:
 def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:
     """Hold the flight in options.out against truth and write the report beside it."""
     with console.status("cutting truth to what the camera could see ..."):
-        cut = truth_cut(options, scene)
+        cut = visible_truth(options, scene)
     with console.status("measuring the model against truth ..."):
         report = against_truth(flown(options, scene, wall_s, fault), options, scene, cut)
         mesh = load_mesh(options.out)
@@ -74,16 +74,16 @@ def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, c
     return report
 
 
-def truth_cut(options: SimOptions, scene: Scene) -> TruthCut:
+def visible_truth(options: SimOptions, scene: Scene) -> VisibleTruth:
     """What the camera of the options can see of the scene, from the cache or made anew."""
     camera: Model = "wide" if options.camera == "wide" else "d435i"  # `fast` sees what the d435i sees
-    return load_truth_cut(scene, options.mount, camera, cache_folder())
+    return load_visible_truth(scene, options.mount, camera, cache_folder())
 
 
 def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -> Report:
     """The product's account of the flight in options.out, with what the simulator saw of it. Quick."""
-    card = FlightCard(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
-    report, truth = account(options.out, card, wall_s), TruthOfFlight.load(options.out / "truth.npz")
+    card = FlightInfo(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
+    report, truth = build_report(options.out, card, wall_s), FlightTruth.load(options.out / "truth.npz")
     if fault:
         report = dataclasses.replace(report, outcome=f"aborted: {fault}")
     if truth is None:
@@ -99,7 +99,7 @@ def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -
     )
 
 
-def against_truth(report: Report, options: SimOptions, scene: Scene, cut: TruthCut) -> Report:
+def against_truth(report: Report, options: SimOptions, scene: Scene, cut: VisibleTruth) -> Report:
     """Add how much of the truth was explored, and when its surface was recalled."""
     voxels, curve = load_map(options.out), recall_over_time(options.out, cut)
     return dataclasses.replace(
@@ -111,17 +111,17 @@ def against_truth(report: Report, options: SimOptions, scene: Scene, cut: TruthC
     )
 
 
-def _quality(mesh: TriangleMesh, scene: Scene, cut: TruthCut) -> ReportQuality:
-    truth = metrics.Truth(
-        surface=Surface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
+def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth) -> ReportQuality:
+    truth = metrics.SurfaceTruth(
+        surface=TriangleSurface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
         points_world=cut.points.astype(np.float64),
     )
     psnr = metrics.psnr_db(*_held_out_pictures(mesh, scene, cut))
-    measured = metrics.measure(Surface(mesh.vertices_world, mesh.faces), truth, psnr)
+    measured = metrics.measure(TriangleSurface(mesh.vertices_world, mesh.faces), truth, psnr)
     return ReportQuality(**{name: getattr(measured, name) for name in ReportQuality.__dataclass_fields__})
 
 
-def recall_over_time(folder: Path, cut: TruthCut) -> tuple[tuple[float, int, float], ...] | None:
+def recall_over_time(folder: Path, cut: VisibleTruth) -> tuple[tuple[float, int, float], ...] | None:
     """(seconds since the order to take off, views then taken, recall) of every state of the surface that a flight kept."""
     timeline, states = read_timeline(folder), load_states(folder)
     start_s = timeline.took_off_s()
@@ -140,7 +140,7 @@ def recall_over_time(folder: Path, cut: TruthCut) -> tuple[tuple[float, int, flo
 
 
 def _held_out_pictures(
-    mesh: TriangleMesh, scene: Scene, cut: TruthCut
+    mesh: TriangleMesh, scene: Scene, cut: VisibleTruth
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]:
     model = Renderer(mesh.vertices_world.astype(np.float32), mesh.faces.astype(np.int32), mesh.rgb)
     truth = Renderer(scene.vertices, scene.faces, scene.rgb)
@@ -150,7 +150,7 @@ def _held_out_pictures(
     )
 
 
-def _explored_fraction(voxels: VoxelMap, scene: Scene, cut: TruthCut) -> float | None:
+def _explored_fraction(voxels: VoxelMap, scene: Scene, cut: VisibleTruth) -> float | None:
     """Share of the truth's free cells that the map knows: as free, or as occupied where true surface is within the voxel."""
     cells = np.argwhere(cut.free_seen)
     centres = cut.free_origin_m + (cells + 0.5) * cut.free_cell_m
@@ -158,38 +158,40 @@ def _explored_fraction(voxels: VoxelMap, scene: Scene, cut: TruthCut) -> float |
     inside = voxels.grid.contains(index)
     state = np.full(len(cells), UNKNOWN, dtype=np.uint8)
     state[inside] = voxels.state[tuple(index[inside].T)]
-    truth = Surface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64))
+    truth = TriangleSurface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64))
     within_m = voxels.grid.resolution_m * np.sqrt(3.0)
     known = (state == FREE) | ((state == OCCUPIED) & (truth.distance_m(centres) <= within_m))
     return metrics.explored_fraction(known, np.ones(len(cells), dtype=bool))
 
 
-def _path_length_m(truth: TruthOfFlight) -> float:
+def _path_length_m(truth: FlightTruth) -> float:
     flown = truth.position_m[truth.armed]
     return float(np.linalg.norm(np.diff(flown, axis=0), axis=1).sum()) if len(flown) > 1 else 0.0
 
 
-def _flight_time_s(truth: TruthOfFlight) -> float:
+def _flight_time_s(truth: FlightTruth) -> float:
     stamps = truth.stamp_s[truth.armed]
     return float(stamps[-1] - stamps[0]) if len(stamps) else 0.0
 
 
-def _stream(truth: TruthOfFlight) -> ReportStream:
+def _stream(truth: FlightTruth) -> ReportStream:
     found = metrics.stream_statistics(truth.setpoint_arrivals_s)
     return ReportStream(found.rate_hz, found.gap_p99_ms, found.gap_max_ms)
 
 
-def _lookahead(truth: TruthOfFlight, config: Config) -> Lookahead:
+def _lookahead(truth: FlightTruth, config: Config) -> PathVisibility:
     """Where a gimbal looked is not in the truth."""
     camera = config.camera
     if camera.mount == "gimbal":
-        return Lookahead(None, None)
+        return PathVisibility(None, None)
     down_rad, wide_rad, high_rad = np.radians([camera.pitch_down_deg, camera.horizontal_fov_deg, camera.vertical_fov_deg])
     armed = truth.armed
-    return lookahead(truth.stamp_s[armed], truth.position_m[armed], truth.quat_wxyz[armed], down_rad, (wide_rad, high_rad))
+    return path_visibility(
+        truth.stamp_s[armed], truth.position_m[armed], truth.quat_wxyz[armed], down_rad, (wide_rad, high_rad)
+    )
 
 
-def _safety(truth: TruthOfFlight, refusals: int, scene: Scene, looked: Lookahead) -> ReportSafety:
+def _safety(truth: FlightTruth, refusals: int, scene: Scene, looked: PathVisibility) -> ReportSafety:
     hull_m = truth.hull_m[np.isfinite(truth.hull_m)]
     touching = hull_m < CONTACT_M
     contacts = int(np.count_nonzero(touching[1:] & ~touching[:-1]) + (len(touching) > 0 and bool(touching[0])))

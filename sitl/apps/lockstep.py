@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from rich.console import Console
 
-from sitl.apps.direct_channels import direct_wires
+from sitl.apps.direct_channels import direct_channels
 from sitl.apps.memory_tlog import MemoryTlog
-from sitl.apps.progress_display import Screen
+from sitl.apps.progress_display import ProgressDisplay
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.world_process import make_world
 from sitl.autopilots.byte_links import pipe
-from sitl.outside_world import World
+from sitl.outside_world import OutsideWorld
 from sitl.scene.scene import Scene
 from sitl.world.step_sizes import QUICK, REAL
 from uav_recon.app import factory, operator_factory
-from uav_recon.app.flight_channels import memory_wires
+from uav_recon.app.flight_channels import memory_channels
 from uav_recon.app.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
@@ -33,7 +33,7 @@ from uav_recon.interfaces import ByteLink, Mapper, Pending
 from uav_recon.recording.flight_log import FlightLog
 from uav_recon.recording.map_file import save_map
 from uav_recon.recording.timelapse import Timelapse
-from uav_recon.types.operator_command import GivenOrder
+from uav_recon.types.operator_command import GivenCommand
 
 if TYPE_CHECKING:
     from uav_recon.recording.rerun_recorder import Recorder
@@ -57,10 +57,10 @@ class Flown:
     processor_s: float
 
 
-class Meddling(Protocol):
+class LockstepHook(Protocol):
     """Who takes part in a flight in lockstep: between the world and the product, and in the turns of the product's loops."""
 
-    def enter(self, world: World, channels: object, now_s: float) -> None:
+    def enter(self, world: OutsideWorld, channels: object, now_s: float) -> None:
         """The world is made."""
         ...
 
@@ -93,10 +93,10 @@ class Meddling(Protocol):
         ...
 
 
-class Nobody:
+class NoHook:
     """A flight as it is."""
 
-    def enter(self, world: World, channels: object, now_s: float) -> None:
+    def enter(self, world: OutsideWorld, channels: object, now_s: float) -> None:
         """Look on."""
 
     def link(self, end: ByteLink) -> ByteLink:
@@ -127,13 +127,13 @@ class Nobody:
         return finished
 
 
-NOBODY = Nobody()
+NOBODY = NoHook()
 
 
 class Call(Generic[T]):
     """Work handed to the planner's thread: not done while that does not run."""
 
-    def __init__(self, inner: Pending[T], meddler: Meddling) -> None:
+    def __init__(self, inner: Pending[T], meddler: LockstepHook) -> None:
         self._inner, self._meddler = inner, meddler
 
     def done(self) -> bool:
@@ -148,7 +148,7 @@ class Call(Generic[T]):
 class Calls:
     """The executor of the mission's plans, in which a call may hang."""
 
-    def __init__(self, inner: InlineExecutor, meddler: Meddling) -> None:
+    def __init__(self, inner: InlineExecutor, meddler: LockstepHook) -> None:
         self._inner, self._meddler = inner, meddler
 
     def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
@@ -161,11 +161,11 @@ class Calls:
 
 def fly_in_lockstep(
     options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool], timelapse: bool = True,
-    meddler: Meddling = NOBODY,
+    meddler: LockstepHook = NOBODY,
 ) -> Flown:  # fmt: skip
     """Fly. land() is asked whether the operator wants to land now; timelapse: keep states of the surface, for recall."""
     clock, quick = ManualClock(START_S), options.mapper == "stand-in"
-    pace, wires = (QUICK, direct_wires()) if quick else (REAL, memory_wires())
+    pace, wires = (QUICK, direct_channels()) if quick else (REAL, memory_channels())
     ours, theirs = pipe()
     world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s, pace)
     meddler.enter(world, wires, START_S)
@@ -183,10 +183,10 @@ def fly_in_lockstep(
         watchers.append(Timelapse(options.out, wires.surface, clock))
     conductor.request_start()
     mission_rate, record_rate = RateKeeper(MISSION_RATE_HZ, START_S), RateKeeper(RECORDER_RATE_HZ, START_S)
-    operator_rate, orders = RateKeeper(1.0, START_S), MemoryChannel(GivenOrder)
+    operator_rate, orders = RateKeeper(1.0, START_S), MemoryChannel(GivenCommand)
     steps = 0
     started_s, processor_s = time.perf_counter(), time.process_time()
-    with Screen(console, wires) as screen:
+    with ProgressDisplay(console, wires) as screen:
         while not meddler.over(conductor.finished) and steps * pace.turn_s < LONGEST_S:
             steps += 1
             now_s = START_S + steps * pace.turn_s
@@ -212,7 +212,7 @@ def fly_in_lockstep(
                 pilot = factory.make_pilot(config, wires, link, log, clock)
             if meddler.runs("pilot"):
                 if operator_rate.due(now_s) and meddler.attends():
-                    operator_factory.make_clerk(wires, pilot, orders, clock).serve("status")
+                    operator_factory.make_command_handler(wires, pilot, orders, clock).serve("status")
                 pilot.step()
             if record_rate.due(now_s):
                 for watcher in watchers:
@@ -260,12 +260,12 @@ def _neural(config: Config, folder: Path) -> Mapper:
     from uav_recon.mapping.neural.worker.inline_mapper import InlineMapper
     from uav_recon.mapping.neural.worker.mapper_process import KEYFRAMES
 
-    trainer = factory.make_trainer(config)
+    trainer = factory.make_neural_mapper(config)
     trainer.warm_up()
     return InlineMapper(trainer, config.mapper, KeyframeFolder(folder / KEYFRAMES))
 
 
 def _stand_in(config: Config, folder: Path) -> Mapper:
-    from sitl.apps.depth_only_mapper import StandInMapper
+    from sitl.apps.depth_only_mapper import DepthOnlyMapper
 
-    return StandInMapper(config)
+    return DepthOnlyMapper(config)

@@ -8,19 +8,19 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from uav_recon.app.flight_channels import Wires
+from uav_recon.app.flight_channels import FlightChannels
 from uav_recon.types.vehicle import MissionProgress
 
 
-class Screen:
+class ProgressDisplay:
     """A live line; on a dumb terminal or in a log, a plain line at each change of phase and every ten views."""
 
-    def __init__(self, console: Console, wires: Wires) -> None:
+    def __init__(self, console: Console, wires: FlightChannels) -> None:
         self._console, self._wires = console, wires
         self._live = Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
         self._last = ("", -1)
 
-    def __enter__(self) -> Screen:
+    def __enter__(self) -> ProgressDisplay:
         if self._live:
             self._live.start()
         return self

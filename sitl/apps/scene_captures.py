@@ -16,7 +16,7 @@ from sitl.camera import d435i
 from sitl.geometry.transform import body_from_camera, inverse, rigid, world_from_body
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene
-from sitl.truth.line_of_sight import Sight
+from sitl.truth.line_of_sight import LineOfSight
 from sitl.truth.visibility import GIMBAL_RAD
 from uav_recon.sensors.stream_format import CameraSpec, StreamHeader
 
@@ -29,7 +29,7 @@ Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Captures:
+class SceneCaptures:
     """depth_mm (K, H, W), 0 = no return; rgb (K, h, w, 3); world_from_depth (K, 4, 4) true; header: both cameras."""
 
     header: StreamHeader
@@ -62,12 +62,12 @@ def capture(
     count: int,
     seed: int,
     taken: Callable[[], None] = lambda: None,
-) -> Captures:
+) -> SceneCaptures:
     """Take ``count`` views from random places out of positions (P, 3), random headings; about 20 ms a view.
 
     pitch_down_rad: tilt of a fixed mount; None: a gimbal, tilted at random. taken() is called after each view.
     """
-    eye = d435i.Camera(Renderer(scene.vertices, scene.faces, scene.rgb), camera, noise, seed)
+    eye = d435i.SimulatedD435i(Renderer(scene.vertices, scene.faces, scene.rgb), camera, noise, seed)
     rng = np.random.default_rng([seed, POSE_STREAM])
     place = positions[rng.integers(len(positions), size=count)]
     yaw = rng.uniform(-math.pi, math.pi, count)
@@ -81,7 +81,7 @@ def capture(
         pictures.append(rgb)
         poses.append(body @ body_from_camera(d435i.MOUNT_M, float(pitch[n])))
         taken()
-    return Captures(eye.header, np.array(depths), np.array(pictures), np.array(poses))
+    return SceneCaptures(eye.header, np.array(depths), np.array(pictures), np.array(poses))
 
 
 def held_out(scene: Scene, world_from_rgb: F64, spec: CameraSpec, stride: int) -> Pixels:
@@ -111,11 +111,11 @@ def held_out(scene: Scene, world_from_rgb: F64, spec: CameraSpec, stride: int) -
     return Pixels(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Pixels)))
 
 
-def seen(scene: Scene, captures: Captures, points: F32, normals: F32) -> tuple[NDArray[np.int64], Bools]:
+def seen(scene: Scene, captures: SceneCaptures, points: F32, normals: F32) -> tuple[NDArray[np.int64], Bools]:
     """For surface points (N, 3) with normals (N, 3): how many views got a depth return from each (N,), and whether the
     colour picture of such a view shows it (N,). About 0.1 s a view for half a million points.
     """  # fmt: skip
-    sight, every = Sight(scene, points, normals), np.arange(len(points))
+    sight, every = LineOfSight(scene, points, normals), np.arange(len(points))
     looks, coloured = np.zeros(len(points), np.int64), np.zeros(len(points), np.bool_)
     lens = captures.header.rgb
     rgb_from_depth = rigid(np.eye(3), captures.header.rgb_from_depth[4:])

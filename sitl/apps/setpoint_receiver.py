@@ -19,16 +19,16 @@ from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.base_autopilot import Autopilot
 from sitl.autopilots.byte_links import ByteEnd, UdpPeer
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.world.quadrotor import Quadrotor
 from uav_recon import config as configuration
 from uav_recon.app import factory
-from uav_recon.app.flight_channels import file_wires
+from uav_recon.app.flight_channels import file_channels
 from uav_recon.clock import RateKeeper
 from uav_recon.config import Config
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.maps import FreeSpace, GridSpec
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase
@@ -43,7 +43,7 @@ class Hover:
 
     def __init__(self, config: Config, autopilot: Autopilot, start_s: float) -> None:
         self._config, self._autopilot = config, autopilot
-        self._wires = file_wires(config.runtime.folder)
+        self._wires = file_channels(config.runtime.folder)
         self._motion = factory.make_motion(config, config.planner.clearance_m)
         self._motion.warm_up()
         self._poses, self._depth, self._intents = (RateKeeper(hz, start_s) for hz in (_POSES_HZ, _DEPTH_HZ, _INTENT_HZ))
@@ -61,7 +61,7 @@ class Hover:
             pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position))
             self._wires.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity)))
         if self._depth.due(now_s):
-            self._wires.nearby.publish(Nearby(now_s, self._body_from_depth, self._ranges, (0.95, 0.55), 0.9))
+            self._wires.nearby.publish(MinRangeGrid(now_s, self._body_from_depth, self._ranges, (0.95, 0.55), 0.9))
         if self._intents.due(now_s):
             self._wires.intent.publish(self._wanted(now_s))
 
@@ -100,7 +100,7 @@ def receive(config: Config, seconds: float, name: str, out: Path) -> int:
 def _autopilot(name: str, link: ByteEnd) -> Autopilot:
     if name == "ardupilot":
         return ArduCopter(Quadrotor(1, 0.0), link, ArduPilotParameters.load(), 1)
-    return Px4(Quadrotor(1, 0.0), link, Parameters.load(), 1)
+    return Px4(Quadrotor(1, 0.0), link, Px4Parameters.load(), 1)
 
 
 if __name__ == "__main__":

@@ -11,10 +11,10 @@ from pathlib import Path
 from rich.console import Console
 
 from sitl.apps.sim_options import SimOptions
-from sitl.apps.sim_processes import Children
+from sitl.apps.sim_processes import SimProcesses
 from sitl.scene.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
-from uav_recon.errors import EXIT_USAGE, Failure
+from uav_recon.errors import EXIT_USAGE, UserError
 
 __all__ = ["SimOptions", "simulate"]
 
@@ -38,7 +38,7 @@ def simulate(options: SimOptions) -> int:
         else:
             _claim_port(options.port)
             times_real = None
-            fault = Children(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console).fly()
+            fault = SimProcesses(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console).fly()
     from sitl.apps.flight_judge import judge, summary
 
     report = judge(options, scene, time.monotonic() - started_s, fault, console)
@@ -46,7 +46,7 @@ def simulate(options: SimOptions) -> int:
     if times_real is not None:
         console.print(f"flown in lockstep at {times_real:.1f} times real time")
     if fault:
-        raise Failure(fault)
+        raise UserError(fault)
     return 0 if report.completed else 1
 
 
@@ -54,7 +54,7 @@ def _scene(options: SimOptions) -> Scene:
     try:
         return load_scene(options.scene, options.start, options.fence, options.radius_m, fine=options.mapper == "neural")
     except SceneError as error:
-        raise Failure(str(error), EXIT_USAGE) from None
+        raise UserError(str(error), EXIT_USAGE) from None
 
 
 def _need_open3d() -> None:
@@ -62,7 +62,7 @@ def _need_open3d() -> None:
     try:
         import open3d  # noqa: F401
     except (ImportError, OSError) as error:
-        raise Failure(f"Open3D cannot be loaded: {error} (see README.md for the packages it needs)") from None
+        raise UserError(f"Open3D cannot be loaded: {error} (see README.md for the packages it needs)") from None
 
 
 def _claim_port(port: int) -> None:
@@ -70,7 +70,7 @@ def _claim_port(port: int) -> None:
         try:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
-            raise Failure(f"--port {port}: {error.strerror.lower() if error.strerror else error}") from None
+            raise UserError(f"--port {port}: {error.strerror.lower() if error.strerror else error}") from None
 
 
 def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:

@@ -13,9 +13,9 @@ from sitl.apps.world_process import WorldOptions
 from sitl.camera.d435i import Model, Noise
 from sitl.real_firmware.px4 import COMPANION_PORT as PX4_PORT
 from sitl.scene.scene import HULL_HEIGHT_M, Scene
-from uav_recon.app.option_validation import UsageError, looked_at
+from uav_recon.app.option_validation import UsageError, readable
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
-from uav_recon.errors import EXIT_CONFIG, Failure
+from uav_recon.errors import EXIT_CONFIG, UserError
 
 __all__ = ["SimOptions", "UsageError"]
 
@@ -170,7 +170,7 @@ class SimOptions:
         try:
             return parse(tree, "sim")
         except ConfigError as error:
-            raise Failure(str(error), EXIT_CONFIG) from None
+            raise UserError(str(error), EXIT_CONFIG) from None
 
 
 def check_jobs(jobs: int) -> int:
@@ -188,7 +188,7 @@ def memory_gb() -> float:
 
 def check_program(firmware: Path) -> None:
     """Raises UsageError for a firmware that cannot be started."""
-    with looked_at(f"--firmware {firmware}"):
+    with readable(f"--firmware {firmware}"):
         folder, there = firmware.is_dir(), firmware.is_file()
     if not there:
         raise UsageError(f"--firmware {firmware}: {'is a folder, want the binary in it' if folder else 'no such file'}")

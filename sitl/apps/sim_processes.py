@@ -13,10 +13,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sitl.apps.progress_display import Screen
-from sitl.runtime.die_with_parent import leashed
-from uav_recon.app.flight_channels import file_wires
-from uav_recon.errors import Failure
+from sitl.apps.progress_display import ProgressDisplay
+from sitl.runtime.die_with_parent import die_with_parent_command
+from uav_recon.app.flight_channels import file_channels
+from uav_recon.errors import UserError
 from uav_recon.types.vehicle import FlightPhase
 
 READY_TIMEOUT_S = 240.0
@@ -43,7 +43,7 @@ class _Child:
         return lines[-1].strip() if lines else f"exit code {code} and no message"
 
 
-class Children:
+class SimProcesses:
     """World, pilot, perception and mission of one flight, by their command lines.
 
     Each leads a session of its own, so Ctrl-C reaches only this launcher; and each is on a leash, so none outlives it. What
@@ -52,7 +52,7 @@ class Children:
 
     def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path, console: Console) -> None:
         self._commands, self._logs, self._runtime, self._console = commands, logs, runtime, console
-        self._wires = file_wires(runtime)
+        self._wires = file_channels(runtime)
         self._children: list[_Child] = []
         self._interrupts, self._given_up = 0, False
         self._patience_s = float("inf")  # until this instant, once it was interrupted
@@ -77,7 +77,11 @@ class Children:
         log = self._logs / f"{name}.log"
         with log.open("wb") as out:
             process = subprocess.Popen(  # noqa: S603 - our own programs
-                leashed(command), stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, start_new_session=True
+                die_with_parent_command(command),
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
             )
         with contextlib.suppress(PermissionError):  # as the services have it, and as a flight controller is: if we may
             os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS[name])
@@ -87,7 +91,7 @@ class Children:
 
     def _watch(self) -> str | None:
         deadline_s = time.monotonic() + READY_TIMEOUT_S
-        with Screen(self._console, self._wires) as screen:
+        with ProgressDisplay(self._console, self._wires) as screen:
             while True:
                 mission = self._child("mission")
                 if mission.process.poll() is not None:
@@ -96,7 +100,7 @@ class Children:
                     if child.process.poll() is not None:
                         return f"{child.name} died: {child.last_words()}"
                 if self._given_up:
-                    raise Failure(NOT_FLOWN, EXIT_INTERRUPTED)
+                    raise UserError(NOT_FLOWN, EXIT_INTERRUPTED)
                 if time.monotonic() > self._patience_s:
                     return f"the mission did not end within {LANDING_S:.0f} s"
                 if not screen.show() and time.monotonic() > deadline_s:

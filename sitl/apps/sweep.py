@@ -16,10 +16,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sitl.apps.sim_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs, mount_pitch_deg
 from sitl.apps.sweep_case import Case, Record, as_tree, fly_case, from_tree, one_thread
-from sitl.runtime.worker_pool import crew
+from sitl.runtime.worker_pool import worker_pool
 from sitl.scene.scene import GENERATED
-from uav_recon.app.option_validation import looked_at, need_file
-from uav_recon.errors import EXIT_USAGE, Failure
+from uav_recon.app.option_validation import readable, require_writable_file
+from uav_recon.errors import EXIT_USAGE, UserError
 
 RANDOM, BUILT_IN = "random", "built-in"  # words for scenes: a new flat with each seed; the room of `sim`
 BAD_SHOWN = 20
@@ -77,7 +77,7 @@ class SweepOptions:
 
 def _check_scene(word: str) -> None:
     """Raises UsageError unless this is a scene, or may be one."""
-    with looked_at(f"--scenes {word}"):
+    with readable(f"--scenes {word}"):
         there = Path(word).exists()
     seed = word.removeprefix(GENERATED) if word.startswith(GENERATED) else ""
     if not (word in (RANDOM, BUILT_IN) or seed.isdecimal() or (word and there)):
@@ -87,7 +87,7 @@ def _check_scene(word: str) -> None:
 def sweep(options: SweepOptions) -> int:
     """Fly what the account lacks; returns 1 if any flight touched something or broke, else 0. Raises Failure."""
     console = Console()
-    need_file("--json", options.json)
+    require_writable_file("--json", options.json)
     records = _load(options.json)
     known = {record.case for record in records}
     todo = [case for case in options.cases() if case not in known]
@@ -109,7 +109,7 @@ def _fly_all(todo: list[Case], truth: bool, jobs: int) -> Iterator[Record]:
     waiting = list(reversed(todo))
     while waiting:
         suspects: list[Case] = []
-        with crew(jobs) as hands:
+        with worker_pool(jobs) as hands:
             flying: dict[Future[Record], Case] = {}
             while flying or (waiting and not suspects):
                 while waiting and not suspects and len(flying) < jobs:
@@ -136,7 +136,7 @@ def _load(path: Path | None) -> list[Record]:
     except FileNotFoundError:
         return []
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise Failure(f"--json {path}: not the account of a sweep ({error})", EXIT_USAGE) from None
+        raise UserError(f"--json {path}: not the account of a sweep ({error})", EXIT_USAGE) from None
 
 
 def _save(path: Path | None, records: list[Record]) -> None:
@@ -147,7 +147,7 @@ def _save(path: Path | None, records: list[Record]) -> None:
         temporary.write_text(json.dumps({"flights": [as_tree(r) for r in records]}, indent=1), encoding="utf-8")
         temporary.replace(path)
     except OSError as error:
-        raise Failure(f"--json {path}: cannot be written ({error.strerror})") from None
+        raise UserError(f"--json {path}: cannot be written ({error.strerror})") from None
 
 
 def _number(value: float | None, digits: int, width: int) -> str:

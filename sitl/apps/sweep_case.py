@@ -82,7 +82,7 @@ def fly_case(case: Case, truth: bool) -> Record:
 def _fly(case: Case, folder: Path, truth: bool) -> Record:
     from rich.console import Console
 
-    from sitl.apps.flight_judge import against_truth, flown, truth_cut
+    from sitl.apps.flight_judge import against_truth, flown, visible_truth
     from sitl.apps.lockstep import fly_in_lockstep
     from sitl.apps.sim_options import SimOptions
     from sitl.scene.scene import load_scene
@@ -99,7 +99,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
     flight = fly_in_lockstep(options, config, scene, Console(quiet=True), lambda: False, timelapse=truth)
     report = flown(options, scene, flight.wall_s, flight.fault)
     if truth:
-        report = against_truth(report, options, scene, truth_cut(options, scene))
+        report = against_truth(report, options, scene, visible_truth(options, scene))
     safety, planning = report.safety, report.planning
     return Record(
         case, report.outcome, report.stop_reason, report.flight_time_s, report.path_length_m, report.views,

@@ -22,9 +22,9 @@ from sitl.autopilots.ardupilot.tuning import lean_lag_s
 from sitl.autopilots.base_autopilot import Autopilot
 from sitl.autopilots.byte_links import ByteEnd, UdpPeer
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.camera import d435i
-from sitl.outside_world import Darkroom, Flyer, World
+from sitl.outside_world import Darkroom, Flyer, OutsideWorld
 from sitl.real_firmware.ardupilot import ArduPilotBinary
 from sitl.real_firmware.firmware_vehicle import FirmwareVehicle
 from sitl.real_firmware.process import FirmwareError
@@ -32,10 +32,10 @@ from sitl.real_firmware.px4 import Px4Binary
 from sitl.scene.mesh_simplification import merged
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene, load_scene
-from sitl.truth.hull_clearance import Clearance
-from sitl.world.pose_tracker import NoisyPoses
-from sitl.world.quadrotor import Airframe, Quadrotor
-from sitl.world.step_sizes import REAL, Pace
+from sitl.truth.hull_clearance import HullClearance
+from sitl.world.pose_tracker import SimulatedTracker
+from sitl.world.quadrotor import AirframeDynamics, Quadrotor
+from sitl.world.step_sizes import REAL, StepSizes
 from uav_recon.sensors.stream_format import StreamWriter
 
 STEP_S = 0.004
@@ -74,47 +74,49 @@ class WorldOptions:
         return load_scene(self.scene, self.start, self.fence, self.radius_m)
 
 
-def make_world(options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float], pace: Pace = REAL) -> World:
+def make_world(
+    options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float], pace: StepSizes = REAL
+) -> OutsideWorld:
     """Put the world together with a simulated autopilot; its time begins only when the kernels are compiled."""
     return _assemble(options, scene, lambda room: _autopilot(options, scene, room, link, pace), now_s, pace)
 
 
 def make_world_of(
     firmware: Path, options: WorldOptions, scene: Scene, companion_port: int, ends: contextlib.ExitStack
-) -> World:
+) -> OutsideWorld:
     """The same with a real firmware, which sends to companion_port and is ended by ends. Raises FirmwareError."""
 
-    def boot(_: Clearance) -> Flyer:
+    def boot(_: HullClearance) -> Flyer:
         return ends.enter_context(contextlib.closing(_firmware(options, firmware, scene, companion_port)))
 
     return _assemble(options, scene, boot, time.monotonic, REAL)
 
 
 def _assemble(
-    options: WorldOptions, scene: Scene, boot: Callable[[Clearance], Flyer], now_s: Callable[[], float], pace: Pace
-) -> World:
+    options: WorldOptions, scene: Scene, boot: Callable[[HullClearance], Flyer], now_s: Callable[[], float], pace: StepSizes
+) -> OutsideWorld:
     """Compile the kernels, put the vehicle on its pad, and only then read the clock: the world's time begins there."""
-    renderer, clearance = _renderer(scene, options.camera), Clearance(scene, options.radius_m)
+    renderer, clearance = _renderer(scene, options.camera), HullClearance(scene, options.radius_m)
     d435i.warm_up()
     clearance.hull_m(np.zeros(3))
     clearance.standing_m((0.0, 0.0, 0.0))
-    camera = d435i.Camera(renderer, options.camera, options.depth_noise, seed=options.seed)
+    camera = d435i.SimulatedD435i(renderer, options.camera, options.depth_noise, seed=options.seed)
     flyer = boot(clearance)
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
-    return World(flyer, camera, NoisyPoses(options.seed), clearance, stream, now_s(), pitch_rad, pace)
+    return OutsideWorld(flyer, camera, SimulatedTracker(options.seed), clearance, stream, now_s(), pitch_rad, pace)
 
 
-def _autopilot(options: WorldOptions, scene: Scene, room: Clearance, link: ByteEnd, pace: Pace) -> Autopilot:
+def _autopilot(options: WorldOptions, scene: Scene, room: HullClearance, link: ByteEnd, pace: StepSizes) -> Autopilot:
     """With the parameters that are to be flown."""
     yaw_rad, standing_m = scene.start_yaw_rad, room.standing_m
     if options.autopilot == "ardupilot":
         parameters = ArduPilotParameters.load()
-        airframe = Airframe(tilt_lag_s=lean_lag_s(parameters))
+        airframe = AirframeDynamics(tilt_lag_s=lean_lag_s(parameters))
         vehicle = Quadrotor(seed=options.seed, yaw_rad=yaw_rad, airframe=airframe, standing_m=standing_m)
         return ArduCopter(vehicle, link, parameters, options.seed, pace.physics_s)
     vehicle = Quadrotor(seed=options.seed, yaw_rad=yaw_rad, standing_m=standing_m)
-    return Px4(vehicle, link, Parameters.load(), options.seed, pace.physics_s)
+    return Px4(vehicle, link, Px4Parameters.load(), options.seed, pace.physics_s)
 
 
 def _renderer(scene: Scene, camera: d435i.Model) -> Renderer:
@@ -150,7 +152,7 @@ def fly(options: WorldOptions) -> None:
             world.truth_log.save(Path(options.truth), world)
 
 
-def _outside(options: WorldOptions, scene: Scene, ends: contextlib.ExitStack) -> World:
+def _outside(options: WorldOptions, scene: Scene, ends: contextlib.ExitStack) -> OutsideWorld:
     """The world with whatever flies in it; ends closes its link, or its firmware."""
     if options.firmware is not None:
         return make_world_of(Path(options.firmware), options, scene, options.port, ends)
@@ -158,7 +160,7 @@ def _outside(options: WorldOptions, scene: Scene, ends: contextlib.ExitStack) ->
     return make_world(options, scene, link, time.monotonic)
 
 
-def run(world: World, ended: Callable[[float], bool]) -> None:
+def run(world: OutsideWorld, ended: Callable[[float], bool]) -> None:
     """Step a world in real time; ended(now_s) is asked before each step.
 
     The process is given up to it: garbage is only looked for among what is young, because a look at all that a long flight

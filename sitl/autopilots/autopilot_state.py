@@ -12,7 +12,7 @@ from sitl.world.gimbal import Gimbal
 
 
 @dataclass(slots=True, kw_only=True)
-class Board:
+class AutopilotState:
     """now_s is the world's clock, boot_s the instant on it at which the autopilot booted."""
 
     estimator: Estimator

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
-from sitl.autopilots.autopilot_state import Board
-from sitl.autopilots.base_commands import Requests
+from sitl.autopilots.autopilot_state import AutopilotState
+from sitl.autopilots.base_commands import BaseCommands
 from sitl.autopilots.ekf import Estimator
 from sitl.autopilots.mavlink_server import MavlinkServer
 from sitl.autopilots.parameter_table import ParameterTable
-from sitl.autopilots.pilot_view import Eyes
+from sitl.autopilots.pilot_view import PilotView
 from sitl.geometry.ned_frd import frd_from_flu
 from sitl.geometry.quaternion import Quat, Vec3, conjugate, rotate
 from sitl.world.imu import Imu
@@ -23,7 +23,7 @@ _SLOW_S = 0.02  # commander and barometer at 50 Hz
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class VehicleTruth:
     """What really is: ENU, FLU, on the world's clock. gimbal_pitch_down_rad is relative to the body."""
 
     stamp_s: float
@@ -63,9 +63,9 @@ class Autopilot(ABC):
         vehicle: Quadrotor,
         parameters: ParameterTable,
         server: MavlinkServer,
-        board: Board,
+        board: AutopilotState,
         commander: Decides,
-        requests: Requests,
+        requests: BaseCommands,
         booted_before_s: float,
         seed: int,
         step_s: float,
@@ -80,7 +80,7 @@ class Autopilot(ABC):
         self._steps = 0
         self._revision = parameters.revision
         self._start_s = 0.0
-        self._eyes: Eyes | None = None  # of a pilot who flies it without the estimator
+        self._eyes: PilotView | None = None  # of a pilot who flies it without the estimator
 
     @property
     def setpoint_arrivals_s(self) -> list[float]:
@@ -102,10 +102,10 @@ class Autopilot(ABC):
         """The estimator, for the referee."""
         return self._board.estimator
 
-    def truth(self) -> Truth:
+    def truth(self) -> VehicleTruth:
         """The vehicle as it really is at the last step."""
         v, b, c = self.vehicle, self._board, self._commander
-        return Truth(
+        return VehicleTruth(
             b.now_s, v.position, v.velocity, v.quat_wxyz, v.gyro, v.specific_force, -b.gimbal.pitch, c.armed, c.mode.name
         )
 
@@ -137,7 +137,7 @@ class Autopilot(ABC):
         b.boot_s, b.origin, b.home = b.now_s, None, None
         self._server.restart()
         self._forget()
-        self._eyes = Eyes(self.vehicle)
+        self._eyes = PilotView(self.vehicle)
 
     def transmitter(self, heard: bool) -> None:
         """Switch the pilot's transmitter off or on."""
@@ -227,5 +227,5 @@ class Autopilot(ABC):
         """A new estimator, nothing learned of foreign clocks, and the mode of a pilot on the sticks."""
 
     @abstractmethod
-    def _fly(self, dt_s: float, seen: Estimator | Eyes) -> tuple[Vec3, float]:
+    def _fly(self, dt_s: float, seen: Estimator | PilotView) -> tuple[Vec3, float]:
         """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s), by what is seen of the vehicle."""

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.autopilot_state import Board
-from sitl.autopilots.mavlink_codec import Heard, packet
+from sitl.autopilots.autopilot_state import AutopilotState
+from sitl.autopilots.mavlink_codec import ReceivedMessage, packet
 from sitl.autopilots.mavlink_server import MavlinkServer
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
@@ -18,19 +18,19 @@ FORCE_SET = 512  # of a setpoint's type mask: its accelerations are forces
 NO_YAW, NO_YAW_RATE = 1024, 2048  # of a setpoint's type mask
 
 
-class Requests(ABC):
+class BaseCommands(ABC):
     """Dispatches messages by id; unknown ones are left alone."""
 
-    def __init__(self, board: Board, server: MavlinkServer) -> None:
+    def __init__(self, board: AutopilotState, server: MavlinkServer) -> None:
         self._board, self._server = board, server
         self.setpoint_arrivals_s: list[float] = []
-        self._handlers: dict[int, Callable[[Heard, float], None]] = {
+        self._handlers: dict[int, Callable[[ReceivedMessage, float], None]] = {
             mavlink.MAVLINK_MSG_ID_COMMAND_LONG: self._command_long,
             mavlink.MAVLINK_MSG_ID_COMMAND_INT: self._command_int,
             mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_SET_PITCHYAW: self._gimbal_pitch,
         }
 
-    def take(self, message: Heard, arrival_s: float) -> None:
+    def take(self, message: ReceivedMessage, arrival_s: float) -> None:
         """Act on one message that arrived at arrival_s (world clock)."""
         handler = self._handlers.get(message.kind)
         if handler is not None:
@@ -38,17 +38,17 @@ class Requests(ABC):
         else:
             self._server.take_parameter_message(message)
 
-    def _answer_timesync(self, message: Heard) -> None:
+    def _answer_timesync(self, message: ReceivedMessage) -> None:
         """Our clock, to their question."""
         self._server.send(packet(mavlink.MAVLink_timesync_message, self._board.boot_us * 1000, message.ts1))
 
     # -- commands -------------------------------------------------------------------------------------------------
 
-    def _command_long(self, m: Heard, _arrival_s: float) -> None:
+    def _command_long(self, m: ReceivedMessage, _arrival_s: float) -> None:
         parameters = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
         self._command(m.command, parameters, m.sender)
 
-    def _command_int(self, m: Heard, _arrival_s: float) -> None:
+    def _command_int(self, m: ReceivedMessage, _arrival_s: float) -> None:
         parameters = (m.param1, m.param2, m.param3, m.param4, float(m.x), float(m.y), m.z)
         self._command(m.command, parameters, m.sender)
 
@@ -90,6 +90,6 @@ class Requests(ABC):
             gimbal.configure(*sender)
         return ACCEPTED
 
-    def _gimbal_pitch(self, message: Heard, _arrival_s: float) -> None:
+    def _gimbal_pitch(self, message: ReceivedMessage, _arrival_s: float) -> None:
         """Radians, positive up. Silently without effect from anyone who did not take primary control (read)."""
         self._board.gimbal.command(message.sender, message.pitch, message.pitch_rate)

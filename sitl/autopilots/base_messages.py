@@ -6,7 +6,7 @@ import math
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.autopilot_state import Board
+from sitl.autopilots.autopilot_state import AutopilotState
 from sitl.autopilots.mavlink_codec import Packet, packet
 from sitl.autopilots.position_controller import ControlSetpoint
 from sitl.geometry.quaternion import euler_of
@@ -20,10 +20,10 @@ SENSORS = (
 )
 
 
-class Telling:
+class BaseMessages:
     """Builders over the board; each returns a message, or None when there is nothing to tell."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: AutopilotState) -> None:
         self._board = board
 
     def battery_status(self) -> Packet:

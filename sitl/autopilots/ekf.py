@@ -56,7 +56,7 @@ class ExternalPose:
 
 
 @dataclass(frozen=True, slots=True)
-class Tuning:
+class EstimatorTuning:
     """What a firmware's parameters and constants make of the filter. Noises: floors of the standard deviation."""
 
     fuse_xy: bool
@@ -76,7 +76,7 @@ class Tuning:
 class Estimator:
     """Local position, velocity and attitude. on_reset(delta_position, delta_yaw) is called at each jump of the estimate."""
 
-    def __init__(self, tuning: Tuning, on_reset: Callable[[Vec3, float], None] | None = None) -> None:
+    def __init__(self, tuning: EstimatorTuning, on_reset: Callable[[Vec3, float], None] | None = None) -> None:
         self._on_reset = on_reset
         self.configure(tuning)
         self.position: Vec3 = (0.0, 0.0, 0.0)
@@ -111,7 +111,7 @@ class Estimator:
         """How old the newest pose that came is; inf before the first."""
         return self._now_s - self._last_pose_s
 
-    def configure(self, tuning: Tuning) -> None:
+    def configure(self, tuning: EstimatorTuning) -> None:
         """Take over a changed tuning."""
         self._tuning = tuning
 

@@ -26,7 +26,7 @@ class Packet(NamedTuple):
     fields: tuple[Any, ...]
 
 
-class Heard(SimpleNamespace):
+class ReceivedMessage(SimpleNamespace):
     """A message that came: its fields by name, kind its message id, sender the system and component it came from."""
 
     kind: int
@@ -38,7 +38,7 @@ def packet(kind: Any, *fields: Any) -> Packet:
     return Packet(kind, fields)
 
 
-class Speaker:
+class MessageEncoder:
     """Gives packets a frame, the sender's ids and a number each."""
 
     def __init__(self, system: int, component: int) -> None:
@@ -59,13 +59,13 @@ class Speaker:
         return head + payload + _CHECK.pack(_checksum(head[1:] + payload, form))
 
 
-class Listener:
+class MessageDecoder:
     """Finds intact frames in what comes; everything else is skipped."""
 
     def __init__(self) -> None:
         self._waiting = b""
 
-    def feed(self, data: bytes) -> list[Heard]:
+    def feed(self, data: bytes) -> list[ReceivedMessage]:
         """Messages of all frames that are complete now, oldest first."""
         self._waiting += data
         heard, at, end = [], 0, len(self._waiting)
@@ -80,7 +80,7 @@ class Listener:
             if kind is None or _checksum(body, _form(kind)) != _CHECK.unpack_from(self._waiting, check)[0]:
                 at += 1
                 continue
-            heard.append(Heard(kind=kind.id, sender=(system, component), **_fields(kind, body[_HEADER_BYTES - 1 :])))
+            heard.append(ReceivedMessage(kind=kind.id, sender=(system, component), **_fields(kind, body[_HEADER_BYTES - 1 :])))
             at = following
         self._waiting = self._waiting[at:] if at >= 0 else b""
         return heard

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.byte_links import ByteEnd
-from sitl.autopilots.mavlink_codec import Heard, Listener, Packet, Speaker, packet
+from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, Packet, ReceivedMessage, packet
 from sitl.autopilots.parameter_table import ParameterTable
 
 _TEXT_BYTES = 50
@@ -35,7 +35,7 @@ class MavlinkServer:
         self._link = link
         self._parameters = parameters
         self._system, self._component = system, component
-        self._speaker, self._listener = Speaker(system, component), Listener()
+        self._speaker, self._listener = MessageEncoder(system, component), MessageDecoder()
         self._streams: dict[int, Stream] = {}
         self._due_s = 0.0
         self._out = bytearray()
@@ -46,7 +46,7 @@ class MavlinkServer:
 
     def restart(self) -> None:
         """Sequence numbers and message rates are those of the boot again."""
-        self._speaker = Speaker(self._system, self._component)
+        self._speaker = MessageEncoder(self._system, self._component)
         for stream in self._streams.values():
             stream.interval_s, stream.next_s = stream.default_s, 0.0
         self._due_s = 0.0
@@ -138,7 +138,7 @@ class MavlinkServer:
             arrival = self._link.arrival_s
             self._inbox.append((now_s if arrival is None else arrival, data))
 
-    def messages(self, now_s: float) -> Iterator[tuple[float, Heard]]:
+    def messages(self, now_s: float) -> Iterator[tuple[float, ReceivedMessage]]:
         """Arrival and message of all that had arrived by now_s, in order; garbage and frames for others left out."""
         while self._inbox and self._inbox[0][0] <= now_s:
             arrival, data = self._inbox.popleft()
@@ -148,7 +148,7 @@ class MavlinkServer:
 
     # -- parameters -----------------------------------------------------------------------------------------------
 
-    def take_parameter_message(self, message: Heard) -> bool:
+    def take_parameter_message(self, message: ReceivedMessage) -> bool:
         """Answer PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET; False for any other message."""
         kind = message.kind
         if kind == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
@@ -165,7 +165,7 @@ class MavlinkServer:
             return False
         return True
 
-    def _set_parameter(self, message: Heard) -> None:
+    def _set_parameter(self, message: ReceivedMessage) -> None:
         name = message.param_id
         if name not in self._parameters:
             self.say(mavlink.MAV_SEVERITY_ERROR, f"unknown param: {name}")

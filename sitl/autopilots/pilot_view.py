@@ -7,7 +7,7 @@ from sitl.geometry.quaternion import Quat, Vec3, yaw_of
 from sitl.world.quadrotor import Quadrotor
 
 
-class Eyes:
+class PilotView:
     """Stands in for an estimator that has just begun anew."""
 
     horizontal_valid = True

@@ -41,7 +41,7 @@ class ControlSetpoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Gains:
+class ControlGains:
     """Gains and limits. A triple: velocity P (1/s), velocity I (1/s²), feedback of the acceleration (1). SI, radians."""
 
     xy_p: float
@@ -58,14 +58,14 @@ class Gains:
     yaw_rate: float
 
 
-class Controller:
+class PositionController:
     """Turns a setpoint into a wanted specific force (local NED, hover = (0, 0, -g)) and a yaw rate, rad/s."""
 
-    def __init__(self, gains: Gains) -> None:
+    def __init__(self, gains: ControlGains) -> None:
         self._integral = [0.0, 0.0, 0.0]
         self.configure(gains)
 
-    def configure(self, gains: Gains) -> None:
+    def configure(self, gains: ControlGains) -> None:
         """Take over changed gains."""
         self._gains = gains
         self._tilt = math.tan(gains.tilt_rad)

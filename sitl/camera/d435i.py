@@ -67,7 +67,7 @@ def stream_header(model: Model) -> StreamHeader:
     return StreamHeader(DEPTH_SPEC, COLOUR_SPEC, (1.0, 0.0, 0.0, 0.0, *COLOUR_FROM_DEPTH_M))
 
 
-class Sight(Protocol):
+class CameraView(Protocol):
     """What a camera looks at: a scene's renderer, or one with more in it."""
 
     def render(
@@ -77,10 +77,10 @@ class Sight(Protocol):
         ...
 
 
-class Camera:
+class SimulatedD435i:
     """Takes frames of a scene. Frame n of a seed has the same noise in every run; use it from one thread."""
 
-    def __init__(self, renderer: Sight, model: Model = "d435i", noise: Noise = "d435i", seed: int = 0) -> None:
+    def __init__(self, renderer: CameraView, model: Model = "d435i", noise: Noise = "d435i", seed: int = 0) -> None:
         self.header, self.period_s = stream_header(model), 1.0 / RATES_HZ[model]
         self.renderer, self._model, self._seed = renderer, model, seed
         self._noise = _NOISES[noise]
@@ -110,7 +110,7 @@ class Camera:
 def warm_up() -> None:
     """Compile every kernel of this file and of the renderer."""
     vertices = np.array([[1, -1, -1], [1, 1, -1], [1, 0, 1]], np.float32)
-    camera = Camera(Renderer(vertices, np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8)))
+    camera = SimulatedD435i(Renderer(vertices, np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8)))
     camera.capture(np.eye(4), 0.0)
 
 

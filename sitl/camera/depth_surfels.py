@@ -20,7 +20,7 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 
-class SurfaceMemory:
+class DepthSurfels:
     """Cubes of cell_m between low_m and high_m (3,) that held a measured point; in the order in which they were first met."""
 
     def __init__(self, low_m: F64, high_m: F64, cell_m: float) -> None:
@@ -62,7 +62,7 @@ class SurfaceMemory:
 
 def warm_up() -> None:
     """Compile every kernel of this file."""
-    memory = SurfaceMemory(np.zeros(3), np.ones(3), 0.1)
+    memory = DepthSurfels(np.zeros(3), np.ones(3), 0.1)
     depth, eye = np.full((8, 8), 0.5, np.float32), np.full(3, 0.4)
     for array in (depth, eye):  # as they come in a frozen frame
         array.setflags(write=False)

@@ -8,7 +8,7 @@ from sitl.autopilots.byte_links import ByteEnd
 from sitl.faults.mavlink_proxy import Fate, Queue, frames
 
 
-class FarProxy:
+class AutopilotSideProxy:
     """As link.Proxy, from the other side: sent has the instants at which datagrams came, before the troubles."""
 
     def __init__(self, end: ByteEnd, now_s: Callable[[], float], up: Fate, down: Fate) -> None:

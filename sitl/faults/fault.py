@@ -32,7 +32,7 @@ class Onset:
 
 
 @dataclass(frozen=True)
-class Trouble:
+class Fault:
     """What goes wrong in a flight of a row, when it begins, how long the flight is watched from then on, and how long (s) once
     the motors stand.
     """

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from sitl.autopilots.byte_links import ByteEnd
 from sitl.camera.d435i import pinhole
-from sitl.faults.autopilot_side_proxy import FarProxy
-from sitl.faults.fault import STANDS_S, Onset, Trouble
-from sitl.faults.injectors.base import ATTENDED, Depth, Injector, Theatre
+from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
+from sitl.faults.fault import STANDS_S, Fault, Onset
+from sitl.faults.injectors.base import ATTENDED, Depth, InjectionContext, Injector
 from sitl.faults.mavlink_proxy import Bytes, Late, Proxy, Tap
 from sitl.geometry.quaternion import yaw_of
 from sitl.geometry.transform import body_from_camera, world_from_body
-from sitl.outside_world import Outlet, World
+from sitl.outside_world import Outlet, OutsideWorld
 from sitl.world.pose_tracker import PoseRecord
 
 T = TypeVar("T")
@@ -36,7 +36,7 @@ _PEEK = pinhole(16, 6, 24.0, 8.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class TruthSample:
     """One line of the ledger: the truth at the end of a turn."""
 
     stamp_s: float
@@ -53,14 +53,14 @@ def alone(row: str) -> bool:
     return True
 
 
-class Meddler:
+class FaultDirector:
     """troubles: one, or several that lie ahead of the same flight. Each at its moment, split() says whether this is the flight
     that meets it; the last one always is met. longest_wait_s: the flight is ended so long after its beginning, if no moment
     comes.
     """
 
     def __init__(
-        self, troubles: Sequence[Trouble], seed: int, longest_wait_s: float = LONGEST_WAIT_S,
+        self, troubles: Sequence[Fault], seed: int, longest_wait_s: float = LONGEST_WAIT_S,
         split: Callable[[str], bool] = alone,
     ) -> None:  # fmt: skip
         self._troubles, self._split = list(troubles), split
@@ -72,14 +72,14 @@ class Meddler:
         self._begun_s = math.inf
         self.onset_s = math.inf
         self.end_s = -math.inf
-        self.ledger: list[Moment] = []
+        self.ledger: list[TruthSample] = []
         self.proxy: Tap | None = None
 
     # -- what the flight asks -----------------------------------------------------------------------------------------
 
-    def enter(self, world: World, channels: object, now_s: float) -> None:
+    def enter(self, world: OutsideWorld, channels: object, now_s: float) -> None:
         """The world is made: step in between it and the product."""
-        self.theatre = Theatre(world, self._dice, channels, self.proxy, now_s)
+        self.theatre = InjectionContext(world, self._dice, channels, self.proxy, now_s)
         self._begun_s = now_s
         self._stream = world.stream = FaultyStream(world.stream, self)
 
@@ -89,9 +89,9 @@ class Meddler:
         self.proxy = self.theatre.proxy = proxy
         return proxy
 
-    def far_link(self, end: ByteEnd) -> FarProxy:
+    def far_link(self, end: ByteEnd) -> AutopilotSideProxy:
         """The autopilot's end, where that is the one at hand; before the world is made."""
-        proxy = FarProxy(end, time.monotonic, self._fate("to_autopilot"), self._fate("to_product"))
+        proxy = AutopilotSideProxy(end, time.monotonic, self._fate("to_autopilot"), self._fate("to_product"))
         self.proxy = proxy
         return proxy
 
@@ -100,7 +100,7 @@ class Meddler:
         at, flyer = self.theatre, self.theatre.world.flyer
         at.now_s, truth = now_s, flyer.truth()
         yaw_rad, charge = yaw_of(truth.quat_wxyz), flyer.battery_fraction
-        self.ledger.append(Moment(now_s, truth.position, truth.velocity, yaw_rad, truth.armed, truth.mode, charge))
+        self.ledger.append(TruthSample(now_s, truth.position, truth.velocity, yaw_rad, truth.armed, truth.mode, charge))
         self._watch(self.ledger[-1])
         for injector in self._injectors:
             injector.turn(at, now_s - self.onset_s)
@@ -148,7 +148,7 @@ class Meddler:
 
     # -- the moment -----------------------------------------------------------------------------------------------------
 
-    def _watch(self, now: Moment) -> None:
+    def _watch(self, now: TruthSample) -> None:
         self._flown = self._flown or (now.armed and now.position_m[2] > 0.3)
         self._disarmed_s = math.inf if now.armed else min(self._disarmed_s, now.stamp_s)
         if self.onset_s < math.inf:
@@ -161,7 +161,7 @@ class Meddler:
                 return
             self._troubles.remove(trouble)
 
-    def _comes(self, onset: Onset, now: Moment) -> bool:
+    def _comes(self, onset: Onset, now: TruthSample) -> bool:
         """Whether this is the moment for it."""
         since_s = self._begun_s if onset.at_boot else self._airborne_s
         flown = now.armed and now.mode in OURS
@@ -175,7 +175,7 @@ class Meddler:
         truth = self.theatre.world.flyer.truth()
         return off_nose_rad(truth.velocity, truth.quat_wxyz) <= _SEEN_RAD
 
-    def _meet(self, trouble: Trouble, now_s: float) -> None:
+    def _meet(self, trouble: Fault, now_s: float) -> None:
         """From here on this flight is its own."""
         self._troubles, self.onset_s, self._longest_s = [trouble], now_s, trouble.longest_s
         self._injectors, self._stands_s = trouble.injectors, trouble.stands_s
@@ -210,7 +210,7 @@ class Meddler:
 class FaultyStream:
     """Stands before the writer of the camera stream."""
 
-    def __init__(self, writer: Outlet, meddler: Meddler) -> None:
+    def __init__(self, writer: Outlet, meddler: FaultDirector) -> None:
         self._writer, self._meddler = writer, meddler
         self._waiting: list[tuple[float, int, PoseRecord | Depth]] = []
         self._numbers = itertools.count()

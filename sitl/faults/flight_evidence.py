@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.faults.fault_director import OURS, Meddler, Moment
+from sitl.faults.fault_director import OURS, FaultDirector, TruthSample
 from sitl.faults.injectors.base import TAKEN_OVER
-from sitl.faults.wire_capture import Wire, decode, modes_told, setpoints_in
+from sitl.faults.wire_capture import WireCapture, decode, modes_told, setpoints_in
 from sitl.outside_world import BODY_ABOVE_FLOOR_M, PAD_HEIGHT_M
-from sitl.truth.hull_clearance import Clearance
+from sitl.truth.hull_clearance import HullClearance
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -25,7 +25,7 @@ HANDED_S = 0.3  # after the pilot's switch the last setpoint has been sent, row 
 
 
 @dataclass(frozen=True)
-class Limits:
+class GuardLimits:
     """What the product was told it may do: fence corners (m), inset (m), speed (m/s), acceleration (m/s²), yaw (rad/s)."""
 
     fence_min_m: tuple[float, float, float]
@@ -37,7 +37,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class FlightEvidence:
     """One flight. Instants on the world's clock; onset_s: when the trouble began, inf if it never came to that.
 
     stamp_s (K,), position_m and velocity_mps (K, 3), yaw_rad (K,), armed (K,), mode (K,), charge (K,; share of the battery)
@@ -64,10 +64,10 @@ class Evidence:
     charge: F64
     failsafes: tuple[str, ...]
     texts: tuple[str, ...]
-    wire: Wire
+    wire: WireCapture
     arrived_s: F64
     heard: tuple[tuple[float, int, bool], ...]
-    limits: Limits
+    limits: GuardLimits
     boot_s: float = 0.0
     notes: dict[str, float] = field(default_factory=dict)
     firmware: str = ""
@@ -126,7 +126,9 @@ class Evidence:
         return float(self.stamp_s[found[0]] - from_s) if len(found) else math.inf
 
 
-def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m: float, stop_reason: str) -> Evidence:
+def gather(
+    meddler: FaultDirector, limits: GuardLimits, hull_s: F64, hull_m: F64, radius_m: float, stop_reason: str
+) -> FlightEvidence:
     """Of a flight that is over. hull_m: against the scene; obstacles of the trouble are added here."""
     world, ledger, tap = meddler.theatre.world, meddler.ledger, meddler.proxy
     assert tap is not None
@@ -136,7 +138,7 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
     aloft, boxes_m = armed & (positions[:, 2] > 0.05), np.full(len(stamps), math.inf)
     for obstacle in meddler.theatre.obstacles:
         boxes_m[aloft] = np.minimum(boxes_m[aloft], obstacle.hull_m(stamps[aloft], positions[aloft], radius_m))
-    return Evidence(
+    return FlightEvidence(
         onset_s=meddler.onset_s,
         end_s=meddler.end_s,
         stamp_s=stamps,
@@ -163,7 +165,7 @@ def gather(meddler: Meddler, limits: Limits, hull_s: F64, hull_m: F64, radius_m:
     )
 
 
-def _standing(room: Clearance, ledger: Sequence[Moment]) -> F64:
+def _standing(room: HullClearance, ledger: Sequence[TruthSample]) -> F64:
     """Of each turn (K,), from the first of a landing on."""
     begun = next((k for k, m in enumerate(ledger) if m.armed and "LAND" in m.mode), len(ledger))
     return np.array([0.0] * begun + [max(room.standing_m(m.position_m), 0.0) for m in ledger[begun:]])

@@ -24,7 +24,7 @@ class Exit:
     stamp_s: float
 
 
-class Roster:
+class ProcessRegistry:
     """folder: of the flight's runtime."""
 
     def __init__(self, folder: Path) -> None:

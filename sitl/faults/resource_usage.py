@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from sitl.faults.injectors.base import Injector, Needs, Theatre
+from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 from sitl.faults.injectors.cpu_and_disk_load import resident_bytes
 from sitl.faults.injectors.process_signals import MAPPER, RECORDER, roster_of
-from sitl.faults.process_registry import Roster, child_of
+from sitl.faults.process_registry import ProcessRegistry, child_of
 from sitl.faults.report.resource_chart import Track, draw
 
 PROCESSES = ("pilot", "perception", "mission", "mapper", "recorder")
@@ -17,19 +17,19 @@ PERIOD_S = 1.0
 _MEGABYTE = 1e6
 
 
-class Footprints(Injector):
+class ResourceUsage(Injector):
     """Notes for each process "NAME MB/h" and "NAME descriptors", and how many "ended" within for_s; all samples go to
     soak.json, and a chart of them to soak.svg, beside the flight's config. A soak that is cut short leaves them in soak.csv.
     """
 
-    needs = Needs.PROCESSES
+    needs = Capabilities.PROCESSES
 
     def __init__(self, for_s: float) -> None:
         self._for_s, self._due_s = for_s, 0.0
         self._tracks: dict[str, Track] = {}
         self._ended = 0
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Look, once a second."""
         if not self._due_s <= since_s <= self._for_s:
             return
@@ -39,7 +39,7 @@ class Footprints(Injector):
         self._keep(at, since_s)
         at.notes["ended"] = float(self._ended)
 
-    def end(self, at: Theatre) -> None:
+    def end(self, at: InjectionContext) -> None:
         """Reckon, and write it down."""
         for name, track in self._tracks.items():
             at.notes[f"{name} MB/h"] = track.mb_per_h()
@@ -49,7 +49,7 @@ class Footprints(Injector):
         at.config.with_name("soak.json").write_text(json.dumps(told), encoding="utf-8")
         at.config.with_name("soak.svg").write_text(draw(self._tracks), encoding="utf-8")
 
-    def _keep(self, at: Theatre, since_s: float) -> None:
+    def _keep(self, at: InjectionContext, since_s: float) -> None:
         """One line a second."""
         assert at.config is not None
         tracks = [self._tracks.get(name) for name in PROCESSES]
@@ -59,7 +59,7 @@ class Footprints(Injector):
                 lines.write("s," + ",".join(f"{name} MB,{name} descriptors" for name in PROCESSES) + "\n")
             lines.write(f"{since_s:.1f},{words}\n")
 
-    def _look(self, name: str, roster: Roster, since_s: float) -> None:
+    def _look(self, name: str, roster: ProcessRegistry, since_s: float) -> None:
         if name not in self._tracks:
             pid = child_of(roster.pid("mission"), CHILDREN[name]) if name in CHILDREN else roster.pid(name)
             if pid is None:

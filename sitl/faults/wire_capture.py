@@ -25,7 +25,7 @@ _CHECKED = ("SET_POSITION_TARGET_LOCAL_NED", "ODOMETRY", "COMMAND_LONG", "COMMAN
 
 
 @dataclass(frozen=True)
-class Order:
+class CapturedCommand:
     """A command of the product: when, which, and its first two parameters."""
 
     stamp_s: float
@@ -35,7 +35,7 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Wire:
+class WireCapture:
     """All in the world's ENU axes and clock.
 
     setpoint_s (N,), of its arrival; setpoint_stamp_ms (N,), as its sender dates it; position_m, velocity_mps,
@@ -56,19 +56,19 @@ class Wire:
     odometry_yaw_rad: F64
     odometry_stamp_us: F64
     reset_counter: F64
-    orders: tuple[Order, ...]
+    orders: tuple[CapturedCommand, ...]
     texts: tuple[tuple[float, str], ...]
     not_finite: int
     yaw_rad: F64 = field(default_factory=lambda: np.zeros(0))
 
 
-def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
+def decode(sent: Sequence[tuple[float, bytes]]) -> WireCapture:
     """Of all that the product wrote: (instant, bytes)."""
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     setpoints: list[tuple[float, ...]] = []
     odometry: list[tuple[float, ...]] = []
-    orders: list[Order] = []
+    orders: list[CapturedCommand] = []
     texts: list[tuple[float, str]] = []
     not_finite = 0
     for stamp_s, data in sent:
@@ -83,15 +83,15 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> Wire:
             elif kind == "ODOMETRY":
                 odometry.append((stamp_s, *_enu(m), _yaw_rad(m), float(m.time_usec), float(m.reset_counter)))
             elif kind in {"COMMAND_LONG", "COMMAND_INT"}:
-                orders.append(Order(stamp_s, m.command, m.param1, m.param2))
+                orders.append(CapturedCommand(stamp_s, m.command, m.param1, m.param2))
             elif kind == "SET_MODE":
-                orders.append(Order(stamp_s, mavlink.MAV_CMD_DO_SET_MODE, float(m.base_mode), float(m.custom_mode)))
+                orders.append(CapturedCommand(stamp_s, mavlink.MAV_CMD_DO_SET_MODE, float(m.base_mode), float(m.custom_mode)))
             elif kind == "STATUSTEXT":
                 texts.append((stamp_s, str(m.text)))
             not_finite += kind in _CHECKED and not math.isfinite(sum(_numbers(m)))  # one that is none spoils the sum
     s = np.array(setpoints, dtype=np.float64).reshape(-1, 13)
     o = np.array(odometry, dtype=np.float64).reshape(-1, 7)
-    return Wire(
+    return WireCapture(
         s[:, 0], s[:, 1], s[:, 2:5], s[:, 5:8], s[:, 8:11], s[:, 11], o[:, 0], o[:, 1:4], o[:, 4], o[:, 5],
         o[:, 6],
         tuple(orders), tuple(texts), not_finite, s[:, 12],

@@ -17,7 +17,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 
-class PointBins:
+class PointGrid:
     """Points (N, 3) sorted into cubic cells, for distances from upright cylinders. Immutable."""
 
     def __init__(self, points_m: F32, cell_m: float = CELL_M) -> None:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.modes import ArduPilotMode
 from sitl.autopilots.ardupilot.parameters import DEFAULT_FILE
-from sitl.autopilots.mavlink_codec import Heard
-from sitl.real_firmware.rc_transmitter import Transmitter
-from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TruePath
+from sitl.autopilots.mavlink_codec import ReceivedMessage
+from sitl.real_firmware.rc_transmitter import RcTransmitter
+from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TrueTrajectory
 
 _HOME = "47.397742,8.545594,0,0"  # latitude, longitude, height, heading: any place will do
 _SERIAL_PORTS = 9
@@ -25,13 +25,13 @@ _AIRFRAME: dict[str, float] = {
     "BATT_MONITOR": 4,
     **{f"RC{n}_{end}": pulse for n in range(1, 9) for end, pulse in (("MIN", 1000), ("TRIM", 1500), ("MAX", 2000))},
 }  # fmt: skip
-_NAMES = {mode.value: mode.name for mode in Mode}
+_NAMES = {mode.value: mode.name for mode in ArduPilotMode}
 # What the transmitter's switch means, and the pulses that are in the middle of its places; it lies at 1800 to begin with.
-_SWITCH = {Mode.LOITER: 1165, Mode.POSHOLD: 1295, Mode.ALT_HOLD: 1425, Mode.STABILIZE: 1555}
+_SWITCH = {ArduPilotMode.LOITER: 1165, ArduPilotMode.POSHOLD: 1295, ArduPilotMode.ALT_HOLD: 1425, ArduPilotMode.STABILIZE: 1555}
 # No gimbal answers in its simulation, and a mount that is configured but silent keeps it from arming.
 _BENCH: dict[str, float] = {
     "MNT1_TYPE": 0,
-    "FLTMODE_CH": 5, "FLTMODE5": Mode.STABILIZE, "FLTMODE6": Mode.STABILIZE,
+    "FLTMODE_CH": 5, "FLTMODE5": ArduPilotMode.STABILIZE, "FLTMODE6": ArduPilotMode.STABILIZE,
     **{f"FLTMODE{place}": mode for place, mode in enumerate(_SWITCH, 1)},
 }  # fmt: skip
 
@@ -52,7 +52,7 @@ class ArduPilotBinary:
 
     def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE) -> None:
         self._binary, self._parameters = binary, parameters
-        self.transmitter = Transmitter({mode.name: pulse_us for mode, pulse_us in _SWITCH.items()})
+        self.transmitter = RcTransmitter({mode.name: pulse_us for mode, pulse_us in _SWITCH.items()})
 
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
         """What starts it in a folder that is empty, with the card's scripts in it."""
@@ -81,7 +81,7 @@ class ArduPilotBinary:
         """Nothing of ours."""
         return {}
 
-    def follow(self, message: Heard, stamp_s: float, path: TruePath) -> None:
+    def follow(self, message: ReceivedMessage, stamp_s: float, path: TrueTrajectory) -> None:
         """Take the truth out of a message, if there is any in it."""
         if message.kind != mavlink.MAVLINK_MSG_ID_SIM_STATE:
             return

@@ -10,13 +10,13 @@ from typing import Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.base_autopilot import Truth
+from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.autopilots.byte_links import UdpPeer
-from sitl.autopilots.mavlink_codec import Heard, Listener, Speaker
+from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, ReceivedMessage
 from sitl.real_firmware.process import FirmwareError, FirmwareProcess
-from sitl.real_firmware.rc_transmitter import Transmitter
-from sitl.real_firmware.request_queue import COMPONENT, SYSTEM, Wishes
-from sitl.real_firmware.true_trajectory import Grain, TruePath
+from sitl.real_firmware.rc_transmitter import RcTransmitter
+from sitl.real_firmware.request_queue import COMPONENT, SYSTEM, RequestQueue
+from sitl.real_firmware.true_trajectory import Grain, TrueTrajectory
 
 _OURS = (251, 1)  # neither the vehicle's nor the companion's: it is told nothing but what to send
 _BOOT_S, _SILENT_S, _ASK_S, _POLL_S = 60.0, 5.0, 1.0, 0.02
@@ -54,7 +54,7 @@ class Binary(Protocol):
         ...
 
     @property
-    def transmitter(self) -> Transmitter | None:
+    def transmitter(self) -> RcTransmitter | None:
         """Its pilot's, None where its simulation has no sticks."""
         ...
 
@@ -71,7 +71,7 @@ class Binary(Protocol):
         """What its environment has besides ours."""
         ...
 
-    def follow(self, message: Heard, stamp_s: float, path: TruePath) -> None:
+    def follow(self, message: ReceivedMessage, stamp_s: float, path: TrueTrajectory) -> None:
         """Take the truth out of a message, if there is any in it."""
         ...
 
@@ -91,15 +91,15 @@ class FirmwareVehicle:
     def __init__(self, binary: Binary, companion_port: int, start_yaw_rad: float, folder: Path, log: Path) -> None:
         """Start it in folder and wait until it says where it is. Raises FirmwareError with one line."""
         folder.mkdir(parents=True, exist_ok=True)
-        self._binary, self._path = binary, TruePath(binary.grain, start_yaw_rad)
+        self._binary, self._path = binary, TrueTrajectory(binary.grain, start_yaw_rad)
         try:
             self._link = UdpPeer(local_port=binary.truth_port, remote=None)
         except OSError as error:
             raise FirmwareError(f"port {binary.truth_port}, where the firmware sends the truth: {error.strerror}") from None
-        self._listener, self._speaker = Listener(), Speaker(*_OURS)
+        self._listener, self._speaker = MessageDecoder(), MessageEncoder(*_OURS)
         self._now_s = self._heard_s = time.monotonic()
         self._asked_s = self._polled_s = 0.0
-        self._wishes = Wishes()
+        self._wishes = RequestQueue()
         for kind, rate_hz in (*binary.streams_hz, *_STREAMS_HZ):
             self._wishes.stream(kind, rate_hz)
         self._wishes.message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
@@ -137,10 +137,12 @@ class FirmwareVehicle:
             self._process.check()
             raise FirmwareError(f"the firmware says no more where it is; it said last: {self._process.last_line()}")
 
-    def truth(self) -> Truth:
+    def truth(self) -> VehicleTruth:
         """The vehicle as it really is at the last step. The camera's mount is fixed."""
         m = self._path.at(self._now_s)
-        return Truth(self._now_s, m.position, m.velocity, m.quat_wxyz, m.gyro, m.specific_force, 0.0, self._armed, self._mode)
+        return VehicleTruth(
+            self._now_s, m.position, m.velocity, m.quat_wxyz, m.gyro, m.specific_force, 0.0, self._armed, self._mode
+        )
 
     def pilot_takes_over(self, mode: str) -> None:
         """A switch on the transmitter; its sticks keep the vehicle where it is. Raises KeyError for a mode it does not have."""
@@ -172,7 +174,7 @@ class FirmwareVehicle:
         if (wish := self._wishes.due()) is not None:
             self._link.write(self._speaker.frame(wish))
 
-    def _take(self, message: Heard, stamp_s: float) -> None:
+    def _take(self, message: ReceivedMessage, stamp_s: float) -> None:
         self._binary.follow(message, stamp_s, self._path)
         if self._wishes.answered(message):
             self._ask()
@@ -199,7 +201,7 @@ class FirmwareVehicle:
             self.failsafes.append(text)
 
 
-def _version(message: Heard) -> str:
+def _version(message: ReceivedMessage) -> str:
     """Major, minor, patch and the commit, as AUTOPILOT_VERSION has them: ArduPilot has eight letters of it, PX4 five bytes, the
     last one first, behind three of its vendor's own version.
     """

@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
-from sitl.runtime.die_with_parent import leashed
+from sitl.runtime.die_with_parent import die_with_parent_command
 
 _ROOT = Path(__file__).resolve().parents[2]
 _GRACE_S = 3.0
@@ -26,7 +26,7 @@ class FirmwareProcess:
         search = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))  # the leash is found from there too
         with log.open("wb") as out:
             self._process = subprocess.Popen(  # noqa: S603 - the binary that the user named
-                leashed(command), cwd=folder, env={**os.environ, **environment, "PYTHONPATH": search},
+                die_with_parent_command(command), cwd=folder, env={**os.environ, **environment, "PYTHONPATH": search},
                 stdin=subprocess.DEVNULL, stdout=out, stderr=out,
             )  # fmt: skip
 

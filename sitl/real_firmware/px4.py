@@ -7,10 +7,10 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.mavlink_codec import Heard
-from sitl.autopilots.px4.commander import Mode
-from sitl.autopilots.px4.parameters import DEFAULT_FILE, Parameters
-from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TruePath
+from sitl.autopilots.mavlink_codec import ReceivedMessage
+from sitl.autopilots.px4.commander import Px4Mode
+from sitl.autopilots.px4.parameters import DEFAULT_FILE, Px4Parameters
+from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TrueTrajectory
 
 COMPANION_PORT = 14540  # where its first instance sends, as system 1
 _TRUTH_PORT = 19410  # where its start script sends SIH's display
@@ -19,7 +19,7 @@ _MODEL = "sihsim_quadx"
 # Noise: as its simulated sensor has it over 10 ms, three to six times what the estimator expects of one.
 # Its battery would be half empty after 30 s and stay so, from which a mission turns back: 21 minutes, as the simulated one's.
 _BENCH = {"SIH_KDV": "0.4", "EKF2_ACC_NOISE": "1.0", "EKF2_GYR_NOISE": "0.09", "SIM_BAT_DRAIN": "1260"}
-_NAMES = {mode.value: mode.name for mode in Mode}
+_NAMES = {mode.value: mode.name for mode in Px4Mode}
 
 
 class Px4Binary:
@@ -54,14 +54,14 @@ class Px4Binary:
     @property
     def set_late(self) -> Iterable[tuple[str, float, int]]:
         """All once more: its start script sets defaults of its own behind what is the firmware's default (SYS_FAILURE_EN)."""
-        p = Parameters.load(self._parameters)
+        p = Px4Parameters.load(self._parameters)
         return [(name, p.on_wire(name), p.kind(name)) for name in self._wanted()]
 
     def _wanted(self) -> dict[str, str]:
         lines = self._parameters.read_text(encoding="utf-8").splitlines()
         return {name: value for _, _, name, value, _ in (line.split("\t") for line in lines if line and line[0] != "#")}
 
-    def follow(self, message: Heard, stamp_s: float, path: TruePath) -> None:
+    def follow(self, message: ReceivedMessage, stamp_s: float, path: TrueTrajectory) -> None:
         """Take the truth out of a message, if there is any in it."""
         if message.kind == mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION:
             path.feel(Inertial((message.rollspeed, message.pitchspeed, message.yawspeed), None))

@@ -7,7 +7,7 @@ import socket
 import struct
 from collections.abc import Mapping
 
-from sitl.autopilots.base_autopilot import Truth
+from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.geometry.quaternion import yaw_of
 
 _PULSES = struct.Struct("<8H")  # microseconds of channels 1 to 8; 0 leaves one as it is
@@ -16,7 +16,7 @@ _TILT_US_PER_MPS, _THROTTLE_US_PER_M, _THROTTLE_US_PER_MPS = 300.0, 250.0, 200.0
 _PERIOD_S = 0.02
 
 
-class Transmitter:
+class RcTransmitter:
     """Speaks to ArduPilot's simulated receiver. Silent until the pilot takes over: the firmware has pulses of its own."""
 
     def __init__(self, switch: Mapping[str, int]) -> None:
@@ -27,14 +27,14 @@ class Transmitter:
             probe.bind(("127.0.0.1", 0))
             self.port = int(probe.getsockname()[1])
 
-    def take(self, mode: str, truth: Truth) -> None:
+    def take(self, mode: str, truth: VehicleTruth) -> None:
         """The switch is turned, and the sticks are held from now on. Raises KeyError for a mode that it does not have."""
         self._pulse_us, self._height_m = self._switch[mode], truth.position[2]
         if self._socket is None:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
 
-    def hold(self, truth: Truth) -> None:
+    def hold(self, truth: VehicleTruth) -> None:
         """Move the sticks against what the vehicle does, 50 times a second."""
         if self._socket is None or truth.stamp_s < self._next_s:
             return

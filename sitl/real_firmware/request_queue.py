@@ -7,13 +7,13 @@ from collections.abc import Iterable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.mavlink_codec import Heard, Packet, packet
+from sitl.autopilots.mavlink_codec import Packet, ReceivedMessage, packet
 
 SYSTEM, COMPONENT = 1, 1  # of every firmware that is not told otherwise
 _LATER = (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_IN_PROGRESS)
 
 
-class Wishes:
+class RequestQueue:
     """Commands, each answered by its ACK, and values of parameters, each answered by its PARAM_VALUE.
 
     What is asked before the firmware listens is lost: the first one is due until it is answered.
@@ -40,7 +40,7 @@ class Wishes:
         """What is to be asked now, None when all is answered."""
         return self._todo[0][1] if self._todo else None
 
-    def answered(self, message: Heard) -> bool:
+    def answered(self, message: ReceivedMessage) -> bool:
         """Whether this answers it; then the next one is due."""
         if message.kind == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and message.result not in _LATER:
             what: int | str = message.command

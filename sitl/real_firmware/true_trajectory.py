@@ -54,7 +54,7 @@ class Grain:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class TrueMotion:
     """Position and velocity in the world, world_from_body, and what the body feels (FLU)."""
 
     position: Vec3
@@ -64,7 +64,7 @@ class Motion:
     specific_force: Vec3
 
 
-class TruePath:
+class TrueTrajectory:
     """Readings are a centimetre coarse; velocities are not. So the place goes on by velocity, and stays within a step of what
     was read last.
 
@@ -108,12 +108,12 @@ class TruePath:
         while self._velocities[0][0] < stamp_s - _SLOPE_S:
             self._velocities.popleft()
 
-    def at(self, now_s: float) -> Motion:
+    def at(self, now_s: float) -> TrueMotion:
         """The vehicle at now_s, carried on from the last reading for 0.1 s at most."""
         ahead_s = min(max(now_s - self._stamp_s, 0.0), _LONGEST_S)
         gyro, felt = frd_from_flu(self._felt.gyro_frd), self._felt.specific_force_frd
         p, v = self._position, self._velocity
-        return Motion(
+        return TrueMotion(
             (p[0] + v[0] * ahead_s, p[1] + v[1] * ahead_s, p[2] + v[2] * ahead_s), v,
             multiply(self._quat, from_small_rotation(gyro[0] * ahead_s, gyro[1] * ahead_s, gyro[2] * ahead_s)),
             gyro, self._force() if felt is None else frd_from_flu(felt),

@@ -30,7 +30,7 @@ def key(*parts: NDArray[Any] | str) -> str:
     return digest.hexdigest()[:20]
 
 
-def kept(path: Path, dimensions: dict[str, int], make: Callable[[], Arrays]) -> Arrays:
+def cached(path: Path, dimensions: dict[str, int], make: Callable[[], Arrays]) -> Arrays:
     """The arrays of a file, or those that make() returns, which are kept there. dimensions: names, and ndim of each."""
     arrays = _load(path, dimensions)
     if arrays is None:

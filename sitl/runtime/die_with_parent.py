@@ -15,7 +15,7 @@ import sys
 _PR_SET_PDEATHSIG = 1
 
 
-def leashed(command: list[str]) -> list[str]:
+def die_with_parent_command(command: list[str]) -> list[str]:
     """The command line that runs a command on a leash held by this process."""
     return [sys.executable, "-m", "sitl.runtime.die_with_parent", str(os.getpid()), *command]
 

@@ -14,7 +14,7 @@ from typing import Generic, NoReturn, TypeVar
 T = TypeVar("T")
 
 
-class Fork(Generic[T]):
+class FlightFork(Generic[T]):
     """Forks of this process, one after the other; it must have no other thread. The system gives each fork its own memory; the
     files below folder, mapped ones too, are put back when a fork has ended. No fork leaves the context that it was made in.
     """
@@ -27,7 +27,7 @@ class Fork(Generic[T]):
     def split(self) -> bool:
         """True in the fork, False here when it is over; answer then is what it gave, None where it died before."""
         receiver, sender = multiprocessing.Pipe(duplex=False)
-        before = Kept(self._folder)
+        before = ForkSnapshot(self._folder)
         gc.freeze()  # a collection would touch, and so copy, all that is shared
         sys.stdout.flush()
         sys.stderr.flush()
@@ -53,7 +53,7 @@ class Fork(Generic[T]):
             self._way_back.send(answer)
             self._end(0)
 
-    def __enter__(self) -> Fork[T]:
+    def __enter__(self) -> FlightFork[T]:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -66,7 +66,7 @@ class Fork(Generic[T]):
         os._exit(code)
 
 
-class Kept:
+class ForkSnapshot:
     """The files below a folder as they were; those that are open stay so."""
 
     def __init__(self, folder: Path) -> None:

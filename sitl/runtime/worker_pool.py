@@ -22,7 +22,7 @@ T = TypeVar("T")
 GRACE_S, ASKED_EVERY_S = 5.0, 0.25  # to take down what they put up
 
 
-class Crew:
+class WorkerPool:
     """Takes work as an executor does."""
 
     def __init__(self, pool: ProcessPoolExecutor) -> None:
@@ -38,7 +38,7 @@ class Crew:
 
 
 @contextmanager
-def crew(jobs: int) -> Iterator[Crew]:
+def worker_pool(jobs: int) -> Iterator[WorkerPool]:
     """Processes, spawned, each with a group of its own, so that a terminal's Ctrl-C reaches only who waits for them. To be
     entered by the main thread. Left by an exception, it ends them and all that they started, within some GRACE_S.
     """
@@ -47,7 +47,7 @@ def crew(jobs: int) -> Iterator[Crew]:
         jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_sign_on, initargs=(os.getpid(),)
     )
     try:
-        yield Crew(pool)
+        yield WorkerPool(pool)
     except BaseException:
         _dismiss(set(multiprocessing.active_children()) - others)
         pool.shutdown(wait=False, cancel_futures=True)

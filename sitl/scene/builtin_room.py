@@ -10,7 +10,7 @@ import numpy as np
 
 from sitl.scene import texture
 from sitl.scene.mesh import Mesh, joined
-from sitl.scene.primitives import Workshop
+from sitl.scene.primitives import MeshBuilder
 
 LENGTH_M, WIDTH_M, HEIGHT_M = 8.0, 3.0, 2.5
 ROOM_START: tuple[float, ...] = (0.9, 1.5, 1.2, 0.0)  # x, y, z (m), yaw (degrees)
@@ -19,12 +19,12 @@ FINE_M = 0.024
 
 def built_in_room(fine: bool = True) -> Mesh:
     """The room's mesh in its own frame; about 300k vertices, made in under a second; 10k where paint does not matter."""
-    w = Workshop(fine)
+    w = MeshBuilder(fine)
     pieces = (_shell, _sofa, _shelf, _table, _sideboard, _armchair, _lamps, _radiators, _start_corner)
     return joined([part for piece in pieces for part in piece(w)])
 
 
-def _shell(w: Workshop) -> list[Mesh]:
+def _shell(w: MeshBuilder) -> list[Mesh]:
     x, y, z = LENGTH_M, WIDTH_M, HEIGHT_M
     return [
         w.patch((0, 0, 0), (x, 0, 0), (0, y, 0), texture.floor, FINE_M),
@@ -37,7 +37,7 @@ def _shell(w: Workshop) -> list[Mesh]:
     ]
 
 
-def _sofa(w: Workshop) -> list[Mesh]:
+def _sofa(w: MeshBuilder) -> list[Mesh]:
     cloth, cushion = texture.cloth((0.25, 0.36, 0.42)), texture.cloth((0.80, 0.55, 0.20))
     seats = [w.box((2.2 + 0.55 * i, 0.22, 0.25), (2.74 + 0.55 * i, 0.88, 0.44), cloth) for i in range(3)]
     return [
@@ -51,7 +51,7 @@ def _sofa(w: Workshop) -> list[Mesh]:
     ]
 
 
-def _shelf(w: Workshop) -> list[Mesh]:
+def _shelf(w: MeshBuilder) -> list[Mesh]:
     """Open bookshelf on the north wall, x 2.2 to 3.6, with books and boxes."""
     wood, low, high, back, front = texture.wood((0.55, 0.38, 0.22)), 2.2, 3.6, 2.98, 2.68
     boards = [w.box((low, front, z), (high, back, z + 0.025), wood) for z in (0.05, 0.43, 0.81, 1.19, 1.57, 1.93)]
@@ -75,7 +75,7 @@ def _shelf(w: Workshop) -> list[Mesh]:
     return [*boards, *sides, panel, *things]
 
 
-def chair(w: Workshop, x: float, y: float, side: float) -> list[Mesh]:
+def chair(w: MeshBuilder, x: float, y: float, side: float) -> list[Mesh]:
     """Chair with its seat's middle at (x, y) and its back towards side (+1: +y, -1: -y)."""
     wood = texture.wood((0.42, 0.26, 0.15))
     legs = [
@@ -92,7 +92,7 @@ def chair(w: Workshop, x: float, y: float, side: float) -> list[Mesh]:
     return [*legs, *posts, *slats, seat]
 
 
-def _table(w: Workshop) -> list[Mesh]:
+def _table(w: MeshBuilder) -> list[Mesh]:
     """Dining table on the north side with a thin top, two chairs, and things on it."""
     wood = texture.wood((0.68, 0.50, 0.32))
     legs = [w.box((x, y, 0.0), (x + 0.05, y + 0.05, 0.72), wood) for x in (5.04, 6.41) for y in (2.19, 2.86)]
@@ -108,7 +108,7 @@ def _table(w: Workshop) -> list[Mesh]:
     ]
 
 
-def _sideboard(w: Workshop) -> list[Mesh]:
+def _sideboard(w: MeshBuilder) -> list[Mesh]:
     """Cabinet on the south wall, x 5.2 to 6.8, with boxes and a plant on top."""
     return [
         w.box((5.2, 0.02, 0.10), (6.8, 0.42, 0.82), texture.cabinet, 0.024),
@@ -120,7 +120,7 @@ def _sideboard(w: Workshop) -> list[Mesh]:
     ]
 
 
-def _armchair(w: Workshop) -> list[Mesh]:
+def _armchair(w: MeshBuilder) -> list[Mesh]:
     cloth = texture.cloth((0.46, 0.22, 0.26))
     return [
         w.box((7.10, 0.06, 0.10), (7.92, 0.80, 0.42), cloth),
@@ -133,7 +133,7 @@ def _armchair(w: Workshop) -> list[Mesh]:
     ]
 
 
-def _lamps(w: Workshop) -> list[Mesh]:
+def _lamps(w: MeshBuilder) -> list[Mesh]:
     metal, shade = texture.plain((0.22, 0.22, 0.24)), texture.pleats((0.93, 0.84, 0.62))
     return [
         w.tube((1.75, 0.28, 0.0), 0.14, 0.14, 0.025, metal, lid=True),
@@ -144,7 +144,7 @@ def _lamps(w: Workshop) -> list[Mesh]:
     ]
 
 
-def _radiators(w: Workshop) -> list[Mesh]:
+def _radiators(w: MeshBuilder) -> list[Mesh]:
     """Ribbed heaters below the window on the east wall and beside the shelf on the north wall."""
     paint = texture.plain((0.90, 0.89, 0.85))
     east = [w.box((7.86, 1.00 + 0.08 * i, 0.12), (7.96, 1.055 + 0.08 * i, 0.68), paint) for i in range(13)]
@@ -157,7 +157,7 @@ def _radiators(w: Workshop) -> list[Mesh]:
     return [*east, *north, *bars]
 
 
-def _start_corner(w: Workshop) -> list[Mesh]:
+def _start_corner(w: MeshBuilder) -> list[Mesh]:
     """A board with boxes on the north wall and a low chest on the south wall, near the start."""
     return [
         w.box((0.25, 2.76, 1.45), (1.45, 2.99, 1.48), texture.wood((0.60, 0.42, 0.25))),

@@ -10,7 +10,7 @@ import numpy as np
 
 from sitl.scene import texture
 from sitl.scene.mesh import Mesh, joined
-from sitl.scene.primitives import Workshop
+from sitl.scene.primitives import MeshBuilder
 
 Rng = np.random.Generator
 
@@ -36,7 +36,7 @@ class Piece:
         return c * self.half_x + s * self.half_y, s * self.half_x + c * self.half_y
 
 
-Maker = Callable[[Workshop, Rng], Piece]
+Maker = Callable[[MeshBuilder, Rng], Piece]
 
 
 def _colour(rng: Rng, low: float = 0.2, high: float = 0.8) -> tuple[float, ...]:
@@ -48,7 +48,7 @@ def _wood(rng: Rng) -> texture.Paint:
     return texture.wood((light, light * rng.uniform(0.62, 0.78), light * rng.uniform(0.38, 0.55)))
 
 
-def _chair(w: Workshop, rng: Rng) -> Piece:
+def _chair(w: MeshBuilder, rng: Rng) -> Piece:
     wood, cloth, seat = _wood(rng), texture.cloth(_colour(rng)), 0.22
     legs = [
         w.box((i * 0.19 - 0.018, j * 0.19 - 0.018, 0.0), (i * 0.19 + 0.018, j * 0.19 + 0.018, 0.44), wood)
@@ -61,7 +61,7 @@ def _chair(w: Workshop, rng: Rng) -> Piece:
     return Piece(joined([*legs, *posts, *slats, top]), seat, seat)
 
 
-def table(w: Workshop, rng: Rng) -> Piece:
+def table(w: MeshBuilder, rng: Rng) -> Piece:
     """Thin top on four legs, chairs about it, a few things on it."""
     half_x, half_y, height = rng.uniform(0.5, 0.9), rng.uniform(0.35, 0.45), rng.uniform(0.70, 0.76)
     wood = _wood(rng)
@@ -86,7 +86,7 @@ def table(w: Workshop, rng: Rng) -> Piece:
     return Piece(joined(parts), half_x, out)
 
 
-def shelf(w: Workshop, rng: Rng) -> Piece:
+def shelf(w: MeshBuilder, rng: Rng) -> Piece:
     """Open boards with blocks of books and boxes."""
     half_x, half_y, height = rng.uniform(0.4, 0.8), rng.uniform(0.13, 0.2), rng.uniform(1.2, 2.05)
     wood, levels = _wood(rng), np.linspace(0.06, height - 0.03, int(height / 0.38) + 1)
@@ -106,7 +106,7 @@ def shelf(w: Workshop, rng: Rng) -> Piece:
     return Piece(joined(parts), half_x, half_y)
 
 
-def cabinet(w: Workshop, rng: Rng) -> Piece:
+def cabinet(w: MeshBuilder, rng: Rng) -> Piece:
     """Low cupboard with boxes or a plant on top."""
     half_x, half_y, height = rng.uniform(0.4, 0.8), rng.uniform(0.2, 0.3), rng.uniform(0.6, 1.1)
     parts = [w.box((-half_x, -half_y, 0.0), (half_x, half_y, height), texture.cabinet)]
@@ -117,7 +117,7 @@ def cabinet(w: Workshop, rng: Rng) -> Piece:
     return Piece(joined(parts), half_x, half_y)
 
 
-def sofa(w: Workshop, rng: Rng) -> Piece:
+def sofa(w: MeshBuilder, rng: Rng) -> Piece:
     """One to three seats."""
     half_x, half_y = rng.choice([0.42, 0.75, 1.0]), 0.42
     cloth = texture.cloth(_colour(rng))
@@ -130,7 +130,7 @@ def sofa(w: Workshop, rng: Rng) -> Piece:
     return Piece(joined(parts), float(half_x), half_y)
 
 
-def bed(w: Workshop, rng: Rng) -> Piece:
+def bed(w: MeshBuilder, rng: Rng) -> Piece:
     """Its head against the wall."""
     half_x, half_y = rng.uniform(0.45, 0.8), 1.02
     sheet = texture.checks(_colour(rng), (0.9, 0.88, 0.84), 0.12)
@@ -142,7 +142,7 @@ def bed(w: Workshop, rng: Rng) -> Piece:
     return Piece(joined(parts), half_x, half_y)
 
 
-def boxes(w: Workshop, rng: Rng) -> Piece:
+def boxes(w: MeshBuilder, rng: Rng) -> Piece:
     """A pile of cartons, each turned a little."""
     half, z, parts = rng.uniform(0.18, 0.32), 0.0, []
     reach = half * 1.42
@@ -158,7 +158,7 @@ def boxes(w: Workshop, rng: Rng) -> Piece:
     return Piece(joined(parts), reach, reach)
 
 
-def plant(w: Workshop, rng: Rng) -> Piece:
+def plant(w: MeshBuilder, rng: Rng) -> Piece:
     """Pot, stem and leaves."""
     radius, stem = rng.uniform(0.18, 0.32), rng.uniform(0.2, 0.7)
     pot = texture.checks(_colour(rng), _colour(rng), 0.08)
@@ -170,7 +170,7 @@ def plant(w: Workshop, rng: Rng) -> Piece:
     return Piece(joined(parts), 1.2 * radius, 1.2 * radius)
 
 
-def floor_lamp(w: Workshop, rng: Rng) -> Piece:
+def floor_lamp(w: MeshBuilder, rng: Rng) -> Piece:
     """A thin pole with a shade."""
     height, metal = rng.uniform(1.2, 1.6), texture.plain((0.22, 0.22, 0.24))
     parts = [
@@ -181,7 +181,7 @@ def floor_lamp(w: Workshop, rng: Rng) -> Piece:
     return Piece(joined(parts), 0.20, 0.20)
 
 
-def screen(w: Workshop, rng: Rng) -> Piece:
+def screen(w: MeshBuilder, rng: Rng) -> Piece:
     """A thin partition on two feet."""
     half_x, height = rng.uniform(0.4, 0.9), rng.uniform(1.3, 2.0)
     cloth = texture.checks(_colour(rng), _colour(rng), 0.15)
@@ -189,7 +189,7 @@ def screen(w: Workshop, rng: Rng) -> Piece:
     return Piece(joined([*feet, w.box((-half_x, -0.015, 0.03), (half_x, 0.015, height), cloth)]), half_x, 0.18)
 
 
-def pillar(w: Workshop, rng: Rng, height_m: float) -> Piece:
+def pillar(w: MeshBuilder, rng: Rng, height_m: float) -> Piece:
     """Round or square, from floor to ceiling."""
     half = rng.uniform(0.10, 0.22)
     paint = texture.tiles(_colour(rng, 0.4, 0.8), 0.25)
@@ -198,7 +198,7 @@ def pillar(w: Workshop, rng: Rng, height_m: float) -> Piece:
     return Piece(w.box((-half, -half, 0.0), (half, half, height_m), paint), half, half)
 
 
-def hanging_lamp(w: Workshop, rng: Rng, height_m: float) -> Piece:
+def hanging_lamp(w: MeshBuilder, rng: Rng, height_m: float) -> Piece:
     """A shade on a cord; its lower rim at least 1.5 m above the floor."""
     shade, drop = rng.uniform(0.18, 0.28), rng.uniform(0.35, min(1.1, height_m - 1.5))
     low, radius = height_m - drop, rng.uniform(0.12, 0.24)
@@ -209,7 +209,7 @@ def hanging_lamp(w: Workshop, rng: Rng, height_m: float) -> Piece:
     return Piece(joined(parts), radius, radius)
 
 
-def board(w: Workshop, rng: Rng) -> Piece:
+def board(w: MeshBuilder, rng: Rng) -> Piece:
     """A thin shelf at head height with boxes on it; nothing below."""
     half_x, half_y, height = rng.uniform(0.3, 0.7), rng.uniform(0.1, 0.15), rng.uniform(1.2, 1.6)
     parts, x = [w.box((-half_x, -half_y, height), (half_x, half_y, height + 0.03), _wood(rng))], -half_x + 0.05

@@ -13,7 +13,7 @@ import numpy as np
 from sitl.scene import furniture, texture
 from sitl.scene.furniture import Piece
 from sitl.scene.mesh import Mesh, joined
-from sitl.scene.primitives import Workshop
+from sitl.scene.primitives import MeshBuilder
 
 AREA_M2, HEIGHT_M = (12.0, 70.0), (2.3, 3.2)
 DOOR_M = (0.9, 1.6)  # width
@@ -53,7 +53,7 @@ class _Flat:
     """A flat under construction: what stands where, and the meshes so far."""
 
     def __init__(self, seed: int, fine: bool) -> None:
-        self.rng, self.workshop = np.random.default_rng([seed, 0xF1A7]), Workshop(fine)
+        self.rng, self.workshop = np.random.default_rng([seed, 0xF1A7]), MeshBuilder(fine)
         area, aspect = math.exp(self.rng.uniform(*np.log(AREA_M2))), self.rng.uniform(1.0, 2.2)
         wide = max(math.sqrt(area / aspect), NARROWEST_M + 0.3)
         self.length_m, self.width_m, self.height_m = area / wide, wide, self.rng.uniform(*HEIGHT_M)

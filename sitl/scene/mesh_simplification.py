@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.runtime.array_cache import Arrays, cache_folder, kept, key
+from sitl.runtime.array_cache import Arrays, cache_folder, cached, key
 
 WORTH_FACES = 50_000  # below it drawing is quick as it is
 MOST_ERROR_M2 = 1e-12  # a thousandth of a millimetre, squared, and times the area that the quadrics weigh with
@@ -34,7 +34,7 @@ def merged(vertices: F32, faces: I32, cache_dir: Path | None = None) -> tuple[F3
     if len(faces) < WORTH_FACES:
         return vertices, faces
     path = (cache_dir or cache_folder()) / f"merged-{key(vertices, faces, f'{VERSION} {MOST_ERROR_M2} {TOLERANCE_M}')}.npz"
-    arrays = kept(path, {"vertices": 2, "faces": 2}, lambda: _collapsed(vertices, faces))
+    arrays = cached(path, {"vertices": 2, "faces": 2}, lambda: _collapsed(vertices, faces))
     return arrays["vertices"], arrays["faces"]
 
 

@@ -24,7 +24,7 @@ Shape = Callable[[F64, F64], F64]
 
 
 @dataclass(frozen=True)
-class Workshop:
+class MeshBuilder:
     """Makes solids in metres. fine: cells of at most a face's own step, for its paint; else the shape alone.
 
     Flat faces are the same either way; a bush is rougher where it is not fine.

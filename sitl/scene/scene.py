@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.geometry.point_grid import PointBins
+from sitl.geometry.point_grid import PointGrid
 from sitl.scene.builtin_room import ROOM_START, built_in_room
 from sitl.scene.generated_rooms import generated_room
 from sitl.scene.mesh import Mesh, MeshError, read_mesh
@@ -63,9 +63,9 @@ class Scene:
     paint: Mesh | None = None
 
     @cached_property
-    def samples(self) -> PointBins:
+    def samples(self) -> PointGrid:
         """Of the surface, a centimetre apart; made once for all flights in it: less than a second for 700k faces."""
-        return PointBins(row_points(self.vertices, self.faces, SAMPLES_M))
+        return PointGrid(row_points(self.vertices, self.faces, SAMPLES_M))
 
 
 def load_scene(

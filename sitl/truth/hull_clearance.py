@@ -16,7 +16,7 @@ _SUNK_M = 1e-3  # what stands may have sunk in so far
 F64 = NDArray[np.float64]
 
 
-class Clearance:
+class HullClearance:
     """Distance from the hull, an upright cylinder centred on the body, to the scene's mesh."""
 
     def __init__(self, scene: Scene, radius_m: float = HULL_RADIUS_M, height_m: float = HULL_HEIGHT_M) -> None:

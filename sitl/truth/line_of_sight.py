@@ -15,7 +15,7 @@ F64 = NDArray[np.float64]
 AT_THE_POINT_M = 0.004  # the ray ends this far short of the point: a layer farther in front than that hides it
 
 
-class Sight:
+class LineOfSight:
     """Points (N, 3) with unit normals (N, 3) of the triangles they lie on; either side of a triangle can be seen."""
 
     def __init__(self, scene: Scene, points: F32, normals: F32) -> None:

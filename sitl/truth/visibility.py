@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sitl.camera import d435i
-from sitl.geometry.point_grid import PointBins
+from sitl.geometry.point_grid import PointGrid
 from sitl.geometry.transform import body_from_camera, inverse, rigid, world_from_body
-from sitl.runtime.array_cache import Arrays, kept, key
+from sitl.runtime.array_cache import Arrays, cached, key
 from sitl.runtime.jit import kernel
 from sitl.scene.mesh_sampling import area_weighted_samples, dense_points
 from sitl.scene.rasterizer import Renderer, Rendering
 from sitl.scene.scene import BODY_ABOVE_FLOOR_M, TAKEOFF_HEIGHT_M, Scene
-from sitl.truth.line_of_sight import Sight
+from sitl.truth.line_of_sight import LineOfSight
 from uav_recon.sensors.stream_format import CameraSpec
 
 VERSION = 3
@@ -40,7 +40,7 @@ U8 = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class TruthCut:
+class VisibleTruth:
     """points (N, 3): surface samples that some pose saw. free_seen (X, Y, Z) bool: cells of free_cell_m crossed by rays that
     met a surface in range; cell (0, 0, 0) has its lowest corner at free_origin_m (3,). views (100, 4, 4): held-out
     world_from_camera of the COLOUR camera, whose intrinsics are view_spec. positions (P, 3): where the vehicle can be. World
@@ -56,7 +56,7 @@ class TruthCut:
     positions: F32
 
 
-def load_truth_cut(scene: Scene, mount: str, camera: d435i.Model, cache_dir: Path) -> TruthCut:
+def load_visible_truth(scene: Scene, mount: str, camera: d435i.Model, cache_dir: Path) -> VisibleTruth:
     """The cut of a scene, from the cache or made anew (blocks for 10 to 30 s). mount: "gimbal" or "fixed:DEG" down.
 
     A cache that cannot be read or written costs time only. Raises ValueError for an unknown mount.
@@ -69,7 +69,7 @@ def load_truth_cut(scene: Scene, mount: str, camera: d435i.Model, cache_dir: Pat
         cut = _cut(scene, pitch_rad, camera, spec)
         return {name: getattr(cut, name) for name in _DIMENSIONS}
 
-    return TruthCut(free_cell_m=STEP_M, view_spec=spec, **kept(path, _DIMENSIONS, arrays))
+    return VisibleTruth(free_cell_m=STEP_M, view_spec=spec, **cached(path, _DIMENSIONS, arrays))
 
 
 def _fixed_pitch(mount: str) -> float | None:
@@ -93,7 +93,7 @@ _DIMENSIONS = {"points": 2, "free_seen": 3, "free_origin_m": 1, "views": 3, "pos
 
 def reachable_positions(scene: Scene) -> F32:
     """Grid centres (P, 3) float32 that the vehicle can reach from above its start, 0.35 m clear of everything."""
-    bins = PointBins(dense_points(scene.vertices, scene.faces, 0.02))
+    bins = PointGrid(dense_points(scene.vertices, scene.faces, 0.02))
     low, high = _bounds(scene)
     low[:2] = STEP_M * np.round(low[:2] / STEP_M)  # so that the column above the start is a column of the grid
     low[2] = LOWEST_M - BODY_ABOVE_FLOOR_M
@@ -128,11 +128,11 @@ def _draw(positions: F32, pitch_rad: float | None, count: int, seed: int) -> lis
     return [world_from_body(chosen[i], float(yaw[i])) @ mounts[i] for i in range(count)]
 
 
-def _cut(scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: CameraSpec) -> TruthCut:
+def _cut(scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: CameraSpec) -> VisibleTruth:
     positions = reachable_positions(scene)
     renderer = Renderer(scene.vertices, scene.faces, scene.rgb)
     samples, normals = area_weighted_samples(scene.vertices, scene.faces, SAMPLES, SAMPLE_SEED)
-    sight, seen = Sight(scene, samples, normals), np.zeros(len(samples), np.bool_)
+    sight, seen = LineOfSight(scene, samples, normals), np.zeros(len(samples), np.bool_)
     origin, high = _bounds(scene)
     cells = np.ceil((high - origin) / STEP_M - 1e-6).astype(int)
     free = np.zeros(tuple(np.maximum(cells, 1)), np.bool_)
@@ -145,7 +145,7 @@ def _cut(scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: Camer
     tx, ty, tz = d435i.stream_header(camera).rgb_from_depth[4:]
     depth_from_rgb = inverse(rigid(np.eye(3), (tx, ty, tz)))
     views = np.array([pose @ depth_from_rgb for pose in _draw(positions, pitch_rad, HELD_OUT, HELD_OUT_SEED)])
-    return TruthCut(samples[seen], free, origin, STEP_M, views, spec, positions)
+    return VisibleTruth(samples[seen], free, origin, STEP_M, views, spec, positions)
 
 
 def _returned(view: Rendering) -> F32:

@@ -32,7 +32,7 @@ class PoseRecord:
     reset_counter: int
 
 
-class NoisyPoses:
+class SimulatedTracker:
     """Ornstein-Uhlenbeck drift (20 s) that is zero at the first pose, white noise on top, delivered 60 ± 20 ms late."""
 
     def __init__(self, seed: int) -> None:

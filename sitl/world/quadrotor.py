@@ -17,7 +17,7 @@ GRAVITY_MPS2 = 9.80665
 
 
 @dataclass(frozen=True, slots=True)
-class Airframe:
+class AirframeDynamics:
     """Constants of a 250-size indoor quadrotor."""
 
     tilt_lag_s: float = 0.08  # first order, thrust axis
@@ -54,10 +54,10 @@ class Quadrotor:
         wind_mps: float = 0.15,
         start: Vec3 = (0.0, 0.0, 0.0),
         yaw_rad: float = 0.0,
-        airframe: Airframe | None = None,
+        airframe: AirframeDynamics | None = None,
         standing_m: Callable[[Vec3], float] = bare_floor,
     ) -> None:
-        self._frame = airframe or Airframe()
+        self._frame = airframe or AirframeDynamics()
         self._standing_m = standing_m
         self._random = random.Random(seed)
         self._wind_rms = wind_mps

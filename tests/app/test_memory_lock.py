@@ -66,7 +66,7 @@ def thawed() -> Iterator[None]:
 @pytest.mark.parametrize(("libc", "asked"), [(Libc(refuses=True), 1), (object(), 0)])
 def test_where_it_may_not_be_locked_it_stays_as_it_is(monkeypatch: pytest.MonkeyPatch, libc: object, asked: int) -> None:
     monkeypatch.setattr(ctypes, "CDLL", lambda name: libc)
-    assert not memory_lock.settle()
+    assert not memory_lock.lock_memory_and_freeze_gc()
     assert len(getattr(libc, "asked", [])) == asked
 
 
@@ -84,5 +84,5 @@ def test_under_a_limit_that_would_refuse_later_memory_nothing_stays_locked(
     monkeypatch.setattr(ctypes, "CDLL", lambda name: libc)
     monkeypatch.setattr(resource, "getrlimit", lambda which: (limit_bytes, limit_bytes))
     monkeypatch.setattr(mmap, "mmap", refuse)
-    assert not memory_lock.settle()
+    assert not memory_lock.lock_memory_and_freeze_gc()
     assert [word for word, *_ in libc.asked] == ["mlockall", "munlockall"]

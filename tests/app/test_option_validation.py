@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from uav_recon.app.option_validation import UsageError, need_file, need_folder
+from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
 from uav_recon.cli.main import app
 
 UNREADABLE = "/tmp/" + "x" * 300  # no system looks into it, whoever asks: also not for root, whom no permission stops
@@ -81,15 +81,15 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(out: str, tmp_p
 def test_what_is_there_stays_as_it_is(tmp_path: Path) -> None:
     held = tmp_path / "held.json"
     held.write_text("{}")
-    need_file("--json", held)
-    need_file("--json", tmp_path / "new.json")
-    need_file("--json", None)
-    need_folder("--out", tmp_path / "a" / "b")
-    need_folder("--out", None)
+    require_writable_file("--json", held)
+    require_writable_file("--json", tmp_path / "new.json")
+    require_writable_file("--json", None)
+    require_writable_folder("--out", tmp_path / "a" / "b")
+    require_writable_folder("--out", None)
     assert held.read_text() == "{}"
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "b", "held.json"]
     with pytest.raises(UsageError, match="no such folder"):
-        need_file("--json", tmp_path / "c" / "x.json")
+        require_writable_file("--json", tmp_path / "c" / "x.json")
 
 
 @pytest.mark.parametrize(

@@ -15,15 +15,15 @@ from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.base_autopilot import Autopilot
 from sitl.autopilots.byte_links import pipe
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.world.quadrotor import Quadrotor
 from uav_recon.app.parameter_tool import ParamsOptions, Vehicle, show, write_to
-from uav_recon.autopilot.mavlink.allow_list import Gate
-from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, Wanted, load
+from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
+from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, RequiredParameter, load
 from uav_recon.cli.main import app
 from uav_recon.clock import ManualClock
 from uav_recon.config import load as load_config
-from uav_recon.errors import Failure
+from uav_recon.errors import UserError
 
 FIRMWARES = ["px4", "ardupilot"]
 WRONG = {"px4": {"COM_OBL_RC_ACT": 0.0, "SYS_HAS_GPS": 1.0, "MPC_XY_VEL_MAX": 12.0, "COM_FLT_TIME_MAX": 60.0},
@@ -38,7 +38,7 @@ class Bench:
         self._ours, theirs = pipe()
         vehicle = Quadrotor(1, 0.1)
         self.autopilot: Autopilot = (
-            Px4(vehicle, theirs, Parameters.load(), 1)
+            Px4(vehicle, theirs, Px4Parameters.load(), 1)
             if name == "px4"
             else ArduCopter(vehicle, theirs, ArduPilotParameters.load(), 1)
         )
@@ -61,7 +61,7 @@ class Bench:
         self._ours.close()
 
     def vehicle(self) -> Vehicle:
-        return Vehicle(self, self.options, self.clock, Gate())
+        return Vehicle(self, self.options, self.clock, AllowListFilter())
 
     def spoil(self, name: str) -> None:
         for parameter, value in WRONG[name].items():
@@ -158,7 +158,7 @@ def test_nothing_is_written_while_the_motors_are_armed() -> None:
     assert isinstance(copter, ArduCopter)
     copter._state.commander.request_arming(arm=True, force=True, c=copter._state.condition())
     assert copter.truth().armed
-    with pytest.raises(Failure, match="the motors are armed") as caught:
+    with pytest.raises(UserError, match="the motors are armed") as caught:
         write_to(vehicle, bench.wanted, yes, paper.console)
     assert caught.value.code == 78
     assert bench.value("FS_GCS_ENABLE") == 0
@@ -166,7 +166,7 @@ def test_nothing_is_written_while_the_motors_are_armed() -> None:
 
 def test_a_parameter_that_the_vehicle_does_not_know_is_said_and_not_written() -> None:
     bench, paper = Bench("px4"), Paper()
-    unknown = Wanted("NOT_OF_THIS_FW", 1.0, bench.wanted[0].reason)
+    unknown = RequiredParameter("NOT_OF_THIS_FW", 1.0, bench.wanted[0].reason)
     assert write_to(bench.vehicle(), (*bench.wanted, unknown), yes, paper.console) == 1
     assert paper.row("NOT_OF_THIS_FW")[2:5] == ["not", "told", "1"]
     assert "nothing is written" in paper.text
@@ -174,8 +174,8 @@ def test_a_parameter_that_the_vehicle_does_not_know_is_said_and_not_written() ->
 
 def test_a_fraction_does_not_go_where_the_vehicle_has_an_integer() -> None:
     bench, paper = Bench("px4"), Paper()
-    half = Wanted("COM_OBL_RC_ACT", 0.5, bench.wanted[0].reason)
-    with pytest.raises(Failure, match=r"COM_OBL_RC_ACT: 0\.5 is not a whole number") as caught:
+    half = RequiredParameter("COM_OBL_RC_ACT", 0.5, bench.wanted[0].reason)
+    with pytest.raises(UserError, match=r"COM_OBL_RC_ACT: 0\.5 is not a whole number") as caught:
         write_to(bench.vehicle(), (half,), yes, paper.console)
     assert caught.value.code == 78
 
@@ -183,13 +183,13 @@ def test_a_fraction_does_not_go_where_the_vehicle_has_an_integer() -> None:
 def test_silence_and_the_wrong_firmware_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     silent = Bench("px4")
     silent.mute = True
-    with pytest.raises(Failure, match="no autopilot heard within 10 s") as caught:
+    with pytest.raises(UserError, match="no autopilot heard within 10 s") as caught:
         silent.vehicle()
     assert caught.value.code == 69
     assert capsys.readouterr().err == "uav-recon: memory: waiting for a heartbeat\n"
     other = Bench("ardupilot")
     other.options = ParamsOptions("px4", "memory", None)
-    with pytest.raises(Failure, match=r"link.autopilot in the config, is px4: the vehicle is ArduPilot") as caught:
+    with pytest.raises(UserError, match=r"link.autopilot in the config, is px4: the vehicle is ArduPilot") as caught:
         other.vehicle()
     assert caught.value.code == 78
 
@@ -203,7 +203,7 @@ def test_a_vehicle_that_falls_silent_is_not_written_to_on() -> None:
         bench.mute = True
         return True
 
-    with pytest.raises(Failure, match="fell silent") as caught:
+    with pytest.raises(UserError, match="fell silent") as caught:
         write_to(vehicle, bench.wanted, unplug, paper.console)
     assert caught.value.code == 69
 

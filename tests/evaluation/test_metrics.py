@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from uav_recon.evaluation.metrics import (
-    Truth,
+    SurfaceTruth,
     explored_fraction,
     f_score,
     measure,
@@ -19,23 +19,23 @@ from uav_recon.evaluation.metrics import (
     share_within,
     stream_statistics,
 )
-from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.evaluation.triangle_surface import TriangleSurface
 
 COUNT = 20_000
 
 
-def plane(z_m: float = 0.0, width_m: float = 1.0) -> Surface:
+def plane(z_m: float = 0.0, width_m: float = 1.0) -> TriangleSurface:
     vertices = np.array([[0.0, 0, z_m], [width_m, 0, z_m], [width_m, 1, z_m], [0, 1, z_m]])
-    return Surface(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+    return TriangleSurface(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def truth_of(surface: Surface) -> Truth:
-    return Truth(surface, surface.sample(COUNT, 100), surface.sample(COUNT, 101))
+def truth_of(surface: TriangleSurface) -> SurfaceTruth:
+    return SurfaceTruth(surface, surface.sample(COUNT, 100), surface.sample(COUNT, 101))
 
 
 def test_a_perfect_model_has_no_error_but_the_point_figures_keep_their_floor() -> None:
     box = trimesh.creation.box((1, 1, 1))
-    cube = Surface(box.vertices, box.faces)
+    cube = TriangleSurface(box.vertices, box.faces)
     quality = measure(cube, truth_of(cube), psnr=30.0, samples=COUNT)
     assert quality.accuracy_cm == pytest.approx(0.0, abs=1e-3)
     assert quality.completion_cm == pytest.approx(0.0, abs=1e-3)
@@ -49,7 +49,7 @@ def test_a_perfect_model_has_no_error_but_the_point_figures_keep_their_floor() -
 
 def test_the_floor_of_one_set_of_points_agrees_with_that_of_two() -> None:
     twice = truth_of(plane())
-    once = Truth(twice.surface, twice.points_world)
+    once = SurfaceTruth(twice.surface, twice.points_world)
     floors = [measure(plane(), truth, None, samples=COUNT).point_floor_cm for truth in (once, twice)]
     assert floors[0] == pytest.approx(floors[1], rel=0.05)
 
@@ -73,14 +73,14 @@ def test_half_a_plane_is_accurate_but_not_complete() -> None:
 
 def test_an_unseen_part_of_truth_does_not_count_against_the_model() -> None:
     seen = plane(width_m=0.5)
-    truth = Truth(plane(), seen.sample(COUNT, 1), seen.sample(COUNT, 2))
+    truth = SurfaceTruth(plane(), seen.sample(COUNT, 1), seen.sample(COUNT, 2))
     quality = measure(plane(), truth, psnr=None, samples=COUNT)
     assert quality.accuracy_cm == pytest.approx(0.0, abs=1e-3)
     assert quality.recall_2cm == 1.0
 
 
 def test_an_empty_model_recalls_nothing() -> None:
-    nothing = Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+    nothing = TriangleSurface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
     quality = measure(nothing, truth_of(plane()), psnr=None, samples=COUNT)
     assert quality.accuracy_cm is None and quality.completion_cm is None and quality.completion_point_cm is None
     assert (quality.recall_5cm, quality.f_score_2cm) == (0.0, 0.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uav_recon.evaluation.recall import REACH, WITHIN_M, ElementRecall, time_to
-from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.types.frames import FloatArray
 
 UP = np.array([[0.0, 0.0, 1.0]])
@@ -59,7 +59,9 @@ def test_elements_of_a_sheet_say_what_its_triangles_say() -> None:
     spacing_m = 0.05
     x, y = np.meshgrid(np.arange(0.0, 2.0 + 1e-9, spacing_m), np.arange(0.0, 3.0 + 1e-9, spacing_m), indexing="ij")
     position = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.02)], axis=1)
-    sheet = Surface(np.array([[0, 0, 0.02], [2, 0, 0.02], [2, 3, 0.02], [0, 3, 0.02]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    sheet = TriangleSurface(
+        np.array([[0, 0, 0.02], [2, 0, 0.02], [2, 3, 0.02], [0, 3, 0.02]]), np.array([[0, 1, 2], [0, 2, 3]])
+    )
     truth = np.random.default_rng(1).uniform([0, 0, 0], [4, 3, 0], (20_000, 3))
     by_triangles = float(np.mean(sheet.distance_m(truth) < WITHIN_M))
     by_elements = ElementRecall(truth, spacing_m).of(position, np.tile(UP, (len(position), 1)))

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.evaluation.triangle_surface import TriangleSurface
 
 
-def two_squares() -> Surface:
+def two_squares() -> TriangleSurface:
     """A unit square at z = 0 and, far away, one of area 3 at z = 1: shares 1/4 and 3/4."""
     s = np.sqrt(3.0)
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     vertices = np.concatenate([square, square * s + [10, 0, 1]])
-    return Surface(vertices, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]))
+    return TriangleSurface(vertices, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]))
 
 
 def test_samples_follow_the_area() -> None:
@@ -36,11 +36,11 @@ def test_areas() -> None:
 
 
 def test_an_empty_surface_is_infinitely_far() -> None:
-    nothing = Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+    nothing = TriangleSurface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
     assert nothing.sample(10, 0).shape == (0, 3)
     assert np.isinf(nothing.distance_m(np.zeros((2, 3)))).all()
 
 
 def test_a_face_without_its_vertex_is_refused() -> None:
     with pytest.raises(ValueError, match="0 to 3 of 3"):
-        Surface(np.zeros((3, 3)), np.array([[0, 1, 3]]))
+        TriangleSurface(np.zeros((3, 3)), np.array([[0, 1, 3]]))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from textured_room import ranges_m
 
-from uav_recon.localization.depth_consistency import Credence, _moved
-from uav_recon.localization.past_view_comparison import Agreement
+from uav_recon.localization.depth_consistency import DepthConsistencyMonitor, _moved
+from uav_recon.localization.past_view_comparison import ViewComparison
 from uav_recon.types.camera import Frame, Intrinsics, body_from_camera
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -36,7 +36,7 @@ class Flight:
     """Frames at 6 Hz with noise of depth and pose."""
 
     def __init__(self) -> None:
-        self.credence, self.n, self._dice = Credence(), 0, np.random.default_rng(3)
+        self.credence, self.n, self._dice = DepthConsistencyMonitor(), 0, np.random.default_rng(3)
         self.turning, self._turned_rad = 0.0, 0.0  # rad a picture
 
     def see(self, change: object = None, off_m: tuple[float, float, float] = (0.0, 0.0, 0.0), box: bool = False) -> bool:
@@ -228,8 +228,8 @@ def test_a_jump_of_odom_itself_begins_anew(flight: Flight) -> None:
 
 def _told(
     explained: float = 0.92, shift_m: float = 0.2, count: int = 150, age_s: float = 28.0, fitting: float = 0.45
-) -> Agreement:
-    return Agreement(
+) -> ViewComparison:
+    return ViewComparison(
         count, fitting, 1.0 - fitting, 0.0, np.array([0.0, shift_m, 0.0]), np.diag([0.03, 0.84, 0.05]), explained, age_s,
         np.empty((0, 6)),
     )  # fmt: skip

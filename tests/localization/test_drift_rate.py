@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from textured_room import BARE, CAMERA, Paint, camera_at, depth_of, frame_of, moved, plaster, rgb_of
 
-from uav_recon.localization.drift_rate import Creep
-from uav_recon.localization.planar_patches import patches, pull
+from uav_recon.localization.drift_rate import DriftRateEstimator
+from uav_recon.localization.planar_patches import normal_equations, patches
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -30,7 +30,7 @@ class Flight:
         paint: Paint | None = None,
         tilt_rad: float = 0.0,
     ) -> None:
-        self.creep, self.n, self.peak_mps, self.excess, self._paint = Creep(), 0, 0.0, 0.0, paint
+        self.creep, self.n, self.peak_mps, self.excess, self._paint = DriftRateEstimator(), 0, 0.0, 0.0, paint
         self._velocity, self._begins_s, self._tilt_rad = np.array(velocity), begins_s, np.array([0.0, tilt_rad, 0.0])
 
     @property
@@ -201,7 +201,7 @@ def test_the_other_face_of_a_board_is_another_surface() -> None:
     board_m = np.array([[0.0, -9.0, 0.0], [0.04, 9.0, 9.0]])
     before, behind = camera_at(-0.8, 0.0, 1.2, 0.0), camera_at(0.84, 0.0, 1.2, np.pi)
     then, depth_m = _patches(before, depth_of(before, LARGE_M, board_m)), depth_of(behind, LARGE_M, board_m, seed=1)
-    _, _, held, _ = pull(then, depth_m, CAMERA, behind.rotation(), behind.translation_m, np.zeros(3))
+    _, _, held, _ = normal_equations(then, depth_m, CAMERA, behind.rotation(), behind.translation_m, np.zeros(3))
     assert len(then) > 300
     assert held[0, 0] < 1.0
 
@@ -211,7 +211,7 @@ def test_what_is_far_counts_less(away_m: float, weight: float) -> None:
     """As it was in a hall: a few patches at 5 m, whose noise stays while their view is remembered, passed for creep."""
     here = Pose.from_yaw(0.0, np.array([2.0 - away_m, 0.0, 1.2])) @ body_from_camera(np.zeros(3), 0.0)
     then, depth_m = _patches(here, depth_of(here, OPEN_M, BOARD_M)), depth_of(here, OPEN_M, BOARD_M, seed=1)
-    _, within, held, _ = pull(then, depth_m, CAMERA, here.rotation(), here.translation_m, np.zeros(3))
+    _, within, held, _ = normal_equations(then, depth_m, CAMERA, here.rotation(), here.translation_m, np.zeros(3))
     assert within > 100
     assert held[0, 0] / within == pytest.approx(weight, abs=0.05)
 
@@ -222,7 +222,7 @@ def test_what_lies_off_by_more_than_is_expected_does_not_pull(shift_m: float, ex
     here = Pose.from_yaw(0.0, np.array([0.0, 0.0, 1.2])) @ body_from_camera(np.zeros(3), 1.5)
     shifted, up = moved(here, np.array([0.0, 0.0, shift_m])), np.array([0.0, 0.0, expected_m])
     then, depth_m = _patches(here, depth_of(here, LARGE_M)), depth_of(here, LARGE_M, seed=1)
-    seen, within, held, pulled = pull(then, depth_m, CAMERA, shifted.rotation(), shifted.translation_m, up)
+    seen, within, held, pulled = normal_equations(then, depth_m, CAMERA, shifted.rotation(), shifted.translation_m, up)
     assert seen > 100
     assert (within > 0.95 * seen) if explained else (within == 0)
     if explained:

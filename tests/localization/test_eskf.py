@@ -11,11 +11,11 @@ from uav_recon.localization.eskf import (
     WITH_IMU,
     Estimate,
     PoseNoise,
-    carry,
-    carry_mean,
-    correct,
     innovation,
+    propagate,
+    propagate_mean,
     spread,
+    update_estimate,
 )
 from uav_recon.localization.imu_integration import InertialTrack, Vector, exponential, logarithm, multiply
 
@@ -70,13 +70,13 @@ def test_the_covariance_goes_the_way_of_the_mean(over_s: float) -> None:
     assert here
     start = Estimate.at_rest(base, (1.0, 2.0, 3.0), exponential((0.1, -0.2, 0.7)), QUIET, inertial=True)
     start = start._replace(velocity_mps=(0.3, -0.2, 0.1), gyro_bias_radps=(0.01, -0.02, 0.015))
-    end = carry_mean(start, base, here)
-    columns = [_apart(carry_mean(_moved(start, STEP * unit), base, here), end) / STEP for unit in np.eye(15)]
+    end = propagate_mean(start, base, here)
+    columns = [_apart(propagate_mean(_moved(start, STEP * unit), base, here), end) / STEP for unit in np.eye(15)]
     jacobian = np.stack(columns, axis=1)
-    noise = carry(start._replace(covariance=np.zeros((15, 15))), base, here, QUIET).covariance
+    noise = propagate(start._replace(covariance=np.zeros((15, 15))), base, here, QUIET).covariance
     for unit in np.eye(15):  # each error alone, so that none hides behind a larger one
         alone = start._replace(covariance=np.outer(unit, unit))
-        carried = carry(alone, base, here, QUIET).covariance - noise
+        carried = propagate(alone, base, here, QUIET).covariance - noise
         expected = jacobian @ alone.covariance @ jacobian.T
         np.testing.assert_allclose(carried, expected, atol=(1e-3 + 0.1 * over_s**2) * max(1.0, np.abs(expected).max()))
 
@@ -90,8 +90,8 @@ def test_carried_in_two_steps_or_in_one_the_noise_is_the_same() -> None:
     assert here
     noise = PoseNoise(1e-5, 1e-5, 1e-5, 1e-5)
     start = Estimate.at_rest(base, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), noise, inertial=True)
-    once = carry(start, base, here, noise).covariance
-    twice = carry(carry(start, base, middle, noise), middle, here, noise).covariance
+    once = propagate(start, base, here, noise).covariance
+    twice = propagate(propagate(start, base, middle, noise), middle, here, noise).covariance
     np.testing.assert_allclose(np.diagonal(once), np.diagonal(twice), rtol=0.02)
 
 
@@ -102,7 +102,7 @@ def test_a_whirl_is_one_standard_deviation_of_attitude() -> None:
     calm = base._replace(stamp_s=base.stamp_s + 0.05)
     whirled = calm._replace(whirls_rad=base.whirls_rad + 0.2)
     start = Estimate.at_rest(base, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), QUIET, inertial=True)
-    before, after = (carry(start, base, here, QUIET).covariance.diagonal() for here in (calm, whirled))
+    before, after = (propagate(start, base, here, QUIET).covariance.diagonal() for here in (calm, whirled))
     np.testing.assert_allclose(after - before, [*[0.0] * 6, *[0.04] * 3, *[0.0] * 6], atol=1e-12)
 
 
@@ -117,11 +117,11 @@ def test_a_pose_pulls_by_the_share_of_the_variances() -> None:
     residual = innovation(state, base, (0.1, 0.0, 0.0), exponential((0.0, 0.0, 0.05)))
     np.testing.assert_allclose(residual, [0.1, 0.0, 0.0, 0.0, 0.0, 0.05], atol=1e-12)
     np.testing.assert_allclose(spread(state, noise), 5e-4 * np.eye(6), atol=1e-15)
-    after = correct(state, residual, noise)
+    after = update_estimate(state, residual, noise)
     np.testing.assert_allclose(after.position_m, [0.08, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(logarithm(after.odom_from_body(base)), [0.0, 0.0, 0.04], atol=1e-9)
     np.testing.assert_allclose(np.diagonal(after.covariance)[:3], 0.8e-4)
-    doubted = correct(state, residual, noise, doubt=4.0)
+    doubted = update_estimate(state, residual, noise, doubt=4.0)
     np.testing.assert_allclose(doubted.position_m, [0.05, 0.0, 0.0], atol=1e-12)
 
 

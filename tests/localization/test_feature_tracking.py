@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from textured_room import RGB_LENS, camera_at, depth_of, frame_of, moved, plaster, rgb_of
 
-from uav_recon.localization.feature_tracking import Flow, Seen
+from uav_recon.localization.feature_tracking import FeatureTracker, TrackedPoints
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
@@ -23,7 +23,9 @@ def _frame(n: int, camera: Pose, lens: Intrinsics = RGB_LENS) -> Frame:
     return frame_of(n * PERIOD_S, depth_of(camera, ROOM_M, seed=n), rgb, lens)
 
 
-def _flown(flow: Flow, pictures: int, drift: FloatArray | None = None, lens: Intrinsics = RGB_LENS) -> Seen | None:
+def _flown(
+    flow: FeatureTracker, pictures: int, drift: FloatArray | None = None, lens: Intrinsics = RGB_LENS
+) -> TrackedPoints | None:
     """Sideways and turning; odom moves off by a drift (3,) m/s."""
     seen = None
     for n in range(pictures):
@@ -32,7 +34,7 @@ def _flown(flow: Flow, pictures: int, drift: FloatArray | None = None, lens: Int
     return seen
 
 
-def _shift(seen: Seen) -> FloatArray:
+def _shift(seen: TrackedPoints) -> FloatArray:
     """Velocity (3,) by all points, least squares."""
     rows = (seen.along * seen.age_s[:, None, None]).reshape(-1, 3)
     return np.asarray(np.linalg.lstsq(rows, seen.off_m.ravel(), rcond=None)[0])
@@ -40,7 +42,7 @@ def _shift(seen: Seen) -> FloatArray:
 
 @pytest.mark.parametrize("drift", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.03, 0.03, 0.05)])
 def test_points_tell_how_odom_moves_off(drift: tuple[float, float, float]) -> None:
-    seen = _flown(Flow(), 10, np.array(drift))
+    seen = _flown(FeatureTracker(), 10, np.array(drift))
     assert seen is not None and len(seen.age_s) > 40
     np.testing.assert_allclose(_shift(seen), drift, atol=0.008)
     off_m = seen.off_m - (seen.along @ np.array(drift)) * seen.age_s[:, None]
@@ -49,13 +51,13 @@ def test_points_tell_how_odom_moves_off(drift: tuple[float, float, float]) -> No
 
 def test_a_large_picture_is_made_smaller_and_tells_the_same() -> None:
     drift, lens = np.array([0.0, 0.05, 0.0]), Intrinsics.from_fov(848, 479, 1.20, 0.73)
-    seen = _flown(Flow(), 10, drift, lens)
+    seen = _flown(FeatureTracker(), 10, drift, lens)
     assert seen is not None and len(seen.age_s) > 40
     np.testing.assert_allclose(_shift(seen), drift, atol=0.008)
 
 
 def test_points_are_given_up_after_two_seconds() -> None:
-    seen = _flown(Flow(), 30)
+    seen = _flown(FeatureTracker(), 30)
     assert seen is not None
     assert PERIOD_S <= seen.age_s.max() <= 2.0
     assert len(seen.age_s) <= 120
@@ -63,13 +65,13 @@ def test_points_are_given_up_after_two_seconds() -> None:
 
 def test_what_is_farther_off_than_the_window_is_still_found() -> None:
     """Odom stays behind by more than the points' windows reach; each picture only adds a little."""
-    seen = _flown(Flow(), 12, np.array([0.0, 0.2, 0.0]))
+    seen = _flown(FeatureTracker(), 12, np.array([0.0, 0.2, 0.0]))
     assert seen is not None and len(seen.age_s) > 20
     np.testing.assert_allclose(_shift(seen), (0.0, 0.2, 0.0), atol=0.02)
 
 
 def test_a_frozen_picture_tells_nothing() -> None:
-    flow = Flow()
+    flow = FeatureTracker()
     frame = _frame(0, HERE)
     for n in range(8):
         shown = dataclasses.replace(frame, stamp_s=n * PERIOD_S)
@@ -78,7 +80,7 @@ def test_a_frozen_picture_tells_nothing() -> None:
 
 @pytest.mark.parametrize("wrong", ["stamp", "empty", "black", "of noise"])
 def test_what_is_no_picture_tells_nothing(wrong: str) -> None:
-    flow, rng = Flow(), np.random.default_rng(1)
+    flow, rng = FeatureTracker(), np.random.default_rng(1)
     for n in range(6):
         frame = _frame(n, HERE)
         rgb = {
@@ -93,7 +95,7 @@ def test_what_is_no_picture_tells_nothing(wrong: str) -> None:
 
 @pytest.mark.parametrize("why", ["a pause", "odom begins anew"])
 def test_nothing_is_compared_across(why: str) -> None:
-    flow = Flow()
+    flow = FeatureTracker()
     assert flow.hear(_frame(0, HERE), HERE) is None
     assert flow.hear(_frame(1, HERE), HERE) is not None
     if why == "odom begins anew":
@@ -102,6 +104,6 @@ def test_nothing_is_compared_across(why: str) -> None:
 
 
 def test_what_has_no_depth_is_not_followed() -> None:
-    flow = Flow()
+    flow = FeatureTracker()
     for n in range(3):
         assert flow.hear(dataclasses.replace(_frame(n, HERE), depth_m=np.full((120, 212), np.nan, np.float32)), HERE) is None

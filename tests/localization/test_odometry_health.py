@@ -2,14 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from uav_recon.localization.odometry_health import Watch
+from uav_recon.localization.odometry_health import OdometryHealthMonitor
 from uav_recon.types.pose import PoseHealth
 
 GOOD, DEGRADED, LOST = PoseHealth.GOOD, PoseHealth.DEGRADED, PoseHealth.LOST
 
 
-def _watch(rate_hz: float = 15.0, nis: float = 6.0, seconds: float = 3.0) -> Watch:
-    watch = Watch(pose_lost_s=0.5)
+def _watch(rate_hz: float = 15.0, nis: float = 6.0, seconds: float = 3.0) -> OdometryHealthMonitor:
+    watch = OdometryHealthMonitor(pose_lost_s=0.5)
     watch.begin(0.0)
     for k in range(int(rate_hz * seconds)):
         watch.fused(k / rate_hz, nis)

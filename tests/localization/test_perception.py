@@ -10,11 +10,11 @@ from figure_eight import FigureEight, perfect_imu
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.localization.camera_mount import FixedMount
-from uav_recon.localization.depth_consistency import Credence
+from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
 MOTION = FigureEight(start_s=200.0)
@@ -89,7 +89,7 @@ def _run(world: World, duration_s: float = 4.0, frame_wait_s: float = 0.2) -> tu
     odom, frames, seen = MemoryChannel(StampedPose), MemoryChannel(PosedFrame), Seen()
     mount = FixedMount(BODY_FROM_DEPTH)
     perception = Perception(
-        world, world, FusionFilter(), mount, odom, frames, MemoryChannel(Nearby), world.clock, frame_wait_s=frame_wait_s
+        world, world, FusionFilter(), mount, odom, frames, MemoryChannel(MinRangeGrid), world.clock, frame_wait_s=frame_wait_s
     )
     for step in range(int(duration_s * 100)):
         world.clock.advance_to(MOTION.start_s + step / 100)
@@ -121,7 +121,9 @@ def test_odometry_comes_at_30_hz_stamped_now(world: World) -> None:
 
 
 def test_odometry_that_depth_contradicts_is_wrong_and_as_good_as_before(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Credence, "drift", lambda _, now_s: "odom creeps" if now_s >= MOTION.start_s + 1.0 else "")
+    monkeypatch.setattr(
+        DepthConsistencyMonitor, "drift", lambda _, now_s: "odom creeps" if now_s >= MOTION.start_s + 1.0 else ""
+    )
     _perception, seen = _run(world, 2.0)
     told = [odom for odom in seen.odom if odom.stamp_s >= MOTION.start_s + 1.0]
     assert len(told) >= 25
@@ -225,7 +227,7 @@ def test_stamps_of_another_clock_shut_out_none_of_those_after_it(world: World, o
 def test_a_step_without_anything_is_quiet() -> None:
     world = World(ManualClock(0.0), poses_until_s=0.0)
     odom, frames = MemoryChannel(StampedPose), MemoryChannel(PosedFrame)
-    nearby = MemoryChannel(Nearby)
+    nearby = MemoryChannel(MinRangeGrid)
     perception = Perception(world, world, FusionFilter(), FixedMount(BODY_FROM_DEPTH), odom, frames, nearby, world.clock)
     perception.step()
     assert odom.latest() is None

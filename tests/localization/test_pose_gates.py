@@ -6,10 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uav_recon.localization.pose_gates import Gates, Sighting, doubt, surprise, tether, unfit
+from uav_recon.localization.pose_gates import (
+    PoseGates,
+    Sighting,
+    max_step_noise_scale,
+    normalized_innovation_squared,
+    outlier_noise_scale,
+    pose_fault,
+)
 from uav_recon.types.pose import Pose, StampedPose
 
-GATES = Gates()
+GATES = PoseGates()
 POSE = StampedPose(10.0, Pose.identity(), np.zeros(3))
 
 
@@ -80,23 +87,23 @@ def test_two_metres_a_second_is_the_fastest_way(way_m: float, word: str) -> None
     ],
 )
 def test_what_is_wrong_with_a_pose_by_itself(pose: StampedPose, word: str) -> None:
-    assert unfit(pose, now_s=10.05) == word
+    assert pose_fault(pose, now_s=10.05) == word
 
 
 def test_the_surprise_is_the_squared_distance_in_standard_deviations() -> None:
     residual = np.array([0.02, 0.0, 0.0, 0.0, 0.01, 0.0])
-    assert surprise(residual, _spread()) == pytest.approx(4.0 + 4.0)
+    assert normalized_innovation_squared(residual, _spread()) == pytest.approx(4.0 + 4.0)
 
 
 def test_an_implausible_pose_counts_for_less_a_plausible_one_in_full() -> None:
-    assert doubt(6.0) == doubt(22.4) == 1.0
-    assert doubt(224.6) == pytest.approx(10.0)
+    assert outlier_noise_scale(6.0) == outlier_noise_scale(22.4) == 1.0
+    assert outlier_noise_scale(224.6) == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize(("way_m", "track_m2"), [(0.01, 1e-4), (0.1, 1e-4), (0.4, 0.04), (0.05, 1.0)])
 def test_no_pose_moves_odometry_by_more_than_three_centimetres(way_m: float, track_m2: float) -> None:
     white_m2 = 1.5e-5
-    times = tether(_residual(way_m), track_m2, white_m2)
+    times = max_step_noise_scale(_residual(way_m), track_m2, white_m2)
     step_m = way_m * track_m2 / (track_m2 + times * white_m2)
     assert times >= 1.0
     assert step_m <= 0.03 + 1e-12

@@ -7,7 +7,7 @@ import pytest
 
 from uav_recon.localization.imu_integration import exponential, multiply, rotate
 from uav_recon.localization.pose_gates import Sighting
-from uav_recon.localization.relocalization_check import RETURN, STEP, Trial
+from uav_recon.localization.relocalization_check import RETURN, STEP, RelocalizationCheck
 from uav_recon.types.pose import Pose, StampedPose
 
 SOURCE = StampedPose(0.0, Pose.identity(), np.zeros(3))
@@ -28,8 +28,8 @@ def _said(k: int, slip_m: float = 0.0, slip_rad: float = 0.0) -> Sighting:
     return Sighting(track.stamp_s, (x + 5.0 + slip_m, y, z), attitude, SOURCE)
 
 
-def _run(said: list[Sighting], *, inertial: bool = True) -> Trial:
-    trial = Trial()
+def _run(said: list[Sighting], *, inertial: bool = True) -> RelocalizationCheck:
+    trial = RelocalizationCheck()
     for sighting in said:
         trial.hear(sighting, _track(round(sighting.stamp_s * 15)), inertial)
     return trial

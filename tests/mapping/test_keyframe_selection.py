@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mapping.keyframe_selection import SIGHTINGS, UNIT, Coverage
+from uav_recon.mapping.keyframe_selection import SIGHTINGS, UNIT, KeyframeSelection
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
@@ -24,12 +24,12 @@ def wall_seen(y: float, yaw_rad: float, depth_m: float = 2.0) -> PosedFrame:
 
 
 @pytest.fixture()
-def coverage() -> Coverage:
+def coverage() -> KeyframeSelection:
     grid = GridSpec.covering(LOW - 0.3, HIGH + 0.3, 0.1)
-    return Coverage(grid, LOW, HIGH, noise_px=0.01, baseline_m=0.05)
+    return KeyframeSelection(grid, LOW, HIGH, noise_px=0.01, baseline_m=0.05)
 
 
-def test_new_surface_is_worth_a_view_and_the_same_picture_is_not(coverage: Coverage) -> None:
+def test_new_surface_is_worth_a_view_and_the_same_picture_is_not(coverage: KeyframeSelection) -> None:
     posed = wall_seen(0.0, 0.0)
     assert coverage.worth(posed, views_left=MANY)
     coverage.keep(posed)
@@ -37,7 +37,7 @@ def test_new_surface_is_worth_a_view_and_the_same_picture_is_not(coverage: Cover
     assert not coverage.worth(wall_seen(0.05, 0.0), views_left=MANY)  # moved less than the baseline
 
 
-def test_surface_wants_several_looks_and_then_no_more(coverage: Coverage) -> None:
+def test_surface_wants_several_looks_and_then_no_more(coverage: KeyframeSelection) -> None:
     for i in range(int(SIGHTINGS) + 4):
         posed = wall_seen(0.3 * (i % 2), 0.0)
         coverage.keep(posed)
@@ -45,7 +45,7 @@ def test_surface_wants_several_looks_and_then_no_more(coverage: Coverage) -> Non
     assert coverage.worth(wall_seen(0.0, np.pi), views_left=MANY)
 
 
-def test_the_sum_of_looks_is_kept_and_a_mere_glance_leaves_nothing(coverage: Coverage) -> None:
+def test_the_sum_of_looks_is_kept_and_a_mere_glance_leaves_nothing(coverage: KeyframeSelection) -> None:
     rng = np.random.default_rng(4)
     for step in range(40):
         posed = wall_seen(float(rng.uniform(-1, 1)), float(rng.uniform(-0.3, 0.3)), float(rng.uniform(0.5, 1.9)))
@@ -62,18 +62,18 @@ def test_vague_depth_counts_for_less() -> None:
     grid = GridSpec.covering(LOW - 6.0, HIGH + 6.0, 0.1)
     gains = []
     for noise_px in (0.01, 0.2):
-        coverage = Coverage(grid, LOW, HIGH, noise_px=noise_px, baseline_m=0.05)
+        coverage = KeyframeSelection(grid, LOW, HIGH, noise_px=noise_px, baseline_m=0.05)
         coverage.keep(wall_seen(0.0, 0.0, depth_m=4.0))
         gains.append(coverage.looks_given())
     assert gains[1] < 0.5 * gains[0]
 
 
-def test_no_budget_and_no_depth_are_worth_nothing(coverage: Coverage) -> None:
+def test_no_budget_and_no_depth_are_worth_nothing(coverage: KeyframeSelection) -> None:
     assert not coverage.worth(wall_seen(0.0, 0.0), views_left=0)
     assert not coverage.worth(wall_seen(0.0, 0.0, depth_m=float("nan")), views_left=60)
 
 
-def test_a_smaller_budget_is_harder_to_please(coverage: Coverage) -> None:
+def test_a_smaller_budget_is_harder_to_please(coverage: KeyframeSelection) -> None:
     """The share each remaining view must bring grows as the budget shrinks."""
     posed = wall_seen(0.0, 0.0, depth_m=1.0)  # sees little
     assert coverage.worth(posed, views_left=2000)

@@ -12,10 +12,10 @@ from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock
 from uav_recon.config import MotionConfig
 from uav_recon.mission.conductor import Conductor
-from uav_recon.mission.mission_setup import MissionWires, Orders, Stages
+from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 from uav_recon.mission.state_machine import Phase
 from uav_recon.motion import MotionPlanner
-from uav_recon.motion.speed_limited_planner import Paced
+from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
 from uav_recon.recording.flight_log import FlightLog
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
@@ -142,16 +142,18 @@ class Desk:
 
     def __init__(self, folder: Path, views: int = 50, operator_timeout_s: float = math.inf) -> None:
         self.clock = ManualClock(100.0)
-        self.wires = MissionWires(
+        self.wires = MissionChannels(
             MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
             MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
             MemoryChannel(MapCorrection), MemoryChannel(FreeSpace),
         )  # fmt: skip
         self.voxels, self.planner, self.mapper = OpenSpace(), ThreeViews(), Sketchbook()
         motion = MotionPlanner(MotionConfig(), 0.35)
-        orders = Orders(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s)
+        orders = MissionParameters(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s)
         self.retreat = Asked(MotionConfig(), 0.30)
-        stages = Stages(self.voxels, NoExtraViews(), self.mapper, self.planner, self.paced(motion), self.paced(self.retreat))
+        stages = MissionStages(
+            self.voxels, NoExtraViews(), self.mapper, self.planner, self.paced(motion), self.paced(self.retreat)
+        )
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
@@ -195,9 +197,9 @@ class Desk:
         return math.hypot(*self._place_m[:2])
 
     @staticmethod
-    def paced(usual: MotionPlanner) -> Paced:
+    def paced(usual: MotionPlanner) -> SpeedLimitedPlanner:
         """With a slow one beside it."""
-        return Paced(usual, MotionPlanner(MotionConfig(speed_mps=0.2, tight_speed_mps=0.2), 0.35), 1.0)
+        return SpeedLimitedPlanner(usual, MotionPlanner(MotionConfig(speed_mps=0.2, tight_speed_mps=0.2), 0.35), 1.0)
 
     def _vehicle(self) -> None:
         intent = self.wires.intent.latest()

@@ -7,14 +7,16 @@ from collections.abc import Iterable
 
 import pytest
 
-from uav_recon.mission.battery_gauge import Charge
+from uav_recon.mission.battery_gauge import BatteryGaugeFilter
 
 PERIOD_S = 0.05
 
 
-def told(*said: tuple[float, float], charge: Charge | None = None, flying: bool = True, begun_s: float = 0.0) -> Charge:
+def told(
+    *said: tuple[float, float], charge: BatteryGaugeFilter | None = None, flying: bool = True, begun_s: float = 0.0
+) -> BatteryGaugeFilter:
     """A charge that was told each share for so many seconds."""
-    charge = charge or Charge()
+    charge = charge or BatteryGaugeFilter()
     for k, share in enumerate(_each(said)):
         charge.hear(begun_s + k * PERIOD_S, share, flying)
     return charge
@@ -40,7 +42,7 @@ def test_a_word_that_comes_and_goes_is_never_believed() -> None:
 
 
 def test_a_steady_fall_is_followed_three_seconds_late() -> None:
-    charge = Charge()
+    charge = BatteryGaugeFilter()
     for k in range(400):
         charge.hear(k * PERIOD_S, 0.40 - 0.01 * k * PERIOD_S, flying=True)
     assert charge.left == pytest.approx(0.40 - 0.01 * (400 * PERIOD_S - 3.0), abs=0.002)

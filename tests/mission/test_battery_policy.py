@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from conductor_fixture import Desk
 
-from uav_recon.mission.battery_policy import Steward
-from uav_recon.mission.flight_track import Course
+from uav_recon.mission.battery_policy import BatteryPolicy
+from uav_recon.mission.flight_track import FlightTrack
 from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.pose import Pose
@@ -29,8 +29,8 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
 
 def turned_back_at(far_m: float, most_mps: float = math.inf, per_s: float = 0.002) -> tuple[float, str]:
     """The true share that is left when a vehicle that waits so far away wants home, and why; from 90 %, so much a second."""
-    course = Course(0.0)
-    steward = Steward(course, HOME_M, 0.4)
+    course = FlightTrack(0.0)
+    steward = BatteryPolicy(course, HOME_M, 0.4)
     for k in range(100_000):
         place = np.array([min(0.1 * k, far_m), 0.0, 1.1])
         gauge = round(0.9 - per_s * 0.1 * k, 2)
@@ -56,8 +56,8 @@ def test_while_nothing_fast_is_let_pass_it_turns_back_earlier() -> None:
 
 
 def test_a_moment_in_which_nothing_fast_is_let_pass_calls_nobody_home() -> None:
-    course = Course(0.0)
-    steward, needed = Steward(course, HOME_M, 0.4), list[float]()
+    course = FlightTrack(0.0)
+    steward, needed = BatteryPolicy(course, HOME_M, 0.4), list[float]()
     for k in range(1_000):
         most_mps = 0.3 if 900 <= k < 920 else math.inf
         vehicle = VehicleState(0.1 * k, Pose.from_yaw(0.0, np.array([min(0.1 * k, 12.0), 0.0, 1.1])), np.zeros(3), True,

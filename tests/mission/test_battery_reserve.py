@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uav_recon.mission.battery_gauge import Charge
+from uav_recon.mission.battery_gauge import BatteryGaugeFilter
 from uav_recon.mission.battery_reserve import (
     AROUND_S,
     LAND_AT,
@@ -16,7 +16,7 @@ from uav_recon.mission.battery_reserve import (
     MARGIN,
     PACE_MPS,
     TAKE_OFF,
-    Burn,
+    ConsumptionEstimator,
     flight_s,
     least_for,
 )
@@ -28,9 +28,11 @@ SHARES = st.floats(0.0, 1.0)
 WORDS = st.lists(st.one_of(SHARES, st.just(math.nan)), max_size=300)
 
 
-def flown(share: float, per_s: float, for_s: float, grain: float = 0.01) -> tuple[Burn, Charge, float]:
+def flown(
+    share: float, per_s: float, for_s: float, grain: float = 0.01
+) -> tuple[ConsumptionEstimator, BatteryGaugeFilter, float]:
     """A flight that burns so much, told by a gauge in whole hundredths."""
-    burn, charge = Burn(), Charge()
+    burn, charge = ConsumptionEstimator(), BatteryGaugeFilter()
     now_s = 0.0
     for k in range(round(for_s / PERIOD_S) + 1):
         now_s = k * PERIOD_S
@@ -78,7 +80,7 @@ def test_a_steady_burn_is_met_two_grains_below_at_worst_and_a_pessimistic_minute
 @settings(deadline=None)
 @given(WORDS)
 def test_whatever_a_gauge_says_the_figures_are_figures(words: list[float]) -> None:
-    charge, burn = Charge(), Burn()
+    charge, burn = BatteryGaugeFilter(), ConsumptionEstimator()
     for k, word in enumerate(words):
         charge.hear(0.5 * k, word, flying=True)
         burn.hear(0.5 * k, charge.left, flying=True)
@@ -87,8 +89,8 @@ def test_whatever_a_gauge_says_the_figures_are_figures(words: list[float]) -> No
 
 
 def test_before_anything_is_measured_a_battery_of_eight_minutes_is_feared() -> None:
-    assert Burn().per_s(0.0) == 0.002
-    burn = Burn()
+    assert ConsumptionEstimator().per_s(0.0) == 0.002
+    burn = ConsumptionEstimator()
     burn.hear(0.0, 0.9, flying=True)
     assert burn.per_s(0.0) == 0.002
     assert not burn.reckoned(29.0)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_recon.mission.flight_track import BREADCRUMB_M, Course
+from uav_recon.mission.flight_track import BREADCRUMB_M, FlightTrack
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Trajectory
 from uav_recon.types.vehicle import FlightPhase, VehicleState
@@ -19,7 +19,7 @@ def vehicle_at(x: float, y: float, z: float = 1.0, *, armed: bool = True, yaw_ra
 
 
 def test_a_hold_is_where_the_pilot_brings_it_to_rest() -> None:
-    course, vehicle = Course(0.2), vehicle_at(1.0, 0.0)
+    course, vehicle = FlightTrack(0.2), vehicle_at(1.0, 0.0)
     assert course.place(vehicle).position_m.tolist() == [1.0, 0.0, 1.0]
     stopped = dataclasses.replace(vehicle, world_from_rest=Pose.from_yaw(0.5, np.array([1.3, 0.1, 1.0])))
     held = course.place(stopped)
@@ -29,7 +29,7 @@ def test_a_hold_is_where_the_pilot_brings_it_to_rest() -> None:
 
 
 def test_path_length_counts_only_flight() -> None:
-    course = Course(0.0)
+    course = FlightTrack(0.0)
     course.follow(vehicle_at(0.0, 0.0, armed=False))
     course.follow(vehicle_at(5.0, 0.0, armed=False))
     course.follow(vehicle_at(6.0, 0.0))
@@ -41,7 +41,7 @@ def test_path_length_counts_only_flight() -> None:
     ("x", "yaw_rad", "followed"), [(0.9, 0.0, True), (0.4, 0.0, False), (1.0, 0.5, True), (1.0, -0.7, False), (1.0, 6.2, True)]
 )
 def test_a_vehicle_follows_where_it_is_about_there_and_looks_that_way(x: float, yaw_rad: float, followed: bool) -> None:
-    course = Course(0.0)
+    course = FlightTrack(0.0)
     course.follow(vehicle_at(x, 0.0, yaw_rad=yaw_rad))
     assert not course.is_followed(10.0), "nothing is flown"
     places, still, flat = np.array([[0.0, 0.0, 1.0], [2.0, 0.0, 1.0]]), np.zeros((2, 3)), np.zeros(2)
@@ -50,7 +50,7 @@ def test_a_vehicle_follows_where_it_is_about_there_and_looks_that_way(x: float, 
 
 
 def test_the_way_back_leaves_out_the_climb_from_the_pad() -> None:
-    course = Course(0.0)
+    course = FlightTrack(0.0)
     for z in np.arange(0.1, 1.15, 0.05):
         course.follow(vehicle_at(0.0, 0.0, z))
     for x in np.arange(0.0, 2.0, 0.05):
@@ -62,7 +62,7 @@ def test_the_way_back_leaves_out_the_climb_from_the_pad() -> None:
 
 
 def test_the_way_back_cuts_loops_and_ends_at_the_start() -> None:
-    course = Course(0.0)
+    course = FlightTrack(0.0)
     circle = [(1 + np.sin(a), 1 - np.cos(a)) for a in np.linspace(0, 2 * np.pi, 60)]
     for x, y in [*[(0.05 * i, 0.0) for i in range(20)], *circle, *[(1 + 0.05 * i, 0.0) for i in range(20)]]:
         course.follow(vehicle_at(x, y))
@@ -75,7 +75,7 @@ def test_the_way_back_cuts_loops_and_ends_at_the_start() -> None:
 
 def test_the_way_back_is_that_of_plain_loops_over_all_pairs() -> None:
     rng = np.random.default_rng(5)
-    course, here = Course(0.0), np.array([0.0, 0.0, 1.0])
+    course, here = FlightTrack(0.0), np.array([0.0, 0.0, 1.0])
     for goal in rng.uniform((-4.0, -4.0, 0.6), (4.0, 4.0, 1.8), (12, 3)):
         for share in np.linspace(0.0, 1.0, 40):
             course.follow(vehicle_at(*(here + share * (goal - here))))

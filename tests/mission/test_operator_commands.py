@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from uav_recon.channels import MemoryChannel
-from uav_recon.mission.operator_commands import StandingOrders
-from uav_recon.types.operator_command import GivenOrder, Order
+from uav_recon.mission.operator_commands import OperatorCommandReceiver
+from uav_recon.types.operator_command import GivenCommand, OperatorCommand
 
 
 class Conductor:
@@ -34,33 +34,33 @@ class Conductor:
 @pytest.mark.parametrize(
     ("order", "asked"),
     [
-        (Order.START, ["resume", "start"]),
-        (Order.HOLD, ["hold"]),
-        (Order.RETURN, ["return"]),
-        (Order.LAND, ["the operator asked to land"]),
+        (OperatorCommand.START, ["resume", "start"]),
+        (OperatorCommand.HOLD, ["hold"]),
+        (OperatorCommand.RETURN, ["return"]),
+        (OperatorCommand.LAND, ["the operator asked to land"]),
     ],
 )
-def test_each_order_is_passed_on_once(order: Order, asked: list[str]) -> None:
-    channel, conductor = MemoryChannel(GivenOrder), Conductor()
-    standing = StandingOrders(channel, 10.0)
-    channel.publish(GivenOrder(11.0, order))
+def test_each_order_is_passed_on_once(order: OperatorCommand, asked: list[str]) -> None:
+    channel, conductor = MemoryChannel(GivenCommand), Conductor()
+    standing = OperatorCommandReceiver(channel, 10.0)
+    channel.publish(GivenCommand(11.0, order))
     for _ in range(3):
         standing.pass_on(conductor, warm=True, autostart=False)
     assert [word for word in conductor.asked if word != "start"] == [word for word in asked if word != "start"]
-    assert ("start" in conductor.asked) is (order is Order.START)
+    assert ("start" in conductor.asked) is (order is OperatorCommand.START)
 
 
 def test_what_was_said_to_an_earlier_mission_starts_nothing() -> None:
-    channel, conductor = MemoryChannel(GivenOrder), Conductor()
-    channel.publish(GivenOrder(9.9, Order.START))
-    StandingOrders(channel, 10.0).pass_on(conductor, warm=True, autostart=False)
+    channel, conductor = MemoryChannel(GivenCommand), Conductor()
+    channel.publish(GivenCommand(9.9, OperatorCommand.START))
+    OperatorCommandReceiver(channel, 10.0).pass_on(conductor, warm=True, autostart=False)
     assert conductor.asked == []
 
 
 def test_a_start_waits_until_everything_is_warm() -> None:
-    channel, conductor = MemoryChannel(GivenOrder), Conductor()
-    standing = StandingOrders(channel, 10.0)
-    channel.publish(GivenOrder(11.0, Order.START))
+    channel, conductor = MemoryChannel(GivenCommand), Conductor()
+    standing = OperatorCommandReceiver(channel, 10.0)
+    channel.publish(GivenCommand(11.0, OperatorCommand.START))
     standing.pass_on(conductor, warm=False, autostart=False)
     assert conductor.asked == ["resume"]
     standing.pass_on(conductor, warm=True, autostart=False)
@@ -69,7 +69,7 @@ def test_a_start_waits_until_everything_is_warm() -> None:
 
 def test_where_it_starts_by_itself_nobody_is_asked() -> None:
     conductor = Conductor()
-    standing = StandingOrders(MemoryChannel(GivenOrder), 10.0)
+    standing = OperatorCommandReceiver(MemoryChannel(GivenCommand), 10.0)
     standing.pass_on(conductor, warm=False, autostart=True)
     assert conductor.asked == []
     standing.pass_on(conductor, warm=True, autostart=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from uav_recon.mission.operator_watchdog import Attendance
+from uav_recon.mission.operator_watchdog import OperatorWatchdog
 
 HZ = 30
 
@@ -18,7 +18,7 @@ def told(
     """What is told of a flight that begins at 100 s with an operator there, and when it had to go home; instants count from
     there. heard: whether there is a sign of life in that second.
     """
-    one, heard_s = Attendance(timeout_s), 100.0
+    one, heard_s = OperatorWatchdog(timeout_s), 100.0
     one.hear(100.0, heard_s, flying=False)
     assert not one.missing
     news, lost = list[tuple[float, str]](), list[float]()
@@ -35,7 +35,7 @@ def told(
 
 
 def test_a_flight_begins_only_while_somebody_attends() -> None:
-    one = Attendance(30.0)
+    one = OperatorWatchdog(30.0)
     assert one.missing == "no operator attends: uav-recon status --watch", "before anything was heard at all"
     one.hear(100.0, -math.inf, flying=False)
     assert one.missing
@@ -78,18 +78,18 @@ def test_signs_under_five_seconds_apart_are_no_silence() -> None:
 
 
 def test_where_nobody_need_attend_nothing_is_missed() -> None:
-    one = Attendance()
+    one = OperatorWatchdog()
     for now_s, flying in ((100.0, False), (101.0, True), (5000.0, True)):
         assert one.hear(now_s, -math.inf, flying) == ""
         assert (one.missing, one.lost, one.note) == ("", "", "")
 
 
 def test_a_pilot_that_has_forgotten_takes_nothing_away() -> None:
-    one = Attendance(30.0)
+    one = OperatorWatchdog(30.0)
     one.hear(100.0, 99.5, flying=True)
     one.hear(104.0, -math.inf, flying=True)
     assert one.note == ""
-    fresh = Attendance(30.0)
+    fresh = OperatorWatchdog(30.0)
     fresh.hear(100.0, -math.inf, flying=True)
     fresh.hear(104.0, -math.inf, flying=True)
     assert (fresh.note, fresh.lost) == ("", "")
@@ -98,7 +98,7 @@ def test_a_pilot_that_has_forgotten_takes_nothing_away() -> None:
 
 
 def test_a_sign_from_the_future_is_none() -> None:
-    one = Attendance(30.0)
+    one = OperatorWatchdog(30.0)
     one.hear(100.0, 99.5, flying=True)
     one.hear(131.0, 1e9, flying=True)
     assert one.lost

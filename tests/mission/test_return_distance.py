@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from uav_recon.mission.return_distance import length_m
+from uav_recon.mission.return_distance import return_distance_m
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 
@@ -35,23 +35,23 @@ def corner() -> FloatArray:
 
 
 def test_without_a_map_and_in_the_unknown_it_is_the_way_that_was_flown() -> None:
-    assert length_m(corner(), None, CLEARANCE_M) == pytest.approx(12.0)
-    assert length_m(corner(), room(known=False), CLEARANCE_M) == pytest.approx(12.0)
+    assert return_distance_m(corner(), None, CLEARANCE_M) == pytest.approx(12.0)
+    assert return_distance_m(corner(), room(known=False), CLEARANCE_M) == pytest.approx(12.0)
 
 
 def test_in_the_open_it_is_the_straight_line() -> None:
-    assert length_m(corner(), room(), CLEARANCE_M) == pytest.approx(6.0 * 2**0.5)
+    assert return_distance_m(corner(), room(), CLEARANCE_M) == pytest.approx(6.0 * 2**0.5)
 
 
 def test_round_a_wall_it_is_the_way_round_it() -> None:
     pillar = (slice(25, 45), slice(35, 80), slice(0, 20))
-    there = length_m(corner(), room(pillar), CLEARANCE_M)
+    there = return_distance_m(corner(), room(pillar), CLEARANCE_M)
     assert 6.0 * 2**0.5 < there <= 12.0
 
 
 def test_no_way_is_no_length() -> None:
-    assert length_m(np.zeros((1, 3)), room(), CLEARANCE_M) == 0.0
-    assert length_m(np.zeros((3, 3)), room(), CLEARANCE_M) == 0.0
+    assert return_distance_m(np.zeros((1, 3)), room(), CLEARANCE_M) == 0.0
+    assert return_distance_m(np.zeros((3, 3)), room(), CLEARANCE_M) == 0.0
 
 
 @settings(deadline=None)
@@ -60,4 +60,4 @@ def test_never_longer_than_what_was_flown_and_never_shorter_than_the_straight_li
     voxels = room((slice(30, 40), slice(0, 60), slice(0, 20))) if walled else room()
     flown_m = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
     straight_m = float(np.linalg.norm(way[-1] - way[0]))
-    assert straight_m - 1e-9 <= length_m(way, voxels, CLEARANCE_M) <= flown_m + 1e-9
+    assert straight_m - 1e-9 <= return_distance_m(way, voxels, CLEARANCE_M) <= flown_m + 1e-9

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from uav_recon.motion import MotionPlanner
-from uav_recon.motion.yaw_policy import AT_VIEWS, BLIND_SHARE, SHARE, NoseAhead
+from uav_recon.motion.yaw_policy import AT_VIEWS, BLIND_SHARE, SHARE, YawAlongPath
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
@@ -18,7 +18,7 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 HALF_TAN = (float(np.tan(np.radians(87.0) / 2)), float(np.tan(np.radians(58.0) / 2)))
 ALLOWED_MPS = 0.30  # by the guard
 BLIND_MPS = BLIND_SHARE * ALLOWED_MPS
-NOSE_AHEAD = NoseAhead(HALF_TAN, BLIND_MPS, CONFIG.speed_mps, RATE)
+NOSE_AHEAD = YawAlongPath(HALF_TAN, BLIND_MPS, CONFIG.speed_mps, RATE)
 MOTION = MotionPlanner(CONFIG, CLEARANCE_M, gaze=NOSE_AHEAD)
 TILT_RAD = float(np.radians(15.0))
 

@@ -10,9 +10,9 @@ import pytest
 
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
-from uav_recon.operator.command_handler import SILENT_S, Clerk
+from uav_recon.operator.command_handler import SILENT_S, CommandHandler
 from uav_recon.operator.status import Status
-from uav_recon.types.operator_command import GivenOrder, Order
+from uav_recon.types.operator_command import GivenCommand, OperatorCommand
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
@@ -26,7 +26,7 @@ class Vehicle:
     def __init__(self, phase: FlightPhase, mission: bool = True, note: str = "") -> None:
         self.phase, self.asked, self.heard_s = phase, list[str](), -math.inf
         self.clock = ManualClock(100.0)
-        self.intent, self.orders = MemoryChannel(Intent), MemoryChannel(GivenOrder)
+        self.intent, self.orders = MemoryChannel(Intent), MemoryChannel(GivenCommand)
         vehicle, progress, odom = MemoryChannel(VehicleState), MemoryChannel(MissionProgress), MemoryChannel(StampedPose)
         at = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 2.0, 1.1]))
         vehicle.publish(VehicleState(99.9, at, np.zeros(3), True, "OFFBOARD", phase, 0.83, False, float("nan"), 1, 2, note))
@@ -35,7 +35,7 @@ class Vehicle:
         progress.publish(MissionProgress(99.9, "survey", "explore", 31, 120, 42.7, 18.4, 5, 7, 40, 0.2, "", False))
         if mission:
             self.intent.publish(Intent(99.9, Goal.FLY))
-        self.clerk = Clerk(self, vehicle, self.intent, progress, odom, self.orders, self.clock)
+        self.clerk = CommandHandler(self, vehicle, self.intent, progress, odom, self.orders, self.clock)
 
     def request_land(self, why: str) -> None:
         self.asked.append(f"land: {why}")
@@ -51,7 +51,7 @@ class Vehicle:
         return answer["ok"], answer["said"]
 
     @property
-    def passed_on(self) -> Order | None:
+    def passed_on(self) -> OperatorCommand | None:
         given = self.orders.latest()
         return None if given is None else given.order
 
@@ -62,13 +62,13 @@ def test_hold_and_land_work_whether_or_not_the_mission_lives(mission: bool) -> N
     assert flying.order("hold") == (True, "holding")
     assert flying.order("land") == (True, "landing")
     assert flying.asked == ["hold", "land: the operator asked to land"]
-    assert flying.passed_on is Order.LAND
+    assert flying.passed_on is OperatorCommand.LAND
 
 
 @pytest.mark.parametrize("note", ["yielded: mode changed to POSCTL", "yielded: the autopilot is silent"])
 def test_a_vehicle_that_is_not_ours_gets_no_order_and_the_reason_is_said(note: str) -> None:
     yielded = Vehicle(FlightPhase.YIELDED, note=note)
-    for order in Order:
+    for order in OperatorCommand:
         said = f"not ours any more ({note}): nothing is asked of it until the pilot is started anew"
         assert yielded.order(order.value) == (False, said)
     assert (yielded.asked, yielded.passed_on) == ([], None)
@@ -88,7 +88,7 @@ def test_on_the_ground_there_is_nothing_to_stop(phase: FlightPhase) -> None:
 def test_start_goes_to_the_mission() -> None:
     ready = Vehicle(FlightPhase.READY)
     assert ready.order("start") == (True, "it takes off as soon as the mission is warm")
-    assert ready.passed_on is Order.START
+    assert ready.passed_on is OperatorCommand.START
 
 
 def test_start_says_what_is_missing() -> None:

@@ -15,8 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from uav_recon.clock import ManualClock
-from uav_recon.operator.client import CallError, call
-from uav_recon.operator.command_socket import LONGEST_LINE, MOST_CLIENTS, PATIENCE_S, Desk, DeskError, allowed
+from uav_recon.operator.client import CallError, send_command
+from uav_recon.operator.command_socket import LONGEST_LINE, MOST_CLIENTS, PATIENCE_S, CommandSocket, CommandSocketError, allowed
 
 
 class Office:
@@ -24,7 +24,7 @@ class Office:
 
     def __init__(self, path: Path) -> None:
         self.path, self.clock, self.words = path, ManualClock(), list[str]()
-        self.desk = Desk(path, self._serve, self.clock)
+        self.desk = CommandSocket(path, self._serve, self.clock)
 
     def _serve(self, word: str) -> dict[str, Any]:
         self.words.append(word)
@@ -161,15 +161,15 @@ def test_a_socket_left_by_a_pilot_that_was_killed_is_replaced(tmp_path: Path) ->
 
 def test_a_path_that_cannot_be_is_one_line(tmp_path: Path) -> None:
     for path, fault in ((tmp_path / "no" / "s", "No such file"), (tmp_path / ("x" * 108), "107 bytes")):
-        with pytest.raises(DeskError, match=fault):
-            Desk(path, lambda word: {}, ManualClock())
+        with pytest.raises(CommandSocketError, match=fault):
+            CommandSocket(path, lambda word: {}, ManualClock())
 
 
 def test_a_call_without_a_pilot_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(CallError, match="no pilot is running there"):
-        call(tmp_path / "operator.socket", "status")
+        send_command(tmp_path / "operator.socket", "status")
     dead = socket.socket(socket.AF_UNIX)
     dead.bind(str(tmp_path / "dead"))
     dead.close()
     with pytest.raises(CallError, match="no pilot is running there"):
-        call(tmp_path / "dead", "status")
+        send_command(tmp_path / "dead", "status")

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from uav_recon.clock import ManualClock, MonotonicClock
-from uav_recon.operator.client import CallError, call
-from uav_recon.operator.command_socket import Desk
+from uav_recon.operator.client import CallError, send_command
+from uav_recon.operator.command_socket import CommandSocket
 from uav_recon.operator.status import Status
 from uav_recon.operator.status_watch import PERIOD_S, Block, Lines, in_a_line, watch
 
@@ -115,7 +115,7 @@ def test_each_answer_over_the_socket_is_one_that_the_pilot_counts(tmp_path: Path
         heard.append(word)
         return {"ok": True, "said": "", "status": Status("flying", "survey").as_json()}
 
-    desk = Desk(path, serve, MonotonicClock())
+    desk = CommandSocket(path, serve, MonotonicClock())
 
     def pilot() -> None:
         while not over.wait(0.005):
@@ -128,7 +128,7 @@ def test_each_answer_over_the_socket_is_one_that_the_pilot_counts(tmp_path: Path
         asked += 1
         if asked > 3:
             raise Enough
-        return Status.told(call(path, "status")["status"])
+        return Status.told(send_command(path, "status")["status"])
 
     served.start()
     page = Seen()

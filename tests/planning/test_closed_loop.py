@@ -10,7 +10,7 @@ from box_world import FIXED, GIMBAL, MEETING_ROOM, TWO_ROOMS, BoxWorld, Solid, v
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.maps import FREE
 from uav_recon.types.tasks import NothingLeft
@@ -39,7 +39,7 @@ def explore(
 ) -> tuple[BoxWorld, str, Counter[tuple[int, ...]]]:
     world = BoxWorld(solid, camera, start)
     world.look_round()
-    planner = ViewPlanner(PlannerConfig(), np.zeros(3), (np.array(solid.shape) - 2) * 0.1, camera, TurningOnTheWay(0.8, 0.8))
+    planner = ViewPlanner(PlannerConfig(), np.zeros(3), (np.array(solid.shape) - 2) * 0.1, camera, YawWhileFlying(0.8, 0.8))
     visits: Counter[tuple[int, ...]] = Counter()
     for _ in range(60):
         answer = planner.plan(world.request())

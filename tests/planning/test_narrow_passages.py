@@ -12,8 +12,8 @@ from box_world import GIMBAL, BoxWorld, Solid, room, visible_from_anywhere, voxe
 from scipy.spatial import cKDTree
 
 from uav_recon.config import PlannerConfig, VariantName
-from uav_recon.planning.narrow_passages import ON_A_NARROW_WAY, ThroughNarrows
-from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.planning.narrow_passages import ON_A_NARROW_WAY, NarrowPassagePlanner
+from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, VoxelMap
@@ -35,14 +35,14 @@ def rooms_with_a_passage(width_m: float) -> Solid:
 
 def usual_planner(variant: VariantName = "explore") -> ViewPlanner:
     config = PlannerConfig(clearance_m=USUAL_M, variant=variant)
-    return ViewPlanner(config, np.zeros(3), np.array(SIZE_M), GIMBAL, TurningOnTheWay(0.8, 0.8), timer=lambda: 0.0)
+    return ViewPlanner(config, np.zeros(3), np.array(SIZE_M), GIMBAL, YawWhileFlying(0.8, 0.8), timer=lambda: 0.0)
 
 
-def through_narrows(variant: VariantName = "explore") -> ThroughNarrows:
-    return ThroughNarrows(usual_planner(variant), NARROW_M, HOMEWARD_M, NARROW_M, timer=lambda: 0.0)
+def through_narrows(variant: VariantName = "explore") -> NarrowPassagePlanner:
+    return NarrowPassagePlanner(usual_planner(variant), NARROW_M, HOMEWARD_M, NARROW_M, timer=lambda: 0.0)
 
 
-def explore(world: BoxWorld, planner: ViewPlanner | ThroughNarrows) -> tuple[list[ViewPath], str]:
+def explore(world: BoxWorld, planner: ViewPlanner | NarrowPassagePlanner) -> tuple[list[ViewPath], str]:
     """Fly until nothing is left, each way held to what it says that it keeps; the paths, and why it ended."""
     flown: list[ViewPath] = []
     for _ in range(60):
@@ -160,7 +160,7 @@ def test_where_nothing_is_narrow_the_flight_is_the_usual_one() -> None:
     np.testing.assert_array_equal(np.array(alone.track), np.array(both.track))
 
 
-def stuck(planner: ThroughNarrows) -> tuple[BoxWorld, PlanRequest, ViewPath]:
+def stuck(planner: NarrowPassagePlanner) -> tuple[BoxWorld, PlanRequest, ViewPath]:
     """On this side nothing is left: the request whose answer is a narrow way, and that."""
     world = looked_round(0.9)
     for _ in range(60):
@@ -221,7 +221,7 @@ def test_only_for_an_opening(edge: int, squeezes: bool) -> None:
 
 def test_a_look_in_vain_through_a_narrow_way_is_remembered() -> None:
     usual = usual_planner()
-    planner = ThroughNarrows(usual, NARROW_M, HOMEWARD_M, NARROW_M, timer=lambda: 0.0)
+    planner = NarrowPassagePlanner(usual, NARROW_M, HOMEWARD_M, NARROW_M, timer=lambda: 0.0)
     _, request, path = stuck(planner)
     planner.accept(path)
     view, voxels = path.viewpoints[0], request.voxels

@@ -7,7 +7,7 @@ import numpy as np
 from uav_recon.config import PlannerConfig
 from uav_recon.mapping.occupancy.distance_field import distance2_to_not_free
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
@@ -17,7 +17,7 @@ CAMERA = CameraGeometry(1.5, 1.0, np.array([0.1, 0.0, 0.0]), 0.26, 0.26, 4.5)
 
 
 def planner() -> ViewPlanner:
-    return ViewPlanner(PlannerConfig(), np.zeros(3), np.array([5.0, 3.0, 2.5]), CAMERA, TurningOnTheWay(0.8, 0.8))
+    return ViewPlanner(PlannerConfig(), np.zeros(3), np.array([5.0, 3.0, 2.5]), CAMERA, YawWhileFlying(0.8, 0.8))
 
 
 def request(wall: bool) -> PlanRequest:

@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.task_generation import Harvest, Question
-from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.planning.task_generation import GeneratedTasks, TaskQuery
+from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import ByteArray
 from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
@@ -20,9 +20,7 @@ from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, Task
 
 def planner_for(state: ByteArray, camera: CameraGeometry = FIXED, variant: VariantName = "adaptive") -> ViewPlanner:
     size_m = (np.array(state.shape) - 2) * 0.1
-    return ViewPlanner(
-        PlannerConfig(variant=variant), np.zeros(3), size_m, camera, TurningOnTheWay(0.8, 0.8), timer=lambda: 0.0
-    )
+    return ViewPlanner(PlannerConfig(variant=variant), np.zeros(3), size_m, camera, YawWhileFlying(0.8, 0.8), timer=lambda: 0.0)
 
 
 def looked_round(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], camera: CameraGeometry = FIXED) -> BoxWorld:
@@ -55,7 +53,7 @@ def harvest_of(
     """All tasks of one plan, those that its tour leaves out too."""
     propose, found = planner._source.propose, []
 
-    def remember(question: Question) -> Harvest:
+    def remember(question: TaskQuery) -> GeneratedTasks:
         found.append(propose(question))
         return found[-1]
 

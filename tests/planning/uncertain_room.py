@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 from box_world import MEETING_ROOM, Solid, voxel_map
 
-from uav_recon.planning.candidate_view import Situation
+from uav_recon.planning.candidate_view import PlanningContext
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.types.frames import FloatArray
@@ -39,11 +39,11 @@ def seen_room(solid: Solid = MEETING_ROOM) -> VoxelMap:
     return voxel_map(np.where(solid, OCCUPIED, FREE).astype(np.uint8), 1)
 
 
-def situation_in(voxels: VoxelMap, position: FloatArray, clearance_m: float = 0.35) -> Situation:
+def situation_in(voxels: VoxelMap, position: FloatArray, clearance_m: float = 0.35) -> PlanningContext:
     size_m = (np.array(voxels.grid.shape) - 2) * voxels.grid.resolution_m
     low, high = fence_box(voxels.grid, np.full(3, clearance_m), size_m - clearance_m)
     space = FlyableSpace(voxels.grid, clearance_m, low, high)
     space.update(voxels)
     exit_cells = space.stand(position)
     assert exit_cells is not None
-    return Situation(voxels, space, exit_cells, position)
+    return PlanningContext(voxels, space, exit_cells, position)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from uav_recon.recording.flight_log import FlightLog
-from uav_recon.recording.flight_report import FlightCard, account, publish
+from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 from uav_recon.recording.report import Report
 from uav_recon.types.pose import Pose
 from uav_recon.types.vehicle import MissionProgress
 
-CARD = FlightCard("kitchen", "adaptive", "px4", "fixed:15")
+CARD = FlightInfo("kitchen", "adaptive", "px4", "fixed:15")
 
 
 def progress(stamp_s: float, phase: str, path_m: float) -> MissionProgress:
@@ -38,7 +38,7 @@ def flight(folder: Path) -> None:
 
 def test_a_real_flight_is_accounted_for(tmp_path: Path) -> None:
     flight(tmp_path)
-    publish(account(tmp_path, CARD, wall_s=55.0), tmp_path)
+    publish(build_report(tmp_path, CARD, wall_s=55.0), tmp_path)
     report = Report.load(tmp_path / "report.json")
     assert (report.scene, report.outcome, report.stop_reason) == ("kitchen", "completed", "no frontiers left")
     assert (report.views, report.path_length_m, report.flight_time_s) == (1, 8.5, 20.0)
@@ -62,7 +62,7 @@ def test_waiting_counts_from_take_off_to_the_last_view(tmp_path: Path) -> None:
         log.plan(stamp_s, "explore", 0.0, 0.0, 1, 1, 1, waited_s)  # third lie within, nothing of the last
     log.view(30.0, 1, Pose.identity())
     log.close()
-    report = account(tmp_path, CARD, 1.0)
+    report = build_report(tmp_path, CARD, 1.0)
     assert report.last_view_s == 20.0
     assert report.waiting_share == pytest.approx((0.5 + 1.0 + 0.1) / 20.0)
 
@@ -71,11 +71,11 @@ def test_without_take_off_or_view_nothing_is_shared(tmp_path: Path) -> None:
     log = FlightLog(tmp_path)
     log.phase(10.0, "take-off", "")
     log.close()
-    assert account(tmp_path, CARD, 1.0).waiting_share is None
+    assert build_report(tmp_path, CARD, 1.0).waiting_share is None
 
 
 def test_a_mission_that_left_no_word_is_aborted(tmp_path: Path) -> None:
-    report = account(tmp_path, CARD, wall_s=1.0)
+    report = build_report(tmp_path, CARD, wall_s=1.0)
     assert report.outcome == "aborted: the mission left no word"
     assert report.flight_time_s == 0.0
     assert (report.last_view_s, report.waiting_share) == (None, None)

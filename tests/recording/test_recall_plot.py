@@ -10,17 +10,17 @@ import numpy as np
 from flight_inputs import START_S, write_timeline
 
 from uav_recon.recording.flight_log import FlightLog, read_timeline
-from uav_recon.recording.flight_report import FlightCard, account, publish
+from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 from uav_recon.recording.recall_plot import recall_over_time
 from uav_recon.recording.report import Report
 
-CARD = FlightCard("kitchen", "adaptive", "px4", "fixed:15")
+CARD = FlightInfo("kitchen", "adaptive", "px4", "fixed:15")
 
 
 def judged(folder: Path) -> Report:
     curve = tuple((2.0 + 3.0 * k, 1 + k, 1.0 - 0.5 * float(np.exp(-k / 3))) for k in range(9))
     times = {"0.90": 17.0, "0.95": 23.0}
-    return dataclasses.replace(account(folder, CARD, 30.0), recall_over_time=curve, time_to_recall_s=times, oracle_s=10.0)
+    return dataclasses.replace(build_report(folder, CARD, 30.0), recall_over_time=curve, time_to_recall_s=times, oracle_s=10.0)
 
 
 def content(picture: Path) -> float:
@@ -52,5 +52,5 @@ def test_a_flight_without_plans_or_views_has_its_picture_too(tmp_path: Path) -> 
 
 def test_without_truth_there_is_no_such_picture(tmp_path: Path) -> None:
     write_timeline(tmp_path)
-    publish(account(tmp_path, CARD, 30.0), tmp_path)
+    publish(build_report(tmp_path, CARD, 30.0), tmp_path)
     assert not (tmp_path / "pictures" / "recall.png").exists()

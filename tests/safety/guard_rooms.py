@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from uav_recon.safety.envelope import Envelope, Fence, Vec3
-from uav_recon.safety.free_space_check import KnownFree
-from uav_recon.safety.guard import Bounds, Guard, Proposal, Situation
-from uav_recon.safety.obstacle_speed_limit import Ahead, Margins
-from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.safety.free_space_check import FreeSpaceCheck
+from uav_recon.safety.guard import Bounds, Guard, GuardInputs, SetpointProposal
+from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins
+from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import BoolArray
 from uav_recon.types.maps import FreeSpace, GridSpec
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.polygon import Polygon
 from uav_recon.types.trajectory import Setpoint
 
@@ -31,20 +31,20 @@ def everything() -> BoolArray:
     return np.ones(GRID.shape, dtype=np.bool_)
 
 
-def known_free(free: BoolArray, epoch: int = 0) -> KnownFree:
-    return KnownFree(FreeSpace(GRID, np.packbits(free), 1, epoch), HULL_RADIUS_M, HULL_HEIGHT_M)
+def known_free(free: BoolArray, epoch: int = 0) -> FreeSpaceCheck:
+    return FreeSpaceCheck(FreeSpace(GRID, np.packbits(free), 1, epoch), HULL_RADIUS_M, HULL_HEIGHT_M)
 
 
-def frame(range_m: float = 9.0, stamp_s: float = 0.0, share: float = 0.9) -> Nearby:
-    return Nearby(stamp_s, MOUNT, np.full((12, 16), range_m, dtype=np.float32), (0.95, 0.55), share)
+def frame(range_m: float = 9.0, stamp_s: float = 0.0, share: float = 0.9) -> MinRangeGrid:
+    return MinRangeGrid(stamp_s, MOUNT, np.full((12, 16), range_m, dtype=np.float32), (0.95, 0.55), share)
 
 
 OPEN = known_free(everything())
 
 
-def situation(now_s: float, **changes: Any) -> Situation:
-    ahead = Ahead(frame(stamp_s=now_s - 0.1), HULL_RADIUS_M)
-    usual = Situation(now_s, (0.0, 0.0, 1.0), 0.0, np.eye(3), 0.03, 0.05, 0, OPEN, ahead)
+def situation(now_s: float, **changes: Any) -> GuardInputs:
+    ahead = ForwardDepth(frame(stamp_s=now_s - 0.1), HULL_RADIUS_M)
+    usual = GuardInputs(now_s, (0.0, 0.0, 1.0), 0.0, np.eye(3), 0.03, 0.05, 0, OPEN, ahead)
     return dataclasses.replace(usual, **changes)
 
 
@@ -57,14 +57,14 @@ def proposal(
     identifier: int = 1,
     epoch: int = 0,
     retreating: bool = False,
-) -> Proposal:
+) -> SetpointProposal:
     p, v, a = (np.array(vector, dtype=np.float64) for vector in (position, velocity, acceleration))
-    return Proposal(Setpoint(p, v, a, yaw, yaw_rate, 0.0), identifier, epoch, retreating)
+    return SetpointProposal(Setpoint(p, v, a, yaw, yaw_rate, 0.0), identifier, epoch, retreating)
 
 
 def may_stand(envelope: Envelope, place_m: Vec3) -> bool:
     return envelope.admits(place_m, place_m)
 
 
-def guard_of(envelope: Envelope = ENVELOPE, bounds: Bounds = BOUNDS, sight: Sight | None = None) -> Guard:
-    return Guard(envelope, bounds, sight or Sight(10.0, HULL_RADIUS_M))
+def guard_of(envelope: Envelope = ENVELOPE, bounds: Bounds = BOUNDS, sight: RecentlySeenSpace | None = None) -> Guard:
+    return Guard(envelope, bounds, sight or RecentlySeenSpace(10.0, HULL_RADIUS_M))

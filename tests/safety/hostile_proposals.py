@@ -16,9 +16,9 @@ from collections import Counter, deque
 import numpy as np
 from guard_rooms import BOUNDS, DT, GRID, HULL_RADIUS_M, everything, frame, guard_of, known_free, proposal, situation
 
-from uav_recon.safety.guard import Proposal, Situation
-from uav_recon.safety.obstacle_speed_limit import Ahead
-from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.safety.guard import GuardInputs, SetpointProposal
+from uav_recon.safety.obstacle_speed_limit import ForwardDepth
+from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint
 
@@ -78,7 +78,7 @@ def adds_up(flown: deque[tuple[float, Setpoint]]) -> str:
     return "moves without a velocity" if np.linalg.norm(way_m - led_m) > 0.04 + allowed_m + 1e-6 else ""
 
 
-def undue(wanted: Proposal, here: Situation, range_m: float) -> str:
+def undue(wanted: SetpointProposal, here: GuardInputs, range_m: float) -> str:
     """What is wrong with a proposal that was flown as it was asked, by what was known; '' for nothing. range_m: of a frame
     that shows the same wall in every cell.
     """
@@ -103,7 +103,7 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
     rng = np.random.default_rng(seed)
     outcomes: Counter[str] = Counter()
     violations: list[str] = []
-    views = {range_m: Ahead(frame(range_m), HULL_RADIUS_M) for range_m in (0.2, 1.0, 2.0, 9.0)}
+    views = {range_m: ForwardDepth(frame(range_m), HULL_RADIUS_M) for range_m in (0.2, 1.0, 2.0, 9.0)}
     while outcomes.total() < count:
         free = everything() & (rng.random(GRID.shape) > 0.001)
         free[rng.integers(30, 70), :, :] &= rng.random(GRID.shape[1:]) > 0.5
@@ -112,7 +112,7 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
         place = (float(start[0]), float(start[1]), float(start[2]))
         if any(space._touched(space._in_voxels(place), space._in_voxels(place))):
             continue
-        sight = Sight(10.0, HULL_RADIUS_M)
+        sight = RecentlySeenSpace(10.0, HULL_RADIUS_M)
         guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=0.3 if rng.random() < 0.5 else 1.0), sight=sight)
         now = rng.uniform(0.0, 1e5)
         usual = situation(now, free=space, position_m=place)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from guard_rooms import GRID, HULL_HEIGHT_M, HULL_RADIUS_M, OPEN, everything, known_free
 
-from uav_recon.safety.free_space_check import KnownFree
+from uav_recon.safety.free_space_check import FreeSpaceCheck
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, FreeSpace, VoxelMap
 
@@ -62,7 +62,7 @@ def test_a_way_that_grazes_a_voxel_between_two_half_voxels_is_refused() -> None:
     free = everything()
     free[30, 30, 20] = False  # its centre at 1.05, 0.05, 1.05
     a, b = (1.028, 0.24, 1.05), (1.072, 0.24, 1.05)  # 0.19 m beside it in the middle; at both ends 0.1913 m
-    space = KnownFree(FreeSpace(GRID, np.packbits(free), 1, 0), 0.191, HULL_HEIGHT_M)
+    space = FreeSpaceCheck(FreeSpace(GRID, np.packbits(free), 1, 0), 0.191, HULL_HEIGHT_M)
     assert space.admits(a, a)
     assert space.admits(b, b)
     assert not space.admits(a, b)
@@ -168,7 +168,7 @@ def test_a_hull_of_any_size_passes_a_voxel_by_or_does_not(axis: int, side: int, 
     free = everything()
     free[30, 30, 20] = False
     centre = GRID.centre(np.array([30, 30, 20]))
-    space = KnownFree(FreeSpace(GRID, np.packbits(free), 1, 0), radius_m, height_m)
+    space = FreeSpaceCheck(FreeSpace(GRID, np.packbits(free), 1, 0), radius_m, height_m)
     for beyond_m, may in ((0.001, True), (-0.001, False)):
         a = centre.copy()
         a[axis] += side * (radius_m + beyond_m)

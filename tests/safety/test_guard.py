@@ -24,9 +24,9 @@ from guard_rooms import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uav_recon.safety.guard import ClearedSetpoint, Guard, Proposal
-from uav_recon.safety.obstacle_speed_limit import Ahead
-from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.safety.guard import ClearedSetpoint, Guard, SetpointProposal
+from uav_recon.safety.obstacle_speed_limit import ForwardDepth
+from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint
@@ -104,7 +104,7 @@ def test_a_sound_proposal_passes_unchanged() -> None:
         (proposal(epoch=1), "epoch"),
     ],
 )
-def test_each_fault_is_refused_by_name(bad: Proposal, reason: str) -> None:
+def test_each_fault_is_refused_by_name(bad: SetpointProposal, reason: str) -> None:
     guard = anchored()
     cleared, refusal = guard.clear(bad, situation(DT))
     assert refusal is not None
@@ -274,7 +274,7 @@ def test_without_known_free_space_of_this_epoch_nothing_moves(free: Any, reason:
 def test_near_things_slow_and_stop() -> None:
     for wall_m, speed, passes in ((3.0, 1.0, True), (0.9, 1.0, False), (1.0, 1.0, True), (0.9, 0.5, True), (0.3, 0.5, False)):
         guard, now, place = moving(speed)
-        near = Ahead(frame(wall_m, now), HULL_RADIUS_M)
+        near = ForwardDepth(frame(wall_m, now), HULL_RADIUS_M)
         _, refusal = guard.clear(proposal(place + along(speed * DT), (speed, 0, 0)), situation(now + DT, ahead=near))
         assert (refusal is None) is passes, (wall_m, speed)
         if refusal is not None:
@@ -284,14 +284,14 @@ def test_near_things_slow_and_stop() -> None:
 @pytest.mark.parametrize(("age_s", "passes"), [(0.0, True), (0.05, True), (0.25, False)])
 def test_what_was_flown_since_a_frame_is_room_no_more(age_s: float, passes: bool) -> None:
     guard, now, place = moving(1.0)
-    near = Ahead(frame(1.1, now + DT - age_s), HULL_RADIUS_M)
+    near = ForwardDepth(frame(1.1, now + DT - age_s), HULL_RADIUS_M)
     _, refusal = guard.clear(proposal(place + along(DT), (1.0, 0, 0)), situation(now + DT, ahead=near))
     assert (refusal is None) is passes
 
 
 @pytest.mark.parametrize("stamp_s", [-0.5, 0.5, math.nan, None])
 def test_nothing_moves_without_fresh_depth_but_a_retreat(stamp_s: float | None) -> None:
-    ahead = None if stamp_s is None else Ahead(frame(stamp_s=stamp_s), HULL_RADIUS_M)
+    ahead = None if stamp_s is None else ForwardDepth(frame(stamp_s=stamp_s), HULL_RADIUS_M)
     creep: dict[str, Any] = {"position": (0.005, 0, 1.0), "velocity": (0.05, 0, 0)}
     _, refusal = anchored().clear(proposal(**creep), situation(DT, ahead=ahead))
     assert refusal is not None
@@ -306,14 +306,14 @@ def test_a_retreat_is_slow_and_still_sees() -> None:
     _, refusal = guard.clear(fast, situation(0.2))
     assert refusal is not None
     assert refusal.reason == "speed 0.31 m/s"
-    near = Ahead(frame(0.25), HULL_RADIUS_M)
+    near = ForwardDepth(frame(0.25), HULL_RADIUS_M)
     _, refusal = guard.clear(proposal((0.01, 0, 1.0), (0.2, 0, 0), retreating=True), situation(0.3, ahead=near))
     assert refusal is not None
     assert "from something" in refusal.reason
 
 
 def test_where_the_camera_does_not_look_only_what_was_seen_lately_is_entered_and_slowly() -> None:
-    sight = Sight(10.0, HULL_RADIUS_M)
+    sight = RecentlySeenSpace(10.0, HULL_RADIUS_M)
     guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=0.3), sight=sight)
     start = (1.0, 0.0, 1.0)
     guard.clear(None, situation(0.0, position_m=start))

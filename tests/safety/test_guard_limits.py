@@ -21,10 +21,10 @@ from guard_rooms import (
     situation,
 )
 
-from uav_recon.safety.guard import Guard, Proposal
-from uav_recon.safety.obstacle_speed_limit import Ahead
+from uav_recon.safety.guard import Guard, SetpointProposal
+from uav_recon.safety.obstacle_speed_limit import ForwardDepth
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.trajectory import Setpoint
 
 HERE = np.array([1.0, 0.2, 1.1])
@@ -38,7 +38,7 @@ def resting(yaw_rad: float = 0.0, at_s: float = 10.0) -> Guard:
     return guard
 
 
-def refusal(guard: Guard, wanted: Proposal, now_s: float, **changes: Any) -> str:
+def refusal(guard: Guard, wanted: SetpointProposal, now_s: float, **changes: Any) -> str:
     """Why it is refused, '' for cleared."""
     found = guard.clear(wanted, situation(now_s, position_m=tuple(HERE.tolist()), **changes))[1]
     return "" if found is None else found.reason
@@ -47,7 +47,7 @@ def refusal(guard: Guard, wanted: Proposal, now_s: float, **changes: Any) -> str
 @pytest.mark.parametrize("step_s", [0.01, 0.1, 0.44, 0.46, 3.0])
 def test_a_brake_is_a_constant_force_against_the_way_in_any_direction(step_s: float) -> None:
     guard, start, velocity = resting(), HERE + 0.2 * OBLIQUE, 0.9 * OBLIQUE
-    wanted = Proposal(Setpoint(start, velocity, np.zeros(3), 0.3, 0.1, 0.25), 1, 0)
+    wanted = SetpointProposal(Setpoint(start, velocity, np.zeros(3), 0.3, 0.1, 0.25), 1, 0)
     assert refusal(guard, wanted, 10.45) == ""
     flown = guard.clear(None, situation(10.45 + step_s))[0].setpoint
     braking_s = min(step_s, 0.9 / 2.0)
@@ -133,7 +133,7 @@ def test_depth_may_be_as_old_as_agreed_and_a_little_ahead_of_the_clock() -> None
     for age_s, may in ((0.25, True), (0.2501, False), (-0.09, True), (-0.11, False)):
         guard = guard_of(bounds=dataclasses.replace(BOUNDS, depth_hold_s=0.25))
         guard.clear(None, situation(10.0, position_m=tuple(HERE.tolist())))
-        ahead = Ahead(frame(stamp_s=10.5 - age_s), HULL_RADIUS_M)
+        ahead = ForwardDepth(frame(stamp_s=10.5 - age_s), HULL_RADIUS_M)
         assert (refusal(guard, proposal(HERE, (0.3, 0.0, 0.0)), 10.5, ahead=ahead) == "") is may, age_s
 
 
@@ -145,7 +145,7 @@ def test_two_centimetres_a_second_want_no_free_way() -> None:
 def test_what_is_ahead_is_ahead_of_the_nose_wherever_that_points() -> None:
     """The nose to +y in odom, so that a wall before it is in the way of +y alone."""
     body_from_odom = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    wall = {"body_from_odom": body_from_odom, "ahead": Ahead(frame(0.5, 10.4), HULL_RADIUS_M)}
+    wall = {"body_from_odom": body_from_odom, "ahead": ForwardDepth(frame(0.5, 10.4), HULL_RADIUS_M)}
     for velocity, words in (((0.0, 0.9, 0.0), " m from something at 0.90 m/s"), ((0.9, 0.0, 0.0), ""), ((0.0, -0.9, 0.0), "")):
         said = refusal(resting(), proposal(HERE + 0.25 * np.array(velocity), velocity), 10.5, **wall)
         assert said.endswith(words)
@@ -175,10 +175,10 @@ def along_x(way_m: float) -> FloatArray:
     return np.array([way_m, 0.0, 0.0])
 
 
-def wall(room_m: float, stamp_s: float) -> Ahead:
+def wall(room_m: float, stamp_s: float) -> ForwardDepth:
     """One return straight ahead, so far before the hull."""
     ranges = np.full((1, 1), room_m + HULL_RADIUS_M - MOUNT.translation_m[0])
-    return Ahead(Nearby(stamp_s, MOUNT, ranges, (0.95, 0.55), 0.9), HULL_RADIUS_M)
+    return ForwardDepth(MinRangeGrid(stamp_s, MOUNT, ranges, (0.95, 0.55), 0.9), HULL_RADIUS_M)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def wall(room_m: float, stamp_s: float) -> Ahead:
         (proposal(yaw=0.8 * 0.5 + 0.03 - 1e-9), 0.5, 9.0),
     ],
 )
-def test_a_limit_and_the_slack_beside_it_are_flown(wanted: Proposal, at_s: float, room_m: float) -> None:
+def test_a_limit_and_the_slack_beside_it_are_flown(wanted: SetpointProposal, at_s: float, room_m: float) -> None:
     guard = guard_of()
     guard.clear(None, situation(0.0))
     assert guard.clear(wanted, situation(at_s, ahead=wall(room_m, at_s)))[1] is None

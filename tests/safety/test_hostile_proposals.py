@@ -12,7 +12,7 @@ import pytest
 from guard_rooms import GRID, proposal, situation
 from hostile_proposals import adds_up, attack, undue, violation
 
-from uav_recon.safety.guard import Proposal
+from uav_recon.safety.guard import SetpointProposal
 from uav_recon.types.trajectory import Setpoint
 
 NOTHING = GRID.centre(np.zeros((0, 3), dtype=np.int64))
@@ -89,7 +89,7 @@ FAST = proposal(velocity=(0.9, 0.0, 0.0))
         (proposal(velocity=(0.2, 0.0, 0.0), retreating=True), {"ahead": None, "intent_age_s": 9.0}, 9.0, ""),
     ],
 )
-def test_the_judge_knows_what_was_known(wanted: Proposal, changes: dict[str, Any], range_m: float, word: str) -> None:
+def test_the_judge_knows_what_was_known(wanted: SetpointProposal, changes: dict[str, Any], range_m: float, word: str) -> None:
     found = undue(wanted, situation(5.0, **changes), range_m)
     assert word in found
     assert bool(found) is bool(word)

@@ -8,24 +8,24 @@ import numpy as np
 import pytest
 from guard_rooms import HULL_RADIUS_M, MOUNT, frame
 
-from uav_recon.safety.obstacle_speed_limit import Ahead, Margins, fastest_mps
+from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins, fastest_mps
 from uav_recon.types.camera import body_from_camera
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 
 AHEAD = np.array([1.0, 0.0, 0.0])
 MARGINS = Margins(0.1, 0.4)
 
 
-def seen(row: int, column: int, range_m: float) -> Ahead:
+def seen(row: int, column: int, range_m: float) -> ForwardDepth:
     ranges = np.full((12, 16), np.nan, dtype=np.float32)
     ranges[row, column] = range_m
-    return Ahead(Nearby(5.0, MOUNT, ranges, (0.95, 0.55), 0.9), HULL_RADIUS_M)
+    return ForwardDepth(MinRangeGrid(5.0, MOUNT, ranges, (0.95, 0.55), 0.9), HULL_RADIUS_M)
 
 
 def test_room_is_what_is_left_before_the_hull() -> None:
     assert seen(6, 8, 2.0).room_m(AHEAD) == pytest.approx(0.1 + 2.0 - 0.2, abs=0.02)
-    assert Ahead(frame(2.0), HULL_RADIUS_M).room_m(AHEAD) == pytest.approx(1.9, abs=0.05)
-    assert Ahead(frame(math.nan), HULL_RADIUS_M).room_m(AHEAD) == math.inf
+    assert ForwardDepth(frame(2.0), HULL_RADIUS_M).room_m(AHEAD) == pytest.approx(1.9, abs=0.05)
+    assert ForwardDepth(frame(math.nan), HULL_RADIUS_M).room_m(AHEAD) == math.inf
 
 
 def test_only_the_hulls_own_way_counts() -> None:
@@ -53,14 +53,14 @@ def test_only_the_hulls_own_way_counts() -> None:
 )  # fmt: skip
 def test_the_camera_looks_inside_its_frustum(direction: tuple[float, float, float], sees: bool) -> None:
     unit = np.array(direction, dtype=np.float64)
-    assert Ahead(frame(), HULL_RADIUS_M).sees(unit / np.linalg.norm(unit)) is sees
+    assert ForwardDepth(frame(), HULL_RADIUS_M).sees(unit / np.linalg.norm(unit)) is sees
 
 
 def test_a_nearly_empty_frame_tells_nothing() -> None:
-    assert Ahead.tells(frame(share=0.2))
-    assert Ahead.tells(frame(share=0.9))
-    assert not Ahead.tells(frame(share=0.199))
-    assert not Ahead.tells(frame(share=math.nan))
+    assert ForwardDepth.tells(frame(share=0.2))
+    assert ForwardDepth.tells(frame(share=0.9))
+    assert not ForwardDepth.tells(frame(share=0.199))
+    assert not ForwardDepth.tells(frame(share=math.nan))
     assert seen(6, 8, 2.0).tells(frame(share=0.2))
 
 
@@ -91,14 +91,14 @@ def test_each_cell_lies_where_its_ray_leads(row: int, column: int) -> None:
     cos, sin = math.cos(0.3), math.sin(0.3)
     place = np.array([0.12 + cos * forward + sin * up, -0.05 + left, 0.04 - sin * forward + cos * up])
     away_m = float(np.linalg.norm(place))
-    ahead = Ahead(Nearby(5.0, mount, ranges, (0.9, 0.6), 0.9), HULL_RADIUS_M)
+    ahead = ForwardDepth(MinRangeGrid(5.0, mount, ranges, (0.9, 0.6), 0.9), HULL_RADIUS_M)
     assert ahead.room_m(place / away_m) == pytest.approx(away_m - HULL_RADIUS_M, abs=1e-6)
 
 
 def test_what_is_just_beside_is_not_ahead() -> None:
-    beside = Nearby(5.0, body_from_camera(np.zeros(3), 0.0), np.full((1, 1), 0.2), (0.9, 0.6), 0.9)
-    assert Ahead(beside, HULL_RADIUS_M).room_m(np.array([1.0, 0.0, 0.0])) == pytest.approx(0.0, abs=1e-6)
-    assert Ahead(beside, HULL_RADIUS_M).room_m(np.array([0.0, 1.0, 0.0])) == math.inf
+    beside = MinRangeGrid(5.0, body_from_camera(np.zeros(3), 0.0), np.full((1, 1), 0.2), (0.9, 0.6), 0.9)
+    assert ForwardDepth(beside, HULL_RADIUS_M).room_m(np.array([1.0, 0.0, 0.0])) == pytest.approx(0.0, abs=1e-6)
+    assert ForwardDepth(beside, HULL_RADIUS_M).room_m(np.array([0.0, 1.0, 0.0])) == math.inf
 
 
 @pytest.mark.parametrize("braking", [0.3, 1.5, 3.0])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_recon.safety.pose_gate import PoseGate, Verdict
+from uav_recon.safety.pose_gate import PoseGate, PoseVerdict
 from uav_recon.types.pose import Pose, StampedPose
 
 STEP_S = 1 / 30
@@ -26,11 +26,11 @@ def pose(
 
 def settled() -> PoseGate:
     gate = PoseGate(0.8)
-    assert gate.judge(pose(0.0), 0.02) == Verdict(True)
+    assert gate.judge(pose(0.0), 0.02) == PoseVerdict(True)
     return gate
 
 
-def judge(gate: PoseGate, one: StampedPose) -> Verdict:
+def judge(gate: PoseGate, one: StampedPose) -> PoseVerdict:
     return gate.judge(one, one.stamp_s + 0.02)
 
 
@@ -38,7 +38,7 @@ def test_a_flight_is_believed() -> None:
     gate = PoseGate(0.8)
     for n in range(90):
         t = n * STEP_S
-        assert judge(gate, pose(t, (math.sin(t), 0.0, 1.0), 0.8 * t, (math.cos(t), 0.0, 0.0))) == Verdict(True)
+        assert judge(gate, pose(t, (math.sin(t), 0.0, 1.0), 0.8 * t, (math.cos(t), 0.0, 0.0))) == PoseVerdict(True)
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_old_and_future_stamps_are_not(now_s: float, good: bool) -> None:
 def test_what_is_unfit_by_itself_is_named(changes: dict[str, Any], why: str) -> None:
     usual: dict[str, Any] = {"odom_from_body": Pose.identity(), "velocity_odom_mps": np.zeros(3)}
     bad = StampedPose(0.1, **{**usual, **changes})
-    assert judge(settled(), bad) == Verdict(False, why=why)
+    assert judge(settled(), bad) == PoseVerdict(False, why=why)
 
 
 def test_the_least_quality_the_oldest_and_the_earliest_stamp_are_believed() -> None:
@@ -132,8 +132,8 @@ def test_a_turn_is_eight_degrees_beside_what_can_be_flown(turn_deg: float, good:
 
 def test_a_source_that_says_so_begins_anew() -> None:
     gate = settled()
-    assert judge(gate, pose(STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == Verdict(True, anew=True)
-    assert judge(gate, pose(2 * STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == Verdict(True)
+    assert judge(gate, pose(STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == PoseVerdict(True, anew=True)
+    assert judge(gate, pose(2 * STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == PoseVerdict(True)
 
 
 def test_a_jump_that_stays_is_believed_after_a_second_of_agreement_and_as_a_new_odom() -> None:
@@ -142,7 +142,7 @@ def test_a_jump_that_stays_is_believed_after_a_second_of_agreement_and_as_a_new_
     first = next(n for n, verdict in enumerate(answers) if verdict.good)
     assert answers[first].anew
     assert first in (30, 31), "a second after the first"
-    assert all(verdict == Verdict(True) for verdict in answers[first + 1 :])
+    assert all(verdict == PoseVerdict(True) for verdict in answers[first + 1 :])
 
 
 def test_three_bad_ones_in_a_row_put_the_old_track_on_trial_too() -> None:
@@ -152,7 +152,7 @@ def test_three_bad_ones_in_a_row_put_the_old_track_on_trial_too() -> None:
     assert judge(gate, pose(3 * STEP_S)).good, "two are a glitch"
     for n in range(4, 7):
         assert not judge(gate, pose(n * STEP_S, (0.5 * n, 0.0, 1.0))).good
-    assert judge(gate, pose(7 * STEP_S)) == Verdict(False, why="on trial after a loss")
+    assert judge(gate, pose(7 * STEP_S)) == PoseVerdict(False, why="on trial after a loss")
 
 
 def test_a_slow_track_has_to_send_twenty() -> None:
@@ -209,9 +209,9 @@ def test_a_track_that_repeats_itself_or_goes_back_proves_nothing(back_s: float) 
 @pytest.mark.parametrize(("before", "after"), [(3, 4), (255, 0), (300, 300), (1000, 1001)])
 def test_whatever_way_the_counter_of_resets_changes_odom_has_jumped(before: int, after: int) -> None:
     gate = PoseGate(0.8)
-    assert judge(gate, pose(0.0, reset_counter=before)) == Verdict(True)
+    assert judge(gate, pose(0.0, reset_counter=before)) == PoseVerdict(True)
     again = judge(gate, pose(STEP_S, (5.0, 0.0, 1.0) if after != before else (0.0, 0.0, 1.0), reset_counter=int(str(after))))
-    assert again == Verdict(True, anew=after != before)
+    assert again == PoseVerdict(True, anew=after != before)
 
 
 @pytest.mark.parametrize(

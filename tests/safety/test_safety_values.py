@@ -8,20 +8,20 @@ from typing import Any
 import pytest
 from guard_rooms import BOUNDS, ENVELOPE, proposal, situation
 
-from uav_recon.safety.failsafe import Health, Patience
+from uav_recon.safety.failsafe import FailsafeInputs, FailsafeTimeouts
 from uav_recon.safety.guard import _motion_of
-from uav_recon.safety.pose_gate import Verdict
-from uav_recon.safety.setpoint_continuity import Steps
+from uav_recon.safety.pose_gate import PoseVerdict
+from uav_recon.safety.setpoint_continuity import ContinuityCheck
 
 VALUES = (
     BOUNDS,
     BOUNDS.margins,
     ENVELOPE,
     ENVELOPE.fence,
-    Health(0.0, 0.0, 0.0, 0.0, True, 0),
-    Steps(),
-    Patience(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0),
-    Verdict(True),
+    FailsafeInputs(0.0, 0.0, 0.0, 0.0, True, 0),
+    ContinuityCheck(),
+    FailsafeTimeouts(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0),
+    PoseVerdict(True),
     proposal(),
     situation(0.0),
     _motion_of(proposal().setpoint, 0.0),

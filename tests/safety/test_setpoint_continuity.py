@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uav_recon.safety.guard import Guard
-from uav_recon.safety.obstacle_speed_limit import Ahead
-from uav_recon.safety.setpoint_continuity import Motion, Steps
+from uav_recon.safety.obstacle_speed_limit import ForwardDepth
+from uav_recon.safety.setpoint_continuity import ClearedMotion, ContinuityCheck
 from uav_recon.types.frames import FloatArray
 
 NEAR = 1e-6
@@ -22,15 +22,15 @@ SPEED, PUSH, TURN = 1.0, 2.0, 0.8  # the envelope's limits
 assert (ENVELOPE.max_speed_mps, ENVELOPE.max_acceleration_mps2, ENVELOPE.max_yaw_rate_radps) == (SPEED, PUSH, TURN)
 
 
-def motion(at_s: float, place: FloatArray, velocity: FloatArray | None = None, yaw_rad: float = 0.0) -> Motion:
+def motion(at_s: float, place: FloatArray, velocity: FloatArray | None = None, yaw_rad: float = 0.0) -> ClearedMotion:
     x, y, z = place.tolist()
     u, v, w = (np.zeros(3) if velocity is None else velocity).tolist()
-    return Motion(at_s, (x, y, z), (u, v, w), yaw_rad, 0.0)
+    return ClearedMotion(at_s, (x, y, z), (u, v, w), yaw_rad, 0.0)
 
 
-def taken(motions: list[Motion], steps: Steps | None = None) -> tuple[Steps, str]:
+def taken(motions: list[ClearedMotion], steps: ContinuityCheck | None = None) -> tuple[ContinuityCheck, str]:
     """One after the other, and the last one's fault; those before it have none."""
-    steps, fault = steps or Steps(), ""
+    steps, fault = steps or ContinuityCheck(), ""
     for last, new in itertools.pairwise(motions):
         assert fault == ""
         steps, fault = steps.after(last, new, ENVELOPE)
@@ -63,7 +63,7 @@ def test_faster_and_slower_within_one_step_is_what_the_acceleration_allows() -> 
     assert fault == ""
 
 
-def crawl(guard: Guard, speed_mps: float, frames: int, ahead: Ahead | None = None) -> tuple[float, str]:
+def crawl(guard: Guard, speed_mps: float, frames: int, ahead: ForwardDepth | None = None) -> tuple[float, str]:
     """Places that advance, of which no velocity tells: how far they come, and why no farther."""
     guard.clear(None, situation(0.0))
     way_m = 0.0
@@ -85,7 +85,7 @@ def test_a_place_that_moves_without_a_velocity_is_refused_within_centimetres(spe
 
 def test_depth_cannot_be_passed_by_a_velocity_that_is_not_told() -> None:
     """0.10 m before the hull: nothing may come nearer, however it is put."""
-    near = Ahead(frame(0.3, 0.0), HULL_RADIUS_M)
+    near = ForwardDepth(frame(0.3, 0.0), HULL_RADIUS_M)
     way_m, why = crawl(guard_of(), 0.9, 60, near)
     assert why
     assert way_m <= 0.02
@@ -98,7 +98,7 @@ def test_slack_does_not_add_up(seed: int) -> None:
     places lie where the velocities have led.
     """
     rng = np.random.default_rng(seed)
-    steps, flown = Steps(), [motion(0.0, np.zeros(3))]
+    steps, flown = ContinuityCheck(), [motion(0.0, np.zeros(3))]
     greed = rng.uniform(0.9, 1.6, 3)
     for _ in range(150):
         last, dt_s = flown[-1], float(rng.choice([0.01, DT, DT, 0.1]))
@@ -113,13 +113,13 @@ def test_slack_does_not_add_up(seed: int) -> None:
         rest = motion(wanted.at_s, np.array(last.position_m), velocity, last.yaw_rad)
         if fault:  # so it stays, as no vehicle could, and what was owed is made up for
             after, _ = steps.after(rest, rest, ENVELOPE)
-            flown, steps = [rest], Steps()
+            flown, steps = [rest], ContinuityCheck()
         else:
             flown, steps = [*flown, wanted], after
             _assert_kept(flown)
 
 
-def _assert_kept(flown: list[Motion]) -> None:
+def _assert_kept(flown: list[ClearedMotion]) -> None:
     at_s = np.array([m.at_s for m in flown])
     places, velocities = np.array([m.position_m for m in flown]), np.array([m.velocity_mps for m in flown])
     led = np.zeros((len(flown), 3))

@@ -13,11 +13,11 @@ import time
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.ardupilot.autopilot import ArduCopter
-from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.modes import ArduPilotMode
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
-from sitl.autopilots.base_autopilot import Truth
+from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.autopilots.byte_links import UdpPeer
-from sitl.autopilots.mavlink_codec import Listener, Packet, Speaker, packet
+from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, Packet, packet
 from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from sitl.world.quadrotor import Quadrotor
 
@@ -30,7 +30,7 @@ def main(words: list[str]) -> None:
     ports = {word[2:9]: int(word.rpartition(":")[2]) for word in words if word.startswith(("--serial0=", "--serial1="))}
     companion, listener = (UdpPeer(remote=("127.0.0.1", ports[name])) for name in ("serial0", "serial1"))
     copter = ArduCopter(Quadrotor(seed=0), companion, ArduPilotParameters.load(), seed=0)
-    speaker, ears = Speaker(1, 1), Listener()
+    speaker, ears = MessageEncoder(1, 1), MessageDecoder()
     next_truth_s = next_heartbeat_s = 0.0
     while True:
         now_s = time.monotonic()
@@ -47,12 +47,12 @@ def main(words: list[str]) -> None:
         time.sleep(TURN_S)
 
 
-def heartbeat(truth: Truth) -> Packet:
+def heartbeat(truth: VehicleTruth) -> Packet:
     """Armed or not, and the mode."""
-    return packet(mavlink.MAVLink_heartbeat_message, 2, 3, 128 * truth.armed, Mode[truth.mode].value, 4, 3)
+    return packet(mavlink.MAVLink_heartbeat_message, 2, 3, 128 * truth.armed, ArduPilotMode[truth.mode].value, 4, 3)
 
 
-def sim_state(truth: Truth) -> Packet:
+def sim_state(truth: VehicleTruth) -> Packet:
     """The truth as coarse as ArduPilot says it."""
     east, north, up = truth.position
     scale = math.cos(math.radians(LATITUDE_E7 * 1e-7))

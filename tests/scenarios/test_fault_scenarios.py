@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from sitl.faults.fault import Onset
-from sitl.faults.flight_evidence import Evidence
+from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, flight, fly, record_of
 from sitl.faults.injectors.companion import Stall
 from sitl.faults.injectors.vehicle_and_autopilot import Push
 from sitl.faults.judges.invariants import violations
 from sitl.faults.table.all_scenarios import ROWS
-from sitl.faults.table.scenario import Row, judge
+from sitl.faults.table.scenario import Scenario, judge
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 PROMISES = {
@@ -67,7 +67,7 @@ def test_a_flight_of_a_campaign_is_the_same_flight_alone(campaign: tuple[Path, d
         assert all(shared[name].tobytes() == alone[name].tobytes() for name in alone.files)
 
 
-def flown(row: Row, folder: Path) -> Evidence:
+def flown(row: Scenario, folder: Path) -> FlightEvidence:
     folder.mkdir(exist_ok=True)
     return flight([row], Stage("px4", 1, row.arena, row.views, row.radius_m(1), row.variant, row.camera), folder)
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sitl.outside_world import World
+from sitl.outside_world import OutsideWorld
 
 
 class Turning:
@@ -37,7 +37,7 @@ class Tape:
 
 def test_inertial_samples_are_of_their_own_instants_however_late_the_step() -> None:
     tape, poses = Tape(), SimpleNamespace(due=lambda _: False)
-    world = World(*cast(Any, (Turning(), None, poses, None, tape, 10.0, 0.0)))
+    world = OutsideWorld(*cast(Any, (Turning(), None, poses, None, tape, 10.0, 0.0)))
     for now_s in (10.0, 10.01, 10.15):  # 0.14 s of silence
         world.step(now_s)
     stamps, gyros = np.array(tape.samples).T

@@ -10,29 +10,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uav_recon import config as configuration
-from uav_recon.app.flight_channels import Wires
+from uav_recon.app.flight_channels import FlightChannels
 from uav_recon.config import Config, LinkConfig
-from uav_recon.errors import EXIT_CONFIG, EXIT_FAILURE, Failure
-from uav_recon.interfaces import ByteLink, Camera, Clock, Executor, Journal, Mapper, PoseSource
+from uav_recon.errors import EXIT_CONFIG, EXIT_FAILURE, UserError
+from uav_recon.interfaces import ByteLink, Clock, DepthCamera, Executor, Journal, Mapper, PoseSource
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.maps import GridSpec
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
-    from uav_recon.autopilot.firmware.profile import Personality
-    from uav_recon.autopilot.mavlink.allow_list import Gate
+    from uav_recon.autopilot.firmware.profile import FirmwareProfile
+    from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
     from uav_recon.autopilot.mavlink.tlog import FrameLog
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
-    from uav_recon.autopilot.parameters.reader import NumberForm
+    from uav_recon.autopilot.parameters.reader import ParameterEncoding
     from uav_recon.autopilot.pilot.pilot import Pilot
     from uav_recon.localization.perception import Perception
-    from uav_recon.mapping.keyframe_selection import Coverage
-    from uav_recon.mapping.neural.neural_mapper import Trainer
-    from uav_recon.mapping.occupancy.occupancy_map import Voxels
+    from uav_recon.mapping.keyframe_selection import KeyframeSelection
+    from uav_recon.mapping.neural.neural_mapper import NeuralMapper
+    from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.motion.speed_limited_planner import Paced
+    from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
     from uav_recon.planning.camera_frustum import CameraGeometry
-    from uav_recon.planning.narrow_passages import ThroughNarrows
-    from uav_recon.planning.tour.travel_time import Price
+    from uav_recon.planning.narrow_passages import NarrowPassagePlanner
+    from uav_recon.planning.tour.travel_time import TravelTimeModel
     from uav_recon.recording.rerun_recorder import Recorder
     from uav_recon.recording.timelapse import Timelapse
     from uav_recon.safety.envelope import Envelope
@@ -48,37 +48,39 @@ def load_config(path: Path) -> Config:
     try:
         return configuration.load(path)
     except configuration.ConfigError as error:
-        raise Failure(str(error), EXIT_CONFIG) from None
+        raise UserError(str(error), EXIT_CONFIG) from None
 
 
 # -- the pilot ----------------------------------------------------------------------------------------------------------
 
 
-def make_gate(way: LinkConfig, clock: Clock) -> Gate:
+def make_allow_list_filter(way: LinkConfig, clock: Clock) -> AllowListFilter:
     """Who may speak on the link. Raises Failure with exit code 78 for a key or stamps that cannot be used."""
-    from uav_recon.autopilot.mavlink.allow_list import AllowList, Gate
+    from uav_recon.autopilot.mavlink.allow_list import AllowList, AllowListFilter
     from uav_recon.autopilot.mavlink.signing import KeyFileError, open_signature
-    from uav_recon.autopilot.mavlink.signing_timestamps import StampsError
+    from uav_recon.autopilot.mavlink.signing_timestamps import SigningTimestampsError
 
     ids, key = AllowList(way.vehicle_system, way.vehicle_component, way.gimbal_component, way.autopilot_uid), way.signing_key
     try:
-        return Gate(ids, open_signature(key, way.signing_link_id, way.signing_stamps, clock) if key else None)
-    except (KeyFileError, StampsError) as error:
-        raise Failure(f"link.{error}", EXIT_CONFIG) from None
+        return AllowListFilter(ids, open_signature(key, way.signing_link_id, way.signing_stamps, clock) if key else None)
+    except (KeyFileError, SigningTimestampsError) as error:
+        raise UserError(f"link.{error}", EXIT_CONFIG) from None
 
 
-def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, clock: Clock, gate: Gate | None = None) -> Pilot:
+def make_pilot(
+    config: Config, wires: FlightChannels, link: ByteLink, log: FrameLog, clock: Clock, gate: AllowListFilter | None = None
+) -> Pilot:
     """The loop next to the autopilot. gate: the one that its link knows already, where there is one."""
-    from uav_recon.autopilot.pilot.pilot import Airframe, PilotChannels
+    from uav_recon.autopilot.pilot.pilot import HullGeometry, PilotChannels
     from uav_recon.autopilot.pilot.pilot import make_pilot as wire_pilot
     from uav_recon.autopilot.pilot.preflight import Origin
-    from uav_recon.safety.failsafe import Patience
+    from uav_recon.safety.failsafe import FailsafeTimeouts
     from uav_recon.safety.guard import Bounds, Guard
     from uav_recon.safety.obstacle_speed_limit import Margins
-    from uav_recon.safety.recently_seen_space import Sight
+    from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
     safety = config.safety
-    patience = Patience(
+    patience = FailsafeTimeouts(
         safety.pose_timeout_s, safety.pose_land_s, safety.intent_timeout_s, safety.retreat_timeout_s, safety.land_timeout_s,
         safety.depth_timeout_s, safety.depth_retreat_s, safety.depth_land_s,
     )  # fmt: skip
@@ -87,21 +89,21 @@ def make_pilot(config: Config, wires: Wires, link: ByteLink, log: FrameLog, cloc
         safety.pose_timeout_s, safety.intent_timeout_s, safety.silence_way_m, safety.depth_timeout_s, safety.blind_speed_mps,
         safety.retreat_speed_mps, margins,
     )  # fmt: skip
-    sight = Sight(safety.blind_memory_s, safety.vehicle_radius_m)
+    sight = RecentlySeenSpace(safety.blind_memory_s, safety.vehicle_radius_m)
     guard = Guard(_envelope(config), bounds, sight)
     channels = PilotChannels(wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby)
     origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
     gimbal = config.camera.mount == "gimbal"
-    airframe = Airframe(safety.vehicle_radius_m, safety.vehicle_height_m, config.mission.takeoff_height_m, gimbal)
+    airframe = HullGeometry(safety.vehicle_radius_m, safety.vehicle_height_m, config.mission.takeoff_height_m, gimbal)
     (personality, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
     parameters = make_parameter_check(config)
     return wire_pilot(
         link, personality, guard, sight, patience, channels, clock, origin, airframe, rate_hz, log, parameters,
-        gate or make_gate(config.link, clock),
+        gate or make_allow_list_filter(config.link, clock),
     )  # fmt: skip
 
 
-def firmware(name: str) -> tuple[Personality, NumberForm]:
+def firmware(name: str) -> tuple[FirmwareProfile, ParameterEncoding]:
     """What px4 or ardupilot is: its rules, and how it tells its parameters."""
     from uav_recon.autopilot.firmware.ardupilot import ARDUPILOT
     from uav_recon.autopilot.firmware.px4 import PX4
@@ -118,7 +120,7 @@ def make_parameter_check(config: Config) -> ParameterCheck:
     try:
         wanted = load(config.link.parameters or PARAMETER_FILES[config.link.autopilot])
     except ParameterFileError as error:
-        raise Failure(f"link.parameters: {error}", EXIT_CONFIG) from None
+        raise UserError(f"link.parameters: {error}", EXIT_CONFIG) from None
     return ParameterCheck(wanted, firmware(config.link.autopilot)[1])
 
 
@@ -131,13 +133,15 @@ def _envelope(config: Config) -> Envelope:
     try:
         return Envelope(fence, safety.max_speed_mps, safety.max_acceleration_mps2, math.radians(safety.max_yaw_rate_degps))
     except ValueError as error:
-        raise Failure(f"safety: {error}", EXIT_CONFIG) from None
+        raise UserError(f"safety: {error}", EXIT_CONFIG) from None
 
 
 # -- perception ---------------------------------------------------------------------------------------------------------
 
 
-def make_perception(config: Config, wires: Wires, clock: Clock, stopped: Callable[[], bool] = lambda: False) -> Perception:
+def make_perception(
+    config: Config, wires: FlightChannels, clock: Clock, stopped: Callable[[], bool] = lambda: False
+) -> Perception:
     """The loop next to the camera. Raises Failure if there is none; with exit code 0 once stopped() while it waits for one."""
     from uav_recon.localization.camera_mount import FixedMount, GimbalMount
     from uav_recon.localization.fusion_filter import FusionFilter
@@ -156,7 +160,7 @@ def make_perception(config: Config, wires: Wires, clock: Clock, stopped: Callabl
     return Perception(camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, clock, rate_hz, wait_s)
 
 
-def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[Camera, PoseSource]:
+def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[DepthCamera, PoseSource]:
     from uav_recon.sensors.stream_camera import StreamCamera, StreamError, StreamPoses, open_stream
 
     near_m, far_m = config.camera.depth_min_m, config.camera.depth_max_m
@@ -167,7 +171,7 @@ def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[
             from uav_recon.sensors.recorded_camera import RecordedCamera, RecordedPoses
 
             if config.camera.recording is None:
-                raise Failure("camera.recording: must name a flight folder where camera.source is recorded", EXIT_CONFIG)
+                raise UserError("camera.recording: must name a flight folder where camera.source is recorded", EXIT_CONFIG)
             folder = config.camera.recording
             return RecordedCamera(folder, clock, near_m, far_m), RecordedPoses(folder, clock, tilted)
         path = config.runtime.folder / config.camera.stream
@@ -184,48 +188,48 @@ def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[
             StreamPoses(path),
         )
     except StreamError as error:
-        raise Failure(str(error), 0 if stopped() else EXIT_FAILURE) from None
+        raise UserError(str(error), 0 if stopped() else EXIT_FAILURE) from None
 
 
 # -- the mission --------------------------------------------------------------------------------------------------------
 
 
-def make_voxels(config: Config) -> Voxels:
+def make_occupancy_map(config: Config) -> OccupancyMap:
     """The occupancy map over the fence and a margin beyond it."""
-    from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
+    from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
 
     safety, voxels, camera = config.safety, config.voxels, config.camera
     margin = np.full(3, voxels.margin_m)
     grid = GridSpec.covering(np.array(safety.fence_min_m) - margin, np.array(safety.fence_max_m) + margin, voxels.resolution_m)
     sensor = DepthSensor(camera.depth_min_m, camera.depth_noise_px, camera.baseline_m)
-    return Voxels(grid, sensor, voxels.max_range_m, safety.fence_min_m, safety.fence_max_m, voxels.distance_cap_m)
+    return OccupancyMap(grid, sensor, voxels.max_range_m, safety.fence_min_m, safety.fence_max_m, voxels.distance_cap_m)
 
 
-def make_planner(config: Config, timer: Callable[[], float]) -> ThroughNarrows:
+def make_planner(config: Config, timer: Callable[[], float]) -> NarrowPassagePlanner:
     """The planner of the config's variant, and what it does not reach through narrow ways."""
-    from uav_recon.planning.narrow_passages import ThroughNarrows
+    from uav_recon.planning.narrow_passages import NarrowPassagePlanner
     from uav_recon.planning.view_planner import ViewPlanner
 
     safety = config.safety
     inset_m = max(config.planner.clearance_m, safety.fence_inset_m)  # never plan what the guard would refuse
     usual = ViewPlanner(
-        config.planner, np.array(safety.fence_min_m), np.array(safety.fence_max_m), camera_geometry(config), price_of(config),
-        timer, inset_m,
+        config.planner, np.array(safety.fence_min_m), np.array(safety.fence_max_m), camera_geometry(config),
+        travel_time_model(config), timer, inset_m,
     )  # fmt: skip
     least_m = (safety.vehicle_radius_m + max(m, safety.stop_clearance_m) for m in (NARROW_M, RETREAT_M))
     narrow_m, homeward_m = (min(m, config.planner.clearance_m) for m in least_m)
-    return ThroughNarrows(usual, narrow_m, homeward_m, max(narrow_m, safety.fence_inset_m), timer)
+    return NarrowPassagePlanner(usual, narrow_m, homeward_m, max(narrow_m, safety.fence_inset_m), timer)
 
 
-def price_of(config: Config) -> Price:
+def travel_time_model(config: Config) -> TravelTimeModel:
     """What a leg is reckoned to take: the planner's, for the gaze that motion has."""
-    from uav_recon.motion.yaw_policy import NoseAhead, gaze_of
-    from uav_recon.planning.tour.travel_time import NoseFirst, TurningOnTheWay
+    from uav_recon.motion.yaw_policy import YawAlongPath, yaw_policy_of
+    from uav_recon.planning.tour.travel_time import YawThenFly, YawWhileFlying
 
-    gaze, pace = gaze_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
-    if isinstance(gaze, NoseAhead):
-        return NoseFirst(*pace, gaze.blind_mps, gaze.off_rad, gaze.upright)
-    return TurningOnTheWay(*pace)
+    gaze, pace = yaw_policy_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
+    if isinstance(gaze, YawAlongPath):
+        return YawThenFly(*pace, gaze.blind_mps, gaze.off_rad, gaze.upright)
+    return YawWhileFlying(*pace)
 
 
 def camera_geometry(config: Config) -> CameraGeometry:
@@ -245,46 +249,54 @@ def camera_geometry(config: Config) -> CameraGeometry:
     )
 
 
-def make_motion(config: Config, clearance_m: float) -> Paced:
+def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
     """Trajectories inside the guard's fence, slow as long as the guard lets nothing pass that is faster than a retreat."""
-    from uav_recon.motion.speed_limited_planner import Paced
+    from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
 
     safety, inset_m = config.safety, config.safety.fence_inset_m + INSIDE_M
-    return Paced.of(config, clearance_m, np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m)
+    return SpeedLimitedPlanner.of(
+        config, clearance_m, np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m
+    )
 
 
-def make_coverage(config: Config, voxels: Voxels) -> Coverage:
+def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection:
     """The spending of the view budget."""
-    from uav_recon.mapping.keyframe_selection import Coverage
+    from uav_recon.mapping.keyframe_selection import KeyframeSelection
 
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
-    return Coverage(voxels.grid, low, high, camera.depth_noise_px, camera.baseline_m)
+    return KeyframeSelection(voxels.grid, low, high, camera.depth_noise_px, camera.baseline_m)
 
 
-def make_trainer(config: Config) -> Trainer:
+def make_neural_mapper(config: Config) -> NeuralMapper:
     """The neural field of the mapper. Raises Failure if its prior model cannot be used."""
     from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
-    from uav_recon.mapping.neural.neural_mapper import Trainer
+    from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
     try:
-        return Trainer(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m)
+        return NeuralMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m)
     except PriorError as error:
-        raise Failure(str(error), EXIT_CONFIG) from None
+        raise UserError(str(error), EXIT_CONFIG) from None
 
 
 def make_conductor(
-    config: Config, wires: Wires, mapper: Mapper, executor: Executor, journal: Journal, clock: Clock, timer: Callable[[], float]
+    config: Config,
+    wires: FlightChannels,
+    mapper: Mapper,
+    executor: Executor,
+    journal: Journal,
+    clock: Clock,
+    timer: Callable[[], float],
 ) -> Conductor:
     """The mission with every stage warm."""
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.mission.mission_setup import MissionWires, Orders, Stages
+    from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 
-    mission, voxels, planner = config.mission, make_voxels(config), make_planner(config, timer)
+    mission, voxels, planner = config.mission, make_occupancy_map(config), make_planner(config, timer)
     retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m := config.planner.clearance_m)
-    orders = Orders(
+    orders = MissionParameters(
         views=mission.views,
         survey_views=mission.survey_views,
         view_spacing_m=config.planner.view_spacing_m or math.inf,
@@ -298,12 +310,12 @@ def make_conductor(
         clearance_m=clearance_m,
         operator_timeout_s=mission.operator_timeout_s or math.inf,
     )
-    channels = MissionWires(
+    channels = MissionChannels(
         wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
         wires.correction, wires.free,
     )  # fmt: skip
     motions = (make_motion(config, kept_m) for kept_m in (clearance_m, retreat_m))
-    stages = Stages(voxels, make_coverage(config, voxels), mapper, planner, *motions)
+    stages = MissionStages(voxels, make_keyframe_selection(config, voxels), mapper, planner, *motions)
     return Conductor(stages, channels, orders, executor, journal, clock)
 
 
@@ -311,14 +323,14 @@ def warm_up(config: Config) -> None:
     """Compile every kernel of the mission process before the drone may be READY."""
     from uav_recon.planning import view_planner as planner
 
-    voxels = make_voxels(config)
+    voxels = make_occupancy_map(config)
     voxels.warm_up()
-    make_coverage(config, voxels).warm_up()
+    make_keyframe_selection(config, voxels).warm_up()
     planner.warm_up(config.planner.variant)
     make_motion(config, config.planner.clearance_m).warm_up()
 
 
-def make_recorder(config: Config, wires: Wires, flight: Path, clock: Clock) -> Recorder | Timelapse:
+def make_recorder(config: Config, wires: FlightChannels, flight: Path, clock: Clock) -> Recorder | Timelapse:
     """The subscriber that writes flight.rrd and how the surface grew; the latter alone where recording.rerun is off."""
     from uav_recon.recording.timelapse import Timelapse
 

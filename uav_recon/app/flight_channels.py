@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from uav_recon.channels import FileChannel, MemoryChannel
-from uav_recon.errors import EXIT_CONFIG, Failure
+from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import Channel
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import MapCorrection, StampedPose
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
@@ -18,7 +18,7 @@ from uav_recon.types.vehicle import MissionProgress, VehicleState
 
 
 @dataclass(frozen=True)
-class Wires:
+class FlightChannels:
     """Every last-value channel of a flight."""
 
     odom: Channel[StampedPose]
@@ -31,24 +31,24 @@ class Wires:
     plan: Channel[ViewPath]
     correction: Channel[MapCorrection]
     free: Channel[FreeSpace]
-    nearby: Channel[Nearby]
+    nearby: Channel[MinRangeGrid]
 
 
-def memory_wires() -> Wires:
+def memory_channels() -> FlightChannels:
     """All in one process."""
-    return Wires(
+    return FlightChannels(
         MemoryChannel(StampedPose), MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent),
         MemoryChannel(MissionProgress), MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
-        MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(Nearby),
+        MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(MinRangeGrid),
     )  # fmt: skip
 
 
-def file_wires(folder: Path) -> Wires:
+def file_channels(folder: Path) -> FlightChannels:
     """Between processes: memory-mapped files in the runtime folder. Raises Failure if it cannot be written."""
     megabyte = 1 << 20
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return Wires(
+        return FlightChannels(
             odom=FileChannel(folder / "odom.channel", StampedPose),
             frames=FileChannel(folder / "frames.channel", PosedFrame, 16 * megabyte),
             vehicle=FileChannel(folder / "vehicle.channel", VehicleState),
@@ -59,7 +59,7 @@ def file_wires(folder: Path) -> Wires:
             plan=FileChannel(folder / "plan.channel", ViewPath, megabyte),
             correction=FileChannel(folder / "correction.channel", MapCorrection, megabyte),
             free=FileChannel(folder / "free.channel", FreeSpace, 4 * megabyte),
-            nearby=FileChannel(folder / "nearby.channel", Nearby),
+            nearby=FileChannel(folder / "nearby.channel", MinRangeGrid),
         )
     except OSError as error:
-        raise Failure(f"runtime.folder {folder}: cannot be written ({error.strerror})", EXIT_CONFIG) from None
+        raise UserError(f"runtime.folder {folder}: cannot be written ({error.strerror})", EXIT_CONFIG) from None

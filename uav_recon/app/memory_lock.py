@@ -10,7 +10,7 @@ import resource
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4  # MCL_* of linux/mman.h, on x86 and Arm
 
 
-def settle() -> bool:
+def lock_memory_and_freeze_gc() -> bool:
     """Call once everything is built: what is touched stays in memory from now on. True if the kernel agreed; never raises.
 
     The collector goes on, over what comes from now on: memory stays flat over hours.

@@ -7,29 +7,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from uav_recon.errors import EXIT_USAGE, Failure
+from uav_recon.errors import EXIT_USAGE, UserError
 
 
-class UsageError(Failure):
+class UsageError(UserError):
     """An option that makes no sense."""
 
     code = EXIT_USAGE
 
 
 @contextmanager
-def looked_at(name: str, code: int = EXIT_USAGE) -> Iterator[None]:
+def readable(name: str, code: int = EXIT_USAGE) -> Iterator[None]:
     """What the system refuses in here is told under this name. Raises Failure with this exit code."""
     try:
         yield
     except OSError as error:
-        raise Failure(f"{name}: cannot be read ({error.strerror or error})", code) from None
+        raise UserError(f"{name}: cannot be read ({error.strerror or error})", code) from None
 
 
-def need_file(option: str, path: Path | None) -> None:
+def require_writable_file(option: str, path: Path | None) -> None:
     """See that a file can be written there, and leave what is there as it is. Raises UsageError."""
     if path is None:
         return
-    with looked_at(f"{option} {path}"):
+    with readable(f"{option} {path}"):
         if not path.parent.is_dir():
             raise UsageError(f"{option} {path}: no such folder {path.parent}")
         before = path.exists()
@@ -41,7 +41,7 @@ def need_file(option: str, path: Path | None) -> None:
         raise UsageError(f"{option} {path}: cannot be written ({error.strerror})") from None
 
 
-def need_folder(option: str, path: Path | None) -> None:
+def require_writable_folder(option: str, path: Path | None) -> None:
     """Make the folder if needed, and see that it can be written into. Raises UsageError."""
     if path is None:
         return

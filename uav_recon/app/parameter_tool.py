@@ -14,17 +14,17 @@ from rich.console import Console
 from rich.table import Table
 
 from uav_recon.app import factory
-from uav_recon.app.option_validation import looked_at
-from uav_recon.autopilot.link.vehicle_link import Link
-from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.app.option_validation import readable
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
+from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.messages import ParameterValue
 from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.autopilot.mavlink.transport import LinkError, open_link
-from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, ParameterFileError, Wanted, load
-from uav_recon.autopilot.parameters.reader import Inquiry, equal
+from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, ParameterFileError, RequiredParameter, load
+from uav_recon.autopilot.parameters.reader import ParameterReader, equal
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import LinkConfig
-from uav_recon.errors import EXIT_CONFIG, Failure
+from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import ByteLink, Clock
 
 T = TypeVar("T")
@@ -53,13 +53,13 @@ class ParamsOptions:
     def of(autopilot: str | None, link: str | None, file: Path | None, config: Path) -> ParamsOptions:
         """What is not given is the config's, which is read only then. Raises Failure."""
         if autopilot is not None and autopilot not in _FAMILY_OF:
-            raise Failure(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", EXIT_CONFIG)
+            raise UserError(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", EXIT_CONFIG)
         if autopilot is not None and link is not None:
             return ParamsOptions(autopilot, link, file)
-        with looked_at(str(config), EXIT_CONFIG):
+        with readable(str(config), EXIT_CONFIG):
             there = config.exists()
         if not there:
-            raise Failure(f"give --autopilot and --link, or a --config that says them ({config} is not there)", EXIT_CONFIG)
+            raise UserError(f"give --autopilot and --link, or a --config that says them ({config} is not there)", EXIT_CONFIG)
         says = factory.load_config(config).link
         return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters, says)
 
@@ -68,7 +68,7 @@ class ParamsOptions:
 class Compared:
     """A parameter as it is wanted and as it was told; told None: the firmware does not know it, or is silent."""
 
-    wanted: Wanted
+    wanted: RequiredParameter
     told: ParameterValue | None
     value: float
 
@@ -81,19 +81,19 @@ class Compared:
 class Vehicle:
     """The vehicle on the other end, on the ground. Raises Failure where it does not answer or is another one."""
 
-    def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: Gate) -> None:
+    def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: AllowListFilter) -> None:
         self._clock, self._options = clock, options
         self._firmware, self._form = factory.firmware(options.autopilot)
-        self._link = Link(bytes_link, NoLog(), clock.now_s(), self._firmware, gate)
+        self._link = VehicleLink(bytes_link, NoLog(), clock.now_s(), self._firmware, gate)
         self._await_heartbeat()
 
-    def compare(self, wanted: tuple[Wanted, ...]) -> list[Compared]:
+    def compare(self, wanted: tuple[RequiredParameter, ...]) -> list[Compared]:
         """Read all of them back, in their order."""
-        inquiry = Inquiry(one.name for one in wanted)
+        inquiry = ParameterReader(one.name for one in wanted)
         while not inquiry.done:
             inquiry.step(self._turn(), self._link)
         if len(inquiry.silent) == len(wanted):
-            raise Failure(f"{self._options.link}: the autopilot tells no parameter", EXIT_SILENT)
+            raise UserError(f"{self._options.link}: the autopilot tells no parameter", EXIT_SILENT)
         return [self._compared(one) for one in wanted]
 
     def write(self, one: Compared) -> bool:
@@ -103,11 +103,11 @@ class Vehicle:
         try:
             number = self._form.number_of(one.wanted.value, one.told.kind)
         except ValueError as error:
-            raise Failure(f"{one.wanted.name}: {error}, and the vehicle has an integer there", EXIT_CONFIG) from None
+            raise UserError(f"{one.wanted.name}: {error}, and the vehicle has an integer there", EXIT_CONFIG) from None
         for _ in range(WRITE_TRIES):
             self.need_disarmed()
             self._link.set_parameter(self._clock.now_s(), ParameterValue(one.wanted.name, number, one.told.kind))
-            inquiry = Inquiry([one.wanted.name])
+            inquiry = ParameterReader([one.wanted.name])
             while not inquiry.done:
                 inquiry.step(self._turn(), self._link)
             if self._compared(one.wanted).same:
@@ -119,11 +119,11 @@ class Vehicle:
         t, asked_s = self._link.telemetry, self._clock.now_s()
         while t.heartbeat_s <= asked_s:
             if self._turn() - asked_s > FRESH_S:
-                raise Failure(f"{self._options.link}: the autopilot fell silent; nothing more is written", EXIT_SILENT)
+                raise UserError(f"{self._options.link}: the autopilot fell silent; nothing more is written", EXIT_SILENT)
         if t.armed:
-            raise Failure("the motors are armed: parameters are written on the ground, disarmed", EXIT_CONFIG)
+            raise UserError("the motors are armed: parameters are written on the ground, disarmed", EXIT_CONFIG)
 
-    def _compared(self, one: Wanted) -> Compared:
+    def _compared(self, one: RequiredParameter) -> Compared:
         told = self._link.telemetry.parameters.get(one.name)
         return Compared(one, told, math.nan if told is None else self._form.value_of(told))
 
@@ -135,10 +135,10 @@ class Vehicle:
                 said = True
                 print(f"uav-recon: {self._options.link}: waiting for a heartbeat", file=sys.stderr)
             if waited_s > HEARTBEAT_S:
-                raise Failure(f"{self._options.link}: no autopilot heard within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
+                raise UserError(f"{self._options.link}: no autopilot heard within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
         if t.firmware_family != _FAMILY_OF[self._options.autopilot]:
             name = _FAMILIES.get(t.firmware_family, f"MAV_AUTOPILOT {t.firmware_family}")
-            raise Failure(
+            raise UserError(
                 f"--autopilot, or link.autopilot in the config, is {self._options.autopilot}: the vehicle is {name}",
                 EXIT_CONFIG,
             )
@@ -151,7 +151,7 @@ class Vehicle:
         self._link.receive(now_s)
         self._link.poll(now_s)
         if self._link.telemetry.failure:
-            raise Failure(f"{self._options.link}: {self._link.telemetry.failure}", EXIT_SILENT)
+            raise UserError(f"{self._options.link}: {self._link.telemetry.failure}", EXIT_SILENT)
         return now_s
 
 
@@ -189,7 +189,7 @@ def show(compared: list[Compared], every_row: bool, console: Console) -> int:
     return EXIT_DIFFERENT
 
 
-def write_to(vehicle: Vehicle, wanted: tuple[Wanted, ...], confirm: Callable[[str], bool], console: Console) -> int:
+def write_to(vehicle: Vehicle, wanted: tuple[RequiredParameter, ...], confirm: Callable[[str], bool], console: Console) -> int:
     """Read, ask, write, read back; exit code 1 if anything differs in the end."""
     compared = vehicle.compare(wanted)
     code = show(compared, False, console)
@@ -209,21 +209,21 @@ def write_to(vehicle: Vehicle, wanted: tuple[Wanted, ...], confirm: Callable[[st
     return code
 
 
-def _wanted(options: ParamsOptions) -> tuple[Wanted, ...]:
+def _wanted(options: ParamsOptions) -> tuple[RequiredParameter, ...]:
     try:
         return load(options.file or PARAMETER_FILES[options.autopilot])
     except ParameterFileError as error:
-        raise Failure(str(error), EXIT_CONFIG) from None
+        raise UserError(str(error), EXIT_CONFIG) from None
 
 
 def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
     clock = MonotonicClock()
-    gate = factory.make_gate(options.says, clock)
+    gate = factory.make_allow_list_filter(options.says, clock)
     try:
         link = open_link(options.link, gate, clock, options.says.peer_host)
     except LinkError as error:
         held = " (a pilot that runs holds its line: stop it first)" if _IN_USE.search(str(error)) else ""
-        raise Failure(f"{error}{held}", EXIT_CONFIG) from None
+        raise UserError(f"{error}{held}", EXIT_CONFIG) from None
     try:
         return work(Vehicle(link, options, clock, gate))
     finally:

@@ -18,11 +18,11 @@ import numpy as np
 
 from uav_recon import config as configuration
 from uav_recon.app import factory, memory_lock, operator_factory, systemd_notify
-from uav_recon.app.flight_channels import file_wires
-from uav_recon.app.option_validation import UsageError, looked_at
+from uav_recon.app.flight_channels import file_channels
+from uav_recon.app.option_validation import UsageError, readable
 from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
 from uav_recon.config import Config
-from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, Failure
+from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, UserError
 from uav_recon.interfaces import Channel, Clock
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
@@ -57,7 +57,7 @@ def flight_folder(config: Config, flight: Path | None) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise Failure(f"flight folder {folder}: cannot be written ({error.strerror})") from None
+        raise UserError(f"flight folder {folder}: cannot be written ({error.strerror})") from None
     return folder
 
 
@@ -73,12 +73,12 @@ def claim_file(path: Path, otherwise: str) -> int:
     try:
         lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     except OSError as error:
-        raise Failure(f"{path}: cannot be opened ({error.strerror})", EXIT_CONFIG) from None
+        raise UserError(f"{path}: cannot be opened ({error.strerror})", EXIT_CONFIG) from None
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         os.close(lock)
-        raise Failure(otherwise, EXIT_SECOND_COPY) from None
+        raise UserError(otherwise, EXIT_SECOND_COPY) from None
     return lock
 
 
@@ -88,17 +88,17 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     from uav_recon.autopilot.mavlink.transport import LinkError, open_link
 
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
-    wires = file_wires(config.runtime.folder)
+    wires = file_channels(config.runtime.folder)
     claim("pilot", config)
-    gate = factory.make_gate(config.link, clock)
+    gate = factory.make_allow_list_filter(config.link, clock)
     try:
         link = open_link(config.link.url, gate, clock, config.link.peer_host)
     except LinkError as error:
-        raise Failure(str(error)) from None
+        raise UserError(str(error)) from None
     log = Tlog(flight_folder(config, flight) / "flight.tlog", time.time() - clock.now_s())
     the_pilot = factory.make_pilot(config, wires, link, log, clock, gate)
-    desk = operator_factory.make_desk(config, wires, the_pilot, clock)
-    memory_lock.settle()
+    desk = operator_factory.make_command_socket(config, wires, the_pilot, clock)
+    memory_lock.lock_memory_and_freeze_gc()
     systemd_notify.ready()
     while not (stop.asked and not the_pilot.in_flight and has_told(the_pilot.phase, wires.vehicle)):
         if stop.asked:
@@ -125,13 +125,13 @@ def has_told(phase: FlightPhase, vehicle: Channel[VehicleState]) -> bool:
 def perception(config_path: Path) -> int:
     """Turn camera and poses into odometry and posed frames until SIGTERM, or until the camera is gone, which is a Failure."""
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
-    wires = file_wires(config.runtime.folder)
+    wires = file_channels(config.runtime.folder)
     claim("perception", config)
     the_perception = factory.make_perception(config, wires, clock, lambda: stop.asked)
     systemd_notify.ready()
     gone = perceive(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
     if gone and not stop.asked:
-        raise Failure(gone)
+        raise UserError(gone)
     return 0
 
 
@@ -170,14 +170,14 @@ def mission(config_path: Path, flight: Path | None) -> int:
     """Fly one mission and write its folder; SIGTERM lands. Exit code 0 however the flight ended."""
     from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
     from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
-    from uav_recon.mission.operator_commands import StandingOrders
+    from uav_recon.mission.operator_commands import OperatorCommandReceiver
     from uav_recon.recording.flight_log import FlightLog
-    from uav_recon.recording.flight_report import FlightCard, account, publish
+    from uav_recon.recording.flight_report import FlightInfo, build_report, publish
     from uav_recon.recording.map_file import save_map
 
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
-    wires, begun_s = file_wires(config.runtime.folder), clock.now_s()
-    orders = StandingOrders(operator_factory.operator_orders(config.runtime.folder), begun_s)
+    wires, begun_s = file_channels(config.runtime.folder), clock.now_s()
+    orders = OperatorCommandReceiver(operator_factory.operator_command_receiver(config.runtime.folder), begun_s)
     claim("mission", config)
     folder = flight_folder(config, flight)
     configuration.save(config, folder / "config.toml")
@@ -186,7 +186,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     try:
         mapper = ProcessMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, folder)
     except PriorError as error:
-        raise Failure(str(error), EXIT_CONFIG) from None
+        raise UserError(str(error), EXIT_CONFIG) from None
     recorder = _start_recorder(config_path, folder)
     journal, executor = FlightLog(folder), ThreadExecutor("planner", PLANNER_PATIENCE_S)
     try:
@@ -213,8 +213,8 @@ def mission(config_path: Path, flight: Path | None) -> int:
         journal.close()
         _stop_recorder(recorder)
     mount = "gimbal" if camera.mount == "gimbal" else f"fixed:{camera.pitch_down_deg:g}"
-    card = FlightCard(folder.name, config.planner.variant, config.link.autopilot, mount)
-    publish(account(folder, card, clock.now_s() - begun_s), folder)
+    card = FlightInfo(folder.name, config.planner.variant, config.link.autopilot, mount)
+    publish(build_report(folder, card, clock.now_s() - begun_s), folder)
     logging.getLogger(__name__).info("%s", outcome)
     return 0
 
@@ -222,7 +222,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
 def record(config_path: Path, flight: Path | None) -> int:
     """Subscribe to the channels and write down what they say until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
-    wires = file_wires(config.runtime.folder)
+    wires = file_channels(config.runtime.folder)
     recorder = factory.make_recorder(config, wires, flight_folder(config, flight), clock)
     _loop(recorder.step, RECORDER_RATE_HZ, clock, lambda: stop.asked or _hung_up(sys.stdin.fileno()))
     recorder.close()
@@ -235,14 +235,14 @@ def review(flight: Path) -> int:
     from uav_recon.recording.review import review as open_review
 
     try:
-        with looked_at(str(flight)):
+        with readable(str(flight)):
             recording_path(flight)
     except ReviewError as error:
         raise UsageError(str(error)) from None
     try:
         open_review(flight)
     except ReviewError as error:
-        raise Failure(str(error)) from None
+        raise UserError(str(error)) from None
     return 0
 
 

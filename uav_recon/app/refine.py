@@ -21,17 +21,17 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from uav_recon.app import factory
-from uav_recon.app.option_validation import looked_at
+from uav_recon.app.option_validation import readable
 from uav_recon.app.processes import Stop, claim_file
-from uav_recon.errors import EXIT_USAGE, Failure
+from uav_recon.errors import EXIT_USAGE, UserError
 
 if TYPE_CHECKING:
     from uav_recon.config import Config
-    from uav_recon.mapping.neural.sdf_interface import LearnedField
-    from uav_recon.mapping.neural.sdf_torch.checkpoint import Checkpoints, State
-    from uav_recon.mapping.neural.sdf_torch.distributed import Team
+    from uav_recon.mapping.neural.sdf_interface import SdfField
+    from uav_recon.mapping.neural.sdf_torch.checkpoint import RefineCheckpoints, State
+    from uav_recon.mapping.neural.sdf_torch.distributed import ProcessGroup
     from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan, Refiner
-    from uav_recon.mapping.neural.training_data import Gathered
+    from uav_recon.mapping.neural.training_data import TrainingData
     from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh
 
 REFINED, MESH_PLY, MESH_GLB = "refined", "mesh.ply", "mesh.glb"
@@ -64,13 +64,13 @@ class RefineOptions:
             most = min(PROCESSES[1], max(2, int(memory_gb() / PROCESS_GB)))
             if not PROCESSES[0] <= self.processes <= most:
                 why = "" if most == PROCESSES[1] else f"; each may take {PROCESS_GB:g} GB of memory"
-                raise Failure(f"--processes {self.processes}: want {PROCESSES[0]} to {most}{why}", EXIT_USAGE)
-        with looked_at(str(self.flight)):
+                raise UserError(f"--processes {self.processes}: want {PROCESSES[0]} to {most}{why}", EXIT_USAGE)
+        with readable(str(self.flight)):
             folder, views = self.flight.is_dir(), (self.flight / "keyframes" / "poses.json").is_file()
         if not folder:
-            raise Failure(f"{self.flight}: no such flight folder", EXIT_USAGE)
+            raise UserError(f"{self.flight}: no such flight folder", EXIT_USAGE)
         if not views:
-            raise Failure(f"{self.flight}: has no keyframes (keyframes/poses.json): not a flight with views", EXIT_USAGE)
+            raise UserError(f"{self.flight}: has no keyframes (keyframes/poses.json): not a flight with views", EXIT_USAGE)
         return self
 
 
@@ -82,14 +82,14 @@ def refine(wanted: RefineOptions) -> int:
     try:
         kind = team.device_kind(wanted.device)
     except team.DeviceError as error:
-        raise Failure(f"--device {error}", EXIT_USAGE) from None
+        raise UserError(f"--device {error}", EXIT_USAGE) from None
     processes = wanted.processes or (team.gpus() if kind == "cuda" else 1)
     if kind == "cuda" and processes > team.gpus():
-        raise Failure(f"--processes {processes}: torch sees {team.gpus()} GPUs", EXIT_USAGE)
+        raise UserError(f"--processes {processes}: torch sees {team.gpus()} GPUs", EXIT_USAGE)
     if processes > 1 and WORKER not in os.environ:
         _state(_checkpoints(wanted, kind)[2])  # what is wrong is said here, once
         return _under_torchrun(wanted, processes)
-    return _Work(wanted, team.Team(kind), kind).run()
+    return _Work(wanted, team.ProcessGroup(kind), kind).run()
 
 
 def memory_gb() -> float:
@@ -99,7 +99,7 @@ def memory_gb() -> float:
 
 def _in_range(name: str, value: float, allowed: tuple[float, float]) -> None:
     if not allowed[0] <= value <= allowed[1]:
-        raise Failure(f"{name} {value:g}: want {allowed[0]:g} to {allowed[1]:.7g}", EXIT_USAGE)
+        raise UserError(f"{name} {value:g}: want {allowed[0]:g} to {allowed[1]:.7g}", EXIT_USAGE)
 
 
 def _under_torchrun(wanted: RefineOptions, processes: int) -> int:
@@ -126,7 +126,7 @@ def _under_torchrun(wanted: RefineOptions, processes: int) -> int:
 class _Work:
     """One process of a run."""
 
-    def __init__(self, wanted: RefineOptions, team: Team, kind: str) -> None:
+    def __init__(self, wanted: RefineOptions, team: ProcessGroup, kind: str) -> None:
         self._wanted, self._team, self._kind = wanted, team, kind
         self._folder = wanted.flight / REFINED
         self._console = Console(stderr=True, quiet=not team.leads)
@@ -136,24 +136,24 @@ class _Work:
         """The whole of it; 0, or Failure."""
         from uav_recon.mapping.neural.sdf_torch.distributed import FullDeviceError
         from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError
-        from uav_recon.mapping.neural.watertight.watertight_mesh import ShellError
+        from uav_recon.mapping.neural.watertight.watertight_mesh import MeshResolutionError
 
         lock = self._claim() if self._team.leads else None
         try:
             self._run()
-        except (GridError, ShellError) as error:
-            raise Failure(f"--voxel {self._wanted.voxel_m:g}: {error}", EXIT_USAGE) from None
+        except (GridError, MeshResolutionError) as error:
+            raise UserError(f"--voxel {self._wanted.voxel_m:g}: {error}", EXIT_USAGE) from None
         except FullDeviceError:
-            raise Failure(f"--voxel {self._wanted.voxel_m:g}: the GPU's memory is full; want a larger voxel") from None
+            raise UserError(f"--voxel {self._wanted.voxel_m:g}: the GPU's memory is full; want a larger voxel") from None
         except OSError as error:
-            raise Failure(f"{self._folder}: cannot be written ({error.strerror})") from None
+            raise UserError(f"{self._folder}: cannot be written ({error.strerror})") from None
         finally:
             if lock is not None:
                 os.close(lock)
         return 0
 
     def _run(self) -> None:
-        from uav_recon.mapping.neural.surface.colour_fusion import Painted
+        from uav_recon.mapping.neural.surface.colour_fusion import ColourFusedField
         from uav_recon.mapping.neural.watertight.watertight_mesh import closed_mesh
 
         gathered, refiner, checkpoints = self._prepare()
@@ -164,7 +164,7 @@ class _Work:
             self._say(f"stopped after {refiner.steps} of {self._wanted.steps} steps; the same command goes on from there")
         elif self._team.leads:
             with self._console.status("closing the surface ..."):
-                painted = Painted(refiner.field, gathered.replay, gathered.low_m, gathered.high_m)
+                painted = ColourFusedField(refiner.field, gathered.replay, gathered.low_m, gathered.high_m)
                 mesh = closed_mesh(painted, gathered, self._wanted.voxel_m)
             self._write(mesh, painted, gathered)
 
@@ -172,10 +172,10 @@ class _Work:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise Failure(f"{self._folder}: cannot be made ({error.strerror})") from None
+            raise UserError(f"{self._folder}: cannot be made ({error.strerror})") from None
         return claim_file(self._folder / LOCK_FILE, f"a refinement of {self._wanted.flight} runs already")
 
-    def _prepare(self) -> tuple[Gathered, Refiner, Checkpoints]:
+    def _prepare(self) -> tuple[TrainingData, Refiner, RefineCheckpoints]:
         from uav_recon.mapping.neural.sdf_torch.refiner import Refiner
         from uav_recon.mapping.neural.watertight.watertight_mesh import check_size
 
@@ -194,7 +194,7 @@ class _Work:
             self._say("beginning anew")
         return gathered, refiner, checkpoints
 
-    def _learn(self, refiner: Refiner, checkpoints: Checkpoints) -> bool:
+    def _learn(self, refiner: Refiner, checkpoints: RefineCheckpoints) -> bool:
         """Whether the plan was done; saved in any case."""
         start, began_s = refiner.steps, time.monotonic()
         saved_s, saved_at = began_s, refiner.steps
@@ -216,7 +216,7 @@ class _Work:
     def _asked(self) -> bool:
         return self._stop.asked or (WORKER in os.environ and (self._folder / STOP_FILE).exists())
 
-    def _write(self, mesh: ClosedMesh, field: LearnedField, gathered: Gathered) -> None:
+    def _write(self, mesh: ClosedMesh, field: SdfField, gathered: TrainingData) -> None:
         from uav_recon.mapping.neural.watertight.mesh_export import write_closed_ply, write_textured_glb
         from uav_recon.recording.mesh_renders import mesh_pictures
 
@@ -231,42 +231,42 @@ class _Work:
         self._console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
-def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, Checkpoints]:
+def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, RefineCheckpoints]:
     """The flight's config, what is to be done, and where it is kept."""
-    from uav_recon.mapping.neural.sdf_torch.checkpoint import Checkpoints
+    from uav_recon.mapping.neural.sdf_torch.checkpoint import RefineCheckpoints
     from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan
 
     config = factory.load_config(wanted.flight / "config.toml")
     plan = RefinePlan(wanted.steps, wanted.voxel_m, RAYS[kind], config.mapper.seed)
-    return config, plan, Checkpoints(wanted.flight / REFINED, plan.identity(_digest(wanted.flight, config)))
+    return config, plan, RefineCheckpoints(wanted.flight / REFINED, plan.identity(_digest(wanted.flight, config)))
 
 
-def _state(checkpoints: Checkpoints) -> tuple[State | None, list[str]]:
+def _state(checkpoints: RefineCheckpoints) -> tuple[State | None, list[str]]:
     """The newest, and what is to be said of it. Raises Failure if it is of another run."""
     from uav_recon.mapping.neural.sdf_torch.checkpoint import CheckpointMismatchError
 
     try:
         return checkpoints.load()
     except CheckpointMismatchError as error:
-        raise Failure(str(error), EXIT_USAGE) from None
+        raise UserError(str(error), EXIT_USAGE) from None
 
 
-def _gathered(flight: Path, config: Config, say: Callable[[str], None]) -> Gathered:
+def _gathered(flight: Path, config: Config, say: Callable[[str], None]) -> TrainingData:
     """Take every readable view. Raises Failure if there is none."""
     from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 
-    trainer = factory.make_trainer(config)
+    trainer = factory.make_neural_mapper(config)
     try:
         folder = KeyframeFolder(flight / "keyframes")
     except KeyframeError as error:
-        raise Failure(str(error)) from None
+        raise UserError(str(error)) from None
     for number in range(len(folder)):
         try:
             trainer.add(folder.load(number))
         except KeyframeError as error:
             say(str(error))  # one view less
     if trainer.views == 0:
-        raise Failure(f"{flight}: none of its {len(folder)} keyframes can be used")
+        raise UserError(f"{flight}: none of its {len(folder)} keyframes can be used")
     return trainer.gathered()
 
 

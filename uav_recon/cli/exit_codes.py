@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import typer
 
-from uav_recon.errors import EXIT_USAGE, Failure
+from uav_recon.errors import EXIT_USAGE, UserError
 
 EXIT_INTERRUPTED = 130
 ParserError: type[Exception] = cast(Any, typer.BadParameter).__bases__[0]  # click's UsageError, or typer's own: it has moved
@@ -18,7 +18,7 @@ def exit_with(work: Callable[[], Any]) -> None:
     """Do the work and end with the code it gives; a Failure becomes its line and its code."""
     try:
         code = work()
-    except Failure as failure:
+    except UserError as failure:
         print(f"uav-recon: {failure}", file=sys.stderr)
         raise typer.Exit(failure.code) from None
     except KeyboardInterrupt:

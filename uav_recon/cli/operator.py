@@ -13,8 +13,8 @@ import typer
 
 from uav_recon.app import factory, operator_factory
 from uav_recon.cli.exit_codes import exit_with
-from uav_recon.errors import Failure
-from uav_recon.operator.client import CallError, call
+from uav_recon.errors import UserError
+from uav_recon.operator.client import CallError, send_command
 from uav_recon.operator.status import Status
 from uav_recon.operator.status_watch import Block, Lines, in_a_line
 
@@ -65,9 +65,9 @@ def status(
 
 
 def _order(word: str, config: Path, socket: Path | None) -> int:
-    answer = _reached(lambda: call(_path(config, socket), word))
+    answer = _reached(lambda: send_command(_path(config, socket), word))
     if not answer["ok"]:
-        raise Failure(f"{word} refused: {answer['said']}")
+        raise UserError(f"{word} refused: {answer['said']}")
     print(answer["said"])
     return 0
 
@@ -91,9 +91,9 @@ def _watch(config: Path, socket: Path | None, as_json: bool) -> int:
 
 def _asked(path: Path) -> Status:
     """Raises CallError, or Failure where the answer is none."""
-    answer = call(path, "status")
+    answer = send_command(path, "status")
     if not answer["ok"]:
-        raise Failure(f"status refused: {answer['said']}")
+        raise UserError(f"status refused: {answer['said']}")
     return Status.told(answer["status"])
 
 
@@ -109,4 +109,4 @@ def _reached(work: Callable[[], T]) -> T:
     try:
         return work()
     except CallError as error:
-        raise Failure(str(error), EXIT_NOBODY) from None
+        raise UserError(str(error), EXIT_NOBODY) from None

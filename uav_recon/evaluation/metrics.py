@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray
 
 SAMPLES = 300_000
@@ -20,7 +20,7 @@ PSNR_CAP_DB = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class SurfaceTruth:
     """What a model is held against, in world; frozen once per scene and mount, never cut by what a flight saw.
 
     surface: the triangles a model may lie on. points (N, 3): drawn on the part that can be seen, area-weighted.
@@ -28,7 +28,7 @@ class Truth:
     floor is taken between two halves of the points and scaled to their whole density.
     """
 
-    surface: Surface
+    surface: TriangleSurface
     points_world: FloatArray
     points_again_world: FloatArray | None = None
 
@@ -57,7 +57,7 @@ class StreamStatistics:
     gap_max_ms: float | None
 
 
-def measure(model: Surface, truth: Truth, psnr: float | None, seed: int = 0, samples: int = SAMPLES) -> Quality:
+def measure(model: TriangleSurface, truth: SurfaceTruth, psnr: float | None, seed: int = 0, samples: int = SAMPLES) -> Quality:
     """Measure a model against truth, both in world.
 
     ``samples`` points are drawn on the model, area-weighted. An empty model recalls nothing and has no accuracy.
@@ -142,7 +142,7 @@ def explored_fraction(known_free: BoolArray, truth_free_seen: BoolArray) -> floa
     return float(np.count_nonzero(known_free & truth_free_seen) / total) if total else None
 
 
-def _point_floor_cm(truth: Truth, seed: int) -> float | None:
+def _point_floor_cm(truth: SurfaceTruth, seed: int) -> float | None:
     """Truth against itself. The mean distance to the nearest of n points per area goes with 1 / sqrt(n) on a surface."""
     if truth.points_again_world is not None:
         return _mean_cm(point_distance_m(truth.points_again_world, truth.points_world))

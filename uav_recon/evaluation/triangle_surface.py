@@ -10,7 +10,7 @@ from uav_recon.types.frames import FloatArray, IntArray, frozen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class TriangleSurface:
     """Triangles in world: vertices_world (V, 3) metres, faces (F, 3). Raises ValueError on a face without its vertex."""
 
     vertices_world: FloatArray

@@ -9,9 +9,17 @@ from typing import TypeGuard
 
 import numpy as np
 
-from uav_recon.localization.depth_outliers import lone_share
-from uav_recon.localization.drift_rate import Creep
-from uav_recon.localization.past_view_comparison import ALIKE, ALIKE_LATELY, OVERLAPPING, Agreement, Likeness, Stand, Witness
+from uav_recon.localization.depth_outliers import isolated_pixel_fraction
+from uav_recon.localization.drift_rate import DriftRateEstimator
+from uav_recon.localization.past_view_comparison import (
+    ALIKE,
+    ALIKE_LATELY,
+    OVERLAPPING,
+    CameraPose,
+    PastViews,
+    ViewComparison,
+    ViewSelection,
+)
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose
@@ -20,7 +28,9 @@ _ALONE = 0.05  # of the pixels; honest pictures have 0.004
 _MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
 _REFIT = 0.10  # of the points misfit after a picture that was not believed: what follows a wrong one may follow by chance
 _TELLING = 0.03  # of the points more would misfit aside; shifted pictures that fit: 0.000; honest: 0.18 in three of four
-_THERE = Likeness(0.10, math.cos(math.radians(3.0)))  # the camera stands as it did at the first doubt, and sees what made it
+_THERE = ViewSelection(
+    0.10, math.cos(math.radians(3.0))
+)  # the camera stands as it did at the first doubt, and sees what made it
 _CALM = 3  # pictures in a row that fit there
 _HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
 _ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; honest, after so long a pause: 0.014
@@ -36,7 +46,7 @@ _KEPT_S = 2.0  # what was said holds for so long
 _FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # the camera moved so, and its picture is the same to the bit
 
 
-class Credence:
+class DepthConsistencyMonitor:
     """Hears every picture once, with the pose that goes with it: about 0.4 ms each, 1 ms in colour. warm_up() compiles
     its kernels.
 
@@ -46,11 +56,13 @@ class Credence:
     """
 
     def __init__(self) -> None:
-        self._witness = Witness()
+        self._witness = PastViews()
         self._reset_counter = 0
-        self._doubted: Stand | None = None  # where the first of the pictures was taken that are not believed; None: they are
+        self._doubted: CameraPose | None = (
+            None  # where the first of the pictures was taken that are not believed; None: they are
+        )
         self._calm = self._running = 0
-        self._creep = Creep()
+        self._creep = DriftRateEstimator()
         self._drift, self._drift_s = "", -math.inf
         self._same: tuple[Float32Array, Pose] | None = None
 
@@ -63,7 +75,7 @@ class Credence:
         seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
         newest, others = self._witness.of_newest(*seen), self._witness.of_oldest(*seen, OVERLAPPING)
         overlapping = next(others, None)
-        alone, frozen = lone_share(frame.depth_m) > _ALONE, self._frozen(frame.depth_m, odom_from_depth)
+        alone, frozen = isolated_pixel_fraction(frame.depth_m) > _ALONE, self._frozen(frame.depth_m, odom_from_depth)
         doubted = self._doubted is not None
         asked = newest is not None and (newest.age_s <= _MOMENT_S or doubted)
         aside = asked and self._witness.gain_aside(*seen[1:]) > _ASIDE
@@ -75,7 +87,7 @@ class Credence:
         unasked = newest is None and not (doubted and self._witness.remembers)
         believed = not (alone or frozen or aside) and (fits or unasked)
         if not believed:
-            self._doubted = self._doubted or Stand.of(odom_from_depth)
+            self._doubted = self._doubted or CameraPose.of(odom_from_depth)
         else:
             self._doubted, self._calm = None, 0
             self._creep.hear(frame, odom_from_depth)
@@ -99,13 +111,13 @@ class Credence:
         wall = np.full((24, 32), 2.0, dtype=np.float32)
         wall.setflags(write=False)
         colour = np.zeros((2, 2, 3), dtype=np.uint8)
-        other, here = Credence(), Pose.identity()
+        other, here = DepthConsistencyMonitor(), Pose.identity()
         for n, depth_m in enumerate((wall, wall, 2.0 * wall, wall)):
             other.believes(Frame(0.1 * n, n, depth_m, lens, colour, lens, here), here, 0)
 
     def _is_over(self, fits: bool, odom_from_depth: Pose) -> bool:
         """Whether what was doubted is seen no more from where it was."""
-        there = self._doubted is not None and self._doubted.like(Stand.of(odom_from_depth), _THERE)
+        there = self._doubted is not None and self._doubted.like(CameraPose.of(odom_from_depth), _THERE)
         self._calm = self._calm + 1 if fits and there else 0
         return self._calm >= _CALM
 
@@ -130,24 +142,24 @@ class Credence:
         return moved_m > _FROZEN_M or float(first.rotation()[:, 2] @ odom_from_depth.rotation()[:, 2]) < _FROZEN_COS
 
 
-def _follows(then: Agreement | None) -> bool:
+def _follows(then: ViewComparison | None) -> bool:
     """What comes into view stands before something; a wrong picture also lacks what was there."""
     if then is None:
         return False
     return then.nearer <= _HIDDEN and (then.nearer + then.farther <= _MISFIT or then.farther <= _SOME)
 
 
-def _fits(then: Agreement | None) -> TypeGuard[Agreement]:
+def _fits(then: ViewComparison | None) -> TypeGuard[ViewComparison]:
     """Nearly all is where it was, of so much that a part would be missed."""
     return then is not None and then.count >= _MANY and then.nearer + then.farther <= _REFIT
 
 
-def _moved(oldest: Iterator[Agreement], explained: float) -> str:
+def _moved(oldest: Iterator[ViewComparison], explained: float) -> str:
     """What the surfaces of the two oldest views say of the pose, '' for nothing. One alone errs: where something stands before
     a wall, as far from it as a drift would be, all that both pictures see may fit the shift.
     """
 
-    def says(then: Agreement) -> bool:
+    def says(then: ViewComparison) -> bool:
         hidden = then.nearer <= _HIDING and then.farther <= _FARTHER
         sure = then.explained >= explained and then.count >= _MANY and not hidden
         return sure and float(np.linalg.norm(then.shift_m)) >= _DRIFT_M
@@ -158,7 +170,7 @@ def _moved(oldest: Iterator[Agreement], explained: float) -> str:
     return f"surfaces stand {np.linalg.norm(told[0].shift_m):.2f} m off where they stood {told[0].age_s:.0f} s ago"
 
 
-def _seen_through(then: Agreement | None) -> str:
+def _seen_through(then: ViewComparison | None) -> str:
     """Whether the camera looks through what was seen."""
     if then is None or then.farther < _SEEN_THROUGH:
         return ""

@@ -13,7 +13,7 @@ _FEWEST = 60  # pixels that can be judged, for a verdict
 
 
 @kernel
-def lone_share(depth_m: AnyArray) -> float:
+def isolated_pixel_fraction(depth_m: AnyArray) -> float:
     """Share of the pixels that stand off what their four neighbours agree on, 0 where too few have neighbours. NaN = no return.
 
     An edge has neighbours that do not agree, a hole has none: neither counts. A sensor's noise is smaller, and its errors

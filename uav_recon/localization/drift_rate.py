@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.feature_tracking import Flow, Seen
-from uav_recon.localization.planar_patches import REACH_M, REACH_SHARE, patches, pull, weight_at
+from uav_recon.localization.feature_tracking import FeatureTracker, TrackedPoints
+from uav_recon.localization.planar_patches import REACH_M, REACH_SHARE, normal_equations, patches, weight_at
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
@@ -34,7 +34,7 @@ class _View(NamedTuple):
     patches: AnyArray
 
 
-class Creep:
+class DriftRateEstimator:
     """Least squares for the velocity (3,) by which all patches of the past views, and all points that are followed through the
     pictures, lie off by their age times it.
 
@@ -45,7 +45,7 @@ class Creep:
     def __init__(self) -> None:
         self._stamp_s = -math.inf
         self._views: deque[_View] = deque()
-        self._flow = Flow()
+        self._flow = FeatureTracker()
         self.forget()
 
     def forget(self) -> None:
@@ -99,14 +99,14 @@ class Creep:
             age_s = frame.stamp_s - view.stamp_s
             self._flown += step_s * age_s * (odom_from_depth.translation_m - view.place_m)
             self._flown_s2 += step_s * age_s**2
-            count, within, held, moved = pull(view.patches, *seen, age_s * velocity_mps)
+            count, within, held, moved = normal_equations(view.patches, *seen, age_s * velocity_mps)
             if count >= _FEWEST and within >= _WITHIN * count:
                 self._held += step_s * age_s**2 / count * held
                 self._moved += step_s * age_s / count * moved
         if self._settled and (not self._views or frame.stamp_s - self._views[-1].stamp_s >= _EVERY_S):
             self._views.append(_View(frame.stamp_s, odom_from_depth.translation_m, patches(*seen)))
 
-    def _hear_points(self, seen: Seen | None, step_s: float, velocity_mps: FloatArray) -> None:
+    def _hear_points(self, seen: TrackedPoints | None, step_s: float, velocity_mps: FloatArray) -> None:
         if seen is None:
             return
         left_m = np.abs(seen.off_m - (seen.along @ velocity_mps) * seen.age_s[:, None]).max(axis=1)

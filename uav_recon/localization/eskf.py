@@ -120,12 +120,12 @@ class Estimate(NamedTuple):
         return multiply(self.odom_from_gyro, here.gyro_from_body)
 
 
-def carry_mean(state: Estimate, base: InertialState, here: InertialState) -> Estimate:
+def propagate_mean(state: Estimate, base: InertialState, here: InertialState) -> Estimate:
     """The state carried from ``base`` (the track at its stamp) to ``here``; the covariance stays behind. Microseconds."""
     return _carry_mean(state, base, here)[0]
 
 
-def carry(state: Estimate, base: InertialState, here: InertialState, noise: PoseNoise) -> Estimate:
+def propagate(state: Estimate, base: InertialState, here: InertialState, noise: PoseNoise) -> Estimate:
     """The state and its covariance carried from ``base`` to ``here``. A knock or a whirl between them counts, and so does that
     it may be none: as much white acceleration, or rate, as makes its whole change of velocity, or turn, one standard deviation.
     """
@@ -155,7 +155,7 @@ def spread(state: Estimate, noise: PoseNoise) -> FloatArray:
     return out
 
 
-def correct(state: Estimate, residual: FloatArray, noise: PoseNoise, doubt: float = 1.0) -> Estimate:
+def update_estimate(state: Estimate, residual: FloatArray, noise: PoseNoise, doubt: float = 1.0) -> Estimate:
     """The state after a pose with this innovation (6,), whose white noise counts ``doubt`` times."""
     error, covariance = update(_NOTHING, state.covariance, residual, doubt * _measured(noise), _H)
     e = error.tolist()

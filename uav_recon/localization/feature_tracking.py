@@ -28,7 +28,7 @@ _EVERY_S, _OLDEST_S, _PAUSE_S = 0.5, 2.0, 0.5  # points are looked for, given up
 _NEAREST_M = 0.2
 
 
-class Seen(NamedTuple):
+class TrackedPoints(NamedTuple):
     """Points and how far odom has moved against each since it was first seen: along (N, 2, 3), rows in odom of which a shift
     (3,) times one is off_m (N, 2); range_m and age_s (N,).
     """
@@ -83,7 +83,7 @@ class _Eye:
         return (ahead_m[:, :2] / ahead_m[:, 2:] * self.focal_px + self.middle_px).astype(np.float32)
 
 
-class Flow:
+class FeatureTracker:
     """Not thread-safe; about a millisecond a picture."""
 
     def __init__(self) -> None:
@@ -94,7 +94,7 @@ class Flow:
         self._grey: ByteArray | None = None
         self._points, self._stamp_s, self._sought_s = _NONE, -math.inf, -math.inf
 
-    def hear(self, frame: Frame, odom_from_depth: Pose) -> Seen | None:
+    def hear(self, frame: Frame, odom_from_depth: Pose) -> TrackedPoints | None:
         """Follow the points into a picture, and look for new ones. None where there is none to follow, or no picture."""
         if min(frame.rgb.shape[:2]) < _NARROWEST_PX:
             return None
@@ -110,7 +110,7 @@ class Flow:
             self._points = self._points.joined(self._new(frame, odom_from_depth, grey, eye))
         return seen
 
-    def _follow(self, stamp_s: float, grey: ByteArray, eye: _Eye) -> Seen | None:
+    def _follow(self, stamp_s: float, grey: ByteArray, eye: _Eye) -> TrackedPoints | None:
         """Where the points are now, from where they belong and how far off they lay."""
         points = self._points.only(stamp_s - self._points.since_s <= _OLDEST_S)
         belongs_px = eye.pixels(ahead_m := eye.ahead(points.place_m))
@@ -124,7 +124,7 @@ class Flow:
         x, y, range_m = eye.ahead(points.place_m).T
         across, down, deep = eye.axes.T
         along = np.stack([across - np.outer(x / range_m, deep), down - np.outer(y / range_m, deep)], axis=1)
-        return Seen(along, points.aside_px * range_m[:, None] / eye.focal_px, range_m, stamp_s - points.since_s)
+        return TrackedPoints(along, points.aside_px * range_m[:, None] / eye.focal_px, range_m, stamp_s - points.since_s)
 
     def _new(self, frame: Frame, odom_from_depth: Pose, grey: ByteArray, eye: _Eye) -> _Points:
         """Even patches of surface whose paint tells most, apart from the points that there are."""

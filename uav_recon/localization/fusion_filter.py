@@ -18,11 +18,11 @@ from dataclasses import replace
 import numpy as np
 
 from uav_recon.localization.eskf import SEEN, WHITE_SHARE, Estimate, PoseNoise
-from uav_recon.localization.fusion_history import Arrival, Chain, Node, against
+from uav_recon.localization.fusion_history import Arrival, FusedPose, FusionHistory, pose_innovation
 from uav_recon.localization.imu_integration import Quaternion, Vector, conjugate, multiply, normalised, rotate
-from uav_recon.localization.odometry_health import Watch
-from uav_recon.localization.pose_gates import CONTRADICTIONS, Gates, Sighting, unfit
-from uav_recon.localization.relocalization_check import RETURN, STEP, Trial
+from uav_recon.localization.odometry_health import OdometryHealthMonitor
+from uav_recon.localization.pose_gates import CONTRADICTIONS, PoseGates, Sighting, pose_fault
+from uav_recon.localization.relocalization_check import RETURN, STEP, RelocalizationCheck
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
@@ -42,12 +42,12 @@ class FusionFilter:
     and "imu ..." for inertial samples.
     """
 
-    def __init__(self, pose_lost_s: float = 0.5, gates: Gates | None = None) -> None:
+    def __init__(self, pose_lost_s: float = 0.5, gates: PoseGates | None = None) -> None:
         self.rejected: Counter[str] = Counter()
         self.correction = WorldFromOdom.start()
-        self._lost_s, self._gates = pose_lost_s, gates or Gates()
-        self._trial, self._watch = Trial(), Watch(pose_lost_s)
-        self._chain = Chain(self.rejected, self._watch.fused)
+        self._lost_s, self._gates = pose_lost_s, gates or PoseGates()
+        self._trial, self._watch = RelocalizationCheck(), OdometryHealthMonitor(pose_lost_s)
+        self._chain = FusionHistory(self.rejected, self._watch.fused)
         self._reset_counter, self._source_resets = 0, 0
         self._disputed = False  # poses came since the newest that entered, and contradicted the track
 
@@ -69,7 +69,7 @@ class FusionFilter:
 
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
         """Fuse a pose of the source at its own stamp; now_s bounds what stamps are believed. False if it was turned down."""
-        reason = unfit(pose, now_s) or self._chain.untimely(pose.stamp_s)
+        reason = pose_fault(pose, now_s) or self._chain.untimely(pose.stamp_s)
         if reason:
             self.rejected[reason] += 1
             return False
@@ -111,7 +111,7 @@ class FusionFilter:
             self.correction,
         )
 
-    def _doubtful(self, met: Arrival, before: Node) -> str:
+    def _doubtful(self, met: Arrival, before: FusedPose) -> str:
         """Why a pose does not simply go on from the one before it."""
         said = met.said
         if said.source.reset_counter != self._source_resets:
@@ -143,7 +143,7 @@ class FusionFilter:
         if declared or self._gates.leap(residual, met.covariance):
             self._move_world(said.source, track)
             moved = replace(said, position_m=track.position_m, odom_from_body=track.odom_from_body)
-            met = against(moved, met.noise, carried, here)
+            met = pose_innovation(moved, met.noise, carried, here)
         if lost:
             self._watch.begin(said.stamp_s)
         self._settle(met)

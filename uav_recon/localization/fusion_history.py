@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from uav_recon.localization.eskf import Estimate, PoseNoise, carry, carry_mean, correct, innovation, spread
+from uav_recon.localization.eskf import Estimate, PoseNoise, innovation, propagate, propagate_mean, spread, update_estimate
 from uav_recon.localization.imu_integration import (
     GRAVITY_MPS2,
     InertialState,
@@ -19,7 +19,13 @@ from uav_recon.localization.imu_integration import (
     multiply,
     rotate,
 )
-from uav_recon.localization.pose_gates import Sighting, doubt, same_stamp, surprise, tether
+from uav_recon.localization.pose_gates import (
+    Sighting,
+    max_step_noise_scale,
+    normalized_innovation_squared,
+    outlier_noise_scale,
+    same_stamp,
+)
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 
@@ -30,7 +36,7 @@ _FUTURE_S = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Node:
+class FusedPose:
     """A pose that entered, and the estimate after it. nis: of its innovation."""
 
     sighting: Sighting
@@ -58,17 +64,17 @@ class Arrival:
     covariance: FloatArray
 
 
-class Chain:
+class FusionHistory:
     """rejected counts inertial samples that were turned down; fused(stamp_s, nis) hears of each pose that enters."""
 
     def __init__(self, rejected: Counter[str], fused: Callable[[float, float], None]) -> None:
         self._rejected, self._fused = rejected, fused
         self._track = InertialTrack()
-        self._nodes: deque[Node] = deque()
+        self._nodes: deque[FusedPose] = deque()
         self._imu_since_s, self._imu_s = math.inf, -math.inf  # the newest unbroken run of inertial samples
 
     @property
-    def newest(self) -> Node | None:
+    def newest(self) -> FusedPose | None:
         """None before the first."""
         return self._nodes[-1] if self._nodes else None
 
@@ -107,7 +113,7 @@ class Chain:
             return "duplicate"
         return "stamp" if early else ""
 
-    def before(self, stamp_s: float) -> Node:
+    def before(self, stamp_s: float) -> FusedPose:
         """The newest node that is not younger than a timely stamp."""
         return self._nodes[self._before(stamp_s)]
 
@@ -128,7 +134,7 @@ class Chain:
         assert base is not None
         self._nodes.clear()
         estimate = Estimate.at_rest(base, said.position_m, said.odom_from_body, noise, inertial)
-        self._keep(Node(said, noise, estimate._replace(velocity_mps=velocity_mps), 0.0))
+        self._keep(FusedPose(said, noise, estimate._replace(velocity_mps=velocity_mps), 0.0))
 
     def enter(self, met: Arrival) -> None:
         """Put a pose in its place by its stamp; the nodes after it are computed again."""
@@ -142,7 +148,7 @@ class Chain:
         while self._nodes[-1].stamp_s - self._nodes[0].stamp_s > _HISTORY_S:
             self._nodes.popleft()
 
-    def at(self, stamp_s: float) -> tuple[Node, Estimate, InertialState] | None:
+    def at(self, stamp_s: float) -> tuple[FusedPose, Estimate, InertialState] | None:
         """The node before an instant, and the estimate and the track there; None where too long ago, or where the attitude is a
         guess: since a whirl until the next node, and before it too once that node is known, for the way is bent as a whole.
         """
@@ -155,26 +161,26 @@ class Chain:
         if base is None or here is None or there is None or _guessed(base, here, there):
             return None
         if after is None:
-            return node, carry(node.estimate, base, here, node.noise), here
+            return node, propagate(node.estimate, base, here, node.noise), here
         return node, _bent(node, after, base, here, there), here
 
-    def _meet(self, node: Node, said: Sighting, noise: PoseNoise) -> Arrival | None:
+    def _meet(self, node: FusedPose, said: Sighting, noise: PoseNoise) -> Arrival | None:
         inertial = self._inertial(node.stamp_s, said.stamp_s)
         if not inertial:
             self._coast_to(said.stamp_s)
         base, here = self._track.at(node.stamp_s), self._track.at(said.stamp_s)
         if base is None or here is None:
             return None
-        return against(said, noise, carry(node.estimate.carried_on(inertial), base, here, node.noise), here)
+        return pose_innovation(said, noise, propagate(node.estimate.carried_on(inertial), base, here, node.noise), here)
 
     def _append(self, met: Arrival) -> None:
         """Correct what was carried to a pose by the pose."""
-        nis = surprise(met.residual, met.covariance)
+        nis = normalized_innovation_squared(met.residual, met.covariance)
         variance_m2 = sum(met.carried.covariance.diagonal()[:3].tolist()) / 3.0
-        doubts = max(doubt(nis), tether(met.residual, variance_m2, met.noise.position_m2))
-        self._keep(Node(met.said, met.noise, correct(met.carried, met.residual, met.noise, doubts), nis))
+        doubts = max(outlier_noise_scale(nis), max_step_noise_scale(met.residual, variance_m2, met.noise.position_m2))
+        self._keep(FusedPose(met.said, met.noise, update_estimate(met.carried, met.residual, met.noise, doubts), nis))
 
-    def _keep(self, node: Node) -> None:
+    def _keep(self, node: FusedPose) -> None:
         self._nodes.append(node)
         self._fused(node.stamp_s, node.nis)
         self._track.hover_force_gyro = rotate(conjugate(node.estimate.odom_from_gyro), (0.0, 0.0, GRAVITY_MPS2))
@@ -197,7 +203,7 @@ class Chain:
             self._track.coast(stamp_s, (-bx, -by, -bz))
 
 
-def against(said: Sighting, noise: PoseNoise, carried: Estimate, here: InertialState) -> Arrival:
+def pose_innovation(said: Sighting, noise: PoseNoise, carried: Estimate, here: InertialState) -> Arrival:
     """A pose and an estimate carried to its instant."""
     residual = innovation(carried, here, said.position_m, said.odom_from_body)
     return Arrival(said, noise, carried, here, residual, spread(carried, noise))
@@ -208,11 +214,11 @@ def _guessed(base: InertialState, here: InertialState, there: InertialState) -> 
     return here.stamp_s > base.stamp_s and there.whirls_rad > base.whirls_rad
 
 
-def _bent(node: Node, after: Node, base: InertialState, here: InertialState, there: InertialState) -> Estimate:
+def _bent(node: FusedPose, after: FusedPose, base: InertialState, here: InertialState, there: InertialState) -> Estimate:
     """The way from a node, bent so that it ends at the next."""
-    state = carry_mean(node.estimate, base, here)
+    state = propagate_mean(node.estimate, base, here)
     share = (here.stamp_s - node.stamp_s) / (after.stamp_s - node.stamp_s)
-    end, goal = carry_mean(node.estimate, base, there), after.estimate
+    end, goal = propagate_mean(node.estimate, base, there), after.estimate
     turn = logarithm(multiply(goal.odom_from_gyro, conjugate(end.odom_from_gyro)))
     return state._replace(
         position_m=_towards(state.position_m, end.position_m, goal.position_m, share),

@@ -7,7 +7,7 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose
 
 _ROWS, _COLUMNS = 12, 16
@@ -16,7 +16,7 @@ _FULL_SHARE = 0.5  # of a cell's pixels
 _WIDEST_PX = 320  # of the depth that is looked at; more pixels would only cost time
 
 
-def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True) -> Nearby:
+def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True) -> MinRangeGrid:
     """Cut a depth frame into cells and keep each one's nearest return (m, along the ray): about 0.1 ms.
 
     NaN, infinity and anything not positive are no return and say nothing: neither near nor free.
@@ -32,7 +32,9 @@ def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True)
     range_m, returns = _nearest(seen, u, v, high, wide)
     full = returns > _FULL_SHARE * high * wide
     half_tan = (columns * wide * stride / 2 / lens.fx, rows * high * stride / 2 / lens.fy)
-    return Nearby(frame.stamp_s, body_from_depth, range_m, half_tan, float(returns.mean()) / (high * wide), believed, full)
+    return MinRangeGrid(
+        frame.stamp_s, body_from_depth, range_m, half_tan, float(returns.mean()) / (high * wide), believed, full
+    )
 
 
 @kernel

@@ -17,7 +17,7 @@ _SURPRISES = 10
 _DEGRADED_QUALITY, _LOST_QUALITY = 60, 20  # the autopilot refuses below 20 (EKF2_EV_QMIN, VISO_QUAL_MIN)
 
 
-class Watch:
+class OdometryHealthMonitor:
     """One filter's. fused() for each pose that entered; health() and quality() at any instant."""
 
     def __init__(self, pose_lost_s: float) -> None:

@@ -24,7 +24,7 @@ _EVERY_S, _MEMORY_S = 0.5, 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class Likeness:
+class ViewSelection:
     """Which views are asked: taken no farther off (m), not turned away farther (cosine), and no older."""
 
     near_m: float
@@ -32,13 +32,13 @@ class Likeness:
     within_s: float = _MEMORY_S
 
 
-OVERLAPPING = Likeness(3.0, 0.6)  # there is something that both see
-ALIKE = Likeness(1.5, 0.75)  # little has come between
-ALIKE_LATELY = Likeness(1.5, 0.75, within_s=8.0)  # a drift so young is still within a residual's reach
+OVERLAPPING = ViewSelection(3.0, 0.6)  # there is something that both see
+ALIKE = ViewSelection(1.5, 0.75)  # little has come between
+ALIKE_LATELY = ViewSelection(1.5, 0.75, within_s=8.0)  # a drift so young is still within a residual's reach
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Agreement:
+class ViewComparison:
     """count: points that could be compared. fitting, nearer, farther: shares of them; shift_m (3,): how far odom has moved
     since, as far as surfaces tell; held (3, 3): how well they tell, by direction; explained: the share that fits with it.
     age_s: of the view compared with; points (N, 6): its surface.
@@ -55,18 +55,18 @@ class Agreement:
     points: AnyArray
 
 
-class Stand(NamedTuple):
+class CameraPose(NamedTuple):
     """Where a camera was, and its axis; plain numbers, for sixty are asked at each picture."""
 
     place_m: list[float]
     axis: list[float]
 
     @staticmethod
-    def of(odom_from_depth: Pose) -> Stand:
+    def of(odom_from_depth: Pose) -> CameraPose:
         """Of a camera with this pose."""
-        return Stand(odom_from_depth.translation_m.tolist(), odom_from_depth.rotation()[:, 2].tolist())
+        return CameraPose(odom_from_depth.translation_m.tolist(), odom_from_depth.rotation()[:, 2].tolist())
 
-    def like(self, other: Stand, likeness: Likeness) -> bool:
+    def like(self, other: CameraPose, likeness: ViewSelection) -> bool:
         """Whether the other is no farther off and turned away."""
         away_m = math.dist(self.place_m, other.place_m)
         return away_m <= likeness.near_m and _dot(self.axis, other.axis) >= likeness.turned_cos
@@ -77,11 +77,11 @@ class _View:
     """points: (N, 6), places and normals in odom, of what was seen from there."""
 
     stamp_s: float
-    stand: Stand
+    stand: CameraPose
     points: AnyArray
 
 
-class Witness:
+class PastViews:
     """Remembers half a minute of views. Not thread-safe; about 0.1 ms a picture."""
 
     def __init__(self) -> None:
@@ -101,21 +101,23 @@ class Witness:
     def remember(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> None:
         """Take a picture that is believed for the newest; one every half second is kept."""
         points = surface(depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m)
-        self._newest = _View(stamp_s, Stand.of(odom_from_depth), points)
+        self._newest = _View(stamp_s, CameraPose.of(odom_from_depth), points)
         if not self._views or stamp_s - self._views[-1].stamp_s >= _EVERY_S:
             self._views.append(self._newest)
         while stamp_s - self._views[0].stamp_s > _MEMORY_S:
             self._views.popleft()
 
-    def of_newest(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> Agreement | None:
+    def of_newest(
+        self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose
+    ) -> ViewComparison | None:
         """With the newest picture that was believed; None where too little of it is in view. Where it is and nothing comes back
         from there, all of it is farther.
         """
         return None if self._newest is None else _compared(self._newest, stamp_s, depth_m, lens, odom_from_depth, FEWEST)
 
     def of_oldest(
-        self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, likeness: Likeness
-    ) -> Iterator[Agreement]:
+        self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, likeness: ViewSelection
+    ) -> Iterator[ViewComparison]:
         """With those that look at the same, the oldest first; each is compared when it is asked for."""
         for view in self._alike(stamp_s, odom_from_depth, likeness):
             found = _compared(view, stamp_s, depth_m, lens, odom_from_depth)
@@ -130,14 +132,14 @@ class Witness:
         return float(gain_aside(self._newest.points, depth_m, lens.pinhole_px(), rotation, place))
 
     @staticmethod
-    def loss_aside(then: Agreement, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
+    def loss_aside(then: ViewComparison, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
         """By what share less of that view would fit a picture that lies aside; little, and it tells nothing of this one."""
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
         return float(loss_aside(then.points, depth_m, lens.pinhole_px(), rotation, place))
 
-    def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: Likeness) -> Iterator[_View]:
+    def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: ViewSelection) -> Iterator[_View]:
         """Views to be asked, the oldest first."""
-        here = Stand.of(odom_from_depth)
+        here = CameraPose.of(odom_from_depth)
         for view in self._views:
             if stamp_s - view.stamp_s <= likeness.within_s and here.like(view.stand, likeness):
                 yield view
@@ -149,7 +151,7 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 def _compared(
     view: _View, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, most_gone: int = MOST
-) -> Agreement | None:
+) -> ViewComparison | None:
     """most_gone: points without a return where there are too few with one, for a verdict all the same."""
     rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
     found, gone = residuals(view.points, depth_m, lens.pinhole_px(), rotation, place)
@@ -157,7 +159,7 @@ def _compared(
     if len(found) < FEWEST:
         if gone <= most_gone:
             return None
-        return Agreement(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s, view.points)
+        return ViewComparison(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s, view.points)
     shift_m, held = shift_of(found)
     fitting, nearer, explained = shares(found, shift_m)
-    return Agreement(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, held, explained, age_s, view.points)
+    return ViewComparison(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, held, explained, age_s, view.points)

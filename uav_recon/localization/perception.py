@@ -7,14 +7,14 @@ from collections import deque
 from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
-from uav_recon.interfaces import Camera, Channel, Clock, PoseSource
+from uav_recon.interfaces import Channel, Clock, DepthCamera, PoseSource
 from uav_recon.localization import error_propagation, min_range_binning
 from uav_recon.localization.camera_mount import Mount
-from uav_recon.localization.depth_consistency import Credence
+from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.min_range_binning import nearest_in_cells
 from uav_recon.types.camera import Frame, PosedFrame
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
 _WAITING_FRAMES = 4  # at 15 Hz more than the longest wait
@@ -33,13 +33,13 @@ class Perception:
 
     def __init__(
         self,
-        camera: Camera,
+        camera: DepthCamera,
         poses: PoseSource,
         fusion: FusionFilter,
         mount: Mount,
         odom: Channel[StampedPose],
         frames: Channel[PosedFrame],
-        nearby: Channel[Nearby],
+        nearby: Channel[MinRangeGrid],
         clock: Clock,
         rate_hz: float = 30.0,
         frame_wait_s: float = 0.2,
@@ -47,7 +47,7 @@ class Perception:
         self._camera, self._poses, self._fusion, self._mount = camera, poses, fusion, mount
         self._odom, self._frames, self._nearby = odom, frames, nearby
         self._clock, self._frame_wait_s = clock, frame_wait_s
-        self._credence = Credence()
+        self._credence = DepthConsistencyMonitor()
         for part in (self._credence, error_propagation, min_range_binning):
             part.warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())

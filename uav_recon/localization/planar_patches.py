@@ -56,7 +56,7 @@ def weight_at(range_m: Any) -> Any:
 
 
 @kernel
-def pull(
+def normal_equations(
     then: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray, expected_m: AnyArray
 ) -> tuple[int, int, AnyArray, AnyArray]:
     """Of the patches (N, 6) of another picture, how many this one sees too, how many of these lie within reach of where a shift

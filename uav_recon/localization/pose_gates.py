@@ -30,7 +30,7 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True)
-class Gates:
+class PoseGates:
     """How far a pose may lie from where the track leads (HAZARDS, J_pos and J_yaw).
 
     Beyond jump_m AND ``sigmas`` standard deviations of the innovation it is refused, beyond farthest_m whatever these say; the
@@ -63,7 +63,7 @@ class Gates:
         return "" if way_m <= self.jump_m + self.speed_mps * abs(after.stamp_s - before.stamp_s) else "speed"
 
 
-def unfit(pose: StampedPose, now_s: float) -> str:
+def pose_fault(pose: StampedPose, now_s: float) -> str:
     """What is wrong with a pose by itself."""
     if pose.covariance.shape != (6, 6) or not (math.isfinite(pose.stamp_s) and np.isfinite(pose.covariance).all()):
         return "not finite"
@@ -79,17 +79,17 @@ def same_stamp(a_s: float, b_s: float) -> bool:
     return abs(a_s - b_s) < _SAME_STAMP_S
 
 
-def surprise(residual: FloatArray, spread: FloatArray) -> float:
+def normalized_innovation_squared(residual: FloatArray, spread: FloatArray) -> float:
     """Normalised innovation squared (NIS): chi-square of six where the filter knows how far to trust itself."""
     return float(residual @ np.linalg.solve(spread, residual))
 
 
-def doubt(nis: float) -> float:
+def outlier_noise_scale(nis: float) -> float:
     """How many times the white noise of an implausible but possible pose counts: it pulls, it does not tear."""
     return max(1.0, nis / _PLAUSIBLE_NIS)
 
 
-def tether(residual: FloatArray, track_m2: float, white_m2: float) -> float:
+def max_step_noise_scale(residual: FloatArray, track_m2: float, white_m2: float) -> float:
     """How many times the white noise counts so that a pose moves odometry by at most _STEP_M; variances of track and pose."""
     share = track_m2 / (track_m2 + white_m2)
     steps = math.dist(residual[:3], (0.0, 0.0, 0.0)) / _STEP_M

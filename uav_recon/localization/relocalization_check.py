@@ -14,18 +14,18 @@ _SPEED_MPS, _TURN_RADPS = 2.0, math.radians(90.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Proof:
+class ConsistencyRequirement:
     """So many poses over so long (s) that agree."""
 
     poses: int
     over_s: float
 
 
-STEP = Proof(4, 0.2)  # the track was never lost: a step of the source's map
-RETURN = Proof(12, 1.0)  # it was lost: a fooled relocalisation is worse than none (HAZARDS, B2)
+STEP = ConsistencyRequirement(4, 0.2)  # the track was never lost: a step of the source's map
+RETURN = ConsistencyRequirement(12, 1.0)  # it was lost: a fooled relocalisation is worse than none (HAZARDS, B2)
 
 
-class Trial:
+class RelocalizationCheck:
     """One run of such poses; one that does not agree with the one before it begins a new run."""
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class Trial:
             self._run.clear()
         self._run.append((said, track))
 
-    def stands(self, proof: Proof) -> bool:
+    def stands(self, proof: ConsistencyRequirement) -> bool:
         """Whether the run is proof enough."""
         return len(self._run) >= proof.poses and self._run[-1][0].stamp_s - self._run[0][0].stamp_s >= proof.over_s
 

@@ -26,7 +26,7 @@ THRIFT = 2.5  # a view on the way must bring more than its share: tasks will wan
 BASELINE_M, BASELINE_RAD = 0.25, 0.25  # nearer than both to the last keyframe a frame shows the same once more
 
 
-class Coverage:
+class KeyframeSelection:
     """Looks per surface voxel, as keyframes gave them."""
 
     def __init__(

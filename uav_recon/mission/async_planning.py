@@ -8,37 +8,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.interfaces import Executor, Motion, Pending, Planner
+from uav_recon.interfaces import Executor, MotionPlannerInterface, Pending, Planner
 from uav_recon.mission.flight_track import Departure
-from uav_recon.mission.path_heading import nose_ahead
+from uav_recon.mission.path_heading import yaw_along_path
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
 
 @dataclass(frozen=True)
-class Decision:
+class PlanResult:
     """A plan and its motion; motion is the reason in words where there is none."""
 
     path: ViewPath | NothingLeft
     motion: Trajectory | str
 
 
-class Decider:
+class AsyncPlanner:
     """Runs planner and motion on the executor. Every method starts work and returns at once."""
 
     def __init__(
         self,
         planner: Planner,
-        motion: Motion,
-        retreat: Motion,
+        motion: MotionPlannerInterface,
+        retreat: MotionPlannerInterface,
         executor: Executor,
         plan_cost_s: float,
         view_spacing_m: float,
     ) -> None:
         self._planner, self._motion, self._retreat, self._executor = planner, motion, retreat, executor
         self._plan_cost_s, self._view_spacing_m = plan_cost_s, view_spacing_m
-        self._unanswered: list[tuple[float, Pending[Decision]]] = []  # since when, infinity until that is asked
+        self._unanswered: list[tuple[float, Pending[PlanResult]]] = []  # since when, infinity until that is asked
 
     def waiting_s(self, now_s: float) -> float:
         """For how long the oldest decision has not come, also one that nobody waits for any more: those after it wait for it.
@@ -47,17 +47,17 @@ class Decider:
         self._unanswered = [(min(since_s, now_s), each) for since_s, each in self._unanswered if not each.done()]
         return max((now_s - since_s for since_s, _ in self._unanswered), default=0.0)
 
-    def next_views(self, request: PlanRequest, departure: Departure, identifier: int) -> Pending[Decision]:
+    def next_views(self, request: PlanRequest, departure: Departure, identifier: int) -> Pending[PlanResult]:
         """Where to look next, from rest or out of the present motion."""
         return self._submit(lambda: self._onward(self._planner.plan(request), request, departure, identifier))
 
-    def way_home(self, request: PlanRequest, rest: Setpoint, home: Viewpoint, identifier: int) -> Pending[Decision]:
+    def way_home(self, request: PlanRequest, rest: Setpoint, home: Viewpoint, identifier: int) -> Pending[PlanResult]:
         """The shortest clear way to the pad, nose ahead."""
         return self._submit(lambda: self._homed(self._planner.route(request, home), request, rest, self._motion, identifier))
 
     def way_back(
         self, request: PlanRequest, rest: Setpoint, crumbs: tuple[FloatArray, ...], home: Viewpoint, identifier: int
-    ) -> Pending[Decision]:
+    ) -> Pending[PlanResult]:
         """Back along the breadcrumbs, nose ahead. Where the vehicle has been is free, though a map with ghosts may want more
         room there.
         """
@@ -66,30 +66,35 @@ class Decider:
         path = ViewPath((home,), (waypoints,), PlanMode.EXPLORE, revision, epoch, (), 0.0, 0.0)
         return self._submit(lambda: self._homed(path, request, rest, self._retreat, identifier))
 
-    def _submit(self, work: Callable[[], Decision]) -> Pending[Decision]:
+    def _submit(self, work: Callable[[], PlanResult]) -> Pending[PlanResult]:
         decision = self._executor.submit(work, self._plan_cost_s)
         self._unanswered.append((math.inf, decision))
         return decision
 
-    def _onward(self, path: ViewPath | NothingLeft, request: PlanRequest, departure: Departure, identifier: int) -> Decision:
+    def _onward(self, path: ViewPath | NothingLeft, request: PlanRequest, departure: Departure, identifier: int) -> PlanResult:
         if departure.flying is None:
             return self._flown(path, request, departure.setpoint, self._view_spacing_m, identifier)
         if isinstance(path, NothingLeft):
-            return Decision(path, path.reason)
+            return PlanResult(path, path.reason)
         flying, leave_s = departure.flying, departure.leave_s
-        return Decision(path, self._motion.onward(path, request.voxels, flying, leave_s, self._view_spacing_m, identifier))
+        return PlanResult(path, self._motion.onward(path, request.voxels, flying, leave_s, self._view_spacing_m, identifier))
 
     def _flown(
         self, path: ViewPath | NothingLeft, request: PlanRequest, rest: Setpoint, spacing_m: float, identifier: int
-    ) -> Decision:
+    ) -> PlanResult:
         if isinstance(path, NothingLeft):
-            return Decision(path, path.reason)
-        return Decision(path, self._motion.through(path, request.voxels, rest, 0.0, spacing_m, identifier))
+            return PlanResult(path, path.reason)
+        return PlanResult(path, self._motion.through(path, request.voxels, rest, 0.0, spacing_m, identifier))
 
     def _homed(
-        self, path: ViewPath | NothingLeft, request: PlanRequest, rest: Setpoint, motion: Motion, identifier: int
-    ) -> Decision:
+        self,
+        path: ViewPath | NothingLeft,
+        request: PlanRequest,
+        rest: Setpoint,
+        motion: MotionPlannerInterface,
+        identifier: int,
+    ) -> PlanResult:
         if isinstance(path, NothingLeft):
-            return Decision(path, path.reason)
-        ahead = nose_ahead(path, rest.yaw_rad)
-        return Decision(ahead, motion.through(ahead, request.voxels, rest, 0.0, np.inf, identifier))
+            return PlanResult(path, path.reason)
+        ahead = yaw_along_path(path, rest.yaw_rad)
+        return PlanResult(ahead, motion.through(ahead, request.voxels, rest, 0.0, np.inf, identifier))

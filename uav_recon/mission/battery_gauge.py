@@ -10,7 +10,7 @@ _RISE = 0.10  # nobody charges it in flight; a gauge that goes by the voltage ta
 _LOST_S = 5.0
 
 
-class Charge:
+class BatteryGaugeFilter:
     """One mission's. hear() whatever is said, step by step; ``left`` (share, 0 to 1; NaN before any was heard) is the most that
     was said in the last seconds.
 

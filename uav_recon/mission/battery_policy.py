@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from uav_recon.mission.battery_gauge import Charge
-from uav_recon.mission.battery_reserve import LAND_AT, LOW, TAKE_OFF, Burn, flight_s, least_for
-from uav_recon.mission.flight_track import Course
-from uav_recon.mission.return_distance import length_m
+from uav_recon.mission.battery_gauge import BatteryGaugeFilter
+from uav_recon.mission.battery_reserve import LAND_AT, LOW, TAKE_OFF, ConsumptionEstimator, flight_s, least_for
+from uav_recon.mission.flight_track import FlightTrack
+from uav_recon.mission.return_distance import return_distance_m
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.vehicle import VehicleState
@@ -19,12 +19,12 @@ _SLOWER = 0.8  # of what the guard lets pass, that much is planned with
 _SLOW_S = 3.0  # nothing fast let pass for so long will stay so; for a moment it is each time that poses and IMU disagree
 
 
-class Steward:
+class BatteryPolicy:
     """One mission's. home_m: place (3,) over the pad; clearance_m: what planned ways keep of anything. hear() in each step."""
 
-    def __init__(self, course: Course, home_m: FloatArray, clearance_m: float) -> None:
+    def __init__(self, course: FlightTrack, home_m: FloatArray, clearance_m: float) -> None:
         self._course, self._home_m, self._clearance_m = course, home_m, clearance_m
-        self._charge, self._burn = Charge(), Burn()
+        self._charge, self._burn = BatteryGaugeFilter(), ConsumptionEstimator()
         self._looked_s, self._way_m, self._pace_mps, self._now_s = -math.inf, 0.0, math.inf, 0.0
         self._quick_s = -math.inf  # when anything was let pass
 
@@ -37,7 +37,7 @@ class Steward:
         if vehicle.armed and now_s - self._looked_s >= _LOOK_S:
             self._looked_s, course = now_s, self._course
             way = np.array([course.position_world, *course.way_back(self._home_m), self._home_m])
-            self._way_m = length_m(way, voxels, self._clearance_m)
+            self._way_m = return_distance_m(way, voxels, self._clearance_m)
 
     @property
     def left(self) -> float:

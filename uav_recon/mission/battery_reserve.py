@@ -38,7 +38,7 @@ def least_for(seconds: float, per_s: float) -> float:
 TAKE_OFF = least_for(SPENT_S, _PRIOR_PER_S)  # below it no flight is worth beginning
 
 
-class Burn:
+class ConsumptionEstimator:
     """How much flying burns a second, this flight; to be told what is believed of the gauge, step by step.
 
     The mean since it was begun, with a pessimistic minute before that, or the last half minute's where that is more. Never

@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.interfaces import Clock, Executor, Journal
-from uav_recon.mission.async_planning import Decider
-from uav_recon.mission.battery_policy import Steward
+from uav_recon.mission.async_planning import AsyncPlanner
+from uav_recon.mission.battery_policy import BatteryPolicy
 from uav_recon.mission.events import Facts, observe
-from uav_recon.mission.flight_track import Course
+from uav_recon.mission.flight_track import FlightTrack
 from uav_recon.mission.landing_site import LandingSite
-from uav_recon.mission.map_publisher import Bulletin
-from uav_recon.mission.mission_log import Account
-from uav_recon.mission.mission_setup import MissionWires, Orders, Stages
-from uav_recon.mission.operator_watchdog import Attendance
-from uav_recon.mission.return_home import Homeward
+from uav_recon.mission.map_publisher import MapPublisher
+from uav_recon.mission.mission_log import MissionLog
+from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
+from uav_recon.mission.operator_watchdog import OperatorWatchdog
+from uav_recon.mission.return_home import ReturnHome
 from uav_recon.mission.state_machine import Phase, advance
 from uav_recon.mission.survey import Survey
-from uav_recon.mission.takeoff import Ascent
-from uav_recon.mission.trajectory_execution import Helm
-from uav_recon.mission.view_schedule import Captures
+from uav_recon.mission.takeoff import Takeoff
+from uav_recon.mission.trajectory_execution import TrajectoryExecutor
+from uav_recon.mission.view_schedule import ViewSchedule
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.trajectory import Goal, Intent
@@ -35,26 +35,37 @@ class Conductor:
     """Flies one mission. step() is called at 20 Hz or more and never waits for planning or mapping."""
 
     def __init__(
-        self, stages: Stages, wires: MissionWires, orders: Orders, executor: Executor, journal: Journal, clock: Clock
+        self,
+        stages: MissionStages,
+        wires: MissionChannels,
+        orders: MissionParameters,
+        executor: Executor,
+        journal: Journal,
+        clock: Clock,
     ) -> None:
         self._stages, self._wires, self._orders, self._clock = stages, wires, orders, clock
-        self._account = Account(journal, orders.views)
-        self._captures, self._course = Captures(VIEW_LATE_S), Course(orders.camera_pitch_down_rad)
-        self._helm = Helm(stages.motion, self._course, self._captures, self._account)
-        self._ascent = Ascent(self._helm, stages.motion, orders.takeoff_height_m)
-        decider = Decider(stages.planner, stages.motion, stages.retreat, executor, orders.plan_cost_s, orders.view_spacing_m)
+        self._account = MissionLog(journal, orders.views)
+        self._captures, self._course = ViewSchedule(VIEW_LATE_S), FlightTrack(orders.camera_pitch_down_rad)
+        self._helm = TrajectoryExecutor(stages.motion, self._course, self._captures, self._account)
+        self._ascent = Takeoff(self._helm, stages.motion, orders.takeoff_height_m)
+        decider = AsyncPlanner(
+            stages.planner, stages.motion, stages.retreat, executor, orders.plan_cost_s, orders.view_spacing_m
+        )
         self._decider = decider
         self._survey = Survey(stages, wires, orders, self._helm, decider, self._account)
         site = LandingSite(orders.takeoff_height_m, -orders.vehicle_height_m / 2, orders.clear_radius_m)
-        self._homeward = Homeward(self._helm, decider, self._account, site)
-        self._steward = Steward(self._course, site.home, orders.clearance_m)
+        self._homeward = ReturnHome(self._helm, decider, self._account, site)
+        self._steward = BatteryPolicy(self._course, site.home, orders.clearance_m)
         self.phase = Phase.IDLE
         self.map: VoxelMap | None = None
         self._frame_sequence, self._frame_s = 0, -np.inf
         self._map_epoch, self._correction_sequence = 0, wires.correction.sequence()  # what stands there is of another flight
         self._refusals = 0
-        self._bulletin, self._reported_s = Bulletin(wires), -np.inf
-        self._attendance, self._go_home = Attendance(orders.operator_timeout_s), ""  # why it goes home, whatever else there is
+        self._bulletin, self._reported_s = MapPublisher(wires), -np.inf
+        self._attendance, self._go_home = (
+            OperatorWatchdog(orders.operator_timeout_s),
+            "",
+        )  # why it goes home, whatever else there is
         self._start = self._abort = self._hold = self._released = self._arrived = False
         half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, top_m)

@@ -27,7 +27,7 @@ class Departure:
     leave_s: float = -np.inf
 
 
-class Course:
+class FlightTrack:
     """The current trajectory, the way flown so far, and the breadcrumbs back to the pad."""
 
     def __init__(self, camera_pitch_down_rad: float) -> None:

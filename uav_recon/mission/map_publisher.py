@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 
 from uav_recon.interfaces import Mapper
-from uav_recon.mission.mission_setup import MissionWires
+from uav_recon.mission.mission_setup import MissionChannels
 from uav_recon.types.maps import FreeSpace, VoxelMap
 from uav_recon.types.trajectory import Trajectory
 
 MAP_PERIOD_S, FREE_PERIOD_S = 1.0, 0.2
 
 
-class Bulletin:
+class MapPublisher:
     """Publishes each map when it is new and due."""
 
-    def __init__(self, wires: MissionWires) -> None:
+    def __init__(self, wires: MissionChannels) -> None:
         self._wires = wires
         self._surface_revision = self._free_revision = -1
         self._map_s = self._free_s = -math.inf

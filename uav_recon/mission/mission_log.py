@@ -13,7 +13,7 @@ from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
 
 @dataclass
-class Account:
+class MissionLog:
     """Counts of one flight; every note also goes into the journal."""
 
     journal: Journal

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.interfaces import Channel, Mapper, PacedMotion, Planner, ViewBudget, Voxels
+from uav_recon.interfaces import Channel, Mapper, OccupancyMapInterface, Planner, SpeedLimitedMotion, ViewBudget
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection
@@ -15,19 +15,19 @@ from uav_recon.types.vehicle import MissionProgress, VehicleState
 
 
 @dataclass(frozen=True)
-class Stages:
+class MissionStages:
     """The stages, through their protocols. retreat: motion along ways that were flown already, with less room around."""
 
-    voxels: Voxels
+    voxels: OccupancyMapInterface
     budget: ViewBudget
     mapper: Mapper
     planner: Planner
-    motion: PacedMotion
-    retreat: PacedMotion
+    motion: SpeedLimitedMotion
+    retreat: SpeedLimitedMotion
 
 
 @dataclass(frozen=True)
-class MissionWires:
+class MissionChannels:
     """The channels of the mission process."""
 
     frames: Channel[PosedFrame]
@@ -42,7 +42,7 @@ class MissionWires:
 
 
 @dataclass(frozen=True)
-class Orders:
+class MissionParameters:
     """What this mission is to do, in SI units. clear_radius_m: about every place where the vehicle flew nothing is.
     clearance_m: what planned ways keep from anything. operator_timeout_s: of Attendance.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from uav_recon.interfaces import Channel
-from uav_recon.types.operator_command import GivenOrder, Order
+from uav_recon.types.operator_command import GivenCommand, OperatorCommand
 
 
 class Obedient(Protocol):
@@ -32,10 +32,10 @@ class Obedient(Protocol):
         ...
 
 
-class StandingOrders:
+class OperatorCommandReceiver:
     """Passes each order on once. What was said before this mission began was not said to it."""
 
-    def __init__(self, channel: Channel[GivenOrder], begun_s: float) -> None:
+    def __init__(self, channel: Channel[GivenCommand], begun_s: float) -> None:
         self._channel, self._heard_s = channel, begun_s
         self._start = False
 
@@ -48,19 +48,19 @@ class StandingOrders:
         if (self._start or autostart) and warm:
             conductor.request_start()
 
-    def _newest(self) -> GivenOrder | None:
+    def _newest(self) -> GivenCommand | None:
         try:
             return self._channel.latest()
         except ValueError:
             return None
 
-    def _obey(self, order: Order, conductor: Obedient) -> None:
-        if order is Order.START:
+    def _obey(self, order: OperatorCommand, conductor: Obedient) -> None:
+        if order is OperatorCommand.START:
             self._start = True
             conductor.resume()
-        elif order is Order.HOLD:
+        elif order is OperatorCommand.HOLD:
             conductor.request_hold()
-        elif order is Order.RETURN:
+        elif order is OperatorCommand.RETURN:
             conductor.request_return()
         else:
             conductor.request_abort("the operator asked to land")

@@ -9,7 +9,7 @@ BACK_S = 5.0  # of signs of life without such a silence between them: a single o
 _FUTURE_S = 0.1
 
 
-class Attendance:
+class OperatorWatchdog:
     """One mission's. hear() what the pilot says, step by step.
 
     timeout_s: of silence in flight, until it goes home; inf: nobody need attend. One sign of life begins the count anew, but

@@ -14,7 +14,7 @@ AHEAD_M = 0.5  # so far ahead lies the place that the nose points at
 OFF_RAD = math.radians(25.0)  # that far off it may be: half of what the camera sees, less the hull's own width
 
 
-def nose_ahead(path: ViewPath, yaw_rad: float) -> ViewPath:
+def yaw_along_path(path: ViewPath, yaw_rad: float) -> ViewPath:
     """The same way of one leg, begun with a heading of yaw_rad: wherever that is too far off, the vehicle turns on the spot.
 
     What is steeper than it is wide, and the last AHEAD_M, keep the heading that they are reached with. The views of the answer

@@ -10,7 +10,7 @@ from uav_recon.types.maps import VoxelMap
 _CORNERS = 64  # of a way, at most: a longer one is looked at with fewer places a metre
 
 
-def length_m(way: FloatArray, voxels: VoxelMap | None, clearance_m: float) -> float:
+def return_distance_m(way: FloatArray, voxels: VoxelMap | None, clearance_m: float) -> float:
     """Of a way (N, 3) from here to home that was flown, cut short where it may be flown straight with that clearance.
 
     Never longer than the way itself, never shorter than the straight line. No map: the way itself.

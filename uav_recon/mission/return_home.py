@@ -8,10 +8,10 @@ import math
 import numpy as np
 
 from uav_recon.interfaces import Pending
-from uav_recon.mission.async_planning import Decider, Decision
+from uav_recon.mission.async_planning import AsyncPlanner, PlanResult
 from uav_recon.mission.landing_site import LandingSite
-from uav_recon.mission.mission_log import Account
-from uav_recon.mission.trajectory_execution import Helm
+from uav_recon.mission.mission_log import MissionLog
+from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import PlanRequest, Viewpoint
@@ -24,16 +24,16 @@ _REFUSED = 3  # ways that the guard or the map may stop
 _QUICK_S, _WORTH_S = 2.0, 8.0  # a slow way with so much left is flown anew once faster ones are let pass for a while
 
 
-class Homeward:
+class ReturnHome:
     """Brings the vehicle over the pad, or over another place where something stands on the pad, once. no_way: what is known
     leads nowhere. Where the breadcrumbs do not either, or it was stopped too often, it goes to the nearest floor that is good
     to land on; lost: it lands where it is, over such a floor or for want of one.
     """
 
-    def __init__(self, helm: Helm, decider: Decider, account: Account, site: LandingSite) -> None:
+    def __init__(self, helm: TrajectoryExecutor, decider: AsyncPlanner, account: MissionLog, site: LandingSite) -> None:
         self._helm, self._decider, self._account, self._site = helm, decider, account, site
         self._place, self._bad = site.home, tuple[FloatArray, ...]()
-        self._decision: Pending[Decision] | None = None
+        self._decision: Pending[PlanResult] | None = None
         self._refused, self._looks = 0, False
         self._planned_mps, self._slow_s = math.inf, -math.inf  # what was let pass then, and when no more was last
         self.under_way = self.no_way = False
@@ -89,7 +89,7 @@ class Homeward:
         else:
             self.no_way = True
 
-    def _think(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[Decision] | None:
+    def _think(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[PlanResult] | None:
         """None where nothing is left to try."""
         course, here_m = self._helm.course, rest.position_m
         if self._aside:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.interfaces import Pending
-from uav_recon.mission.async_planning import Decider, Decision
+from uav_recon.mission.async_planning import AsyncPlanner, PlanResult
 from uav_recon.mission.flight_track import Departure
-from uav_recon.mission.mission_log import Account
-from uav_recon.mission.mission_setup import MissionWires, Orders, Stages
-from uav_recon.mission.trajectory_execution import Helm
+from uav_recon.mission.mission_log import MissionLog
+from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
+from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanRequest
 from uav_recon.types.trajectory import Setpoint, Trajectory
@@ -27,12 +27,18 @@ class Survey:
     """One look round, then views, as long as the planner knows any."""
 
     def __init__(
-        self, stages: Stages, wires: MissionWires, orders: Orders, helm: Helm, decider: Decider, account: Account
+        self,
+        stages: MissionStages,
+        wires: MissionChannels,
+        orders: MissionParameters,
+        helm: TrajectoryExecutor,
+        decider: AsyncPlanner,
+        account: MissionLog,
     ) -> None:
         self._stages, self._wires, self._orders = stages, wires, orders
         self._helm, self._decider, self._account = helm, decider, account
         self._lead_s = LEAD_S + orders.plan_cost_s
-        self._decision: Pending[Decision] | None = None
+        self._decision: Pending[PlanResult] | None = None
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
         self._looked_round = self._settled = self._looks_again = False
         self._stopped_s = -np.inf

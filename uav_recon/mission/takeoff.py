@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.interfaces import Motion
-from uav_recon.mission.trajectory_execution import Helm
+from uav_recon.interfaces import MotionPlannerInterface
+from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 LIFT_M, LIFTED_M = 0.3, 0.2  # so high first, and what counts as off the floor
 
 
-class Ascent:
+class Takeoff:
     """The setpoint is not to climb away from an autopilot that still ramps its thrust up. height_m: over the pad's zero."""
 
-    def __init__(self, helm: Helm, motion: Motion, height_m: float) -> None:
+    def __init__(self, helm: TrajectoryExecutor, motion: MotionPlannerInterface, height_m: float) -> None:
         self._helm, self._motion, self._height_m = helm, motion, height_m
         self.begun_s = np.inf
         self.risen = False  # off the floor, and told to climb to where it flies

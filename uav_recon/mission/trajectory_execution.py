@@ -5,19 +5,21 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from uav_recon.interfaces import Motion
-from uav_recon.mission.flight_track import Course
-from uav_recon.mission.mission_log import Account
-from uav_recon.mission.view_schedule import Captures
+from uav_recon.interfaces import MotionPlannerInterface
+from uav_recon.mission.flight_track import FlightTrack
+from uav_recon.mission.mission_log import MissionLog
+from uav_recon.mission.view_schedule import ViewSchedule
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.trajectory import Trajectory
 from uav_recon.types.vehicle import VehicleState
 
 
-class Helm:
+class TrajectoryExecutor:
     """Changes the course and, with it, the views that are to be captured."""
 
-    def __init__(self, motion: Motion, course: Course, captures: Captures, account: Account) -> None:
+    def __init__(
+        self, motion: MotionPlannerInterface, course: FlightTrack, captures: ViewSchedule, account: MissionLog
+    ) -> None:
         self._motion, self._captures, self._account = motion, captures, account
         self.course = course
         self.map_epoch = 0  # of what is flown from now on

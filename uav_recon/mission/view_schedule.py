@@ -5,7 +5,7 @@ from __future__ import annotations
 from uav_recon.types.trajectory import Trajectory
 
 
-class Captures:
+class ViewSchedule:
     """Pending capture instants, in absolute seconds."""
 
     def __init__(self, late_s: float) -> None:

@@ -20,7 +20,7 @@ LOSS_M = 0.03  # ... but never to less room than where it begins, by more than t
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Space:
+class ClearanceMap:
     """What kernels need of a map: squared distances (nx, ny, nz) in voxels, and the frame.
 
     frame: (10,) origin (3), lower (3) and upper corner (3) of the box that the body's centre stays in, and the room that
@@ -32,10 +32,10 @@ class Space:
     resolution_m: float
 
     @staticmethod
-    def of(voxels: VoxelMap, low_m: FloatArray, high_m: FloatArray, border_m: float) -> Space:
+    def of(voxels: VoxelMap, low_m: FloatArray, high_m: FloatArray, border_m: float) -> ClearanceMap:
         """The space of a map inside a box (infinite corners: no box)."""
         frame = np.array([*voxels.grid.origin_world_m, *low_m, *high_m, border_m], dtype=np.float64)
-        return Space(voxels.distance2, frame, float(voxels.grid.resolution_m))
+        return ClearanceMap(voxels.distance2, frame, float(voxels.grid.resolution_m))
 
 
 @kernel
@@ -131,7 +131,7 @@ def _blocked(
     return found
 
 
-def blocked(space: Space, points_m: FloatArray, first: int, least_m: float) -> BoolArray:
+def blocked(space: ClearanceMap, points_m: FloatArray, first: int, least_m: float) -> BoolArray:
     """Which samples (N,) from ``first`` on are not known free, or have less room than ``least_m`` after having had it, or than
     where it begins.
     """
@@ -140,6 +140,6 @@ def blocked(space: Space, points_m: FloatArray, first: int, least_m: float) -> B
     return out
 
 
-def is_clear(space: Space, points_m: FloatArray, first: int, least_m: float) -> bool:
+def is_clear(space: ClearanceMap, points_m: FloatArray, first: int, least_m: float) -> bool:
     """Whether no sample from ``first`` on is blocked."""
     return not blocked(space, points_m, first, least_m).any()

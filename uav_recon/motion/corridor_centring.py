@@ -5,15 +5,15 @@ from __future__ import annotations
 import dataclasses
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.motion.clearance import ROOT, Space
-from uav_recon.motion.elastic_band import Band, least_room, mirror
+from uav_recon.motion.clearance import ROOT, ClearanceMap
+from uav_recon.motion.elastic_band import ElasticBand, least_room, mirror
 from uav_recon.types.frames import AnyArray
 
 STEP_M = 0.02
 ROUNDS = 10  # two voxels at most
 
 
-def centred(band: Band, space: Space, wanted_m: float) -> Band:
+def centred(band: ElasticBand, space: ClearanceMap, wanted_m: float) -> ElasticBand:
     """The band, each free point of it moved to where there is more room as long as it has less than ``wanted_m``."""
     control, held = band.control.copy(), band.held.copy()
     for node in band.view_node:

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.motion.clearance import ROOT, Space, room_at
-from uav_recon.motion.yaw_policy import AT_VIEWS, Gaze
+from uav_recon.motion.clearance import ROOT, ClearanceMap, room_at
+from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 from uav_recon.types.tasks import Viewpoint
 
@@ -31,7 +31,7 @@ SAME_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class PathCourse:
     """Vertices (V, 5) of the way from its start on; at which vertex each view (K,) stands; which of them are stops (V,)."""
 
     vertex: FloatArray
@@ -39,7 +39,9 @@ class Course:
     stop: BoolArray
 
     @staticmethod
-    def through(start: FloatArray, legs: Sequence[FloatArray], views: Sequence[Viewpoint], gaze: Gaze = AT_VIEWS) -> Course:
+    def through(
+        start: FloatArray, legs: Sequence[FloatArray], views: Sequence[Viewpoint], gaze: YawPolicy = AT_VIEWS
+    ) -> PathCourse:
         """Through the waypoints of each leg (Ni, 3) to its view; yaw goes as ``gaze`` has it, or else the short way round."""
         vertices, reached = [start], []
         for leg, view in zip(legs, views, strict=True):
@@ -56,24 +58,24 @@ class Course:
             else:
                 vertices += list(gaze.along(np.array(way), begin, goal))
             reached.append(len(vertices) - 1)
-        return Course(np.array(vertices), np.array(reached, dtype=np.int64), np.zeros(len(vertices), dtype=np.bool_))
+        return PathCourse(np.array(vertices), np.array(reached, dtype=np.int64), np.zeros(len(vertices), dtype=np.bool_))
 
-    def after(self, begin: FloatArray, stops: bool) -> Course:
+    def after(self, begin: FloatArray, stops: bool) -> PathCourse:
         """The same, reached from a place (5,) before it; ``stops``: to a stand where it began until now."""
         stop = np.concatenate(([False, stops], self.stop[1:]))
-        return Course(np.vstack([begin, self.vertex]), self.view_vertex + 1, stop)
+        return PathCourse(np.vstack([begin, self.vertex]), self.view_vertex + 1, stop)
 
-    def with_stops(self, stop: BoolArray) -> Course:
+    def with_stops(self, stop: BoolArray) -> PathCourse:
         """The same, each marked inner vertex (V,) three times over: the band goes exactly through it and comes to a stand."""
         stop = stop.copy()
         stop[[0, -1]] = False
         times = np.where(stop, 3, 1)
         middle = np.cumsum(times) - 1 - stop
-        return Course(np.repeat(self.vertex, times, axis=0), middle[self.view_vertex], np.repeat(stop, times))
+        return PathCourse(np.repeat(self.vertex, times, axis=0), middle[self.view_vertex], np.repeat(stop, times))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Band:
+class ElasticBand:
     """control (n + 3, 5): a curve of n spans that begins at control[1] and ends at control[-2]; held (n + 3,): those that must
     stay; view_node (K,): the span at whose start each view is passed (n for the end)."""
 
@@ -82,7 +84,7 @@ class Band:
     held: BoolArray
 
     @staticmethod
-    def along(course: Course, span_rad: float, before: FloatArray | None) -> Band:
+    def along(course: PathCourse, span_rad: float, before: FloatArray | None) -> ElasticBand:
         """Even spans along each edge. before: place (5,) one span before the course, of a band that is entered in motion."""
         step = np.abs(np.diff(course.vertex, axis=0))
         length_m = np.sqrt(np.sum(step[:, :3] ** 2, axis=1))
@@ -99,9 +101,11 @@ class Band:
         held[node + 1] = course.stop
         held[[0, 1, -2, -1]] = True
         held[2] |= before is not None
-        return Band(control, node[course.view_vertex], held)
+        return ElasticBand(control, node[course.view_vertex], held)
 
-    def relaxed(self, course: Course, space: Space, wanted_m: float, least_m: float, tolerance: tuple[float, float]) -> Band:
+    def relaxed(
+        self, course: PathCourse, space: ClearanceMap, wanted_m: float, least_m: float, tolerance: tuple[float, float]
+    ) -> ElasticBand:
         """The band pulled smooth. What has less than ``least_m`` of room does not move; nothing comes under ``wanted_m``, or
         under what it has. tolerance: metres and radians off each view but the last, which is met exactly."""
         control = self.control.copy()
@@ -111,7 +115,7 @@ class Band:
             control, self.held, view, course.vertex, tolerance[0], tolerance[1], space.distance2, space.frame,
             space.resolution_m, ROOT, wanted_m, least_m,
         )  # fmt: skip
-        return Band(control, self.view_node, self.held)
+        return ElasticBand(control, self.view_node, self.held)
 
 
 @kernel

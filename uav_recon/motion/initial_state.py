@@ -14,7 +14,7 @@ AT_REST = 1e-3  # m/s and rad/s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Entry:
+class InitialState:
     """What would be flown if nothing new came: rows (N, 5) of x, y, z, yaw, pitch each STEP_S, and from the last one on the
     same step over and over. A new way takes over at the last row. Row 0 is one step before the start, for the differences;
     the new motion has its way from row ``left`` on, and what is before is the old motion's own."""
@@ -24,13 +24,13 @@ class Entry:
     left: int
 
     @staticmethod
-    def resting(start: Setpoint, lead: int) -> Entry:
+    def resting(start: Setpoint, lead: int) -> InitialState:
         """Stand for ``lead`` steps: so far the smoothing of the new way reaches back."""
         here = np.array([*start.position_m, start.yaw_rad, start.camera_pitch_down_rad])
-        return Entry(np.tile(here, (lead + 2, 1)), np.zeros(5), 1)
+        return InitialState(np.tile(here, (lead + 2, 1)), np.zeros(5), 1)
 
     @staticmethod
-    def leaving(flying: Trajectory, at: int, lead: int, most: FloatArray) -> Entry:
+    def leaving(flying: Trajectory, at: int, lead: int, most: FloatArray) -> InitialState:
         """Out of sample ``at`` of a trajectory; its acceleration there dies away, from ``most`` (5,) within the whole lead."""
         first = max(at - round(KEPT_S / STEP_S), 0)
         past = columns(flying, first - 1, at + 1)
@@ -42,7 +42,7 @@ class Entry:
         t = np.minimum(now_s, end_s)
         drift = velocity + 0.5 * acceleration * end_s
         ahead = past[-1] + velocity * t + acceleration * (0.5 * t**2 - t**3 / (6 * end_s)) + drift * (now_s - t)
-        return Entry(np.vstack([past, ahead]), drift * STEP_S, at - first + 1)
+        return InitialState(np.vstack([past, ahead]), drift * STEP_S, at - first + 1)
 
     @property
     def place(self) -> FloatArray:

@@ -12,13 +12,13 @@ import dataclasses
 import numpy as np
 
 from uav_recon.config import MotionConfig
-from uav_recon.motion.clearance import Space, blocked, is_clear
+from uav_recon.motion.clearance import ClearanceMap, blocked, is_clear
 from uav_recon.motion.corridor_centring import centred
-from uav_recon.motion.elastic_band import Band, Course
-from uav_recon.motion.initial_state import Entry
+from uav_recon.motion.elastic_band import ElasticBand, PathCourse
+from uav_recon.motion.initial_state import InitialState
 from uav_recon.motion.time_scaling import braking, joined, replayed
-from uav_recon.motion.trajectory_generation import Flight, Pacer
-from uav_recon.motion.yaw_policy import AT_VIEWS, Gaze
+from uav_recon.motion.trajectory_generation import Pacer, TrajectoryGenerator
+from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.tasks import PlanMode, ViewPath, Viewpoint
@@ -41,7 +41,7 @@ class MotionPlanner:
 
     def __init__(
         self, config: MotionConfig, clearance_m: float, low_m: FloatArray | None = None, high_m: FloatArray | None = None,
-        braking_mps2: float | None = None, hull_m: float = 0.0, gaze: Gaze = AT_VIEWS,
+        braking_mps2: float | None = None, hull_m: float = 0.0, gaze: YawPolicy = AT_VIEWS,
     ) -> None:  # fmt: skip
         """clearance_m: from the body's centre to anything not known free, on a path that does not say what its way keeps;
         tight_speed_mps is flown where there is no more, and NARROW_MPS on a path that says so.
@@ -70,8 +70,8 @@ class MotionPlanner:
         fault = _fault(path, voxels)
         if fault:
             return fault
-        entry = Entry.resting(start, self._pacer.box)
-        course = Course.through(entry.place, path.waypoints_world, path.viewpoints, self._pacer.gaze)
+        entry = InitialState.resting(start, self._pacer.box)
+        course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._pacer.gaze)
         flight = self._clear(course, None, entry, self._space(voxels), views_at_spacing_m, path.clearance_m)
         kept_m = self._asked_m(path.clearance_m)
         return flight if isinstance(flight, str) else flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
@@ -89,37 +89,37 @@ class MotionPlanner:
         if fault:
             return fault
         at = max(int((leave_s - flying.start_s) / flying.step_s + 1e-6), 0)  # past its end it rests
-        entry, space = Entry.leaving(flying, at, self._pacer.box, self._pacer.most()), self._space(voxels)
+        entry, space = InitialState.leaving(flying, at, self._pacer.box, self._pacer.most()), self._space(voxels)
         start_s, kept_m = flying.start_s + (at - entry.left + 1) * flying.step_s, self._asked_m(path.clearance_m)
         if not entry.is_moving:
-            course = Course.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, self._pacer.gaze)
+            course = PathCourse.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, self._pacer.gaze)
             still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m)
             return still if isinstance(still, str) else still.trajectory(start_s, path.map_epoch, identifier, kept_m)
         for overrun in OVERRUNS if _leads_on(path, entry) else OVERRUNS[-1:]:
             rolled, begin = self._pacer.begun(entry, overrun)
-            course = Course.through(begin, _ahead(path, entry, begin), path.viewpoints, self._pacer.gaze)
+            course = PathCourse.through(begin, _ahead(path, entry, begin), path.viewpoints, self._pacer.gaze)
             if overrun > 0.0:
                 course = course.after(rolled, overrun >= 1.0)
             flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m)
-            if isinstance(flight, Flight) and not self._pacer.gaze.hasty(flight.rows[entry.left :]).any():
+            if isinstance(flight, TrajectoryGenerator) and not self._pacer.gaze.hasty(flight.rows[entry.left :]).any():
                 return flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier)
 
     def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
         """Look round on the spot; ``views`` captures, equally spread over the angle, the last at its end."""
-        entry = Entry.resting(start, self._pacer.box)
+        entry = InitialState.resting(start, self._pacer.box)
         vertex = np.tile(entry.place, (max(views, 1) + 1, 1))
         vertex[:, 3] += np.linspace(0.0, total_yaw_rad, len(vertex))
-        course = Course(vertex, np.arange(1, views + 1), np.zeros(len(vertex), dtype=np.bool_))
-        band = Band.along(course, self._pacer.span_rad, None)
+        course = PathCourse(vertex, np.arange(1, views + 1), np.zeros(len(vertex), dtype=np.bool_))
+        band = ElasticBand.along(course, self._pacer.span_rad, None)
         return self._pacer.flown(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
 
     def line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
         """Straight, rest to rest, at the tight speed and without a look at the map: take-off and descent."""
-        entry = Entry.resting(start, self._pacer.box)
+        entry = InitialState.resting(start, self._pacer.box)
         goal = np.asarray(goal_m, dtype=np.float64)
-        course = Course.through(entry.place, [goal[None]], [Viewpoint(goal, yaw_rad, start.camera_pitch_down_rad)])
-        band = Band.along(course, self._creeper.span_rad, None)
+        course = PathCourse.through(entry.place, [goal[None]], [Viewpoint(goal, yaw_rad, start.camera_pitch_down_rad)])
+        band = ElasticBand.along(course, self._creeper.span_rad, None)
         flown = self._creeper.flown(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
         return dataclasses.replace(flown, views_s=np.zeros(0))
 
@@ -147,8 +147,8 @@ class MotionPlanner:
     def _asked_m(self, clearance_m: float | None) -> float:
         return self._clearance_m if clearance_m is None else clearance_m
 
-    def _space(self, voxels: VoxelMap) -> Space:
-        return Space.of(voxels, self._low_m, self._high_m, self._clearance_m)
+    def _space(self, voxels: VoxelMap) -> ClearanceMap:
+        return ClearanceMap.of(voxels, self._low_m, self._high_m, self._clearance_m)
 
     def warm_up(self) -> None:
         """Compile the kernels."""
@@ -164,8 +164,14 @@ class MotionPlanner:
             self.through(dataclasses.replace(path, clearance_m=1.0), voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
 
     def _clear(
-        self, course: Course, before: FloatArray | None, entry: Entry, space: Space, spacing_m: float, clearance_m: float | None
-    ) -> Flight | str:
+        self,
+        course: PathCourse,
+        before: FloatArray | None,
+        entry: InitialState,
+        space: ClearanceMap,
+        spacing_m: float,
+        clearance_m: float | None,
+    ) -> TrajectoryGenerator | str:
         """A flight along the course that is clear by ``clearance_m``, or why there is none.
 
         Where the relaxed band comes too close to something, the nearest corner is made a stop; if that does not do, all are,
@@ -177,7 +183,7 @@ class MotionPlanner:
             pacer, room_m = self._threader, self._clearance_m + MIDDLE_M
         for attempt in range(3):
             strung = course.with_stops(stop)
-            band = Band.along(strung, self._pacer.span_rad, before)
+            band = ElasticBand.along(strung, self._pacer.span_rad, before)
             if attempt < 2 and clearance_m is not None:
                 band = centred(band, space, room_m)
             if attempt < 2:
@@ -222,7 +228,7 @@ def _fault(path: ViewPath, voxels: VoxelMap) -> str:
     return "" if path.viewpoints else "the path has no view"
 
 
-def _leads_on(path: ViewPath, entry: Entry) -> bool:
+def _leads_on(path: ViewPath, entry: InitialState) -> bool:
     """Whether the path begins in about the direction of the present motion, or with a turn on the spot."""
     first = np.vstack([path.waypoints_world[0], path.viewpoints[0].position_world]) - entry.place[:3]
     away_m = np.linalg.norm(first, axis=1)
@@ -233,7 +239,7 @@ def _leads_on(path: ViewPath, entry: Entry) -> bool:
     return bool(way @ velocity >= BACK * np.linalg.norm(way) * np.linalg.norm(velocity))
 
 
-def _ahead(path: ViewPath, entry: Entry, begin: FloatArray) -> list[FloatArray]:
+def _ahead(path: ViewPath, entry: InitialState, begin: FloatArray) -> list[FloatArray]:
     """The legs without their beginning, and without waypoints that are passed while the old motion dies away."""
     left = entry.rows[entry.left, :3]
     first, *others = path.waypoints_world

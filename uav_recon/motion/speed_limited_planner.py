@@ -6,7 +6,7 @@ import math
 
 from uav_recon.config import Config
 from uav_recon.motion.motion_planner import MotionPlanner
-from uav_recon.motion.yaw_policy import gaze_of
+from uav_recon.motion.yaw_policy import yaw_policy_of
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import ViewPath
@@ -15,7 +15,7 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 SLOW_SHARE = 0.8  # of what is let pass with a degraded pose: what leads over from one motion to the next adds to it
 
 
-class Paced:
+class SpeedLimitedPlanner:
     """One of two planners, the usual or a slow one for when less than usual_mps is allowed. What is flown already is braked and
     checked by the usual one, whose limits of acceleration hold for both.
     """
@@ -25,12 +25,12 @@ class Paced:
         self._most_mps = math.inf
 
     @staticmethod
-    def of(config: Config, clearance_m: float, low_m: FloatArray, high_m: FloatArray) -> Paced:
+    def of(config: Config, clearance_m: float, low_m: FloatArray, high_m: FloatArray) -> SpeedLimitedPlanner:
         """Of a whole config, within the box (3,), (3,) that the body's centre stays in."""
         safety, usual = config.safety, config.motion
-        limits = (clearance_m, low_m, high_m, safety.max_acceleration_mps2, safety.vehicle_radius_m, gaze_of(config))
+        limits = (clearance_m, low_m, high_m, safety.max_acceleration_mps2, safety.vehicle_radius_m, yaw_policy_of(config))
         slow = usual.at_most(SLOW_SHARE * safety.retreat_speed_mps)
-        return Paced(MotionPlanner(usual, *limits), MotionPlanner(slow, *limits), usual.speed_mps)
+        return SpeedLimitedPlanner(MotionPlanner(usual, *limits), MotionPlanner(slow, *limits), usual.speed_mps)
 
     def allow(self, most_mps: float) -> None:
         """What is planned from now on stays below this speed, as far as the slow one does."""

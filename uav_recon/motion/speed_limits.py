@@ -31,7 +31,7 @@ def _room_speeds(
 
 
 @kernel
-def caps(
+def node_speed_limits(
     slope: AnyArray, along_m: AnyArray, room_m: AnyArray, most_mps: AnyArray, view_node: AnyArray, per_span: int,
     clearance_m: float, open_m: float, speed: float, tight_speed: float, climb: float, descent: float, rate: float,
     blur_radps: float, blur_distance_m: float, spread_m: float, entry: AnyArray, braking: float, fastest: float, out: AnyArray,

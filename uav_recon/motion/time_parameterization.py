@@ -23,7 +23,7 @@ TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class PaceLimits:
     """Speeds (m/s), acceleration (m/s²), turning (rad/s) and its change (rad/s²)."""
 
     speed: float

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.config import MotionConfig
-from uav_recon.motion.clearance import ROOT, Space, rooms, ways_ahead
-from uav_recon.motion.elastic_band import SPAN_M, SPAN_S, Band
-from uav_recon.motion.initial_state import Entry
-from uav_recon.motion.speed_limits import caps
+from uav_recon.motion.clearance import ROOT, ClearanceMap, rooms, ways_ahead
+from uav_recon.motion.elastic_band import SPAN_M, SPAN_S, ElasticBand
+from uav_recon.motion.initial_state import InitialState
+from uav_recon.motion.speed_limits import node_speed_limits
 from uav_recon.motion.time_parameterization import (
     FASTEST,
     PER_SPAN,
@@ -24,7 +24,7 @@ from uav_recon.motion.time_parameterization import (
     smoothed,
 )
 from uav_recon.motion.time_scaling import STEP_S
-from uav_recon.motion.yaw_policy import AT_VIEWS, Gaze
+from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.trajectory import Trajectory
 
@@ -40,7 +40,7 @@ SLOWEST = 2.0  # spans a second: slower spans at the start of a moving band woul
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flight:
+class TrajectoryGenerator:
     """rows (N + 1, 5) of x, y, z, yaw, pitch each STEP_S, row 0 one step before the start; views_s from the start on.
 
     Infeasible: it is entered too fast for what follows.
@@ -84,10 +84,10 @@ class Pacer:
     hull_m: float
     run_on_s: float
     box: int
-    gaze: Gaze
+    gaze: YawPolicy
 
     @staticmethod
-    def of(config: MotionConfig, clearance_m: float, hull_m: float, gaze: Gaze = AT_VIEWS) -> Pacer:
+    def of(config: MotionConfig, clearance_m: float, hull_m: float, gaze: YawPolicy = AT_VIEWS) -> Pacer:
         """The limits of a config."""
         return Pacer(
             speed=FULL * config.speed_mps,
@@ -115,13 +115,13 @@ class Pacer:
         """Greatest acceleration of each coordinate (5,)."""
         return np.array([self.acceleration] * 3 + [self.spin] * 2)
 
-    def entry_pace(self, entry: Entry) -> float:
+    def entry_pace(self, entry: InitialState) -> float:
         """Spans per second at the start of a band entered in motion: its first span is as long as others, or shorter."""
         speed = float(np.linalg.norm(entry.velocity[:3]))
         turning = float(np.abs(entry.velocity[3:]).max())
         return max(speed / SPAN_M, turning / self.span_rad, SLOWEST)
 
-    def begun(self, entry: Entry, overrun: float) -> tuple[FloatArray, FloatArray]:
+    def begun(self, entry: InitialState, overrun: float) -> tuple[FloatArray, FloatArray]:
         """Where a moving entry is (5,) one span on, and where a share of the way that braking takes would bring it from there.
 
         All five coordinates brake in the time that the slowest of them needs.
@@ -131,7 +131,9 @@ class Pacer:
         rolled = entry.place + entry.velocity / self.entry_pace(entry)
         return rolled, rolled + entry.velocity * (0.5 * overrun * braking_s)
 
-    def flown(self, band: Band, entry: Entry, space: Space | None, spacing_m: float) -> Flight:
+    def flown(
+        self, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, spacing_m: float
+    ) -> TrajectoryGenerator:
         """The fastest flight along a band; slower all over where smoothing and sampling left too much acceleration, and slow
         where it turns out that the camera does not look: a body that gains speed leans.
         """
@@ -145,7 +147,7 @@ class Pacer:
         for _ in range(TRIES):
             most_mps2 = np.minimum(share * self.acceleration, leaning_mps2)
             if not fastest(curve.slope, curve.bend, cap, most_mps, most_mps2, share * self.spin, first, x):
-                return Flight(entry.rows, np.zeros(0), feasible=False)
+                return TrajectoryGenerator(entry.rows, np.zeros(0), feasible=False)
             instants(x, times)
             flight = self._smoothed(band, entry, curve, x, times, spacing_m)
             _, change = flight.rates()
@@ -165,35 +167,36 @@ class Pacer:
         return flight
 
     def _cap(
-        self, curve: Curve, band: Band, entry: Entry, space: Space | None, most_mps: FloatArray, cap: FloatArray
+        self, curve: Curve, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, most_mps: FloatArray,
+        cap: FloatArray,
     ) -> None:  # fmt: skip
         room_m = np.full(len(cap), np.inf)
         if space is not None:
             rooms(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, room_m)
-        caps(
+        node_speed_limits(
             curve.slope, curve.along_m, room_m, most_mps, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
             self.tight_speed, self.climb, self.descent, self.rate, self.blur_radps, self.blur_distance_m, SPREAD_M,
             entry.velocity, BRAKING * self.acceleration, FASTEST, cap,
         )  # fmt: skip
 
-    def _leaning(self, curve: Curve, entry: Entry) -> FloatArray:
+    def _leaning(self, curve: Curve, entry: InitialState) -> FloatArray:
         """Accelerations (M,) with which the camera sees the way; as much as need be where what is entered has to brake."""
         most_mps2 = np.maximum(self.gaze.most_mps2(curve.slope, curve.place), LEAST_MPS2)
         entry2 = float(np.sum(entry.velocity[:3] ** 2))
         return np.where(2.0 * BRAKING * self.acceleration * curve.along_m < entry2, np.inf, most_mps2)
 
-    def _hasty(self, flight: Flight, entry: Entry, times: FloatArray) -> BoolArray:
+    def _hasty(self, flight: TrajectoryGenerator, entry: InitialState, times: FloatArray) -> BoolArray:
         """The nodes (M,), reached at these times, whose samples are faster than what they see allows, or share in such."""
         hasty = np.zeros(len(flight.rows), dtype=np.bool_)
         hasty[entry.left + 1 : -1] = self.gaze.hasty(flight.rows[entry.left :])
         around = np.convolve(hasty, np.ones(2 * self.box + 1), "same") > 0.0
         return np.asarray(around[np.minimum(np.rint(times / STEP_S).astype(np.int64) + len(entry.rows) - 1, len(around) - 1)])
 
-    def _heeding(self, curve: Curve, space: Space) -> FloatArray:
+    def _heeding(self, curve: Curve, space: ClearanceMap) -> FloatArray:
         """Speeds (M,) that where it looks and what lies ahead allow."""
         return np.minimum(self.gaze.most_mps(curve.slope, curve.place), self._heeding_silence(curve, space))
 
-    def _heeding_silence(self, curve: Curve, space: Space) -> FloatArray:
+    def _heeding_silence(self, curve: Curve, space: ClearanceMap) -> FloatArray:
         """Speeds (M,) from which an autopilot that hears nothing any more touches nothing before it is at rest.
 
         It flies straight on, or where the bend at the greatest speed leads that it keeps, which makes it faster.
@@ -216,7 +219,9 @@ class Pacer:
             most_mps = np.minimum(most_mps, way_m / (self.run_on_s * np.maximum(faster, 1.0)))
         return np.asarray(np.maximum(most_mps, RUN_ON_MPS))
 
-    def _smoothed(self, band: Band, entry: Entry, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float) -> Flight:
+    def _smoothed(
+        self, band: ElasticBand, entry: InitialState, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float
+    ) -> TrajectoryGenerator:
         """What the way differs from the entry's own going on is smoothed and added to that."""
         count, begin, half = int(np.ceil(times[-1] / STEP_S)) + 1, len(entry.rows) - 1, self.box - 1
         raw = np.empty((count, 5))
@@ -232,11 +237,11 @@ class Pacer:
         lead_s = (begin - 1) * STEP_S
         reached_s = times[band.view_node * PER_SPAN]
         if spacing_m == np.inf:
-            return Flight(going_on + change, reached_s + lead_s)
+            return TrajectoryGenerator(going_on + change, reached_s + lead_s)
         ends_m = curve.along_m[band.view_node * PER_SPAN]
         on_the_way_m, begin_m = [], 0.0
         for end_m in ends_m:
             on_the_way_m += list(np.arange(begin_m + spacing_m, end_m - spacing_m / 2, spacing_m))
             begin_m = float(end_m)
         on_the_way_s = np.interp(on_the_way_m, curve.along_m, times)
-        return Flight(going_on + change, np.sort(np.concatenate((on_the_way_s, reached_s))) + lead_s)
+        return TrajectoryGenerator(going_on + change, np.sort(np.concatenate((on_the_way_s, reached_s))) + lead_s)

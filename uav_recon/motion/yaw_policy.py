@@ -24,7 +24,7 @@ PREFERRED = 1.4  # so much longer it may take with the nose ahead: what is flown
 USUAL_SHARE = 0.6  # of the greatest speed is flown on a way, in the mean
 
 
-class Gaze(Protocol):
+class YawPolicy(Protocol):
     """How the heading goes along a leg, and what that means for the speed: blind_mps at most where the camera does not look."""
 
     @property
@@ -53,7 +53,7 @@ class Gaze(Protocol):
         ...
 
 
-class AtViews:
+class YawAtViews:
     """Evenly from view to view, and as fast wherever it looks: other limits see to it that there is room."""
 
     blind_mps = math.inf
@@ -76,11 +76,11 @@ class AtViews:
         return np.zeros(len(rows) - 2, dtype=np.bool_)
 
 
-AT_VIEWS = AtViews()
+AT_VIEWS = YawAtViews()
 
 
 @dataclass(frozen=True, slots=True)
-class NoseAhead:
+class YawAlongPath:
     """Slow where the camera does not look, and on ways long enough the nose so far ahead that it does.
 
     half_tan: tangents of half the camera's angles, level and upright. blind_mps: greatest speed elsewhere; speed_mps and
@@ -103,7 +103,7 @@ class NoseAhead:
         return SHARE * self.half_tan[1]
 
     def along(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
-        """As AtViews, or with the nose ahead if that is faster, or not much slower."""
+        """As YawAtViews, or with the nose ahead if that is faster, or not much slower."""
         evenly, ahead = AT_VIEWS.along(way, begin, goal), self._ahead(way, begin, goal)
         ahead_s, evenly_s = (self._duration_s(np.vstack([begin, vertex])) for vertex in (ahead, evenly))
         return ahead if ahead_s < PREFERRED * evenly_s else evenly
@@ -168,13 +168,13 @@ class NoseAhead:
         return float(np.maximum(np.linalg.norm(step[:, :3], axis=1) / speed_mps, np.abs(step[:, 3]) / self.rate_radps).sum())
 
 
-def gaze_of(config: Config) -> Gaze:
+def yaw_policy_of(config: Config) -> YawPolicy:
     """At the views; nose ahead where the guard asks for slow flight out of the camera's sight."""
     safety, camera, motion = config.safety, config.camera, config.motion
     if safety.blind_speed_mps >= safety.max_speed_mps:
         return AT_VIEWS
     half_tan = (math.tan(math.radians(camera.horizontal_fov_deg) / 2), math.tan(math.radians(camera.vertical_fov_deg) / 2))
-    return NoseAhead(half_tan, BLIND_SHARE * safety.blind_speed_mps, motion.speed_mps, math.radians(motion.yaw_rate_degps))
+    return YawAlongPath(half_tan, BLIND_SHARE * safety.blind_speed_mps, motion.speed_mps, math.radians(motion.yaw_rate_degps))
 
 
 def leaning(way: FloatArray, change_mps2: FloatArray) -> FloatArray:

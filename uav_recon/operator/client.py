@@ -17,7 +17,7 @@ class CallError(Exception):
     """Nobody can be asked; its text is one line that says why and what to do."""
 
 
-def call(path: Path, word: str) -> dict[str, Any]:
+def send_command(path: Path, word: str) -> dict[str, Any]:
     """The pilot's answer: {"ok", "said"}, and "status" for status. Blocks up to a few seconds. Raises CallError."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as pipe:
         pipe.settimeout(ANSWER_S)

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 from uav_recon.interfaces import Channel, Clock
 from uav_recon.operator.command_socket import Answer
 from uav_recon.operator.status import Status
-from uav_recon.types.operator_command import GivenOrder, Order
+from uav_recon.types.operator_command import GivenCommand, OperatorCommand
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.trajectory import Intent
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
@@ -19,7 +19,7 @@ SILENT_S = 2.0  # a mission whose newest intent is older does not hear orders
 _ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY, FlightPhase.LANDED)
 
 
-class Helmsman(Protocol):
+class PilotControls(Protocol):
     """The pilot, as far as an operator reaches it. Nothing blocks."""
 
     @property
@@ -40,17 +40,17 @@ class Helmsman(Protocol):
         ...
 
 
-class Clerk:
+class CommandHandler:
     """Serves the desk. orders: where the mission hears; the other channels are only read."""
 
     def __init__(
         self,
-        pilot: Helmsman,
+        pilot: PilotControls,
         vehicle: Channel[VehicleState],
         intent: Channel[Intent],
         progress: Channel[MissionProgress],
         odom: Channel[StampedPose],
-        orders: Channel[GivenOrder],
+        orders: Channel[GivenCommand],
         clock: Clock,
     ) -> None:
         self._pilot, self._orders, self._clock = pilot, orders, clock
@@ -62,9 +62,9 @@ class Clerk:
         Whoever asks for something that there is has been heard, also where it is refused.
         """
         try:
-            order = None if word == "status" else Order(word)
+            order = None if word == "status" else OperatorCommand(word)
         except ValueError:
-            words = ", ".join(order.value for order in Order)
+            words = ", ".join(order.value for order in OperatorCommand)
             return {"ok": False, "said": f"{word[:20]!r}: want one of {words}, status"}
         self._pilot.hear_operator()
         if order is None:
@@ -78,20 +78,20 @@ class Clerk:
             self._clock.now_s(), _newest(self._vehicle), _newest(self._odom), _newest(self._progress), self._mission_hears()
         )
 
-    def _refusal(self, order: Order) -> str:
+    def _refusal(self, order: OperatorCommand) -> str:
         phase = self._pilot.phase
         if phase is FlightPhase.YIELDED:
             note = self._note()
             return f"not ours any more{note and f' ({note})'}: nothing is asked of it until the pilot is started anew"
-        if order is Order.START:
+        if order is OperatorCommand.START:
             return self._refusal_of_start(phase)
         if phase in _ON_THE_GROUND:
             return f"it is on the ground ({phase.value}): nothing to {order.value}"
-        if phase is FlightPhase.ARMING and order is not Order.LAND:
+        if phase is FlightPhase.ARMING and order is not OperatorCommand.LAND:
             return "it is about to take off: land, or ask again once it flies"
-        if phase is FlightPhase.LANDING and order is not Order.LAND:
+        if phase is FlightPhase.LANDING and order is not OperatorCommand.LAND:
             return "it is landing: that is not taken back"
-        if order is Order.RETURN and not self._mission_hears():
+        if order is OperatorCommand.RETURN and not self._mission_hears():
             return "the mission is silent, and only it knows the way home: hold or land"
         return ""
 
@@ -102,15 +102,20 @@ class Clerk:
             return f"not ready: {self._note('starting')}"
         return "" if self._mission_hears() else "the mission is silent: is uav-recon-mission running, and has it finished?"
 
-    def _carry_out(self, order: Order) -> str:
-        if order is Order.LAND:
+    def _carry_out(self, order: OperatorCommand) -> str:
+        if order is OperatorCommand.LAND:
             self._pilot.request_land("the operator asked to land")
         else:
-            self._pilot.request_hold(order is Order.HOLD)
-        self._orders.publish(GivenOrder(self._clock.now_s(), order))
+            self._pilot.request_hold(order is OperatorCommand.HOLD)
+        self._orders.publish(GivenCommand(self._clock.now_s(), order))
         grounded = self._pilot.phase in _ON_THE_GROUND
         going = "it takes off as soon as the mission is warm" if grounded else "it goes on"
-        return {Order.LAND: "landing", Order.HOLD: "holding", Order.RETURN: "returning", Order.START: going}[order]
+        return {
+            OperatorCommand.LAND: "landing",
+            OperatorCommand.HOLD: "holding",
+            OperatorCommand.RETURN: "returning",
+            OperatorCommand.START: going,
+        }[order]
 
     def _note(self, untold: str = "") -> str:
         """The pilot's newest reason in words. untold: what to say before there is any state of the vehicle."""

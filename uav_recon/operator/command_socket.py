@@ -26,7 +26,7 @@ _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _LONGEST_PATH = 107
 
 
-class DeskError(Exception):
+class CommandSocketError(Exception):
     """A socket that cannot be opened; its text is one line that names the path."""
 
 
@@ -37,7 +37,7 @@ class _Client:
     line: bytearray = field(default_factory=bytearray)
 
 
-class Desk:
+class CommandSocket:
     """Listens on a Unix socket of mode 0660. Whoever calls poll() every turn answers; serve(word) gives the answer.
 
     Only this user, root and members of this process's group are heard. The caller holds a lock that makes it the only one
@@ -48,7 +48,7 @@ class Desk:
         self._path, self._serve, self._clock = path, serve, clock
         self._clients: list[_Client] = []
         if len(os.fsencode(path)) > _LONGEST_PATH:
-            raise DeskError(f"{path}: longer than the {_LONGEST_PATH} bytes that a socket's path may have")
+            raise CommandSocketError(f"{path}: longer than the {_LONGEST_PATH} bytes that a socket's path may have")
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
         try:
             path.unlink(missing_ok=True)
@@ -57,7 +57,7 @@ class Desk:
             self._socket.listen(MOST_CLIENTS)
         except OSError as error:
             self._socket.close()
-            raise DeskError(f"{path}: {error.strerror}") from None
+            raise CommandSocketError(f"{path}: {error.strerror}") from None
 
     def poll(self) -> None:
         """Take in a client and what the others have said, answer what is complete, drop who takes too long."""

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.planning.candidate_view import Proposal, Situation
+from uav_recon.planning.candidate_view import CandidateView, PlanningContext
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.frontier.cluster_table import OPENING
 from uav_recon.planning.frontier.frontier_views import FrontierViews
 from uav_recon.planning.frontier.frontiers import fence_box
-from uav_recon.planning.paths.path_cache import Ways
-from uav_recon.planning.route_planning import proposal_for
+from uav_recon.planning.paths.path_cache import PathCache
+from uav_recon.planning.route_planning import route_to
 from uav_recon.planning.task_generation import places_of
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
@@ -24,7 +24,7 @@ from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, 
 ON_A_NARROW_WAY = "on a narrow way nothing else is begun"
 
 
-class ThroughNarrows:
+class NarrowPassagePlanner:
     """A planner that asks again with less room once another has nothing left; see protocols.Planner.
 
     Only its ways are narrow: views have the usual room, so the vehicle rests where the other planner goes on. It is asked at
@@ -44,7 +44,7 @@ class ThroughNarrows:
         the passage that it came by may have taken the rest; fence_inset_m, timer: as there."""
         self._planner, self._clearance_m, self._homeward_m = planner, clearance_m, homeward_m
         self._inset_m, self._timer = fence_inset_m, timer
-        self._offered: tuple[ViewPath, Proposal] | None = None
+        self._offered: tuple[ViewPath, CandidateView] | None = None
         self._squeezing = False
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
@@ -80,24 +80,28 @@ class ThroughNarrows:
         if isinstance(answer, ViewPath):
             return answer
         for clearance_m in (self._clearance_m, self._homeward_m):
-            found = self._nearest(request, lambda situation: [proposal_for(situation, goal)], clearance_m, start_s)
+            found = self._nearest(request, lambda situation: [route_to(situation, goal)], clearance_m, start_s)
             if found is not None:
                 return found[0]
         return answer
 
     def _nearest(
-        self, request: PlanRequest, wanted: Callable[[Situation], Sequence[Proposal | None]], clearance_m: float, start_s: float
-    ) -> tuple[ViewPath, Proposal] | None:
+        self,
+        request: PlanRequest,
+        wanted: Callable[[PlanningContext], Sequence[CandidateView | None]],
+        clearance_m: float,
+        start_s: float,
+    ) -> tuple[ViewPath, CandidateView] | None:
         """The shortest way with that clearance to what is wanted, if there is any: its path, and where that leads."""
         space = self._space(request.voxels, clearance_m)
         exit_cells = space.stand(request.position_world)
         if exit_cells is None:
             return None
-        proposals = [one for one in wanted(Situation(request.voxels, space, exit_cells, request.position_world)) if one]
+        proposals = [one for one in wanted(PlanningContext(request.voxels, space, exit_cells, request.position_world)) if one]
         tasks_made_s = self._timer()
         if not proposals:
             return None
-        ways = Ways(space)
+        ways = PathCache(space)
         ways.update(exit_cells, request.position_world, places_of(proposals))
         nearest = int(np.argmin(ways.lengths_m[0, 1:]))
         path = ViewPath(
@@ -121,7 +125,7 @@ class ThroughNarrows:
         space.update(voxels)
         return space
 
-    def _openings(self, situation: Situation) -> list[Proposal]:
+    def _openings(self, situation: PlanningContext) -> list[CandidateView]:
         """The nearest openings that can be viewed with the usual room from beyond a narrow way."""
         usual, frontiers, voxels = self._planner.space, self._planner.frontiers, situation.voxels
         beyond = _Beyond(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.planning.candidate_view import Proposal, Situation
+from uav_recon.planning.candidate_view import CandidateView, PlanningContext
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 NEAR_ENOUGH_M = 0.4  # a pad whose own column may not be flown is reached beside it
 
 
-def proposal_for(situation: Situation, goal: Viewpoint) -> Proposal | None:
+def route_to(situation: PlanningContext, goal: Viewpoint) -> CandidateView | None:
     """The reachable cell nearest to ``goal`` as a proposal; None if all are farther away than NEAR_ENOUGH_M."""
     space = situation.space
     at = space.padded(goal.position_world)
@@ -29,4 +29,4 @@ def proposal_for(situation: Situation, goal: Viewpoint) -> Proposal | None:
     place_world = space.world(place)
     task = Task(TaskKind.EXPLORE, place_world, Viewpoint(place_world, goal.yaw_rad, goal.pitch_down_rad), 0.0)
     nothing = np.zeros(0, dtype=np.int64)
-    return Proposal(task, place, nothing, nothing.astype(np.float64))
+    return CandidateView(task, place, nothing, nothing.astype(np.float64))

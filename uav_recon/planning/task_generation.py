@@ -9,11 +9,11 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.config import PlannerConfig
-from uav_recon.planning.candidate_view import Proposal, Situation
+from uav_recon.planning.candidate_view import CandidateView, PlanningContext
 from uav_recon.planning.frontier.cluster_table import OPENING
 from uav_recon.planning.frontier.frontier_views import FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers
-from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.planning.reconstruction.gain_field import FieldViews
 from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.planning.variants import Variant
@@ -25,42 +25,42 @@ MOST_FRONTIERS, MOST_TASKS = 24, 40  # the nearest ones: the horizon executes on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Harvest:
+class GeneratedTasks:
     """The tasks of one plan. widening: alpha once no opening can be viewed any more, else 1."""
 
     mode: PlanMode
-    proposals: list[Proposal]
+    proposals: list[CandidateView]
     widening: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Question:
+class TaskQuery:
     """What a source is asked with: where one plan stands, and what there may be to look at.
 
     looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel. views_left: in the budget.
     """
 
-    situation: Situation
+    situation: PlanningContext
     frontiers: Frontiers
-    ways: Ways
+    ways: PathCache
     surface: SurfaceElements | None
     looks: Float32Array
     views_left: int
 
 
-class Source(Protocol):
+class TaskSource(Protocol):
     """Makes the tasks of one plan; remembers only what spares it work."""
 
-    def propose(self, question: Question) -> Harvest:
+    def propose(self, question: TaskQuery) -> GeneratedTasks:
         """Look for tasks."""
         ...
 
-    def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
+    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
         """Why frontiers have no view, by reason; slow, for the end."""
         ...
 
 
-class Clusters:
+class ClusterTasks:
     """The paper's: the best view of each cluster, surface beside frontiers as the mode says.
 
     Beyond the paper: surface gets the views that frontiers leave over, its most uncertain first.
@@ -70,7 +70,7 @@ class Clusters:
         self._variant, self._end_factor = variant, config.end_factor
         self._views, self._surfaces = views, surfaces
 
-    def propose(self, question: Question) -> Harvest:
+    def propose(self, question: TaskQuery) -> GeneratedTasks:
         """See Source."""
         situation, ways = question.situation, question.ways
         explore = self._explore(situation, question.frontiers)
@@ -79,18 +79,18 @@ class Clusters:
         mode = self._variant.mode.choose(ways.lengths_m[0, 1:], opening)
         spare = question.views_left - len(explore)
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds or spare <= 0:
-            return Harvest(mode, explore)
+            return GeneratedTasks(mode, explore)
         widening = 1.0 if opening.any() else self._end_factor
         surface = self._surfaces.propose(situation, question.surface, question.looks, widening)
-        return Harvest(mode, (explore + surface[:spare])[:MOST_TASKS], widening)
+        return GeneratedTasks(mode, (explore + surface[:spare])[:MOST_TASKS], widening)
 
-    def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
+    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
         """See Source."""
         if TaskKind.EXPLORE not in self._variant.kinds:
             return Counter()
         return self._views.reasons(situation.voxels, situation.space, frontiers)
 
-    def _explore(self, situation: Situation, frontiers: Frontiers) -> list[Proposal]:
+    def _explore(self, situation: PlanningContext, frontiers: Frontiers) -> list[CandidateView]:
         """The nearest frontiers' tasks, openings first; each gains what is beyond all that its view shows."""
         if TaskKind.EXPLORE not in self._variant.kinds:
             return []
@@ -100,22 +100,24 @@ class Clusters:
         return [one.gaining(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
 
 
-def places_of(proposals: list[Proposal]) -> FloatArray:
+def places_of(proposals: list[CandidateView]) -> FloatArray:
     """Where their views are: (N, 3), padded voxel units."""
     return np.array([proposal.place for proposal in proposals], dtype=np.float64).reshape(-1, 3)
 
 
-class Field:
+class GainField:
     """EVPP's: views sampled near the vehicle, the best of a field of gain."""
 
     def __init__(self, views: FieldViews, reasons: FrontierViews) -> None:
         self._views, self._reasons = views, reasons
 
-    def propose(self, question: Question) -> Harvest:
+    def propose(self, question: TaskQuery) -> GeneratedTasks:
         """See Source."""
         frontiers = question.frontiers.clusters()
-        return Harvest(PlanMode.MERGED, self._views.propose(question.situation, frontiers, question.surface, question.looks))
+        return GeneratedTasks(
+            PlanMode.MERGED, self._views.propose(question.situation, frontiers, question.surface, question.looks)
+        )
 
-    def reasons(self, situation: Situation, frontiers: Frontiers) -> Counter[str]:
+    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
         """See Source."""
         return self._reasons.reasons(situation.voxels, situation.space, frontiers)

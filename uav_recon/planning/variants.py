@@ -10,8 +10,8 @@ from typing import Literal
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.mode_rules import Adaptive, AlwaysMerged, ExploreOnly, ExploreThenRefine, ModeRule
-from uav_recon.planning.tour.stopping_rule import Worth
-from uav_recon.planning.tour.task_ordering import ByTheWay, Choice, Greedy, Tour
+from uav_recon.planning.tour.stopping_rule import StoppingRule
+from uav_recon.planning.tour.task_ordering import ByTheWay, Greedy, TaskOrdering, Tour
 from uav_recon.types.tasks import TaskKind
 
 BOTH = frozenset(TaskKind)
@@ -28,14 +28,14 @@ class Variant:
     name: VariantName
     kinds: frozenset[TaskKind]
     mode: ModeRule
-    choice: Choice
+    choice: TaskOrdering
     camera: Callable[[CameraGeometry], CameraGeometry]
     views: Literal["clusters", "field"] = "clusters"
 
 
 def variant(name: VariantName, config: PlannerConfig) -> Variant:
     """Make a variant by its name; ``config.variant`` is not read."""
-    worth = Worth(config.worth_share)
+    worth = StoppingRule(config.worth_share)
     explore, surface = frozenset({TaskKind.EXPLORE}), frozenset({TaskKind.RECONSTRUCT})
     adaptive = Adaptive(config.near_distance_m, config.near_count, config.near_share)
     made: dict[VariantName, Variant] = {

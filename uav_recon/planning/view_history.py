@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.candidate_view import Proposal
+from uav_recon.planning.candidate_view import CandidateView
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import PlanRequest, TaskKind, ViewPath
@@ -23,7 +23,7 @@ WORTH_SHARE = 0.3  # of the promised frontier voxels: when fewer are left on the
 STALLED_PLANS = 3  # plans in a row at the same place: whoever flies refuses the first view, so it counts as flown
 
 
-class Visited:
+class ViewHistory:
     """Memory of one flight, changed by the planner alone: settle() before a plan, promise() once it is flown.
 
     Grids have the map's shape and are forgotten when the map's frame changes (another epoch, origin or shape).
@@ -36,7 +36,7 @@ class Visited:
     exhausted: ByteArray
     surface_looks: Float32Array
     _path: ViewPath | None
-    _proposals: tuple[Proposal, ...]
+    _proposals: tuple[CandidateView, ...]
     _position: FloatArray
     _waiting: list[tuple[int, IntArray]]  # map revision and frontier voxels of views flown, not yet judged
 
@@ -68,11 +68,11 @@ class Visited:
         exhausted[newly] = 1
         return newly
 
-    def promise(self, path: ViewPath, proposals: tuple[Proposal, ...]) -> None:
+    def promise(self, path: ViewPath, proposals: tuple[CandidateView, ...]) -> None:
         """Keep what the new path's views (same order) are to settle."""
         self._path, self._proposals = path, proposals
 
-    def next_promised(self, position_world: FloatArray, yaw_rad: float) -> Proposal | None:
+    def next_promised(self, position_world: FloatArray, yaw_rad: float) -> CandidateView | None:
         """What the next view of the promised path is to settle; None if there is no next view."""
         if self._path is None:
             return None
@@ -80,7 +80,7 @@ class Visited:
         return self._proposals[passed] if passed < len(self._proposals) else None
 
     @staticmethod
-    def is_worth(voxels: VoxelMap, proposal: Proposal) -> bool:
+    def is_worth(voxels: VoxelMap, proposal: CandidateView) -> bool:
         """Whether a view would still settle anything: enough of its frontier is still one."""
         if proposal.task.kind is not TaskKind.EXPLORE:
             return True
@@ -101,7 +101,7 @@ class Visited:
         self._position, self._stalls = np.zeros(3), 0
         self._waiting = []
 
-    def _newly_flown(self, request: PlanRequest) -> tuple[Proposal, ...]:
+    def _newly_flown(self, request: PlanRequest) -> tuple[CandidateView, ...]:
         if self._path is None:
             return ()
         flown = _views_passed(self._path, request.position_world, request.yaw_rad)

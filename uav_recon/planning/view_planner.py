@@ -12,27 +12,27 @@ from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.geometry import traversal
 from uav_recon.planning import view_history
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.candidate_view import Proposal, Situation
+from uav_recon.planning.candidate_view import CandidateView, PlanningContext
 from uav_recon.planning.free_space import flyable_space as space
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.frontier import frontier_views as views
 from uav_recon.planning.frontier import rejection_counts
 from uav_recon.planning.frontier.frontier_views import FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
-from uav_recon.planning.frontier.rejection_counts import left_out
+from uav_recon.planning.frontier.rejection_counts import count_rejected_frontiers
 from uav_recon.planning.paths import segments
-from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.planning.presets import derived
 from uav_recon.planning.reconstruction import gain_field
 from uav_recon.planning.reconstruction.gain_field import FieldViews
 from uav_recon.planning.reconstruction.surface_views import SurfaceViews
-from uav_recon.planning.route_planning import proposal_for
-from uav_recon.planning.task_generation import Clusters, Field, Question, Source, places_of
+from uav_recon.planning.route_planning import route_to
+from uav_recon.planning.task_generation import ClusterTasks, GainField, TaskQuery, TaskSource, places_of
 from uav_recon.planning.tour import atsp, travel_time
 from uav_recon.planning.tour.stopping_rule import NOT_WORTH
-from uav_recon.planning.tour.travel_time import Price, TurningOnTheWay, time_costs
+from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
-from uav_recon.planning.view_history import Visited
+from uav_recon.planning.view_history import ViewHistory
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, ViewPath, Viewpoint
@@ -60,7 +60,7 @@ class ViewPlanner:
         fence_min_m: FloatArray,
         fence_max_m: FloatArray,
         camera: CameraGeometry,
-        price: Price,
+        price: TravelTimeModel,
         timer: Callable[[], float] = time.perf_counter,
         fence_inset_m: float | None = None,
     ) -> None:
@@ -71,9 +71,9 @@ class ViewPlanner:
         self._variant = variant(config.variant, config)
         self.camera = self._variant.camera(camera)
         self._source = _source(config, self._variant, self.camera)
-        self.frontiers, self.visited = Frontiers(), Visited()
+        self.frontiers, self.visited = Frontiers(), ViewHistory()
         self._frame: tuple[object, ...] = ()
-        self._offered: tuple[ViewPath, tuple[Proposal, ...]] | None = None
+        self._offered: tuple[ViewPath, tuple[CandidateView, ...]] | None = None
 
     @property
     def explores(self) -> bool:
@@ -87,7 +87,7 @@ class ViewPlanner:
         if isinstance(situation, str):
             return self._nothing(situation, start_s, start_s)
         harvest = self._source.propose(
-            Question(situation, self.frontiers, self._ways, request.surface, self.visited.surface_looks, request.views_left)
+            TaskQuery(situation, self.frontiers, self._ways, request.surface, self.visited.surface_looks, request.views_left)
         )
         committed = self._committed(situation, request)
         tasks = _without_what_they_settle(committed, harvest.proposals)
@@ -116,20 +116,20 @@ class ViewPlanner:
         situation = self._look(dataclasses.replace(request, views_left=1))
         if isinstance(situation, str):
             return self._nothing(situation, start_s, start_s)
-        proposal = proposal_for(situation, goal)
+        proposal = route_to(situation, goal)
         if proposal is None:
             return self._nothing("no known-free way leads there", start_s, start_s)
         self._ways.update(situation.exit_cells, request.position_world, places_of([proposal]))
         return self._path(request, PlanMode.EXPLORE, [proposal], [1], start_s, start_s)
 
-    def _look(self, request: PlanRequest) -> Situation | str:
+    def _look(self, request: PlanRequest) -> PlanningContext | str:
         """Bring everything up to date with the map; where one may fly, or why no plan can start from here."""
         voxels = request.voxels
         frame = (voxels.grid.shape, voxels.grid.resolution_m, *voxels.grid.origin_world_m.tolist())
         if frame != self._frame:
             self._frame = frame
             self.space = FlyableSpace(voxels.grid, self.config.clearance_m, *self._box(voxels.grid, self._inset_m))
-            self._ways = Ways(self.space)
+            self._ways = PathCache(self.space)
         self.frontiers.touch(self.visited.settle(request))
         self.frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.visited.exhausted)
         if request.views_left <= 0:
@@ -138,9 +138,9 @@ class ViewPlanner:
         exit_cells = self.space.stand(request.position_world)
         if exit_cells is None:
             return "the vehicle stands in space that is not known free, with no known-free way to where it may fly"
-        return Situation(voxels, self.space, exit_cells, request.position_world)
+        return PlanningContext(voxels, self.space, exit_cells, request.position_world)
 
-    def _committed(self, situation: Situation, request: PlanRequest) -> list[Proposal]:
+    def _committed(self, situation: PlanningContext, request: PlanRequest) -> list[CandidateView]:
         """In motion the view that is being flown to stays the next one while it is worth it: minds do not change in mid-way."""
         following = self.visited.next_promised(request.position_world, request.yaw_rad)
         if (
@@ -153,7 +153,7 @@ class ViewPlanner:
         return [following]
 
     def _order(
-        self, situation: Situation, request: PlanRequest, tasks: list[Proposal], committed: int
+        self, situation: PlanningContext, request: PlanRequest, tasks: list[CandidateView], committed: int
     ) -> tuple[list[int], int]:
         """Nodes to fly to, the ``committed`` (0 or 1) first; and how many surface tasks were not worth their flight."""
         self._ways.update(situation.exit_cells, request.position_world, places_of(tasks))
@@ -173,7 +173,7 @@ class ViewPlanner:
         self,
         request: PlanRequest,
         mode: PlanMode,
-        tasks: Sequence[Proposal],
+        tasks: Sequence[CandidateView],
         nodes: list[int],
         start_s: float,
         tasks_made_s: float,
@@ -190,11 +190,11 @@ class ViewPlanner:
             step_s=self._timer() - start_s,
         )
 
-    def _why(self, situation: Situation, not_worth: int) -> str:
+    def _why(self, situation: PlanningContext, not_worth: int) -> str:
         """'14 frontiers left: 9 too narrow, 5 outside the fence', or that there is none; and surface not worth its flight."""
         counts = {
             **dict(sorted(self._source.reasons(situation, self.frontiers).items())),
-            **left_out(situation.voxels.state, self.frontiers.faces, self.visited.exhausted),
+            **count_rejected_frontiers(situation.voxels.state, self.frontiers.faces, self.visited.exhausted),
         }
         total = sum(counts.values())
         said = f"{total} frontier{'s' if total > 1 else ''} left: " if total else "no frontiers left"
@@ -208,14 +208,14 @@ class ViewPlanner:
         return NothingLeft(reason, task_s=tasks_made_s - start_s, step_s=self._timer() - start_s)
 
 
-def _source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> Source:
+def _source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> TaskSource:
     views = FrontierViews(config, camera)
     if made_of.views == "field":
-        return Field(FieldViews(config, camera), views)
-    return Clusters(config, made_of, views, SurfaceViews(config, camera))
+        return GainField(FieldViews(config, camera), views)
+    return ClusterTasks(config, made_of, views, SurfaceViews(config, camera))
 
 
-def _without_what_they_settle(committed: list[Proposal], proposals: list[Proposal]) -> list[Proposal]:
+def _without_what_they_settle(committed: list[CandidateView], proposals: list[CandidateView]) -> list[CandidateView]:
     """The committed views, then the tasks that these do not settle as well."""
     tasks = list(committed)
     for proposal in proposals:
@@ -244,7 +244,7 @@ def warm_up(name: VariantName) -> None:
     points = np.stack([rng.uniform(0.2, 2.5, 4000), rng.uniform(0.2, 2.8, 4000), np.full(4000, 0.1)], axis=1)
     surface = SurfaceElements(points, np.tile([0.0, 0.0, 1.0], (4000, 1)), rng.uniform(0.5, 1.0, 4000), 1)
     for chosen in ("merged", name):
-        planner = ViewPlanner(config.model_copy(update={"variant": chosen}), low_m, high_m, camera, TurningOnTheWay(0.8, 0.8))
+        planner = ViewPlanner(config.model_copy(update={"variant": chosen}), low_m, high_m, camera, YawWhileFlying(0.8, 0.8))
         for revision, (position, unknown_from) in enumerate(
             (((1.0, 1.0, 1.0), 24), ((3.9, 0.05, 1.0), 28), ((1.0, 1.0, 1.0), 40))
         ):

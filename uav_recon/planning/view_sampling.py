@@ -36,7 +36,7 @@ def shell(camera: CameraGeometry, radii_m: tuple[float, ...], resolution_m: floa
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shell:
+class ViewShell:
     """offsets (K, 3) in voxels from a frontier to places; ends, places (3,): where each of its parts ends, and how many places
     of it are enough. The parts: [d_r, d_f] itself, what lies beyond it, what lies within it.
     """
@@ -46,7 +46,7 @@ class Shell:
     places: IntArray
 
 
-def explore_shell(config: PlannerConfig, camera: CameraGeometry, resolution_m: float) -> Shell:
+def explore_shell(config: PlannerConfig, camera: CameraGeometry, resolution_m: float) -> ViewShell:
     """Places at all heights from which the mount brings the middle of the frontier into the picture.
 
     Any first few offsets of a part are spread evenly over it: where most places are open, few need be asked.
@@ -58,7 +58,7 @@ def explore_shell(config: PlannerConfig, camera: CameraGeometry, resolution_m: f
         for (low_m, high_m), count in zip(spans_m, _OFFSETS, strict=True)
     ]
     ends = np.cumsum([len(part) for part in parts])
-    return Shell(np.concatenate(parts), ends.astype(np.int64), np.array(_PLACES, dtype=np.int64))
+    return ViewShell(np.concatenate(parts), ends.astype(np.int64), np.array(_PLACES, dtype=np.int64))
 
 
 def _part(camera: CameraGeometry, low: float, high: float, count: int) -> FloatArray:

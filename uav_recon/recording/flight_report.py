@@ -13,14 +13,14 @@ from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.recording.mesh_renders import mesh_pictures
 from uav_recon.recording.plots import coverage_over_time, path_over_plan, planning_over_time
 from uav_recon.recording.recall_plot import recall_over_time
-from uav_recon.recording.report import TIMED_RECALLS, ModeTimes, Report, ReportPlanning, ReportSafety, ReportStream, Spread
+from uav_recon.recording.report import TIMED_RECALLS, MedianP95, ModeTimes, Report, ReportPlanning, ReportSafety, ReportStream
 from uav_recon.recording.report_page import Picture, write_report
 
 ON_THE_GROUND = ("idle", "ready", "done")
 
 
 @dataclass(frozen=True, slots=True)
-class FlightCard:
+class FlightInfo:
     """What was flown: the report's head. depth_noise and seed are None where they mean nothing."""
 
     scene: str
@@ -31,7 +31,7 @@ class FlightCard:
     depth_noise: str | None = None
 
 
-def account(folder: Path, card: FlightCard, wall_s: float) -> Report:
+def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
     """The report that the flight's own files allow: quality, recall, clearance, contacts and stream are unknown."""
     timeline = read_timeline(folder)
     outcome = timeline.outcomes[-1] if timeline.outcomes else None
@@ -77,8 +77,8 @@ def _planning(timeline: Timeline) -> ReportPlanning:
     return ReportPlanning(explore=times("explore"), merged=times("merged"), total_s=total_s, hover_wait_s=waited_s)
 
 
-def _spread(values: list[float]) -> Spread:
-    return Spread(float(np.median(values)), float(np.percentile(values, 95.0))) if values else Spread(None, None)
+def _spread(values: list[float]) -> MedianP95:
+    return MedianP95(float(np.median(values)), float(np.percentile(values, 95.0))) if values else MedianP95(None, None)
 
 
 def _waiting_share(timeline: Timeline) -> float | None:

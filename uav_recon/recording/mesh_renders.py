@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from uav_recon.recording.plots import INK, SOFT, new_figure
-from uav_recon.recording.software_renderer import PictureView, corner_view, facing_inwards, render, top_view
+from uav_recon.recording.software_renderer import RenderView, corner_view, facing_inwards, render, top_view
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TriangleMesh
 
@@ -64,7 +64,7 @@ def _save(
     vertices: FloatArray,
     faces: IntArray,
     rgb: ByteArray,
-    view: PictureView,
+    view: RenderView,
     bounds: tuple[FloatArray, FloatArray],
     scale: tuple[float, float] | None,
 ) -> None:
@@ -82,7 +82,7 @@ def _save(
 
 
 def _draw_ruler(
-    plot: Callable[..., object], text: Callable[..., object], view: PictureView, lower: FloatArray, upper: FloatArray
+    plot: Callable[..., object], text: Callable[..., object], view: RenderView, lower: FloatArray, upper: FloatArray
 ) -> None:
     """A ruler on the floor along the nearest long edge: one block per metre."""
     gap = 0.035 * float((upper - lower)[:2].max())

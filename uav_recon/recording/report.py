@@ -42,7 +42,7 @@ class ReportQuality:
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class MedianP95:
     """Median and 95th percentile of something, in its unit."""
 
     median: float | None
@@ -53,8 +53,8 @@ class Spread:
 class ModeTimes:
     """Compute time per plan of one mode: making tasks, and the whole step."""
 
-    task_s: Spread
-    step_s: Spread
+    task_s: MedianP95
+    step_s: MedianP95
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from uav_recon.recording.report import ModeTimes, Report, Spread, save_report
+from uav_recon.recording.report import MedianP95, ModeTimes, Report, save_report
 from uav_recon.recording.report_style import CSS
 
 PAGE = "report.html"
@@ -188,7 +188,7 @@ def _planning(report: Report) -> str:
     return _table("Planning, median / 95th percentile", rows)
 
 
-def _steps(mode: ModeTimes) -> tuple[tuple[str, Spread], ...]:
+def _steps(mode: ModeTimes) -> tuple[tuple[str, MedianP95], ...]:
     return ("tasks", mode.task_s), ("whole step", mode.step_s)
 
 

@@ -17,7 +17,7 @@ _CREASE_STRENGTH = 0.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PictureView:
+class RenderView:
     """Where a picture is taken from.
 
     camera_from_world: (3, 3) rotation, optical RDF axes. eye_world_m: (3,). scale_px: focal length in pixels of a
@@ -41,7 +41,7 @@ class PictureView:
         )
 
 
-def corner_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: int, azimuth_rad: float) -> PictureView:
+def corner_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: int, azimuth_rad: float) -> RenderView:
     """Look down on a box (lower, upper corner) from outside, over a corner.
 
     The box fills the picture, with a strip of floor round it.
@@ -56,13 +56,13 @@ def corner_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: in
     tangents = np.array([np.tan(half_angle), np.tan(half_angle) * height / width])
     # nearest distance at which every corner lies inside the view, with 4 % to spare
     distance = float((np.abs(corners[:, :2]) / (0.96 * tangents) - corners[:, 2:]).max())
-    view = PictureView(
+    view = RenderView(
         rotation, centre + distance * outward, width / 2 / tangents[0], (width / 2, height / 2), width, height, False
     )
     return _centred(view, _with_apron(lower_m, upper_m), 0.94)
 
 
-def top_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: int) -> PictureView:
+def top_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: int) -> RenderView:
     """Look straight down, orthographic; the longer side of the box lies along the longer side of the picture."""
     size = np.asarray(upper_m) - lower_m
     turned = (size[1] > size[0]) == (width > height)
@@ -70,11 +70,11 @@ def top_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: int) 
     down = np.array([1.0, 0.0, 0.0]) if turned else np.array([0.0, -1.0, 0.0])
     rotation = np.stack([right, down, np.array([0.0, 0.0, -1.0])])
     eye = np.array([*((np.asarray(lower_m) + upper_m) / 2)[:2], upper_m[2] + 1.0])
-    view = PictureView(rotation, eye, 100.0, (width / 2, height / 2), width, height, True)
+    view = RenderView(rotation, eye, 100.0, (width / 2, height / 2), width, height, True)
     return _centred(view, _with_apron(lower_m, upper_m), 0.94)
 
 
-def render(vertices_world: FloatArray, faces: IntArray, rgb: ByteArray, view: PictureView) -> ByteArray:
+def render(vertices_world: FloatArray, faces: IntArray, rgb: ByteArray, view: RenderView) -> ByteArray:
     """Picture (height, width, 3) uint8 sRGB on white, lit softly. rgb (V, 3) uint8 per vertex."""
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     screen = view.project(vertices_world) * [_OVERSAMPLING, _OVERSAMPLING, 1.0]
@@ -118,13 +118,13 @@ def _with_apron(lower_m: FloatArray, upper_m: FloatArray) -> FloatArray:
     return np.concatenate([_box_corners(lower_m, upper_m), _box_corners(lower_m - strip, floor + strip)])
 
 
-def _centred(view: PictureView, points: FloatArray, fill: float) -> PictureView:
+def _centred(view: RenderView, points: FloatArray, fill: float) -> RenderView:
     """The same view, scaled and moved so that the points' frame fills the picture."""
     screen = view.project(points)[:, :2]
     low, high = screen.min(axis=0), screen.max(axis=0)
     zoom = fill * float((np.array([view.width, view.height]) / (high - low)).min())
     middle = (np.array([view.width, view.height]) / 2) - zoom * ((low + high) / 2 - view.centre_px)
-    return PictureView(
+    return RenderView(
         view.camera_from_world,
         view.eye_world_m,
         view.scale_px * zoom,
@@ -146,7 +146,7 @@ def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return unit
 
 
-def _shade(normals: FloatArray, view: PictureView) -> FloatArray:
+def _shade(normals: FloatArray, view: RenderView) -> FloatArray:
     """Light (V,) in linear units: sky from above, a key light over the viewer's left shoulder, a little fill."""
     key = np.array([-0.45, -0.75, -0.6]) @ view.camera_from_world
     key /= np.linalg.norm(key)
@@ -158,7 +158,7 @@ def _shade(normals: FloatArray, view: PictureView) -> FloatArray:
     return light
 
 
-def _creases(depth: FloatArray, view: PictureView) -> FloatArray:
+def _creases(depth: FloatArray, view: RenderView) -> FloatArray:
     """Eye-dome lighting (Boucheny 2009): a pixel is darkened by neighbours that stand nearer; (H, W) factors."""
     filled = np.where(np.isfinite(depth), depth, np.nan)
     metres_per_px = (1.0 if view.orthographic else float(np.nanmedian(filled)) if np.isfinite(depth).any() else 1.0) / (

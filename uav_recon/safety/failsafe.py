@@ -12,7 +12,7 @@ _OUTSIDE_S = 3.0  # a push over the fence itself is brought back within this, or
 _REFUSALS, _REFUSALS_S = 3, 1.0  # a mission that is refused so often is not listened to for a while
 
 
-class Rung(IntEnum):
+class FailsafeAction(IntEnum):
     """From flying on to the ground. Handing over to the firmware is what the pilot does when its link is gone."""
 
     FLY = 0
@@ -22,7 +22,7 @@ class Rung(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class FailsafeTimeouts:
     """How long (s) silence of pose, mission and depth is borne before each rung."""
 
     pose_hold_s: float
@@ -36,7 +36,7 @@ class Patience:
 
 
 @dataclass(frozen=True, slots=True)
-class Health:
+class FailsafeInputs:
     """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far.
     pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: why, or ''. refused_s: without motion.
     """
@@ -52,34 +52,34 @@ class Health:
     refused_s: float = 0.0
 
 
-class Ladder:
+class Failsafe:
     """One flight's. step() once a turn; the answer is the rung and why it is not a higher one."""
 
-    def __init__(self, patience: Patience) -> None:
+    def __init__(self, patience: FailsafeTimeouts) -> None:
         self._patience = patience
-        self._rung, self._why = Rung.FLY, ""
+        self._rung, self._why = FailsafeAction.FLY, ""
         self._healthy_since_s = self._kept_since_s = math.inf
         self._inside_s = self._retreat_s = math.inf
         self._refused: list[float] = []
         self._refusals: int | None = None
 
-    def step(self, health: Health) -> tuple[Rung, str]:
+    def step(self, health: FailsafeInputs) -> tuple[FailsafeAction, str]:
         """Down at once; up from holding at once, from retreating after _HEALTH_S (at once if barely begun), from landing never.
         Kept from flying for as long as a silent mission is borne, whatever keeps it: nobody comes, so it lands.
         """
         rung, why = self._wanted(health)
-        self._kept_since_s = math.inf if rung is Rung.FLY else min(self._kept_since_s, health.now_s)
+        self._kept_since_s = math.inf if rung is FailsafeAction.FLY else min(self._kept_since_s, health.now_s)
         if health.now_s - self._kept_since_s > self._patience.intent_land_s:
-            rung, why = Rung.LAND, f"{why}, holding for {self._patience.intent_land_s:.0f} s"
-        self._healthy_since_s = min(self._healthy_since_s, health.now_s) if rung is Rung.FLY else math.inf
+            rung, why = FailsafeAction.LAND, f"{why}, holding for {self._patience.intent_land_s:.0f} s"
+        self._healthy_since_s = min(self._healthy_since_s, health.now_s) if rung is FailsafeAction.FLY else math.inf
         wait_s = _HEALTH_S if health.now_s - self._retreat_s > _BARELY_S else 0.0
-        well = rung is Rung.FLY and health.now_s - self._healthy_since_s >= wait_s
-        if rung >= self._rung or self._rung is Rung.HOLD or (self._rung is Rung.RETREAT and well):
-            self._retreat_s = self._retreat_s if self._rung is Rung.RETREAT else health.now_s
+        well = rung is FailsafeAction.FLY and health.now_s - self._healthy_since_s >= wait_s
+        if rung >= self._rung or self._rung is FailsafeAction.HOLD or (self._rung is FailsafeAction.RETREAT and well):
+            self._retreat_s = self._retreat_s if self._rung is FailsafeAction.RETREAT else health.now_s
             self._rung, self._why = rung, why
         return self._rung, self._why
 
-    def _wanted(self, health: Health) -> tuple[Rung, str]:
+    def _wanted(self, health: FailsafeInputs) -> tuple[FailsafeAction, str]:
         p, over, refused = self._patience, self._outside_too_long(health) or health.wrong, self._refused_too_often(health)
         silences = (
             ("no pose", health.pose_age_s, (p.pose_hold_s, math.inf, p.pose_land_s)),
@@ -88,19 +88,19 @@ class Ladder:
             ("refused", health.refused_s, (math.inf, math.inf, p.intent_land_s)),
         )
         rungs = [_rung_of(age_s, limits_s) for _, age_s, limits_s in silences]
-        if (rung := max(rungs)) < Rung.LAND and over:
-            return Rung.LAND, over
-        if rung > Rung.FLY:
+        if (rung := max(rungs)) < FailsafeAction.LAND and over:
+            return FailsafeAction.LAND, over
+        if rung > FailsafeAction.FLY:
             name, age_s, _ = silences[rungs.index(rung)]
             return rung, f"{name} for {age_s:.1f} s"
         why = health.lost or (f"{_REFUSALS} refusals in a second" if refused else "")
-        return Rung.HOLD if why else Rung.FLY, why
+        return FailsafeAction.HOLD if why else FailsafeAction.FLY, why
 
-    def _outside_too_long(self, health: Health) -> str:
+    def _outside_too_long(self, health: FailsafeInputs) -> str:
         self._inside_s = health.now_s if health.inside else min(self._inside_s, health.now_s)
         return f"outside the fence for {_OUTSIDE_S:.0f} s" if health.now_s - self._inside_s > _OUTSIDE_S else ""
 
-    def _refused_too_often(self, health: Health) -> bool:
+    def _refused_too_often(self, health: FailsafeInputs) -> bool:
         before, self._refusals = self._refusals, health.refusals
         if before is not None and health.refusals > before:
             self._refused.append(health.now_s)
@@ -109,6 +109,6 @@ class Ladder:
         return any(last_s - first_s <= _REFUSALS_S for first_s, last_s in dense)
 
 
-def _rung_of(age_s: float, limits_s: tuple[float, float, float]) -> Rung:
+def _rung_of(age_s: float, limits_s: tuple[float, float, float]) -> FailsafeAction:
     """The lowest rung whose limit an age is beyond; an age that is not a number is beyond all."""
-    return Rung(max([rung for rung, limit_s in enumerate(limits_s, 1) if not age_s <= limit_s], default=0))
+    return FailsafeAction(max([rung for rung, limit_s in enumerate(limits_s, 1) if not age_s <= limit_s], default=0))

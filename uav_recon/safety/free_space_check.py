@@ -14,7 +14,7 @@ _ROUNDING = 1e-9
 _STANDING = 1e-30  # square of a leg so short that it stands
 
 
-class KnownFree:
+class FreeSpaceCheck:
     """One published free space, asked for an upright hull of radius and height (m), which touches the voxels whose centres
     lie in it.
     """

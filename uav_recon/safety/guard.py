@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.safety.envelope import Envelope, Vec3
-from uav_recon.safety.free_space_check import KnownFree
-from uav_recon.safety.obstacle_speed_limit import Ahead, Margins, fastest_mps
-from uav_recon.safety.recently_seen_space import Sight
-from uav_recon.safety.setpoint_continuity import Motion, Steps
+from uav_recon.safety.free_space_check import FreeSpaceCheck
+from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins, fastest_mps
+from uav_recon.safety.recently_seen_space import RecentlySeenSpace
+from uav_recon.safety.setpoint_continuity import ClearedMotion, ContinuityCheck
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.trajectory import Refusal, Setpoint
 
@@ -40,7 +40,7 @@ class ClearedSetpoint:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Proposal:
+class SetpointProposal:
     """A sample of a motion made on the map of ``map_epoch``. retreating: the pilot's own way back, slow, along breadcrumbs:
     it needs neither a mission nor depth; giving_way: out of the way of something that comes on, as fast as past what is near.
     """
@@ -53,7 +53,7 @@ class Proposal:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Situation:
+class GuardInputs:
     """What the guard judges by: the clock, the newest good pose and its frame, ages (s; infinity for never), the known-free
     space and the newest depth frame, None before the first.
     """
@@ -65,8 +65,8 @@ class Situation:
     pose_age_s: float
     intent_age_s: float
     map_epoch: int
-    free: KnownFree | None
-    ahead: Ahead | None
+    free: FreeSpaceCheck | None
+    ahead: ForwardDepth | None
     slow: bool = False  # the pose is degraded, or the link is slow
 
 
@@ -90,15 +90,15 @@ class Bounds:
 class Guard:
     """Lets a proposal through, or answers with a brake from the last cleared setpoint to rest."""
 
-    def __init__(self, envelope: Envelope, bounds: Bounds, sight: Sight) -> None:
+    def __init__(self, envelope: Envelope, bounds: Bounds, sight: RecentlySeenSpace) -> None:
         self.envelope, self.bounds, self._sight = envelope, bounds, sight
-        self._last: Motion | None = None
-        self._steps = Steps()
+        self._last: ClearedMotion | None = None
+        self._steps = ContinuityCheck()
         self._rest_until_s = -math.inf
         self._refused: int | None = None
         self.refusals = 0  # episodes: a trajectory turned down at thirty samples running counts once
 
-    def clear(self, proposal: Proposal | None, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+    def clear(self, proposal: SetpointProposal | None, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """Judge one sample. No proposal means brake and hold; a Refusal tells why a proposal was not flown. Never raises
         on numbers. The very first setpoint holds the present place (drawn inside the envelope).
         """
@@ -106,15 +106,15 @@ class Guard:
         setpoint = self._brake(situation) if proposal is None or fault else proposal.setpoint
         refusal = self._count(proposal, fault, setpoint)
         before, self._last = self._last, _motion_of(setpoint, situation.now_s)
-        self._steps = Steps() if before is None else self._steps.after(before, self._last, self.envelope)[0]
+        self._steps = ContinuityCheck() if before is None else self._steps.after(before, self._last, self.envelope)[0]
         return ClearedSetpoint(setpoint, _MAKER), refusal
 
-    def rebase(self, situation: Situation, rest_s: float = 1.0) -> None:
+    def rebase(self, situation: GuardInputs, rest_s: float = 1.0) -> None:
         """Odom itself jumped: forget the last setpoint and what was seen, and hold the present place for a while."""
         self._last, self._rest_until_s = None, situation.now_s + rest_s
         self._sight.forget()
 
-    def fault_of_take_off(self, situation: Situation, height_m: float) -> str:
+    def fault_of_take_off(self, situation: GuardInputs, height_m: float) -> str:
         """Why the vehicle may not climb from where it stands, '' if the declared column is confirmed free that high."""
         here, top = situation.position_m, (situation.position_m[0], situation.position_m[1], height_m)
         if situation.free is None or situation.ahead is None:
@@ -123,7 +123,7 @@ class Guard:
             return "the take-off column does not lie inside the fence"
         return "" if situation.free.admits(here, top) else "the take-off column is not known free"
 
-    def _fault(self, proposal: Proposal, situation: Situation) -> str:
+    def _fault(self, proposal: SetpointProposal, situation: GuardInputs) -> str:
         wanted, envelope, bounds = proposal.setpoint, self.envelope, self.bounds
         if not _is_finite(wanted):
             return "setpoint is not finite"
@@ -161,7 +161,7 @@ class Guard:
         heard = -_FUTURE_S <= intent_age_s <= self.bounds.intent_hold_s
         return not (heard and speed_mps * intent_age_s + braking_m <= max(self.bounds.silence_way_m, braking_m))
 
-    def _space_fault(self, last: Motion, motion: Motion, stop_m: Vec3, situation: Situation) -> str:
+    def _space_fault(self, last: ClearedMotion, motion: ClearedMotion, stop_m: Vec3, situation: GuardInputs) -> str:
         """The way here and the way to rest, for the whole hull. What is not known free is refused."""
         if motion.position_m == last.position_m == stop_m:
             return ""  # a hold: there is nothing to go through
@@ -173,7 +173,7 @@ class Guard:
             return f"not known free at {_text(motion.position_m)} m"
         return ""
 
-    def _sight_fault(self, motion: Motion, speed_mps: float, retreating: bool, situation: Situation) -> str:
+    def _sight_fault(self, motion: ClearedMotion, speed_mps: float, retreating: bool, situation: GuardInputs) -> str:
         """What raw depth says of the way: how fast it may be flown towards what is near, and where nobody looks."""
         ahead, bounds = situation.ahead, self.bounds
         if speed_mps <= _STILL_MPS or (retreating and ahead is None):
@@ -194,7 +194,7 @@ class Guard:
         x, y, z = (np.array(motion.position_m) + direction * self._sight.reach_m).tolist()
         return "" if self._sight.saw_free((x, y, z), situation.now_s) else f"not seen lately at {_text((x, y, z))} m"
 
-    def _brake(self, situation: Situation) -> Setpoint:
+    def _brake(self, situation: GuardInputs) -> Setpoint:
         """Slow down along the last cleared velocity within the acceleration limit, then stay."""
         last, limit_mps2 = self._last, self.envelope.max_acceleration_mps2
         if last is None:
@@ -208,7 +208,7 @@ class Guard:
         push = along * -limit_mps2 if left_mps > 0.0 else np.zeros(3)
         return Setpoint(position, along * left_mps, push, last.yaw_rad, 0.0, last.pitch_down_rad)
 
-    def _count(self, proposal: Proposal | None, fault: str, instead: Setpoint) -> Refusal | None:
+    def _count(self, proposal: SetpointProposal | None, fault: str, instead: Setpoint) -> Refusal | None:
         if proposal is None or not fault:
             self._refused = None
             return None
@@ -223,9 +223,9 @@ def _is_finite(wanted: Setpoint) -> bool:
     return all(v.shape == (3,) and bool(np.isfinite(v).all()) for v in vectors) and all(map(math.isfinite, angles))
 
 
-def _motion_of(setpoint: Setpoint, now_s: float) -> Motion:
+def _motion_of(setpoint: Setpoint, now_s: float) -> ClearedMotion:
     place, velocity = _floats(setpoint.position_m), _floats(setpoint.velocity_mps)
-    return Motion(now_s, place, velocity, setpoint.yaw_rad, setpoint.camera_pitch_down_rad)
+    return ClearedMotion(now_s, place, velocity, setpoint.yaw_rad, setpoint.camera_pitch_down_rad)
 
 
 def _floats(vector: FloatArray) -> Vec3:

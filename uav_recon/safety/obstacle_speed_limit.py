@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 
 _BESIDE_M = 0.05  # a return this far beside the hull's way still is in it
 _LEAST_SHARE = 0.2  # of the pixels: a frame with fewer returns is as good as none, be it dark, covered or too near
@@ -24,17 +24,17 @@ class Margins:
     reaction_s: float = 0.25
 
 
-class Ahead:
+class ForwardDepth:
     """One frame's nearest returns as places about the body's centre."""
 
-    def __init__(self, nearby: Nearby, hull_radius_m: float) -> None:
+    def __init__(self, nearby: MinRangeGrid, hull_radius_m: float) -> None:
         self.stamp_s = nearby.stamp_s
         self._radius_m, self._half_tan = hull_radius_m, nearby.half_tan
         self._depth_from_body = nearby.body_from_depth.rotation().T
         self._places = nearby.body_from_depth.apply(nearby.points())
 
     @staticmethod
-    def tells(nearby: Nearby) -> bool:
+    def tells(nearby: MinRangeGrid) -> bool:
         """Whether a frame has enough returns to be believed at all."""
         return nearby.share >= _LEAST_SHARE
 

@@ -20,7 +20,7 @@ _PROOF, _PROOF_S = 20, 1.0  # a track found again is believed after so many that
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class PoseVerdict:
     """Whether a pose is believed; anew: it does not go on from the last one believed, odom itself has jumped."""
 
     good: bool
@@ -37,7 +37,7 @@ class PoseGate:
         self._track: StampedPose | None = None  # the newest of a track that is not believed yet
         self._agreed, self._since_s, self._refused = 0, 0.0, 0
 
-    def judge(self, pose: StampedPose, now_s: float) -> Verdict:
+    def judge(self, pose: StampedPose, now_s: float) -> PoseVerdict:
         """Believe, or say why not."""
         last = self._believed
         repeated = last is not None and pose.stamp_s <= last.stamp_s
@@ -51,7 +51,7 @@ class PoseGate:
             return self._believe(pose, anew=False)
         return self._prove(pose, why or "on trial after a loss")
 
-    def _prove(self, pose: StampedPose, why: str) -> Verdict:
+    def _prove(self, pose: StampedPose, why: str) -> PoseVerdict:
         """A pose off the believed track begins or continues another one, which has to last."""
         track, self._track = self._track, pose
         if track is None or pose.stamp_s <= track.stamp_s or self._leap(track, pose):
@@ -61,13 +61,13 @@ class PoseGate:
             return self._believe(pose, anew=True)
         return self._refuse(why)
 
-    def _believe(self, pose: StampedPose, anew: bool) -> Verdict:
+    def _believe(self, pose: StampedPose, anew: bool) -> PoseVerdict:
         self._believed, self._track, self._refused = pose, None, 0
-        return Verdict(True, anew)
+        return PoseVerdict(True, anew)
 
-    def _refuse(self, why: str) -> Verdict:
+    def _refuse(self, why: str) -> PoseVerdict:
         self._refused += 1
-        return Verdict(False, why=why)
+        return PoseVerdict(False, why=why)
 
     def _leap(self, last: StampedPose, pose: StampedPose) -> str:
         """What no flight explains between two poses, '' for nothing."""

@@ -8,14 +8,14 @@ import numpy as np
 
 from uav_recon.safety.envelope import Vec3
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.min_range_grid import Nearby, in_view
+from uav_recon.types.min_range_grid import MinRangeGrid, in_view
 from uav_recon.types.pose import Pose
 
 _VIEWS = 160  # spread over the memory: ten seconds of them at 15 Hz
 _BEFORE_M = 0.05  # free ends so far before a return
 
 
-class Sight:
+class RecentlySeenSpace:
     """The last views, each with its cells' nearest returns, and where the hull has been since."""
 
     def __init__(self, memory_s: float, hull_radius_m: float) -> None:
@@ -28,7 +28,7 @@ class Sight:
         self._range_m: FloatArray = np.zeros((_VIEWS, 1, 1))
         self._half_tan = np.ones(2)
 
-    def add(self, nearby: Nearby, odom_from_body: Pose) -> None:
+    def add(self, nearby: MinRangeGrid, odom_from_body: Pose) -> None:
         """Remember a frame, taken from there."""
         if self._range_m.shape[1:] != nearby.range_m.shape:
             self._range_m = np.zeros((_VIEWS, *nearby.range_m.shape))

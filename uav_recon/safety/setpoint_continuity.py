@@ -13,7 +13,7 @@ _WORDS = ("jump of {:.2f} m", "velocity jump of {:.2f} m/s", "heading jump of {:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class ClearedMotion:
     """A cleared setpoint in plain floats."""
 
     at_s: float
@@ -24,7 +24,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
+class ContinuityCheck:
     """What has been taken beyond the limits of place, velocity and heading (m, m/s, degrees) and not been made up for since:
     the slack is for a late clock, and not for each setpoint anew. astray_m: the places, from where the velocities lead.
     """
@@ -32,7 +32,7 @@ class Steps:
     beyond: Vec3 = (0.0, 0.0, 0.0)
     astray_m: Vec3 = (0.0, 0.0, 0.0)
 
-    def after(self, last: Motion, motion: Motion, envelope: Envelope) -> tuple[Steps, str]:
+    def after(self, last: ClearedMotion, motion: ClearedMotion, envelope: Envelope) -> tuple[ContinuityCheck, str]:
         """With one more, and why it is one too many, '' if it is not."""
         dt_s, braking_mps2 = min(max(motion.at_s - last.at_s, 0.0), _LONGEST_S), envelope.max_acceleration_mps2
         turn_deg = math.degrees(abs(math.remainder(motion.yaw_rad - last.yaw_rad, math.tau)))
@@ -45,4 +45,4 @@ class Steps:
         left = max(1.0 - braking_mps2 * dt_s**2 / 4.0 / max(off_m, 1e-12), 0.0)  # what the limit allows between any two is none
         taken = zip((a, b, c, off_m * left), (*steps, off_m), _MOST, _WORDS, strict=True)
         faults = [words.format(step) for beyond, step, most, words in taken if not beyond <= most]
-        return Steps((a, b, c), (x * left, y * left, z * left)), faults[0] if faults else ""
+        return ContinuityCheck((a, b, c), (x * left, y * left, z * left)), faults[0] if faults else ""

@@ -14,7 +14,7 @@ _EVERY = frozen(np.ones((), dtype=bool))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Nearby:
+class MinRangeGrid:
     """The depth image in cells of equal angle tangents, rows from its top, columns from its left.
 
     range_m: (rows, columns) float32, distance along the ray to the nearest return in each cell, NaN where it holds too few.

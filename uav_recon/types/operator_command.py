@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 
-class Order(Enum):
+class OperatorCommand(Enum):
     """A human's wish. Sticks and switches of the transmitter are not among them: they always win, without asking us."""
 
     START = "start"  # on the ground: take off and begin; held in the air: go on
@@ -16,8 +16,8 @@ class Order(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class GivenOrder:
+class GivenCommand:
     """An order that the pilot has accepted, for the mission to follow. stamp_s: companion's monotonic clock."""
 
     stamp_s: float
-    order: Order
+    order: OperatorCommand

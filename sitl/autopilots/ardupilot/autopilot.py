@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 
-from sitl.autopilots.ardupilot.commands import Commands
+from sitl.autopilots.ardupilot.commands import ArduPilotCommands
 from sitl.autopilots.ardupilot.jitter_correction import JitterCorrection
-from sitl.autopilots.ardupilot.messages import Messages
-from sitl.autopilots.ardupilot.mode_controllers import Flight
-from sitl.autopilots.ardupilot.modes import Commander, Mode
+from sitl.autopilots.ardupilot.messages import ArduPilotMessages
+from sitl.autopilots.ardupilot.mode_controllers import ArduPilotModeControllers
+from sitl.autopilots.ardupilot.modes import ArduPilotCommander, ArduPilotMode
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
-from sitl.autopilots.ardupilot.state import State
+from sitl.autopilots.ardupilot.state import ArduPilotState
 from sitl.autopilots.ardupilot.tuning import estimator_tuning
 from sitl.autopilots.base_autopilot import Autopilot
 from sitl.autopilots.byte_links import ByteEnd
 from sitl.autopilots.ekf import Estimator
 from sitl.autopilots.mavlink_server import MavlinkServer
-from sitl.autopilots.pilot_view import Eyes
+from sitl.autopilots.pilot_view import PilotView
 from sitl.geometry.quaternion import Vec3
 from sitl.world.gimbal import Gimbal
 from sitl.world.quadrotor import Quadrotor
@@ -34,21 +34,21 @@ class ArduCopter(Autopilot):
         """step_s: of physics, estimator and control; well below the lags of the vehicle."""
         self._parameters = parameters
         server = MavlinkServer(link, parameters)
-        flight = Flight(parameters)
+        flight = ArduPilotModeControllers(parameters)
         estimator = Estimator(estimator_tuning(parameters), flight.estimate_jumped)
-        commander = Commander(parameters, server.say)
+        commander = ArduPilotCommander(parameters, server.say)
         gimbal = Gimbal(math.radians(parameters["MNT1_PITCH_MIN"]), math.radians(parameters["MNT1_PITCH_MAX"]))
-        self._state = State(
+        self._state = ArduPilotState(
             commander=commander, estimator=estimator, flight=flight, gimbal=gimbal, capacity_mah=parameters["BATT_CAPACITY"]
         )
-        commands = Commands(self._state, server)
-        for message_id, (build, rate_hz) in Messages(self._state).rates().items():
+        commands = ArduPilotCommands(self._state, server)
+        for message_id, (build, rate_hz) in ArduPilotMessages(self._state).rates().items():
             server.add_stream(message_id, build, rate_hz)
         super().__init__(vehicle, parameters, server, self._state, commander, commands, BOOTED_BEFORE_S, seed, step_s)
 
     def pilot_takes_over(self, mode: str = "LOITER") -> None:
         """A switch on the transmitter. Raises KeyError for an unknown mode."""
-        self._state.commander.takeover(Mode[mode])
+        self._state.commander.takeover(ArduPilotMode[mode])
 
     def pilot_disarms(self) -> None:
         """The kill switch: motors stop, wherever the vehicle is."""
@@ -59,7 +59,7 @@ class ArduCopter(Autopilot):
         s.estimator, s.jitter = Estimator(estimator_tuning(self._parameters)), JitterCorrection()
         s.home_follows, s.flight.home = False, None
         s.commander.gcs_heard_s = math.inf
-        s.commander.takeover(Mode.STABILIZE)
+        s.commander.takeover(ArduPilotMode.STABILIZE)
 
     def lose_land_detector(self) -> None:
         """From now on no landing is noticed."""
@@ -82,6 +82,6 @@ class ArduCopter(Autopilot):
         s.settle_home()
         s.commander.step(s.condition())
 
-    def _fly(self, dt_s: float, seen: Estimator | Eyes) -> tuple[Vec3, float]:
+    def _fly(self, dt_s: float, seen: Estimator | PilotView) -> tuple[Vec3, float]:
         s = self._state
         return s.flight.step(dt_s, s.commander.armed, s.commander.mode, seen, s.commander.pause_s)

@@ -6,12 +6,12 @@ import math
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.ardupilot.mode_controllers import Target
-from sitl.autopilots.ardupilot.modes import Mode
-from sitl.autopilots.ardupilot.state import State
-from sitl.autopilots.base_commands import ACCEPTED, DENIED, FAILED, FORCE, FORCE_SET, NO_YAW, NO_YAW_RATE, Requests
+from sitl.autopilots.ardupilot.mode_controllers import ControllerTarget
+from sitl.autopilots.ardupilot.modes import ArduPilotMode
+from sitl.autopilots.ardupilot.state import ArduPilotState
+from sitl.autopilots.base_commands import ACCEPTED, DENIED, FAILED, FORCE, FORCE_SET, NO_YAW, NO_YAW_RATE, BaseCommands
 from sitl.autopilots.ekf import ExternalPose
-from sitl.autopilots.mavlink_codec import Heard, packet
+from sitl.autopilots.mavlink_codec import ReceivedMessage, packet
 from sitl.autopilots.mavlink_server import MavlinkServer
 from sitl.geometry.quaternion import Quat, Vec3, from_euler
 
@@ -19,10 +19,10 @@ _NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION = 0b111, 0b111000, 0b111000000
 _STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
-class Commands(Requests):
+class ArduPilotCommands(BaseCommands):
     """ArduCopter's own: targets, poses, TIMESYNC, heartbeats, modes, arming, take-off and the origin."""
 
-    def __init__(self, state: State, server: MavlinkServer) -> None:
+    def __init__(self, state: ArduPilotState, server: MavlinkServer) -> None:
         super().__init__(state, server)
         self._s = state
         self._handlers |= {
@@ -37,13 +37,13 @@ class Commands(Requests):
 
     # -- streams --------------------------------------------------------------------------------------------------
 
-    def _heartbeat(self, message: Heard, _arrival_s: float) -> None:
+    def _heartbeat(self, message: ReceivedMessage, _arrival_s: float) -> None:
         self._s.commander.heartbeat_from(message.sender[0], self._s.now_s)
 
-    def _target(self, m: Heard, arrival_s: float) -> None:
+    def _target(self, m: ReceivedMessage, arrival_s: float) -> None:
         """Only in GUIDED. A mask or number that is of no use makes it hold; a place outside the fence is dropped silently."""
         s, mask = self._s, m.type_mask
-        if s.commander.mode is not Mode.GUIDED:
+        if s.commander.mode is not ArduPilotMode.GUIDED:
             return
         if s.commander.armed:
             self.setpoint_arrivals_s.append(arrival_s)
@@ -56,7 +56,7 @@ class Commands(Requests):
         if position is not None and not self._inside(position):
             return
         yaw, yaw_rate = (math.nan if mask & NO_YAW else m.yaw), (math.nan if mask & NO_YAW_RATE else m.yaw_rate)
-        s.flight.follow(Target(position, velocity, acceleration, yaw, yaw_rate))
+        s.flight.follow(ControllerTarget(position, velocity, acceleration, yaw, yaw_rate))
 
     def _inside(self, position: Vec3) -> bool:
         home = self._s.home
@@ -64,20 +64,20 @@ class Commands(Requests):
             return True
         return self._s.commander.admits(math.hypot(position[0] - home[0], position[1] - home[1]), home[2] - position[2])
 
-    def _odometry(self, message: Heard, arrival_s: float) -> None:
+    def _odometry(self, message: ReceivedMessage, arrival_s: float) -> None:
         """External navigation; poses in other frames are dropped without a word (read)."""
         if message.frame_id != mavlink.MAV_FRAME_LOCAL_FRD or message.child_frame_id != mavlink.MAV_FRAME_BODY_FRD:
             return
         q = message.q
         self._fuse(message, arrival_s, message.time_usec, message.pose_covariance, (q[0], q[1], q[2], q[3]), message.quality)
 
-    def _vision(self, message: Heard, arrival_s: float) -> None:
+    def _vision(self, message: ReceivedMessage, arrival_s: float) -> None:
         """VISION_POSITION_ESTIMATE: no quality, so VISO_QUAL_MIN must be 0 for it."""
         attitude = from_euler(message.roll, message.pitch, message.yaw)
         self._fuse(message, arrival_s, message.usec, message.covariance, attitude, 0)
 
     def _fuse(
-        self, message: Heard, arrival_s: float, stamp_us: int, covariance: tuple[float, ...], quat: Quat, quality: int
+        self, message: ReceivedMessage, arrival_s: float, stamp_us: int, covariance: tuple[float, ...], quat: Quat, quality: int
     ) -> None:
         """covariance: upper triangle, x 0, y 6, z 11, roll 15, pitch 18, yaw 20."""
         s = self._s
@@ -97,14 +97,14 @@ class Commands(Requests):
             )
         )
 
-    def _timesync(self, message: Heard, _arrival_s: float) -> None:
+    def _timesync(self, message: ReceivedMessage, _arrival_s: float) -> None:
         """Questions are answered; answers to its own are logged and teach it nothing (read)."""
         if message.tc1 == 0:
             self._answer_timesync(message)
 
     # -- origin ---------------------------------------------------------------------------------------------------
 
-    def _origin(self, message: Heard, _arrival_s: float) -> None:
+    def _origin(self, message: ReceivedMessage, _arrival_s: float) -> None:
         """Once per boot. Before the estimator has a position it is taken too, but no home ever follows (measured)."""
         s = self._s
         if s.origin is not None:
@@ -128,7 +128,7 @@ class Commands(Requests):
         if command == mavlink.MAV_CMD_NAV_TAKEOFF:
             return self._take_off(p[6])
         if command == mavlink.MAV_CMD_NAV_LAND:
-            return s.commander.request_mode(Mode.LAND, s.condition())
+            return s.commander.request_mode(ArduPilotMode.LAND, s.condition())
         return None
 
     def _take_off(self, height_m: float) -> int:
@@ -138,13 +138,13 @@ class Commands(Requests):
         s.flight.take_off(height_m)
         return ACCEPTED
 
-    def _set_mode(self, message: Heard, _arrival_s: float) -> None:
+    def _set_mode(self, message: ReceivedMessage, _arrival_s: float) -> None:
         """The old message: acknowledged under its own number (read)."""
         result = self._s.commander.request_mode(message.custom_mode, self._s.condition())
         self._server.send(packet(mavlink.MAVLink_command_ack_message, mavlink.MAVLINK_MSG_ID_SET_MODE, result))
 
 
-def _flyable(m: Heard, numbers: tuple[float, ...]) -> bool:
+def _flyable(m: ReceivedMessage, numbers: tuple[float, ...]) -> bool:
     """Velocity with or without place, or a place alone, in LOCAL_NED; finite. (Acceleration alone is not simulated.)"""
     mask = m.type_mask
     has_place, moves, pushes = not mask & _NO_POSITION, not mask & _NO_VELOCITY, not mask & _NO_ACCELERATION

@@ -15,7 +15,7 @@ _Plane = tuple[float, ...]  # components of the plane, or the one of an axis
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ShapingLimits:
     """Of the correction's speed, of acceleration and of jerk. SI."""
 
     speed: float
@@ -23,10 +23,10 @@ class Limits:
     jerk: float
 
 
-class Shaper:
+class InputShaper:
     """position, velocity and acceleration are what the controller is to follow now."""
 
-    def __init__(self, horizontal: Limits, vertical: Limits) -> None:
+    def __init__(self, horizontal: ShapingLimits, vertical: ShapingLimits) -> None:
         self.limits = (horizontal, vertical)
         self.reset((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -52,7 +52,7 @@ class Shaper:
 
 
 def _shaped(
-    limits: Limits, dt_s: float, place: _Plane | None, speed: _Plane, push: _Plane, p: _Plane, v: _Plane, a: _Plane
+    limits: ShapingLimits, dt_s: float, place: _Plane | None, speed: _Plane, push: _Plane, p: _Plane, v: _Plane, a: _Plane
 ) -> _Plane:
     """The next acceleration: critically damped towards the target near by, along braking parabolas from far away."""
     gain = limits.jerk / limits.acceleration

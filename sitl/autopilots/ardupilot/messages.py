@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl.autopilots.ardupilot.modes import Mode
-from sitl.autopilots.ardupilot.state import State
-from sitl.autopilots.base_messages import Telling
+from sitl.autopilots.ardupilot.modes import ArduPilotMode
+from sitl.autopilots.ardupilot.state import ArduPilotState
+from sitl.autopilots.base_messages import BaseMessages
 from sitl.autopilots.mavlink_codec import Packet, packet
 
 _CAPABILITIES = (
@@ -25,10 +25,10 @@ _UNINITIALISED, _CONSTANT, _BLIND, _FOLLOWING = 0x400, 0xA5, 0x25, 0x33F  # EKF_
 _VISION_HEALTHY_S = 0.3  # after the last pose
 
 
-class Messages(Telling):
+class ArduPilotMessages(BaseMessages):
     """ArduCopter's own beside the shared ones."""
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, state: ArduPilotState) -> None:
         super().__init__(state)
         self._s = state
 
@@ -55,7 +55,7 @@ class Messages(Telling):
         """1 Hz; custom_mode is the only proof of a mode."""
         c = self._s.commander
         base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-        base |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if c.mode in (Mode.GUIDED, Mode.LAND) else 0
+        base |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if c.mode in (ArduPilotMode.GUIDED, ArduPilotMode.LAND) else 0
         base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if c.armed else 0
         status = mavlink.MAV_STATE_ACTIVE if c.armed else mavlink.MAV_STATE_STANDBY
         kind, family = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
@@ -94,7 +94,7 @@ class Messages(Telling):
         flight, half = self._s.flight, None
         if flight.taking_off:
             half = mavlink.MAV_LANDED_STATE_TAKEOFF
-        elif self._s.commander.mode is Mode.LAND:
+        elif self._s.commander.mode is ArduPilotMode.LAND:
             half = mavlink.MAV_LANDED_STATE_LANDING
         return self._landed_state(flight.landed, half)
 

@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from sitl.autopilots.ardupilot.input_shaping import Shaper
-from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.input_shaping import InputShaper
+from sitl.autopilots.ardupilot.modes import ArduPilotMode
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.ardupilot.tuning import control_gains, shaping_limits
 from sitl.autopilots.ekf import Estimator
 from sitl.autopilots.land_detector import LandDetector
-from sitl.autopilots.pilot_view import Eyes
-from sitl.autopilots.position_controller import Controller, ControlSetpoint
+from sitl.autopilots.pilot_view import PilotView
+from sitl.autopilots.position_controller import ControlSetpoint, PositionController
 from sitl.geometry.quaternion import Vec3
 from sitl.world.quadrotor import GRAVITY_MPS2
 
@@ -31,7 +31,7 @@ _STOP_AT_FENCE = 1  # AVOID_ENABLE
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class ControllerTarget:
     """One SET_POSITION_TARGET_LOCAL_NED as GUIDED takes it; no position: velocity alone. A NaN yaw or rate says nothing."""
 
     position: Vec3 | None
@@ -41,17 +41,17 @@ class Target:
     yaw_rate: float
 
 
-class Flight:
+class ArduPilotModeControllers:
     """Turns mode and target into a wanted specific force and yaw rate, and knows whether the vehicle has landed."""
 
     def __init__(self, parameters: ArduPilotParameters) -> None:
-        self._controller = Controller(control_gains(parameters))
+        self._controller = PositionController(control_gains(parameters))
         self._ground = LandDetector(_LAND_DETECT_S)
-        self._shaper = Shaper(*shaping_limits(parameters))
+        self._shaper = InputShaper(*shaping_limits(parameters))
         self.active = ControlSetpoint()
         self.home: Vec3 | None = None
-        self._mode: Mode | None = None
-        self._target: Target | None = None
+        self._mode: ArduPilotMode | None = None
+        self._target: ControllerTarget | None = None
         self._target_age_s = 0.0
         self._top: float | None = None  # of a take-off under way, down
         self._hold: Vec3 = _STILL
@@ -104,7 +104,7 @@ class Flight:
         zero = self._ground_down if self.home is None else self.home[2]
         self._top, self._target = zero - height_m, None
 
-    def follow(self, target: Target) -> None:
+    def follow(self, target: ControllerTarget) -> None:
         """A new target in GUIDED; it ends a take-off."""
         if self._target is None:
             self._shaper.reset(*self._motion)
@@ -115,7 +115,7 @@ class Flight:
         self._target, self._top, self._hold, self._hold_yaw = None, None, position, yaw
 
     def step(
-        self, dt_s: float, armed: bool, mode: Mode, estimator: Estimator | Eyes, pause_s: float = 0.0
+        self, dt_s: float, armed: bool, mode: ArduPilotMode, estimator: Estimator | PilotView, pause_s: float = 0.0
     ) -> tuple[Vec3, float]:
         """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s). pause_s: before a mode's descent."""
         position, velocity = estimator.position, estimator.velocity
@@ -134,7 +134,7 @@ class Flight:
             return _IDLE, 0.0
         self.active = setpoint = self._wanted(dt_s, position)
         if not estimator.horizontal_valid:
-            down = setpoint.velocity[2] if mode is Mode.LAND else 0.0
+            down = setpoint.velocity[2] if mode is ArduPilotMode.LAND else 0.0
             force, turn = self._controller.level(dt_s, velocity[2], down), 0.0
         else:
             a = estimator.acceleration
@@ -143,7 +143,7 @@ class Flight:
             self._top = None
         return force, turn
 
-    def _begin(self, mode: Mode, position: Vec3, velocity: Vec3, yaw: float) -> None:
+    def _begin(self, mode: ArduPilotMode, position: Vec3, velocity: Vec3, yaw: float) -> None:
         """Hold where braking ends; a landing brakes from the motion that was wanted, or else the one there is."""
         if self._target is None:
             self._shaper.reset(position, velocity)
@@ -154,11 +154,11 @@ class Flight:
 
     def _wanted(self, dt_s: float, position: Vec3) -> ControlSetpoint:
         x, y, z = self._hold
-        if self._mode is Mode.LAND:
+        if self._mode is ArduPilotMode.LAND:
             return self._landing(dt_s, position)
-        if self._mode is Mode.GUIDED and self._top is not None:
+        if self._mode is ArduPilotMode.GUIDED and self._top is not None:
             return self._climbing(self._top, position)
-        if self._mode is Mode.GUIDED and self._target is not None:
+        if self._mode is ArduPilotMode.GUIDED and self._target is not None:
             return self._guided(self._target, dt_s, position)
         return ControlSetpoint((x, y, z), yaw=self._hold_yaw)
 
@@ -177,7 +177,7 @@ class Flight:
         climb = max(-self._climb, 1.5 * (top - position[2]) - 0.05)
         return ControlSetpoint((x, y, math.nan), (0.0, 0.0, climb), yaw=self._hold_yaw)
 
-    def _guided(self, target: Target, dt_s: float, position: Vec3) -> ControlSetpoint:
+    def _guided(self, target: ControllerTarget, dt_s: float, position: Vec3) -> ControlSetpoint:
         """The target now: its velocity carries its position along, until both have been silent for too long."""
         self._target_age_s += dt_s
         if self._target_age_s > self._timeout_s:
@@ -214,7 +214,7 @@ class Flight:
         return high if self._ground_down - down > low_m else slow
 
     def _lifts_off(self, position: Vec3) -> bool:
-        if self._top is None or self._mode is not Mode.GUIDED or self._armed_s < self._spool_s:
+        if self._top is None or self._mode is not ArduPilotMode.GUIDED or self._armed_s < self._spool_s:
             return False
         if self._ground_down - position[2] > 0.08:
             self._ground.lifted()

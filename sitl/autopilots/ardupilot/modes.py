@@ -27,7 +27,7 @@ _KEEP_PILOTS_MODES = 16  # FS_OPTIONS
 CRITICAL, WARNING, INFO = 2, 4, 6
 
 
-class Mode(IntEnum):
+class ArduPilotMode(IntEnum):
     """custom_mode of HEARTBEAT."""
 
     STABILIZE = 0
@@ -42,13 +42,13 @@ class Mode(IntEnum):
     BRAKE = 17
 
 
-_NEED_POSITION = (Mode.GUIDED, Mode.LOITER, Mode.POSHOLD, Mode.BRAKE)
-_PILOTS = (Mode.STABILIZE, Mode.ACRO, Mode.ALT_HOLD, Mode.LOITER, Mode.POSHOLD)
-_ARMABLE = (*_PILOTS, Mode.GUIDED)
+_NEED_POSITION = (ArduPilotMode.GUIDED, ArduPilotMode.LOITER, ArduPilotMode.POSHOLD, ArduPilotMode.BRAKE)
+_PILOTS = (ArduPilotMode.STABILIZE, ArduPilotMode.ACRO, ArduPilotMode.ALT_HOLD, ArduPilotMode.LOITER, ArduPilotMode.POSHOLD)
+_ARMABLE = (*_PILOTS, ArduPilotMode.GUIDED)
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class ArduPilotCondition:
     """What the commander looks at, 50 times a second."""
 
     now_s: float
@@ -62,12 +62,12 @@ class Condition:
     rc_lost_s: float  # how long the transmitter has been silent; 0 while it is heard
 
 
-class Commander:
+class ArduPilotCommander:
     """Mode and arming state. say(severity, text) sends a STATUSTEXT."""
 
     def __init__(self, parameters: ArduPilotParameters, say: Callable[[int, str], None]) -> None:
         self._say = say
-        self.mode: Mode = Mode.STABILIZE
+        self.mode: ArduPilotMode = ArduPilotMode.STABILIZE
         self.pause_s = 0.0  # before the mode's descent
         self.armed = False
         self.armed_at_s = math.inf
@@ -107,21 +107,21 @@ class Commander:
 
     # -- requests -------------------------------------------------------------------------------------------------
 
-    def request_mode(self, wanted: int, c: Condition) -> int:
+    def request_mode(self, wanted: int, c: ArduPilotCondition) -> int:
         """DO_SET_MODE. After a failsafe GUIDED is granted like at any other time, and the flight resumes."""
         try:
-            mode = Mode(wanted)
+            mode = ArduPilotMode(wanted)
         except ValueError:
             self._say(WARNING, f"No such mode {wanted}")
             return FAILED
-        if mode in (Mode.AUTO, Mode.RTL):
+        if mode in (ArduPilotMode.AUTO, ArduPilotMode.RTL):
             return self._refuse(mode, "init failed")
         if mode in _NEED_POSITION and not c.position_valid:
             return self._refuse(mode, "requires position")
         self.mode, self.pause_s = mode, 0.0
         return ACCEPTED
 
-    def request_arming(self, arm: bool, force: bool, c: Condition) -> int:
+    def request_arming(self, arm: bool, force: bool, c: ArduPilotCondition) -> int:
         """MAV_CMD_COMPONENT_ARM_DISARM."""
         if arm == self.armed:
             return ACCEPTED
@@ -142,11 +142,11 @@ class Commander:
         self._say(INFO, "Arming motors")
         return ACCEPTED
 
-    def may_take_off(self, c: Condition) -> bool:
+    def may_take_off(self, c: ArduPilotCondition) -> bool:
         """MAV_CMD_NAV_TAKEOFF: armed, in GUIDED, and still on the ground."""
-        return self.armed and self.mode is Mode.GUIDED and c.landed
+        return self.armed and self.mode is ArduPilotMode.GUIDED and c.landed
 
-    def arming_refusal(self, c: Condition) -> str:
+    def arming_refusal(self, c: ArduPilotCondition) -> str:
         """What the pre-arm checks find wrong, '' for nothing. Also the PREARM bit."""
         if c.booted_s < _SETTLED_S:
             return "AHRS: not settled"
@@ -169,13 +169,13 @@ class Commander:
         """Whether a target so far from home and so high above it is inside the fence; NaN (no home) is."""
         return not (distance_m > self._radius_m or height_m > self._ceiling_m)
 
-    def takeover(self, mode: Mode) -> None:
+    def takeover(self, mode: ArduPilotMode) -> None:
         """A pilot's switch: wins at once."""
         self.mode, self.pause_s = mode, 0.0
 
     # -- 50 Hz ----------------------------------------------------------------------------------------------------
 
-    def step(self, c: Condition) -> None:
+    def step(self, c: ArduPilotCondition) -> None:
         """Look for trouble, disarm after landing, tell what forbids arming."""
         self._invalid_since_s = math.inf if c.position_valid else min(self._invalid_since_s, c.now_s)
         if self.armed:
@@ -187,13 +187,13 @@ class Commander:
             if reason:
                 self._say(CRITICAL, f"PreArm: {reason}")
 
-    def _watch(self, c: Condition) -> None:
+    def _watch(self, c: ArduPilotCondition) -> None:
         """Each trouble acts once, when it begins."""
         pilots = self.mode in _PILOTS
         blind = self.mode in _NEED_POSITION and c.now_s - self._invalid_since_s >= _EKF_FAILSAFE_S
         self._judge("EKF Failsafe", blind, self._ekf_lands)
         silent_s = c.now_s - self.gcs_heard_s
-        self._judge(_SILENT, silent_s > self._silence_s and self.mode is Mode.GUIDED, True)
+        self._judge(_SILENT, silent_s > self._silence_s and self.mode is ArduPilotMode.GUIDED, True)
         silent = silent_s > self._gcs_timeout_s
         self._judge("GCS Failsafe", silent and not (pilots and self._pilots_modes_stay), self._gcs_lands)
         self._judge("Radio Failsafe", c.rc_lost_s > self._radio_timeout_s, self._radio_lands)
@@ -207,17 +207,17 @@ class Commander:
         elif trouble not in self._troubles:
             self._troubles.add(trouble)
             self._say(CRITICAL, trouble)
-            if lands and self.mode is not Mode.LAND:
+            if lands and self.mode is not ArduPilotMode.LAND:
                 self.failsafes.append(f"{trouble}: LAND")
-                self.mode, self.pause_s = Mode.LAND, 0.0 if trouble in _AT_ONCE else _PAUSE_S
+                self.mode, self.pause_s = ArduPilotMode.LAND, 0.0 if trouble in _AT_ONCE else _PAUSE_S
 
-    def _disarm_by_itself(self, c: Condition) -> None:
+    def _disarm_by_itself(self, c: ArduPilotCondition) -> None:
         """LAND ends with the landing; in other modes the motors idle for DISARM_DELAY."""
         if not c.landed:
             self._idle_since_s = math.inf
             return
         self._idle_since_s = min(self._idle_since_s, c.now_s)
-        if self.mode is Mode.LAND or c.now_s - self._idle_since_s >= self._disarm_s > 0.0:
+        if self.mode is ArduPilotMode.LAND or c.now_s - self._idle_since_s >= self._disarm_s > 0.0:
             self._disarm()
 
     # -- transitions ----------------------------------------------------------------------------------------------
@@ -226,6 +226,6 @@ class Commander:
         self.armed, self.armed_at_s = False, math.inf
         self._say(INFO, "Disarming motors")
 
-    def _refuse(self, mode: Mode, why: str) -> int:
+    def _refuse(self, mode: ArduPilotMode, why: str) -> int:
         self._say(WARNING, f"Mode change to {mode.name} failed: {why}")
         return FAILED

@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from sitl.autopilots.ardupilot.jitter_correction import JitterCorrection
-from sitl.autopilots.ardupilot.mode_controllers import Flight
-from sitl.autopilots.ardupilot.modes import Commander, Condition
-from sitl.autopilots.autopilot_state import Board
+from sitl.autopilots.ardupilot.mode_controllers import ArduPilotModeControllers
+from sitl.autopilots.ardupilot.modes import ArduPilotCommander, ArduPilotCondition
+from sitl.autopilots.autopilot_state import AutopilotState
 
 _EKF_ACTIVE_S = 10.0  # from boot; until then attitude is DCM's, and poses are not looked at
 
 
 @dataclass(slots=True, kw_only=True)
-class State(Board):
+class ArduPilotState(AutopilotState):
     """Owned by ArduCopter. home_follows: the origin came when there was a position to make a home of."""
 
-    commander: Commander
-    flight: Flight
+    commander: ArduPilotCommander
+    flight: ArduPilotModeControllers
     capacity_mah: float
     jitter: JitterCorrection = field(default_factory=JitterCorrection)
     home_follows: bool = False
@@ -37,10 +37,10 @@ class State(Board):
         if self.home_follows and not self.commander.armed:
             self.home = self.flight.home = self.estimator.position
 
-    def condition(self) -> Condition:
+    def condition(self) -> ArduPilotCondition:
         """What the commander judges by."""
         distance_m, height_m = self.from_home_m
-        return Condition(
+        return ArduPilotCondition(
             now_s=self.now_s,
             booted_s=self.booted_s,
             position_valid=self.estimator.horizontal_valid,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from sitl.autopilots.ardupilot.input_shaping import Limits
+from sitl.autopilots.ardupilot.input_shaping import ShapingLimits
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
-from sitl.autopilots.ekf import Tuning
-from sitl.autopilots.position_controller import Gains
+from sitl.autopilots.ekf import EstimatorTuning
+from sitl.autopilots.position_controller import ControlGains
 
 EXTERNAL = 6  # EK3_SRC1_*: external navigation
 _FLAGS_FALL_S = 7.2  # after the last pose (measured)
@@ -17,10 +17,10 @@ _VERTICAL_LIMIT_MPS2 = 5.0
 _VERTICAL_INTEGRAL = 2.0  # 1/s²: what ArduPilot's inner acceleration loop amounts to
 
 
-def estimator_tuning(p: ArduPilotParameters) -> Tuning:
+def estimator_tuning(p: ArduPilotParameters) -> EstimatorTuning:
     """EKF3 on external navigation. Gates are in hundredths of a standard deviation."""
     fed = p.integer("VISO_TYPE") > 0
-    return Tuning(
+    return EstimatorTuning(
         fuse_xy=fed and p.integer("EK3_SRC1_POSXY") == EXTERNAL,
         fuse_z=fed and p.integer("EK3_SRC1_POSZ") == EXTERNAL,
         fuse_yaw=fed and p.integer("EK3_SRC1_YAW") == EXTERNAL,
@@ -36,9 +36,9 @@ def estimator_tuning(p: ArduPilotParameters) -> Tuning:
     )
 
 
-def control_gains(p: ArduPilotParameters) -> Gains:
+def control_gains(p: ArduPilotParameters) -> ControlGains:
     """AC_PosControl after its shaping: the lean angle is its only limit."""
-    return Gains(
+    return ControlGains(
         xy_p=p["PSC_NE_POS_P"],
         z_p=p["PSC_D_POS_P"],
         yaw_p=p["ATC_ANG_YAW_P"],
@@ -59,7 +59,7 @@ def lean_lag_s(p: ArduPilotParameters) -> float:
     return p["ATC_INPUT_TC"] + _RATE_LOOP_S
 
 
-def shaping_limits(p: ArduPilotParameters) -> tuple[Limits, Limits]:
+def shaping_limits(p: ArduPilotParameters) -> tuple[ShapingLimits, ShapingLimits]:
     """Horizontal and vertical, of GUIDED."""
-    vertical = Limits(max(p["WP_SPD_UP"], p["WP_SPD_DN"]), p["WP_ACC_Z"], p["PSC_JERK_D"])
-    return Limits(p["WP_SPD"], p["WP_ACC"], p["PSC_JERK_NE"]), vertical
+    vertical = ShapingLimits(max(p["WP_SPD_UP"], p["WP_SPD_DN"]), p["WP_ACC_Z"], p["PSC_JERK_D"])
+    return ShapingLimits(p["WP_SPD"], p["WP_ACC"], p["PSC_JERK_NE"]), vertical

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import math
 
-from sitl.autopilots.base_autopilot import Autopilot, Truth
+from sitl.autopilots.base_autopilot import Autopilot
 from sitl.autopilots.byte_links import ByteEnd
 from sitl.autopilots.ekf import Estimator
 from sitl.autopilots.mavlink_server import MavlinkServer
-from sitl.autopilots.pilot_view import Eyes
-from sitl.autopilots.px4.commander import Commander, Mode
-from sitl.autopilots.px4.commands import Commands
-from sitl.autopilots.px4.flight_tasks import Flight
-from sitl.autopilots.px4.messages import Messages
-from sitl.autopilots.px4.parameters import Parameters
-from sitl.autopilots.px4.state import State
-from sitl.autopilots.px4.timesync import TimeSync
+from sitl.autopilots.pilot_view import PilotView
+from sitl.autopilots.px4.commander import Px4Commander, Px4Mode
+from sitl.autopilots.px4.commands import Px4Commands
+from sitl.autopilots.px4.flight_tasks import Px4FlightTasks
+from sitl.autopilots.px4.messages import Px4Messages
+from sitl.autopilots.px4.parameters import Px4Parameters
+from sitl.autopilots.px4.state import Px4State
+from sitl.autopilots.px4.timesync import Px4Timesync
 from sitl.autopilots.px4.tuning import estimator_tuning
 from sitl.geometry.quaternion import Vec3
 from sitl.world.gimbal import Gimbal
 from sitl.world.quadrotor import Quadrotor
 from sitl.world.step_sizes import REAL
 
-__all__ = ["BOOTED_BEFORE_S", "Px4", "Truth"]
+__all__ = ["BOOTED_BEFORE_S", "Px4"]
 
 BOOTED_BEFORE_S = 37.5  # the autopilot's clock is not the world's: stamps must go through TIMESYNC
 
@@ -31,19 +31,19 @@ class Px4(Autopilot):
     """The simulated PX4. Raises ValueError for parameters whose failsafe is not simulated."""
 
     def __init__(
-        self, vehicle: Quadrotor, link: ByteEnd, parameters: Parameters, seed: int, step_s: float = REAL.physics_s
+        self, vehicle: Quadrotor, link: ByteEnd, parameters: Px4Parameters, seed: int, step_s: float = REAL.physics_s
     ) -> None:
         """step_s: of physics, estimator and control; well below the lags of the vehicle."""
         self._parameters = parameters
         server = MavlinkServer(link, parameters)
-        flight = Flight(parameters)
+        flight = Px4FlightTasks(parameters)
         estimator = Estimator(estimator_tuning(parameters), flight.estimate_jumped)
-        commander = Commander(parameters, seed + 1, server.say)
+        commander = Px4Commander(parameters, seed + 1, server.say)
         half_range_rad = math.radians(parameters["MNT_RANGE_PITCH"]) / 2
         gimbal = Gimbal(-half_range_rad, half_range_rad)
-        self._state = State(commander=commander, estimator=estimator, flight=flight, gimbal=gimbal)
-        commands = Commands(self._state, server, seed + 2)
-        for message_id, (build, rate_hz) in Messages(self._state).rates().items():
+        self._state = Px4State(commander=commander, estimator=estimator, flight=flight, gimbal=gimbal)
+        commands = Px4Commands(self._state, server, seed + 2)
+        for message_id, (build, rate_hz) in Px4Messages(self._state).rates().items():
             server.add_stream(message_id, build, rate_hz)
         super().__init__(vehicle, parameters, server, self._state, commander, commands, BOOTED_BEFORE_S, seed, step_s)
 
@@ -54,7 +54,7 @@ class Px4(Autopilot):
 
     def pilot_takes_over(self, mode: str = "POSCTL") -> None:
         """A switch on the transmitter. Raises KeyError for an unknown mode."""
-        self._state.commander.takeover(Mode[mode])
+        self._state.commander.takeover(Px4Mode[mode])
 
     def pilot_disarms(self) -> None:
         """The kill switch: motors stop, wherever the vehicle is."""
@@ -76,9 +76,9 @@ class Px4(Autopilot):
 
     def _forget(self) -> None:
         s = self._state
-        s.estimator, s.timesync = Estimator(estimator_tuning(self._parameters)), TimeSync()
+        s.estimator, s.timesync = Estimator(estimator_tuning(self._parameters)), Px4Timesync()
         s.commander.origin_at_s, s.commander.heading_known = math.inf, False
-        s.commander.takeover(Mode.ALTCTL)
+        s.commander.takeover(Px4Mode.ALTCTL)
 
     def _think(self, dt_s: float) -> None:
         s = self._state
@@ -87,8 +87,8 @@ class Px4(Autopilot):
             s.home = s.estimator.position
         s.commander.step(s.condition())
         if s.flight.takeoff_complete:
-            s.commander.request_mode(Mode.LOITER, s.condition())
+            s.commander.request_mode(Px4Mode.LOITER, s.condition())
 
-    def _fly(self, dt_s: float, seen: Estimator | Eyes) -> tuple[Vec3, float]:
+    def _fly(self, dt_s: float, seen: Estimator | PilotView) -> tuple[Vec3, float]:
         s = self._state
         return s.flight.step(dt_s, s.commander.armed, s.commander.mode, seen)

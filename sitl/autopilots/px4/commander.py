@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from sitl.autopilots.base_commands import ACCEPTED, DENIED, TEMPORARILY_REJECTED
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 
 _OFFBOARD_PROOF_S = 1.0  # a stream must run for so long before OFFBOARD engages
 _PREARM_AFTER_ORIGIN_S = 5.0
@@ -22,7 +22,7 @@ _STREAM_LOSS_REACTION_S = (0.1, 0.8)  # beyond COM_OF_LOSS_T (measured 0.6 to 1.
 EMERGENCY, CRITICAL, WARNING, INFO = 0, 2, 4, 6
 
 
-class Mode(IntEnum):
+class Px4Mode(IntEnum):
     """custom_mode of HEARTBEAT: main mode << 16 | sub mode << 24."""
 
     MANUAL = 1 << 16
@@ -38,12 +38,12 @@ class Mode(IntEnum):
     LAND = 4 << 16 | 6 << 24
 
 
-_STICK_MODES = (Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.ACRO, Mode.STABILIZED)
-_NEED_POSITION = (Mode.POSCTL, Mode.OFFBOARD, Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL)
+_STICK_MODES = (Px4Mode.MANUAL, Px4Mode.ALTCTL, Px4Mode.POSCTL, Px4Mode.ACRO, Px4Mode.STABILIZED)
+_NEED_POSITION = (Px4Mode.POSCTL, Px4Mode.OFFBOARD, Px4Mode.TAKEOFF, Px4Mode.LOITER, Px4Mode.MISSION, Px4Mode.RTL)
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class Px4Condition:
     """What the commander looks at, 50 times a second."""
 
     now_s: float
@@ -96,21 +96,21 @@ class MissionComputer:
             self._say(CRITICAL, "Connection to mission computer lost")
 
 
-class Commander:
+class Px4Commander:
     """Mode and arming state. say(severity, text) sends a STATUSTEXT."""
 
-    def __init__(self, parameters: Parameters, seed: int, say: Callable[[int, str], None]) -> None:
+    def __init__(self, parameters: Px4Parameters, seed: int, say: Callable[[int, str], None]) -> None:
         self._random = random.Random(seed)
         self._say = say
         self.stream, self.companion = OffboardStream(), MissionComputer(say)
-        self.mode = Mode.LOITER
+        self.mode = Px4Mode.LOITER
         self.armed = False
         self.armed_at_s = math.inf
         self.origin_at_s = math.inf
         self.heading_known = False
         self.failsafes: list[str] = []
-        self._wanted = Mode.LOITER
-        self._before_land = Mode.LOITER
+        self._wanted = Px4Mode.LOITER
+        self._before_land = Px4Mode.LOITER
         self._invalid_since_s = math.inf
         self._reaction_s = 0.0
         self._landed_since_s = math.inf
@@ -118,7 +118,7 @@ class Commander:
         self._answered: set[str] = set()
         self.configure(parameters)
 
-    def configure(self, parameters: Parameters) -> None:
+    def configure(self, parameters: Px4Parameters) -> None:
         """Take over changed parameters. Raises ValueError for a failsafe action that is not simulated."""
         p = parameters
         self.stream.timeout_s, self.companion.timeout_s = p["COM_OF_LOSS_T"], p["COM_OBC_LOSS_T"]
@@ -136,25 +136,25 @@ class Commander:
 
     # -- requests -------------------------------------------------------------------------------------------------
 
-    def request_mode(self, wanted: int, condition: Condition) -> int:
+    def request_mode(self, wanted: int, condition: Px4Condition) -> int:
         """DO_SET_MODE. The answer 0 is no proof for OFFBOARD: without a stream the mode stays, and engages later."""
         try:
-            mode = Mode(wanted)
+            mode = Px4Mode(wanted)
         except ValueError:
             return DENIED
-        if mode in (Mode.MISSION, Mode.RTL) or (mode in _STICK_MODES and condition.rc_lost_s > 0.0):
+        if mode in (Px4Mode.MISSION, Px4Mode.RTL) or (mode in _STICK_MODES and condition.rc_lost_s > 0.0):
             return self._refuse(mode)
-        if self.armed and mode is not Mode.OFFBOARD and mode in _NEED_POSITION and not condition.position_valid:
+        if self.armed and mode is not Px4Mode.OFFBOARD and mode in _NEED_POSITION and not condition.position_valid:
             return self._refuse(mode)
-        if self.armed and mode is Mode.LOITER and not self.has_global(condition.now_s):
+        if self.armed and mode is Px4Mode.LOITER and not self.has_global(condition.now_s):
             return self._refuse(mode)  # Hold needs a global position (read)
         self._wanted = mode
-        if mode is Mode.OFFBOARD and not self.stream.available(condition.now_s):
+        if mode is Px4Mode.OFFBOARD and not self.stream.available(condition.now_s):
             return ACCEPTED
         self._enter(mode)
         return ACCEPTED
 
-    def request_arming(self, arm: bool, force: bool, condition: Condition) -> int:
+    def request_arming(self, arm: bool, force: bool, condition: Px4Condition) -> int:
         """MAV_CMD_COMPONENT_ARM_DISARM."""
         if arm == self.armed:
             return ACCEPTED
@@ -175,15 +175,15 @@ class Commander:
         self._say(INFO, "Armed by external command")
         return ACCEPTED
 
-    def arming_refusal(self, condition: Condition) -> str:
+    def arming_refusal(self, condition: Px4Condition) -> str:
         """Why the vehicle cannot be armed in the mode it was asked for; '' if it can. Also the PREARM bit."""
-        if self._wanted is Mode.OFFBOARD and not self.stream.available(condition.now_s):
+        if self._wanted is Px4Mode.OFFBOARD and not self.stream.available(condition.now_s):
             return "No offboard signal"
-        if self._wanted in (Mode.LAND, Mode.RTL):
+        if self._wanted in (Px4Mode.LAND, Px4Mode.RTL):
             return "Mode not suitable for takeoff"
         if self._wanted in _NEED_POSITION and not condition.position_valid:
             return "Position estimate required"
-        if self._wanted is Mode.LOITER and not self.has_global(condition.now_s):
+        if self._wanted is Px4Mode.LOITER and not self.has_global(condition.now_s):
             return "Global position estimate required"
         if condition.battery <= self._battery_low:
             return "Low battery"
@@ -195,36 +195,36 @@ class Commander:
         """Whether the estimator has had an origin long enough for a global position, and knows where north is."""
         return self.heading_known and now_s - self.origin_at_s >= _PREARM_AFTER_ORIGIN_S
 
-    def takeover(self, mode: Mode) -> None:
+    def takeover(self, mode: Px4Mode) -> None:
         """A pilot's switch: wins at once and ends any request."""
         self._wanted = mode
         self._enter(mode)
 
     # -- 50 Hz ----------------------------------------------------------------------------------------------------
 
-    def step(self, condition: Condition) -> None:
+    def step(self, condition: Px4Condition) -> None:
         """Miss the companion, engage a pending OFFBOARD, look for trouble, disarm after landing."""
         now = condition.now_s
         self.companion.step(now)
         self._invalid_since_s = math.inf if condition.position_valid else min(self._invalid_since_s, now)
-        pending = self._wanted is Mode.OFFBOARD and self.mode is not Mode.OFFBOARD
+        pending = self._wanted is Px4Mode.OFFBOARD and self.mode is not Px4Mode.OFFBOARD
         if pending and self.stream.available(now) and (condition.position_valid or not self.armed):
-            self._enter(Mode.OFFBOARD)
+            self._enter(Px4Mode.OFFBOARD)
         if self.armed:
             self._watch(condition)
             self._disarm_by_itself(condition)
 
-    def _watch(self, c: Condition) -> None:
-        landing = self.mode is Mode.LAND
+    def _watch(self, c: Px4Condition) -> None:
+        landing = self.mode is Px4Mode.LAND
         if self.mode in _NEED_POSITION and c.now_s - self._invalid_since_s >= _POSE_LOSS_HYSTERESIS_S:
-            self._fail("pose", "position estimate lost", Mode.LAND)
-        elif self.mode is Mode.OFFBOARD and self._stream_dead(c.now_s):
-            action = {0: Mode.POSCTL, 4: Mode.LAND, 5: Mode.LOITER}[self._offboard_action]
+            self._fail("pose", "position estimate lost", Px4Mode.LAND)
+        elif self.mode is Px4Mode.OFFBOARD and self._stream_dead(c.now_s):
+            action = {0: Px4Mode.POSCTL, 4: Px4Mode.LAND, 5: Px4Mode.LOITER}[self._offboard_action]
             self._fail("stream", "offboard signal lost", action)
         elif not landing and c.battery <= self._battery_critical and self._low_battery_action >= 2:
-            self._fail("battery", "battery critical", Mode.LAND)
+            self._fail("battery", "battery critical", Px4Mode.LAND)
         elif not landing and self._rc_needed and c.rc_lost_s > self._rc_loss_s + self._act_delay_s and self._rc_action == 3:
-            self._fail("rc", "manual control lost", Mode.LAND)
+            self._fail("rc", "manual control lost", Px4Mode.LAND)
         elif not landing:
             self._watch_fence(c)
 
@@ -235,18 +235,18 @@ class Commander:
             return False
         return silent >= self.stream.timeout_s + self._reaction_s
 
-    def _watch_fence(self, c: Condition) -> None:
+    def _watch_fence(self, c: Px4Condition) -> None:
         """Inert without a home: the comparison with NaN is false."""
         out = 0.0 < self._fence_xy < c.distance_from_home_m or 0.0 < self._fence_z < c.height_above_home_m
         if not out or self._fence_action < 2:
             return
         if "fence" not in self._answered and self._fence_since_s == math.inf:
             self._fence_since_s = c.now_s
-            self._fail("fence hold", "geofence breached", Mode.LOITER)
+            self._fail("fence hold", "geofence breached", Px4Mode.LOITER)
         elif c.now_s - self._fence_since_s >= self._act_delay_s and self._fence_action == 5:
-            self._fail("fence", "geofence breached", Mode.LAND)
+            self._fail("fence", "geofence breached", Px4Mode.LAND)
 
-    def _disarm_by_itself(self, c: Condition) -> None:
+    def _disarm_by_itself(self, c: Px4Condition) -> None:
         if not c.landed:
             self._landed_since_s = math.inf
             return
@@ -259,7 +259,7 @@ class Commander:
 
     # -- transitions ----------------------------------------------------------------------------------------------
 
-    def _fail(self, key: str, cause: str, mode: Mode) -> None:
+    def _fail(self, key: str, cause: str, mode: Px4Mode) -> None:
         if key in self._answered:
             return
         self._answered.add(key)
@@ -268,10 +268,10 @@ class Commander:
         self.failsafes.append(f"{cause}: {mode.name}")
         self._say(EMERGENCY, f"Failsafe activated: {cause}, {mode.name.lower()}")
 
-    def _enter(self, mode: Mode) -> None:
-        if mode is Mode.LAND and self.mode is not Mode.LAND:
+    def _enter(self, mode: Px4Mode) -> None:
+        if mode is Px4Mode.LAND and self.mode is not Px4Mode.LAND:
             self._before_land = self.mode
-        if mode is not Mode.LAND:
+        if mode is not Px4Mode.LAND:
             self._answered.discard("stream")
             self._answered.discard("pose")
         self.mode = mode
@@ -281,10 +281,10 @@ class Commander:
         self.armed_at_s = math.inf
         self._fence_since_s = math.inf
         self._say(INFO, f"Disarmed {how}")
-        if self.mode is Mode.LAND:  # measured: the mode reverts, usually to OFFBOARD
+        if self.mode is Px4Mode.LAND:  # measured: the mode reverts, usually to OFFBOARD
             self._wanted = self._before_land
             self.mode = self._before_land
 
-    def _refuse(self, mode: Mode) -> int:
+    def _refuse(self, mode: Px4Mode) -> int:
         self._say(CRITICAL, f"Switching to {mode.name.capitalize()} is currently not available")
         return TEMPORARILY_REJECTED

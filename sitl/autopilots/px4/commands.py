@@ -7,22 +7,22 @@ import random
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.base_commands import DENIED, FAILED, FORCE, FORCE_SET, NO_YAW, NO_YAW_RATE, Requests
+from sitl.autopilots.base_commands import DENIED, FAILED, FORCE, FORCE_SET, NO_YAW, NO_YAW_RATE, BaseCommands
 from sitl.autopilots.ekf import ExternalPose
-from sitl.autopilots.mavlink_codec import Heard, packet
+from sitl.autopilots.mavlink_codec import ReceivedMessage, packet
 from sitl.autopilots.mavlink_server import MavlinkServer
 from sitl.autopilots.position_controller import ControlSetpoint
-from sitl.autopilots.px4.commander import Mode
-from sitl.autopilots.px4.state import State
+from sitl.autopilots.px4.commander import Px4Mode
+from sitl.autopilots.px4.state import Px4State
 
 _DUPLICATE_ACKS = 0.5  # share of DO_SET_MODE that is acknowledged twice
 _POSE_FRAMES = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_LOCAL_NED)
 
 
-class Commands(Requests):
+class Px4Commands(BaseCommands):
     """PX4's own: heartbeats, setpoints, poses, TIMESYNC, modes, arming and the origin."""
 
-    def __init__(self, state: State, server: MavlinkServer, seed: int) -> None:
+    def __init__(self, state: Px4State, server: MavlinkServer, seed: int) -> None:
         super().__init__(state, server)
         self._s = state
         self._random = random.Random(seed)
@@ -38,11 +38,11 @@ class Commands(Requests):
 
     # -- streams --------------------------------------------------------------------------------------------------
 
-    def _heartbeat(self, message: Heard, _arrival_s: float) -> None:
+    def _heartbeat(self, message: ReceivedMessage, _arrival_s: float) -> None:
         if message.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER:
             self._s.commander.companion.heard(self._s.now_s)
 
-    def _setpoint(self, message: Heard, arrival_s: float) -> None:
+    def _setpoint(self, message: ReceivedMessage, arrival_s: float) -> None:
         """Masked fields become NaN; a setpoint that controls nothing is no proof of life (PX4 mavlink_receiver)."""
         s = self._s
         mask = message.type_mask
@@ -57,10 +57,10 @@ class Commands(Requests):
         yaw_rate = math.nan if mask & NO_YAW_RATE else message.yaw_rate
         s.flight.offboard = ControlSetpoint((f[0], f[1], f[2]), (f[3], f[4], f[5]), (f[6], f[7], f[8]), yaw, yaw_rate)
         s.commander.stream.arrived(s.now_s)
-        if s.commander.armed and s.commander.mode is Mode.OFFBOARD:
+        if s.commander.armed and s.commander.mode is Px4Mode.OFFBOARD:
             self.setpoint_arrivals_s.append(arrival_s)
 
-    def _odometry(self, message: Heard, arrival_s: float) -> None:
+    def _odometry(self, message: ReceivedMessage, arrival_s: float) -> None:
         """External vision. Other frames are not poses of the body and are dropped without a word."""
         s = self._s
         if message.frame_id not in _POSE_FRAMES or message.child_frame_id != mavlink.MAV_FRAME_BODY_FRD:
@@ -84,7 +84,7 @@ class Commands(Requests):
             )
         )
 
-    def _timesync(self, message: Heard, arrival_s: float) -> None:
+    def _timesync(self, message: ReceivedMessage, arrival_s: float) -> None:
         s = self._s
         if message.tc1 == 0:  # a question
             self._answer_timesync(message)
@@ -94,7 +94,7 @@ class Commands(Requests):
 
     # -- origin ---------------------------------------------------------------------------------------------------
 
-    def _origin(self, message: Heard, _arrival_s: float) -> None:
+    def _origin(self, message: ReceivedMessage, _arrival_s: float) -> None:
         """Before the first fused pose it drags the local height to the origin's altitude (measured: z = 488 m)."""
         s = self._s
         if s.commander.armed:
@@ -128,9 +128,9 @@ class Commands(Requests):
         if command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             return s.commander.request_arming(p[0] > 0.5, p[1] == FORCE, s.condition())
         if command == mavlink.MAV_CMD_NAV_LAND:
-            return s.commander.request_mode(Mode.LAND, s.condition())
+            return s.commander.request_mode(Px4Mode.LAND, s.condition())
         return None
 
-    def _set_mode(self, message: Heard, _arrival_s: float) -> None:
+    def _set_mode(self, message: ReceivedMessage, _arrival_s: float) -> None:
         """The old message: no acknowledgement."""
         self._s.commander.request_mode(message.custom_mode, self._s.condition())

@@ -10,11 +10,11 @@ import math
 
 from sitl.autopilots.ekf import Estimator
 from sitl.autopilots.land_detector import LandDetector
-from sitl.autopilots.pilot_view import Eyes
-from sitl.autopilots.position_controller import Controller, ControlSetpoint
-from sitl.autopilots.px4.commander import Mode
-from sitl.autopilots.px4.parameters import Parameters
-from sitl.autopilots.px4.trajectory_smoothing import Smoothing
+from sitl.autopilots.pilot_view import PilotView
+from sitl.autopilots.position_controller import ControlSetpoint, PositionController
+from sitl.autopilots.px4.commander import Px4Mode
+from sitl.autopilots.px4.parameters import Px4Parameters
+from sitl.autopilots.px4.trajectory_smoothing import TrajectorySmoothing
 from sitl.autopilots.px4.tuning import control_gains, smoothing_limits
 from sitl.geometry.quaternion import Vec3
 from sitl.world.quadrotor import GRAVITY_MPS2
@@ -24,27 +24,27 @@ _IDLE: Vec3 = (0.0, 0.0, -0.1 * GRAVITY_MPS2)
 _STOP = ControlSetpoint(velocity=(0.0, 0.0, 0.0))
 
 
-class Flight:
+class Px4FlightTasks:
     """Turns mode and setpoint into a wanted specific force and yaw rate, and knows whether the vehicle has landed."""
 
-    def __init__(self, parameters: Parameters) -> None:
-        self._controller = Controller(control_gains(parameters))
+    def __init__(self, parameters: Px4Parameters) -> None:
+        self._controller = PositionController(control_gains(parameters))
         self._ground = LandDetector(_LAND_DETECT_S)
         self.offboard = ControlSetpoint()
         self.active = ControlSetpoint()
         self.has_flown = False
-        self._mode: Mode | None = None
+        self._mode: Px4Mode | None = None
         self._entry: Vec3 = (0.0, 0.0, 0.0)  # where a mode of its own began
         self._course = (0.0, 0.0)
         self._stop_m = 0.0  # ahead of the entry, on the course
-        self._level, self._down = Smoothing(), Smoothing()
+        self._level, self._down = TrajectorySmoothing(), TrajectorySmoothing()
         self._hold_yaw = 0.0
         self._ramp_s = -1.0  # time since the take-off began, negative before
         self._armed_s = 0.0
         self._ground_down = 0.0
         self.configure(parameters)
 
-    def configure(self, parameters: Parameters) -> None:
+    def configure(self, parameters: Px4Parameters) -> None:
         """Take over changed parameters."""
         p = parameters
         self._controller.configure(control_gains(p))
@@ -75,9 +75,9 @@ class Flight:
     @property
     def takeoff_complete(self) -> bool:
         """Whether take-off mode reached its height."""
-        return self._mode is Mode.TAKEOFF and not self.landed and self._arrived
+        return self._mode is Px4Mode.TAKEOFF and not self.landed and self._arrived
 
-    def step(self, dt_s: float, armed: bool, mode: Mode, estimator: Estimator | Eyes) -> tuple[Vec3, float]:
+    def step(self, dt_s: float, armed: bool, mode: Px4Mode, estimator: Estimator | PilotView) -> tuple[Vec3, float]:
         """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s)."""
         position, velocity = estimator.position, estimator.velocity
         if mode is not self._mode:
@@ -98,7 +98,7 @@ class Flight:
             self._ramp_s += dt_s
             limit = self._ramped_mps(mode)
         if not estimator.horizontal_valid:
-            down = setpoint.velocity[2] if mode is Mode.LAND else 0.0
+            down = setpoint.velocity[2] if mode is Px4Mode.LAND else 0.0
             force, turn = self._controller.level(dt_s, velocity[2], down), 0.0
         else:
             a = estimator.acceleration
@@ -107,26 +107,26 @@ class Flight:
             self._ramp_s = -1.0
         return force, turn
 
-    def _begin(self, mode: Mode, position: Vec3, velocity: Vec3, yaw: float) -> None:
+    def _begin(self, mode: Px4Mode, position: Vec3, velocity: Vec3, yaw: float) -> None:
         """A trajectory from the motion there is to where braking ends."""
         self._mode = mode
         self._arrived = False
         speed = math.hypot(velocity[0], velocity[1])
         self._course = (velocity[0] / speed, velocity[1] / speed) if speed > 0.0 else (0.0, 0.0)
         self._entry, self._stop_m = position, self._limits[0].stopping_m(speed)
-        self._level, self._down = Smoothing(0.0, speed), Smoothing(position[2], velocity[2])
+        self._level, self._down = TrajectorySmoothing(0.0, speed), TrajectorySmoothing(position[2], velocity[2])
         self._hold_yaw = yaw
 
-    def _wanted(self, mode: Mode, position: Vec3, dt_s: float) -> ControlSetpoint:
-        if mode is Mode.OFFBOARD:
+    def _wanted(self, mode: Px4Mode, position: Vec3, dt_s: float) -> ControlSetpoint:
+        if mode is Px4Mode.OFFBOARD:
             return self.offboard if self.offboard.valid else _STOP
         level, up, down = self._limits
         self._level.step(dt_s, level.speed_towards(self._stop_m - self._level.position), level)
-        if mode is Mode.LAND:
+        if mode is Px4Mode.LAND:
             self._down.step(dt_s, self._landing_speed(position[2]), down)
             return self._on_course(math.nan)
         top = self._entry[2]
-        if mode is Mode.TAKEOFF:
+        if mode is Px4Mode.TAKEOFF:
             top = self._ground_down - self._takeoff_height
             self._arrived = position[2] - top < 0.05
             self._down.position = position[2]  # the ramp, not the trajectory, says how high it is
@@ -155,7 +155,7 @@ class Flight:
         if self._armed_s < self._spoolup_s:
             return False
         wanted = setpoint.position[2] < position[2] - 0.1 or setpoint.velocity[2] < -0.1
-        if not self._arrived if self._mode is Mode.TAKEOFF else wanted:
+        if not self._arrived if self._mode is Px4Mode.TAKEOFF else wanted:
             self._ramp_s = max(self._ramp_s, 0.0)
         if self._ramp_s < 0.0:
             return False
@@ -164,9 +164,9 @@ class Flight:
             self.has_flown = True
         return True
 
-    def _ramped_mps(self, mode: Mode) -> float:
+    def _ramped_mps(self, mode: Px4Mode) -> float:
         """The climb rate that the ramp allows: from so far below nought that there is no thrust (read, and flown on 1.17)."""
-        most = self._takeoff_speed if mode is Mode.TAKEOFF else self._speed_up
+        most = self._takeoff_speed if mode is Px4Mode.TAKEOFF else self._speed_up
         return self._no_thrust_mps + min(1.0, self._ramp_s / max(self._ramp_t, 1e-3)) * (most - self._no_thrust_mps)
 
     def _rest(self, position: Vec3) -> None:
@@ -175,4 +175,4 @@ class Flight:
         self._ground.rest()
         self._ground_down = position[2]
         self._entry, self._stop_m = position, 0.0
-        self._level, self._down = Smoothing(), Smoothing(position[2])
+        self._level, self._down = TrajectorySmoothing(), TrajectorySmoothing(position[2])

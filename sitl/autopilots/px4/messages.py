@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.base_messages import Telling
+from sitl.autopilots.base_messages import BaseMessages
 from sitl.autopilots.mavlink_codec import Packet, packet
-from sitl.autopilots.px4.commander import Mode
-from sitl.autopilots.px4.state import State
+from sitl.autopilots.px4.commander import Px4Mode
+from sitl.autopilots.px4.state import Px4State
 from sitl.geometry.quaternion import conjugate, rotate
 
 _CAPABILITIES = (
@@ -22,14 +22,14 @@ _CAPABILITIES = (
 )
 _VERSION_1_17_0 = 1 << 24 | 17 << 16 | 0 << 8 | 255  # major, minor, patch, official release
 _UID = 0x5349544C50583401
-_HALF_LIFTED = {Mode.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF, Mode.LAND: mavlink.MAV_LANDED_STATE_LANDING}
+_HALF_LIFTED = {Px4Mode.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF, Px4Mode.LAND: mavlink.MAV_LANDED_STATE_LANDING}
 _NAN21 = [math.nan] * 21
 
 
-class Messages(Telling):
+class Px4Messages(BaseMessages):
     """PX4's own beside the shared ones."""
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, state: Px4State) -> None:
         super().__init__(state)
         self._s = state
 

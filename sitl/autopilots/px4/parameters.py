@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sitl.autopilots.parameter_table import INT32, REAL32, ParameterError, ParameterTable
 
-__all__ = ["DEFAULT_FILE", "INT32", "REAL32", "ParameterError", "Parameters"]
+__all__ = ["DEFAULT_FILE", "INT32", "REAL32", "ParameterError", "Px4Parameters"]
 
 # Defaults of PX4 v1.17 for what the simulated autopilot obeys or a companion reads back before arming.
 _DEFAULTS: dict[str, int | float] = {
@@ -41,16 +41,16 @@ _DEFAULTS: dict[str, int | float] = {
 DEFAULT_FILE = Path(__file__).resolve().parents[3] / "firmware_params" / "px4_indoor.params"
 
 
-class Parameters(ParameterTable):
+class Px4Parameters(ParameterTable):
     """PX4's table."""
 
     def __init__(self) -> None:
         super().__init__(_DEFAULTS)
 
     @staticmethod
-    def load(path: Path = DEFAULT_FILE) -> Parameters:
+    def load(path: Path = DEFAULT_FILE) -> Px4Parameters:
         """Defaults with a file over them. Raises ParameterError for an unknown name, a bad line or a bad value."""
-        parameters = Parameters()
+        parameters = Px4Parameters()
         parameters._read(path, parameters._take_line)
         return parameters
 

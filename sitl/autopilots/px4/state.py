@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from sitl.autopilots.autopilot_state import Board
-from sitl.autopilots.px4.commander import Commander, Condition
-from sitl.autopilots.px4.flight_tasks import Flight
-from sitl.autopilots.px4.timesync import TimeSync
+from sitl.autopilots.autopilot_state import AutopilotState
+from sitl.autopilots.px4.commander import Px4Commander, Px4Condition
+from sitl.autopilots.px4.flight_tasks import Px4FlightTasks
+from sitl.autopilots.px4.timesync import Px4Timesync
 
 
 @dataclass(slots=True, kw_only=True)
-class State(Board):
+class Px4State(AutopilotState):
     """Owned by Px4."""
 
-    commander: Commander
-    flight: Flight
-    timesync: TimeSync = field(default_factory=TimeSync)
+    commander: Px4Commander
+    flight: Px4FlightTasks
+    timesync: Px4Timesync = field(default_factory=Px4Timesync)
 
-    def condition(self) -> Condition:
+    def condition(self) -> Px4Condition:
         """What the commander judges by."""
         distance_m, height_m = self.from_home_m
-        return Condition(
+        return Px4Condition(
             now_s=self.now_s,
             position_valid=self.estimator.horizontal_valid,
             landed=self.flight.landed,

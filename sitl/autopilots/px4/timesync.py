@@ -15,7 +15,7 @@ _MAX_DEVIATION_US = 100_000
 _MAX_DEVIATIONS = 5
 
 
-class TimeSync:
+class Px4Timesync:
     """Keeps local - remote, in microseconds."""
 
     def __init__(self) -> None:

@@ -13,7 +13,7 @@ _STOP_DELAY_S = 0.6  # preproject_stop_point(): accel_delay_max / jerk
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class SmoothingLimits:
     """Of one line. SI."""
 
     speed: float
@@ -31,13 +31,13 @@ class Limits:
         return math.copysign(min(most, self.speed), distance_m)
 
 
-class Smoothing:
+class TrajectorySmoothing:
     """A motion along a line, in the shortest time to a wanted speed. position, velocity, acceleration: where it is now. SI."""
 
     def __init__(self, position: float = 0.0, velocity: float = 0.0) -> None:
         self.position, self.velocity, self.acceleration = position, velocity, 0.0
 
-    def step(self, dt_s: float, wanted: float, limits: Limits) -> None:
+    def step(self, dt_s: float, wanted: float, limits: SmoothingLimits) -> None:
         """Advance by dt_s towards a speed: jerk up to a peak of acceleration, hold it, jerk back to none, go on."""
         jerk = limits.jerk
         at_rest = self.velocity + self.acceleration * abs(self.acceleration) / (2.0 * jerk)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 
-from sitl.autopilots.ekf import Tuning
-from sitl.autopilots.position_controller import Gains
-from sitl.autopilots.px4.parameters import Parameters
-from sitl.autopilots.px4.trajectory_smoothing import Limits
+from sitl.autopilots.ekf import EstimatorTuning
+from sitl.autopilots.position_controller import ControlGains
+from sitl.autopilots.px4.parameters import Px4Parameters
+from sitl.autopilots.px4.trajectory_smoothing import SmoothingLimits
 from sitl.world.quadrotor import GRAVITY_MPS2
 
 _REJECT_S = 1.0  # no_aid_timeout_max: then reset to vision
 _RESETS_IN_AIR = 5
 
 
-def estimator_tuning(p: Parameters) -> Tuning:
+def estimator_tuning(p: Px4Parameters) -> EstimatorTuning:
     """EKF2. Measured with EKF2_NOAID_TOUT = 5 s: the position flag falls 4.7 s after the last pose."""
     control = p.integer("EKF2_EV_CTRL")
     no_aid_s = max(p["EKF2_NOAID_TOUT"], 500000.0) * 1e-6
-    return Tuning(
+    return EstimatorTuning(
         fuse_xy=bool(control & 1),
         fuse_z=bool(control & 2),
         fuse_yaw=bool(control & 8),
@@ -34,10 +34,10 @@ def estimator_tuning(p: Parameters) -> Tuning:
     )
 
 
-def control_gains(p: Parameters) -> Gains:
+def control_gains(p: Px4Parameters) -> ControlGains:
     """mc_pos_control: tilt and thrust limit it, no parameter of acceleration does (read)."""
     hover = p["MPC_THR_HOVER"]
-    return Gains(
+    return ControlGains(
         xy_p=p["MPC_XY_P"],
         z_p=p["MPC_Z_P"],
         yaw_p=p["MC_YAW_P"],
@@ -53,11 +53,11 @@ def control_gains(p: Parameters) -> Gains:
     )
 
 
-def smoothing_limits(p: Parameters) -> tuple[Limits, Limits, Limits]:
+def smoothing_limits(p: Px4Parameters) -> tuple[SmoothingLimits, SmoothingLimits, SmoothingLimits]:
     """Of FlightTaskAuto: level, upwards, downwards."""
     jerk = p["MPC_JERK_AUTO"]
     return (
-        Limits(min(p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"]), p["MPC_ACC_HOR"], jerk),
-        Limits(p["MPC_Z_V_AUTO_UP"], p["MPC_ACC_UP_MAX"], jerk),
-        Limits(p["MPC_Z_V_AUTO_DN"], p["MPC_ACC_DOWN_MAX"], jerk),
+        SmoothingLimits(min(p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"]), p["MPC_ACC_HOR"], jerk),
+        SmoothingLimits(p["MPC_Z_V_AUTO_UP"], p["MPC_ACC_UP_MAX"], jerk),
+        SmoothingLimits(p["MPC_Z_V_AUTO_DN"], p["MPC_ACC_DOWN_MAX"], jerk),
     )

@@ -15,18 +15,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from sitl.apps.sim_options import AUTOPILOTS, UsageError, check_jobs, check_program
 from sitl.apps.sweep_case import one_thread
 from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, fly
-from sitl.faults.injectors.base import Needs
+from sitl.faults.injectors.base import Capabilities
 from sitl.faults.report.html_page import write_page
 from sitl.faults.report.scenario_result import Result, result_of
 from sitl.faults.soak import SOAKS
 from sitl.faults.table.all_scenarios import NAMED, PAIRS, ROWS, TABLE
-from sitl.faults.table.scenario import Row
-from sitl.runtime.worker_pool import crew
-from uav_recon.app.option_validation import looked_at, need_file, need_folder
-from uav_recon.errors import Failure
+from sitl.faults.table.scenario import Scenario
+from sitl.runtime.worker_pool import worker_pool
+from uav_recon.app.option_validation import readable, require_writable_file, require_writable_folder
+from uav_recon.errors import UserError
 
 BOTH = "both"
-FIRMWARE_OFFERS = {"px4": Needs.PROCESSES | Needs.LINE, "ardupilot": Needs.PROCESSES | Needs.LINE | Needs.STICKS}
+FIRMWARE_OFFERS = {"px4": Capabilities.PROCESSES | Capabilities.LINE, "ardupilot": Capabilities.PROCESSES | Capabilities.LINE | Capabilities.STICKS}
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class FaultOptions:
     real one in its place, always live.
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[Scenario, ...]
     autopilots: tuple[str, ...]
     seeds: int
     jobs: int
@@ -74,7 +74,7 @@ class FaultOptions:
         jobs = 1 if one_by_one else check_jobs(jobs)
         return FaultOptions(rows, personalities, seeds, jobs, json, out, one_by_one, firmware, seed0)
 
-    def cases(self, row: Row, autopilot: str) -> list[FaultCase]:
+    def cases(self, row: Scenario, autopilot: str) -> list[FaultCase]:
         """The flights of a row; none for one that cannot be flown here."""
         if not _flown(autopilot, self.live, self.firmware)(row):
             return []
@@ -96,13 +96,13 @@ class FaultOptions:
         return list(groups.values())
 
 
-def _in_order(names: Sequence[str]) -> tuple[Row, ...]:
+def _in_order(names: Sequence[str]) -> tuple[Scenario, ...]:
     """The rows that are meant, in the order of the table; soaks and pairs behind it."""
     meant = {row.id for name in names for row in NAMED[name]}
     return tuple(row for row in ROWS.values() if row.id in meant)
 
 
-def _flown(autopilot: str, live: bool, firmware: Path | None) -> Callable[[Row], bool]:
+def _flown(autopilot: str, live: bool, firmware: Path | None) -> Callable[[Scenario], bool]:
     """Which rows there are."""
     return lambda row: row.flown(live) if firmware is None else row.flown_by(FIRMWARE_OFFERS[autopilot])
 
@@ -111,12 +111,12 @@ def faults(options: FaultOptions) -> int:
     """Fly them; returns 1 if any row failed, else 0. Raises Failure."""
     console, results = Console(), list[Result]()
     groups = options.groups()
-    with looked_at(f"--out {options.out}"):
+    with readable(f"--out {options.out}"):
         taken = [case.out for group in groups for case in group if case.out is not None and case.out.exists()]
     if taken:
         raise UsageError(f"--out {options.out}: holds flights already, {taken[0].name} for one")
-    need_file("--json", options.json)
-    need_folder("--out", options.out)
+    require_writable_file("--json", options.json)
+    require_writable_folder("--out", options.out)
     one_thread()
     with contextlib.closing(_fly_all(groups, options.jobs, console)) as records:
         for result in _results(options, records):
@@ -144,7 +144,7 @@ def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Gene
     )
     with (
         Progress(*columns, console=console, disable=not console.is_terminal) as progress,
-        crew(jobs) as hands,
+        worker_pool(jobs) as hands,
     ):
         task = progress.add_task("", total=sum(map(len, groups)))
         for future in as_completed([hands.submit(fly, group) for group in groups]):
@@ -197,4 +197,4 @@ def _save(options: FaultOptions, results: list[Result]) -> None:
             options.out.mkdir(parents=True, exist_ok=True)
             write_page(options.out / "faults.html", results)
     except OSError as error:
-        raise Failure(f"{error.filename}: cannot be written ({error.strerror})") from None
+        raise UserError(f"{error.filename}: cannot be written ({error.strerror})") from None

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from sitl.faults.fault_director import Meddler
-from sitl.faults.flight_evidence import Evidence, Limits, gather
+from sitl.faults.fault_director import FaultDirector
+from sitl.faults.flight_evidence import FlightEvidence, GuardLimits, gather
 from uav_recon.config import Config
 from uav_recon.recording.flight_log import read_timeline
 
 
-def evidence_of(meddler: Meddler, config: Config, truth: Path, radius_m: float) -> Evidence:
+def evidence_of(meddler: FaultDirector, config: Config, truth: Path, radius_m: float) -> FlightEvidence:
     """Of a flight that is over. truth: what the world wrote, beside the product's own account; radius_m: of the hull."""
     safety = config.safety
-    limits = Limits(
+    limits = GuardLimits(
         safety.fence_min_m, safety.fence_max_m, safety.fence_inset_m, safety.max_speed_mps, safety.max_acceleration_mps2,
         float(np.radians(safety.max_yaw_rate_degps)),
     )  # fmt: skip

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 
 from sitl.camera.d435i import Model
 from sitl.faults.flights.collect_evidence import evidence_of
-from sitl.faults.fault import Trouble
-from sitl.faults.fault_director import Meddler, alone
-from sitl.faults.flight_evidence import Evidence
+from sitl.faults.fault import Fault
+from sitl.faults.fault_director import FaultDirector, alone
+from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.operator_silence import TIMEOUT_S
 from sitl.faults.judges.invariants import violations
 from sitl.faults.table.all_scenarios import ROWS
 from sitl.faults.table.arenas import arena
-from sitl.faults.table.scenario import Arena, Row, Verdict, judge
-from sitl.runtime.process_fork import Fork
+from sitl.faults.table.scenario import Arena, Scenario, ScenarioVerdict, judge
+from sitl.runtime.process_fork import FlightFork
 from sitl.scene.scene import HULL_RADIUS_M
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class FaultRecord:
     """What came of a case; trace: of a program that broke. firmware: the version of a real one, "" for none."""
 
     case: FaultCase
-    verdict: Verdict
+    verdict: ScenarioVerdict
     simulated_s: float = 0.0
     trace: str = ""
     firmware: str = ""
@@ -97,14 +97,14 @@ def fly_together(cases: Sequence[FaultCase]) -> list[FaultRecord]:
 
     An exception of a flight's program breaks its row, not the campaign, and so does the end of its process.
     """
-    with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder, Fork[list[FaultRecord]](Path(folder)) as fork:
+    with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder, FlightFork[list[FaultRecord]](Path(folder)) as fork:
         return _Together(cases, Path(folder), fork).records()
 
 
 class _Together:
     """left: the cases that this process flies, by their rows."""
 
-    def __init__(self, cases: Sequence[FaultCase], folder: Path, fork: Fork[list[FaultRecord]]) -> None:
+    def __init__(self, cases: Sequence[FaultCase], folder: Path, fork: FlightFork[list[FaultRecord]]) -> None:
         self._left, self._folder, self._fork = {case.row: case for case in cases}, folder, fork
         self._elsewhere: list[FaultRecord] = []
         self._stage = cases[0].stage
@@ -131,7 +131,7 @@ class _Together:
         return False
 
 
-def record_of(case: FaultCase, evidence: Evidence) -> FaultRecord:
+def record_of(case: FaultCase, evidence: FlightEvidence) -> FaultRecord:
     """Judged."""
     row = ROWS[case.row]
     verdict = judge(row, evidence, violations(evidence, row.room))
@@ -142,10 +142,10 @@ def broken(case: FaultCase, error: Exception) -> FaultRecord:
     """It tells why."""
     said = f"{type(error).__name__}: {error}".splitlines()[0]
     trace = "".join(traceback.format_exception(error))
-    return FaultRecord(case, Verdict((float("nan"),) * len(ROWS[case.row].bars), (said,)), trace=trace)
+    return FaultRecord(case, ScenarioVerdict((float("nan"),) * len(ROWS[case.row].bars), (said,)), trace=trace)
 
 
-def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str], bool] = alone) -> Evidence:
+def flight(rows: Sequence[Scenario], stage: Stage, folder: Path, split: Callable[[str], bool] = alone) -> FlightEvidence:
     """Fly rows' troubles in lockstep, and gather what their judges may look at. folder: for all that the flight writes, the
     product's account in its `flight`. split: of Meddler. Raises whatever the flight raises.
     """
@@ -172,10 +172,10 @@ def flight(rows: Sequence[Row], stage: Stage, folder: Path, split: Callable[[str
     config = attended(options.config(scene, folder))
     product_config.save(config, options.out / "config.toml")
     troubles = [
-        Trouble(row.id, [*row.injectors(stage.number), *hostile(row.id, config)], row.onset, row.longest_s, row.stands_s)
+        Fault(row.id, [*row.injectors(stage.number), *hostile(row.id, config)], row.onset, row.longest_s, row.stands_s)
         for row in rows
     ]
-    meddler = Meddler(troubles, stage.number, split=split)
+    meddler = FaultDirector(troubles, stage.number, split=split)
     fly_in_lockstep(options, config, scene, Console(quiet=True), meddler.lands, timelapse=False, meddler=meddler)
     return evidence_of(meddler, config, options.out / "truth.npz", options.radius_m)
 
@@ -185,7 +185,7 @@ def attended(config: Config) -> Config:
     return config.model_copy(update={"mission": config.mission.model_copy(update={"operator_timeout_s": TIMEOUT_S})})
 
 
-def flight_live(row: Row, case: FaultCase, folder: Path) -> Evidence:
+def flight_live(row: Scenario, case: FaultCase, folder: Path) -> FlightEvidence:
     """The same in real time, with the mapper that learns. Raises Failure."""
     from sitl.apps.sim_options import SimOptions
     from sitl.faults.flights.fault_flight_real_time import flight_in_real_time, free_port

@@ -11,27 +11,27 @@ from pathlib import Path
 from rich.console import Console
 
 from sitl.apps.sim_options import SimOptions
-from sitl.apps.sim_processes import Children
-from sitl.faults.flight_evidence import Evidence
-from sitl.faults.injectors.base import Needs
-from sitl.faults.process_registry import Exit, Roster
-from sitl.faults.flights.scenario_world_process import Order
+from sitl.apps.sim_processes import SimProcesses
+from sitl.faults.flight_evidence import FlightEvidence
+from sitl.faults.injectors.base import Capabilities
+from sitl.faults.process_registry import Exit, ProcessRegistry
+from sitl.faults.flights.scenario_world_process import WorldProcessOptions
 from sitl.faults.table.arenas import arena
-from sitl.faults.table.scenario import Row
+from sitl.faults.table.scenario import Scenario
 from uav_recon import config as product_config
-from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, Failure
+from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, UserError
 
 RESTART_S = {"pilot": 0.2, "perception": 0.5, "mission": 1.0}  # RestartSec of the units
 NEVER_AGAIN = (EXIT_SECOND_COPY, EXIT_CONFIG)  # their RestartPreventExitStatus
 _LOOK_S = 0.02
 
 
-class Supervised(Children):
+class Supervised(SimProcesses):
     """World and product until the world has seen enough; what ends meanwhile is started again, as the units have it."""
 
     def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path) -> None:
         super().__init__(commands, logs, runtime, Console(quiet=True))
-        self._roster, self._exits = Roster(runtime), list[Exit]()
+        self._roster, self._exits = ProcessRegistry(runtime), list[Exit]()
         self._pids: dict[str, int] = {}
         self._due_s: dict[str, float] = {}  # when a process that ended is to be started again
 
@@ -48,7 +48,7 @@ class Supervised(Children):
                 time.sleep(_LOOK_S)
             world = self._child("world")
             if world.process.returncode != 0:
-                raise Failure(f"world died: {world.last_words()}")
+                raise UserError(f"world died: {world.last_words()}")
         finally:
             self._end_all()
 
@@ -72,12 +72,12 @@ class Supervised(Children):
                 self._roster.tell(self._pids, self._exits)
 
 
-def flight_in_real_time(row: Row, options: SimOptions, runtime: Path, number: int, firmware: Path | None = None) -> Evidence:
+def flight_in_real_time(row: Scenario, options: SimOptions, runtime: Path, number: int, firmware: Path | None = None) -> FlightEvidence:
     """Fly a row's trouble with processes. options: whose folder is made. firmware: a real one, for the simulated autopilot.
     Raises Failure.
     """
     config, line = options.config(arena(row.arena, options.radius_m), runtime), None
-    if Needs.LINE in row.needs(number, live=True):
+    if Capabilities.LINE in row.needs(number, live=True):
         line = str(runtime / "autopilot")
         link = config.link.model_copy(update={"url": f"serial:{line}:921600"})
         config = config.model_copy(update={"link": link})
@@ -85,7 +85,7 @@ def flight_in_real_time(row: Row, options: SimOptions, runtime: Path, number: in
     options.world(runtime).save(runtime / "world.json")
     order = runtime / "order.json"
     binary = None if firmware is None else str(firmware)
-    Order(str(runtime / "world.json"), row.id, number, str(options.out / "config.toml"), binary, line).save(order)
+    WorldProcessOptions(str(runtime / "world.json"), row.id, number, str(options.out / "config.toml"), binary, line).save(order)
     product, given = [sys.executable, "-m", "uav_recon"], ["--config", str(options.out / "config.toml")]
     flight = ["--flight", str(options.out)]
     commands = {
@@ -95,7 +95,7 @@ def flight_in_real_time(row: Row, options: SimOptions, runtime: Path, number: in
         "mission": [*product, "mission", *given, *flight],
     }
     Supervised(commands, options.out / "logs", runtime).watch()
-    evidence: Evidence = pickle.loads(order.with_suffix(".evidence").read_bytes())  # noqa: S301 - our own world wrote it
+    evidence: FlightEvidence = pickle.loads(order.with_suffix(".evidence").read_bytes())  # noqa: S301 - our own world wrote it
     return evidence
 
 

@@ -8,7 +8,7 @@ import random
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.faults.injectors.base import Injector, Theatre
+from sitl.faults.injectors.base import Injector, InjectionContext
 from uav_recon.config import Config
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 
@@ -29,14 +29,14 @@ class HostilePlanner(Injector):
         """The sane one is silent."""
         return stage == "mission"
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Publish."""
         self._turns += 1
         if self._turns % 2 == 0:
             self._identifier += 1
             at.channels.intent.publish(Intent(at.now_s, Goal.FLY, self._trajectory(at)))
 
-    def _trajectory(self, at: Theatre) -> Trajectory:
+    def _trajectory(self, at: InjectionContext) -> Trajectory:
         dice, count = at.dice, 60
         here = np.array(at.world.flyer.truth().position)
         along = np.linspace(0.0, 1.0, count)[:, None]

@@ -12,15 +12,15 @@ from pathlib import Path
 
 from sitl.apps.world_process import WorldOptions, binary_of, make_world, make_world_of, run
 from sitl.autopilots.byte_links import UdpPeer
-from sitl.faults.autopilot_side_proxy import FarProxy
+from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
 from sitl.faults.flights.collect_evidence import evidence_of
-from sitl.faults.fault import Trouble
-from sitl.faults.fault_director import Meddler
-from sitl.faults.flight_evidence import Evidence
-from sitl.faults.process_registry import Roster
+from sitl.faults.fault import Fault
+from sitl.faults.fault_director import FaultDirector
+from sitl.faults.flight_evidence import FlightEvidence
+from sitl.faults.process_registry import ProcessRegistry
 from sitl.faults.table.all_scenarios import ROWS
 from sitl.faults.table.arenas import arena
-from sitl.outside_world import World
+from sitl.outside_world import OutsideWorld
 from sitl.real_firmware.process import FirmwareError
 from sitl.real_firmware.relay import Relay
 from sitl.runtime.serial_line import SerialLine
@@ -32,7 +32,7 @@ TURN_S = 1.0 / 60.0  # of the ledger and of the troubles
 
 
 @dataclass(frozen=True)
-class Order:
+class WorldProcessOptions:
     """world: a file of WorldOptions. row, number: whose trouble, and which of its cases. config: of the product. firmware: the
     path of a real one in the simulated autopilot's place, behind a relay that the troubles of the link can reach. line: the
     name of the serial line that the link is, where it is one.
@@ -50,24 +50,24 @@ class Order:
         path.write_text(json.dumps(asdict(self)), encoding="utf-8")
 
 
-def fly(order: Order) -> Evidence:
+def fly(order: WorldProcessOptions) -> FlightEvidence:
     """Run until there is nothing left to see. Raises OSError if a port cannot be had, FirmwareError."""
     options, row = WorldOptions.load(Path(order.world)), ROWS[order.row]
-    trouble = Trouble(row.id, row.troubles(order.number, live=True), row.onset, row.longest_s, row.stands_s)
-    meddler = Meddler([trouble], order.number, LONGEST_WAIT_S)
+    trouble = Fault(row.id, row.troubles(order.number, live=True), row.onset, row.longest_s, row.stands_s)
+    meddler = FaultDirector([trouble], order.number, LONGEST_WAIT_S)
     with contextlib.ExitStack() as ends:
         line = None if order.line is None else SerialLine(Path(order.line))
         end = ends.enter_context(contextlib.closing(line or UdpPeer(remote=("127.0.0.1", options.port))))
         world, relay = _outside(order, options, meddler.far_link(end), ends)
         meddler.enter(world, None, time.monotonic())
         at = meddler.theatre
-        at.config, at.roster, at.line = Path(order.config), Roster(Path(options.stream).parent), line
+        at.config, at.roster, at.line = Path(order.config), ProcessRegistry(Path(options.stream).parent), line
         _fly(world, relay, meddler)
         world.truth_log.save(Path(options.truth), world)
     return evidence_of(meddler, product_config.load(Path(order.config)), Path(options.truth), options.radius_m)
 
 
-def _outside(order: Order, options: WorldOptions, product: FarProxy, ends: contextlib.ExitStack) -> tuple[World, Relay | None]:
+def _outside(order: WorldProcessOptions, options: WorldOptions, product: AutopilotSideProxy, ends: contextlib.ExitStack) -> tuple[OutsideWorld, Relay | None]:
     """The world with what flies in it, and what carries its words if that is a program of its own."""
     scene = arena(ROWS[order.row].arena, options.radius_m)
     if order.firmware is None:
@@ -77,7 +77,7 @@ def _outside(order: Order, options: WorldOptions, product: FarProxy, ends: conte
     return make_world_of(binary, options, scene, relay.port, ends), relay
 
 
-def _fly(world: World, relay: Relay | None, meddler: Meddler) -> None:
+def _fly(world: OutsideWorld, relay: Relay | None, meddler: FaultDirector) -> None:
     """Until it is over."""
     turns = RateKeeper(1.0 / TURN_S, time.monotonic())
 
@@ -93,7 +93,7 @@ def _fly(world: World, relay: Relay | None, meddler: Meddler) -> None:
 
 def main(order: Path) -> None:
     """Fly as ordered; the evidence is left beside the order."""
-    evidence = fly(Order(**json.loads(order.read_text(encoding="utf-8"))))
+    evidence = fly(WorldProcessOptions(**json.loads(order.read_text(encoding="utf-8"))))
     fresh = order.with_suffix(".new")
     fresh.write_bytes(pickle.dumps(evidence))
     fresh.replace(order.with_suffix(".evidence"))

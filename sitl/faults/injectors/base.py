@@ -10,8 +10,8 @@ from typing import Any
 
 from sitl.faults.injectors.obstacle import Obstacle
 from sitl.faults.mavlink_proxy import Late, Tap
-from sitl.faults.process_registry import Roster
-from sitl.outside_world import World
+from sitl.faults.process_registry import ProcessRegistry
+from sitl.outside_world import OutsideWorld
 from sitl.runtime.serial_line import SerialLine
 from sitl.world.pose_tracker import PoseRecord
 
@@ -19,7 +19,7 @@ TAKEN_OVER = "taken over"  # note: the instant of the pilot's switch
 ATTENDED = "attended"  # note: the instant of the operator's last sign of life
 
 
-class Needs(Flag):
+class Capabilities(Flag):
     """What a trouble wants of the flight that it is in, or a flight has to give."""
 
     NOTHING = 0
@@ -31,13 +31,13 @@ class Needs(Flag):
 
 
 @dataclass
-class Theatre:
+class InjectionContext:
     """What an injector may lay hands on. dice: of the flight's seed. channels: the product's own, for hostile stages in
     lockstep. roster, config: the processes of a flight in real time, and the file that they read. line: what the link is, where
     a trouble needs it. notes: what an injector measured itself.
     """
 
-    world: World
+    world: OutsideWorld
     dice: random.Random
     channels: Any = None
     proxy: Tap | None = None
@@ -46,7 +46,7 @@ class Theatre:
     abort: bool = False  # the operator has pressed
     attends: bool = True  # the operator asks how it stands, once a second
     obstacles: list[Obstacle] = field(default_factory=list)
-    roster: Roster | None = None
+    roster: ProcessRegistry | None = None
     line: SerialLine | None = None
     config: Path | None = None
     notes: dict[str, float] = field(default_factory=dict)
@@ -57,15 +57,15 @@ class Injector:
     nothing is asked before it. Frames are whole MAVLink frames; an item given back later than now overtakes nothing before.
     """
 
-    needs: Needs = Needs.NOTHING
+    needs: Capabilities = Capabilities.NOTHING
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """The trouble begins."""
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Once in each turn of the flight."""
 
-    def end(self, at: Theatre) -> None:
+    def end(self, at: InjectionContext) -> None:
         """The flight is over: leave nothing behind."""
 
     def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import resource
 
-from sitl.faults.injectors.base import Injector, Needs, Theatre
+from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 
 
 class Stall(Injector):
@@ -12,7 +12,7 @@ class Stall(Injector):
     that does not return, in a mission that runs.
     """
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
     def __init__(self, *stages: str, for_s: float = 1e9) -> None:
         self._stages, self._for_s = stages, for_s
@@ -25,7 +25,7 @@ class Stall(Injector):
 class Crash(Injector):
     """A stage dies and is built anew by its supervisor after back_s."""
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
     def __init__(self, stage: str, back_s: float) -> None:
         self._stage, self._back_s, self._restarted = stage, back_s, False
@@ -45,9 +45,9 @@ class Crash(Injector):
 class Abort(Injector):
     """The operator's one key."""
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Pressed."""
         at.abort = True
 
@@ -55,27 +55,27 @@ class Abort(Injector):
 class Madness(Injector):
     """The planner itself: whoever flies the row puts a hostile one in its place."""
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
 
 class DiskFull(Injector):
     """No file grows beyond so many bytes any more: what a full disk says too (an OSError on write), without root."""
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
     def __init__(self, most_bytes: int = 4096, for_s: float = 1e9) -> None:
         self._most_bytes, self._for_s, self._before = most_bytes, for_s, (-1, -1)
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Of this process alone."""
         self._before = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (self._most_bytes, self._before[1]))
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Space again after the time, or when the motors have stopped: the referee must write too."""
         if since_s > self._for_s or (since_s > 1.0 and not at.world.flyer.truth().armed):
             self.end(at)
 
-    def end(self, at: Theatre) -> None:
+    def end(self, at: InjectionContext) -> None:
         """As it was."""
         resource.setrlimit(resource.RLIMIT_FSIZE, self._before)

@@ -9,10 +9,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from sitl.faults.injectors.base import Injector, Needs, Theatre
+from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 from sitl.faults.injectors.process_signals import MAPPER, RECORDER, roster_of
 from sitl.faults.process_registry import child_of
-from sitl.runtime.die_with_parent import leashed
+from sitl.runtime.die_with_parent import die_with_parent_command
 
 BUSY = "while True: pass"
 THRASHING = """
@@ -26,32 +26,32 @@ with open(sys.argv[1], "wb", buffering=0) as file:
 _MEGABYTE = 1e6
 
 
-class Toil(Injector):
+class BusyProcesses(Injector):
     """Programs that do nothing but work, at the priority that everybody has, for a while."""
 
-    needs = Needs.PROCESSES
+    needs = Capabilities.PROCESSES
 
     def __init__(self, program: str, count: int, for_s: float) -> None:
         """program: Python, which is given the name of a file in the flight's folder."""
         self._program, self._count, self._for_s = program, count, for_s
         self._toiling: list[subprocess.Popen[bytes]] = []
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Start them."""
         assert at.config is not None
         for k in range(self._count):
             command = [sys.executable, "-c", self._program, str(at.config.with_name(f"toil-{k}"))]
-            process = subprocess.Popen(leashed(command))  # noqa: S603 - our own programs
+            process = subprocess.Popen(die_with_parent_command(command))  # noqa: S603 - our own programs
             self._toiling.append(process)
             with contextlib.suppress(PermissionError):  # the world, which starts them, may have a better one
                 os.setpriority(os.PRIO_PROCESS, process.pid, 0)
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Until the time is over."""
         if self._toiling and since_s >= self._for_s:
             self.end(at)
 
-    def end(self, at: Theatre) -> None:
+    def end(self, at: InjectionContext) -> None:
         """None is left, nor its file."""
         for process in self._toiling:
             process.kill()
@@ -62,25 +62,25 @@ class Toil(Injector):
             at.config.with_name(f"toil-{k}").unlink(missing_ok=True)
 
 
-class Weighed(Injector):
+class MemoryPressure(Injector):
     """What a process takes is noted: its "memory" in MB at most, and how many "writes" its main thread makes in all."""
 
-    needs = Needs.PROCESSES
+    needs = Capabilities.PROCESSES
 
     def __init__(self, name: str) -> None:
         self._name, self._before = name, 0
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Begin to count."""
         self._before = self._writes(at)
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Ten times a second."""
         if int(since_s * 60.0) % 6 == 0 and (pid := roster_of(at).pid(self._name)) is not None:
             at.notes["memory"] = max(at.notes.get("memory", 0.0), resident_bytes(pid) / _MEGABYTE)
             at.notes["writes"] = float(self._writes(at) - self._before)
 
-    def _writes(self, at: Theatre) -> int:
+    def _writes(self, at: InjectionContext) -> int:
         pid = roster_of(at).pid(self._name)
         return 0 if pid is None else writes_of(pid)
 
@@ -88,12 +88,12 @@ class Weighed(Injector):
 class NoSpace(Injector):
     """No file that the product writes grows beyond so many bytes: what a full disk says too (an OSError), without root."""
 
-    needs = Needs.PROCESSES
+    needs = Capabilities.PROCESSES
 
     def __init__(self, most_bytes: int = 4096) -> None:
         self._most_bytes = most_bytes
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Mission, pilot and the mission's children; what the processes say to one another lies in memory."""
         roster = roster_of(at)
         mission = roster.pid("mission")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from sitl.faults.injectors.base import Depth, Injector, Theatre
+from sitl.faults.injectors.base import Depth, InjectionContext, Injector
 from sitl.faults.mavlink_proxy import Late
 from sitl.world.pose_tracker import PoseRecord
 
 
-class Postponed(Injector):
+class Delayed(Injector):
     """wait_s after the moment the trouble has its own, which is noted under a name; until then there is none."""
 
     def __init__(self, trouble: Injector, wait_s: float, name: str) -> None:
@@ -15,14 +15,14 @@ class Postponed(Injector):
         self._trouble, self._wait_s, self._name = trouble, wait_s, name
         self._acts, self._begun_s = Injector(), 0.0
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Begin, once it is time."""
         if self._acts is not self._trouble and since_s >= self._wait_s:
             self._acts, self._begun_s, at.notes[self._name] = self._trouble, since_s, at.now_s
             self._trouble.begin(at)
         self._acts.turn(at, since_s - self._begun_s)
 
-    def end(self, at: Theatre) -> None:
+    def end(self, at: InjectionContext) -> None:
         """What never began leaves nothing behind."""
         self._acts.end(at)
 

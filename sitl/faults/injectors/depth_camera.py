@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sitl.faults.injectors.base import Depth, Injector, Needs, Theatre
+from sitl.faults.injectors.base import Capabilities, Depth, InjectionContext, Injector
 from sitl.faults.injectors.obstacle import Furnished, Obstacle
 from sitl.faults.mavlink_proxy import Late
 from sitl.geometry.quaternion import yaw_of
@@ -29,7 +29,7 @@ class Dark(Injector):
         return [] if since_s < self._for_s else [(0.0, frame)]
 
 
-class Painted(Injector):
+class AlteredDepth(Injector):
     """The picture itself is wrong for a while."""
 
     def __init__(self, change: Change, for_s: float = 1e9) -> None:
@@ -77,7 +77,7 @@ class Redated(Injector):
         return [(0.0, dataclasses.replace(frame, stamp_s=frame.stamp_s + off_s))]
 
 
-class FrozenPicture(Injector):
+class FrozenImage(Injector):
     """The same picture again and again under new stamps, as a hung sensor gives it."""
 
     def __init__(self) -> None:
@@ -124,7 +124,7 @@ class Appears(Injector):
     def __init__(self, ahead_m: float, half_m: tuple[float, float, float] = (0.25, 0.35, 1.0)) -> None:
         self._ahead_m, self._half_m = ahead_m, half_m
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Where the vehicle is heading now."""
         truth = at.world.flyer.truth()
         speed = math.hypot(*truth.velocity[:2]) or 1.0
@@ -138,16 +138,16 @@ class Approaches(Injector):
     hovers, and stops there.
     """
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
     def __init__(self, speed_mps: float, ahead_m: float = 3.0, after_s: float = 1.5) -> None:
         self._speed_mps, self._ahead_m, self._after_s, self._come = speed_mps, ahead_m, after_s, False
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Stay."""
         at.hold = True
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Along the camera's axis, once it hovers."""
         if self._come or since_s < self._after_s:
             return
@@ -168,12 +168,12 @@ class Stands(Injector):
     def __init__(self, place: tuple[float, float, float], half_m: tuple[float, float, float]) -> None:
         self._place, self._half_m = place, half_m
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """From now on."""
         put(at, Obstacle(at.now_s, self._half_m, lambda _: self._place))
 
 
-def put(at: Theatre, obstacle: Obstacle) -> None:
+def put(at: InjectionContext, obstacle: Obstacle) -> None:
     """Into the camera's view and the referee's book."""
     camera = at.world.camera
     camera.renderer = Furnished(camera.renderer, obstacle, lambda: at.now_s)

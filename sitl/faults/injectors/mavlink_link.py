@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.faults.injectors.base import Injector, Needs, Theatre
+from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 from sitl.faults.mavlink_proxy import Late, Tap, frames, message_id
 
 _COMMAND_LONG, SYS_STATUS = 76, 1
 
 
-class Loss(Injector):
+class PacketLoss(Injector):
     """Frames are lost for a while, all of them or a share, up (to the autopilot), down or both ways."""
 
     def __init__(self, way: str, for_s: float = 1e9, share: float = 1.0, seed: int = 0, only: tuple[int, ...] = ()) -> None:
@@ -37,18 +37,18 @@ class Loss(Injector):
 class Unplugged(Injector):
     """The plug of a serial line is out for a while."""
 
-    needs = Needs.LINE
+    needs = Capabilities.LINE
 
     def __init__(self, for_s: float) -> None:
         self._for_s, self._out = for_s, False
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Out."""
         assert at.line is not None
         at.line.unplug()
         self._out = True
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """In again, once."""
         assert at.line is not None
         if self._out and since_s >= self._for_s:
@@ -117,7 +117,7 @@ class Garbage(Injector):
     def __init__(self, bytes_per_s: int, for_s: float) -> None:
         self._per_s, self._for_s, self._before_s = bytes_per_s, for_s, 0.0
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """A turn's share."""
         if since_s < self._for_s:
             count = int(self._per_s * (since_s - self._before_s))
@@ -132,7 +132,7 @@ class Forger(Injector):
         self._for_s, self._voice = for_s, mavlink.MAVLink(None, system, component)
         self._version_1 = version_1
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """All kinds, each turn."""
         if since_s >= self._for_s:
             return
@@ -162,13 +162,13 @@ class SecondAutopilot(Injector):
         self._voice, self._turns = mavlink.MAVLink(None, 1, 1), 0
         self._heartbeat: mavlink.MAVLink_message | None = None
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Of the vehicle's kind."""
         px4 = at.world.flyer.truth().mode == "OFFBOARD"
         family, mode, base = 12 if px4 else 3, self._modes[0 if px4 else 1], 1 | 128 * self._armed
         self._heartbeat = mavlink.MAVLink_heartbeat_message(2, family, base, mode, 4, 3)
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Booted a quarter of an hour ago."""
         if self._briefly and since_s < 0.1:
             self._voice.seq = (frames(proxy_of(at).heard[-1][1])[-1][4] + 16) % 256
@@ -183,7 +183,7 @@ class SecondAutopilot(Injector):
             self._say(at, mavlink.MAVLink_attitude_quaternion_message(boot_ms, 0.6, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0))
         self._turns += 1
 
-    def _say(self, at: Theatre, message: mavlink.MAVLink_message | None) -> None:
+    def _say(self, at: InjectionContext, message: mavlink.MAVLink_message | None) -> None:
         assert message is not None
         proxy_of(at).forge(bytes(message.pack(self._voice)))
         self._voice.seq = (self._voice.seq + 1) % 256
@@ -228,7 +228,7 @@ def version(major: int, minor: int, patch: int) -> Callable[[bytes], bytes]:
     return change
 
 
-def proxy_of(at: Theatre) -> Tap:
+def proxy_of(at: InjectionContext) -> Tap:
     """The link's proxy, which the meddler keeps in the theatre."""
     assert at.proxy is not None
     return at.proxy

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.camera.d435i import Sight
+from sitl.camera.d435i import CameraView
 from sitl.geometry.transform import inverse, rigid
-from sitl.scene.primitives import Workshop
+from sitl.scene.primitives import MeshBuilder
 from sitl.scene.rasterizer import Renderer, Rendering
 from sitl.scene.scene import HULL_HEIGHT_M
 from sitl.scene.texture import plain
@@ -41,9 +41,9 @@ class Obstacle:
 class Furnished:
     """A renderer of a scene with an obstacle in it; takes the place of the scene's own."""
 
-    def __init__(self, scene: Sight, obstacle: Obstacle, now_s: Callable[[], float]) -> None:
+    def __init__(self, scene: CameraView, obstacle: Obstacle, now_s: Callable[[], float]) -> None:
         low, high = tuple(-h for h in obstacle.half_m), obstacle.half_m
-        box = Workshop(fine=False).box((low[0], low[1], low[2]), high, plain((0.7, 0.3, 0.2)))
+        box = MeshBuilder(fine=False).box((low[0], low[1], low[2]), high, plain((0.7, 0.3, 0.2)))
         self._scene, self._box = scene, Renderer(box.vertices, box.faces, box.rgb)
         self._obstacle, self._now_s = obstacle, now_s
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.faults.flight_evidence import Evidence
-from sitl.faults.injectors.base import ATTENDED, Injector, Needs, Theatre
+from sitl.faults.flight_evidence import FlightEvidence
+from sitl.faults.injectors.base import ATTENDED, Capabilities, InjectionContext, Injector
 from sitl.faults.injectors.mavlink_link import proxy_of
 from sitl.faults.judges.reaction_metrics import Measure
 
@@ -17,25 +17,25 @@ _MISSED, _RETURNING = "no operator", "returning"
 _TURNED_S = 1.0  # from word of it to the way home
 
 
-class Gone(Injector):
+class OperatorSilent(Injector):
     """The operator asks no more."""
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """For good."""
         at.attends = False
 
 
-class Rare(Injector):
+class OperatorIntermittent(Injector):
     """The operator asks once in so many seconds, beginning now."""
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
     def __init__(self, every_s: float) -> None:
         self._every_s = every_s
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """One question falls into a second."""
         at.attends = since_s % self._every_s < 1.0
 
@@ -46,7 +46,7 @@ class GroundStation(Injector):
     def __init__(self, system: int = 255) -> None:
         self._voice, self._next_s = mavlink.MAVLink(None, system, 190), 0.0
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """From a system that ground stations have."""
         if since_s >= self._next_s:
             self._next_s += 1.0
@@ -54,20 +54,20 @@ class GroundStation(Injector):
             proxy_of(at).forge(bytes(beat.pack(self._voice)))
 
 
-def acts_after(e: Evidence) -> float:
+def acts_after(e: FlightEvidence) -> float:
     """Seconds from the operator's last sign of life to word on the wire that it returns, or to a landing."""
     last_s = e.notes.get(ATTENDED, math.inf)
     said = [stamp_s for stamp_s, text in e.wire.texts if stamp_s >= last_s and _RETURNING in text]
     return min([stamp_s - last_s for stamp_s in said] + [e.since(e.landing & e.armed, last_s)])
 
 
-def warns_after(e: Evidence) -> float:
+def warns_after(e: FlightEvidence) -> float:
     """Seconds from the operator's last sign of life to the first word of it; inf for none."""
     last_s = e.notes.get(ATTENDED, math.inf)
     return min((stamp_s - last_s for stamp_s, text in e.wire.texts if stamp_s >= last_s and _MISSED in text), default=math.inf)
 
 
-def warnings(e: Evidence) -> float:
+def warnings(e: FlightEvidence) -> float:
     """How often people were told that nobody attends."""
     return float(sum(_MISSED in text for _, text in e.wire.texts))
 
@@ -75,7 +75,7 @@ def warnings(e: Evidence) -> float:
 def astray(after_s: float) -> Measure:
     """Metres flown, level, from so long after the operator's last sign of life on, beyond the straight way to the pad."""
 
-    def measure(e: Evidence) -> float:
+    def measure(e: FlightEvidence) -> float:
         from_s = e.notes.get(ATTENDED, math.inf) + after_s + _TURNED_S
         way = e.position_m[(e.stamp_s >= from_s) & e.armed, :2]
         if not len(way):

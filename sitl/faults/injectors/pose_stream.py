@@ -16,7 +16,7 @@ from sitl.world.pose_tracker import PoseRecord
 Change = Callable[[PoseRecord, float], PoseRecord]
 
 
-class Silence(Injector):
+class PoseSilence(Injector):
     """No pose for a while."""
 
     def __init__(self, for_s: float = 1e9) -> None:
@@ -27,7 +27,7 @@ class Silence(Injector):
         return [] if since_s < self._for_s else [(0.0, record)]
 
 
-class Altered(Injector):
+class AlteredPoses(Injector):
     """Poses between two instants are changed; count: so many of them at most."""
 
     def __init__(self, change: Change, from_s: float = 0.0, for_s: float = 1e9, count: int = 1 << 30) -> None:
@@ -41,7 +41,7 @@ class Altered(Injector):
         return [(0.0, self._change(record, since_s))]
 
 
-class Thinned(Injector):
+class ThinnedPoses(Injector):
     """At most rate_hz poses a second."""
 
     def __init__(self, rate_hz: float) -> None:
@@ -55,7 +55,7 @@ class Thinned(Injector):
         return [(0.0, record)]
 
 
-class Later(Injector):
+class LatePoses(Injector):
     """Poses arrive so much later than they would."""
 
     def __init__(self, delay_s: float) -> None:
@@ -105,7 +105,7 @@ def stamped(shift_s: float) -> Change:
     return lambda record, _: dataclasses.replace(record, stamp_s=record.stamp_s + shift_s)
 
 
-class Frozen(Injector):
+class FrozenPose(Injector):
     """Every pose carries the stamp of the first one."""
 
     def __init__(self) -> None:

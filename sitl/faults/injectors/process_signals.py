@@ -8,73 +8,73 @@ import sys
 import time
 from typing import cast
 
-from sitl.faults.injectors.base import Injector, Needs, Theatre
-from sitl.faults.process_registry import Roster, child_of, send
+from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
+from sitl.faults.process_registry import ProcessRegistry, child_of, send
 
 MAPPER, RECORDER = "mapping.neural.worker.mapper_process", "uav_recon\0record"  # words of their command lines
 
 
-class Stopped(Injector):
+class ProcessStopped(Injector):
     """A process gets SIGSTOP, and SIGCONT after for_s."""
 
-    needs = Needs.PROCESSES
+    needs = Capabilities.PROCESSES
 
     def __init__(self, name: str, for_s: float) -> None:
         self._name, self._for_s, self._stopped = name, for_s, False
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Stop it."""
         roster_of(at).send(self._name, signal.SIGSTOP)
         self._stopped = True
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Let it go on, once."""
         if self._stopped and since_s >= self._for_s:
             self.end(at)
 
-    def end(self, at: Theatre) -> None:
+    def end(self, at: InjectionContext) -> None:
         """Nothing stays stopped."""
         if self._stopped:
             roster_of(at).send(self._name, signal.SIGCONT)
             self._stopped = False
 
 
-class Killed(Injector):
+class ProcessKilled(Injector):
     """Processes get SIGKILL, and are started again not before for_s."""
 
-    needs = Needs.PROCESSES
+    needs = Capabilities.PROCESSES
 
     def __init__(self, *names: str, for_s: float = 1e9) -> None:
         self._names, self._for_s, self._down = names, for_s, False
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Kill them, all at once."""
         roster_of(at).keep_down(self._names)
         self._down = True
         for name in self._names:
             roster_of(at).send(name, signal.SIGKILL)
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Their supervisor may start them again."""
         if self._down and since_s >= self._for_s:
             roster_of(at).keep_down(())
             self._down = False
 
 
-class Asked(Injector):
+class ProcessTerminated(Injector):
     """A process gets SIGTERM, as from its supervisor; its "exit code" is noted, and whether it "ended armed"."""
 
-    needs = Needs.PROCESSES
+    needs = Capabilities.PROCESSES
 
     def __init__(self, name: str) -> None:
         self._name = name
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Ask."""
         roster_of(at).keep_down((self._name,))
         roster_of(at).send(self._name, signal.SIGTERM)
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Look whether it has ended."""
         for ended in roster_of(at).exits():
             if ended.name == self._name and "exit code" not in at.notes:
@@ -85,40 +85,40 @@ class Asked(Injector):
 class SecondPilot(Injector):
     """Somebody starts another pilot by hand; its exit code and how long it lived are noted."""
 
-    needs = Needs.PROCESSES
+    needs = Capabilities.PROCESSES
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._began_s = 0.0
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """With the flight's own config."""
         command = [sys.executable, "-m", "uav_recon", "pilot", "--config", str(at.config)]
         self._began_s = time.monotonic()
         self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)  # noqa: S603 - our own program
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Look whether it has ended."""
         if self._process is not None and "second's exit code" not in at.notes and self._process.poll() is not None:
             at.notes["second's exit code"] = float(self._process.returncode)
             at.notes["second lived"] = time.monotonic() - self._began_s
 
 
-class ChildStruck(Injector):
+class ChildProcessSignalled(Injector):
     """A child of the mission gets a signal; when another one runs in its place is noted as "replaced"."""
 
-    needs = Needs.PROCESSES
+    needs = Capabilities.PROCESSES
 
     def __init__(self, word: str, number: signal.Signals) -> None:
         """word: of its command line."""
         self._word, self._number, self._pid = word, number, cast("int | None", None)
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Strike."""
         self._pid = child_of(roster_of(at).pid("mission"), self._word)
         send(self._pid, self._number)
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Look for another, ten times a second."""
         if self._pid is None or "replaced" in at.notes or int(since_s * 60.0) % 6:
             return
@@ -126,12 +126,12 @@ class ChildStruck(Injector):
         if other not in (None, self._pid):
             at.notes["replaced"] = since_s
 
-    def end(self, at: Theatre) -> None:
+    def end(self, at: InjectionContext) -> None:
         """One that was stopped hears that its mission is gone."""
         send(self._pid, signal.SIGCONT)
 
 
-def roster_of(at: Theatre) -> Roster:
+def roster_of(at: InjectionContext) -> ProcessRegistry:
     """The flight's processes; these troubles are flown in real time alone."""
     assert at.roster is not None
     return at.roster

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import math
 
-from sitl.faults.injectors.base import TAKEN_OVER, Injector, Needs, Theatre
+from sitl.faults.injectors.base import TAKEN_OVER, Capabilities, InjectionContext, Injector
 
 
 class Push(Injector):
     """A steady force for a while along the way that it flies, as an acceleration in m/s²; its accelerometer feels it."""
 
-    needs = Needs.INSIDES
+    needs = Capabilities.INSIDES
 
     def __init__(self, acceleration_mps2: float, for_s: float) -> None:
         self._force, self._for_s = acceleration_mps2, for_s
         self._along = (0.0, 0.0)
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """On along the way that it flies."""
         vx, vy, _ = at.world.flyer.truth().velocity
         speed = math.hypot(vx, vy) or 1.0
         self._along = (vx / speed, vy / speed)
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """While it lasts."""
         force = self._force if since_s <= self._for_s else 0.0
         at.world.autopilot.vehicle.outside_mps2 = (self._along[0] * force, self._along[1] * force, 0.0)
@@ -31,13 +31,13 @@ class Push(Injector):
 class Dragged(Injector):
     """To a place beside its way and kept there until it is down, by whatever force that takes: y in the world (m)."""
 
-    needs = Needs.INSIDES
+    needs = Capabilities.INSIDES
     _PER_S, _FASTEST_MPS, _STIFF_PER_S, _MOST_MPS2, _DOWN_M = 2.0, 0.8, 25.0, 15.0, 0.2
 
     def __init__(self, y_m: float) -> None:
         self._y_m = y_m
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """While it is in the air."""
         (_, y_m, z_m), (_, vy_mps, _) = (truth := at.world.flyer.truth()).position, truth.velocity
         wanted_mps = min(max(self._PER_S * (self._y_m - y_m), -self._FASTEST_MPS), self._FASTEST_MPS)
@@ -49,9 +49,9 @@ class Dragged(Injector):
 class HeldDown(Injector):
     """The rotors cannot lift it: three times too heavy."""
 
-    needs = Needs.INSIDES
+    needs = Capabilities.INSIDES
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """For good."""
         at.world.autopilot.vehicle.weaken(1.0 / 3.0)
 
@@ -59,12 +59,12 @@ class HeldDown(Injector):
 class Takeover(Injector):
     """The pilot's switch, later_s after the moment. modes: the same thing as each firmware calls it."""
 
-    needs = Needs.STICKS
+    needs = Capabilities.STICKS
 
     def __init__(self, *modes: str, later_s: float = 0.0) -> None:
         self._modes, self._later_s, self._done = modes, later_s, False
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Once."""
         if not self._done and since_s >= self._later_s:
             self._done, at.notes[TAKEN_OVER] = True, at.now_s
@@ -74,9 +74,9 @@ class Takeover(Injector):
 class Reboot(Injector):
     """The autopilot starts anew in the air."""
 
-    needs = Needs.INSIDES
+    needs = Capabilities.INSIDES
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Once."""
         at.world.autopilot.reboot()
 
@@ -84,9 +84,9 @@ class Reboot(Injector):
 class Unnoticed(Injector):
     """The landing is not noticed: a slope, a rug, a land detector that fails."""
 
-    needs = Needs.INSIDES
+    needs = Capabilities.INSIDES
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """For good."""
         at.world.autopilot.lose_land_detector()
 
@@ -94,22 +94,22 @@ class Unnoticed(Injector):
 class TransmitterLost(Injector):
     """The pilot's transmitter is no longer heard."""
 
-    needs = Needs.INSIDES
+    needs = Capabilities.INSIDES
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """For good."""
         at.world.autopilot.transmitter(heard=False)
 
 
-class Battery(Injector):
+class BatteryDrain(Injector):
     """The charge falls to a fraction at once, and then by so much each second."""
 
-    needs = Needs.INSIDES
+    needs = Capabilities.INSIDES
 
     def __init__(self, fraction: float, per_s: float = 0.0) -> None:
         self._fraction, self._per_s = fraction, per_s
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Linear."""
         at.world.autopilot.set_battery(max(self._fraction - self._per_s * since_s, 0.0))
 
@@ -117,12 +117,12 @@ class Battery(Injector):
 class Parameter(Injector):
     """A parameter of the autopilot is another than the product counts on. values: its name and value on each firmware."""
 
-    needs = Needs.INSIDES
+    needs = Capabilities.INSIDES
 
     def __init__(self, *values: tuple[str, float]) -> None:
         self._values = values
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """Raises KeyError where the personality has none of them."""
         autopilot = at.world.autopilot
         known = [(name, value) for name, value in self._values if name in autopilot.parameters]
@@ -131,7 +131,7 @@ class Parameter(Injector):
         autopilot.write_parameter(*known[0])
 
 
-def switch(at: Theatre, modes: tuple[str, ...]) -> None:
+def switch(at: InjectionContext, modes: tuple[str, ...]) -> None:
     """The first of these modes that the personality has. Raises KeyError for none."""
     for mode in modes:
         try:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.faults.flight_evidence import Bools, Evidence
+from sitl.faults.flight_evidence import Bools, FlightEvidence
 from sitl.faults.injectors.base import TAKEN_OVER
 from sitl.faults.judges import reaction_metrics
-from sitl.faults.judges.statustext_checks import untold
+from sitl.faults.judges.statustext_checks import statustext_missing
 
 Indices = NDArray[np.int64]
 
@@ -35,30 +35,30 @@ class Room:
 USUAL = Room()
 
 
-def violations(e: Evidence, room: Room = USUAL) -> list[str]:
+def violations(e: FlightEvidence, room: Room = USUAL) -> list[str]:
     """What was broken, in words with figures; empty for a flight that kept all of it."""
-    checks = (_numbers, _speed, _steps, _place, _authority, _disarm, _end, untold)
+    checks = (_numbers, _speed, _steps, _place, _authority, _disarm, _end, statustext_missing)
     told = (check(e) for check in checks)
     return [said for said in (_clear(e, room.clear_m), *told, _fence(e, room.overshoot_m)) if said]
 
 
-def _clear(e: Evidence, least_m: float) -> str:
+def _clear(e: FlightEvidence, least_m: float) -> str:
     kept_m = reaction_metrics.clearance(e)
     if kept_m < CONTACT_M:
         return f"contact: clearance {kept_m:.3f} m"
     return f"clearance {kept_m:.3f} m of {least_m:.2f}" if kept_m < least_m - 1e-9 else ""
 
 
-def _fence(e: Evidence, most_m: float) -> str:
+def _fence(e: FlightEvidence, most_m: float) -> str:
     out_m = reaction_metrics.overshoot(e)
     return f"fence overshot by {out_m:.2f} m" if out_m > most_m else ""
 
 
-def _numbers(e: Evidence) -> str:
+def _numbers(e: FlightEvidence) -> str:
     return f"{e.wire.not_finite} frames with NaN or infinity on the wire" if e.wire.not_finite else ""
 
 
-def _speed(e: Evidence) -> str:
+def _speed(e: FlightEvidence) -> str:
     w, limits = e.wire, e.limits
     speed = float(np.linalg.norm(w.velocity_mps, axis=1).max(initial=0.0))
     push = float(np.linalg.norm(w.acceleration_mps2, axis=1).max(initial=0.0))
@@ -70,7 +70,7 @@ def _speed(e: Evidence) -> str:
     return f"setpoint of {turn:.2f} rad/s" if turn > limits.yaw_rate_radps + _TURN_RADPS else ""
 
 
-def _steps(e: Evidence) -> str:
+def _steps(e: FlightEvidence) -> str:
     """From one setpoint to the next, and over a while: what a frame may be off adds up to nothing in a dozen of them."""
     stamps = e.wire.setpoint_s
     k = np.arange(max(len(stamps) - 1, 0))
@@ -79,7 +79,7 @@ def _steps(e: Evidence) -> str:
     return _leaps(e, k, k + 1) or _leaps(e, begun, later[begun])
 
 
-def _leaps(e: Evidence, i: Indices, j: Indices) -> str:
+def _leaps(e: FlightEvidence, i: Indices, j: Indices) -> str:
     """From setpoints i (P,) to the later ones j (P,), as far as nothing between them begins anew.
 
     Two that were sent a thirtieth of a second apart may arrive together, where the receiver comes late: the longer time counts,
@@ -102,7 +102,7 @@ def _leaps(e: Evidence, i: Indices, j: Indices) -> str:
     return f"velocity jumps by {float(change.max()):.2f} m/s too much{within}" if (change > _SPEED_MPS).any() else ""
 
 
-def _anew(e: Evidence) -> Bools:
+def _anew(e: FlightEvidence) -> Bools:
     """Of each setpoint but the first (N - 1,): a reset of the pose moved it along, or a pilot began anew with it."""
     w = e.wire
     anew: Bools = np.diff(w.setpoint_s) >= 0.5
@@ -111,7 +111,7 @@ def _anew(e: Evidence) -> Bools:
     return anew
 
 
-def _place(e: Evidence) -> str:
+def _place(e: FlightEvidence) -> str:
     """The pad lies below the inset's floor: what is under it is no violation over the pad."""
     w, limits = e.wire, e.limits
     low, high = np.array(limits.fence_min_m) + limits.inset_m, np.array(limits.fence_max_m) - limits.inset_m
@@ -122,12 +122,12 @@ def _place(e: Evidence) -> str:
     return f"setpoint {worst_m:.2f} m out of the inset fence" if worst_m > _INSIDE_M else ""
 
 
-def _authority(e: Evidence) -> str:
+def _authority(e: FlightEvidence) -> str:
     count = int(reaction_metrics.commands_once_known(e))
     return f"{count} mode or arm commands after the pilot took over" if count else ""
 
 
-def _disarm(e: Evidence) -> str:
+def _disarm(e: FlightEvidence) -> str:
     """Asked for, or met, above the ground; what the pilot's own switch does is the pilot's."""
     height = e.position_m[:, 2] - e.standing_m
     for order in e.wire.orders:
@@ -138,7 +138,7 @@ def _disarm(e: Evidence) -> str:
     return "disarmed in the air" if fell.any() else ""
 
 
-def _end(e: Evidence) -> str:
+def _end(e: FlightEvidence) -> str:
     """Down with motors off, in a pilot's hands, or not yet so long alone."""
     human = TAKEN_OVER in e.notes and not e.ours[-1] and not e.landing[-1]
     unattended = bool(e.armed[-1]) and not human and e.end_s - e.onset_s > UNATTENDED_S - 1.0

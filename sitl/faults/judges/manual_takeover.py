@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from sitl.faults.flight_evidence import Evidence
+from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.base import TAKEN_OVER
 
 _LAND = (176, 21)  # DO_SET_MODE and NAV_LAND
 _HEARD_S, _FLIES_S = 0.02, 0.1  # from the arrival of a heartbeat to what comes of it; of an order on its way
 
 
-def mode_taken_back(e: Evidence) -> float:
+def mode_taken_back(e: FlightEvidence) -> float:
     """Turns in another mode than the pilot's after the switch; a landing that was asked for before anybody could hear of the
     switch is none. inf if the mode never was the pilot's, and no such landing is why.
     """

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.faults.injectors.base import Injector, Needs, Theatre
+from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 
 FREED, CLAIMED, AGAIN = "known occupied freed", "voxels marked free", "frames mapped again"
 UNDER_WAY_S = 0.4  # frames of before the beginning are mapped, and the guard is told, so long after it
@@ -16,30 +16,30 @@ SETTLED_S = 0.5  # from the beginning until the map holds what was under way the
 _FREE, _OCCUPIED = 1, 2
 
 
-class Cartographer(Injector):
+class MapIntegrityCheck(Injector):
     """No trouble: notes what percentage of the voxels known as occupied at the beginning, in which the scene has a surface,
     are known as free when the flight is over. Maps are shown once a second: of what frames of before freed, the guard knows.
     """
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
     def __init__(self) -> None:
         self._walls: NDArray[np.bool_] | None = None
         self._settled = False
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """What is known, and true."""
         known = at.channels.voxels.latest()
         if known is not None:
             self._walls = (known.state == _OCCUPIED) & filled(known.grid, at.world.clearance.bins.points)
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Without what the last frames of before showed to be free."""
         free = _known_free(at) if since_s >= UNDER_WAY_S and not self._settled else None
         if free is not None and self._walls is not None:
             self._settled, self._walls = True, self._walls & ~free[: self._walls.size].reshape(self._walls.shape)
 
-    def end(self, at: Theatre) -> None:
+    def end(self, at: InjectionContext) -> None:
         """Against what is known now."""
         known = at.channels.voxels.latest()
         if self._walls is not None and self._walls.any():
@@ -49,17 +49,17 @@ class Cartographer(Injector):
 class Claims(Injector):
     """No trouble: notes how many voxels become known as free from SETTLED_S after the beginning on."""
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
     def __init__(self) -> None:
         self._free: NDArray[np.bool_] | None = None
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """What is known as free then."""
         if self._free is None and since_s >= SETTLED_S:
             self._free = _known_free(at)
 
-    def end(self, at: Theatre) -> None:
+    def end(self, at: InjectionContext) -> None:
         """Against what is known now."""
         known = _known_free(at)
         if self._free is not None and known is not None:
@@ -69,16 +69,16 @@ class Claims(Injector):
 class Tally(Injector):
     """No trouble: notes how many frames reach the map that it had before, by their pictures; noise makes each another one."""
 
-    needs = Needs.STAGES
+    needs = Capabilities.STAGES
 
     def __init__(self) -> None:
         self._sequence, self._seen = -1, set[bytes]()
 
-    def begin(self, at: Theatre) -> None:
+    def begin(self, at: InjectionContext) -> None:
         """None so far."""
         at.notes[AGAIN] = 0.0
 
-    def turn(self, at: Theatre, since_s: float) -> None:
+    def turn(self, at: InjectionContext, since_s: float) -> None:
         """Perception and mission both ran in the turn before; at most one frame comes in a turn."""
         sequence = at.channels.frames.sequence()
         posed = at.channels.frames.latest() if sequence != self._sequence else None
@@ -90,7 +90,7 @@ class Tally(Injector):
         self._seen.add(picture)
 
 
-def _known_free(at: Theatre) -> NDArray[np.bool_] | None:
+def _known_free(at: InjectionContext) -> NDArray[np.bool_] | None:
     """As the guard was last told; None before that."""
     told = at.channels.free.latest()
     return None if told is None else np.unpackbits(told.bits).astype(np.bool_)

@@ -10,7 +10,7 @@ import re
 
 import numpy as np
 
-from sitl.faults.flight_evidence import Evidence
+from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.judges.reaction_metrics import Measure, tries_s
 
 _LAND = (176, 21)  # DO_SET_MODE and NAV_LAND; in the air the product asks for no other mode
@@ -30,15 +30,15 @@ _WHY_LAND = re.compile(
 _FLOOR_M = 0.05  # above where it comes to lie
 
 
-def told_after(words: str) -> Measure:
+def statustext_delay(words: str) -> Measure:
     """Seconds from the trouble to the product's first STATUSTEXT with these words."""
     return lambda e: _since(e, words, e.onset_s)
 
 
-def told_on_the_floor(words: str) -> Measure:
+def statustext_on_floor(words: str) -> Measure:
     """The same from when the vehicle has come down, after the trouble."""
 
-    def measure(e: Evidence) -> float:
+    def measure(e: FlightEvidence) -> float:
         height = e.position_m[:, 2]
         low = height <= height[e.stamp_s >= e.onset_s].min(initial=math.inf) + _FLOOR_M
         return _since(e, words, e.onset_s + e.since(low, e.onset_s))
@@ -46,17 +46,17 @@ def told_on_the_floor(words: str) -> Measure:
     return measure
 
 
-def told_after_arming(words: str) -> Measure:
+def statustext_after_arming(words: str) -> Measure:
     """The same from the first arm command."""
     return lambda e: _since(e, words, tries_s(e)[0]) if tries_s(e) else math.inf
 
 
-def _since(e: Evidence, words: str, from_s: float) -> float:
+def _since(e: FlightEvidence, words: str, from_s: float) -> float:
     said = [stamp_s for stamp_s, text in e.wire.texts if stamp_s >= from_s and re.search(words, text)]
     return said[0] - from_s if said else math.inf
 
 
-def untold(e: Evidence) -> str:
+def statustext_missing(e: FlightEvidence) -> str:
     """The first reaction that nobody was told of in time, in words; '' for none."""
     asked = [o.stamp_s for o in e.wire.orders if o.command in _LAND and _aloft(e, o.stamp_s)]
     due = [("landing asked for", _WHY_LAND, asked[0], asked[0])] if asked else []
@@ -69,12 +69,12 @@ def untold(e: Evidence) -> str:
     return ""
 
 
-def _aloft(e: Evidence, stamp_s: float) -> bool:
+def _aloft(e: FlightEvidence, stamp_s: float) -> bool:
     """Whether it was off the ground, where the flight's own mode has been asked for."""
     return bool(np.interp(stamp_s, e.stamp_s, e.position_m[:, 2]) > _ALOFT_M)
 
 
-def _lost(e: Evidence, asked: list[float]) -> list[tuple[float, float, bool]]:
+def _lost(e: FlightEvidence, asked: list[float]) -> list[tuple[float, float, bool]]:
     """Each instant in which the vehicle left our mode unasked, under our setpoints, and in which the product heard of it; and
     whether it is landing: a product that is about to land by itself and says why has no more to say, nor to ask for.
     """

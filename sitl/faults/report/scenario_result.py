@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sitl.faults.table.scenario import Bar, Row, Verdict
+from sitl.faults.table.scenario import Limit, Scenario, ScenarioVerdict
 
 REAL_FIRMWARE = "T1"
 
@@ -18,7 +18,7 @@ class Result:
     else broke. firmware: version of a real one, "" for none. how: the words that say how it was flown, "" for in lockstep.
     """
 
-    row: Row
+    row: Scenario
     autopilot: str
     seeds: int
     missed: tuple[int, ...]
@@ -34,7 +34,7 @@ class Result:
         return self.seeds - len(self.missed)
 
     @property
-    def figures(self) -> list[tuple[Bar, float]]:
+    def figures(self) -> list[tuple[Limit, float]]:
         """Each bar with its worst figure; none where nothing was flown."""
         return list(zip(self.row.bars, self.worst, strict=True)) if self.seeds else []
 
@@ -42,7 +42,7 @@ class Result:
         """The words that fly one of its flights again."""
         return f"--only {self.row.id} --autopilot {self.autopilot} {self.how} --seeds 1 --seed0 {number}".replace("  ", " ")
 
-    def headline(self) -> tuple[Bar, float] | None:
+    def headline(self) -> tuple[Limit, float] | None:
         """The bar that is used up most, and its figure."""
         if not self.figures:
             return None
@@ -61,7 +61,7 @@ class Result:
         """For each bar its words, and the share of it that is used up: above 1 it is broken; infinity: it never came."""
         return [(self._words(bar, figure), bar.badness(figure, self.autopilot)) for bar, figure in self.figures]
 
-    def _words(self, bar: Bar, figure: float) -> str:
+    def _words(self, bar: Limit, figure: float) -> str:
         said = "never" if math.isinf(figure) else "-" if math.isnan(figure) else f"{figure:.2f}"
         sign = ">=" if bar.at_least else "<="
         return f"{bar.name} {said} {sign} {bar.limit_of(self.autopilot):g} {bar.unit}".rstrip()
@@ -97,7 +97,7 @@ class Result:
 
 
 def result_of(
-    row: Row, autopilot: str, verdicts: Sequence[Verdict], firmware: str = "", first: int = 0, how: str = ""
+    row: Scenario, autopilot: str, verdicts: Sequence[ScenarioVerdict], firmware: str = "", first: int = 0, how: str = ""
 ) -> Result:
     """Worst of all flights, which are numbered from the first on. A row without flights was not flown."""
     if not verdicts:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from sitl.faults.injectors import operator_silence
 from sitl.faults.judges import reaction_metrics as m
-from sitl.faults.judges.statustext_checks import told_after
-from sitl.faults.table.scenario import Bar
+from sitl.faults.judges.statustext_checks import statustext_delay
+from sitl.faults.table.scenario import Limit
 
 STREAM_GAP_S = 0.25  # the stream may pause so long at most on a machine without a real-time kernel
 
 
-def holds(within_s: float, late_s: float = 0.0) -> Bar:
+def holds(within_s: float, late_s: float = 0.0) -> Limit:
     """Braking to rest is commanded."""
-    return Bar("hold commanded", m.held_after(late_s), within_s, "s")
+    return Limit("hold commanded", m.held_after(late_s), within_s, "s")
 
 
-def lands(within_s: float, late_s: float = 0.0, ardupilot: float | None = None) -> Bar:
+def lands(within_s: float, late_s: float = 0.0, ardupilot: float | None = None) -> Limit:
     """The autopilot is in its landing mode."""
-    return Bar("landing mode", m.landing_after(late_s), within_s, "s", ardupilot=ardupilot)
+    return Limit("landing mode", m.landing_after(late_s), within_s, "s", ardupilot=ardupilot)
 
 
 # PX4 lands 0.6 to 1.3 s after the last setpoint that it heard (measured), and one may be under way when the trouble begins.
@@ -25,46 +25,46 @@ UNHEARD_LANDS = lands(1.35, ardupilot=2.5)
 
 
 # PX4 flies on by what it heard last until it lands; its bar is that of its motors.
-UNHEARD_STANDS = Bar("goes on below 0.1 m/s", m.stopped_after(0.1), 30.0, "s", ardupilot=1.5)
+UNHEARD_STANDS = Limit("goes on below 0.1 m/s", m.stopped_after(0.1), 30.0, "s", ardupilot=1.5)
 
 
-def lands_no_sooner(after_s: float, late_s: float = 0.0) -> Bar:
+def lands_no_sooner(after_s: float, late_s: float = 0.0) -> Limit:
     """Not before its time."""
-    return Bar("landing mode not before", m.landing_after(late_s), after_s, "s", at_least=True)
+    return Limit("landing mode not before", m.landing_after(late_s), after_s, "s", at_least=True)
 
 
-def flies_on(within_s: float, late_s: float) -> Bar:
+def flies_on(within_s: float, late_s: float) -> Limit:
     """Setpoints move again, once the trouble of late_s is over."""
-    return Bar("flies on", m.moves_again_after(late_s), within_s, "s")
+    return Limit("flies on", m.moves_again_after(late_s), within_s, "s")
 
 
-def down(within_s: float) -> Bar:
+def down(within_s: float) -> Limit:
     """Motors off."""
-    return Bar("disarmed", m.disarmed_after(), within_s, "s")
+    return Limit("disarmed", m.disarmed_after(), within_s, "s")
 
 
-def stops(within_m: float, late_s: float = 0.0) -> Bar:
+def stops(within_m: float, late_s: float = 0.0) -> Limit:
     """True path until it rests."""
-    return Bar("stop distance", m.stopped_within(late_s), within_m, "m")
+    return Limit("stop distance", m.stopped_within(late_s), within_m, "m")
 
 
-def told(words: str, within_s: float, ardupilot: float | None = None) -> Bar:
+def told(words: str, within_s: float, ardupilot: float | None = None) -> Limit:
     """The first STATUSTEXT with these words; within a second of the reaction itself (G7)."""
-    return Bar("told", told_after(words), within_s, "s", ardupilot=ardupilot)
+    return Limit("told", statustext_delay(words), within_s, "s", ardupilot=ardupilot)
 
 
-def clear(at_least_m: float) -> Bar:
+def clear(at_least_m: float) -> Limit:
     """True clearance in the whole flight."""
-    return Bar("clearance", m.clearance, at_least_m, "m", at_least=True)
+    return Limit("clearance", m.clearance, at_least_m, "m", at_least=True)
 
 
-STREAMS = Bar("setpoint gap", m.longest_gap(), STREAM_GAP_S, "s")
-STEADY = Bar("setpoints in a second", m.slowest_second, 20.0, "1/s", at_least=True)
-NO_FAILSAFE = Bar("autopilot failsafes", m.failsafes, 0.0, "")
-NO_JUMP = Bar("setpoint step", m.setpoint_jump, 0.2, "m")
-NO_ORDER = Bar("mode or arm commands", m.commands(), 0.0, "")
-COMPLETES = Bar("flights not completed", m.unfinished, 0.0, "")
-RETURNS = Bar("flights not back", m.not_back, 0.0, "")
-NEVER_ARMED = Bar("flights armed", m.armed_at_all, 0.0, "")
-NO_FORCE = Bar("forced commands", m.forced, 0.0, "")
-RETURN_ACTS = Bar("returns", operator_silence.acts_after, operator_silence.TIMEOUT_S + 1.0, "s")
+STREAMS = Limit("setpoint gap", m.longest_gap(), STREAM_GAP_S, "s")
+STEADY = Limit("setpoints in a second", m.slowest_second, 20.0, "1/s", at_least=True)
+NO_FAILSAFE = Limit("autopilot failsafes", m.failsafes, 0.0, "")
+NO_JUMP = Limit("setpoint step", m.setpoint_jump, 0.2, "m")
+NO_ORDER = Limit("mode or arm commands", m.commands(), 0.0, "")
+COMPLETES = Limit("flights not completed", m.unfinished, 0.0, "")
+RETURNS = Limit("flights not back", m.not_back, 0.0, "")
+NEVER_ARMED = Limit("flights armed", m.armed_at_all, 0.0, "")
+NO_FORCE = Limit("forced commands", m.forced, 0.0, "")
+RETURN_ACTS = Limit("returns", operator_silence.acts_after, operator_silence.TIMEOUT_S + 1.0, "s")

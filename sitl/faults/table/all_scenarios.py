@@ -8,11 +8,11 @@ from sitl.faults.soak import SOAKS
 from sitl.faults.table.authority_geometry_host import TABLE_E, TABLE_F, TABLE_G
 from sitl.faults.table.camera_and_link import TABLE_C, TABLE_D
 from sitl.faults.table.pairs import PAIRED, pair
-from sitl.faults.table.scenario import Row
+from sitl.faults.table.scenario import Scenario
 from sitl.faults.table.software_and_pose import TABLE_A, TABLE_B
 
-TABLE: tuple[Row, ...] = (*TABLE_A, *TABLE_B, *TABLE_C, *TABLE_D, *TABLE_E, *TABLE_F, *TABLE_G)
+TABLE: tuple[Scenario, ...] = (*TABLE_A, *TABLE_B, *TABLE_C, *TABLE_D, *TABLE_E, *TABLE_F, *TABLE_G)
 _PAIRED = [row for row in TABLE if row.id in PAIRED]
-PAIRS: tuple[Row, ...] = tuple(pair(first, second) for first, second in itertools.combinations(_PAIRED, 2))
+PAIRS: tuple[Scenario, ...] = tuple(pair(first, second) for first, second in itertools.combinations(_PAIRED, 2))
 ROWS = {row.id: row for row in (*TABLE, *SOAKS, *PAIRS)}
 NAMED = {**{name: (row,) for name, row in ROWS.items()}, "G9": SOAKS[:1], "G10": PAIRS}

@@ -11,7 +11,7 @@ import numpy as np
 
 from sitl.faults.judges.gap_passage import Gap
 from sitl.scene.mesh import Mesh, joined
-from sitl.scene.primitives import Workshop
+from sitl.scene.primitives import MeshBuilder
 from sitl.scene.scene import Scene, place
 from sitl.scene.texture import plain, wood
 
@@ -31,15 +31,15 @@ def arena(name: str, radius_m: float, painted: bool = False) -> Scene:
     pushed. painted: for a camera that sees colour; a second.
     """
     pieces = {"hall": _hall, "pen": _yard, "stage": _stage, "corridor": _corridor, "gallery": _gallery}[name]
-    scene = place(name, joined(pieces(Workshop(fine=False))), START, PEN if name == "pen" else None, radius_m)
+    scene = place(name, joined(pieces(MeshBuilder(fine=False))), START, PEN if name == "pen" else None, radius_m)
     if not painted:
         return scene
-    fine = joined(pieces(Workshop()))
+    fine = joined(pieces(MeshBuilder()))
     vertices = np.ascontiguousarray(fine.vertices - scene.scene_from_world_m, np.float32)
     return replace(scene, paint=replace(fine, vertices=vertices))
 
 
-def _shell(w: Workshop, x: float, y: float, z: float) -> list[Mesh]:
+def _shell(w: MeshBuilder, x: float, y: float, z: float) -> list[Mesh]:
     """Of a length, a width whose middle is the hall's, and a height."""
     low, high = 0.5 * (WIDTH_M - y), 0.5 * (WIDTH_M + y)
     return [
@@ -52,11 +52,11 @@ def _shell(w: Workshop, x: float, y: float, z: float) -> list[Mesh]:
     ]
 
 
-def _yard(w: Workshop) -> list[Mesh]:
+def _yard(w: MeshBuilder) -> list[Mesh]:
     return _shell(w, LENGTH_M, WIDTH_M, HEIGHT_M)
 
 
-def _hall(w: Workshop) -> list[Mesh]:
+def _hall(w: MeshBuilder) -> list[Mesh]:
     return [
         *_yard(w),
         w.box((4.2, 1.2, 0.0), (4.7, 1.7, HEIGHT_M), _GREY),
@@ -65,7 +65,7 @@ def _hall(w: Workshop) -> list[Mesh]:
     ]
 
 
-def _stage(w: Workshop) -> list[Mesh]:
+def _stage(w: MeshBuilder) -> list[Mesh]:
     (begin, z), wide = STAGE_M, (0, WIDTH_M, 0)
     return [
         *_yard(w),
@@ -74,7 +74,7 @@ def _stage(w: Workshop) -> list[Mesh]:
     ]
 
 
-def _gallery(w: Workshop) -> list[Mesh]:
+def _gallery(w: MeshBuilder) -> list[Mesh]:
     _, middle, *_ = START
     pillars = [(9.0, 0.9), (16.0, -0.9), (23.0, 0.9)]
     return [
@@ -83,7 +83,7 @@ def _gallery(w: Workshop) -> list[Mesh]:
     ]
 
 
-def _corridor(w: Workshop) -> list[Mesh]:
+def _corridor(w: MeshBuilder) -> list[Mesh]:
     _, width_m, height_m = SMALL_M
     (pad_m, middle, *_), half_m = START, 0.5 * GAP_WIDTH_M
     begin, end = pad_m + GAP.begin_m, pad_m + GAP.end_m

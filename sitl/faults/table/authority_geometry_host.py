@@ -9,10 +9,19 @@ from sitl.faults.fault import Onset
 from sitl.faults.injectors.companion import Abort, DiskFull, Madness
 from sitl.faults.injectors.cpu_and_disk_load import NoSpace
 from sitl.faults.injectors.depth_camera import Stands
-from sitl.faults.injectors.mavlink_link import SYS_STATUS, Forger, Gauge, Loss, Refused, Rewritten, SecondAutopilot, version
-from sitl.faults.injectors.process_signals import RECORDER, ChildStruck
+from sitl.faults.injectors.mavlink_link import (
+    SYS_STATUS,
+    Forger,
+    Gauge,
+    PacketLoss,
+    Refused,
+    Rewritten,
+    SecondAutopilot,
+    version,
+)
+from sitl.faults.injectors.process_signals import RECORDER, ChildProcessSignalled
 from sitl.faults.injectors.vehicle_and_autopilot import (
-    Battery,
+    BatteryDrain,
     Dragged,
     HeldDown,
     Parameter,
@@ -25,7 +34,7 @@ from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.battery_return import reserve, turned_at
 from sitl.faults.judges.invariants import Room
 from sitl.faults.judges.manual_takeover import mode_taken_back
-from sitl.faults.judges.statustext_checks import told_after_arming, told_on_the_floor
+from sitl.faults.judges.statustext_checks import statustext_after_arming, statustext_on_floor
 from sitl.faults.table.acceptance_limits import (
     COMPLETES,
     NEVER_ARMED,
@@ -41,7 +50,7 @@ from sitl.faults.table.acceptance_limits import (
     told,
 )  # fmt: skip
 from sitl.faults.table.arenas import GAP, PEN, START
-from sitl.faults.table.scenario import SHORT_VIEWS, Bar, Row
+from sitl.faults.table.scenario import SHORT_VIEWS, Limit, Scenario
 
 AT_BOOT = Onset((0.0, 0.0), at_boot=True)
 ANY = Onset((0.0, 15.0), speed_mps=0.0)
@@ -62,54 +71,54 @@ _ARM, _ORIGIN, _VERSION = 400, 48, 148
 PUSH_MPS2 = 5.0 / 2.0  # 5 N on a vehicle of 2 kg
 
 TABLE_E = (
-    Row(
+    Scenario(
         "E1",
         "pilot switches the mode",
         "at a random moment, each mode in turn",
         lambda n: [Takeover(*PILOT_MODES[n % 4])],
         (
-            Bar("turns in another mode", m.mode_lost, 0.0, ""),
-            Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
-            Bar("stream ends", m.streams_after, 0.3, "s"),
+            Limit("turns in another mode", m.mode_lost, 0.0, ""),
+            Limit("mode or arm commands", m.commands_once_known, 0.0, ""),
+            Limit("stream ends", m.streams_after, 0.3, "s"),
         ),
         onset=ANY,
         longest_s=12.0,
         times=3,
     ),
-    Row(
+    Scenario(
         "E1b",
         "pilot switches as we ask for a mode",
         "as the operator's landing is asked for, within 0.1 s, and out of that landing",
         lambda n: [Abort(), Takeover(*PILOT_MODES[n % 3], later_s=AROUND_LAND_S[n % len(AROUND_LAND_S)])],
         (
-            Bar("turns in another mode", mode_taken_back, 0.0, ""),
-            Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
-            Bar("stream ends", m.streams_after, 0.5, "s"),
+            Limit("turns in another mode", mode_taken_back, 0.0, ""),
+            Limit("mode or arm commands", m.commands_once_known, 0.0, ""),
+            Limit("stream ends", m.streams_after, 0.5, "s"),
         ),
         onset=ANY,
         longest_s=15.0,
     ),
-    Row(
+    Scenario(
         "E2",
         "pilot moves the sticks",
         "the firmware's answer to it: position mode",
         lambda n: [Takeover("POSCTL", "LOITER")],
         (
-            Bar("mode or arm commands", m.commands_once_known, 0.0, ""),
-            Bar("stream ends", m.streams_after, 0.3, "s"),
-            Bar("turns in another mode", m.mode_lost, 0.0, ""),
+            Limit("mode or arm commands", m.commands_once_known, 0.0, ""),
+            Limit("stream ends", m.streams_after, 0.3, "s"),
+            Limit("turns in another mode", m.mode_lost, 0.0, ""),
         ),
         onset=FAST,
         longest_s=12.0,
     ),
-    Row(
+    Scenario(
         "E3",
         "transmitter lost",
         "no transmitter any more",
         lambda n: [TransmitterLost()],
-        (lands(1.6, ardupilot=1.5), Bar("turns in a stick mode", m.position_mode, 0.0, ""), down(30.0)),
+        (lands(1.6, ardupilot=1.5), Limit("turns in a stick mode", m.position_mode, 0.0, ""), down(30.0)),
     ),
-    Row(
+    Scenario(
         "E4",
         "forged commands",
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
@@ -118,7 +127,7 @@ TABLE_E = (
         longest_s=180.0,
         views=SHORT_VIEWS,
     ),
-    Row(
+    Scenario(
         "E4b",
         "second autopilot",
         "another with the vehicle's own name speaks for 10 s: in our mode, with motors and without",
@@ -127,7 +136,7 @@ TABLE_E = (
         longest_s=180.0,
         views=SHORT_VIEWS,
     ),
-    Row(
+    Scenario(
         "E4c",
         "second autopilot's mode",
         "another with the vehicle's own name says for 10 s, and for 0.1 s, that a pilot flies it",
@@ -135,7 +144,7 @@ TABLE_E = (
         (told("two autopilots|mode changed", 1.0), lands(5.0), down(30.0)),
         longest_s=45.0,
     ),
-    Row(
+    Scenario(
         "E4d",
         "second autopilot lands",
         "another with the vehicle's own name says for 10 s, and for 0.1 s, that it lands",
@@ -144,48 +153,50 @@ TABLE_E = (
         longest_s=120.0,
         views=SHORT_VIEWS,
     ),
-    Row(
+    Scenario(
         "E5",
         "battery low",
         "falls to 30 % and on by 0.5 % a second; by 20 % at once; to 24 % at once",
-        lambda n: [(Battery(0.30, 0.005), Battery(0.78), Battery(0.24))[n % 3]],
+        lambda n: [(BatteryDrain(0.30, 0.005), BatteryDrain(0.78), BatteryDrain(0.24))[n % 3]],
         (
-            Bar("charge left", m.battery_left, 0.10, "", at_least=True),
-            Bar("off the pad", m.from_pad, 0.5, "m"),
+            Limit("charge left", m.battery_left, 0.10, "", at_least=True),
+            Limit("off the pad", m.from_pad, 0.5, "m"),
             NO_FAILSAFE,
             down(160.0),  # a flight that a single jump rightly does not end takes so long
         ),
         longest_s=160.0,
         views=SHORT_VIEWS,
     ),
-    Row(
+    Scenario(
         "E5b",
         "battery's gauge slips",
         "six times for 2 s it says 20 % less, down to 20 %; nothing; 24 %",
         lambda n: [Gauge(*((5.0 * k, 5.0 * k + 2.0, (0.20, 0.0, 0.24)[n % 3]) for k in range(6)))],
-        (Bar("ended for the battery", m.ended_for("battery"), 0.0, ""), COMPLETES, NO_FAILSAFE),
+        (Limit("ended for the battery", m.ended_for("battery"), 0.0, ""), COMPLETES, NO_FAILSAFE),
         longest_s=180.0,
         views=SHORT_VIEWS,
     ),
-    Row(
+    Scenario(
         "E5c",
         "battery's gauge is lost",
         "it says that it does not know; nothing of it comes; it says full where it was at 60 %",
         lambda n: [
-            (Gauge((0.0, 1e9, math.nan)), Loss("down", only=(SYS_STATUS,)), Gauge((0.0, 5.0, 0.6), (5.0, 1e9, 1.0)))[n % 3]
+            (Gauge((0.0, 1e9, math.nan)), PacketLoss("down", only=(SYS_STATUS,)), Gauge((0.0, 5.0, 0.6), (5.0, 1e9, 1.0)))[
+                n % 3
+            ]
         ],
         (down(60.0), RETURNS),
         longest_s=180.0,
     ),
-    Row(
+    Scenario(
         "E5d",
         "small battery, far from home",
         "one of seven minutes, 78 % of it there at boot, in a gallery of 32 m",
-        lambda n: [Battery(0.78, 0.0023)],
+        lambda n: [BatteryDrain(0.78, 0.0023)],
         (
-            Bar("reserve of the way home", reserve, 1.3, "", at_least=True),
-            Bar("turned back at", turned_at, 8.0, "m", at_least=True),
-            Bar("charge left", m.battery_left, 0.20, "", at_least=True),
+            Limit("reserve of the way home", reserve, 1.3, "", at_least=True),
+            Limit("turned back at", turned_at, 8.0, "m", at_least=True),
+            Limit("charge left", m.battery_left, 0.20, "", at_least=True),
             RETURNS,
         ),
         onset=AT_BOOT,
@@ -194,7 +205,7 @@ TABLE_E = (
         views=120,
         variant="explore",
     ),
-    Row(
+    Scenario(
         "E6",
         "arming refused",
         "arm commands have no effect",
@@ -202,52 +213,52 @@ TABLE_E = (
         (
             NEVER_ARMED,
             NO_FORCE,
-            Bar("arm commands", m.arm_tries, 3.0, ""),
-            Bar("gives up", m.last_try_after, 20.0, "s"),
-            Bar("reason told", told_after_arming("arming given up: "), 20.0, "s"),
+            Limit("arm commands", m.arm_tries, 3.0, ""),
+            Limit("gives up", m.last_try_after, 20.0, "s"),
+            Limit("reason told", statustext_after_arming("arming given up: "), 20.0, "s"),
         ),
         onset=AT_BOOT,
         longest_s=60.0,
     ),
-    Row(
+    Scenario(
         "E7",
         "take-off fails",
         "it cannot lift itself",
         lambda n: [HeldDown()],
-        (Bar("motors ran", m.motors_ran, 6.0, "s"), Bar("arm commands", m.arm_tries, 1.0, "")),
+        (Limit("motors ran", m.motors_ran, 6.0, "s"), Limit("arm commands", m.arm_tries, 1.0, "")),
         onset=AT_BOOT,
         longest_s=90.0,
     ),
-    Row(
+    Scenario(
         "E8",
         "pad occupied",
         "a box stands on the pad when it comes home",
         lambda n: [Stands((0.0, 0.0, 0.1), (0.25, 0.25, 0.2))],
-        (Bar("lands beside the box", m.lands_beside, 0.30, "m", at_least=True), clear(0.10), down(180.0), NO_FAILSAFE),
+        (Limit("lands beside the box", m.lands_beside, 0.30, "m", at_least=True), clear(0.10), down(180.0), NO_FAILSAFE),
         onset=Onset(speed_mps=0.0, away_m=2.0),
         longest_s=180.0,
         views=22,
     ),
-    Row(
+    Scenario(
         "E9",
         "landing never noticed",
         "motors do not stop on the floor",
         lambda n: [Unnoticed(), Abort()],
-        (Bar("alert", told_on_the_floor("landing does not end"), 15.0, "s"), NO_FORCE),
+        (Limit("alert", statustext_on_floor("landing does not end"), 15.0, "s"), NO_FORCE),
         longest_s=25.0,
     ),
-    Row(
+    Scenario(
         "E10",
         "operator's key",
         "pressed once",
         lambda n: [Abort()],
-        (Bar("command to land", m.asked_to_land, 0.15, "s"), lands(0.5), down(30.0), told("ask(s|ed) to land", 1.15)),
+        (Limit("command to land", m.asked_to_land, 0.15, "s"), lands(0.5), down(30.0), told("ask(s|ed) to land", 1.15)),
         onset=ANY,
     ),
 )
 
 TABLE_F = (
-    Row(
+    Scenario(
         "F1",
         "planner gone mad",
         "hostile trajectories at 30 Hz: NaN, far, fast, outside, other epochs, other times",
@@ -256,64 +267,64 @@ TABLE_F = (
         injectors=lambda n: [Madness()],
         times=3,
     ),
-    Row(
+    Scenario(
         "F2",
         "pushed out",
         "5 N on 2 kg for 2 s along its way, in a pen inside the hall",
         lambda n: [Push(PUSH_MPS2, 2.0)],
         (
-            Bar("fence overshoot", m.overshoot, 0.30, "m"),
-            Bar("outside the inset", m.back_inside, 3.0, "s"),
+            Limit("fence overshoot", m.overshoot, 0.30, "m"),
+            Limit("outside the inset", m.back_inside, 3.0, "s"),
             STREAMS,
         ),
         arena="pen",
         onset=FAST,
         longest_s=15.0,
     ),
-    Row(
+    Scenario(
         "F2b",
         "pushed out and kept there",
         "as much as it takes to hold it 0.2 m outside the fence, until it is down, in a pen inside the hall",
         lambda n: [Dragged(PEN[4] - START[1] + 0.25)],
         (
-            Bar("landing mode after leaving", m.landing_after_leaving, 3.5, "s"),
+            Limit("landing mode after leaving", m.landing_after_leaving, 3.5, "s"),
             # refused for so long, the mission may ask for it before the fence does
-            Bar("landing mode not before", m.landing_after_leaving, 0.0, "s", at_least=True, ardupilot=2.8),
+            Limit("landing mode not before", m.landing_after_leaving, 0.0, "s", at_least=True, ardupilot=2.8),
             STREAMS,
             down(30.0),
         ),
         arena="pen",
         onset=FAST,
     ),
-    Row("F3", "fence makes no sense", "bad corners", why="no flight: tests of the config hold it"),
-    Row(
+    Scenario("F3", "fence makes no sense", "bad corners", why="no flight: tests of the config hold it"),
+    Scenario(
         "F4",
         "no origin",
         "SET_GPS_GLOBAL_ORIGIN never arrives",
-        lambda n: [Loss("up", only=(_ORIGIN,))],
+        lambda n: [PacketLoss("up", only=(_ORIGIN,))],
         (NEVER_ARMED,),
         onset=AT_BOOT,
         longest_s=20.0,
     ),
-    Row(
+    Scenario(
         "F5",
         "way home closed",
         "a wall stands across the hall behind it, and the battery is low",
-        lambda n: [Stands((2.0, 0.0, 1.4), (0.1, 3.5, 1.5)), Battery(0.24)],
-        (clear(0.05), Bar("landing mode after its last stop", m.landing_after_a_stop, 5.0, "s"), down(90.0)),
+        lambda n: [Stands((2.0, 0.0, 1.4), (0.1, 3.5, 1.5)), BatteryDrain(0.24)],
+        (clear(0.05), Limit("landing mode after its last stop", m.landing_after_a_stop, 5.0, "s"), down(90.0)),
         onset=Onset((8.0, 12.0), seeing=True, away_m=4.5),
         longest_s=100.0,
         room=Room(clear_m=0.05),  # no contact; where pictures are not believed at first it feels its way back to 0.09 m
     ),
-    Row(
+    Scenario(
         "F6",
         "tight passage",
         "a gap of 0.9 m between two rooms, for a span of 0.5 m and one of 0.4 m in turn; nothing else",
         lambda n: [],
         (
-            Bar("clearance in it", GAP.clearance, 0.15, "m", at_least=True),
+            Limit("clearance in it", GAP.clearance, 0.15, "m", at_least=True),
             clear(0.10),
-            Bar("neither passed nor refused", GAP.untried, 0.0, ""),
+            Limit("neither passed nor refused", GAP.untried, 0.0, ""),
             RETURNS,
         ),
         arena="corridor",
@@ -326,13 +337,13 @@ TABLE_F = (
 )
 
 TABLE_G = (
-    Row(
+    Scenario(
         "G1",
         "wall clock jumps",
         "an hour forth and back",
         why="no clock of the wall is read in flight: a signed flight under one that is set, in tests, holds it",
     ),
-    Row(
+    Scenario(
         "G2",
         "disk full",
         "no file grows any more, from the climb on",
@@ -342,7 +353,7 @@ TABLE_G = (
         views=SHORT_VIEWS,
         live=lambda n: [NoSpace()],
     ),
-    Row(
+    Scenario(
         "G3",
         "viewer slow or dead",
         "SIGSTOP to the recorder, which alone speaks with one",
@@ -350,10 +361,10 @@ TABLE_G = (
         longest_s=180.0,
         views=SHORT_VIEWS,
         why="the recorder is a process: flown in real time",
-        live=lambda n: [ChildStruck(RECORDER, SIGSTOP)],
+        live=lambda n: [ChildProcessSignalled(RECORDER, SIGSTOP)],
     ),
-    Row("G4", "bad config", "changed, missing, unknown and doubled keys", why="no flight: tests of the config hold it"),
-    Row(
+    Scenario("G4", "bad config", "changed, missing, unknown and doubled keys", why="no flight: tests of the config hold it"),
+    Scenario(
         "G5",
         "parameters are others",
         "one of the firmware's parameters is not what the product counts on",
@@ -362,7 +373,7 @@ TABLE_G = (
         onset=AT_BOOT,
         longest_s=20.0,
     ),
-    Row(
+    Scenario(
         "G5b",
         "parameter changed in flight",
         "as G5, written by a ground station at speed",
@@ -370,7 +381,7 @@ TABLE_G = (
         (holds(1.0), told("^in flight parameter", 1.0), down(60.0), NO_FAILSAFE),
         onset=Onset(speed_mps=0.5),
     ),
-    Row(
+    Scenario(
         "G6",
         "wrong firmware",
         "AUTOPILOT_VERSION says 1.13.0, 1.15.1, 1.18.0",
@@ -379,16 +390,16 @@ TABLE_G = (
         onset=AT_BOOT,
         longest_s=20.0,
     ),
-    Row("G7", "power lost", "plug pulled", why="T3; its path is A6"),
-    Row(
+    Scenario("G7", "power lost", "plug pulled", why="T3; its path is A6"),
+    Scenario(
         "G8",
         "time to ready",
         "nothing",
         lambda n: [],
-        (Bar("first arm command", m.first_arm, 60.0, "s"),),
+        (Limit("first arm command", m.first_arm, 60.0, "s"),),
         onset=AT_BOOT,
         longest_s=25.0,  # one that takes longer never comes
     ),
-    Row("G9", "soak", "two hours in the air", why="run apart: --only G9 --real-time; G9-5min and G9-1min are shorter"),
-    Row("G10", "combinations", "two of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2 at once", why="45 pairs: --only G10 flies them"),
+    Scenario("G9", "soak", "two hours in the air", why="run apart: --only G9 --real-time; G9-5min and G9-1min are shorter"),
+    Scenario("G10", "combinations", "two of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2 at once", why="45 pairs: --only G10 flies them"),
 )

@@ -7,12 +7,12 @@ from sitl.faults.injectors import operator_silence
 from sitl.faults.injectors.base import Injector
 from sitl.faults.injectors.companion import Crash
 from sitl.faults.injectors.depth_camera import (
+    AlteredDepth,
     Appears,
     Approaches,
     Dark,
-    FrozenPicture,
+    FrozenImage,
     LateFrames,
-    Painted,
     Redated,
     Shuffled,
     bit_errors,
@@ -21,12 +21,12 @@ from sitl.faults.injectors.depth_camera import (
     scaled,
     shifted,
 )  # fmt: skip
-from sitl.faults.injectors.mavlink_link import Corrupted, Garbage, Jitter, Loss, Repeated, Unplugged
-from sitl.faults.injectors.process_signals import Killed
+from sitl.faults.injectors.mavlink_link import Corrupted, Garbage, Jitter, PacketLoss, Repeated, Unplugged
+from sitl.faults.injectors.process_signals import ProcessKilled
 from sitl.faults.injectors.vehicle_and_autopilot import Reboot
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
-from sitl.faults.judges.map_integrity import AGAIN, CLAIMED, FREED, Cartographer, Claims, Tally
+from sitl.faults.judges.map_integrity import AGAIN, CLAIMED, FREED, Claims, MapIntegrityCheck, Tally
 from sitl.faults.table.acceptance_limits import (
     COMPLETES,
     NO_FAILSAFE,
@@ -43,14 +43,14 @@ from sitl.faults.table.acceptance_limits import (
     lands,
     told,
 )
-from sitl.faults.table.scenario import SHORT_VIEWS, Bar, Row
+from sitl.faults.table.scenario import SHORT_VIEWS, Limit, Scenario
 
 FAST = Onset(speed_mps=0.6)
 STILL = Onset(speed_mps=0.0, view_m=3.8)
-ONCE = Bar("frames mapped again", m.noted(AGAIN), 0.0, "")
+ONCE = Limit("frames mapped again", m.noted(AGAIN), 0.0, "")
 
 TABLE_C = (
-    Row(
+    Scenario(
         "C1",
         "frames lost for 0.3 s",
         "no frame for 0.3 s",
@@ -59,7 +59,7 @@ TABLE_C = (
         onset=FAST,
         longest_s=12.0,
     ),
-    Row(
+    Scenario(
         "C1b",
         "frames lost for 3 s",
         "no frame for 3 s at speed",
@@ -69,58 +69,58 @@ TABLE_C = (
         longest_s=180.0,
         views=24,
     ),
-    Row(
+    Scenario(
         "C1c",
         "frames lost",
         "no frame any more",
         lambda n: [Dark()],
-        (holds(0.4), Bar("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5)),
+        (holds(0.4), Limit("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5)),
         onset=FAST,
     ),
-    Row(
+    Scenario(
         "C2",
         "camera unplugged",
         "perception dies at speed and is back after 2 s",
         lambda n: [Crash("perception", back_s=2.0)],
         (holds(0.3), lands(1.2), down(30.0)),
         onset=FAST,
-        live=lambda n: [Killed("perception", for_s=0.0)],  # and its supervisor starts it again
+        live=lambda n: [ProcessKilled("perception", for_s=0.0)],  # and its supervisor starts it again
     ),
-    Row(
+    Scenario(
         "C3",
         "depth corrupted",
         "salt on 30 % of the pixels; 64 pixels aside; bit errors; half and twice the range; frozen",
-        lambda n: [_corrupt(n), Cartographer()],
-        (holds(0.5), Bar("known occupied freed", m.noted(FREED), 0.1, "%"), clear(0.10)),
+        lambda n: [_corrupt(n), MapIntegrityCheck()],
+        (holds(0.5), Limit("known occupied freed", m.noted(FREED), 0.1, "%"), clear(0.10)),
     ),
-    Row(
+    Scenario(
         "C4",
         "lens covered",
         "every pixel 0; every pixel 65535",
-        lambda n: [Painted(constant((0, 65535)[n % 2]))],
+        lambda n: [AlteredDepth(constant((0, 65535)[n % 2]))],
         (holds(0.4), clear(0.10)),
         onset=FAST,
     ),
-    Row(
+    Scenario(
         "C4b",
         "lens covered, the map",
         "as C4, and the map is looked at",
-        lambda n: [Painted(constant((0, 65535)[n % 2])), Cartographer(), Claims()],
-        (Bar("known occupied freed", m.noted(FREED), 0.0, "%"), Bar("voxels marked free", m.noted(CLAIMED), 0.0, "")),
+        lambda n: [AlteredDepth(constant((0, 65535)[n % 2])), MapIntegrityCheck(), Claims()],
+        (Limit("known occupied freed", m.noted(FREED), 0.0, "%"), Limit("voxels marked free", m.noted(CLAIMED), 0.0, "")),
         onset=FAST,
     ),
-    Row("C5", "glass, black, mirror", "surfaces that stereo does not see", why="T2 and T4: glass is not rendered"),
-    Row(
+    Scenario("C5", "glass, black, mirror", "surfaces that stereo does not see", why="T2 and T4: glass is not rendered"),
+    Scenario(
         "C6",
         "frames late",
         "all of them 0.5 s late",
         lambda n: [LateFrames(0.5)],
         (
-            Bar("speed 2 s later", m.speed_from(2.0), 0.3, "m/s"),
+            Limit("speed 2 s later", m.speed_from(2.0), 0.3, "m/s"),
             clear(0.10),
         ),
     ),
-    Row(
+    Scenario(
         "C7",
         "frames repeated and out of order",
         "each twice, every third behind the next",
@@ -129,7 +129,7 @@ TABLE_C = (
         longest_s=180.0,
         views=SHORT_VIEWS,
     ),
-    Row(
+    Scenario(
         "C7b",
         "stamps of another clock for 1 s",
         "an hour ago or ahead, for 1 s at speed",
@@ -138,29 +138,29 @@ TABLE_C = (
         onset=FAST,
         longest_s=15.0,
     ),
-    Row(
+    Scenario(
         "C7c",
         "stamps of another clock",
         "an hour ago or ahead, at speed and for good",
         lambda n: [Redated((-3600.0, 3600.0)[n % 2]), Tally()],
-        (holds(0.4), Bar("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5), ONCE),
+        (holds(0.4), Limit("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5), ONCE),
         onset=FAST,
     ),
-    Row(
+    Scenario(
         "C8",
         "obstacle appears",
         "a box stands 1.0 m ahead of the hull, at speed",
         lambda n: [Appears(1.0)],
-        (holds(0.25), Bar("stops short of it by", m.stopped_short, 0.40, "m", at_least=True), clear(0.10)),
+        (holds(0.25), Limit("stops short of it by", m.stopped_short, 0.40, "m", at_least=True), clear(0.10)),
         onset=Onset(speed_mps=0.6, seeing=True),
         longest_s=25.0,
     ),
-    Row(
+    Scenario(
         "C9",
         "obstacle approaches",
         "told to stay, and a box comes from 3 m ahead at 0.8 m/s to where it hovers",
         lambda n: [Approaches(0.8)],
-        (Bar("clearance of it", lambda e: e.box_m, 0.30, "m", at_least=True), clear(0.10)),
+        (Limit("clearance of it", lambda e: e.box_m, 0.30, "m", at_least=True), clear(0.10)),
         onset=STILL,
         longest_s=20.0,
     ),
@@ -169,62 +169,62 @@ TABLE_C = (
 
 def _corrupt(n: int) -> Injector:
     changes = (salted(0.3), shifted(32), bit_errors(), scaled(0.5), scaled(2.0))
-    return FrozenPicture() if n % 6 == 5 else Painted(changes[n % 6])
+    return FrozenImage() if n % 6 == 5 else AlteredDepth(changes[n % 6])
 
 
 TABLE_D = (
-    Row(
+    Scenario(
         "D1",
         "nothing heard for 1 s",
         "autopilot to product lost for 1 s at speed",
-        lambda n: [Loss("down", 1.0)],
+        lambda n: [PacketLoss("down", 1.0)],
         (holds(0.6), NO_FAILSAFE, STREAMS),
         onset=FAST,
         longest_s=12.0,
     ),
-    Row(
+    Scenario(
         "D1b",
         "nothing heard for 10 s",
         "autopilot to product lost for 10 s at speed",
-        lambda n: [Loss("down", 10.0)],
-        (holds(0.6), Bar("stream ends", m.streams_after, 3.1, "s"), lands(4.5, ardupilot=3.8), NO_ORDER),
+        lambda n: [PacketLoss("down", 10.0)],
+        (holds(0.6), Limit("stream ends", m.streams_after, 3.1, "s"), lands(4.5, ardupilot=3.8), NO_ORDER),
         onset=FAST,
     ),
-    Row(
+    Scenario(
         "D2",
         "nothing said for 3 s",
         "product to autopilot lost for 3 s",
-        lambda n: [Loss("up", 3.0)],
+        lambda n: [PacketLoss("up", 3.0)],
         (UNHEARD_LANDS, NO_ORDER, down(30.0), told("the autopilot lands", 2.3, ardupilot=3.5)),
         onset=FAST,
     ),
-    Row(
+    Scenario(
         "D3",
         "bad link",
         "20 % lost both ways; for a minute up to 0.3 s late; 0.3 s holes",
-        lambda n: [(Loss("both", share=0.2, seed=n), Jitter(0.3, 60.0, n), Loss("both", 0.3))[n % 3]],
+        lambda n: [(PacketLoss("both", share=0.2, seed=n), Jitter(0.3, 60.0, n), PacketLoss("both", 0.3))[n % 3]],
         (
             NO_FAILSAFE,
             STEADY,
-            Bar("setpoints that arrive in a second, of ten", m.slowest_ten_seconds_arrived, 20.0, "1/s", at_least=True),
-            Bar("gap between those that arrive", m.longest_gap_arrived, 0.5, "s"),  # at which the autopilot takes over
+            Limit("setpoints that arrive in a second, of ten", m.slowest_ten_seconds_arrived, 20.0, "1/s", at_least=True),
+            Limit("gap between those that arrive", m.longest_gap_arrived, 0.5, "s"),  # at which the autopilot takes over
             COMPLETES,
         ),
         onset=Onset(speed_mps=0.0),
         longest_s=240.0,
         views=22,
     ),
-    Row(
+    Scenario(
         "D4",
         "frames repeated and out of order",
         "each three times, up to 0.5 s late",
         lambda n: [Repeated(0.5)],
-        (Bar("arm commands", m.arm_tries, 1.0, ""), NO_FAILSAFE, RETURNS),
+        (Limit("arm commands", m.arm_tries, 1.0, ""), NO_FAILSAFE, RETURNS),
         onset=Onset((0.0, 0.0), at_boot=True),
         longest_s=240.0,
         views=14,
     ),
-    Row(
+    Scenario(
         "D5",
         "garbage",
         "1 MB/s of random bytes for 10 s, then a fifth of the frames spoilt",
@@ -233,51 +233,55 @@ TABLE_D = (
         longest_s=180.0,
         views=SHORT_VIEWS,
     ),
-    Row(
+    Scenario(
         "D6",
         "serial line unplugged",
         "the device is gone for 1 s at speed",
-        bars=(holds(0.3, late_s=1.0), Bar("poses again after", odometry_metrics.poses_again_after(1.0), 2.0, "s"), down(120.0)),
+        bars=(
+            holds(0.3, late_s=1.0),
+            Limit("poses again after", odometry_metrics.poses_again_after(1.0), 2.0, "s"),
+            down(120.0),
+        ),
         onset=FAST,
         longest_s=125.0,
         views=SHORT_VIEWS,
         why="needs a serial line, a pseudo terminal: flown in real time",
         live=lambda n: [Unplugged(1.0)],
     ),
-    Row(
+    Scenario(
         "D7",
         "autopilot restarts in the air",
         "it begins anew, clock and all, and a pilot catches it",
         lambda n: [Reboot()],
         (
             NO_ORDER,
-            Bar("stream ends", m.streams_after, 1.2, "s"),
-            Bar("poses dated wrongly", odometry_metrics.misdated_for, 0.15, "s"),
-            Bar("poses dated rightly", odometry_metrics.dated_after, 1.0, "s"),
+            Limit("stream ends", m.streams_after, 1.2, "s"),
+            Limit("poses dated wrongly", odometry_metrics.misdated_for, 0.15, "s"),
+            Limit("poses dated rightly", odometry_metrics.dated_after, 1.0, "s"),
         ),
         longest_s=20.0,
     ),
-    Row(
+    Scenario(
         "D8",
         "operator lost",
         "nobody asks how it stands any more, in flight; every second time somebody forges a ground station's heartbeats",
-        lambda n: [operator_silence.Gone(), *([operator_silence.GroundStation()] if n % 2 else [])],
+        lambda n: [operator_silence.OperatorSilent(), *([operator_silence.GroundStation()] if n % 2 else [])],
         (
             RETURN_ACTS,
-            Bar("returns not before", operator_silence.acts_after, operator_silence.TIMEOUT_S - 1.0, "s", at_least=True),
-            Bar("warned", operator_silence.warns_after, 6.0, "s"),
-            Bar("way astray", operator_silence.astray(operator_silence.TIMEOUT_S), 3.0, "m"),
+            Limit("returns not before", operator_silence.acts_after, operator_silence.TIMEOUT_S - 1.0, "s", at_least=True),
+            Limit("warned", operator_silence.warns_after, 6.0, "s"),
+            Limit("way astray", operator_silence.astray(operator_silence.TIMEOUT_S), 3.0, "m"),
             RETURNS,
             down(120.0),
         ),
         longest_s=120.0,
     ),
-    Row(
+    Scenario(
         "D8b",
         "operator heard now and then",
         "asks how it stands once in ten seconds",
-        lambda n: [operator_silence.Rare(10.0)],
-        (COMPLETES, Bar("warnings", operator_silence.warnings, 1.0, ""), NO_FAILSAFE),
+        lambda n: [operator_silence.OperatorIntermittent(10.0)],
+        (COMPLETES, Limit("warnings", operator_silence.warnings, 1.0, ""), NO_FAILSAFE),
         longest_s=180.0,
         views=SHORT_VIEWS,
     ),

@@ -11,8 +11,8 @@ from typing import Literal
 
 from sitl.camera.d435i import Model
 from sitl.faults.fault import STANDS_S, Onset
-from sitl.faults.flight_evidence import Evidence
-from sitl.faults.injectors.base import Injector, Needs
+from sitl.faults.flight_evidence import FlightEvidence
+from sitl.faults.injectors.base import Capabilities, Injector
 from sitl.faults.judges.invariants import USUAL, Room
 from sitl.faults.judges.reaction_metrics import Measure
 from sitl.scene.scene import HULL_RADIUS_M
@@ -24,7 +24,7 @@ SHORT_VIEWS = 18  # of a flight that is to end by itself while it is watched
 
 
 @dataclass(frozen=True)
-class Bar:
+class Limit:
     """A figure and what it may be at most, or at least; ardupilot: where that firmware's bar is another."""
 
     name: str
@@ -54,7 +54,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Row:
+class Scenario:
     """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere. why: it
     cannot be flown in lockstep. live: its injectors in real time, where that is another flight. longest_s: watched so long
     after the trouble began, and stands_s once the motors stand. times: in lockstep it is flown so many times as often as a row
@@ -66,7 +66,7 @@ class Row:
     hazard: str
     injection: str
     injectors: Callable[[int], Sequence[Injector]] = lambda n: ()
-    bars: tuple[Bar, ...] = ()
+    bars: tuple[Limit, ...] = ()
     onset: Onset = ON_THE_WAY
     arena: Arena = "hall"
     longest_s: float = 60.0
@@ -89,35 +89,35 @@ class Row:
         """Those of its n-th flight, in lockstep or in real time."""
         return self.live(number) if live and self.live is not None else self.injectors(number)
 
-    def needs(self, number: int, live: bool) -> Needs:
+    def needs(self, number: int, live: bool) -> Capabilities:
         """All that they want of it."""
-        return functools.reduce(operator.or_, (trouble.needs for trouble in self.troubles(number, live)), Needs.NOTHING)
+        return functools.reduce(operator.or_, (trouble.needs for trouble in self.troubles(number, live)), Capabilities.NOTHING)
 
     def flown(self, live: bool) -> bool:
         """Whether there is a flight of it, in lockstep or in real time."""
         return self.live is not None if live else not self.why
 
-    def flown_by(self, offers: Needs) -> bool:
+    def flown_by(self, offers: Capabilities) -> bool:
         """Whether there is one in real time with a real firmware, where a flight has so much to give."""
         there_is_one = self.live is not None or not self.why
         return there_is_one and all(self.needs(n, live=True) in offers for n in range(CASES))
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ScenarioVerdict:
     """Of one flight: a figure for each bar, and what was broken of what holds everywhere."""
 
     figures: tuple[float, ...]
     broken: tuple[str, ...]
 
-    def passed(self, row: Row, autopilot: str) -> bool:
+    def passed(self, row: Scenario, autopilot: str) -> bool:
         """All bars and all of the rest."""
         held = all(bar.holds(figure, autopilot) for bar, figure in zip(row.bars, self.figures, strict=True))
         return held and not self.broken
 
 
-def judge(row: Row, evidence: Evidence, broken: Sequence[str]) -> Verdict:
+def judge(row: Scenario, evidence: FlightEvidence, broken: Sequence[str]) -> ScenarioVerdict:
     """Hold a flight to its row. broken: of everywhere.violations(). A trouble that never came is no pass."""
     if evidence.onset_s == math.inf:
-        return Verdict(tuple(math.nan for _ in row.bars), (*broken, "the moment for the trouble never came"))
-    return Verdict(tuple(float(bar.measure(evidence)) for bar in row.bars), tuple(broken))
+        return ScenarioVerdict(tuple(math.nan for _ in row.bars), (*broken, "the moment for the trouble never came"))
+    return ScenarioVerdict(tuple(float(bar.measure(evidence)) for bar in row.bars), tuple(broken))

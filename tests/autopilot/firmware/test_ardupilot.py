@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from uav_recon.autopilot.firmware import ardupilot
-from uav_recon.autopilot.firmware.ardupilot import CLIMB_M, TAKE_OFF, TakeOff
+from uav_recon.autopilot.firmware.ardupilot import CLIMB_M, TAKE_OFF, ArduPilotArmingSequence
 from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, Outcome
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 
@@ -57,7 +57,7 @@ class Bench:
     """Steps a take-off at 100 Hz under telemetry that the test sets."""
 
     def __init__(self, **telemetry: Any) -> None:
-        self.t, self.take_off, self.tick = ready(**telemetry), TakeOff(0.0), 0
+        self.t, self.take_off, self.tick = ready(**telemetry), ArduPilotArmingSequence(0.0), 0
         self.asked: list[tuple[float, int]] = []
         self.outcome = Outcome.PENDING
 
@@ -72,7 +72,7 @@ class Bench:
 
 
 def test_no_setpoint_may_run_before_it_flies() -> None:
-    assert not TakeOff(0.0).streams
+    assert not ArduPilotArmingSequence(0.0).streams
 
 
 def test_mode_then_motors_then_one_climb() -> None:

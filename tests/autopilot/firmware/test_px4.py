@@ -11,7 +11,7 @@ import pytest
 
 from uav_recon.autopilot.firmware import px4
 from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, Outcome
-from uav_recon.autopilot.firmware.px4 import Arming
+from uav_recon.autopilot.firmware.px4 import Px4ArmingSequence
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 
 OFFBOARD, LAND, LOITER, POSCTL, RTL = 393216, 100925440, 50593792, 196608, 84148224  # the first three as measured
@@ -71,7 +71,7 @@ def test_what_is_missing_is_named(changes: dict[str, Any], says: str) -> None:
 
 
 def drive(
-    arming: Arming, telemetry: Telemetry, until_s: float, start_s: float = 0.0
+    arming: Px4ArmingSequence, telemetry: Telemetry, until_s: float, start_s: float = 0.0
 ) -> tuple[list[tuple[float, int]], Outcome]:
     """Step at 100 Hz under telemetry that never changes, with a heartbeat every 0.2 s."""
     asked, outcome, tick = [], Outcome.PENDING, round(start_s * 100)
@@ -87,7 +87,7 @@ def drive(
 
 
 def test_a_mode_that_never_shows_is_asked_for_three_times() -> None:
-    arming = Arming(0.0)
+    arming = Px4ArmingSequence(0.0)
     asked, outcome = drive(arming, ready(warning="no RC"), 20.0)
     assert [command for _, command in asked] == [DO_SET_MODE] * 3
     assert asked[0][0] >= 1.0
@@ -96,7 +96,7 @@ def test_a_mode_that_never_shows_is_asked_for_three_times() -> None:
 
 
 def test_motors_that_stay_off_are_asked_three_times_five_seconds_apart() -> None:
-    arming = Arming(0.0)
+    arming = Px4ArmingSequence(0.0)
     asked, outcome = drive(arming, ready(custom_mode=OFFBOARD, warning="Arming denied: compass"), 30.0)
     arms = [at for at, command in asked if command == ARM_DISARM]
     assert len(arms) == 3
@@ -107,12 +107,12 @@ def test_motors_that_stay_off_are_asked_three_times_five_seconds_apart() -> None
 
 def test_offboard_left_over_from_before_is_no_proof() -> None:
     """The mode is asked for even if an old heartbeat shows it already."""
-    asked, _ = drive(Arming(0.0), ready(custom_mode=OFFBOARD), 1.5)
+    asked, _ = drive(Px4ArmingSequence(0.0), ready(custom_mode=OFFBOARD), 1.5)
     assert asked[0][1] == DO_SET_MODE
 
 
 def test_a_mode_changed_before_arming_gives_up() -> None:
-    arming, telemetry = Arming(0.0), ready(custom_mode=OFFBOARD)
+    arming, telemetry = Px4ArmingSequence(0.0), ready(custom_mode=OFFBOARD)
     drive(arming, telemetry, 2.0)
     telemetry.custom_mode = POSCTL
     asked, outcome = drive(arming, telemetry, 4.0, start_s=2.0)
@@ -121,5 +121,5 @@ def test_a_mode_changed_before_arming_gives_up() -> None:
 
 
 def test_armed_in_our_mode_is_the_end_of_it() -> None:
-    _, outcome = drive(Arming(0.0), ready(custom_mode=OFFBOARD, armed=True), 5.0)
+    _, outcome = drive(Px4ArmingSequence(0.0), ready(custom_mode=OFFBOARD, armed=True), 5.0)
     assert outcome is Outcome.ARMED

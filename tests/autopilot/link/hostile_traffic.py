@@ -1,4 +1,4 @@
-"""Hostile traffic on the link: `python tests/autopilot/link/hostile_traffic.py [BYTES [FORGED [SEED]]]`. Exit 1: it had an effect.
+"""Hostile traffic on the link: `python tests/autopilot/link/hostile_traffic.py [BYTES [FORGED [SEED]]]`. Exit 1: an effect.
 
 Bursts of random bytes, rich in the bytes that frames begin with, and among them forged frames: of other vehicles and other
 components, of MAVLink 1, and orders that no autopilot gives to a companion. After each burst the true autopilot speaks on, no
@@ -17,8 +17,8 @@ import numpy as np
 from pymavlink.dialects.v20 import common as wire
 
 from uav_recon.autopilot.firmware.px4 import PX4
-from uav_recon.autopilot.link.vehicle_link import Link
-from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
+from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import NoLog
 
 BURST = 1 << 15  # bytes: a thirtieth of a second of a megabyte a second
@@ -102,7 +102,7 @@ def truth(count: int, turn: int) -> bytes:
     return frame_of((place, attitude)[turn % 2], number=16 * count + turn)
 
 
-def held_true(link: Link) -> dict[str, str]:
+def held_true(link: VehicleLink) -> dict[str, str]:
     """What the link knows, the autopilot's clock too, but for what the autopilot goes on saying."""
     known = {field.name: repr(getattr(link.telemetry, field.name)) for field in dataclasses.fields(link.telemetry)}
     for name in ("heard_s", "position_m", "velocity_mps", "quat_wxyz"):
@@ -110,10 +110,10 @@ def held_true(link: Link) -> dict[str, str]:
     return {**known, "clock": str(link._timesync.autopilot_ns(1.0))}
 
 
-def flying() -> tuple[Link, Wire]:
+def flying() -> tuple[VehicleLink, Wire]:
     """A link whose autopilot has said that all is well, and whose clock is known."""
     far = Wire()
-    link = Link(far, NoLog(), 0.0, PX4, Gate())
+    link = VehicleLink(far, NoLog(), 0.0, PX4, AllowListFilter())
     link.ask_parameter(0.0, "COM_OF_LOSS_T")
     bit = wire.MAV_SYS_STATUS_PREARM_CHECK
     for well in (
@@ -130,7 +130,7 @@ def flying() -> tuple[Link, Wire]:
     return link, far
 
 
-def heard_after_s(link: Link, far: Wire, count: int, now_s: float) -> float:
+def heard_after_s(link: VehicleLink, far: Wire, count: int, now_s: float) -> float:
     """Feed the true telemetry, frame by frame, until its position is taken; infinity if it never is."""
     for turn in range(600):
         far.inbox += truth(count, turn)

@@ -9,8 +9,8 @@ import pytest
 from flight_rig import ARM, MODE, SETPOINT, Rig
 from pymavlink.dialects.v20 import common as mavlink
 
-from uav_recon.autopilot.link.autopilot_identity import Identity
-from uav_recon.autopilot.mavlink.allow_list import AllowList, Gate
+from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
+from uav_recon.autopilot.mavlink.allow_list import AllowList, AllowListFilter
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -117,8 +117,8 @@ class OneVehicle(Rig):
 
     uid = PX4_UID
 
-    def gate(self) -> Gate:
-        return Gate(AllowList(uid=self.uid))
+    def gate(self) -> AllowListFilter:
+        return AllowListFilter(AllowList(uid=self.uid))
 
 
 class AnotherVehicle(OneVehicle):
@@ -153,7 +153,7 @@ def test_another_than_the_configured_one_is_refused_and_both_are_named() -> None
     ],
 )
 def test_who_it_is(wanted: str, told: list[str], fault: str) -> None:
-    identity = Identity(wanted)
+    identity = AutopilotIdentity(wanted)
     for uid in told:
         identity.told(uid)
     assert identity.fault == fault

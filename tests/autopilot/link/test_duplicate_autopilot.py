@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as wire
 
-from uav_recon.autopilot.link.duplicate_autopilot import Double
+from uav_recon.autopilot.link.duplicate_autopilot import DuplicateAutopilotDetector
 from uav_recon.autopilot.mavlink.codec import Decoder
 
 OURS, PILOTS = 6 << 16, 3 << 16
@@ -39,7 +39,7 @@ class Voice:
 
 def noticed_s(arrivals: list[tuple[float, bytes]]) -> float | None:
     """When two are noticed, of frames by their arrival."""
-    double, decoder = Double(), Decoder()
+    double, decoder = DuplicateAutopilotDetector(), Decoder()
     for now_s, frame in sorted(arrivals, key=lambda each: each[0]):
         for received in decoder.feed(frame):
             double.hear(received, now_s)
@@ -95,7 +95,7 @@ def test_a_bad_link_to_one_that_changes_its_mode_is_one(wall: str) -> None:
 
 
 def test_it_is_over_two_seconds_after_the_other_fell_silent() -> None:
-    double, decoder = Double(), Decoder()
+    double, decoder = DuplicateAutopilotDetector(), Decoder()
     spoken = []
     for now_s, frame in sorted(flight(Voice(-30.0), 0, 1000) + flight(Voice(-900.0), 200, 400), key=lambda each: each[0]):
         for received in decoder.feed(frame):

@@ -12,8 +12,8 @@ import pytest
 from pymavlink.dialects.v20 import common as wire
 
 from uav_recon.autopilot.firmware.px4 import PX4
-from uav_recon.autopilot.link.vehicle_link import Link
-from uav_recon.autopilot.mavlink.allow_list import AllowList, Gate
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
+from uav_recon.autopilot.mavlink.allow_list import AllowList, AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Setpoint
@@ -63,11 +63,11 @@ def far() -> Wire:
 
 
 @pytest.fixture
-def pair(far: Wire) -> tuple[Link, Wire]:
-    return Link(far, NoLog(), 0.0, PX4, Gate()), far
+def pair(far: Wire) -> tuple[VehicleLink, Wire]:
+    return VehicleLink(far, NoLog(), 0.0, PX4, AllowListFilter()), far
 
 
-def converge(link: Link, far: Wire, offset_s: float = 37.5) -> None:
+def converge(link: VehicleLink, far: Wire, offset_s: float = 37.5) -> None:
     far.hear(heartbeat())
     link.receive(0.0)
     for i in range(12):
@@ -78,8 +78,8 @@ def converge(link: Link, far: Wire, offset_s: float = 37.5) -> None:
 
 
 def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
-    gate = Gate(AllowList(system=7, autopilot=1, gimbal=154))
-    link = Link(far, NoLog(), 0.0, PX4, gate)
+    gate = AllowListFilter(AllowList(system=7, autopilot=1, gimbal=154))
+    link = VehicleLink(far, NoLog(), 0.0, PX4, gate)
     far.hear(heartbeat(autopilot=8), 255, 190)  # a ground station
     far.hear(heartbeat(mode=4 << 16, armed=True), 9, 1)  # another vehicle, and earlier than ours
     far.hear(heartbeat(autopilot=8), 7, 154)  # a gimbal
@@ -105,8 +105,8 @@ def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureF
 
 
 def test_mavlink_1_is_counted_and_named_and_says_nothing(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
-    gate = Gate()
-    link = Link(far, NoLog(), 0.0, PX4, gate)
+    gate = AllowListFilter()
+    link = VehicleLink(far, NoLog(), 0.0, PX4, gate)
     for _ in range(3):
         far.inbox += bytes(heartbeat(armed=True).pack(wire.MAVLink(None, 1, 1), force_mavlink1=True))
     link.receive(0.0)
@@ -115,8 +115,8 @@ def test_mavlink_1_is_counted_and_named_and_says_nothing(far: Wire, caplog: pyte
 
 
 def test_a_forger_with_a_thousand_names_fills_no_log(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
-    gate = Gate()
-    link = Link(far, NoLog(), 0.0, PX4, gate)
+    gate = AllowListFilter()
+    link = VehicleLink(far, NoLog(), 0.0, PX4, gate)
     for system in range(2, 245):
         for component in (1, 2, 3, 4):
             far.hear(heartbeat(), system, component)
@@ -126,7 +126,7 @@ def test_a_forger_with_a_thousand_names_fills_no_log(far: Wire, caplog: pytest.L
 
 
 @pytest.mark.parametrize("stranger", [100, 1])
-def test_only_the_vehicles_own_gimbal_tells_its_angle(pair: tuple[Link, Wire], stranger: int) -> None:
+def test_only_the_vehicles_own_gimbal_tells_its_angle(pair: tuple[VehicleLink, Wire], stranger: int) -> None:
     link, far = pair
     far.hear(heartbeat())
     tilted = wire.MAVLink_gimbal_device_attitude_status_message(0, 0, 0, 0, [math.cos(0.1), 0, -math.sin(0.1), 0], 0, 0, 0, 0)
@@ -135,7 +135,7 @@ def test_only_the_vehicles_own_gimbal_tells_its_angle(pair: tuple[Link, Wire], s
     assert math.isnan(link.telemetry.camera_pitch_down_rad)
 
 
-def test_a_gimbal_may_speak_for_itself(pair: tuple[Link, Wire]) -> None:
+def test_a_gimbal_may_speak_for_itself(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     far.hear(heartbeat())
     far.hear(
@@ -147,14 +147,14 @@ def test_a_gimbal_may_speak_for_itself(pair: tuple[Link, Wire]) -> None:
     assert link.telemetry.camera_pitch_down_rad == pytest.approx(0.2, abs=1e-6)
 
 
-def test_nothing_but_a_cleared_setpoint_is_streamed(pair: tuple[Link, Wire]) -> None:
+def test_nothing_but_a_cleared_setpoint_is_streamed(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     with pytest.raises(AttributeError):
         link.stream(Setpoint.hold(np.zeros(3), 0.0), 0.0, False)  # type: ignore[arg-type]
     assert far.sent == []
 
 
-def test_we_speak_five_times_a_second_and_ask_for_the_clock(pair: tuple[Link, Wire]) -> None:
+def test_we_speak_five_times_a_second_and_ask_for_the_clock(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     for i in range(1000):
         link.keep_alive(i / 100)
@@ -166,7 +166,7 @@ def test_we_speak_five_times_a_second_and_ask_for_the_clock(pair: tuple[Link, Wi
     assert sum(m.get_type() == "TIMESYNC" for m in far.sent) == 100
 
 
-def test_no_pose_before_the_clock_is_known_and_then_on_its_clock(pair: tuple[Link, Wire]) -> None:
+def test_no_pose_before_the_clock_is_known_and_then_on_its_clock(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     pose = StampedPose(2.5, Pose.identity(), np.zeros(3))
     link.feed_pose(pose, 2.5)
@@ -176,7 +176,7 @@ def test_no_pose_before_the_clock_is_known_and_then_on_its_clock(pair: tuple[Lin
     assert far.sent[-1].time_usec == pytest.approx(40_000_000, abs=1100)
 
 
-def test_only_an_answer_that_comes_at_once_teaches_the_autopilot_our_clock(pair: tuple[Link, Wire]) -> None:
+def test_only_an_answer_that_comes_at_once_teaches_the_autopilot_our_clock(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     converge(link, far)
     for n, late_s in enumerate((0.001, 0.02, 0.15, 0.5, 0.004)):
@@ -188,7 +188,7 @@ def test_only_an_answer_that_comes_at_once_teaches_the_autopilot_our_clock(pair:
     assert link.telemetry.clock_answers == 3
 
 
-def test_its_questions_are_answered_on_its_own_clock(pair: tuple[Link, Wire]) -> None:
+def test_its_questions_are_answered_on_its_own_clock(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     far.hear(heartbeat())
     far.hear(wire.MAVLink_timesync_message(0, 777))
@@ -201,7 +201,7 @@ def test_its_questions_are_answered_on_its_own_clock(pair: tuple[Link, Wire]) ->
     assert far.sent[-1].tc1 == pytest.approx(42.5e9, abs=2e6)
 
 
-def test_no_heartbeat_pretends_that_we_hear(pair: tuple[Link, Wire]) -> None:
+def test_no_heartbeat_pretends_that_we_hear(pair: tuple[VehicleLink, Wire]) -> None:
     """ArduPilot lands two seconds after the last one: within 3.7 s of the link's end, and never before its third second."""
     link, far = pair
     for phase_s in (10.0, 20.3, 30.6, 40.9):
@@ -222,7 +222,7 @@ def test_no_heartbeat_pretends_that_we_hear(pair: tuple[Link, Wire]) -> None:
     assert any(m.get_type() == "HEARTBEAT" for m in far.sent)
 
 
-def test_what_comes_late_or_twice_undoes_nothing(pair: tuple[Link, Wire]) -> None:
+def test_what_comes_late_or_twice_undoes_nothing(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     far.hear(heartbeat(mode=3 << 16))
     old = far.inbox
@@ -235,7 +235,7 @@ def test_what_comes_late_or_twice_undoes_nothing(pair: tuple[Link, Wire]) -> Non
     assert link.telemetry.stale_frames == 1
 
 
-def test_a_battery_that_is_told_no_more_is_not_known(pair: tuple[Link, Wire]) -> None:
+def test_a_battery_that_is_told_no_more_is_not_known(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     far.hear(heartbeat())
     far.hear(wire.MAVLink_sys_status_message(0, 0, 0, 0, 15000, 0, 62, 0, 0, 0, 0, 0, 0))
@@ -246,7 +246,7 @@ def test_a_battery_that_is_told_no_more_is_not_known(pair: tuple[Link, Wire]) ->
     assert math.isnan(link.telemetry.battery_at(6.1)), "other words go on"
 
 
-def test_a_reboot_forgets_the_origin(pair: tuple[Link, Wire]) -> None:
+def test_a_reboot_forgets_the_origin(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     converge(link, far)
     far.hear(wire.MAVLink_gps_global_origin_message(1, 2, 3))
@@ -261,7 +261,7 @@ def test_a_reboot_forgets_the_origin(pair: tuple[Link, Wire]) -> None:
     assert not link.time_known
 
 
-def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[Link, Wire]) -> None:
+def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[VehicleLink, Wire]) -> None:
     """An autopilot that begins anew in the air: the first answer of its new clock ends the feed, and we ask more often."""
     link, far = pair
     converge(link, far)
@@ -283,7 +283,7 @@ def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[Link, Wire]) -> None:
     assert far.sent[0].time_usec == pytest.approx(1e6, abs=2e3)
 
 
-def test_an_autopilot_that_counts_anew_is_understood_at_once(pair: tuple[Link, Wire]) -> None:
+def test_an_autopilot_that_counts_anew_is_understood_at_once(pair: tuple[VehicleLink, Wire]) -> None:
     """Its first answer is numbered like one of before; by its round trip it is new."""
     link, far = pair
     converge(link, far)
@@ -299,7 +299,7 @@ def test_an_autopilot_that_counts_anew_is_understood_at_once(pair: tuple[Link, W
     assert link.telemetry.custom_mode == 2 << 16
 
 
-def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[Link, Wire]) -> None:
+def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     far.error = "Input/output error"
     link.receive(0.0)

@@ -25,7 +25,7 @@ from uav_recon.autopilot.mavlink.messages import (
     OriginSet,
     StatusText,
     SystemStatus,
-    TimeSync,
+    TimesyncMessage,
 )
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose
@@ -139,7 +139,7 @@ def test_other_things_we_say() -> None:
 def test_what_the_autopilot_says() -> None:
     assert read(HEARTBEAT) == Heartbeat(2, 12, True, 393216)
     assert read(wire.MAVLink_command_ack_message(176, 4)) == Ack(176, 4)
-    assert read(wire.MAVLink_timesync_message(-1, 7)) == TimeSync(-1, 7)
+    assert read(wire.MAVLink_timesync_message(-1, 7)) == TimesyncMessage(-1, 7)
     assert read(wire.MAVLink_estimator_status_message(0, 8, *[0.0] * 8)) == EstimatorStatus(True)
     assert read(wire.MAVLink_estimator_status_message(0, 0xFFF7, *[0.0] * 8)) == EstimatorStatus(False)
     bit = wire.MAV_SYS_STATUS_PREARM_CHECK

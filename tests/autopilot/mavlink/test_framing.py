@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.mavlink.framing import Layout, frame_length, framed, is_intact, kind_of, sender_of, wire
+from uav_recon.autopilot.mavlink.framing import MessageLayout, frame_length, framed, is_intact, kind_of, sender_of, wire
 
 KINDS = (
     wire.MAVLink_heartbeat_message,
@@ -36,7 +36,7 @@ def test_a_frame_reads_as_pymavlink_reads_it(kind: Any, seed: int) -> None:
     assert is_intact(frame, kind)
     message = wire.MAVLink(None).decode(bytearray(frame))
     assert (message.get_seq(), message.get_srcSystem(), message.get_srcComponent()) == (200 + seed, 7, 191)
-    values = Layout(kind, *kind.fieldnames).read(frame)
+    values = MessageLayout(kind, *kind.fieldnames).read(frame)
     for name, value in zip(kind.fieldnames, values, strict=True):
         expected = getattr(message, name)
         assert list(value) == list(expected) if isinstance(value, tuple) else value == expected, name
@@ -57,7 +57,7 @@ def test_a_payload_of_zeros_keeps_one_byte() -> None:
     kind = wire.MAVLink_timesync_message
     expected = bytes(kind(0, 0).pack(wire.MAVLink(None, srcSystem=1, srcComponent=1)))
     assert framed(kind, bytes(16), 0, 1, 1) == expected
-    assert Layout(kind, "tc1", "ts1").read(expected) == [0, 0]
+    assert MessageLayout(kind, "tc1", "ts1").read(expected) == [0, 0]
 
 
 @pytest.mark.parametrize("place", [1, 4, 9, 12, -1])

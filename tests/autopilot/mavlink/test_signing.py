@@ -20,11 +20,11 @@ from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.byte_links import ByteEnd
 from uav_recon.autopilot.firmware.px4 import PX4
-from uav_recon.autopilot.link.vehicle_link import Link
-from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
+from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
 from uav_recon.autopilot.mavlink.signing import KeyFileError, Signature, open_signature, read_key
-from uav_recon.autopilot.mavlink.signing_timestamps import UNITS_PER_S, Stamps
+from uav_recon.autopilot.mavlink.signing_timestamps import UNITS_PER_S, SigningTimestamps
 from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.clock import InlineExecutor, ManualClock
 from uav_recon.types.vehicle import FlightPhase
@@ -36,15 +36,15 @@ HEARTBEAT = wire.MAVLink_heartbeat_message(2, 3, 0x80, 4, 4, 3)
 
 
 def signature(folder: Path, wall_s: float = NOW_S, link_id: int = 1) -> Signature:
-    return Signature(KEY, link_id, Stamps(folder / "stamps", wall_s, 0.0, InlineExecutor(ManualClock())))
+    return Signature(KEY, link_id, SigningTimestamps(folder / "stamps", wall_s, 0.0, InlineExecutor(ManualClock())))
 
 
 class Ear:
     """A link that uses a key, and what it makes of frames."""
 
     def __init__(self, folder: Path, wall_s: float = NOW_S) -> None:
-        self.far, self.gate = Wire(), Gate(seal=signature(folder, wall_s))
-        self.link = Link(self.far, NoLog(), 0.0, PX4, self.gate)
+        self.far, self.gate = Wire(), AllowListFilter(seal=signature(folder, wall_s))
+        self.link = VehicleLink(self.far, NoLog(), 0.0, PX4, self.gate)
 
     def believes(self, *frames: bytes) -> bool:
         """Whether these frames, all together, had an effect."""
@@ -154,7 +154,7 @@ def test_our_own_frames_come_back_as_a_twin_and_nothing_else(tmp_path: Path) -> 
 
 
 def test_only_a_signed_heartbeat_greets(tmp_path: Path) -> None:
-    gate, there = Gate(seal=signature(tmp_path)), signer(KEY, NOW)
+    gate, there = AllowListFilter(seal=signature(tmp_path)), signer(KEY, NOW)
     signed = frame_of(there)
     assert not gate.greets(frame_of(wire.MAVLink(None, 1, 1)))
     assert not gate.greets(frame_of(signer(OTHER_KEY, NOW)))
@@ -169,8 +169,8 @@ class SignedRig(CopterRig):
         self._folder, self._their_key = folder, theirs
         super().__init__()
 
-    def gate(self) -> Gate:
-        return Gate(seal=signature(self._folder))
+    def gate(self) -> AllowListFilter:
+        return AllowListFilter(seal=signature(self._folder))
 
     def _fly(self, end: ByteEnd, seed: int) -> ArduCopter:
         self.end = SignedEnd(end, self._their_key, NOW - 20 * UNITS_PER_S)  # it has no clock of its own
@@ -204,8 +204,8 @@ class WallRig(SignedRig):
         self.asked_s.append(self.wall_s)
         return self.wall_s
 
-    def gate(self) -> Gate:
-        return Gate(seal=open_signature(self._folder / "key", 1, self._folder / "stamps", self.clock, self.wall))
+    def gate(self) -> AllowListFilter:
+        return AllowListFilter(seal=open_signature(self._folder / "key", 1, self._folder / "stamps", self.clock, self.wall))
 
 
 def test_a_wall_clock_that_is_set_in_flight_is_not_felt_by_a_signed_link(

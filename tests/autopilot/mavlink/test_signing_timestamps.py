@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from uav_recon.autopilot.mavlink.signing_timestamps import LATE_S, UNITS_PER_S, Stamps, StampsError
+from uav_recon.autopilot.mavlink.signing_timestamps import LATE_S, UNITS_PER_S, SigningTimestamps, SigningTimestampsError
 from uav_recon.clock import InlineExecutor, ManualClock
 
 NOW_S = 1_795_000_000.0  # 2026
@@ -15,8 +15,8 @@ SINCE_2015 = int((NOW_S - 1420070400) * UNITS_PER_S)
 VEHICLE = (0, 1, 1)
 
 
-def stamps(path: Path, wall_s: float = NOW_S, now_s: float = 100.0) -> Stamps:
-    return Stamps(path, wall_s, now_s, InlineExecutor(ManualClock()))
+def stamps(path: Path, wall_s: float = NOW_S, now_s: float = 100.0) -> SigningTimestamps:
+    return SigningTimestamps(path, wall_s, now_s, InlineExecutor(ManualClock()))
 
 
 def test_they_count_tens_of_microseconds_since_2015(tmp_path: Path) -> None:
@@ -95,12 +95,12 @@ def test_a_sender_not_heard_before_may_be_a_minute_late(tmp_path: Path) -> None:
 )
 def test_a_file_that_cannot_be_believed_is_one_line(tmp_path: Path, content: str, says: str) -> None:
     (tmp_path / "stamps").write_text(content)
-    with pytest.raises(StampsError, match=rf"^signing_stamps {tmp_path}/stamps: .*{says}"):
+    with pytest.raises(SigningTimestampsError, match=rf"^signing_stamps {tmp_path}/stamps: .*{says}"):
         stamps(tmp_path / "stamps")
 
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(StampsError, match=r"none/stamps: cannot be written \(No such file or directory\)"):
+    with pytest.raises(SigningTimestampsError, match=r"none/stamps: cannot be written \(No such file or directory\)"):
         stamps(tmp_path / "none" / "stamps")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import common as wire
 
-from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.transport import PEER_SILENT_S, LinkError, SerialLink, UdpLink, open_link
 from uav_recon.clock import ManualClock
 from uav_recon.interfaces import ByteLink
@@ -55,7 +55,7 @@ class Udp:
     """A link, its gate, its clock, and whoever speaks to it."""
 
     def __init__(self, peer_host: str | None = None) -> None:
-        self.port, self.gate, self.clock = free_port(), Gate(), ManualClock()
+        self.port, self.gate, self.clock = free_port(), AllowListFilter(), ManualClock()
         self.link = open_link(f"udp:127.0.0.1:{self.port}", self.gate, self.clock, peer_host)
         self._peers: list[Peer] = []
 
@@ -175,14 +175,14 @@ def test_a_port_in_use_is_named(udp: Udp) -> None:
 )
 def test_what_cannot_be_opened_is_one_line(url: str, says: str) -> None:
     with pytest.raises(LinkError, match=says) as caught:
-        open_link(url, Gate(), ManualClock())
+        open_link(url, AllowListFilter(), ManualClock())
     assert "\n" not in str(caught.value)
 
 
 def test_serial_carries_every_byte_untouched() -> None:
     far, near = os.openpty()
     name = os.ttyname(near)
-    link = open_link(f"serial:{name}:921600", Gate(), ManualClock())
+    link = open_link(f"serial:{name}:921600", AllowListFilter(), ManualClock())
     os.close(near)
     assert isinstance(link, SerialLink)
     every = bytes(range(256))
@@ -215,7 +215,7 @@ def test_a_serial_line_that_went_is_opened_again_once_it_is_back(tmp_path: Path)
             os.close(end)
 
     ends = plug()
-    link = open_link(f"serial:{device}:921600", Gate(), clock)
+    link = open_link(f"serial:{device}:921600", AllowListFilter(), clock)
     assert isinstance(link, SerialLink)
     while not link.dropped_writes:
         link.write(bytes(1000))

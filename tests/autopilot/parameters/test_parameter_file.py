@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from uav_recon.autopilot.parameters.parameter_file import (
     FOLDER,
     PARAMETER_FILES,
@@ -43,11 +43,11 @@ def test_each_value_has_its_row_and_each_row_its_value(path: Path) -> None:
     for name, (value, _) in told.items():
         assert float(value) == wanted[name].value, name
         assert wanted[name].reason.why, name
-    simulated = {**_defaults(Parameters()), **_defaults(ArduPilotParameters())}
+    simulated = {**_defaults(Px4Parameters()), **_defaults(ArduPilotParameters())}
     assert {name: float(default) for name, (_, default) in told.items()} == {name: simulated[name] for name in told}
 
 
-def _defaults(table: Parameters | ArduPilotParameters) -> dict[str, float]:
+def _defaults(table: Px4Parameters | ArduPilotParameters) -> dict[str, float]:
     return {name: table[name] for name in table}
 
 

@@ -10,11 +10,11 @@ import pytest
 from pymavlink.dialects.v20 import common as wire
 
 from uav_recon.autopilot.firmware.px4 import PX4
-from uav_recon.autopilot.link.vehicle_link import Link
-from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
+from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.messages import ParameterValue
 from uav_recon.autopilot.mavlink.tlog import NoLog
-from uav_recon.autopilot.parameters.reader import BYTEWISE, NUMERIC, PATIENCE_S, TRIES, WINDOW, Inquiry
+from uav_recon.autopilot.parameters.reader import BYTEWISE, NUMERIC, PATIENCE_S, TRIES, WINDOW, ParameterReader
 
 INT32, REAL32 = 6, 9
 
@@ -53,13 +53,13 @@ class Far:
         pass
 
 
-def linked(far: Far) -> Link:
-    link = Link(far, NoLog(), 0.0, PX4, Gate())
+def linked(far: Far) -> VehicleLink:
+    link = VehicleLink(far, NoLog(), 0.0, PX4, AllowListFilter())
     link.receive(0.0)
     return link
 
 
-def run(inquiry: Inquiry, link: Link, seconds: float, begin_s: float = 0.0) -> float:
+def run(inquiry: ParameterReader, link: VehicleLink, seconds: float, begin_s: float = 0.0) -> float:
     """Until it is done; when that was."""
     for i in range(int(seconds / 0.01)):
         now_s = begin_s + i * 0.01
@@ -91,7 +91,7 @@ def test_what_an_integer_cannot_hold_is_refused(form: Any, value: float) -> None
 def test_all_are_read_a_few_at_a_time() -> None:
     values = {f"P{i}": i / 4 for i in range(40)}
     far = Far(**values)
-    link, inquiry = linked(far), Inquiry(values)
+    link, inquiry = linked(far), ParameterReader(values)
     inquiry.step(0.0, link)
     assert far.asked == list(values)[:WINDOW]
     run(inquiry, link, 2.0)
@@ -103,7 +103,7 @@ def test_all_are_read_a_few_at_a_time() -> None:
 def test_a_lost_answer_is_asked_for_again() -> None:
     far = Far(A=1.0, B=2.0)
     far.deaf_for["A"] = TRIES - 1
-    link, inquiry = linked(far), Inquiry(["A", "B"])
+    link, inquiry = linked(far), ParameterReader(["A", "B"])
     took_s = run(inquiry, link, 10.0)
     assert took_s == pytest.approx((TRIES - 1) * PATIENCE_S, abs=0.05)
     assert far.asked.count("A") == TRIES
@@ -113,7 +113,7 @@ def test_a_lost_answer_is_asked_for_again() -> None:
 
 def test_what_is_unknown_there_is_given_up_and_named() -> None:
     far = Far(A=1.0)
-    link, inquiry = linked(far), Inquiry(["NOT_THERE", "A"])
+    link, inquiry = linked(far), ParameterReader(["NOT_THERE", "A"])
     run(inquiry, link, 10.0)
     assert inquiry.silent == ["NOT_THERE"]
     assert far.asked.count("NOT_THERE") == TRIES
@@ -122,9 +122,9 @@ def test_what_is_unknown_there_is_given_up_and_named() -> None:
 def test_an_old_answer_does_not_count_for_a_new_question() -> None:
     far = Far(A=1.0)
     link = linked(far)
-    run(Inquiry(["A"]), link, 1.0)
+    run(ParameterReader(["A"]), link, 1.0)
     far.values["A"] = 5.0
-    again = Inquiry(["A"])
+    again = ParameterReader(["A"])
     again.step(1.0, link)
     assert not again.done
     run(again, link, 1.0, begin_s=1.01)

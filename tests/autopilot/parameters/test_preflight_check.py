@@ -11,7 +11,7 @@ from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.base_autopilot import Autopilot
 from sitl.autopilots.byte_links import ByteEnd
 from uav_recon.autopilot.firmware.ardupilot import ARDUPILOT
-from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, Wanted, load
+from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, RequiredParameter, load
 from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
 from uav_recon.autopilot.parameters.reader import BYTEWISE, NUMERIC
 from uav_recon.types.trajectory import Goal
@@ -26,7 +26,7 @@ class CheckedRig(Rig):
 
     name, form = "px4", BYTEWISE
 
-    def __init__(self, wanted: tuple[Wanted, ...] = ()) -> None:
+    def __init__(self, wanted: tuple[RequiredParameter, ...] = ()) -> None:
         self.parameters = ParameterCheck(wanted or load(PARAMETER_FILES[self.name]), self.form)
         super().__init__()
 

@@ -14,27 +14,27 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.autopilots.base_autopilot import Autopilot
 from sitl.autopilots.byte_links import ByteEnd, pipe
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.world.quadrotor import Quadrotor
-from uav_recon.autopilot.firmware.profile import Personality
+from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.firmware.px4 import PX4
-from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
-from uav_recon.autopilot.pilot.pilot import Airframe, Pilot, PilotChannels, make_pilot
+from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot, PilotChannels, make_pilot
 from uav_recon.autopilot.pilot.preflight import Origin
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.interfaces import ByteLink
 from uav_recon.safety.envelope import Envelope, Fence
-from uav_recon.safety.failsafe import Patience
+from uav_recon.safety.failsafe import FailsafeTimeouts
 from uav_recon.safety.guard import Bounds, Guard
 from uav_recon.safety.obstacle_speed_limit import Margins
-from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FreeSpace, GridSpec
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.polygon import Polygon
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
@@ -45,9 +45,9 @@ copyreg.pickle(struct.Struct, lambda layout: (struct.Struct, (layout.format,))) 
 TICK_S = 0.01
 TAKEOFF_LAG_S = 4.0  # PX4 spools up for 1 s and then ramps its take-off speed for 3 s: it arrives behind its setpoint
 ENVELOPE = Envelope(Fence(Polygon.box((-3.0, -3.0), (5.0, 3.0)), -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
-PATIENCE = Patience(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0)
+PATIENCE = FailsafeTimeouts(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0)
 BOUNDS = Bounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4))
-AIRFRAME = Airframe(hull_radius_m=0.2, hull_height_m=0.2, hover_height_m=1.1)
+AIRFRAME = HullGeometry(hull_radius_m=0.2, hull_height_m=0.2, hover_height_m=1.1)
 GRID = GridSpec(np.array([-4.0, -4.0, -1.0]), 0.1, (100, 80, 40))
 BODY_FROM_DEPTH = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
 ORIGIN = Origin(47.3977, 8.5456, 488.0)
@@ -94,7 +94,7 @@ class Tap:
 class Rig:
     """One flight. The mission is whoever calls fly(), land() and silent()."""
 
-    firmware: Personality = PX4
+    firmware: FirmwareProfile = PX4
     parameters: ParameterCheck | None = None
 
     def __init__(self, seed: int = 1, start: tuple[float, float, float] = (0.0, 0.0, 0.0), log: FrameLog | None = None) -> None:
@@ -105,7 +105,7 @@ class Rig:
         self.autopilot = self._fly(theirs, seed)
         self.channels = PilotChannels(
             MemoryChannel(StampedPose), MemoryChannel(Intent), MemoryChannel(VehicleState), MemoryChannel(FreeSpace),
-            MemoryChannel(Nearby),
+            MemoryChannel(MinRangeGrid),
         )  # fmt: skip
         self.free = np.ones(GRID.shape, dtype=np.bool_)
         self.publish_free()
@@ -119,7 +119,7 @@ class Rig:
         self.track: list[tuple[float, FloatArray]] = []
 
     def _fly(self, end: ByteEnd, seed: int) -> Autopilot:
-        return Px4(self.vehicle, end, Parameters.load(), seed)
+        return Px4(self.vehicle, end, Px4Parameters.load(), seed)
 
     @property
     def px4(self) -> Px4:
@@ -127,13 +127,13 @@ class Rig:
         assert isinstance(self.autopilot, Px4)
         return self.autopilot
 
-    def gate(self) -> Gate:
+    def gate(self) -> AllowListFilter:
         """Whom the pilot hears."""
-        return Gate()
+        return AllowListFilter()
 
     def new_pilot(self, log: FrameLog | None = None) -> Pilot:
         """As a process that starts now."""
-        sight = Sight(10.0, AIRFRAME.hull_radius_m)
+        sight = RecentlySeenSpace(10.0, AIRFRAME.hull_radius_m)
         self.guard = Guard(ENVELOPE, BOUNDS, sight)
         return make_pilot(
             self.tap, self.firmware, self.guard, sight, PATIENCE, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,
@@ -168,7 +168,7 @@ class Rig:
             self.channels.odom.publish(StampedPose(truth.stamp_s, pose, velocity, health=self.health, why=why))
         if self.depth and self.turn % 7 == 0:
             ranges = np.full((12, 16), self.wall_m, dtype=np.float32)
-            self.channels.nearby.publish(Nearby(now, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
+            self.channels.nearby.publish(MinRangeGrid(now, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
         if self.intent is not None and self.turn % 5 == 0:
             self.channels.intent.publish(Intent(now, *self.intent, self.said, self.unattended))
         self.pilot.step()

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.message_validation import fault_of, tells_of_depth, tells_of_space
+from uav_recon.autopilot.pilot.message_validation import is_valid_free_space, is_valid_range_grid, trajectory_fault
 from uav_recon.types.maps import FreeSpace, GridSpec
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Trajectory
 
@@ -50,16 +50,19 @@ ENDS[-1, 0] = 0.05
     ],
 )
 def test_trajectories_that_cannot_be_sampled_are_named(changes: dict[str, Any], fault: str) -> None:
-    found = fault_of(line(**changes))
+    found = trajectory_fault(line(**changes))
     assert fault in found
     assert bool(found) is bool(fault)
 
 
 def test_a_trajectory_of_one_sample_is_a_place() -> None:
     one, place = np.zeros(1), np.zeros((1, 3))
-    assert fault_of(Trajectory(0.0, 0.1, place, place, place, one, one, one, np.zeros(0), 0, 1)) == ""
+    assert trajectory_fault(Trajectory(0.0, 0.1, place, place, place, one, one, one, np.zeros(0), 0, 1)) == ""
     none, nowhere = np.zeros(0), np.zeros((0, 3))
-    assert fault_of(Trajectory(0.0, 0.1, nowhere, nowhere, nowhere, none, none, none, none, 0, 1)) == "trajectory is malformed"
+    assert (
+        trajectory_fault(Trajectory(0.0, 0.1, nowhere, nowhere, nowhere, none, none, none, none, 0, 1))
+        == "trajectory is malformed"
+    )
 
 
 BITS = np.zeros(8, np.uint8)  # of 3 x 4 x 5 voxels
@@ -90,7 +93,7 @@ BITS = np.zeros(8, np.uint8)  # of 3 x 4 x 5 voxels
 def test_known_free_space_is_a_grid_and_a_bit_for_each_voxel(
     origin_m: tuple[float, ...], resolution_m: float, shape: tuple[int, int, int], bits: Any, good: bool
 ) -> None:
-    assert tells_of_space(FreeSpace(GridSpec(np.array(origin_m), resolution_m, shape), bits, 1)) is good
+    assert is_valid_free_space(FreeSpace(GridSpec(np.array(origin_m), resolution_m, shape), bits, 1)) is good
 
 
 @pytest.mark.parametrize(
@@ -112,4 +115,4 @@ def test_known_free_space_is_a_grid_and_a_bit_for_each_voxel(
     ],
 )
 def test_depth_is_cells_in_a_field_of_view(shape: tuple[int, ...], half_tan: tuple[float, float], good: bool) -> None:
-    assert tells_of_depth(Nearby(5.0, Pose.identity(), np.full(shape, 2.0), half_tan, 0.9)) is good
+    assert is_valid_range_grid(MinRangeGrid(5.0, Pose.identity(), np.full(shape, 2.0), half_tan, 0.9)) is good

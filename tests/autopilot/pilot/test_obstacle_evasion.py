@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.obstacle_evasion import IDENTIFIER, Evasion
-from uav_recon.autopilot.pilot.sudden_obstacle import Intruder
+from uav_recon.autopilot.pilot.obstacle_evasion import IDENTIFIER, ObstacleEvasion
+from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle
 from uav_recon.safety.envelope import Envelope, Fence
-from uav_recon.safety.free_space_check import KnownFree
-from uav_recon.safety.guard import Bounds, Guard, Situation
+from uav_recon.safety.free_space_check import FreeSpaceCheck
+from uav_recon.safety.guard import Bounds, Guard, GuardInputs
 from uav_recon.safety.obstacle_speed_limit import Margins
-from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.frames import BoolArray
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.polygon import Polygon
@@ -25,32 +25,34 @@ REST = Setpoint.hold(HERE, 0.0)
 MANY, FEW = 8, 7
 
 
-def _free(free: BoolArray | None = None) -> KnownFree:
+def _free(free: BoolArray | None = None) -> FreeSpaceCheck:
     whole = np.ones(GRID.shape, np.bool_) if free is None else free
-    return KnownFree(FreeSpace(GRID, np.packbits(whole), 1), 0.2, 0.2)
+    return FreeSpaceCheck(FreeSpace(GRID, np.packbits(whole), 1), 0.2, 0.2)
 
 
-def _situation(now_s: float, free: KnownFree | None = None) -> Situation:
-    return Situation(now_s, (0.0, 0.0, 1.1), 0.0, np.eye(3), 0.03, 0.05, 0, free or _free(), None)
+def _situation(now_s: float, free: FreeSpaceCheck | None = None) -> GuardInputs:
+    return GuardInputs(now_s, (0.0, 0.0, 1.1), 0.0, np.eye(3), 0.03, 0.05, 0, free or _free(), None)
 
 
-def _seen(stamp_s: float, away_m: float, cells: int = MANY) -> Intruder:
-    return Intruder(stamp_s, np.tile(HERE + np.array([away_m, 0.0, 0.0]), (cells, 1)), away_m)
+def _seen(stamp_s: float, away_m: float, cells: int = MANY) -> SuddenObstacle:
+    return SuddenObstacle(stamp_s, np.tile(HERE + np.array([away_m, 0.0, 0.0]), (cells, 1)), away_m)
 
 
 @pytest.fixture
-def evasion() -> Evasion:
+def evasion() -> ObstacleEvasion:
     envelope = Envelope(Fence(Polygon.box((-3.0, -3.0), (3.0, 3.0)), -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
-    return Evasion(Guard(envelope, Bounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4)), Sight(10.0, 0.2)))
+    return ObstacleEvasion(
+        Guard(envelope, Bounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4)), RecentlySeenSpace(10.0, 0.2))
+    )
 
 
-def test_nothing_stops_a_vehicle_before_which_nothing_came(evasion: Evasion) -> None:
+def test_nothing_stops_a_vehicle_before_which_nothing_came(evasion: ObstacleEvasion) -> None:
     evasion.hear(None)
     assert not evasion.stops(1.0)
     assert evasion.why() == ""
 
 
-def test_much_of_it_stops_at_once_and_little_of_it_at_its_second_sight(evasion: Evasion) -> None:
+def test_much_of_it_stops_at_once_and_little_of_it_at_its_second_sight(evasion: ObstacleEvasion) -> None:
     evasion.hear(_seen(1.0, 1.5, FEW))
     assert not evasion.stops(1.1)
     evasion.hear(_seen(1.17, 1.5, FEW))
@@ -58,13 +60,13 @@ def test_much_of_it_stops_at_once_and_little_of_it_at_its_second_sight(evasion: 
     assert evasion.why() == "1.50 m from something that was not there"
 
 
-def test_two_sights_far_apart_are_two_first_ones(evasion: Evasion) -> None:
+def test_two_sights_far_apart_are_two_first_ones(evasion: ObstacleEvasion) -> None:
     evasion.hear(_seen(1.0, 1.5, FEW))
     evasion.hear(_seen(1.6, 1.5, FEW))
     assert not evasion.stops(1.6)
 
 
-def test_the_same_sight_heard_twice_is_one(evasion: Evasion) -> None:
+def test_the_same_sight_heard_twice_is_one(evasion: ObstacleEvasion) -> None:
     little = _seen(1.0, 1.5, FEW)
     evasion.hear(little)
     evasion.hear(little)
@@ -72,7 +74,7 @@ def test_the_same_sight_heard_twice_is_one(evasion: Evasion) -> None:
 
 
 @pytest.mark.parametrize(("away_m", "stops"), [(1.6, True), (1.61, False)])
-def test_what_stands_stops_within_a_metre_and_a_half(evasion: Evasion, away_m: float, stops: bool) -> None:
+def test_what_stands_stops_within_a_metre_and_a_half(evasion: ObstacleEvasion, away_m: float, stops: bool) -> None:
     evasion.hear(_seen(1.0, away_m))
     assert evasion.stops(1.0) is stops
     assert evasion.stops(1.5) is stops
@@ -80,14 +82,14 @@ def test_what_stands_stops_within_a_metre_and_a_half(evasion: Evasion, away_m: f
 
 
 @pytest.mark.parametrize(("away_m", "mps", "stops"), [(2.5, 0.3, True), (2.51, 0.3, False), (2.4, 0.2, False)])
-def test_what_comes_on_stops_from_farther_off(evasion: Evasion, away_m: float, mps: float, stops: bool) -> None:
+def test_what_comes_on_stops_from_farther_off(evasion: ObstacleEvasion, away_m: float, mps: float, stops: bool) -> None:
     evasion.hear(_seen(1.0, away_m + 0.2 * mps))
     evasion.hear(_seen(1.2, away_m))
     assert evasion.stops(1.2) is stops
     assert (evasion.step_aside(REST, _situation(1.2)) is not None) is stops
 
 
-def test_a_step_aside_leads_out_of_its_way(evasion: Evasion) -> None:
+def test_a_step_aside_leads_out_of_its_way(evasion: ObstacleEvasion) -> None:
     evasion.hear(_seen(1.0, 2.2))
     evasion.hear(_seen(1.2, 2.04))
     way = evasion.step_aside(REST, _situation(1.2))
@@ -101,7 +103,7 @@ def test_a_step_aside_leads_out_of_its_way(evasion: Evasion) -> None:
     assert evasion.over(way, way.start_s + way.duration_s + 1.1)
 
 
-def test_a_step_aside_goes_where_it_is_known_free_and_inside_the_fence(evasion: Evasion) -> None:
+def test_a_step_aside_goes_where_it_is_known_free_and_inside_the_fence(evasion: ObstacleEvasion) -> None:
     evasion.hear(_seen(1.0, 2.2))
     evasion.hear(_seen(1.2, 2.04))
     left = np.ones(GRID.shape, np.bool_)
@@ -122,7 +124,9 @@ def _cone(half_rad: float) -> BoolArray:
 
 
 @pytest.mark.parametrize(("half_deg", "away_m", "leads"), [(43.0, 2.24, False), (65.0, 2.24, True), (65.0, 1.6, False)])
-def test_a_step_aside_does_not_lead_into_what_comes_on(evasion: Evasion, half_deg: float, away_m: float, leads: bool) -> None:
+def test_a_step_aside_does_not_lead_into_what_comes_on(
+    evasion: ObstacleEvasion, half_deg: float, away_m: float, leads: bool
+) -> None:
     evasion.hear(_seen(1.0, away_m + 0.16))
     evasion.hear(_seen(1.2, away_m))
     way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(half_deg)))))
@@ -130,19 +134,19 @@ def test_a_step_aside_does_not_lead_into_what_comes_on(evasion: Evasion, half_de
 
 
 @pytest.mark.parametrize("left", [1.0, -1.0])
-def test_a_step_aside_reckons_with_all_that_is_seen_of_what_comes_on(evasion: Evasion, left: float) -> None:
+def test_a_step_aside_reckons_with_all_that_is_seen_of_what_comes_on(evasion: ObstacleEvasion, left: float) -> None:
     wide = HERE + np.column_stack([np.full(MANY, 2.4), left * np.linspace(0.0, 1.2, MANY), np.zeros(MANY)])
     for stamp_s, nearer_m in ((1.0, 0.0), (1.2, 0.16)):
-        evasion.hear(Intruder(stamp_s, wide - np.array([nearer_m, 0.0, 0.0]), 2.4 - nearer_m))
+        evasion.hear(SuddenObstacle(stamp_s, wide - np.array([nearer_m, 0.0, 0.0]), 2.4 - nearer_m))
     way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(90.0)))))
     assert isinstance(way, Trajectory)
     assert left * way.position_m[-1][1] < -0.8, "its nearest corner is straight ahead, and the rest of it to one side"
 
 
-def test_what_stands_is_not_given_way_to_while_the_vehicle_still_comes_nearer(evasion: Evasion) -> None:
+def test_what_stands_is_not_given_way_to_while_the_vehicle_still_comes_nearer(evasion: ObstacleEvasion) -> None:
     box = np.tile(HERE + np.array([0.9, 0.0, 0.0]), (MANY, 1))
-    evasion.hear(Intruder(1.0, box, 1.1))  # seen from 0.2 m before the rest, then from 0.1 m
-    evasion.hear(Intruder(1.2, box, 1.0))
+    evasion.hear(SuddenObstacle(1.0, box, 1.1))  # seen from 0.2 m before the rest, then from 0.1 m
+    evasion.hear(SuddenObstacle(1.2, box, 1.0))
     assert evasion.stops(1.2)
     assert evasion.step_aside(REST, _situation(1.2)) is None
 
@@ -156,7 +160,7 @@ def _lane(half_m: float) -> BoolArray:
 
 @pytest.mark.parametrize(("half_m", "sideways_m"), [(1.3, 0.95), (0.9, 0.55), (0.4, 0.15), (0.3, 0.05), (0.2, 0.0)])
 def test_a_step_aside_keeps_the_room_of_planned_ways_where_there_is_any(
-    evasion: Evasion, half_m: float, sideways_m: float
+    evasion: ObstacleEvasion, half_m: float, sideways_m: float
 ) -> None:
     evasion.hear(_seen(1.0, 2.2))
     evasion.hear(_seen(1.2, 2.04))
@@ -165,10 +169,10 @@ def test_a_step_aside_keeps_the_room_of_planned_ways_where_there_is_any(
     assert abs(way.position_m[-1][1]) <= sideways_m + 1e-9
 
 
-def test_a_step_aside_along_the_fence_keeps_inside_its_inset(evasion: Evasion) -> None:
+def test_a_step_aside_along_the_fence_keeps_inside_its_inset(evasion: ObstacleEvasion) -> None:
     here = np.array([0.0, 2.2, 1.1])
     for stamp_s, away_m in ((1.0, 2.2), (1.2, 2.04)):
-        evasion.hear(Intruder(stamp_s, np.tile(here - np.array([0.0, away_m, 0.0]), (MANY, 1)), away_m))
+        evasion.hear(SuddenObstacle(stamp_s, np.tile(here - np.array([0.0, away_m, 0.0]), (MANY, 1)), away_m))
     way = evasion.step_aside(Setpoint.hold(here, 0.0), _situation(1.2))
     assert isinstance(way, Trajectory)
     assert way.position_m[-1][1] <= 2.6 + 1e-9, "0.1 m inside the inset, which ends at 2.7"

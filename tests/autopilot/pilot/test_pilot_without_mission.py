@@ -9,7 +9,7 @@ import pytest
 from flight_rig import ARM, BODY_FROM_DEPTH, MODE, SETPOINT, Rig, setpoints, smooth_way
 
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -169,7 +169,7 @@ def test_a_person_a_metre_ahead_at_full_speed_is_braked_for_in_time(hovering: Ri
             wall_m, begin_s = truth.position[0] + 0.2 + 1.0, now_s
         if tick % frame_ticks == 0:
             ranges = np.full((12, 16), min(max(wall_m - truth.position[0] - 0.1, 0.3), 9.0), dtype=np.float32)
-            hovering.channels.nearby.publish(Nearby(now_s, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
+            hovering.channels.nearby.publish(MinRangeGrid(now_s, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
         hovering.step()
         braked_s = min(braked_s, now_s if "from something" in hovering.state.note else math.inf)
     assert braked_s - begin_s <= 0.25

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flight_rig import Rig
 
-from uav_recon.autopilot.pilot.refusal_timer import InVain
+from uav_recon.autopilot.pilot.refusal_timer import RefusalTimer
 from uav_recon.types.trajectory import Goal, Trajectory
 from uav_recon.types.vehicle import FlightPhase
 
@@ -20,7 +20,7 @@ def beyond_the_fence(rig: Rig, identifier: int) -> tuple[Goal, Trajectory]:
     return Goal.FLY, way
 
 
-def heard(vain: InVain, seconds: float, now_s: float, refusals: int = 0, moving: bool = False) -> float:
+def heard(vain: RefusalTimer, seconds: float, now_s: float, refusals: int = 0, moving: bool = False) -> float:
     """The same for a while; the instant at which it ends."""
     for _ in range(round(seconds / TICK_S)):
         now_s += TICK_S
@@ -30,7 +30,7 @@ def heard(vain: InVain, seconds: float, now_s: float, refusals: int = 0, moving:
 
 @pytest.mark.parametrize("period_s", [0.5, 3.0, 19.0])
 def test_it_counts_from_the_first_refusal_to_the_last(period_s: float) -> None:
-    vain, now_s = InVain(20.0), 100.0
+    vain, now_s = RefusalTimer(20.0), 100.0
     assert vain.refused_s == 0.0
     for n in range(5):
         now_s = heard(vain, period_s, now_s, 1 + n)
@@ -38,7 +38,7 @@ def test_it_counts_from_the_first_refusal_to_the_last(period_s: float) -> None:
 
 
 def test_hovering_after_a_refusal_is_not_being_refused() -> None:
-    vain = InVain(20.0)
+    vain = RefusalTimer(20.0)
     now_s = heard(vain, 21.0, 100.0, 1)
     assert vain.refused_s == 0.0
     heard(vain, 3.0, now_s, 2)
@@ -46,7 +46,7 @@ def test_hovering_after_a_refusal_is_not_being_refused() -> None:
 
 
 def test_a_motion_of_a_second_ends_it_and_a_shorter_one_does_not() -> None:
-    vain = InVain(20.0)
+    vain = RefusalTimer(20.0)
     now_s = heard(vain, 5.0, heard(vain, 5.0, 100.0, 1), 2)
     assert vain.refused_s == pytest.approx(5.0, abs=0.1)
     now_s = heard(vain, 0.5, heard(vain, 0.9, now_s, 2, moving=True), 3)
@@ -60,7 +60,7 @@ def test_a_motion_of_a_second_ends_it_and_a_shorter_one_does_not() -> None:
 
 
 def test_two_moments_of_motion_are_no_motion() -> None:
-    vain = InVain(20.0)
+    vain = RefusalTimer(20.0)
     now_s = heard(vain, 5.0, heard(vain, 5.0, 100.0, 1), 2)
     for n in range(5):
         now_s = heard(vain, 0.1, heard(vain, 0.8, now_s, 3 + n, moving=True), 3 + n)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.sudden_obstacle import Intruder, Neighbourhood
+from uav_recon.autopilot.pilot.sudden_obstacle import Neighbourhood, SuddenObstacle
 from uav_recon.types.camera import body_from_camera
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose
 
 MOUNT = body_from_camera(np.zeros(3), 0.0)
@@ -15,11 +15,13 @@ HERE = Pose.from_yaw(0.3, np.array([1.0, 2.0, 1.2]))
 PERIOD_S = 1.0 / 6.0
 
 
-def _look(around: Neighbourhood, n: int, box_m: float = np.nan, wall_m: float = 4.0, here: Pose = HERE) -> Intruder | None:
+def _look(
+    around: Neighbourhood, n: int, box_m: float = np.nan, wall_m: float = 4.0, here: Pose = HERE
+) -> SuddenObstacle | None:
     range_m = np.full((12, 16), wall_m, np.float32)
     if np.isfinite(box_m):
         range_m[4:8, 6:10] = box_m
-    return around.look(Nearby(n * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), here)
+    return around.look(MinRangeGrid(n * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), here)
 
 
 @pytest.fixture
@@ -72,10 +74,10 @@ def test_a_cell_above_one_without_a_return_looked_past_nothing() -> None:
         for n in range(6):
             range_m = np.full((12, 16), 4.0, np.float32)
             range_m[missing:] = np.nan
-            around.look(Nearby(n * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE)
+            around.look(MinRangeGrid(n * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE)
         floor = np.full((12, 16), 4.0, np.float32)
         floor[8, 2:14] = 1.2
-        found = around.look(Nearby(6 * PERIOD_S, MOUNT, floor, (0.95, 0.55), 0.9), HERE)
+        found = around.look(MinRangeGrid(6 * PERIOD_S, MOUNT, floor, (0.95, 0.55), 0.9), HERE)
         assert (found is not None) is told
 
 
@@ -86,16 +88,16 @@ def test_a_cell_most_of_which_is_not_seen_looked_past_nothing() -> None:
         full[unseen[0] : unseen[1]] = False
         range_m = np.full((12, 16), 4.0, np.float32)
         for n in range(6):
-            around.look(Nearby(n * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9, full=full), HERE)
+            around.look(MinRangeGrid(n * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9, full=full), HERE)
         top = range_m.copy()
         top[6, 4:12] = 1.2
-        found = around.look(Nearby(6 * PERIOD_S, MOUNT, top, (0.95, 0.55), 0.9), HERE)
+        found = around.look(MinRangeGrid(6 * PERIOD_S, MOUNT, top, (0.95, 0.55), 0.9), HERE)
         assert (found is not None) is told
 
 
 def test_views_of_another_camera_are_not_asked(around: Neighbourhood) -> None:
     range_m = np.full((6, 8), 1.2, np.float32)
-    assert around.look(Nearby(6 * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE) is None
+    assert around.look(MinRangeGrid(6 * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE) is None
 
 
 def test_one_cell_or_one_view_says_nothing() -> None:
@@ -106,7 +108,7 @@ def test_one_cell_or_one_view_says_nothing() -> None:
     assert all(_look(around, n) is None for n in range(6))
     range_m = np.full((12, 16), 4.0, np.float32)
     range_m[6, 8] = 1.2
-    assert around.look(Nearby(6 * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE) is None
+    assert around.look(MinRangeGrid(6 * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE) is None
 
 
 def test_after_a_jump_of_odom_nothing_is_remembered(around: Neighbourhood) -> None:

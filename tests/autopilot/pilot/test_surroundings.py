@@ -5,25 +5,25 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.surroundings import Lookout
+from uav_recon.autopilot.pilot.surroundings import Surroundings
 from uav_recon.channels import MemoryChannel
-from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.maps import FreeSpace, GridSpec
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose, StampedPose
 
 MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.0)
 FORWARD = np.array([1.0, 0.0, 0.0])
 
 
-def _nearby(stamp_s: float, range_m: float, believed: bool = True) -> Nearby:
-    return Nearby(stamp_s, MOUNT, np.full((12, 16), range_m, np.float32), (0.95, 0.55), 0.9, believed)
+def _nearby(stamp_s: float, range_m: float, believed: bool = True) -> MinRangeGrid:
+    return MinRangeGrid(stamp_s, MOUNT, np.full((12, 16), range_m, np.float32), (0.95, 0.55), 0.9, believed)
 
 
 def test_a_picture_that_is_not_believed_is_none_but_for_what_is_near_in_it() -> None:
-    channel, sight = MemoryChannel(Nearby), Sight(10.0, 0.2)
-    lookout = Lookout(MemoryChannel(FreeSpace), channel, sight, 0.2, 0.2)
+    channel, sight = MemoryChannel(MinRangeGrid), RecentlySeenSpace(10.0, 0.2)
+    lookout = Surroundings(MemoryChannel(FreeSpace), channel, sight, 0.2, 0.2)
 
     def pose(stamp_s: float) -> StampedPose:
         return StampedPose(stamp_s, Pose.identity(), np.zeros(3))
@@ -44,8 +44,8 @@ def test_a_picture_that_is_not_believed_is_none_but_for_what_is_near_in_it() -> 
 
 
 def test_a_frame_that_comes_late_was_taken_where_the_vehicle_was_then() -> None:
-    channel, sight = MemoryChannel(Nearby), Sight(10.0, 0.2)
-    lookout = Lookout(MemoryChannel(FreeSpace), channel, sight, 0.2, 0.2)
+    channel, sight = MemoryChannel(MinRangeGrid), RecentlySeenSpace(10.0, 0.2)
+    lookout = Surroundings(MemoryChannel(FreeSpace), channel, sight, 0.2, 0.2)
     turned = Pose.from_yaw(math.pi / 2.0, np.zeros(3))
     lookout.step(StampedPose(5.0, Pose.identity(), np.zeros(3)), 5.0)
     channel.publish(_nearby(5.0, 4.0))
@@ -63,7 +63,7 @@ def test_a_frame_that_comes_late_was_taken_where_the_vehicle_was_then() -> None:
 )
 def test_a_free_space_that_makes_no_sense_leaves_the_one_before_it(origin_m: tuple[float, ...], resolution_m: float) -> None:
     channel = MemoryChannel(FreeSpace)
-    lookout = Lookout(channel, MemoryChannel(Nearby), Sight(10.0, 0.2), 0.2, 0.2)
+    lookout = Surroundings(channel, MemoryChannel(MinRangeGrid), RecentlySeenSpace(10.0, 0.2), 0.2, 0.2)
     bits = np.packbits(np.ones((30, 30, 30), dtype=np.bool_))
     channel.publish(FreeSpace(GridSpec(np.zeros(3), 0.1, (30, 30, 30)), bits, 1))
     lookout.step(None, 5.0)
@@ -75,10 +75,10 @@ def test_a_free_space_that_makes_no_sense_leaves_the_one_before_it(origin_m: tup
 
 
 def test_a_picture_that_makes_no_sense_is_none() -> None:
-    channel = MemoryChannel(Nearby)
-    lookout = Lookout(MemoryChannel(FreeSpace), channel, Sight(10.0, 0.2), 0.2, 0.2)
+    channel = MemoryChannel(MinRangeGrid)
+    lookout = Surroundings(MemoryChannel(FreeSpace), channel, RecentlySeenSpace(10.0, 0.2), 0.2, 0.2)
     for n, cells in enumerate((np.full(16, 2.0, np.float32), np.zeros((0, 0), np.float32))):
-        channel.publish(Nearby(5.0 + n, MOUNT, cells, (0.95, 0.55), 0.9))
+        channel.publish(MinRangeGrid(5.0 + n, MOUNT, cells, (0.95, 0.55), 0.9))
         lookout.step(None, 5.0 + n)
     assert lookout.ahead is None
     assert lookout.depth_age_s(6.0) == math.inf

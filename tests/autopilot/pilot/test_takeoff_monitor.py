@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
-from uav_recon.autopilot.pilot.takeoff_monitor import LiftOff
+from uav_recon.autopilot.pilot.takeoff_monitor import TakeoffMonitor
 
 
 def at(height_m: float, tilt_deg: float = 0.0) -> Telemetry:
@@ -17,8 +17,8 @@ def at(height_m: float, tilt_deg: float = 0.0) -> Telemetry:
     return Telemetry(position_m=np.array([5.0, 6.0, height_m]), quat_wxyz=quat)
 
 
-def begun(ground_m: float = 0.0) -> LiftOff:
-    lift_off = LiftOff(ground_m)
+def begun(ground_m: float = 0.0) -> TakeoffMonitor:
+    lift_off = TakeoffMonitor(ground_m)
     lift_off.begin(10.0)
     lift_off.begin(12.0)
     return lift_off
@@ -45,4 +45,4 @@ def test_it_is_level_until_then(tilt_deg: float, fit: bool) -> None:
 
 
 def test_before_it_is_told_to_climb_it_may_stand_for_ever() -> None:
-    assert LiftOff(0.0).fault(1e6, at(0.0, tilt_deg=20.0)) == ""
+    assert TakeoffMonitor(0.0).fault(1e6, at(0.0, tilt_deg=20.0)) == ""

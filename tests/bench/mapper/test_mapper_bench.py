@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import sitl.apps.flight_judge
 from uav_recon.bench.mapper import seeded_views, training_run
 from uav_recon.cli.main import app
-from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.evaluation.triangle_surface import TriangleSurface
 
 pytestmark = pytest.mark.slow
 FIELDS = [
@@ -132,5 +132,5 @@ def test_accuracy_is_point_to_surface_both_ways() -> None:
     assert perfect.accuracy_cm == pytest.approx(0.0, abs=1e-3)
     assert perfect.completion_cm == pytest.approx(0.0, abs=1e-3)
     assert (perfect.recall_seen_5cm, perfect.hallucinated_fraction) == (1.0, 0.0)
-    empty = training_run.against_truth(Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)), scene)
+    empty = training_run.against_truth(TriangleSurface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)), scene)
     assert (empty.accuracy_cm, empty.recall_seen_5cm) == (None, 0.0)

@@ -8,7 +8,7 @@ from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 
 def test_straight_where_the_line_is_open() -> None:
     mask = np.ones((20, 20, 8), dtype=bool)
-    way = path_oracle.shortest_way(mask, np.array([1, 2, 3]), np.array([17, 9, 6]))
+    way = path_oracle.shortest_path(mask, np.array([1, 2, 3]), np.array([17, 9, 6]))
     np.testing.assert_allclose(way, [[1.5, 2.5, 3.5], [17.5, 9.5, 6.5]])
     np.testing.assert_allclose(path_oracle.length_of(way), np.sqrt(16**2 + 7**2 + 3**2))
 
@@ -16,7 +16,7 @@ def test_straight_where_the_line_is_open() -> None:
 def test_round_a_wall_it_touches_the_edge() -> None:
     mask = np.ones((21, 20, 3), dtype=bool)
     mask[10, :15] = False
-    way = path_oracle.shortest_way(mask, np.array([5, 2, 1]), np.array([15, 2, 1]))
+    way = path_oracle.shortest_path(mask, np.array([5, 2, 1]), np.array([15, 2, 1]))
     # from cell centre to cell centre: up to (9, 14), by a diagonal step over the wall's end (10, 15), and down from (11, 14)
     np.testing.assert_allclose(path_oracle.length_of(way), 2 * np.hypot(4.0, 12.0) + 2 * np.sqrt(2.0))
     assert mask[tuple(np.floor(way).astype(int).T)].all()
@@ -31,7 +31,7 @@ def test_the_grid_path_below_it_is_exact() -> None:
     exact = dijkstra(csr_matrix(lengths))
     for start, goal in path_oracle.connected_pairs(mask, 20, 3):
         a, b = (int(np.flatnonzero((cells == end).all(axis=1))[0]) for end in (start, goal))
-        pulled = path_oracle.length_of(path_oracle.shortest_way(mask, start, goal))
+        pulled = path_oracle.length_of(path_oracle.shortest_path(mask, start, goal))
         assert np.linalg.norm(goal - start) - 1e-9 <= pulled <= exact[a, b] + 1e-9
 
 

@@ -8,7 +8,7 @@ import pytest
 from small_recorded_stream import LENS, SIZE, write_stream
 
 from uav_recon.bench.planner.recorded_stream import load
-from uav_recon.errors import Failure
+from uav_recon.errors import UserError
 from uav_recon.types.maps import OCCUPIED
 
 
@@ -42,17 +42,17 @@ def test_reads_the_reference_in_the_states_of_a_map(tmp_path: Path) -> None:
 def test_a_missing_file_is_named(tmp_path: Path, lost: str) -> None:
     folder = write_stream(tmp_path / "s")
     (folder / lost).unlink()
-    with pytest.raises(Failure, match=lost):
+    with pytest.raises(UserError, match=lost):
         load(folder, SIZE, 1)
 
 
 def test_a_missing_folder_a_wrong_size_and_a_wrong_stride_say_what_is_allowed(tmp_path: Path) -> None:
-    with pytest.raises(Failure, match="nowhere: no such folder; want"):
+    with pytest.raises(UserError, match="nowhere: no such folder; want"):
         load(tmp_path / "nowhere", SIZE, 1)
     folder = write_stream(tmp_path / "s")
-    with pytest.raises(Failure, match="--size 640x480: want one of 32x24"):
+    with pytest.raises(UserError, match="--size 640x480: want one of 32x24"):
         load(folder, "640x480", 1)
-    with pytest.raises(Failure, match="--stride 0: want 1 to 8"):
+    with pytest.raises(UserError, match="--stride 0: want 1 to 8"):
         load(folder, SIZE, 0)
 
 
@@ -61,12 +61,12 @@ def test_broken_files_are_one_line(tmp_path: Path) -> None:
     for name, content in (("poses.npy", b"no"), (f"depth_{SIZE}.npz", b"PK\x03\x04no"), ("occupancy_reference.i8", b"123")):
         kept = (folder / name).read_bytes() if (folder / name).exists() else None
         (folder / name).write_bytes(content)
-        with pytest.raises(Failure, match=name) as raised:
+        with pytest.raises(UserError, match=name) as raised:
             load(folder, SIZE, 1)
         assert "\n" not in str(raised.value)
         (folder / name).unlink() if kept is None else (folder / name).write_bytes(kept)
     np.save(folder / "poses.npy", np.zeros((3, 4, 4)))
-    with pytest.raises(Failure, match=r"poses.npy: shape \(3, 4, 4\), want \(6, 4, 4\)"):
+    with pytest.raises(UserError, match=r"poses.npy: shape \(3, 4, 4\), want \(6, 4, 4\)"):
         load(folder, SIZE, 1)
 
 
@@ -75,13 +75,13 @@ def test_meta_without_a_room_is_named(tmp_path: Path) -> None:
     meta = json.loads((folder / "meta.json").read_text())
     del meta["room"]
     (folder / "meta.json").write_text(json.dumps(meta))
-    with pytest.raises(Failure, match="room"):
+    with pytest.raises(UserError, match="room"):
         load(folder, SIZE, 1)
 
 
 def test_meta_without_a_size_is_told(tmp_path: Path) -> None:
     folder = write_stream(tmp_path / "s")
     (folder / "meta.json").write_text("{}")
-    with pytest.raises(Failure, match=r"meta\.json: names no image size") as raised:
+    with pytest.raises(UserError, match=r"meta\.json: names no image size") as raised:
         load(folder, SIZE, 1)
     assert raised.value.code == 2

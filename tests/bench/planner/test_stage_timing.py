@@ -2,15 +2,15 @@ import threading
 
 import numpy as np
 
-from uav_recon.bench.planner.stage_timing import LapTable, Spread, Stopwatch
+from uav_recon.bench.planner.stage_timing import StageTimings, Stopwatch, TimingSummary
 
 
 def test_spreads() -> None:
-    spread = Spread.of([1.0, 2.0, 3.0, 4.0, 100.0])
+    spread = TimingSummary.of([1.0, 2.0, 3.0, 4.0, 100.0])
     assert (spread.median_ms, spread.max_ms) == (3.0, 100.0)
     np.testing.assert_allclose(spread.p95_ms, 80.8)
     assert spread.divided_by(2.0).median_ms == 1.5
-    assert np.isnan(Spread.of([]).median_ms)
+    assert np.isnan(TimingSummary.of([]).median_ms)
 
 
 def test_laps_of_a_stage_add_up_and_restart_forgets() -> None:
@@ -33,7 +33,7 @@ def test_waiting_is_no_processor_time() -> None:
 
 
 def test_a_frame_without_a_stage_does_not_count_for_it() -> None:
-    table = LapTable()
+    table = StageTimings()
     for laps in ({"a": 1.0, "b": 2.0}, {"a": 3.0}):
         table.add(laps)
     np.testing.assert_allclose(table.per_frame_ms(("a", "b")), [3.0, 3.0])

@@ -4,14 +4,14 @@ import numpy as np
 
 from uav_recon.bench.planner import builtin_building
 from uav_recon.bench.planner.stage_timing import Stopwatch
-from uav_recon.bench.planner.stages import STAGES, WHOLE, Mapped, Stages, camera_of, heading_rad, oracle_lens, request_of
+from uav_recon.bench.planner.stages import STAGES, WHOLE, Mapped, PlannerStages, camera_of, heading_rad, oracle_lens, request_of
 from uav_recon.types.tasks import ViewPath
 
 
 def test_the_stages_that_are_timed_are_those_of_plan() -> None:
     recording = builtin_building.fly_through()
     mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
-    stages, planner = Stages(mapped), mapped.planner()
+    stages, planner = PlannerStages(mapped), mapped.planner()
     mapped.start(recording.frames[0])
     compared = 0
     for n, posed in enumerate(recording.frames[:60]):

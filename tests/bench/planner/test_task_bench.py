@@ -10,7 +10,7 @@ from uav_recon.bench.planner.task_bench import bench_tasks
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.config import load, save
-from uav_recon.errors import Failure
+from uav_recon.errors import UserError
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.recording.map_file import save_map
 from uav_recon.recording.timelapse import Timelapse
@@ -76,10 +76,10 @@ def test_what_is_no_whole_flight_is_named(flight: Path, missing: str, said: str)
             file.unlink()
     else:
         path.unlink()
-    with pytest.raises(Failure, match=said):
+    with pytest.raises(UserError, match=said):
         bench_tasks(flight, None)
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(Failure, match="no such flight folder"):
+    with pytest.raises(UserError, match="no such flight folder"):
         bench_tasks(tmp_path / "nowhere", None)

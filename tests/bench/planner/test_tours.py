@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uav_recon.bench.planner import tours
-from uav_recon.errors import Failure
+from uav_recon.errors import UserError
 
 
 def write_case(folder: Path, tasks: int, seed: int = 0) -> float:
@@ -46,5 +46,5 @@ def test_a_longer_tour_has_a_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_a_case_of_the_wrong_size_is_named(tmp_path: Path) -> None:
     write_case(tmp_path, 4)
     (tmp_path / "atsp_4.txt").write_text("1 2\n3 4\n")
-    with pytest.raises(Failure, match=r"atsp_4.txt: shape \(2, 2\)"):
+    with pytest.raises(UserError, match=r"atsp_4.txt: shape \(2, 2\)"):
         tours.load_cases(tmp_path)

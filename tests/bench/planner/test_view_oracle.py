@@ -1,19 +1,19 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_recon.bench.planner.view_oracle import Frontier, Lens, best_seen, cells_seen
+from uav_recon.bench.planner.view_oracle import Lens, OracleFrontier, best_seen, cells_seen
 from uav_recon.types.maps import FREE, OCCUPIED
 
 LENS = Lens(tan_h=1.0, tan_v=0.7, near=1.0, reach=30.0, pitch_min_rad=-1.0, pitch_max_rad=1.0)
 SHAPE = np.array([30, 20, 15])
 
 
-def half_known() -> tuple[NDArray[np.uint8], Frontier]:
+def half_known() -> tuple[NDArray[np.uint8], OracleFrontier]:
     """Free up to x = 20, unknown beyond; the frontier is the free side of a patch of the border."""
     state = np.full(SHAPE, FREE, dtype=np.uint8)
     state[20:] = 0
     cells = np.array([[19, j, k] for j in range(6, 13) for k in range(4, 9)])
-    return state, Frontier(cells, np.zeros(3, dtype=np.int64), SHAPE)
+    return state, OracleFrontier(cells, np.zeros(3, dtype=np.int64), SHAPE)
 
 
 def view(x: float, y: float, z: float, yaw: float = 0.0, pitch: float = 0.0) -> NDArray[np.float64]:
@@ -46,7 +46,7 @@ def test_a_post_hides_what_is_behind_it_and_so_does_the_unknown() -> None:
 def test_the_slightest_corner_hides_but_an_edge_that_is_touched_does_not() -> None:
     state, frontier = half_known()
     cells = np.array([[19, 9, 6]])
-    one = Frontier(cells, frontier.low, frontier.high)
+    one = OracleFrontier(cells, frontier.low, frontier.high)
     state[20:, :] = FREE
     state[20, 9, 6] = 0
     # the line to the middle of voxel (20, 9, 6) climbs past the edge of (15, 9, 5): touches it, or cuts 0.006 of a voxel off

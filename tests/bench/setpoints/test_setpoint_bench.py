@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from uav_recon.bench.setpoints import setpoint_bench
-from uav_recon.bench.setpoints.setpoint_bench import bench_setpoints, steadiness
-from uav_recon.errors import Failure
+from uav_recon.bench.setpoints.setpoint_bench import bench_setpoints, setpoint_regularity
+from uav_recon.errors import UserError
 from uav_recon.types.frames import FloatArray
 
 STEADY = 100.0 + np.arange(1, 3000) / 30.0  # (2999,) to 200 s
@@ -25,7 +25,7 @@ def late(*gaps_ms: float) -> FloatArray:
 
 
 def test_a_steady_stream_keeps_the_bars() -> None:
-    told = steadiness(STEADY, 100.0, 200.0)
+    told = setpoint_regularity(STEADY, 100.0, 200.0)
     assert told.kept
     assert told.setpoints == 2999
     assert [told.rate_hz, told.median_ms, told.p99_ms, told.max_ms] == pytest.approx([29.99, *[1000 / 30] * 3])
@@ -38,12 +38,12 @@ def test_a_steady_stream_keeps_the_bars() -> None:
     ((51.0,) * 29, True), ((51.0,) * 30, False),
 ])  # fmt: skip
 def test_each_bar_at_its_border(gaps_ms: tuple[float, ...], kept: bool) -> None:
-    assert steadiness(late(*gaps_ms), 100.0, 200.0).kept is kept
+    assert setpoint_regularity(late(*gaps_ms), 100.0, 200.0).kept is kept
 
 
 @pytest.mark.parametrize("arrivals", [STEADY[:1500], STEADY[1500:], np.zeros(0)], ids=["it stops", "it begins late", "none"])
 def test_silence_at_either_end_is_a_gap(arrivals: FloatArray) -> None:
-    told = steadiness(arrivals, 100.0, 200.0)
+    told = setpoint_regularity(arrivals, 100.0, 200.0)
     assert told.max_ms >= 49_000
     assert not told.kept
 
@@ -52,7 +52,7 @@ def test_silence_at_either_end_is_a_gap(arrivals: FloatArray) -> None:
 def test_the_control_must_miss_what_the_pilot_must_keep(
     kept: bool, negative: bool, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    told = steadiness(STEADY if kept else STEADY[:9], 100.0, 200.0)
+    told = setpoint_regularity(STEADY if kept else STEADY[:9], 100.0, 200.0)
     monkeypatch.setattr(setpoint_bench, "measure", lambda *_: told)
     assert bench_setpoints(1.0, negative, "px4", tmp_path / "told.json") == code
     assert ("missed" in capsys.readouterr().out) is not kept
@@ -70,5 +70,5 @@ def test_the_control_must_miss_what_the_pilot_must_keep(
     ],
 )
 def test_bad_words_are_one_line(minutes: float, autopilot: str, json: Path | None, says: str) -> None:
-    with pytest.raises(Failure, match=f"^{says}"):
+    with pytest.raises(UserError, match=f"^{says}"):
         bench_setpoints(minutes, False, autopilot, json)

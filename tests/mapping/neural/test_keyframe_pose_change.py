@@ -6,10 +6,10 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, distance_to_walls, tour
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.neural.keyframes import keyframe_buffer
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.sdf_numba import adam
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose
@@ -25,15 +25,15 @@ def _bent(n: int) -> Pose:
     return turn @ RIGHT[n]
 
 
-def _learn(poses: list[Pose]) -> Trainer:
-    trainer = Trainer(MapperConfig(steps_per_view=15), LOW, HIGH, NOISE_PX, BASELINE_M)
+def _learn(poses: list[Pose]) -> NeuralMapper:
+    trainer = NeuralMapper(MapperConfig(steps_per_view=15), LOW, HIGH, NOISE_PX, BASELINE_M)
     for view, pose in zip(VIEWS, poses, strict=False):
         assert trainer.add(PosedFrame(view.frame, pose))
         trainer.train(15)
     return trainer
 
 
-def _error_m(trainer: Trainer) -> float:
+def _error_m(trainer: NeuralMapper) -> float:
     return float(distance_to_walls(trainer.mesh(0.04).vertices_world).mean())
 
 
@@ -73,7 +73,7 @@ def test_views_without_a_place_in_the_new_map_are_dropped_and_counted() -> None:
     given = {n: RIGHT[n] for n in range(len(VIEWS)) if n not in (0, 5)} | {7: outside, 99: RIGHT[0]}
     trainer.repose(given, map_epoch=2)
     assert trainer.kept == [n for n in range(len(VIEWS)) if n not in (0, 5, 7)]
-    assert trainer.refusals.counts == {Refusal.UNPLACED: 2, Refusal.OUTSIDE: 1}
+    assert trainer.refusals.counts == {RejectReason.UNPLACED: 2, RejectReason.OUTSIDE: 1}
     assert trainer.relearn(100) == 0
     np.testing.assert_allclose(trainer.positions(), [RIGHT[n].translation_m for n in trainer.kept], atol=0.02)
     assert distance_to_walls(trainer.surface().position_world).mean() < 0.012
@@ -82,7 +82,7 @@ def test_views_without_a_place_in_the_new_map_are_dropped_and_counted() -> None:
 def test_no_place_for_any_view_is_an_empty_map_that_learns_on() -> None:
     trainer = _learn(RIGHT)
     trainer.repose({}, map_epoch=2)
-    assert trainer.refusals.counts == {Refusal.UNPLACED: len(VIEWS)}
+    assert trainer.refusals.counts == {RejectReason.UNPLACED: len(VIEWS)}
     assert (trainer.kept, trainer.waiting) == ([], 0)
     assert len(trainer.surface().position_world) == 0
     assert trainer.add(PosedFrame(VIEWS[0].frame, RIGHT[0], 2))
@@ -96,7 +96,7 @@ def test_a_view_of_another_map_epoch_is_refused() -> None:
     assert not trainer.add(PosedFrame(VIEWS[0].frame, RIGHT[0], 1))
     trainer.repose(dict(enumerate(RIGHT)), map_epoch=1)
     assert not trainer.add(VIEWS[0])
-    assert trainer.refusals.counts == {Refusal.EPOCH: 2}
+    assert trainer.refusals.counts == {RejectReason.EPOCH: 2}
 
 
 @pytest.mark.parametrize("place", ["rays", "room"])
@@ -114,7 +114,7 @@ def test_a_full_memory_refuses_the_view_and_leaves_the_map_as_it_was(place: str,
         patched.setattr(type(trainer.field), "cover", lambda *_: False)  # every view wants the grid to grow
         for view in VIEWS[6:9]:
             assert not trainer.add(view)
-    assert trainer.refusals.counts == {Refusal.MEMORY: 3}
+    assert trainer.refusals.counts == {RejectReason.MEMORY: 3}
     assert (trainer.views, trainer.waiting, trainer.field.capacity) == (taken, 0, slots)
     assert trainer.positions().shape == held.shape
     assert len(trainer.corrections()) == len(trainer.log_gains()) == taken
@@ -130,18 +130,18 @@ def test_a_full_memory_refuses_the_view_and_leaves_the_map_as_it_was(place: str,
 def test_a_grid_that_grew_half_way_when_memory_was_full_grows_later(monkeypatch: pytest.MonkeyPatch) -> None:
     """The optimiser has room for slots that the field has not: no step may meet a slot without moments."""
     trainer = _learn(RIGHT[:3])
-    grow, capacity = Field.grow, trainer.field.capacity
+    grow, capacity = NumbaSdfField.grow, trainer.field.capacity
     covers = iter([False])
 
-    def refused(field: Field, slots: int) -> None:
+    def refused(field: NumbaSdfField, slots: int) -> None:
         raise MemoryError
 
-    cover = Field.cover
-    monkeypatch.setattr(Field, "cover", lambda field, points: cover(field, points) and next(covers, True))
-    monkeypatch.setattr(Field, "grow", refused)
+    cover = NumbaSdfField.cover
+    monkeypatch.setattr(NumbaSdfField, "cover", lambda field, points: cover(field, points) and next(covers, True))
+    monkeypatch.setattr(NumbaSdfField, "grow", refused)
     assert not trainer.add(VIEWS[3])
     assert np.isfinite(trainer.train(10))
-    monkeypatch.setattr(Field, "grow", grow)
+    monkeypatch.setattr(NumbaSdfField, "grow", grow)
     covers = iter([False])
     assert trainer.add(VIEWS[3])
     assert trainer.field.capacity == 2 * capacity
@@ -152,15 +152,15 @@ def test_memory_that_is_full_while_the_map_is_learned_anew_costs_that_view(monke
     trainer = _learn(RIGHT[:5])
     trainer.repose(dict(enumerate(RIGHT)), map_epoch=1)
     trainer.relearn(2)
-    cover = Field.cover
+    cover = NumbaSdfField.cover
 
-    def once(field: Field, points: Float32Array) -> bool:
-        monkeypatch.setattr(Field, "cover", cover)
+    def once(field: NumbaSdfField, points: Float32Array) -> bool:
+        monkeypatch.setattr(NumbaSdfField, "cover", cover)
         raise MemoryError
 
-    monkeypatch.setattr(Field, "cover", once)
+    monkeypatch.setattr(NumbaSdfField, "cover", once)
     assert trainer.relearn(100) == 0
     assert trainer.kept == [0, 1, 3, 4]
-    assert trainer.refusals.counts == {Refusal.MEMORY: 1}
+    assert trainer.refusals.counts == {RejectReason.MEMORY: 1}
     assert len(trainer.corrections()) == 4
     assert distance_to_walls(trainer.surface().position_world).mean() < 0.015

@@ -7,20 +7,20 @@ import pytest
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, WALL_RGB, distance_to_walls, look, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.pose import Pose
 
 SEEN_M2 = 17.5  # of the room's 36 m², by the twelve views of the tour
 
 
-def _trainer(seed: int = 0) -> Trainer:
-    return Trainer(MapperConfig(seed=seed), LOW, HIGH, NOISE_PX, BASELINE_M)
+def _trainer(seed: int = 0) -> NeuralMapper:
+    return NeuralMapper(MapperConfig(seed=seed), LOW, HIGH, NOISE_PX, BASELINE_M)
 
 
 @pytest.fixture(scope="module")
-def room() -> Trainer:
+def room() -> NeuralMapper:
     """The box room after twelve noisy views."""
     trainer = _trainer()
     for view in tour(12, sigma_px=NOISE_PX):
@@ -30,7 +30,7 @@ def room() -> Trainer:
     return trainer
 
 
-def test_the_room_is_learned_to_a_centimetre(room: Trainer) -> None:
+def test_the_room_is_learned_to_a_centimetre(room: NeuralMapper) -> None:
     mesh = room.mesh(0.04)
     distance = distance_to_walls(mesh.vertices_world)
     assert distance.mean() < 0.008
@@ -40,7 +40,7 @@ def test_the_room_is_learned_to_a_centimetre(room: Trainer) -> None:
     assert 0.85 * SEEN_M2 < area < 1.1 * SEEN_M2
 
 
-def test_the_mesh_faces_the_air(room: Trainer) -> None:
+def test_the_mesh_faces_the_air(room: NeuralMapper) -> None:
     mesh = room.mesh(0.04)
     a, b, c = (mesh.vertices_world[mesh.faces[:, n]] for n in range(3))
     normal = np.cross(b - a, c - a)
@@ -48,7 +48,7 @@ def test_the_mesh_faces_the_air(room: Trainer) -> None:
     assert (np.einsum("nc,nc->n", normal, to_middle) > 0).mean() > 0.995
 
 
-def test_colours_are_those_of_the_walls(room: Trainer) -> None:
+def test_colours_are_those_of_the_walls(room: NeuralMapper) -> None:
     mesh = room.mesh(0.04)
     gaps = np.concatenate([mesh.vertices_world - LOW, HIGH - mesh.vertices_world], axis=1)
     wall = np.abs(gaps).argmin(axis=1)
@@ -58,7 +58,7 @@ def test_colours_are_those_of_the_walls(room: Trainer) -> None:
     assert np.quantile(error, 0.6) < 25  # the rest never was in the colour picture
 
 
-def test_surface_elements_face_the_air_and_carry_positive_uncertainty(room: Trainer) -> None:
+def test_surface_elements_face_the_air_and_carry_positive_uncertainty(room: NeuralMapper) -> None:
     surface = room.surface()
     assert len(surface.position_world) > 5000
     assert distance_to_walls(surface.position_world).mean() < 0.012
@@ -92,7 +92,7 @@ def test_no_surface_is_imagined_where_no_view_looked() -> None:
 
 
 def test_elements_carry_the_uncertainty_that_the_configuration_names() -> None:
-    trainer = Trainer(MapperConfig(uncertainty="information"), LOW, HIGH, NOISE_PX, BASELINE_M)
+    trainer = NeuralMapper(MapperConfig(uncertainty="information"), LOW, HIGH, NOISE_PX, BASELINE_M)
     trainer.add(look((0.6, 1.2, 1.0), 0.0))
     trainer.train(20)
     surface = trainer.surface()
@@ -121,7 +121,12 @@ def test_views_that_cannot_be_used_are_refused_and_counted() -> None:
     through_the_wall = Pose(good.world_from_depth.quat_wxyz, np.array([2.95, 1.2, 1.0]))
     deep = dataclasses.replace(frame, depth_m=np.full_like(frame.depth_m, 4.0))
     assert not trainer.add(PosedFrame(deep, through_the_wall))
-    assert trainer.refusals.counts == {Refusal.EMPTY: 1, Refusal.SHAPE: 2, Refusal.OUTSIDE: 1, Refusal.ELSEWHERE: 1}
+    assert trainer.refusals.counts == {
+        RejectReason.EMPTY: 1,
+        RejectReason.SHAPE: 2,
+        RejectReason.OUTSIDE: 1,
+        RejectReason.ELSEWHERE: 1,
+    }
     assert trainer.views == 0
     assert trainer.add(good)
 
@@ -154,4 +159,4 @@ def test_the_same_seed_learns_the_same_and_another_does_not() -> None:
 
 def test_a_box_that_is_none_is_an_error() -> None:
     with pytest.raises(ValueError, match="not a box"):
-        Trainer(MapperConfig(), HIGH, LOW, NOISE_PX, BASELINE_M)
+        NeuralMapper(MapperConfig(), HIGH, LOW, NOISE_PX, BASELINE_M)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
+from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
 from uav_recon.types.camera import BODY_FROM_OPTICAL, Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import ByteArray, Float32Array, FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec
@@ -20,8 +20,10 @@ NO_COLOUR = np.zeros((1, 1, 3), dtype=np.uint8)
 ONE_VOXEL = np.ones((3, 3, 3), dtype=bool)
 
 
-def voxels(fence_min: tuple[float, float, float] = (-2, -3, 0), fence_max: tuple[float, float, float] = (6, 3, 3)) -> Voxels:
-    return Voxels(GRID, D435I, 5.0, fence_min, fence_max, 1.1)
+def voxels(
+    fence_min: tuple[float, float, float] = (-2, -3, 0), fence_max: tuple[float, float, float] = (6, 3, 3)
+) -> OccupancyMap:
+    return OccupancyMap(GRID, D435I, 5.0, fence_min, fence_max, 1.1)
 
 
 def posed(depth_m: Float32Array, world_from_depth: Pose, lens: Intrinsics = LENS, epoch: int = 0) -> PosedFrame:
@@ -100,7 +102,7 @@ def test_beyond_the_range_is_free_up_to_it_and_marks_nothing() -> None:
 
 
 def test_a_far_wall_leaves_what_its_noise_could_reach_unknown() -> None:
-    room, sharp = voxels(), Voxels(GRID, DepthSensor(0.3, 0.001, 0.05), 5.0, (-2, -3, 0), (6, 3, 3), 1.1)
+    room, sharp = voxels(), OccupancyMap(GRID, DepthSensor(0.3, 0.001, 0.05), 5.0, (-2, -3, 0), (6, 3, 3), 1.1)
     for _ in range(8):
         for one in (room, sharp):
             one.integrate(posed(np.full((120, 212), 4.02, dtype=np.float32), looking(0.0, 0.05, 1.45)))
@@ -258,7 +260,7 @@ def test_a_stride_looks_at_every_other_pixel() -> None:
     pose, rng = looking(0.05, 0.05, 1.45), np.random.default_rng(1)
     depth_m = noisy(depth_of_box(pose, *ROOM), rng)
     half = Intrinsics(LENS.fx / 2, LENS.fy / 2, LENS.cx / 2, LENS.cy / 2, 106, 60)
-    strided = Voxels(GRID, D435I, 5.0, (-2, -3, 0), (6, 3, 3), 1.1, pixel_stride=2)
+    strided = OccupancyMap(GRID, D435I, 5.0, (-2, -3, 0), (6, 3, 3), 1.1, pixel_stride=2)
     small = voxels()
     for _ in range(4):
         strided.integrate(posed(depth_m, pose))
@@ -278,7 +280,7 @@ def test_frees_what_the_rules_say_and_nothing_else(pixels: tuple[int, int]) -> N
     depth_m[rng.random(pixels) < 0.1] = np.nan
     depth_m[: height // 3, : width // 3] = np.nan
     pose = looking(0.03, 0.02, 1.43, 0.4) @ Pose.from_rotation_vector(np.array([-0.3, 0.1, 0.2]), np.zeros(3))
-    room = Voxels(GRID, DepthSensor(0.3, 0.02, 0.05), 5.0, (-2, -3, 0), (6, 3, 3), 1.1)
+    room = OccupancyMap(GRID, DepthSensor(0.3, 0.02, 0.05), 5.0, (-2, -3, 0), (6, 3, 3), 1.1)
     for _ in range(4):
         room.integrate(posed(depth_m, pose, lens))
     free = room.snapshot().state == FREE
@@ -333,7 +335,7 @@ def test_agrees_with_the_reference_stream() -> None:
     with np.load(STREAM / "depth_640x480.npz") as archive:
         depth_mm = archive["depth_mm"][:, ::2, ::2]
     grid = GridSpec(np.array([-5.0, -3.0, 0.0]), 0.1, (100, 60, 30))
-    room = Voxels(grid, DepthSensor(0.1, 0.001, 0.05), 4.5, (-5, -3, 0), (5, 3, 3), 1.1)  # 1 mm at 3 m
+    room = OccupancyMap(grid, DepthSensor(0.1, 0.001, 0.05), 4.5, (-5, -3, 0), (5, 3, 3), 1.1)  # 1 mm at 3 m
     room.warm_up()
     took_s = []
     for depth, matrix in zip(depth_mm, np.load(STREAM / "poses.npy"), strict=True):

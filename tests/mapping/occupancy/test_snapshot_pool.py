@@ -3,7 +3,7 @@ import threading
 
 import numpy as np
 
-from uav_recon.mapping.occupancy.snapshot_pool import Pictures
+from uav_recon.mapping.occupancy.snapshot_pool import SnapshotPool
 from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
 
 GRID = GridSpec(np.zeros(3), 0.1, (19, 21, 5))
@@ -14,7 +14,7 @@ class Painter:
     """Paints one voxel after the other and remembers what every picture must show."""
 
     def __init__(self) -> None:
-        self.pictures = Pictures(GRID, 1)
+        self.pictures = SnapshotPool(GRID, 1)
         self.dated = np.full(TILES, 1, dtype=np.int64)
         self.revision = 1
         self.truth = np.zeros((2, *GRID.shape), dtype=np.uint8)

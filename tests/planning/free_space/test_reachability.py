@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.planning.free_space.reachability import Regions
+from uav_recon.planning.free_space.reachability import ReachableSpace
 from uav_recon.planning.free_space.voxel_blocks import EDGE, SIDES, part_around, touches
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, IntArray
 
@@ -39,7 +39,7 @@ def test_a_part_of_a_block_is_what_its_voxels_hang_on() -> None:
             assert part_around(first, word(voxels)) == word(labels == n)
 
 
-def changed_blocks(regions: Regions, differs: BoolArray) -> IntArray:
+def changed_blocks(regions: ReachableSpace, differs: BoolArray) -> IntArray:
     at = np.argwhere(differs[1:-1, 1:-1, 1:-1]) // EDGE + 1
     return np.unique((at[:, 0] * regions.blocks.shape[1] + at[:, 1]) * regions.blocks.shape[2] + at[:, 2])
 
@@ -55,7 +55,7 @@ def test_random_changes_cut_and_join_as_a_labelling_from_scratch_does(seed: int)
     shape = tuple(int(n) for n in rng.integers(3, 26, 3))
     share = rng.uniform(0.08, 0.3)  # around where random voxels begin to hang together
     mask = np.pad((rng.random(shape) < share).astype(np.uint8), 1)
-    regions = Regions((shape[0], shape[1], shape[2]))
+    regions = ReachableSpace((shape[0], shape[1], shape[2]))
     regions.update(mask, changed_blocks(regions, mask > 0), 1)
     cell = None
     for revision in range(2, 60):
@@ -80,7 +80,7 @@ def test_random_changes_cut_and_join_as_a_labelling_from_scratch_does(seed: int)
 def test_a_block_that_only_grows_costs_nobody_a_parent() -> None:
     mask = np.zeros((14, 6, 6), dtype=np.uint8)
     mask[1:13, 2, 2] = 1
-    regions = Regions((12, 4, 4))
+    regions = ReachableSpace((12, 4, 4))
     regions.update(mask, changed_blocks(regions, mask > 0), 1)
     regions.hang_on(1, 2, 2, 1)
     parents = regions.parent.copy()

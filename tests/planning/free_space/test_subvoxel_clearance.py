@@ -9,16 +9,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from uav_recon.planning.candidate_view import Situation
+from uav_recon.planning.candidate_view import PlanningContext
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
-from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, LOW, OUTSIDE, SIDES2, berth_of, voxel_beside
+from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, LOW, OUTSIDE, SIDES2, blocking_voxel, clearance_box
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 
 CLEARANCE_M = 0.35
 LOWEST, HIGHEST = np.array([5, 0, 0]), np.array([20, 18, 22])
 
 
-def cluttered(rng: np.random.Generator) -> tuple[Situation, NDArray[np.float64]]:
+def cluttered(rng: np.random.Generator) -> tuple[PlanningContext, NDArray[np.float64]]:
     """A situation, and the centres (N, 3) of all voxels that are not known free, those around the map too; voxel units."""
     shape = (26, 24, 22)
     state = np.full(shape, FREE, dtype=np.uint8)
@@ -33,7 +33,7 @@ def cluttered(rng: np.random.Generator) -> tuple[Situation, NDArray[np.float64]]
     start = space.world(rng.choice(np.argwhere(space.mask)) + 0.5)
     exit_cells = space.stand(start)
     assert exit_cells is not None
-    return Situation(voxels, space, exit_cells, start), np.argwhere(solid) - np.float64(0.5)
+    return PlanningContext(voxels, space, exit_cells, start), np.argwhere(solid) - np.float64(0.5)
 
 
 def to_sides(closed: NDArray[np.float64], place: NDArray[np.float64]) -> float:
@@ -74,7 +74,7 @@ def test_a_berth_is_what_the_nearest_voxel_of_the_lattice_leaves(needed2: int) -
     most = int(np.sqrt(needed2)) + 1
     steps = [s for s in itertools.product(range(-most, most + 1), repeat=3) if np.dot(s, s) >= needed2]
     sides2 = (np.maximum(np.abs(np.array(steps)) - 0.5, 0.0) ** 2).sum(axis=1)
-    berth = berth_of((90, 80, 70), np.array([0, 9, 40]), np.array([90, 60, 70]), needed2)
+    berth = clearance_box((90, 80, 70), np.array([0, 9, 40]), np.array([90, 60, 70]), needed2)
     border = np.sqrt(sides2.min())
     assert berth[SIDES2] == sides2.min()
     np.testing.assert_allclose(berth[LOW:SIDES2], [border, max(9.5, border), 40.5, 90 - border, 59.5, 70 - border])
@@ -86,7 +86,7 @@ def test_the_voxel_that_is_named_is_closed_and_near() -> None:
     voxels, berth = situation.voxels, situation.space.berth
     answers = []
     for place in rng.uniform(2.0, 24.0, (2000, 3)):
-        at = voxel_beside(voxels.distance2.reshape(-1), voxels.grid.shape, berth, *place)
+        at = blocking_voxel(voxels.distance2.reshape(-1), voxels.grid.shape, berth, *place)
         answers.append(min(at, 0))
         if at >= 0:
             voxel = np.array(np.unravel_index(at, voxels.grid.shape))
@@ -99,4 +99,4 @@ def test_the_voxel_that_is_named_is_closed_and_near() -> None:
 def test_nobody_stands_nowhere(place: tuple[float, float, float]) -> None:
     situation, _ = cluttered(np.random.default_rng(1))
     voxels = situation.voxels
-    assert voxel_beside(voxels.distance2.reshape(-1), voxels.grid.shape, situation.space.berth, *place) == OUTSIDE
+    assert blocking_voxel(voxels.distance2.reshape(-1), voxels.grid.shape, situation.space.berth, *place) == OUTSIDE

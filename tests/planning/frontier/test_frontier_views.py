@@ -13,14 +13,14 @@ from growing_map import GrowingMap
 
 from uav_recon.bench.planner import recorded_stream, view_oracle
 from uav_recon.config import PlannerConfig
-from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
+from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
 from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
-from uav_recon.planning.candidate_view import MIN_SEEN, Situation
+from uav_recon.planning.candidate_view import MIN_SEEN, PlanningContext
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.frontier import frontier_views as views_module
 from uav_recon.planning.frontier.frontier_views import BATCH, COVERED_SHARE, FrontierProposals, FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers
-from uav_recon.planning.frontier.view_cache import ViewTable
+from uav_recon.planning.frontier.view_cache import ViewCache
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
 
@@ -110,9 +110,9 @@ def test_a_view_shows_what_it_promises_from_where_one_may_fly(solid: Solid, came
         cells = np.stack(np.unravel_index(table.promised[kept], world.grid.shape), axis=-1)
         assert len(cells) == table.shown[kept]
         assert set(table.promised[kept]) <= set(follower.frontiers.flat(int(row)))
-        target = view_oracle.Frontier(cells, follower.low, follower.high)
+        target = view_oracle.OracleFrontier(cells, follower.low, follower.high)
         assert view_oracle.cells_seen(voxels.state, lens, oracle_view(table.view[kept], camera), target) >= 0.98 * len(cells)
-    situation = Situation(voxels, follower.space, np.zeros(0, dtype=np.int64), START)
+    situation = PlanningContext(voxels, follower.space, np.zeros(0, dtype=np.int64), START)
     for proposal in found.proposals:
         assert situation.holds(proposal.place)
         assert camera.pitch_min_rad <= proposal.task.viewpoint.pitch_down_rad <= camera.pitch_max_rad
@@ -222,7 +222,7 @@ def test_a_task_that_another_view_covers_is_left_out_and_its_cells_are_promised_
                 continue
             merged += 1
             cells = np.stack(np.unravel_index(table.promised[row], world.grid.shape), axis=-1)
-            target = view_oracle.Frontier(cells, follower.low, follower.high)
+            target = view_oracle.OracleFrontier(cells, follower.low, follower.high)
             shown = view_oracle.cells_seen(voxels.state, lens, oracle_view(place, GIMBAL), target)
             assert shown >= (COVERED_SHARE - 0.1) * len(cells)
     assert merged
@@ -262,13 +262,13 @@ def test_clusters_far_from_all_that_can_be_reached_are_not_searched_for(monkeypa
         for j in range(4, 118, 9):
             state[i : i + 4, j : j + 4, 8:12] = UNKNOWN
     follower = Follower(GrowingMap(solid).grid)
-    searched, search = [], ViewTable.search
+    searched, search = [], ViewCache.search
 
-    def counted(table: ViewTable, key: int, *rest: Any) -> int:
+    def counted(table: ViewCache, key: int, *rest: Any) -> int:
         searched.append(key)
         return search(table, key, *rest)
 
-    monkeypatch.setattr(ViewTable, "search", counted)
+    monkeypatch.setattr(ViewCache, "search", counted)
     found = follower.follow(voxel_map(state), START)
     assert len(follower.frontiers) > 4 * BATCH
     assert (len(found.proposals), found.without_view, found.later) == (0, len(follower.frontiers), 0)
@@ -284,7 +284,7 @@ def test_on_the_stream_a_view_shows_nearly_what_the_best_of_a_thousand_shows(
     monkeypatch.setattr(views_module, "SEARCHES", 1000)
     stream = recorded_stream.load(STREAM, "320x240", 1)
     low, high = (tuple(float(v) for v in corner) for corner in (stream.low_m, stream.high_m))
-    mapping = Voxels(stream.grid, SENSOR, stream.max_range_m, low, high, 1.1)
+    mapping = OccupancyMap(stream.grid, SENSOR, stream.max_range_m, low, high, 1.1)
     follower = Follower(stream.grid, camera)
     follower.low, follower.high = np.zeros(3, dtype=np.int64), np.array(stream.grid.shape)
     lens = oracle_lens(camera)
@@ -304,7 +304,7 @@ def test_on_the_stream_a_view_shows_nearly_what_the_best_of_a_thousand_shows(
         reachable = follower.space.reachable[1:-1, 1:-1, 1:-1] > 0
         for row in follower.frontiers.table.nearest((position - stream.grid.origin_world_m) / 0.1, BATCH)[::4]:
             kept = follower.row_of(int(row))
-            target = view_oracle.Frontier(follower.frontiers.cluster(int(row)).cells, follower.low, follower.high)
+            target = view_oracle.OracleFrontier(follower.frontiers.cluster(int(row)).cells, follower.low, follower.high)
             most = view_oracle.best_seen(voxels.state, lens, reachable, target, SHELL, n)
             if most >= MIN_SEEN:
                 best.append(most)

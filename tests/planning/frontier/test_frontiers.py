@@ -4,7 +4,7 @@ import numpy as np
 from box_world import grid_of, voxel_map
 
 from uav_recon.planning.frontier.frontiers import FACES, Frontiers, fence_box
-from uav_recon.planning.frontier.rejection_counts import left_out
+from uav_recon.planning.frontier.rejection_counts import count_rejected_frontiers
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec
 
@@ -45,7 +45,7 @@ def test_the_census_counts_what_it_leaves_out() -> None:
     exhausted[18:23, 17:] = 1
     found = frontiers_of(state, WHOLE, np.array(state.shape), exhausted)
     assert len(found) == 1
-    counts = left_out(state, found.faces, exhausted)
+    counts = count_rejected_frontiers(state, found.faces, exhausted)
     assert counts == {"too small": 1, "looked at in vain": 1, "outside the fence": 0}
 
 
@@ -54,7 +54,7 @@ def test_space_beyond_the_fence_is_counted_not_explored() -> None:
     state[15:] = UNKNOWN
     found = frontiers_of(state, WHOLE, np.array([15, 20, 20]))
     assert not found.faces.any()
-    assert left_out(state, found.faces, np.zeros_like(state))["outside the fence"] == 1
+    assert count_rejected_frontiers(state, found.faces, np.zeros_like(state))["outside the fence"] == 1
 
 
 def test_the_fence_holds_the_voxels_whose_centres_it_holds() -> None:

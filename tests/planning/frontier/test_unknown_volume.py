@@ -7,7 +7,7 @@ from box_world import voxel_map
 
 from uav_recon.planning.frontier.cluster_table import FARTHER, OPENING
 from uav_recon.planning.frontier.frontiers import FACES, Frontiers
-from uav_recon.planning.frontier.unknown_volume import DEPTH, SHALLOW, beyond
+from uav_recon.planning.frontier.unknown_volume import DEPTH, SHALLOW, unknown_volume
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
@@ -35,7 +35,7 @@ def test_unknown_voxels_straight_on_from_each_unknown_face_are_counted() -> None
         frontiers.update(voxel_map(state), low, high, np.zeros_like(state))
         for cluster in frontiers.clusters():
             flat = np.ravel_multi_index(tuple(cluster.cells.T), shape)
-            assert beyond(state, frontiers.faces, flat, low, high) == counted(state, cluster.cells, low, high)
+            assert unknown_volume(state, frontiers.faces, flat, low, high) == counted(state, cluster.cells, low, high)
 
 
 def test_a_gap_in_front_of_a_wall_waits_for_the_openings_around() -> None:

@@ -56,7 +56,7 @@ def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: Ca
         assert (space.reachable.reshape(-1)[np.where(asked[:asks] >= 0, asked[:asks], ~asked[:asks])] > 0).tolist() == (
             asked[:asks] >= 0
         ).tolist()
-        target = view_oracle.Frontier(frontiers.cluster(int(row)).cells, low, high)
+        target = view_oracle.OracleFrontier(frontiers.cluster(int(row)).cells, low, high)
         best = view_oracle.best_seen(voxels.state, oracle, reachable, target, (5.0, 42.0), int(row))
         if best >= 10:
             shares.append(view_oracle.cells_seen(voxels.state, oracle, view, target) / best)

@@ -11,7 +11,7 @@ from box_world import FIXED, GIMBAL
 from uav_recon.geometry.traversal import is_visible
 from uav_recon.planning.camera_frustum import PITCH_MIN, RANGE, CameraGeometry, in_view, sight
 from uav_recon.planning.frontier.view_cache import targets
-from uav_recon.planning.frontier.visibility_bound import FITTING, FRAMED, TURNED, cells_with, distinct, outlook
+from uav_recon.planning.frontier.visibility_bound import FITTING, FRAMED, TURNED, cells_with, distinct, visibility_bound
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
@@ -50,7 +50,7 @@ def test_whatever_can_be_seen_turns_an_open_side_and_fits_the_picture(camera: Ca
         for _ in range(60):
             place, yaw = rng.uniform(2.0, np.array(SHAPE) - 2.0), rng.uniform(-np.pi, np.pi)
             line = sight(lens, place, yaw, lens[PITCH_MIN] if camera is FIXED else rng.uniform(-0.8, 0.8))
-            turned, framed = outlook(found, lens, line, facing)
+            turned, framed = visibility_bound(found, lens, line, facing)
             assert (turned, framed) == ((facing & TURNED > 0).sum(), (facing & FRAMED > 0).sum())
             for u, centre in enumerate(centres.T.astype(np.float64)):
                 away = np.linalg.norm(centre - line[:3])

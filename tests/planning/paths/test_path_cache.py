@@ -12,7 +12,7 @@ from scipy import ndimage
 from skimage.graph import MCP_Geometric
 
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
-from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.planning.paths.segments import segment_is_open
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, GridSpec, VoxelMap
@@ -91,7 +91,7 @@ def centres(cells: IntArray) -> FloatArray:
     return np.asarray(cells).reshape(-1, 3) + np.float64(0.5)
 
 
-def check_polyline(space: FlyableSpace, ways: Ways, i: int, j: int) -> None:
+def check_polyline(space: FlyableSpace, ways: PathCache, i: int, j: int) -> None:
     way = space.padded(ways.way_world(i, j))
     # to the world and back moves a point by a rounding error: a sample on the border of two voxels may be in either
     nudges = [np.array(nudge) * 1e-9 for nudge in itertools.product((-1, 1), repeat=3)]
@@ -124,7 +124,7 @@ def test_ways_in_clutter_are_open_and_as_short_as_an_exact_search() -> None:
         start = space.world(chosen[0] + 0.5)
         exit_cells = space.stand(start)
         assert exit_cells is not None
-        ways = Ways(space)
+        ways = PathCache(space)
         ways.update(exit_cells, start, centres(chosen[1:]))
         for i, j in itertools.combinations(range(6), 2):
             grid_length, pulled = oracle(space.mask, chosen[i], chosen[j])
@@ -146,7 +146,7 @@ def test_ways_of_the_reference_map_are_as_short_as_an_exact_search() -> None:
     world = World(reference.astype(np.uint8))
     space = world.space(0.35)
     cells = largest_component(space.mask)
-    ways = Ways(space)
+    ways = PathCache(space)
     excess = []
     for pair in cells[np.random.default_rng(100).integers(len(cells), size=(100, 2))]:
         start = space.world(pair[0] + 0.5)
@@ -165,7 +165,7 @@ def test_what_is_remembered_is_what_would_be_found_anew(seed: int) -> None:
     rng = np.random.default_rng(seed)
     world = cluttered(rng, (60, 45, 18), 45)
     space = world.space(0.14)
-    ways = Ways(space)
+    ways = PathCache(space)
     tasks = np.zeros((0, 3))
     remembered = 0
     for _ in range(25):
@@ -182,7 +182,7 @@ def test_what_is_remembered_is_what_would_be_found_anew(seed: int) -> None:
         tasks = np.concatenate([tasks[open_still][:9], chosen[:1] + 0.5, chosen[1:] + rng.random((2, 3))])
         before = ways._known.kept.sum()
         ways.update(exit_cells, start, tasks)
-        anew = Ways(space)
+        anew = PathCache(space)
         anew.update(exit_cells, start, tasks)
         np.testing.assert_array_equal(ways.lengths_m, anew.lengths_m)
         np.testing.assert_array_equal(ways.departures, anew.departures)
@@ -206,7 +206,7 @@ def test_a_way_ends_in_its_view_wherever_in_a_voxel_that_stands(seed: int) -> No
         start = space.world(chosen[0] + rng.random(3))
         exit_cells = space.stand(start)
         assert exit_cells is not None
-        ways, centred = Ways(space), Ways(space)
+        ways, centred = PathCache(space), PathCache(space)
         ways.update(exit_cells, start, places)
         centred.update(exit_cells, start, centres(chosen))
         for i, j in itertools.combinations(range(5), 2):
@@ -231,7 +231,7 @@ def walled() -> World:
 def test_a_door_that_opens_is_used_and_one_that_closes_is_not() -> None:
     world = walled()
     space = world.space(0.14)
-    ways = Ways(space)
+    ways = PathCache(space)
     cells = centres(np.array([[10, 8, 6], [32, 8, 6]]))
     start = world.grid.centre(np.array([6, 6, 6]))
     lengths_m = []
@@ -252,7 +252,7 @@ def test_nodes_at_one_place_are_no_way_apart() -> None:
     start = world.grid.centre(np.array([6, 6, 6]))
     exit_cells = space.stand(start)
     assert exit_cells is not None
-    ways = Ways(space)
+    ways = PathCache(space)
     ways.update(exit_cells, start, centres(np.array([[7, 7, 7], [20, 25, 6], [20, 25, 6]])))
     assert ways.lengths_m[0, 1] == pytest.approx(0.0)
     assert ways.lengths_m[2, 3] == 0.0
@@ -268,7 +268,7 @@ def test_there_is_no_way_through_a_wall() -> None:
     start = world.grid.centre(np.array([6, 6, 6]))
     exit_cells = space.stand(start)
     assert exit_cells is not None
-    ways = Ways(space)
+    ways = PathCache(space)
     ways.update(exit_cells, start, centres(np.array([[32, 8, 6], [10, 20, 6]])))
     assert np.isinf(ways.lengths_m[0, 1])
     assert np.isfinite(ways.lengths_m[0, 2])
@@ -281,7 +281,7 @@ def test_a_vehicle_that_may_not_fly_where_it_stands_goes_out_first() -> None:
     exit_cells = space.stand(start)
     assert exit_cells is not None
     assert len(exit_cells) > 1
-    ways = Ways(space)
+    ways = PathCache(space)
     ways.update(exit_cells, start, centres(np.array([[12, 9, 7]])))
     way = ways.way_world(0, 1)
     np.testing.assert_allclose(way[0], start)
@@ -292,7 +292,7 @@ def test_a_vehicle_that_may_not_fly_where_it_stands_goes_out_first() -> None:
 def test_a_map_of_a_new_epoch_is_begun_from_nothing() -> None:
     world = walled()
     space = world.space(0.14)
-    ways = Ways(space)
+    ways = PathCache(space)
     start = world.grid.centre(np.array([6, 6, 6]))
     cells = centres(np.array([[10, 8, 6], [32, 8, 6]]))
     for epoch, open_door in ((0, False), (1, True)):
@@ -314,7 +314,7 @@ def test_a_large_number_of_tasks_is_no_other_case() -> None:
     assert exit_cells is not None
     rng = np.random.default_rng(3)
     open_cells = largest_component(space.mask)
-    ways = Ways(space)
+    ways = PathCache(space)
     for count in (0, 1, 50):
         ways.update(exit_cells, start, centres(open_cells[rng.integers(len(open_cells), size=count)]))
         assert ways.lengths_m.shape == (count + 1, count + 1)

@@ -11,7 +11,7 @@ from uncertain_room import elements_of, seen_room, situation_in
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.candidate_view import Situation
+from uav_recon.planning.candidate_view import PlanningContext
 from uav_recon.planning.frontier.frontiers import FACES, Frontier, Frontiers, fence_box
 from uav_recon.planning.reconstruction.gain_field import BEST_VIEWS, UNKNOWN_WEIGHT, FieldViews, frontier_patches
 from uav_recon.types.maps import SurfaceElements
@@ -21,7 +21,7 @@ HERE = np.array([3.0, 1.0, 1.2])
 CONFIG = PlannerConfig()
 
 
-def half_seen(camera: CameraGeometry) -> tuple[Situation, list[Frontier]]:
+def half_seen(camera: CameraGeometry) -> tuple[PlanningContext, list[Frontier]]:
     """After one look ahead."""
     world = BoxWorld(MEETING_ROOM, camera, HERE)
     for yaw in (-0.4, 0.0, 0.4):
@@ -34,7 +34,7 @@ def half_seen(camera: CameraGeometry) -> tuple[Situation, list[Frontier]]:
     return situation_in(voxels, HERE), found.clusters()
 
 
-def looks_of(situation: Situation) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+def looks_of(situation: PlanningContext) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     return np.zeros(situation.voxels.grid.shape, dtype=np.float32)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.planning.reconstruction.unmodelled_surface import BESIDE, bare_surface
+from uav_recon.planning.reconstruction.unmodelled_surface import BESIDE, unmodelled_surface
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
 CROSS = ndimage.generate_binary_structure(3, 1)
@@ -26,7 +26,7 @@ def test_it_is_the_occupied_voxels_beside_free_ones_that_no_element_lies_near() 
         inside[tuple(slice(a, b) for a, b in zip(low, high, strict=True))] = True
         near = ndimage.binary_dilation(at, np.ones((2 * BESIDE + 1,) * 3))
         expected = (state == OCCUPIED) & ndimage.binary_dilation(state == FREE, CROSS) & ~near & inside
-        position, normal = bare_surface(state, low, high, np.concatenate([np.argwhere(at), [[-9, 0, 0], [0, 99, 0]]]))
+        position, normal = unmodelled_surface(state, low, high, np.concatenate([np.argwhere(at), [[-9, 0, 0], [0, 99, 0]]]))
         found = np.zeros(shape, dtype=np.bool_)
         found[tuple(np.floor(position).astype(int).T)] = True
         assert not (found & ~expected).any()
@@ -43,7 +43,7 @@ def test_a_walls_normal_points_into_the_room(axis: int, sign: int) -> None:
     state = np.full((12, 12, 12), UNKNOWN, dtype=np.uint8)
     face = np.moveaxis(state, axis, 0)
     face[6], face[6 + sign], face[6 + 2 * sign] = OCCUPIED, FREE, FREE
-    position, normal = bare_surface(state, np.full(3, 2), np.full(3, 10), np.zeros((0, 3), dtype=np.int64))
+    position, normal = unmodelled_surface(state, np.full(3, 2), np.full(3, 10), np.zeros((0, 3), dtype=np.int64))
     assert len(position) == 64
     assert (position[:, axis] == 6.5).all()
     np.testing.assert_allclose(normal[:, axis], sign)

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from uav_recon.planning.tour.stopping_rule import SHORTEST_TOUR_S, VIEW_S, Worth
+from uav_recon.planning.tour.stopping_rule import SHORTEST_TOUR_S, VIEW_S, StoppingRule
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
@@ -20,7 +20,7 @@ def along_a_line(*at: tuple[TaskKind, float, float]) -> tuple[list[Task], FloatA
     return tasks, np.abs(x[:, None] - x)
 
 
-def kept(worth: Worth, *at: tuple[TaskKind, float, float]) -> list[int]:
+def kept(worth: StoppingRule, *at: tuple[TaskKind, float, float]) -> list[int]:
     tasks, costs_s = along_a_line(*at)
     answer = worth.keep(tasks, costs_s, np.arange(1, len(at) + 1))
     assert answer.dropped == len(at) - len(answer.order)
@@ -28,9 +28,9 @@ def kept(worth: Worth, *at: tuple[TaskKind, float, float]) -> list[int]:
     return nodes
 
 
-def worth_after_10_per_second() -> Worth:
+def worth_after_10_per_second() -> StoppingRule:
     """A rule that has seen a tour of 10 per second: so, with its share of a fifth, 2 per second are wanted."""
-    worth = Worth(0.2)
+    worth = StoppingRule(0.2)
     metres = SHORTEST_TOUR_S - 4 * VIEW_S
     tour = [(SURFACE, metres * n / 4, 10 * SHORTEST_TOUR_S / 4) for n in range(1, 5)]
     assert kept(worth, *tour) == [1, 2, 3, 4]
@@ -62,7 +62,7 @@ def test_far_tasks_pay_for_the_way_together() -> None:
 
 
 def test_the_first_tour_sets_the_standard_and_one_view_nearby_does_not_set_it_high() -> None:
-    worth = Worth(0.2)
+    worth = StoppingRule(0.2)
     assert kept(worth, (SURFACE, 0.1, 30.0)) == [1]  # 50 per second if its 0.6 s were all
     assert kept(worth, (SURFACE, 10.0, 10.0)) == [1]
     assert kept(worth, (SURFACE, 20.0, 10.0)) == []
@@ -70,7 +70,7 @@ def test_the_first_tour_sets_the_standard_and_one_view_nearby_does_not_set_it_hi
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_the_unit_of_the_gain_does_not_matter(scale: float) -> None:
-    worth = Worth(0.2)
+    worth = StoppingRule(0.2)
     tour = [(SURFACE, float(n), 40.0 * scale) for n in range(1, 9)]
     assert len(kept(worth, *tour)) == 8
     assert kept(worth, (SURFACE, 3.0, 100.0 * scale), (SURFACE, 90.0, 20.0 * scale)) == [1]

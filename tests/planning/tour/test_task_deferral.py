@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.planning.tour.stopping_rule import VIEW_S
-from uav_recon.planning.tour.task_deferral import NOW_SHARE, worth_now
+from uav_recon.planning.tour.task_deferral import NOW_SHARE, not_deferred
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 Place = tuple[TaskKind, float, float, float]  # kind, x, y, gain; the vehicle is at the origin, a metre takes a second
@@ -13,7 +13,7 @@ EXPLORE, SURFACE = TaskKind.EXPLORE, TaskKind.RECONSTRUCT
 def now(*places: Place) -> list[bool]:
     at = np.array([(0.0, 0.0), *((x, y) for _, x, y, _ in places)])
     tasks = [Task(kind, np.zeros(3), Viewpoint(np.zeros(3), 0.0, 0.0), gain) for kind, _, _, gain in places]
-    return [bool(one) for one in worth_now(tasks, np.linalg.norm(at[:, None] - at, axis=-1))]
+    return [bool(one) for one in not_deferred(tasks, np.linalg.norm(at[:, None] - at, axis=-1))]
 
 
 def test_what_gains_little_per_second_against_the_best_waits_whatever_its_kind() -> None:

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from uav_recon.planning.tour.stopping_rule import VIEW_S, Worth
-from uav_recon.planning.tour.task_ordering import DETOUR_S, DETOUR_SHARE, ByTheWay, Choice, Greedy, Tour
+from uav_recon.planning.tour.stopping_rule import VIEW_S, StoppingRule
+from uav_recon.planning.tour.task_ordering import DETOUR_S, DETOUR_SHARE, ByTheWay, Greedy, TaskOrdering, Tour
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
@@ -20,7 +20,7 @@ def case(places: list[Place]) -> tuple[list[Task], FloatArray]:
     return tasks, np.linalg.norm(at[:, None] - at, axis=-1)
 
 
-def order(choice: Choice, places: list[Place]) -> list[int]:
+def order(choice: TaskOrdering, places: list[Place]) -> list[int]:
     nodes: list[int] = choice.order(*case(places)).order.tolist()
     return nodes
 
@@ -30,12 +30,12 @@ def test_the_tour_is_the_shortest_one() -> None:
     places = [(EXPLORE, float(x), float(y), 9.0) for x, y in rng.uniform(-5, 5, (6, 2))]
     _, costs_s = case(places)
     best = min(itertools.permutations(range(1, 7)), key=lambda o: sum(costs_s[a, b] for a, b in itertools.pairwise((0, *o))))
-    assert order(Tour(Worth(0.15)), places) == list(best)
+    assert order(Tour(StoppingRule(0.15)), places) == list(best)
 
 
 def test_what_can_wait_is_flown_when_nothing_else_is_worth_its_flight() -> None:
     rich, gap = (SURFACE, 5.0, 0.0, 500.0), (EXPLORE, -3.0, 0.0, 0.0)
-    tour = Tour(Worth(0.15))
+    tour = Tour(StoppingRule(0.15))
     assert order(tour, [rich, gap]) == [1]
     assert order(tour, [(SURFACE, 5.0, 0.0, 1.0), gap]) == [2]  # poor against what this flight has seen: dropped
     assert order(tour, [gap, (EXPLORE, -4.0, 0.0, 0.0)]) == [1, 2]
@@ -44,15 +44,15 @@ def test_what_can_wait_is_flown_when_nothing_else_is_worth_its_flight() -> None:
 
 def test_greedy_takes_the_one_view_that_gains_most_per_second() -> None:
     near_and_poor, far_and_rich = (SURFACE, 1.0, 0.0, 30.0), (SURFACE, 9.0, 0.0, 120.0)
-    assert order(Greedy(Worth(0.0)), [far_and_rich, near_and_poor]) == [2]
-    assert order(Greedy(Worth(0.0)), [far_and_rich, (SURFACE, 4.0, 0.0, 30.0)]) == [1]
-    assert order(Greedy(Worth(0.0)), []) == []
+    assert order(Greedy(StoppingRule(0.0)), [far_and_rich, near_and_poor]) == [2]
+    assert order(Greedy(StoppingRule(0.0)), [far_and_rich, (SURFACE, 4.0, 0.0, 30.0)]) == [1]
+    assert order(Greedy(StoppingRule(0.0)), []) == []
 
 
 def test_the_nearest_frontier_is_next_and_surface_is_seen_on_the_way() -> None:
     far, near = (EXPLORE, 30.0, 0.0, 90.0), (EXPLORE, -10.0, 0.0, 9.0)
     beside_the_way, off_the_way = (SURFACE, -5.0, 1.0, 20.0), (SURFACE, 0.0, 8.0, 500.0)
-    assert order(ByTheWay(Worth(0.0)), [far, near, beside_the_way, off_the_way]) == [3, 2]
+    assert order(ByTheWay(StoppingRule(0.0)), [far, near, beside_the_way, off_the_way]) == [3, 2]
 
 
 def test_detours_stay_within_their_allowance() -> None:
@@ -61,7 +61,7 @@ def test_detours_stay_within_their_allowance() -> None:
         places = [(EXPLORE, 8.0, 0.0, 9.0)]
         places += [(SURFACE, float(x), float(y), float(g)) for x, y, g in rng.uniform((-2, -3, 1), (10, 3, 60), (12, 3))]
         tasks, costs_s = case(places)
-        way = ByTheWay(Worth(0.0)).order(tasks, costs_s).order.tolist()
+        way = ByTheWay(StoppingRule(0.0)).order(tasks, costs_s).order.tolist()
         assert way[-1] == 1
         flown_s = sum(costs_s[a, b] for a, b in itertools.pairwise((0, *way))) + VIEW_S * (len(way) - 1)
         allowed_s = max(DETOUR_SHARE * costs_s[0, 1], DETOUR_S)
@@ -71,12 +71,12 @@ def test_detours_stay_within_their_allowance() -> None:
 
 def test_without_a_frontier_surface_is_seen_nearest_first() -> None:
     places = [(SURFACE, 5.0, 0.0, 50.0), (SURFACE, -1.0, 0.0, 50.0), (SURFACE, 2.0, 0.0, 50.0)]
-    assert order(ByTheWay(Worth(0.0)), places) == [2, 3, 1]
+    assert order(ByTheWay(StoppingRule(0.0)), places) == [2, 3, 1]
 
 
 @pytest.mark.parametrize("kind", [Tour, Greedy, ByTheWay])
 def test_every_choice_ends_when_surface_is_not_worth_its_flight(kind: type[Tour] | type[Greedy] | type[ByTheWay]) -> None:
-    choice = kind(Worth(0.5))
+    choice = kind(StoppingRule(0.5))
     assert order(choice, [(SURFACE, 4.0, 0.0, 100.0)]) == [1]
     tasks, costs_s = case([(SURFACE, 40.0, 0.0, 30.0)])
     answer = choice.order(tasks, costs_s)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.planning.tour.travel_time import BRAKING_MPS2, LEAVING_TURN_SHARE, NoseFirst, TurningOnTheWay, leave
+from uav_recon.planning.tour.travel_time import BRAKING_MPS2, LEAVING_TURN_SHARE, YawThenFly, YawWhileFlying, leave
 from uav_recon.types.frames import FloatArray
 
 SPEED_MPS, RATE_RADPS, BLIND_MPS, OFF_RAD = 0.8, 0.7, 0.27, 0.6
-ON_THE_WAY = TurningOnTheWay(SPEED_MPS, RATE_RADPS)
-NOSE_FIRST = NoseFirst(SPEED_MPS, RATE_RADPS, BLIND_MPS, OFF_RAD, 0.47)
+ON_THE_WAY = YawWhileFlying(SPEED_MPS, RATE_RADPS)
+NOSE_FIRST = YawThenFly(SPEED_MPS, RATE_RADPS, BLIND_MPS, OFF_RAD, 0.47)
 TILT_RAD = float(np.radians(15.0))
 
 
@@ -47,7 +47,7 @@ def test_the_costs_are_flying_or_turning_and_leaving_and_braking() -> None:
 
 
 @pytest.mark.parametrize("price", [ON_THE_WAY, NOSE_FIRST])
-def test_what_cannot_be_reached_costs_more_than_anything(price: TurningOnTheWay | NoseFirst) -> None:
+def test_what_cannot_be_reached_costs_more_than_anything(price: YawWhileFlying | YawThenFly) -> None:
     lengths_m = np.array([[0.0, np.inf], [np.inf, 0.0]])
     costs = price.seconds(lengths_m, np.zeros((2, 2, 3)), np.zeros(2), np.zeros(2))
     assert np.isinf(costs[0, 1])

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from sitl.apps.lockstep import Nobody, fly_in_lockstep
+from sitl.apps.lockstep import NoHook, fly_in_lockstep
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sweep_case import one_thread
 from sitl.scene.scene import load_scene
@@ -23,7 +23,7 @@ from uav_recon.bench.machine_calibration import calibrate
 EVERY_S = 2.0
 
 
-class Stopwatch(Nobody):
+class Stopwatch(NoHook):
     """Calibrates once a second; ``took_s`` for all of that, which was no flight."""
 
     def __init__(self) -> None:

@@ -11,7 +11,7 @@ from sitl.apps.sim_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, Usage
 from sitl.apps.world_process import WorldOptions
 from sitl.scene.scene import Scene
 from uav_recon.config import load
-from uav_recon.motion.yaw_policy import AT_VIEWS, NoseAhead, gaze_of
+from uav_recon.motion.yaw_policy import AT_VIEWS, YawAlongPath, yaw_policy_of
 
 SCENE = Scene(
     "box", np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8), 0.3,
@@ -132,9 +132,9 @@ def test_a_stand_in_flies_with_the_fast_camera_unless_told() -> None:
 def test_a_blind_speed_below_the_greatest_turns_the_nose_ahead(tmp_path: Path) -> None:
     usual, careful = (SimOptions.parse(blind_speed=mps).config(SCENE, tmp_path) for mps in (1.2, 0.3))
     assert usual.safety.blind_speed_mps == usual.safety.max_speed_mps
-    assert gaze_of(usual) is AT_VIEWS
-    gaze = gaze_of(careful)
-    assert isinstance(gaze, NoseAhead)
+    assert yaw_policy_of(usual) is AT_VIEWS
+    gaze = yaw_policy_of(careful)
+    assert isinstance(gaze, YawAlongPath)
     assert gaze.blind_mps < careful.safety.blind_speed_mps == 0.3
     assert np.degrees(np.arctan(gaze.half_tan)) == pytest.approx([43.5, 29.0])
 

@@ -11,7 +11,7 @@ from sitl.apps.sim_options import UsageError
 from sitl.apps.sweep import SweepOptions, sweep
 from sitl.apps.sweep_case import Case, Record, as_tree, fly_case, from_tree
 from sitl.faults.flights.campaign import FaultOptions
-from uav_recon.errors import Failure
+from uav_recon.errors import UserError
 
 BROKEN = Case("/nowhere", 0, 0.2, "adaptive", "fixed:15", "fast", 8)
 
@@ -93,5 +93,5 @@ def test_a_sweep_goes_on_where_its_account_ends(tmp_path: Path, capsys: pytest.C
 def test_an_account_of_something_else_is_told(tmp_path: Path) -> None:
     account = tmp_path / "sweep.json"
     account.write_text('{"flights": [{"seed": 1}]}')
-    with pytest.raises(Failure, match="not the account of a sweep"):
+    with pytest.raises(UserError, match="not the account of a sweep"):
         sweep(SweepOptions.parse(flights=1, json=account))

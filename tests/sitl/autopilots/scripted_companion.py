@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.byte_links import ByteEnd, pipe
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.geometry.ned_frd import ned_frd_from_enu_flu
 from sitl.world.quadrotor import Quadrotor
 
@@ -57,7 +57,7 @@ class Companion:
         self.autopilot.step(self.now_s)
 
     def _make(self, end: ByteEnd, parameters: Any, seed: int) -> Any:
-        return Px4(self.vehicle, end, parameters or Parameters.load(), seed)
+        return Px4(self.vehicle, end, parameters or Px4Parameters.load(), seed)
 
     @property
     def px4(self) -> Px4:

@@ -16,7 +16,7 @@ from sitl.autopilots.ekf import (
     Estimator,
     ExternalPose,
 )
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.autopilots.px4.tuning import estimator_tuning
 from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from sitl.geometry.quaternion import Quat, Vec3, from_yaw, multiply
@@ -30,11 +30,11 @@ LOOSE = {"EKF2_EV_CTRL": 11, "EKF2_EV_QMIN": 20, "EKF2_EVP_NOISE": 0.1, "EKF2_EV
 class Rig:
     """A vehicle flying a lazy eight in the air, its IMU, and poses at 50 Hz of a chosen age."""
 
-    def __init__(self, age_s: float = 0.04, parameters: Parameters | None = None, move: float = 1.0) -> None:
+    def __init__(self, age_s: float = 0.04, parameters: Px4Parameters | None = None, move: float = 1.0) -> None:
         self.vehicle = Quadrotor(5, wind_mps=0.1, start=(0.0, 0.0, 0.0))
         self.vehicle.position = (0.0, 0.0, 50.0)
         self.resets: list[tuple[Vec3, float]] = []
-        tuning = estimator_tuning(parameters or Parameters.load())
+        tuning = estimator_tuning(parameters or Px4Parameters.load())
         self.estimator = Estimator(tuning, lambda d, t: self.resets.append((d, t)))
         self.imu = Imu(5)
         self.noise = random.Random(5)
@@ -126,14 +126,14 @@ def test_it_follows_only_after_half_a_second_of_poses() -> None:
 
 
 def test_with_vision_switched_off_it_never_follows() -> None:
-    rig = Rig(0.0, Parameters())  # EKF2_EV_CTRL 0 since v1.16
+    rig = Rig(0.0, Px4Parameters())  # EKF2_EV_CTRL 0 since v1.16
     rig.run(3.0)
     assert not rig.follows()
 
 
 @pytest.mark.parametrize(("timeout_us", "falls_s"), [(5_000_000, 4.7), (1_000_000, 0.7), (500_000, 0.6)])
 def test_when_poses_stop_the_flags_fall_in_two_steps(timeout_us: int, falls_s: float) -> None:
-    p = Parameters.load()
+    p = Px4Parameters.load()
     p.set("EKF2_NOAID_TOUT", timeout_us)
     rig = Rig(0.0, p)
     rig.run(4.0)
@@ -150,7 +150,7 @@ def test_when_poses_stop_the_flags_fall_in_two_steps(timeout_us: int, falls_s: f
 
 
 def test_dead_reckoning_drifts_about_a_metre_in_five_seconds() -> None:
-    p = Parameters.load()
+    p = Px4Parameters.load()
     p.set("EKF2_NOAID_TOUT", 5_000_000)
     rig = Rig(0.0, p)
     rig.run(6.0)
@@ -160,7 +160,7 @@ def test_dead_reckoning_drifts_about_a_metre_in_five_seconds() -> None:
 
 
 def test_a_jump_is_rejected_silently_then_taken_after_a_second() -> None:
-    p = Parameters.load()
+    p = Px4Parameters.load()
     p.set("EKF2_NOAID_TOUT", 5_000_000)
     rig = Rig(0.0, p)
     rig.run(4.0)
@@ -185,10 +185,10 @@ def test_resets_in_the_air_are_five() -> None:
 
 
 def test_the_indoor_gate_refuses_what_the_default_gate_swallows() -> None:
-    loose = Parameters()
+    loose = Px4Parameters()
     for name, value in LOOSE.items():
         loose.set(name, value)
-    for parameters, swallowed in ((loose, True), (Parameters.load(), False)):
+    for parameters, swallowed in ((loose, True), (Px4Parameters.load(), False)):
         rig = Rig(0.0, parameters)
         rig.run(4.0)
         rig.moved(0.4)

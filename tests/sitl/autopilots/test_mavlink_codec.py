@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.mavlink_codec import Listener, Speaker, packet
+from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, packet
 
 NAN21 = [math.nan] * 21
 SAID: tuple[tuple[Any, tuple[Any, ...]], ...] = (
@@ -23,11 +23,11 @@ SAID: tuple[tuple[Any, tuple[Any, ...]], ...] = (
 
 @pytest.mark.parametrize(("kind", "fields"), SAID, ids=[kind.msgname for kind, _ in SAID])
 def test_a_frame_is_pymavlinks_to_the_byte(kind: Any, fields: tuple[Any, ...]) -> None:
-    assert Speaker(1, 1).frame(packet(kind, *fields)) == bytes(kind(*fields).pack(mavlink.MAVLink(None, 1, 1)))
+    assert MessageEncoder(1, 1).frame(packet(kind, *fields)) == bytes(kind(*fields).pack(mavlink.MAVLink(None, 1, 1)))
 
 
 def test_frames_are_numbered() -> None:
-    speaker, beat = Speaker(1, 1), packet(mavlink.MAVLink_heartbeat_message, 2, 12, 128, 5, 4, 3)
+    speaker, beat = MessageEncoder(1, 1), packet(mavlink.MAVLink_heartbeat_message, 2, 12, 128, 5, 4, 3)
     assert [speaker.frame(beat)[4] for _ in range(258)][-4:] == [254, 255, 0, 1]
 
 
@@ -38,7 +38,7 @@ def test_what_pymavlink_says_is_heard_in_any_pieces_and_through_noise() -> None:
     spoilt[12] ^= 1
     stream = b"\xfd\x01noise" + b"".join(frames) + bytes(spoilt) + b"".join(frames)
     for size in (1, 7, 50, 1000):
-        listener = Listener()
+        listener = MessageDecoder()
         heard = [m for at in range(0, len(stream), size) for m in listener.feed(stream[at : at + size])]
         assert [m.kind for m in heard] == [kind.id for kind, _ in SAID] * 2
         assert {m.sender for m in heard} == {(245, 191)}

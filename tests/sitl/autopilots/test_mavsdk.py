@@ -19,7 +19,7 @@ from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.base_autopilot import Autopilot
 from sitl.autopilots.byte_links import UdpPeer
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from sitl.geometry.quaternion import conjugate, rotate
 from sitl.world.quadrotor import Quadrotor
@@ -55,7 +55,7 @@ class Flight:
         self._end = UdpPeer(remote=None)
         vehicle = Quadrotor(1, 0.0)
         self.autopilot: Autopilot = (
-            Px4(vehicle, self._end, Parameters.load(), 1)
+            Px4(vehicle, self._end, Px4Parameters.load(), 1)
             if name == "px4"
             else ArduCopter(vehicle, self._end, ArduPilotParameters.load(), 1)
         )

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from sitl.autopilots.position_controller import Controller, ControlSetpoint
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.position_controller import ControlSetpoint, PositionController
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.autopilots.px4.tuning import control_gains
 from sitl.world.quadrotor import GRAVITY_MPS2
 
@@ -13,14 +13,16 @@ DT = 0.004
 STILL = (0.0, 0.0, 0.0)
 
 
-def controller(**changes: float) -> Controller:
-    p = Parameters.load()
+def controller(**changes: float) -> PositionController:
+    p = Px4Parameters.load()
     for name, value in changes.items():
         p.set(name, value)
-    return Controller(control_gains(p))
+    return PositionController(control_gains(p))
 
 
-def once(c: Controller, setpoint: ControlSetpoint, **state: tuple[float, float, float]) -> tuple[tuple[float, ...], float]:
+def once(
+    c: PositionController, setpoint: ControlSetpoint, **state: tuple[float, float, float]
+) -> tuple[tuple[float, ...], float]:
     position, velocity = state.get("position", STILL), state.get("velocity", STILL)
     return c.step(DT, position, velocity, STILL, 0.0, setpoint)
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sitl.camera.d435i import BASELINE_M, COLOUR_SPEC, DEPTH_SPEC, Camera, Noise, pinhole, stream_header
+from sitl.camera.d435i import BASELINE_M, COLOUR_SPEC, DEPTH_SPEC, Noise, SimulatedD435i, pinhole, stream_header
 from sitl.geometry.transform import world_from_body
 from sitl.scene.rasterizer import Renderer
 
@@ -35,7 +35,7 @@ def wall(distance_m: float) -> Renderer:
 
 
 def errors_m(noise: Noise, distance_m: float, frames: int = 6) -> F64:
-    camera = Camera(wall(distance_m), "d435i", noise, seed=4)
+    camera = SimulatedD435i(wall(distance_m), "d435i", noise, seed=4)
     depth = np.array([camera.capture(np.eye(4), 0.0)[0] for _ in range(frames)]).astype(np.float64) * 1e-3
     return np.where(depth > 0, depth - distance_m, np.nan)
 
@@ -81,12 +81,12 @@ def test_other_noises_at_three_metres(noise: Noise, expected: float) -> None:
 @pytest.mark.parametrize(("distance_m", "seen"), [(0.25, False), (0.35, True), (5.0, True), (6.3, False)])
 def test_nothing_returns_outside_the_range(distance_m: float, seen: bool) -> None:
     for noise in ("none", "paper", "kinect"):
-        depth, _ = Camera(wall(distance_m), "d435i", noise).capture(np.eye(4), 0.0)
+        depth, _ = SimulatedD435i(wall(distance_m), "d435i", noise).capture(np.eye(4), 0.0)
         assert (depth > 0).all() if seen else (depth == 0).all()
 
 
 def test_same_seed_and_frame_number_give_the_same_noise() -> None:
-    first, again, other = (Camera(wall(2.0), "d435i", "d435i", seed) for seed in (1, 1, 2))
+    first, again, other = (SimulatedD435i(wall(2.0), "d435i", "d435i", seed) for seed in (1, 1, 2))
     a, b, c = ([camera.capture(np.eye(4), 0.1)[0] for _ in range(2)] for camera in (first, again, other))
     np.testing.assert_array_equal(a, b)
     assert (a[0] != a[1]).mean() > 0.5
@@ -96,7 +96,7 @@ def test_same_seed_and_frame_number_give_the_same_noise() -> None:
 def test_what_only_one_imager_sees_is_a_hole_beside_the_near_object() -> None:
     """A post at 1 m before a wall at 3 m hides f·b·(1/1 - 1/3) = 7.4 px of the wall at its left, none at its right."""
     view = renderer(quad(1.1, (-0.2, 0.2), (-3, 3), (9, 9, 9)), quad(3.1, (-9, 9), (-9, 9), (9, 9, 9)))
-    depth, _ = Camera(view, "d435i", "d435i").capture(np.eye(4), 0.0)
+    depth, _ = SimulatedD435i(view, "d435i", "d435i").capture(np.eye(4), 0.0)
     row = depth[120]
     left, right = DEPTH_SPEC.cx - 0.2 * DEPTH_SPEC.fx, DEPTH_SPEC.cx + 0.2 * DEPTH_SPEC.fx
     holes = np.flatnonzero(row == 0)
@@ -111,7 +111,7 @@ def test_grazing_surfaces_give_no_depth() -> None:
     """A floor seen at an incidence cosine of 0.1 is a hole, one at 0.3 is not."""
     floor = [np.array([[0, -9, -0.5], [9, -9, -0.5], [9, 9, -0.5], [0, 9, -0.5]], np.float32),
              np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.zeros((4, 3), np.uint8)]  # fmt: skip
-    depth, _ = Camera(renderer(floor), "d435i", "d435i").capture(np.eye(4), 0.0)
+    depth, _ = SimulatedD435i(renderer(floor), "d435i", "d435i").capture(np.eye(4), 0.0)
     v = np.arange(240)
     slope = (v - DEPTH_SPEC.cy) / DEPTH_SPEC.fy
     cosine = slope / np.hypot(1, slope)
@@ -125,8 +125,8 @@ def test_grazing_surfaces_give_no_depth() -> None:
 def test_colour_camera_sits_to_the_left_and_sees_less() -> None:
     """A mark straight before the colour imager is in the middle of its picture, and left of the middle of depth."""
     mark = renderer(quad(1.1, (-6e-3 + 0.015, 6e-3 + 0.015), (-3, 3), (255, 0, 0)), quad(3, (-9, 9), (-9, 9), (0, 0, 9)))
-    depth_view = Camera(mark, "wide", "none").capture(np.eye(4), 0.0)[1]
-    colour_view = Camera(mark, "d435i", "none").capture(np.eye(4), 0.0)[1]
+    depth_view = SimulatedD435i(mark, "wide", "none").capture(np.eye(4), 0.0)[1]
+    colour_view = SimulatedD435i(mark, "d435i", "none").capture(np.eye(4), 0.0)[1]
     wide_u = np.flatnonzero(depth_view[100, :, 0] > 100)
     colour_u = np.flatnonzero(colour_view[100, :, 0] > 100)
     assert np.mean(colour_u) == pytest.approx(COLOUR_SPEC.cx, abs=0.6)
@@ -140,7 +140,7 @@ def test_the_mount_looks_down_from_ten_centimetres_ahead() -> None:
     spot = quad(0.0, (-0.02, 0.02), (-0.02, 0.02), (255, 255, 255))
     ahead = np.asarray(spot[0], np.float32)[:, [2, 1, 0]] + np.array([0.1, 0, -0.999], np.float32)
     view = renderer(floor, [ahead, spot[1], spot[2]])
-    depth, rgb = Camera(view, "wide", "none").capture(np.eye(4), math.pi / 2)
+    depth, rgb = SimulatedD435i(view, "wide", "none").capture(np.eye(4), math.pi / 2)
     assert (np.abs(depth.astype(int) - 1000) <= 2).all()
     v, u = np.nonzero(rgb[..., 0] > 200)
     assert (u.mean(), v.mean()) == (pytest.approx(211.5, abs=0.6), pytest.approx(119.5, abs=0.6))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sitl.camera.depth_surfels import PRIOR_SIGMA_M, SurfaceMemory
+from sitl.camera.depth_surfels import PRIOR_SIGMA_M, DepthSurfels
 
 LENS = np.array([110.0, 110.0, 105.5, 59.5])
 NOISE = 0.0036  # 14 mm at 2 m
@@ -19,8 +19,8 @@ def wall(distance_m: float, slope: float = 0.0) -> NDArray[np.float32]:
     return np.tile(distance_m / (1.0 - slope * u), (120, 1)).astype(np.float32)
 
 
-def memory() -> SurfaceMemory:
-    return SurfaceMemory(np.array([-1.0, -4.0, -4.0]), np.array([6.0, 4.0, 4.0]), 0.1)
+def memory() -> DepthSurfels:
+    return DepthSurfels(np.array([-1.0, -4.0, -4.0]), np.array([6.0, 4.0, 4.0]), 0.1)
 
 
 def test_elements_lie_on_the_wall_and_face_the_camera() -> None:

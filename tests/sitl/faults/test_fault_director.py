@@ -7,17 +7,17 @@ from typing import Any
 
 import pytest
 
-from sitl.faults.fault import Onset, Trouble
-from sitl.faults.fault_director import Meddler, Moment
+from sitl.faults.fault import Fault, Onset
+from sitl.faults.fault_director import FaultDirector, TruthSample
 from sitl.faults.injectors.base import Injector
 from sitl.faults.table.all_scenarios import ROWS
 
 TURN_S = 1.0 / 60.0
 
 
-def watched_s(trouble: Trouble, lands_s: float, lifts_again_s: float = 1e9) -> tuple[float, bool]:
+def watched_s(trouble: Fault, lands_s: float, lifts_again_s: float = 1e9) -> tuple[float, bool]:
     """Until when a flight is watched that is up at 1 s, and whether the motors ran at the end."""
-    meddler = Meddler([trouble], seed=1)
+    meddler = FaultDirector([trouble], seed=1)
     world = SimpleNamespace(flyer=SimpleNamespace(truth=lambda: None))
     seen: Any = SimpleNamespace(world=world, now_s=0.0, notes={})
     meddler.theatre = seen
@@ -25,7 +25,7 @@ def watched_s(trouble: Trouble, lands_s: float, lifts_again_s: float = 1e9) -> t
     for turn in range(60 * 200):
         now_s = seen.now_s = turn * TURN_S
         armed = 1.0 <= now_s < lands_s or now_s >= lifts_again_s
-        meddler._watch(Moment(now_s, (0.0, 0.0, 1.2 if armed else 0.0), (0.0, 0.0, 0.0), 0.0, armed, "OFFBOARD", 0.9))
+        meddler._watch(TruthSample(now_s, (0.0, 0.0, 1.2 if armed else 0.0), (0.0, 0.0, 0.0), 0.0, armed, "OFFBOARD", 0.9))
         if meddler.over(finished=now_s >= lands_s):
             return now_s, armed
     raise AssertionError("never over")
@@ -33,14 +33,14 @@ def watched_s(trouble: Trouble, lands_s: float, lifts_again_s: float = 1e9) -> t
 
 @pytest.mark.parametrize("stands_s", [2.0, 20.0])
 def test_a_landed_vehicle_is_watched_for_as_long_as_its_row_says(stands_s: float) -> None:
-    trouble = Trouble("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, stands_s)
+    trouble = Fault("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, stands_s)
     end_s, armed = watched_s(trouble, lands_s=12.0)
     assert end_s == pytest.approx(12.0 + stands_s, abs=0.05)
     assert not armed
 
 
 def test_one_that_starts_its_motors_again_is_seen_to() -> None:
-    trouble = Trouble("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, ROWS["A7"].stands_s)
+    trouble = Fault("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, ROWS["A7"].stands_s)
     end_s, armed = watched_s(trouble, lands_s=12.0, lifts_again_s=17.0)
     assert armed
     assert end_s == pytest.approx(62.0, abs=0.1)

@@ -9,9 +9,9 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.byte_links import PipeEnd, UdpPeer, pipe
-from sitl.faults.autopilot_side_proxy import FarProxy
+from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
 from sitl.faults.injectors.base import Injector
-from sitl.faults.injectors.mavlink_link import Corrupted, Gauge, Jitter, Loss, Repeated, Rewritten, version
+from sitl.faults.injectors.mavlink_link import Corrupted, Gauge, Jitter, PacketLoss, Repeated, Rewritten, version
 from sitl.faults.mavlink_proxy import Late, Proxy, frames, message_id
 from sitl.faults.wire_capture import decode, modes_told, setpoints_in
 
@@ -61,7 +61,7 @@ def test_a_clean_proxy_changes_nothing() -> None:
 
 
 def test_what_is_lost_was_said_all_the_same() -> None:
-    proxy, _, theirs = proxied(Loss("up"))
+    proxy, _, theirs = proxied(PacketLoss("up"))
     proxy.write(setpoint(1.0))
     assert theirs.read() == b""
     assert len(decode(proxy.sent).setpoint_s) == 1
@@ -152,7 +152,7 @@ def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:
     trouble, clock = Jitter(0.3, seed=1), [0.0]
     end = UdpPeer(remote=None)
     product = UdpPeer(remote=("127.0.0.1", end.local_port))
-    proxy = FarProxy(
+    proxy = AutopilotSideProxy(
         end, lambda: clock[0], lambda f: trouble.to_autopilot(0.0, f), lambda f: trouble.to_product(0.0, f)
     )  # fmt: skip
     try:

@@ -20,10 +20,10 @@ import pytest
 from made_up_evidence import ONSET_S, evidence
 
 from sitl.faults.flights.campaign import FaultOptions
-from sitl.faults.injectors.base import Theatre
-from sitl.faults.process_registry import Roster
+from sitl.faults.injectors.base import InjectionContext
+from sitl.faults.process_registry import ProcessRegistry
 from sitl.faults.report.resource_chart import Track, draw
-from sitl.faults.resource_usage import Footprints, descriptors_of
+from sitl.faults.resource_usage import ResourceUsage, descriptors_of
 from sitl.faults.soak import BREATH_MB, FOR_S, SOAKS, Told, orders, soak
 from sitl.faults.table.all_scenarios import ROWS, TABLE
 from sitl.faults.table.scenario import judge
@@ -40,16 +40,16 @@ for line in sys.stdin:
 """
 
 
-def theatre(folder: Path) -> Theatre:
+def theatre(folder: Path) -> InjectionContext:
     world: Any = None
-    return Theatre(world, random.Random(1), roster=Roster(folder), config=folder / "config.toml")
+    return InjectionContext(world, random.Random(1), roster=ProcessRegistry(folder), config=folder / "config.toml")
 
 
 @pytest.fixture
 def holder(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """A process that takes as many bytes as it is told, or a descriptor for 0, and keeps them."""
     with subprocess.Popen([sys.executable, "-c", HOLDER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        Roster(tmp_path).tell({"pilot": process.pid}, [])
+        ProcessRegistry(tmp_path).tell({"pilot": process.pid}, [])
         assert taken(process, 1) == "done"
         yield process
         process.kill()
@@ -93,7 +93,7 @@ def resident_mb(folder: Path) -> float:
 
 
 def test_a_process_that_grows_is_seen_to(tmp_path: Path, holder: subprocess.Popen[str]) -> None:
-    at, footprints = theatre(tmp_path), Footprints(for_s=40.0)
+    at, footprints = theatre(tmp_path), ResourceUsage(for_s=40.0)
     for second in range(41):
         if second >= 10:
             assert taken(holder, 1_000_000) == "done"
@@ -115,11 +115,11 @@ def test_a_process_that_grows_is_seen_to(tmp_path: Path, holder: subprocess.Pope
 
 
 def test_a_process_that_ends_is_counted_once(tmp_path: Path, holder: subprocess.Popen[str]) -> None:
-    at, footprints = theatre(tmp_path), Footprints(for_s=40.0)
+    at, footprints = theatre(tmp_path), ResourceUsage(for_s=40.0)
     footprints.turn(at, 0.0)
     holder.kill()
     holder.wait()
-    Roster(tmp_path).tell({}, [])
+    ProcessRegistry(tmp_path).tell({}, [])
     for second in range(1, 5):
         footprints.turn(at, float(second))
     assert at.notes["ended"] == 1.0

@@ -14,12 +14,12 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilots.mavlink_codec import Heard, Listener, Speaker, packet
+from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, ReceivedMessage, packet
 from sitl.real_firmware.ardupilot import ArduPilotBinary
 from sitl.real_firmware.firmware_vehicle import FirmwareVehicle, _version
 from sitl.real_firmware.process import FirmwareError
 from sitl.real_firmware.px4 import COMPANION_PORT, Px4Binary
-from sitl.real_firmware.true_trajectory import TruePath
+from sitl.real_firmware.true_trajectory import TrueTrajectory
 
 HALF = math.sqrt(0.5)
 EAST = (HALF, 0.0, 0.0, HALF)  # ned_from_frd of a level body whose nose points east
@@ -175,9 +175,9 @@ def test_px4_is_told_its_model_and_its_parameters(tmp_path: Path) -> None:
 def test_px4s_truth_is_read_in_its_own_units() -> None:
     px4, path, speaker, listener = (
         Px4Binary(Path("/b/bin/px4")),
-        TruePath(Px4Binary.grain, math.pi / 2.0),
-        Speaker(1, 1),
-        Listener(),
+        TrueTrajectory(Px4Binary.grain, math.pi / 2.0),
+        MessageEncoder(1, 1),
+        MessageDecoder(),
     )
 
     def say(stamp_s: float, kind: object, *fields: object) -> None:
@@ -208,5 +208,5 @@ def test_px4s_truth_is_read_in_its_own_units() -> None:
     ids=["letters, as ArduPilot", "five bytes, as PX4", "a build that knows none"],
 )
 def test_a_version_names_its_commit_where_there_is_one(told: bytes, says: str) -> None:
-    message = Heard(flight_sw_version=1 << 24 | 17 << 16, flight_custom_version=list(told.ljust(8, b"\0")))
+    message = ReceivedMessage(flight_sw_version=1 << 24 | 17 << 16, flight_custom_version=list(told.ljust(8, b"\0")))
     assert _version(message) == says

@@ -10,31 +10,31 @@ from contextlib import closing
 
 import pytest
 
-from sitl.autopilots.base_autopilot import Truth
+from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.autopilots.byte_links import UdpPeer
-from sitl.faults.autopilot_side_proxy import FarProxy
+from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
 from sitl.faults.mavlink_proxy import Late
 from sitl.geometry.quaternion import from_yaw
-from sitl.real_firmware.rc_transmitter import Transmitter
+from sitl.real_firmware.rc_transmitter import RcTransmitter
 from sitl.real_firmware.relay import Relay
 
 LEFT = from_yaw(math.pi / 2.0)  # the nose points along the world's second axis
 
 
-def truth(stamp_s: float, height_m: float = 1.0, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Truth:
-    return Truth(stamp_s, (0.0, 0.0, height_m), velocity, LEFT, (0.0,) * 3, (0.0,) * 3, 0.0, True, "GUIDED")
+def truth(stamp_s: float, height_m: float = 1.0, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> VehicleTruth:
+    return VehicleTruth(stamp_s, (0.0, 0.0, height_m), velocity, LEFT, (0.0,) * 3, (0.0,) * 3, 0.0, True, "GUIDED")
 
 
 @pytest.fixture
-def sticks() -> Iterator[tuple[Transmitter, Callable[[], tuple[int, ...]]]]:
-    with closing(Transmitter({"LOITER": 1165})) as transmitter, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+def sticks() -> Iterator[tuple[RcTransmitter, Callable[[], tuple[int, ...]]]]:
+    with closing(RcTransmitter({"LOITER": 1165})) as transmitter, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", transmitter.port))
         receiver.settimeout(2.0)
         yield transmitter, lambda: struct.unpack("<8H", receiver.recv(64))
 
 
 def test_a_transmitter_says_nothing_until_the_pilot_takes_over(
-    sticks: tuple[Transmitter, Callable[[], tuple[int, ...]]],
+    sticks: tuple[RcTransmitter, Callable[[], tuple[int, ...]]],
 ) -> None:
     transmitter, heard = sticks
     transmitter.hold(truth(0.0))
@@ -58,7 +58,7 @@ def test_a_transmitter_says_nothing_until_the_pilot_takes_over(
     ],
 )
 def test_sticks_are_held_against_the_motion(
-    sticks: tuple[Transmitter, Callable[[], tuple[int, ...]]],
+    sticks: tuple[RcTransmitter, Callable[[], tuple[int, ...]]],
     velocity: tuple[float, float, float],
     moved: tuple[int, int, int],
 ) -> None:
@@ -76,7 +76,7 @@ def test_a_relay_passes_on_what_the_troubles_leave() -> None:
 
     product, firmware = UdpPeer(remote=None), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     with closing(product), closing(firmware), closing(UdpPeer(remote=("127.0.0.1", product.local_port))) as end:
-        proxy = FarProxy(end, lambda: 0.0, fate, fate)
+        proxy = AutopilotSideProxy(end, lambda: 0.0, fate, fate)
         with closing(Relay(proxy)) as relay:
             firmware.settimeout(2.0)
             firmware.connect(("127.0.0.1", relay.port))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sitl.geometry.quaternion import Quat, Vec3
-from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TruePath
+from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TrueTrajectory
 
 LEVEL: Quat = (1.0, 0.0, 0.0, 0.0)
 GRAIN = Grain(metres_per_e7=0.011131884502145034, height_step_m=0.01)
@@ -37,14 +37,14 @@ def reading(
     )
 
 
-def forward(path: TruePath, now_s: float) -> NDArray[np.float64]:
+def forward(path: TrueTrajectory, now_s: float) -> NDArray[np.float64]:
     w, x, y, z = path.at(now_s).quat_wxyz
     return np.asarray(Rotation.from_quat([x, y, z, w]).apply([1.0, 0.0, 0.0]), np.float64)
 
 
 def test_the_pad_is_the_origin_and_its_heading_the_scenes() -> None:
     for heading_deg in (0.0, 90.0, -137.0):
-        path = TruePath(GRAIN, math.radians(30.0))
+        path = TrueTrajectory(GRAIN, math.radians(30.0))
         begun = [path.begun]
         path.take(1.0, reading(attitude=ned_from_frd(heading_deg)))
         begun.append(path.begun)
@@ -56,7 +56,7 @@ def test_the_pad_is_the_origin_and_its_heading_the_scenes() -> None:
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 215.0])
 def test_a_metre_ahead_and_half_a_metre_left_and_up_is_that_in_the_world(heading_deg: float) -> None:
     """Its nose at heading_deg on the pad, the scene's heading along the world's first axis."""
-    path = TruePath(GRAIN, 0.0)
+    path = TrueTrajectory(GRAIN, 0.0)
     path.take(1.0, reading(attitude=ned_from_frd(heading_deg)))
     ahead, left = math.radians(heading_deg), math.radians(heading_deg - 90.0)
     north, east = math.cos(ahead) + 0.5 * math.cos(left), math.sin(ahead) + 0.5 * math.sin(left)
@@ -66,7 +66,7 @@ def test_a_metre_ahead_and_half_a_metre_left_and_up_is_that_in_the_world(heading
 
 
 def test_nose_up_is_up_and_a_dropped_right_side_is_down() -> None:
-    path = TruePath(GRAIN, 0.0)
+    path = TrueTrajectory(GRAIN, 0.0)
     path.take(1.0, reading())
     path.take(2.0, reading(attitude=ned_from_frd(0.0, 20.0)))
     assert forward(path, 2.0)[2] == pytest.approx(math.sin(math.radians(20.0)))
@@ -76,7 +76,7 @@ def test_nose_up_is_up_and_a_dropped_right_side_is_down() -> None:
 
 
 def test_velocity_and_what_the_body_feels_come_in_the_worlds_and_the_bodys_axes() -> None:
-    path = TruePath(GRAIN, 0.0)  # the firmware's north is the world's first axis
+    path = TrueTrajectory(GRAIN, 0.0)  # the firmware's north is the world's first axis
     path.feel(Inertial((0.1, 0.2, 0.3), (1.0, 2.0, -9.8)))
     path.take(1.0, reading(ned_mps=(0.6, 0.2, -0.1)))
     motion = path.at(1.0)
@@ -87,7 +87,7 @@ def test_velocity_and_what_the_body_feels_come_in_the_worlds_and_the_bodys_axes(
 
 def test_between_coarse_readings_the_path_is_fine() -> None:
     """A slow, curved flight, read to whole centimetres at 50 Hz: never a centimetre and a half off, and no steps in it."""
-    path = TruePath(GRAIN, math.pi / 2.0)  # world and ENU agree
+    path = TrueTrajectory(GRAIN, math.pi / 2.0)  # world and ENU agree
     worst_m, furthest_m, before = 0.0, 0.0, np.zeros(3)
     for tick in range(1500):
         t = tick / 50.0
@@ -104,7 +104,7 @@ def test_between_coarse_readings_the_path_is_fine() -> None:
 
 
 def test_it_is_carried_on_to_now_but_not_for_long() -> None:
-    path = TruePath(GRAIN, math.pi / 2.0)
+    path = TrueTrajectory(GRAIN, math.pi / 2.0)
     path.feel(Inertial((0.0, 0.0, -1.0), (0.0, 0.0, -9.8)))
     path.take(1.0, reading(ned_mps=(0.5, 0.0, 0.0)))
     np.testing.assert_allclose(path.at(1.05).position, [0.0, 0.025, 0.0], atol=1e-12)
@@ -113,7 +113,7 @@ def test_it_is_carried_on_to_now_but_not_for_long() -> None:
 
 
 def test_an_older_reading_is_left_out() -> None:
-    path = TruePath(GRAIN, 0.0)
+    path = TrueTrajectory(GRAIN, 0.0)
     path.take(1.0, reading())
     path.take(2.0, reading(north_m=1.0))
     before = path.at(2.0)

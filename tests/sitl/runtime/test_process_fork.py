@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from sitl.runtime.process_fork import Fork
+from sitl.runtime.process_fork import FlightFork
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def elsewhere() -> Iterator[ProcessPoolExecutor]:
 def counted(folder: Path) -> list[list[str] | None]:
     """Three forks of one story, each of which adds to what was told before it."""
     story, answers = ["once"], list[list[str] | None]()
-    with Fork[list[str]](folder) as fork:
+    with FlightFork[list[str]](folder) as fork:
         for name in ("a", "b", "c"):
             if fork.split():
                 story.append(name)
@@ -47,7 +47,7 @@ def written(folder: Path) -> tuple[bytes, bytes, bytes, list[str]]:
         ring = mmap.mmap(file.fileno(), 4)
         ring[0:2] = b"ab"
         log.write("before\n")
-        with Fork[int](folder) as fork:
+        with FlightFork[int](folder) as fork:
             if fork.split():
                 ring[1:4] = b"XYZ"
                 log.write("in the fork\n")
@@ -69,7 +69,7 @@ def test_files_are_put_back_under_whoever_has_them_open(elsewhere: ProcessPoolEx
 
 def died(folder: Path, way: str) -> tuple[object, int]:
     ours = os.getpid()
-    with Fork[str](folder) as fork:
+    with FlightFork[str](folder) as fork:
         if fork.split():
             if way == "raises":
                 raise SystemExit("of the fork alone")

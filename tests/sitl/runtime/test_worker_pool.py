@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sitl.runtime.worker_pool import crew
+from sitl.runtime.worker_pool import worker_pool
 
 SCRIPT = """
 import subprocess, sys, time
@@ -67,13 +67,13 @@ def test_nobody_is_left_and_nothing_is_said(tmp_path: Path, number: signal.Signa
 
 
 def test_work_is_done_and_what_it_raises_is_told() -> None:
-    with crew(2) as hands:
+    with worker_pool(2) as hands:
         assert hands.submit(divmod, 7, 3).result() == (2, 1)
         with pytest.raises(ZeroDivisionError):
             hands.submit(divmod, 1, 0).result()
 
 
 def test_what_a_program_of_theirs_warns_of_is_not_said_on_this_terminal(capfd: pytest.CaptureFixture[str]) -> None:
-    with crew(1) as hands:
+    with worker_pool(1) as hands:
         hands.submit(logging.getLogger("link").warning, "not listened to").result()
     assert capfd.readouterr() == ("", "")

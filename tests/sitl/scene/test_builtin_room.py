@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sitl.geometry.point_grid import PointBins
+from sitl.geometry.point_grid import PointGrid
 from sitl.scene.builtin_room import built_in_room
 from sitl.scene.mesh import Mesh
 from sitl.scene.mesh_sampling import dense_points
@@ -52,7 +52,7 @@ def test_walls_are_textured(mesh: Mesh) -> None:
 
 
 def test_a_vehicle_clear_by_forty_centimetres_reaches_both_ends(scene: Scene) -> None:
-    bins = PointBins(dense_points(scene.vertices, scene.faces, 0.02))
+    bins = PointGrid(dense_points(scene.vertices, scene.faces, 0.02))
     x, y, z = (np.arange(low, high, 0.1) for low, high in zip(scene.fence_min, scene.fence_max, strict=True))
     centres = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
     clear = bins.distances(centres.reshape(-1, 3), 0.0, 0.0, 0.5).reshape(centres.shape[:3]) >= 0.40

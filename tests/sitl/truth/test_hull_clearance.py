@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from sitl.scene.mesh_sampling import F32, I32, area_weighted_samples, dense_points, height_below, row_points
 from sitl.scene.scene import Scene
-from sitl.truth.hull_clearance import CAP_M, Clearance
+from sitl.truth.hull_clearance import CAP_M, HullClearance
 
 
 def scene_of(vertices: list[list[float]], faces: list[list[int]]) -> Scene:
@@ -24,16 +24,16 @@ FLOOR = scene_of([[-3, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]], [[0, 1, 2], [
 
 @pytest.mark.parametrize("x", [0.0, 0.79, 0.81, 1.0, 1.5, 1.7, 1.78])
 def test_distance_from_a_wall_is_from_the_hulls_side(x: float) -> None:
-    assert Clearance(WALL).hull_m((x, 0.33, 0.1)) == pytest.approx(min(1.8 - x, CAP_M), abs=0.002)
+    assert HullClearance(WALL).hull_m((x, 0.33, 0.1)) == pytest.approx(min(1.8 - x, CAP_M), abs=0.002)
 
 
 @pytest.mark.parametrize("z", [0.12, 0.15, 0.3, 1.0, 1.2])
 def test_distance_from_the_floor_is_from_the_hulls_bottom(z: float) -> None:
-    assert Clearance(FLOOR).hull_m((0.1, 0.2, z)) == pytest.approx(min(z - 0.1, CAP_M), abs=0.002)
+    assert HullClearance(FLOOR).hull_m((0.1, 0.2, z)) == pytest.approx(min(z - 0.1, CAP_M), abs=0.002)
 
 
 def test_contact_is_zero_on_either_side_of_a_thin_wall() -> None:
-    clearance = Clearance(WALL)
+    clearance = HullClearance(WALL)
     assert clearance.hull_m((1.81, 0, 0)) == 0.0
     assert clearance.hull_m((2.0, 0, 0)) == 0.0
     assert clearance.hull_m((2.3, 0, 0)) == pytest.approx(0.1, abs=0.005)
@@ -42,11 +42,11 @@ def test_contact_is_zero_on_either_side_of_a_thin_wall() -> None:
 def test_a_corner_above_and_beside_counts_along_the_diagonal() -> None:
     """Of a shelf's edge 0.3 m beside the hull's rim and 0.4 m over its top."""
     shelf = scene_of([[0.5, -1, 0.5], [1.5, -1, 0.5], [1.5, 1, 0.5], [0.5, 1, 0.5]], [[0, 1, 2], [0, 2, 3]])
-    assert Clearance(shelf).hull_m((0, 0, 0)) == pytest.approx(0.5, abs=0.002)
+    assert HullClearance(shelf).hull_m((0, 0, 0)) == pytest.approx(0.5, abs=0.002)
 
 
 def test_far_outside_the_mesh_the_cap_holds() -> None:
-    assert Clearance(WALL).hull_m((-50.0, 80.0, 9.0)) == CAP_M
+    assert HullClearance(WALL).hull_m((-50.0, 80.0, 9.0)) == CAP_M
 
 
 def test_batch_agrees_with_every_point_tried() -> None:
@@ -61,7 +61,7 @@ def test_batch_agrees_with_every_point_tried() -> None:
     radial = np.maximum(np.hypot(d[..., 0], d[..., 1]) - 0.2, 0)
     axial = np.maximum(np.abs(d[..., 2]) - 0.1, 0)
     expected = np.minimum(np.hypot(radial, axial).min(axis=1), CAP_M)
-    clearance = Clearance(scene)
+    clearance = HullClearance(scene)
     got = clearance.batch(positions)
     np.testing.assert_allclose(got, expected, atol=0.01)
     assert np.abs(got - expected)[expected > 0.1].max() < 0.006
@@ -73,7 +73,7 @@ def test_it_stands_on_what_is_straight_below_its_middle(z: float) -> None:
     """A table 0.75 m high over a floor: on it, or beside it on the floor, and below it on the floor."""
     table = [[0.0, 0.0, 0.75], [1.0, 0.0, 0.75], [1.0, 1.0, 0.75], [0.0, 1.0, 0.75]]
     corners = FLOOR.vertices.tolist() + table
-    clearance = Clearance(scene_of(corners, [*FLOOR.faces.tolist(), [4, 5, 6], [4, 6, 7]]))
+    clearance = HullClearance(scene_of(corners, [*FLOOR.faces.tolist(), [4, 5, 6], [4, 6, 7]]))
     assert clearance.standing_m((0.03, 0.5, z)) == pytest.approx(0.85, abs=1e-6)
     assert clearance.standing_m((-0.03, 0.5, z)) == pytest.approx(0.10, abs=1e-6)
     assert clearance.standing_m((0.5, 0.5, 0.8)) == pytest.approx(0.10, abs=1e-6)
@@ -83,7 +83,7 @@ def test_it_stands_on_what_is_straight_below_its_middle(z: float) -> None:
 def test_what_it_stands_on_agrees_with_a_ray_straight_down() -> None:
     corners = np.array([[-2, -2, -0.4], [2, -2, 0.4], [2, 2, 0.6], [-2, 2, -0.2]], np.float32)
     scene = scene_of(corners.tolist(), [[0, 1, 2], [0, 2, 3]])
-    clearance = Clearance(scene)
+    clearance = HullClearance(scene)
     for x, y in np.random.default_rng(8).uniform(-1.9, 1.9, (200, 2)):
         below = height_below(scene.vertices, scene.faces, np.array([x, y, 2.0]))
         assert clearance.standing_m((x, y, 2.0)) - 0.1 == pytest.approx(below, abs=0.005)
@@ -122,5 +122,5 @@ def test_height_below_takes_the_highest_surface_under_the_point() -> None:
 
 def test_a_scene_is_sampled_once_for_all_that_fly_in_it() -> None:
     scene = scene_of(FLOOR.vertices.tolist(), FLOOR.faces.tolist())
-    assert Clearance(scene, 0.2).bins is Clearance(scene, 0.3).bins
-    assert Clearance(FLOOR).bins is not Clearance(scene).bins
+    assert HullClearance(scene, 0.2).bins is HullClearance(scene, 0.3).bins
+    assert HullClearance(FLOOR).bins is not HullClearance(scene).bins

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sitl.camera.d435i import DEPTH_SPEC
 from sitl.scene.scene import Scene
-from sitl.truth.line_of_sight import Sight
+from sitl.truth.line_of_sight import LineOfSight
 
 WALL = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
@@ -19,15 +19,17 @@ def wall(z: float, half_m: float = 2.0) -> NDArray[np.float32]:
     return np.array(corners, np.float32)
 
 
-def sight(points: list[tuple[float, float, float]], normal: tuple[float, float, float], *walls: NDArray[np.float32]) -> Sight:
+def sight(
+    points: list[tuple[float, float, float]], normal: tuple[float, float, float], *walls: NDArray[np.float32]
+) -> LineOfSight:
     vertices = np.concatenate(walls)
     faces = np.concatenate([WALL + 4 * i for i in range(len(walls))]).astype(np.int32)
     grey = np.full((len(vertices), 3), 128, np.uint8)
     scene = Scene("walls", vertices, faces, grey, 0.0, np.full(3, -9.0), np.full(3, 9.0), np.zeros(3))
-    return Sight(scene, np.array(points, np.float32), np.tile(np.array(normal, np.float32), (len(points), 1)))
+    return LineOfSight(scene, np.array(points, np.float32), np.tile(np.array(normal, np.float32), (len(points), 1)))
 
 
-def seen(what: Sight, count: int) -> list[int]:
+def seen(what: LineOfSight, count: int) -> list[int]:
     return [int(i) for i in what.returns(np.arange(count), np.eye(4))]
 
 

@@ -12,7 +12,7 @@ from sitl.camera.d435i import COLOUR_SPEC, DEPTH_SPEC
 from sitl.scene.mesh import Mesh, joined
 from sitl.scene.scene import Scene, place
 from sitl.truth import visibility
-from sitl.truth.visibility import TruthCut, load_truth_cut, reachable_positions
+from sitl.truth.visibility import VisibleTruth, load_visible_truth, reachable_positions
 
 
 def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Mesh:
@@ -28,10 +28,10 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def cut(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> TruthCut:
+def cut(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> VisibleTruth:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(visibility, "POSES", 150)
-        return load_truth_cut(scene, "gimbal", "d435i", tmp_path_factory.mktemp("cut"))
+        return load_visible_truth(scene, "gimbal", "d435i", tmp_path_factory.mktemp("cut"))
 
 
 def in_scene(points: NDArray[np.float32], scene: Scene) -> NDArray[np.float64]:
@@ -48,7 +48,7 @@ def test_reachable_is_connected_and_clear(scene: Scene) -> None:
     assert np.abs(positions[:, 0] - 1.5).min() < 1e-5  # the start's own column is a column of the grid
 
 
-def test_hidden_surfaces_and_other_rooms_are_not_truth(scene: Scene, cut: TruthCut) -> None:
+def test_hidden_surfaces_and_other_rooms_are_not_truth(scene: Scene, cut: VisibleTruth) -> None:
     points = in_scene(cut.points, scene)
     inside = ((points > (3.2, 0.3, 0.2)) & (points < (3.7, 0.8, 0.7))).all(axis=1)
     assert not inside.any()
@@ -59,7 +59,7 @@ def test_hidden_surfaces_and_other_rooms_are_not_truth(scene: Scene, cut: TruthC
     assert east.sum() > 1000
 
 
-def test_free_space_is_the_room_and_nothing_else(scene: Scene, cut: TruthCut) -> None:
+def test_free_space_is_the_room_and_nothing_else(scene: Scene, cut: VisibleTruth) -> None:
     centres = np.stack(np.meshgrid(*(np.arange(n) for n in cut.free_seen.shape), indexing="ij"), axis=-1) + 0.5
     centres = centres * cut.free_cell_m + cut.free_origin_m + scene.scene_from_world_m
     room = ((centres > 0.1) & (centres < (3.9, 3.9, 2.4))).all(axis=-1)
@@ -70,7 +70,7 @@ def test_free_space_is_the_room_and_nothing_else(scene: Scene, cut: TruthCut) ->
     assert not cut.free_seen[inner].any()
 
 
-def test_held_out_views_are_poses_of_the_colour_camera(scene: Scene, cut: TruthCut) -> None:
+def test_held_out_views_are_poses_of_the_colour_camera(scene: Scene, cut: VisibleTruth) -> None:
     assert cut.views.shape == (100, 4, 4)
     assert cut.view_spec == COLOUR_SPEC
     np.testing.assert_allclose(
@@ -83,10 +83,10 @@ def test_held_out_views_are_poses_of_the_colour_camera(scene: Scene, cut: TruthC
 
 
 def test_a_fixed_mount_keeps_its_angle_and_sees_less(
-    scene: Scene, cut: TruthCut, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: Scene, cut: VisibleTruth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(visibility, "POSES", 150)
-    fixed = load_truth_cut(scene, "fixed:15", "wide", tmp_path)
+    fixed = load_visible_truth(scene, "fixed:15", "wide", tmp_path)
     np.testing.assert_allclose(np.arcsin(-fixed.views[:, 2, 2]), math.radians(15), atol=1e-9)
     assert fixed.view_spec == DEPTH_SPEC
     assert len(fixed.points) < len(cut.points)
@@ -94,30 +94,30 @@ def test_a_fixed_mount_keeps_its_angle_and_sees_less(
 
 def test_the_cache_is_read_and_a_broken_one_is_made_anew(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(visibility, "POSES", 8)
-    first = load_truth_cut(scene, "fixed:15", "d435i", tmp_path)
+    first = load_visible_truth(scene, "fixed:15", "d435i", tmp_path)
     (file,) = tmp_path.iterdir()
 
-    def refuse(*_: object) -> TruthCut:
+    def refuse(*_: object) -> VisibleTruth:
         raise AssertionError("the cache was not used")
 
     with monkeypatch.context() as patch:
         patch.setattr(visibility, "_cut", refuse)
-        again = load_truth_cut(scene, "fixed:15", "d435i", tmp_path)
+        again = load_visible_truth(scene, "fixed:15", "d435i", tmp_path)
     np.testing.assert_array_equal(first.points, again.points)
     np.testing.assert_array_equal(first.free_seen, again.free_seen)
     content = file.read_bytes()
     for broken in (b"", b"not an archive", content[: len(content) // 2], content[:-4000] + bytes(4000)):
         file.write_bytes(broken)
-        np.testing.assert_array_equal(load_truth_cut(scene, "fixed:15", "d435i", tmp_path).points, first.points)
+        np.testing.assert_array_equal(load_visible_truth(scene, "fixed:15", "d435i", tmp_path).points, first.points)
     assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_cache_that_cannot_be_written_costs_only_time(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(visibility, "POSES", 5)
     (tmp_path / "taken").write_text("a file where the folder should be")
-    assert len(load_truth_cut(scene, "fixed:15", "d435i", tmp_path / "taken").points) > 0
+    assert len(load_visible_truth(scene, "fixed:15", "d435i", tmp_path / "taken").points) > 0
 
 
 def test_unknown_mount_is_refused(scene: Scene, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="mount 'loose'"):
-        load_truth_cut(scene, "loose", "d435i", tmp_path)
+        load_visible_truth(scene, "loose", "d435i", tmp_path)

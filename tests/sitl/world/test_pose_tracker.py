@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sitl.geometry import transform
-from sitl.world.pose_tracker import NoisyPoses, PoseRecord
+from sitl.world.pose_tracker import PoseRecord, SimulatedTracker
 
 F64 = NDArray[np.float64]
 ATTITUDE = Rotation.from_rotvec((0.1, -0.2, 1.3))
@@ -17,7 +17,7 @@ BODY = ((1.0, -2.0, 0.7), (W, X, Y, Z))
 
 
 def run(seed: int, duration_s: float, step_s: float = 0.01) -> list[tuple[float, PoseRecord]]:
-    poses = NoisyPoses(seed)
+    poses = SimulatedTracker(seed)
     times = np.arange(0.0, duration_s, step_s)
     return [(float(now), record) for now in times for record in poses.step(float(now), *BODY)]
 
@@ -50,7 +50,7 @@ def test_slow_calls_do_not_bunch_captures() -> None:
 def test_error_starts_at_zero_and_grows_to_its_stated_size() -> None:
     first, late = [], []
     for seed in range(150):
-        poses = NoisyPoses(seed)
+        poses = SimulatedTracker(seed)
         records = [record for now in (0.0, 1e3, 1e3 + 1) for record in poses.step(now, *BODY)]
         first += [(0.0, r) for r in records if r.stamp_s == 0.0]
         late += [(0.0, r) for r in records if r.stamp_s == 1e3]

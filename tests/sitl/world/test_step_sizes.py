@@ -8,24 +8,24 @@ from scripted_companion import Companion
 
 from sitl.autopilots.byte_links import pipe
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.world.quadrotor import Quadrotor
-from sitl.world.step_sizes import QUICK, REAL, Pace
+from sitl.world.step_sizes import QUICK, REAL, StepSizes
 from uav_recon.app.processes import MISSION_RATE_HZ
 
 
 class Paced(Companion):
     """A companion whose autopilot steps at a pace."""
 
-    def __init__(self, pace: Pace) -> None:
+    def __init__(self, pace: StepSizes) -> None:
         super().__init__(seed=3)
         self.vehicle = Quadrotor(3, yaw_rad=0.3)
         end, self._pipe = pipe()
-        self.autopilot = Px4(self.vehicle, end, Parameters.load(), 3, pace.physics_s)
+        self.autopilot = Px4(self.vehicle, end, Px4Parameters.load(), 3, pace.physics_s)
         self.px4.step(self.now_s)
 
 
-def offsets_m(pace: Pace) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def offsets_m(pace: StepSizes) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """Distance (N,) from where it is told to be: five seconds of hover, a step of a metre, five more."""
     c = Paced(pace)
     c.take_off()

@@ -14,14 +14,14 @@ from uav_recon.autopilot.firmware.profile import (
     ARM,
     DO_SET_MODE,
     Command,
+    FirmwareProfile,
     Outcome,
-    Personality,
     Request,
     missing_to_arm,
     missing_to_follow,
 )
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
-from uav_recon.autopilot.pilot.takeoff_monitor import LiftOff
+from uav_recon.autopilot.pilot.takeoff_monitor import TakeoffMonitor
 
 TAKE_OFF = 22
 CLIMB_M = 0.5  # by command; from there on setpoints are followed
@@ -82,7 +82,7 @@ def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
     return missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
 
 
-class TakeOff:
+class ArduPilotArmingSequence:
     """GUIDED, motors, and a climb by command; each is believed when it is seen. The climb is asked for once. A mode that is
     neither the one it began in nor ours is somebody's choice.
     """
@@ -96,7 +96,7 @@ class TakeOff:
         self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
         self._mode_before: int | None = None
         self._mode_seen, self._ground_m = False, math.nan
-        self._climb_s, self._lift_off = math.inf, LiftOff(math.nan)
+        self._climb_s, self._lift_off = math.inf, TakeoffMonitor(math.nan)
 
     def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
         """What has been reached, and the command to send now. No setpoint may be sent before it is ARMED."""
@@ -116,7 +116,7 @@ class TakeOff:
     def _climb(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
         height_m = float(t.position_m[2])
         if self._climb_s == math.inf:
-            self._climb_s, self._ground_m, self._lift_off = now_s, height_m, LiftOff(height_m, self.LIFT_S)
+            self._climb_s, self._ground_m, self._lift_off = now_s, height_m, TakeoffMonitor(height_m, self.LIFT_S)
             self._lift_off.begin(now_s)
             return Outcome.PENDING, CLIMB
         fault = self._lift_off.fault(now_s, t)
@@ -138,8 +138,8 @@ class TakeOff:
         return Outcome.GIVEN_UP, None
 
 
-ARDUPILOT = Personality(
-    mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, TakeOff,
+ARDUPILOT = FirmwareProfile(
+    mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, ArduPilotArmingSequence,
     land=LAND, pose_frame=LOCAL_FRD, setpoint_mask=ALL_BUT_YAW_RATE, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
     polled_hz=(),
 )  # fmt: skip

@@ -32,7 +32,7 @@ class Outcome(Enum):
     GIVEN_UP = "given up"
 
 
-class Arming(Protocol):
+class ArmingSequence(Protocol):
     """From the ground to where setpoints are followed. streams: setpoints run all the while; else none may be sent."""
 
     streams: bool
@@ -44,7 +44,7 @@ class Arming(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Personality:
+class FirmwareProfile:
     """Its rules. Modes are HEARTBEAT's custom_mode.
 
     missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, '' for
@@ -57,7 +57,7 @@ class Personality:
     is_landing: Callable[[int], bool]
     missing_for_origin: Callable[[Telemetry, bool, float], str]
     missing_for_arming: Callable[[Telemetry, bool, float], str]
-    arming: Callable[[float], Arming]
+    arming: Callable[[float], ArmingSequence]
     land: Command
     pose_frame: int
     setpoint_mask: int

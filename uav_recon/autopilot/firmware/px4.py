@@ -12,8 +12,8 @@ from uav_recon.autopilot.firmware.profile import (
     ARM,
     DO_SET_MODE,
     Command,
+    FirmwareProfile,
     Outcome,
-    Personality,
     Request,
     missing_to_arm,
     missing_to_follow,
@@ -81,7 +81,7 @@ def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
     return missing
 
 
-class Arming:
+class Px4ArmingSequence:
     """From a running stream to armed in OFFBOARD: the mode first, then the motors, three tries each. A mode that is neither
     the one it began in nor ours is somebody's choice.
     """
@@ -116,8 +116,8 @@ class Arming:
         return (Outcome.GIVEN_UP if self.reason else Outcome.PENDING), command
 
 
-PX4 = Personality(
-    mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, Arming,
+PX4 = FirmwareProfile(
+    mode_name, is_ours, is_landing, missing_for_origin, missing_for_arming, Px4ArmingSequence,
     land=LAND, pose_frame=LOCAL_NED, setpoint_mask=0, streams_hz=STREAMS_HZ, asked_once=ASKED_ONCE,
     polled_hz=POLLED_HZ,
 )  # fmt: skip

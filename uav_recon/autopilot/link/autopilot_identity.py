@@ -8,7 +8,7 @@ _SILENCE_S = 0.5  # a plug is not pulled and put into another vehicle in less
 _AGAIN_S = 0.5
 
 
-class Identity:
+class AutopilotIdentity:
     """wanted: uid in hex, '' for that of whoever answers first. Who tells none is known by nothing."""
 
     def __init__(self, wanted: str = "") -> None:

@@ -33,7 +33,7 @@ class _BootClock:
     heard_s: float
 
 
-class Double:
+class DuplicateAutopilotDetector:
     """Hears every frame of the vehicle's autopilot, before anything is left out."""
 
     def __init__(self) -> None:

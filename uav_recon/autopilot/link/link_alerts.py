@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from uav_recon.autopilot.mavlink.allow_list import NOT_AN_AUTOPILOT
-from uav_recon.autopilot.mavlink.framing import Layout, kind_of, wire
+from uav_recon.autopilot.mavlink.framing import MessageLayout, kind_of, wire
 from uav_recon.autopilot.mavlink.messages import (
     Attitude,
     EstimatorStatus,
@@ -21,7 +21,7 @@ TWO = "two autopilots speak with one id"
 
 _TELL_STATE = (EstimatorStatus, LandedState, SystemStatus, LocalPosition, Attitude, OriginSet)
 _COMMAND = {
-    kind.id: Layout(kind, "target_system")
+    kind.id: MessageLayout(kind, "target_system")
     for kind in (
         wire.MAVLink_command_long_message, wire.MAVLink_command_int_message, wire.MAVLink_set_mode_message,
         wire.MAVLink_param_set_message, wire.MAVLink_rc_channels_override_message,
@@ -31,7 +31,7 @@ _COMMAND = {
 }  # fmt: skip
 
 
-class Intrusions:
+class LinkAlerts:
     """own: our system and component. What a ground station, a camera or a radio says of itself is no intrusion."""
 
     def __init__(self, own: tuple[int, int]) -> None:

@@ -11,7 +11,7 @@ _AGAIN_S = 1.0  # so late a copy of a frame may still come; by half of that a bu
 _SILENCE_S = 0.5  # a kind not heard for so long is news whatever its number: a sender may count anew, or two share its name
 
 
-class Succession:
+class StaleFrameFilter:
     """Of one sender: what comes again, byte for byte, and says another thing than the newest of its kind, is not. Of the rest
     the sequence number of the frames decides, each kind of message for itself.
     """

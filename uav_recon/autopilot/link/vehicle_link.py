@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from uav_recon.autopilot.firmware.profile import Personality
-from uav_recon.autopilot.link.autopilot_identity import Identity
-from uav_recon.autopilot.link.duplicate_autopilot import Double
-from uav_recon.autopilot.link.link_alerts import OLD_FRAMES, TWO, Intrusions
-from uav_recon.autopilot.link.stale_frame_filter import Succession
+from uav_recon.autopilot.firmware.profile import FirmwareProfile
+from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
+from uav_recon.autopilot.link.duplicate_autopilot import DuplicateAutopilotDetector
+from uav_recon.autopilot.link.link_alerts import OLD_FRAMES, TWO, LinkAlerts
+from uav_recon.autopilot.link.stale_frame_filter import StaleFrameFilter
 from uav_recon.autopilot.link.timesync import TimeSyncFilter
-from uav_recon.autopilot.mavlink.allow_list import NOT_AN_AUTOPILOT, Gate
+from uav_recon.autopilot.mavlink.allow_list import NOT_AN_AUTOPILOT, AllowListFilter
 from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
 from uav_recon.autopilot.mavlink.messages import (
     Ack,
@@ -27,7 +27,7 @@ from uav_recon.autopilot.mavlink.messages import (
     Received,
     StatusText,
     SystemStatus,
-    TimeSync,
+    TimesyncMessage,
 )
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.autopilot.mavlink.tlog import FrameLog
@@ -47,7 +47,7 @@ _CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
 _AUTOPILOT_VERSION = 148.0
 
 
-class Link:
+class VehicleLink:
     """Speaks MAVLink with one autopilot over one byte link. Methods never block and never raise on what arrives.
 
     firmware: whose rules hold on the other end. gate: who may speak there.
@@ -58,8 +58,8 @@ class Link:
         bytes_link: ByteLink,
         log: FrameLog,
         start_s: float,
-        firmware: Personality,
-        gate: Gate,
+        firmware: FirmwareProfile,
+        gate: AllowListFilter,
         system: int = 245,
         component: int = 191,
     ) -> None:
@@ -68,14 +68,14 @@ class Link:
         self.mute = False  # no heartbeat any more
         self._own = (system, component)
         self._decoder, self._encoder = Decoder(), Encoder(system, component)
-        self._timesync, self._succession, self._double = TimeSyncFilter(), Succession(), Double()
-        self._identity = Identity(gate.uid)
+        self._timesync, self._succession, self._double = TimeSyncFilter(), StaleFrameFilter(), DuplicateAutopilotDetector()
+        self._identity = AutopilotIdentity(gate.uid)
         self._slow_s = -math.inf
         keepers = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
         self._heartbeat, self._sync, self._resync, self._gimbal = keepers
         self._polled = [(identifier, RateKeeper(rate_hz, start_s)) for identifier, rate_hz in firmware.polled_hz]
         self._asked_parameters: set[str] = set()
-        self.telemetry, self.intrusions = Telemetry(), Intrusions(self._own)
+        self.telemetry, self.intrusions = Telemetry(), LinkAlerts(self._own)
 
     @property
     def time_known(self) -> bool:
@@ -211,7 +211,7 @@ class Link:
             return
         if from_autopilot:
             self._double.hear(received, now_s)
-            dated = isinstance(message, TimeSync) and message.tc1_ns != 0  # its round trip tells how late it is
+            dated = isinstance(message, TimesyncMessage) and message.tc1_ns != 0  # its round trip tells how late it is
             if not self._succession.is_news(received.frame, now_s) and not (dated or t.doubled):  # of two, nobody's is older
                 t.stale_frames += 1
                 return
@@ -226,7 +226,7 @@ class Link:
         match message:
             case Heartbeat():
                 self._take_state(message, now_s)
-            case TimeSync():
+            case TimesyncMessage():
                 self._synchronise(message, now_s)
             case EstimatorStatus():
                 t.estimator_good = message.position_good
@@ -268,7 +268,7 @@ class Link:
             rules = self.firmware
             t.custom_mode = min(armed or [t.custom_mode], key=lambda mode: rules.is_ours(mode) + 2 * rules.is_landing(mode))
 
-    def _synchronise(self, message: TimeSync, now_s: float) -> None:
+    def _synchronise(self, message: TimesyncMessage, now_s: float) -> None:
         """Learn from answers; answer requests in the autopilot's OWN clock, once we know it.
 
         Pose stamps are on that clock too, so an autopilot that corrects stamps by what it learns from our answers finds
@@ -282,6 +282,6 @@ class Link:
             return
         self._timesync.observe(message.ts1_ns, message.tc1_ns, int(now_s * _NS))
         if self._timesync.restarts > self.telemetry.reboots:
-            self.telemetry.reboots, self._succession = self._timesync.restarts, Succession()
+            self.telemetry.reboots, self._succession = self._timesync.restarts, StaleFrameFilter()
             self.telemetry.origin_known = self.telemetry.estimator_good = self.telemetry.prearm_good = False
             self.telemetry.parameters.clear()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from uav_recon.autopilot.mavlink.codec import Decoder
 from uav_recon.autopilot.mavlink.messages import Heartbeat, Received
-from uav_recon.autopilot.mavlink.signing import NoSeal, Seal
+from uav_recon.autopilot.mavlink.signing import NullSigner, Signer
 
 NOT_AN_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
 _MOST_NAMES = 32
@@ -25,11 +25,11 @@ class AllowList:
     uid: str = ""
 
 
-class Gate:
+class AllowListFilter:
     """The allow-list of one link. refused: how many frames and datagrams were not let in so far. seal: what frames bear."""
 
-    def __init__(self, allowed: AllowList | None = None, seal: Seal | None = None) -> None:
-        self._allowed, self.seal = allowed or AllowList(), seal or NoSeal()
+    def __init__(self, allowed: AllowList | None = None, seal: Signer | None = None) -> None:
+        self._allowed, self.seal = allowed or AllowList(), seal or NullSigner()
         self._named: set[str] = set()
         self.refused = 0
 

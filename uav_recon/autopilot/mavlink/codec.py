@@ -15,7 +15,7 @@ from uav_recon.autopilot.mavlink.frame_conversion import swap_attitude, swap_bod
 from uav_recon.autopilot.mavlink.framing import (
     MAGIC_1,
     MAGIC_2,
-    Layout,
+    MessageLayout,
     frame_length,
     framed,
     is_intact,
@@ -38,7 +38,7 @@ from uav_recon.autopilot.mavlink.messages import (
     Received,
     StatusText,
     SystemStatus,
-    TimeSync,
+    TimesyncMessage,
 )
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.trajectory import Setpoint
@@ -267,7 +267,7 @@ _HEARTBEAT, _TIMESYNC = wire.MAVLink_heartbeat_message, wire.MAVLink_timesync_me
 _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = (
     (wire.MAVLink_heartbeat_message, ("type", "autopilot", "base_mode", "custom_mode"), _heartbeat),
     (wire.MAVLink_command_ack_message, ("command", "result"), Ack),
-    (wire.MAVLink_timesync_message, ("tc1", "ts1"), TimeSync),
+    (wire.MAVLink_timesync_message, ("tc1", "ts1"), TimesyncMessage),
     (
         wire.MAVLink_estimator_status_message,
         ("flags",),
@@ -293,4 +293,4 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
     (wire.MAVLink_gimbal_device_attitude_status_message, ("q",), _gimbal),
     (wire.MAVLink_param_value_message, ("param_id", "param_value", "param_type"), _parameter),
 )
-_READERS = {kind.id: (Layout(kind, *names), make) for kind, names, make in _READ}
+_READERS = {kind.id: (MessageLayout(kind, *names), make) for kind, names, make in _READ}

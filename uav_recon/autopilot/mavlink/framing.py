@@ -13,7 +13,7 @@ os.environ["MAVLINK20"] = "1"
 from pymavlink.dialects.v20 import ardupilotmega as wire  # the common messages, and EKF_STATUS_REPORT
 
 __all__ = [
-    "MAGIC_1", "MAGIC_2", "Layout", "frame_length", "framed", "is_intact", "is_signed", "kind_of", "marked_signed",
+    "MAGIC_1", "MAGIC_2", "MessageLayout", "frame_length", "framed", "is_intact", "is_signed", "kind_of", "marked_signed",
     "payload_of", "sender_of", "wire",
 ]  # fmt: skip
 
@@ -79,7 +79,7 @@ def is_intact(frame: bytes, kind: Any) -> bool:
     return bool(wire.x25crc(frame[1:end] + bytes((kind.crc_extra,))).crc == _CHECK.unpack_from(frame, end)[0])
 
 
-class Layout:
+class MessageLayout:
     """Where some named fields of a pymavlink message class stand."""
 
     def __init__(self, kind: Any, *names: str) -> None:

@@ -27,7 +27,7 @@ class Ack:
 
 
 @dataclass(frozen=True, slots=True)
-class TimeSync:
+class TimesyncMessage:
     """tc1_ns = 0: a request carrying the sender's clock in ts1_ns; otherwise the answer to our ts1_ns."""
 
     tc1_ns: int
@@ -113,7 +113,7 @@ class ParameterValue:
 Message = (
     Heartbeat
     | Ack
-    | TimeSync
+    | TimesyncMessage
     | EstimatorStatus
     | LandedState
     | SystemStatus

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Protocol
 
 from uav_recon.autopilot.mavlink.framing import is_signed, marked_signed, sender_of
-from uav_recon.autopilot.mavlink.signing_timestamps import Stamps
+from uav_recon.autopilot.mavlink.signing_timestamps import SigningTimestamps
 from uav_recon.clock import ThreadExecutor
 from uav_recon.interfaces import Clock
 
@@ -32,7 +32,7 @@ class KeyFileError(Exception):
     """A key that cannot be used; its text is one line that names the file, and never what is in it."""
 
 
-class Seal(Protocol):
+class Signer(Protocol):
     """How frames are made ours, and others' are known to be theirs."""
 
     def put(self, frame: bytes, now_s: float) -> bytes:
@@ -52,7 +52,7 @@ class Seal(Protocol):
         ...
 
 
-class NoSeal:
+class NullSigner:
     """Signing is off: everything is taken as it is."""
 
     def put(self, frame: bytes, now_s: float) -> bytes:
@@ -77,7 +77,7 @@ class Signature:
     RADIO_STATUS, which the specification lets in unsigned, says nothing that is used here.
     """
 
-    def __init__(self, key: bytes, link_id: int, stamps: Stamps) -> None:
+    def __init__(self, key: bytes, link_id: int, stamps: SigningTimestamps) -> None:
         self._key, self._link_id, self._stamps = key, bytes((link_id,)), stamps
         self._heard_on: dict[tuple[int, int], int] = {}  # the link id on which each system and component was heard first
 
@@ -123,7 +123,7 @@ def open_signature(key: Path, link_id: int, stamps: Path, clock: Clock, wall_s: 
     KeyFileError or StampsError.
     """
     secret = read_key(key)
-    return Signature(secret, link_id, Stamps(stamps, wall_s(), clock.now_s(), ThreadExecutor("signing")))
+    return Signature(secret, link_id, SigningTimestamps(stamps, wall_s(), clock.now_s(), ThreadExecutor("signing")))
 
 
 def read_key(path: Path) -> bytes:

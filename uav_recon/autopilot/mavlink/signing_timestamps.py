@@ -19,11 +19,11 @@ _END = 1 << 48
 Stream = tuple[int, int, int]  # link id, system, component
 
 
-class StampsError(Exception):
+class SigningTimestampsError(Exception):
     """A file that cannot be used; its text is one line that names it."""
 
 
-class Stamps:
+class SigningTimestamps:
     """Ours grow with the injected clock and never go back: not over restarts, crashes, or a wall clock that was set.
 
     The file is written ahead of what is used, at the start and then about every five seconds on the executor. A sender's newest
@@ -31,7 +31,7 @@ class Stamps:
     """
 
     def __init__(self, path: Path, wall_s: float, now_s: float, executor: Executor) -> None:
-        """wall_s: seconds since 1970, asked once. Raises StampsError if the file cannot be read or written."""
+        """wall_s: seconds since 1970, asked once. Raises SigningTimestampsError if the file cannot be read or written."""
         self._path, self._executor, self._start_s = path, executor, now_s
         stored, self._newest = _read(path)
         self._first = max(int((wall_s - _EPOCH_S) * UNITS_PER_S), stored, 1)
@@ -40,7 +40,7 @@ class Stamps:
         try:
             self._write(self._promised, dict(self._newest))
         except OSError as error:
-            raise StampsError(f"signing_stamps {path}: cannot be written ({error.strerror})") from None
+            raise SigningTimestampsError(f"signing_stamps {path}: cannot be written ({error.strerror})") from None
 
     def next(self, now_s: float) -> int:
         """A stamp for a frame of ours, greater than every one before."""
@@ -89,9 +89,9 @@ def _read(path: Path) -> tuple[int, dict[Stream, int]]:
         tree = json.loads(path.read_text(encoding="ascii"))
         own, heard = int(tree["own"]), {(int(a), int(b), int(c)): int(stamp) for a, b, c, stamp in tree["heard"]}
     except OSError as error:
-        raise StampsError(f"signing_stamps {path}: cannot be read ({error.strerror})") from None
+        raise SigningTimestampsError(f"signing_stamps {path}: cannot be read ({error.strerror})") from None
     except (ValueError, KeyError, TypeError):
-        raise StampsError(f"signing_stamps {path}: not the stamps of signed frames") from None
+        raise SigningTimestampsError(f"signing_stamps {path}: not the stamps of signed frames") from None
     if not all(0 <= stamp < _END for stamp in (own, *heard.values())):
-        raise StampsError(f"signing_stamps {path}: a stamp is 0 to 2**48 - 1")
+        raise SigningTimestampsError(f"signing_stamps {path}: a stamp is 0 to 2**48 - 1")
     return own, heard

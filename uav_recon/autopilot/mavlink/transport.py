@@ -11,7 +11,7 @@ import socket
 import termios
 from typing import Any
 
-from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.interfaces import ByteLink, Clock
 from uav_recon.types.link_url import BAUDS, EVERYWHERE
 
@@ -24,7 +24,7 @@ class LinkError(Exception):
     """A link that cannot be opened; its text is one line that names the port."""
 
 
-def open_link(url: str, gate: Gate, clock: Clock, peer_host: str | None = None) -> ByteLink:
+def open_link(url: str, gate: AllowListFilter, clock: Clock, peer_host: str | None = None) -> ByteLink:
     """Open ``udp:HOST:PORT`` (listens there) or ``serial:DEVICE:BAUD``. Raises LinkError with one line.
 
     gate: whose first heartbeat makes its sender the peer of a UDP link. peer_host: the only host that may become it; None is
@@ -44,7 +44,7 @@ class UdpLink:
     Before there is a peer, what is written goes nowhere.
     """
 
-    def __init__(self, host: str, port: int, gate: Gate, clock: Clock, peer_host: str | None = None) -> None:
+    def __init__(self, host: str, port: int, gate: AllowListFilter, clock: Clock, peer_host: str | None = None) -> None:
         if host in (*EVERYWHERE, ""):
             raise LinkError(f"link udp:{host}:{port}: name one address; listening on every network would let anybody fly")
         if not 0 < port < 65536:

@@ -26,7 +26,7 @@ class ParameterFileError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Reason:
+class ParameterReason:
     """A row of the README. refused: nothing is armed while the vehicle has another value. reboot: a change needs one."""
 
     value: str
@@ -37,15 +37,15 @@ class Reason:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class RequiredParameter:
     """A parameter and the value it is to have."""
 
     name: str
     value: float
-    reason: Reason
+    reason: ParameterReason
 
 
-def load(path: Path) -> tuple[Wanted, ...]:
+def load(path: Path) -> tuple[RequiredParameter, ...]:
     """Every parameter of a file, in its order. Raises ParameterFileError.
 
     A name without a row in the README is somebody's own: it is to be met before arming too.
@@ -54,13 +54,13 @@ def load(path: Path) -> tuple[Wanted, ...]:
     if read_line is None:
         raise ParameterFileError(f"{path}: a parameter file ends in .params (QGroundControl) or .param (Mission Planner)")
     values = _values(path, read_line)
-    reasons, own = load_reasons(), Reason("", "", "", refused=True, reboot=False)
-    return tuple(Wanted(name, value, reasons.get(name, own)) for name, value in values.items())
+    reasons, own = load_reasons(), ParameterReason("", "", "", refused=True, reboot=False)
+    return tuple(RequiredParameter(name, value, reasons.get(name, own)) for name, value in values.items())
 
 
-def load_reasons(path: Path = REASONS) -> dict[str, Reason]:
+def load_reasons(path: Path = REASONS) -> dict[str, ParameterReason]:
     """The rows of the README by name. Raises ParameterFileError."""
-    rows: dict[str, Reason] = {}
+    rows: dict[str, ParameterReason] = {}
     for number, line in enumerate(_lines(path), start=1):
         cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
         if not line.startswith("|") or cells[0] == _COLUMNS[0] or set(cells[0]) <= set("-: "):
@@ -68,7 +68,7 @@ def load_reasons(path: Path = REASONS) -> dict[str, Reason]:
         if len(cells) != len(_COLUMNS) or cells[6] not in ("refused", "-") or cells[7] not in ("reboot", "-"):
             raise ParameterFileError(f"{path}:{number}: a row is {' | '.join(_COLUMNS)}")
         name, value, _, unit, why, _, arming, change = cells
-        rows[name] = Reason(value, unit.strip("-"), why, arming == "refused", change == "reboot")
+        rows[name] = ParameterReason(value, unit.strip("-"), why, arming == "refused", change == "reboot")
     return rows
 
 

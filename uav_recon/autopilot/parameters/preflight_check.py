@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.messages import ParameterValue
-from uav_recon.autopilot.parameters.parameter_file import Wanted
-from uav_recon.autopilot.parameters.reader import Inquiry, NumberForm, equal
+from uav_recon.autopilot.parameters.parameter_file import RequiredParameter
+from uav_recon.autopilot.parameters.reader import ParameterEncoding, ParameterReader, equal
 
 _AGAIN_S, _FAULT_AGAIN_S = 30.0, 3.0  # a person at a ground station may change, or mend, any of them
 
@@ -15,14 +15,14 @@ _AGAIN_S, _FAULT_AGAIN_S = 30.0, 3.0  # a person at a ground station may change,
 class ParameterCheck:
     """Reads back what must be met before arming, and heeds what is told of it in flight; what may differ is not asked for."""
 
-    def __init__(self, wanted: tuple[Wanted, ...], form: NumberForm) -> None:
+    def __init__(self, wanted: tuple[RequiredParameter, ...], form: ParameterEncoding) -> None:
         self._wanted, self._form = tuple(one for one in wanted if one.reason.refused), form
         self._inquiry = self._everything()
         self._read_once, self._read_s, self._reboots = False, math.inf, 0
         self._heeded: dict[str, ParameterValue] = {}
         self._changed = ""
 
-    def missing(self, now_s: float, link: Link) -> str:
+    def missing(self, now_s: float, link: VehicleLink) -> str:
         """What speaks against arming, '' for nothing. To be asked every turn on the ground; it never blocks."""
         t = link.telemetry
         if t.system == 0:
@@ -37,10 +37,10 @@ class ParameterCheck:
         self._read_once = True
         faulty = self._faulty(link)
         if self._inquiry.done and now_s - self._read_s >= (_FAULT_AGAIN_S if faulty else _AGAIN_S):
-            self._inquiry = Inquiry(one.name for one in faulty) if faulty else self._everything()
+            self._inquiry = ParameterReader(one.name for one in faulty) if faulty else self._everything()
         return self._words(faulty, link) if faulty else ""
 
-    def changed(self, link: Link) -> str:
+    def changed(self, link: VehicleLink) -> str:
         """What somebody has changed in flight, '' for nothing. Nothing is asked: a firmware tells everybody of a change."""
         if (told := link.telemetry.parameters) != self._heeded:
             self._heeded = dict(told)
@@ -48,17 +48,17 @@ class ParameterCheck:
             self._changed = f"in flight {self._words(faulty, link)}" if faulty else ""
         return self._changed
 
-    def _everything(self) -> Inquiry:
-        return Inquiry(one.name for one in self._wanted)
+    def _everything(self) -> ParameterReader:
+        return ParameterReader(one.name for one in self._wanted)
 
-    def _faulty(self, link: Link) -> list[Wanted]:
+    def _faulty(self, link: VehicleLink) -> list[RequiredParameter]:
         return [one for one in self._wanted if not self._met(one, link)]
 
-    def _met(self, one: Wanted, link: Link) -> bool:
+    def _met(self, one: RequiredParameter, link: VehicleLink) -> bool:
         told = link.telemetry.parameters.get(one.name)
         return told is not None and equal(self._form.value_of(told), one.value)
 
-    def _words(self, faulty: list[Wanted], link: Link) -> str:
+    def _words(self, faulty: list[RequiredParameter], link: VehicleLink) -> str:
         first = faulty[0]
         told = link.telemetry.parameters.get(first.name)
         has = "is not told by the autopilot" if told is None else f"is {self._form.value_of(told):.7g}"
@@ -70,10 +70,10 @@ class ParameterCheck:
 class NoParameterCheck:
     """For whoever answers for the parameters himself."""
 
-    def missing(self, now_s: float, link: Link) -> str:
+    def missing(self, now_s: float, link: VehicleLink) -> str:
         """Nothing."""
         return ""
 
-    def changed(self, link: Link) -> str:
+    def changed(self, link: VehicleLink) -> str:
         """Nothing."""
         return ""

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.messages import ParameterValue
 
 _REAL32 = 9  # MAV_PARAM_TYPE
@@ -16,7 +16,7 @@ WINDOW, PATIENCE_S, TRIES = 8, 0.5, 8  # questions under way; for an answer; for
 
 
 @dataclass(frozen=True, slots=True)
-class NumberForm:
+class ParameterEncoding:
     """How a firmware puts values into the float of PARAM_VALUE and PARAM_SET.
 
     value_of: what was told; number_of: the float for a value of a MAV_PARAM_TYPE. Raises ValueError for one that it cannot
@@ -50,8 +50,8 @@ def _whole(value: float) -> int:
     return int(value)
 
 
-BYTEWISE = NumberForm(_from_bytes, _to_bytes)  # PX4: the bytes of an INT32 stand where a float is expected
-NUMERIC = NumberForm(lambda told: told.number, _to_number)  # ArduPilot: everything is the float that it is
+BYTEWISE = ParameterEncoding(_from_bytes, _to_bytes)  # PX4: the bytes of an INT32 stand where a float is expected
+NUMERIC = ParameterEncoding(lambda told: told.number, _to_number)  # ArduPilot: everything is the float that it is
 
 
 def equal(a: float, b: float) -> bool:
@@ -59,7 +59,7 @@ def equal(a: float, b: float) -> bool:
     return math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9)
 
 
-class Inquiry:
+class ParameterReader:
     """Asks for parameters by name, a few at a time; each until it is answered or was asked in vain too often."""
 
     def __init__(self, names: Iterable[str]) -> None:
@@ -78,7 +78,7 @@ class Inquiry:
         """How far it is, in words."""
         return f"{self._total - len(self._waiting) - len(self._asked)} of {self._total}"
 
-    def step(self, now_s: float, link: Link) -> None:
+    def step(self, now_s: float, link: VehicleLink) -> None:
         """Take what was answered, ask what is due. The answers stand in the link's telemetry."""
         for name, (tries, asked_s, before) in list(self._asked.items()):
             if link.telemetry.parameters.get(name) is not before:
@@ -93,6 +93,6 @@ class Inquiry:
             name = self._waiting.pop(0)
             self._ask(now_s, link, name, 1, link.telemetry.parameters.get(name))
 
-    def _ask(self, now_s: float, link: Link, name: str, tries: int, before: ParameterValue | None) -> None:
+    def _ask(self, now_s: float, link: VehicleLink, name: str, tries: int, before: ParameterValue | None) -> None:
         self._asked[name] = (tries, now_s, before)
         link.ask_parameter(now_s, name)

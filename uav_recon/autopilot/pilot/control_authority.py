@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.autopilot.firmware.profile import Personality
+from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.link.link_alerts import TWO
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.types.vehicle import FlightPhase
@@ -19,7 +19,7 @@ _BACK_S = 1.0  # after a mode that was not ours: so soon no human gives the vehi
 
 
 @dataclass(frozen=True, slots=True)
-class Loss:
+class ControlLoss:
     """The phase that the flight is in because of somebody else, and why. abandoned: nobody flies it now, so the autopilot is
     to take us for dead and to land by itself.
     """
@@ -29,10 +29,10 @@ class Loss:
     abandoned: bool = False
 
 
-class Authority:
+class ControlAuthority:
     """The ownership token. Whatever we did not ask for is somebody else's will: yield, or accept the autopilot's landing."""
 
-    def __init__(self, firmware: Personality) -> None:
+    def __init__(self, firmware: FirmwareProfile) -> None:
         self._firmware = firmware
         self._arm_asked_s = self._idle_s = -math.inf
         self._reboots = 0
@@ -46,7 +46,7 @@ class Authority:
         """Whether that while is not over."""
         return now_s - self._arm_asked_s < _LATE_ARM_S
 
-    def watch(self, phase: FlightPhase, t: Telemetry, now_s: float) -> Loss | None:
+    def watch(self, phase: FlightPhase, t: Telemetry, now_s: float) -> ControlLoss | None:
         """What the autopilot's state means for the phase we are in, None for nothing. Motors are ours only in the attempt that
         asked for them.
         """
@@ -56,7 +56,7 @@ class Authority:
         if phase in (*_IDLE, FlightPhase.ARMING) and t.armed and self._arm_asked_s <= self._idle_s:
             ours = self._firmware.is_ours(t.custom_mode)
             if (ours or self._firmware.is_landing(t.custom_mode)) and self.motors_may_start(now_s):
-                return Loss(FlightPhase.LANDING, "armed after the request was withdrawn")
+                return ControlLoss(FlightPhase.LANDING, "armed after the request was withdrawn")
             return yielded("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
         if t.stranger and phase in (FlightPhase.ARMING, *IN_THE_AIR):
             return yielded(t.stranger, abandoned=True)
@@ -67,9 +67,9 @@ class Authority:
         if phase is not FlightPhase.FLYING:
             return None
         if not t.armed:
-            return Loss(FlightPhase.LANDED, "disarmed in flight")
+            return ControlLoss(FlightPhase.LANDED, "disarmed in flight")
         if self._firmware.is_landing(t.custom_mode):
-            return Loss(FlightPhase.LANDING, f"the autopilot lands: {t.warning}")
+            return ControlLoss(FlightPhase.LANDING, f"the autopilot lands: {t.warning}")
         if not self._firmware.is_ours(t.custom_mode):
             return yielded(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
         return None
@@ -79,7 +79,7 @@ class Authority:
         ours = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s > _BACK_S
         return f"{self._firmware.mode_name(t.custom_mode)}: nobody flies, choose another mode" if ours else ""
 
-    def unattended(self, t: Telemetry, now_s: float) -> Loss | None:
+    def unattended(self, t: Telemetry, now_s: float) -> ControlLoss | None:
         """Of a vehicle that was yielded: where the mode that it was yielded to was forged, nobody flies it. A human's mode
         outlives our heartbeats.
         """
@@ -90,6 +90,6 @@ class Authority:
         return yielded("our mode goes on: its failsafe is to land", abandoned=True) if back else None
 
 
-def yielded(why: str, abandoned: bool = False) -> Loss:
+def yielded(why: str, abandoned: bool = False) -> ControlLoss:
     """Never ours again."""
-    return Loss(FlightPhase.YIELDED, f"yielded: {why}", abandoned)
+    return ControlLoss(FlightPhase.YIELDED, f"yielded: {why}", abandoned)

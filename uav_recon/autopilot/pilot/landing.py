@@ -7,9 +7,9 @@ from __future__ import annotations
 import math
 
 from uav_recon.autopilot.firmware.profile import DISARM
-from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
-from uav_recon.autopilot.pilot.control_authority import Loss, yielded
+from uav_recon.autopilot.pilot.control_authority import ControlLoss, yielded
 from uav_recon.types.vehicle import FlightPhase
 
 _AGAIN_S = 0.7  # a fifth of all frames may be lost, the answer late; a human's mode is seen before we ask again in any case
@@ -35,11 +35,11 @@ class Landing:
         self._height_m, self._still_s, self._watched_s = math.nan, math.inf, math.inf
         self.alert = ""
 
-    def step(self, link: Link, now_s: float) -> Loss | None:
+    def step(self, link: VehicleLink, now_s: float) -> ControlLoss | None:
         """None while it lasts; LANDED, or YIELDED when somebody chose another mode, or the autopilot does not heed us."""
         t, firmware = link.telemetry, link.firmware
         if not t.armed:
-            return Loss(FlightPhase.LANDED, "")
+            return ControlLoss(FlightPhase.LANDED, "")
         lands = firmware.is_landing(t.custom_mode)
         if not (lands or firmware.is_ours(t.custom_mode)):
             return yielded(f"mode changed to {firmware.mode_name(t.custom_mode)}")

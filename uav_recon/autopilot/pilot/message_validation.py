@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from uav_recon.types.maps import FreeSpace
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.trajectory import Trajectory
 
 _REST_MPS = 0.05
@@ -17,7 +17,7 @@ _LARGEST = 1e6  # m, m/s, m/s², rad, rad/s: no flight needs more, and no arithm
 _FINEST_M, _COARSEST_M = 0.01, 2.0  # of known-free space
 
 
-def fault_of(trajectory: Trajectory) -> str:
+def trajectory_fault(trajectory: Trajectory) -> str:
     """What makes a trajectory unfit to be sampled, '' if it is sound."""
     count = len(trajectory.yaw_rad) if trajectory.yaw_rad.ndim == 1 else 0
     vectors = (trajectory.position_m, trajectory.velocity_mps, trajectory.acceleration_mps2)
@@ -35,7 +35,7 @@ def fault_of(trajectory: Trajectory) -> str:
     return ""
 
 
-def tells_of_space(space: FreeSpace) -> bool:
+def is_valid_free_space(space: FreeSpace) -> bool:
     """Whether known-free space makes sense: a grid of voxels that a hull can be compared with, and a bit for each."""
     grid, bits = space.grid, space.bits
     if grid.origin_world_m.shape != (3,) or not bool((np.abs(grid.origin_world_m) <= _LARGEST).all()):
@@ -45,7 +45,7 @@ def tells_of_space(space: FreeSpace) -> bool:
     return bits.shape == (-(-math.prod(grid.shape) // 8),)
 
 
-def tells_of_depth(nearby: Nearby) -> bool:
+def is_valid_range_grid(nearby: MinRangeGrid) -> bool:
     """Whether what is near makes sense: cells in rows and columns, in a field of view that has a width and a height."""
     cells, (wide, high) = nearby.range_m, nearby.half_tan
     return cells.ndim == 2 and cells.size > 0 and 0.0 < wide <= _LARGEST and 0.0 < high <= _LARGEST

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from uav_recon.autopilot.pilot.message_validation import fault_of
+from uav_recon.autopilot.pilot.message_validation import trajectory_fault
 from uav_recon.interfaces import Channel
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 
@@ -13,7 +13,7 @@ _FUTURE_S = 0.1
 Key = tuple[int, float]
 
 
-class Mandate:
+class MissionInput:
     """The newest intent and its trajectory. A trajectory that was forsaken is not taken up again; ``malformed`` counts."""
 
     def __init__(self, intent: Channel[Intent], fresh_s: float) -> None:
@@ -43,7 +43,7 @@ class Mandate:
             return ""
         if _key(trajectory) in (_key(self.trajectory), self._forsaken):
             return ""
-        fault = fault_of(trajectory)
+        fault = trajectory_fault(trajectory)
         self.trajectory = trajectory
         if fault:
             self.forsake()

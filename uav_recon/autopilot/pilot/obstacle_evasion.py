@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from uav_recon.autopilot.pilot.breadcrumb_retreat import flown
-from uav_recon.autopilot.pilot.sudden_obstacle import Intruder
+from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle
 from uav_recon.safety.envelope import Vec3
-from uav_recon.safety.guard import Guard, Situation
+from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
@@ -30,14 +30,14 @@ _WAYS = 16
 _AROUND = np.array([(0.0, 0.0, 0.0), *((math.cos(a), math.sin(a), 0.0) for a in np.arange(8) * math.tau / 8)])
 
 
-class Evasion:
+class ObstacleEvasion:
     """One flight's. hear() once for each intruder; the rest may be asked at any time."""
 
     def __init__(self, guard: Guard) -> None:
         self._guard = guard
-        self._heard: list[Intruder] = []
+        self._heard: list[SuddenObstacle] = []
 
-    def hear(self, intruder: Intruder | None) -> None:
+    def hear(self, intruder: SuddenObstacle | None) -> None:
         """What the newest depth frame showed, None for nothing."""
         if intruder is not None and not (self._heard and self._heard[-1] is intruder):
             self._heard = [*self._heard[-3:], intruder]
@@ -53,7 +53,7 @@ class Evasion:
         """What stops it, in words."""
         return f"{self._heard[-1].away_m:.2f} m from something that was not there" if self._heard else ""
 
-    def step_aside(self, rest: Setpoint, situation: Situation) -> Trajectory | str | None:
+    def step_aside(self, rest: Setpoint, situation: GuardInputs) -> Trajectory | str | None:
         """From rest out of the way of what comes on; None if nothing does, a word if nowhere is known free.
 
         It comes on if its places come nearer to the rest: the vehicle itself still comes nearer while it stops. Where there is
@@ -91,7 +91,7 @@ class Evasion:
         apart_s = self._heard[-1].stamp_s - self._heard[-2].stamp_s
         return (away_m[0] - away_m[1]) / apart_s if 0.0 < apart_s <= _FRESH_S else 0.0
 
-    def _may(self, here: FloatArray, end: FloatArray, room_m: float, inside_m: float, situation: Situation) -> bool:
+    def _may(self, here: FloatArray, end: FloatArray, room_m: float, inside_m: float, situation: GuardInputs) -> bool:
         """Whether the ways to the end and to all around it are known free, and inside the fence."""
         free, envelope, a = situation.free, self._guard.envelope, _floats(here)
         return free is not None and all(

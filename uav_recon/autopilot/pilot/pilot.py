@@ -5,31 +5,31 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.autopilot.firmware.profile import ARM, Arming, Outcome, Personality
+from uav_recon.autopilot.firmware.profile import ARM, ArmingSequence, FirmwareProfile, Outcome
 from uav_recon.autopilot.link.link_alerts import TWO
-from uav_recon.autopilot.link.vehicle_link import Link
-from uav_recon.autopilot.mavlink.allow_list import Gate
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
+from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import FrameLog, NoLog
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
-from uav_recon.autopilot.pilot.control_authority import IN_THE_AIR, Authority, Loss
+from uav_recon.autopilot.pilot.control_authority import IN_THE_AIR, ControlAuthority, ControlLoss
 from uav_recon.autopilot.pilot.landing import Landing
-from uav_recon.autopilot.pilot.mission_input import Mandate
+from uav_recon.autopilot.pilot.mission_input import MissionInput
 from uav_recon.autopilot.pilot.pose_feed import PoseFeed
-from uav_recon.autopilot.pilot.preflight import Briefing, Origin
-from uav_recon.autopilot.pilot.refusal_timer import InVain
-from uav_recon.autopilot.pilot.setpoint_selection import Steering
-from uav_recon.autopilot.pilot.situation import Awareness
-from uav_recon.autopilot.pilot.statustext_reporter import Herald
-from uav_recon.autopilot.pilot.surroundings import Lookout
-from uav_recon.autopilot.pilot.takeoff_monitor import LiftOff
+from uav_recon.autopilot.pilot.preflight import Origin, PreflightSetup
+from uav_recon.autopilot.pilot.refusal_timer import RefusalTimer
+from uav_recon.autopilot.pilot.setpoint_selection import SetpointSelector
+from uav_recon.autopilot.pilot.situation import SituationBuilder
+from uav_recon.autopilot.pilot.statustext_reporter import StatusTextReporter
+from uav_recon.autopilot.pilot.surroundings import Surroundings
+from uav_recon.autopilot.pilot.takeoff_monitor import TakeoffMonitor
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import ByteLink, Channel, Clock
-from uav_recon.safety.failsafe import Ladder, Patience, Rung
+from uav_recon.safety.failsafe import Failsafe, FailsafeAction, FailsafeTimeouts
 from uav_recon.safety.guard import Guard
 from uav_recon.safety.pose_gate import PoseGate
-from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.maps import FreeSpace
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
@@ -48,11 +48,11 @@ class PilotChannels:
     intent: Channel[Intent]
     vehicle: Channel[VehicleState]
     free: Channel[FreeSpace]
-    nearby: Channel[Nearby]
+    nearby: Channel[MinRangeGrid]
 
 
 @dataclass(frozen=True, slots=True)
-class Airframe:
+class HullGeometry:
     """What the pilot must know of the vehicle and its flight: the hull (m), the hover over the pad (m), a gimbal."""
 
     hull_radius_m: float
@@ -71,35 +71,38 @@ class Pilot:
 
     def __init__(
         self,
-        link: Link,
+        link: VehicleLink,
         guard: Guard,
-        sight: Sight,
-        patience: Patience,
+        sight: RecentlySeenSpace,
+        patience: FailsafeTimeouts,
         channels: PilotChannels,
         clock: Clock,
         origin: Origin,
-        airframe: Airframe,
+        airframe: HullGeometry,
         setpoint_rate_hz: float = 30.0,
         parameters: ParameterCheck | NoParameterCheck | None = None,
     ) -> None:
         self._link, self._guard, self._patience, self._clock = link, guard, patience, clock
         self._firmware, self._airframe, self._vehicle = link.firmware, airframe, channels.vehicle
         parameters = parameters or NoParameterCheck()
-        self._briefing = Briefing(link, origin, airframe.gimbal, parameters)
+        self._briefing = PreflightSetup(link, origin, airframe.gimbal, parameters)
         self._tick = RateKeeper(setpoint_rate_hz, clock.now_s())
         self._poses = PoseFeed(channels.odom, link, PoseGate(guard.envelope.max_yaw_rate_radps))
-        self._mandate = Mandate(channels.intent, patience.intent_hold_s)
+        self._mandate = MissionInput(channels.intent, patience.intent_hold_s)
         hull = (airframe.hull_radius_m, airframe.hull_height_m)
-        self._lookout = Lookout(channels.free, channels.nearby, sight, *hull)
-        self._authority, self._steering = Authority(link.firmware), Steering(guard, self._mandate, airframe.hover_height_m)
-        self._aware = Awareness(link, guard, self._poses, self._mandate, self._lookout, self._steering, parameters)
-        self._in_vain = InVain(patience.intent_land_s)
-        self._ladder, self._rung, self._low = Ladder(patience), Rung.FLY, ""  # where it stands, and why no higher
+        self._lookout = Surroundings(channels.free, channels.nearby, sight, *hull)
+        self._authority, self._steering = (
+            ControlAuthority(link.firmware),
+            SetpointSelector(guard, self._mandate, airframe.hover_height_m),
+        )
+        self._aware = SituationBuilder(link, guard, self._poses, self._mandate, self._lookout, self._steering, parameters)
+        self._in_vain = RefusalTimer(patience.intent_land_s)
+        self._ladder, self._rung, self._low = Failsafe(patience), FailsafeAction.FLY, ""  # where it stands, and why no higher
         self.phase = FlightPhase.CONNECTING
-        self._note, self._herald = "", Herald(link)
-        self._arming: Arming | None = None
+        self._note, self._herald = "", StatusTextReporter(link)
+        self._arming: ArmingSequence | None = None
         self._landing: Landing | None = None
-        self._lift_off: LiftOff | None = None
+        self._lift_off: TakeoffMonitor | None = None
         self._grounded = ""  # why the take-off is no good
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
         self._land_wanted, self._held, self._operator_s = "", False, -math.inf
@@ -174,7 +177,7 @@ class Pilot:
             before, (self._rung, low) = self._rung, self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))
             self._low = low if self._link.time_known or not low else f"{low}: the autopilot's clock is in doubt"
             self._note = self._low if self._rung > before else self._note
-            if self._poses.pose is not None and self._rung < Rung.RETREAT:
+            if self._poses.pose is not None and self._rung < FailsafeAction.RETREAT:
                 self._steering.was_at(self._poses.pose.odom_from_body)
 
     # ---- act --------------------------------------------------------------------------------------------------
@@ -189,7 +192,7 @@ class Pilot:
         if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
             self._mandate.forsake()
 
-    def _lose(self, loss: Loss) -> None:
+    def _lose(self, loss: ControlLoss) -> None:
         self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
         if loss.abandoned:
             self._link.stop_heartbeats()
@@ -220,14 +223,14 @@ class Pilot:
             self._anew_s = math.inf
             self._link.intrusions.begin()
             self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
-            self._lift_off = LiftOff(float(self._link.telemetry.position_m[2]))
-            self._ladder, self._rung, self._low = Ladder(self._patience), Rung.FLY, ""
-            self._in_vain = InVain(self._patience.intent_land_s, self._aware.refusals)
+            self._lift_off = TakeoffMonitor(float(self._link.telemetry.position_m[2]))
+            self._ladder, self._rung, self._low = Failsafe(self._patience), FailsafeAction.FLY, ""
+            self._in_vain = RefusalTimer(self._patience.intent_land_s, self._aware.refusals)
             self._steering.rebase(here, rest_s=0.0)
 
     def _arm(self, now_s: float) -> None:
         arming, t = self._arming, self._link.telemetry
-        unfit = self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))[0] is Rung.LAND
+        unfit = self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))[0] is FailsafeAction.LAND
         ended = self._land_wanted or (TWO if t.doubled else "")
         if arming is None or ended or self._mandate.goal(now_s) is not Goal.FLY or unfit:
             self._abandon_arming(ended or "arming withdrawn")
@@ -254,8 +257,8 @@ class Pilot:
         wanted = _ANEW if now_s - self._anew_s >= _RESET_REST_S else wanted
         wanted = f"take-off given up: {self._grounded}" if self._grounded else wanted
         blocked = ": ".join(filter(None, (self._low, self._steering.blocked))) if self._steering.blocked else ""
-        why = self._land_wanted or (self._low if self._rung is Rung.LAND else "") or blocked or wanted
-        brakes = self._rung is Rung.LAND and not self._land_wanted and not self._steering.at_rest
+        why = self._land_wanted or (self._low if self._rung is FailsafeAction.LAND else "") or blocked or wanted
+        brakes = self._rung is FailsafeAction.LAND and not self._land_wanted and not self._steering.at_rest
         if why and not brakes:  # a firmware told to land in motion looks for its own place to stop, farther on
             self._enter(FlightPhase.LANDING, why)
             self._land(now_s)
@@ -277,7 +280,7 @@ class Pilot:
             return
         linked = now_s - self._link.telemetry.heard_s <= _LINK_HOLD_S
         steered = linked and not self._held and self.phase is FlightPhase.FLYING
-        cleared, refusal = self._steering.steer(self._rung if steered else Rung.HOLD, self._aware.situation(now_s))
+        cleared, refusal = self._steering.steer(self._rung if steered else FailsafeAction.HOLD, self._aware.situation(now_s))
         self._in_vain.heed(self._aware.refusals, self._steering.moves, now_s)
         if refusal is not None:
             self._note = f"refused: {refusal.reason}"
@@ -303,19 +306,19 @@ class Pilot:
 
 def make_pilot(
     bytes_link: ByteLink,
-    firmware: Personality,
+    firmware: FirmwareProfile,
     guard: Guard,
-    sight: Sight,
-    patience: Patience,
+    sight: RecentlySeenSpace,
+    patience: FailsafeTimeouts,
     channels: PilotChannels,
     clock: Clock,
     origin: Origin,
-    airframe: Airframe,
+    airframe: HullGeometry,
     setpoint_rate_hz: float = 30.0,
     log: FrameLog | None = None,
     parameters: ParameterCheck | None = None,
-    gate: Gate | None = None,
+    gate: AllowListFilter | None = None,
 ) -> Pilot:
     """Wire a pilot that flies a firmware over the given bytes. gate: who may speak there; None: system 1."""
-    link = Link(bytes_link, log or NoLog(), clock.now_s(), firmware, gate or Gate())
+    link = VehicleLink(bytes_link, log or NoLog(), clock.now_s(), firmware, gate or AllowListFilter())
     return Pilot(link, guard, sight, patience, channels, clock, origin, airframe, setpoint_rate_hz, parameters)

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import TypeVar
 
-from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.interfaces import Channel
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import PoseHealth, StampedPose
@@ -23,7 +23,7 @@ class PoseFeed:
     count it, as one that was started again cannot, the reset counter that is fed does.
     """
 
-    def __init__(self, odom: Channel[StampedPose], link: Link, gate: PoseGate) -> None:
+    def __init__(self, odom: Channel[StampedPose], link: VehicleLink, gate: PoseGate) -> None:
         self._odom, self._link, self._gate = odom, link, gate
         self._heard: StampedPose | None = None
         self._uncounted = 0

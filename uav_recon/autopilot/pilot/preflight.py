@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
 
 _AGAIN_S = 2.0
@@ -20,10 +20,10 @@ class Origin:
     alt_m: float
 
 
-class Briefing:
+class PreflightSetup:
     """Asks again every two seconds for as long as something is missing."""
 
-    def __init__(self, link: Link, origin: Origin, gimbal: bool, parameters: ParameterCheck | NoParameterCheck) -> None:
+    def __init__(self, link: VehicleLink, origin: Origin, gimbal: bool, parameters: ParameterCheck | NoParameterCheck) -> None:
         self._link, self._origin, self._gimbal, self._parameters = link, origin, gimbal, parameters
         self._asked_s = -math.inf
 

@@ -7,7 +7,7 @@ import math
 _MOTION_S = 1.0  # flown without a refusal for so long is a motion; a moment of one comes before many a refusal
 
 
-class InVain:
+class RefusalTimer:
     """One flight's. ``refused_s``: from the first refusal since a motion to the last; 0 where none came for quiet_s."""
 
     def __init__(self, quiet_s: float, refusals: int = 0) -> None:

@@ -17,7 +17,7 @@ _MEAN_SPEED_MPS = 0.08
 _MEAN_TURN_RADPS = 0.15
 
 
-class Handover:
+class SetpointBlender:
     """Closes the gap along 1 - 3s² + 2s³, so that place and velocity stay continuous at both ends.
 
     A mission plans from the measured pose, which lies a tracking error beside the setpoint; the guard allows no such step.

@@ -9,11 +9,11 @@ from collections import deque
 import numpy as np
 
 from uav_recon.autopilot.pilot.breadcrumb_retreat import Breadcrumbs
-from uav_recon.autopilot.pilot.mission_input import Mandate
-from uav_recon.autopilot.pilot.obstacle_evasion import Evasion
-from uav_recon.autopilot.pilot.setpoint_blending import Handover
-from uav_recon.safety.failsafe import Rung
-from uav_recon.safety.guard import ClearedSetpoint, Guard, Proposal, Situation
+from uav_recon.autopilot.pilot.mission_input import MissionInput
+from uav_recon.autopilot.pilot.obstacle_evasion import ObstacleEvasion
+from uav_recon.autopilot.pilot.setpoint_blending import SetpointBlender
+from uav_recon.safety.failsafe import FailsafeAction
+from uav_recon.safety.guard import ClearedSetpoint, Guard, GuardInputs, SetpointProposal
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
@@ -26,13 +26,13 @@ _LONGEST_AGE_S = 0.1  # of a setpoint that is carried on by its velocity
 _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
 
 
-class Steering:
+class SetpointSelector:
     """Keeps the breadcrumbs. ``blocked``: why there is no way back or aside any more, '' while there is one. ``gave_way``
     counts what was not flown on because something stood there all of a sudden, and each step aside. ``moves``: the newest
     setpoint is of a motion, and not of a hold.
     """
 
-    def __init__(self, guard: Guard, mandate: Mandate, hover_height_m: float) -> None:
+    def __init__(self, guard: Guard, mandate: MissionInput, hover_height_m: float) -> None:
         self._guard, self._mandate, self._hover_height_m = guard, mandate, hover_height_m
         self._crumbs = Breadcrumbs()
         self._flown: Setpoint | None = None  # the newest setpoint on the wire
@@ -42,10 +42,10 @@ class Steering:
         self._way_back: Trajectory | None = None
         self._refused_ways, self._refused_for, self._refused_s = 0, "", -math.inf
         self._handed: Trajectory | None = None  # the trajectory that the handover leads to
-        self._handover: Handover | None = None
+        self._handover: SetpointBlender | None = None
         self._aside: Trajectory | None = None
         self._giving = False  # something near decides what is flown
-        self.evasion = Evasion(guard)
+        self.evasion = ObstacleEvasion(guard)
         self.blocked, self.gave_way, self.moves = "", 0, False
 
     @property
@@ -67,7 +67,7 @@ class Steering:
         self._crumbs.drop(odom_from_body)
         self._way_back, self._refused_ways = None, 0
 
-    def rebase(self, situation: Situation, rest_s: float) -> None:
+    def rebase(self, situation: GuardInputs, rest_s: float) -> None:
         """Odom is another, or a flight begins: nothing that was flown counts."""
         self._guard.rebase(situation, rest_s)
         self._flown = None
@@ -75,25 +75,25 @@ class Steering:
         self._mandate.forsake()
         self._way_back, self._refused_ways, self._aside, self.blocked = None, 0, None, ""
 
-    def steer(self, rung: Rung, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+    def steer(self, rung: FailsafeAction, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """The guard's word for this instant. What it turned down is not proposed again."""
         self.moves = False
-        before, self._giving = self._giving, rung <= Rung.HOLD and self._gives_way(situation)
+        before, self._giving = self._giving, rung <= FailsafeAction.HOLD and self._gives_way(situation)
         if self._giving:
             cleared, refusal = self._give_way(situation)
             if not before:
                 self._turn_down()
                 refusal = Refusal(self.evasion.why(), cleared.setpoint)
-        elif rung is Rung.FLY:
+        elif rung is FailsafeAction.FLY:
             cleared, refusal = self._fly(situation)
-        elif rung is Rung.RETREAT:
+        elif rung is FailsafeAction.RETREAT:
             cleared, refusal = self._retreat(situation)
         else:
             cleared, refusal = self._guard.clear(None, situation)
         self._flown, self._flown_s, self.moves = cleared.setpoint, situation.now_s, self.moves and refusal is None
         return cleared, refusal
 
-    def _fly(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+    def _fly(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         trajectory = self._mandate.trajectory
         self._braking = self._braking and not self.at_rest
         if trajectory is None or self._braking:
@@ -108,7 +108,7 @@ class Steering:
             self._mandate.forsake()
         return cleared, refusal
 
-    def _soon_off_its_way_m(self, situation: Situation) -> float:
+    def _soon_off_its_way_m(self, situation: GuardInputs) -> float:
         """As it goes: to wait until a push has moved it is to lead it on meanwhile. At a hold it is led nowhere, and swings."""
         now_s, off_m = situation.now_s, self._off_its_way_m(situation)
         self._off.append((now_s, off_m))
@@ -120,7 +120,7 @@ class Steering:
             return off_m
         return off_m + _SOON_S * max((off_m - begun_m) / (now_s - begun_s), 0.0)
 
-    def _off_its_way_m(self, situation: Situation) -> float:
+    def _off_its_way_m(self, situation: GuardInputs) -> float:
         """Level, from where it is told to be: ahead of it or beside it. Behind its setpoints it is late, and not pushed."""
         if self._flown is None:
             return 0.0
@@ -132,14 +132,14 @@ class Steering:
             off_x_m, off_y_m = off_x_m - late_m * ux, off_y_m - late_m * uy
         return math.hypot(off_x_m, off_y_m)
 
-    def _gives_way(self, situation: Situation) -> bool:
+    def _gives_way(self, situation: GuardInputs) -> bool:
         """Whether something near decides what is flown: it came all of a sudden, or the vehicle is still stepping aside."""
         if self._aside is not None and self.evasion.over(self._aside, situation.now_s):
             self._aside = None
             self._turn_down()
         return self._aside is not None or self.evasion.stops(situation.now_s)
 
-    def _give_way(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+    def _give_way(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """Stop, and from rest step aside if it comes on."""
         if self._aside is not None:
             aside = dataclasses.replace(self._proposal(self._aside, situation.now_s, True), giving_way=True)
@@ -159,7 +159,7 @@ class Steering:
         self.gave_way += 1
         self._mandate.forsake()
 
-    def _retreat(self, situation: Situation) -> tuple[ClearedSetpoint, Refusal | None]:
+    def _retreat(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """From rest back along the breadcrumbs, and a hold where they begin; it ends, at rest, where ways are refused again and
         again, or the first time that something stands in it.
         """
@@ -183,18 +183,18 @@ class Steering:
             self._refused_ways += _WAYS if _stands_before(proposal.setpoint, situation) else 1
         return cleared, refusal
 
-    def _proposal(self, trajectory: Trajectory, now_s: float, retreating: bool) -> Proposal:
+    def _proposal(self, trajectory: Trajectory, now_s: float, retreating: bool) -> SetpointProposal:
         if self._handed is not trajectory:
             self._handed = trajectory
             age_s = min(now_s - self._flown_s, _LONGEST_AGE_S)
-            self._handover = Handover(self._flown, age_s, trajectory, now_s) if self._flown else None
+            self._handover = SetpointBlender(self._flown, age_s, trajectory, now_s) if self._flown else None
         sample = trajectory.setpoint_at(now_s)
         self.moves = bool(np.any(sample.velocity_mps)) or sample.yaw_rate_radps != 0.0
         wanted = self._handover.apply(sample, now_s) if self._handover else sample
-        return Proposal(wanted, trajectory.identifier, trajectory.map_epoch, retreating)
+        return SetpointProposal(wanted, trajectory.identifier, trajectory.map_epoch, retreating)
 
 
-def _stands_before(setpoint: Setpoint, situation: Situation) -> bool:
+def _stands_before(setpoint: Setpoint, situation: GuardInputs) -> bool:
     """Whether depth, believed or not, shows something close before the hull where it is to go."""
     speed_mps = float(np.linalg.norm(setpoint.velocity_mps))
     if situation.ahead is None or speed_mps == 0.0:

@@ -7,32 +7,32 @@ import math
 import numpy as np
 
 from uav_recon.autopilot.link.link_alerts import TWO
-from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
-from uav_recon.autopilot.pilot.mission_input import Mandate
+from uav_recon.autopilot.pilot.mission_input import MissionInput
 from uav_recon.autopilot.pilot.pose_feed import PoseFeed
-from uav_recon.autopilot.pilot.setpoint_selection import Steering
-from uav_recon.autopilot.pilot.surroundings import Lookout
+from uav_recon.autopilot.pilot.setpoint_selection import SetpointSelector
+from uav_recon.autopilot.pilot.surroundings import Surroundings
 from uav_recon.safety.envelope import Vec3
-from uav_recon.safety.failsafe import Health
-from uav_recon.safety.guard import Guard, Situation
+from uav_recon.safety.failsafe import FailsafeInputs
+from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.types.pose import Pose, PoseHealth
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 _LONGEST_NOTE = 200
 
 
-class Awareness:
+class SituationBuilder:
     """Put together anew at each question from what the pilot's parts know; keeps nothing itself."""
 
     def __init__(
         self,
-        link: Link,
+        link: VehicleLink,
         guard: Guard,
         poses: PoseFeed,
-        mandate: Mandate,
-        lookout: Lookout,
-        steering: Steering,
+        mandate: MissionInput,
+        lookout: Surroundings,
+        steering: SetpointSelector,
         parameters: ParameterCheck | NoParameterCheck,
     ) -> None:
         self._link, self._guard, self._poses, self._parameters = link, guard, poses, parameters
@@ -43,26 +43,26 @@ class Awareness:
         """Proposals turned down so far, by whomever."""
         return self._guard.refusals + self._mandate.malformed + self._steering.gave_way
 
-    def situation(self, now_s: float) -> Situation:
+    def situation(self, now_s: float) -> GuardInputs:
         """For the guard. Without a pose it is at odom's origin, with a pose that is infinitely old."""
         pose, intent_age_s = self._poses.pose, self._mandate.age_s(now_s)
         free, ahead = self._lookout.known_free, self._lookout.ahead
         if pose is None:
-            return Situation(now_s, self._position_m, 0.0, np.eye(3), math.inf, intent_age_s, 0, free, ahead)
+            return GuardInputs(now_s, self._position_m, 0.0, np.eye(3), math.inf, intent_age_s, 0, free, ahead)
         body_from_odom, yaw_rad = pose.odom_from_body.rotation().T, pose.odom_from_body.yaw_rad()
         age_s = now_s - pose.stamp_s
         slow = pose.health is not PoseHealth.GOOD or self._link.telemetry.slow
-        return Situation(
+        return GuardInputs(
             now_s, self._position_m, yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow
         )
 
-    def health(self, now_s: float, refused_s: float) -> Health:
+    def health(self, now_s: float, refused_s: float) -> FailsafeInputs:
         """For the ladder. refused_s: of refusals without a motion."""
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # it flies by no others
         lost = (TWO if self._link.telemetry.doubled else "") or self._parameters.changed(self._link) or self._poses.lost
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
-        return Health(now_s, *ages_s, inside, self.refusals, lost, self._poses.wrong, refused_s)
+        return FailsafeInputs(now_s, *ages_s, inside, self.refusals, lost, self._poses.wrong, refused_s)
 
     def state(self, now_s: float, phase: FlightPhase, note: str, operator_s: float, gimbal: bool) -> VehicleState:
         """For the mission: where odometry says that the vehicle is, or the autopilot before there is any.

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 
-from uav_recon.autopilot.link.vehicle_link import Link
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
 
 _APART_S = 1.0  # a mission that is refused thirty times a second is not told of thirty times
 
 
-class Herald:
+class StatusTextReporter:
     """STATUSTEXT of each new note of a flight; the newest wins where they come faster than one a second."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: VehicleLink) -> None:
         self._link = link
         self._said, self._said_s = "", -math.inf
 

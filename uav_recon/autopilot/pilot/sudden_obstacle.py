@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.types.frames import FloatArray, IntArray
-from uav_recon.types.min_range_grid import Nearby, in_view
+from uav_recon.types.min_range_grid import MinRangeGrid, in_view
 from uav_recon.types.pose import Pose
 
 _MEMORY_S = 0.8
@@ -20,7 +20,7 @@ _CELLS, _SAYING = 2, 2  # returns that it has at least, and views that looked pa
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Intruder:
+class SuddenObstacle:
     """places_m: its returns in odom (N, 3), one a cell, the nearest first, seen at stamp_s; away_m: how far that is from the
     body's centre, level.
     """
@@ -50,7 +50,7 @@ class Neighbourhood:
         """Odom itself jumped."""
         self._views.clear()
 
-    def look(self, nearby: Nearby, odom_from_body: Pose) -> Intruder | None:
+    def look(self, nearby: MinRangeGrid, odom_from_body: Pose) -> SuddenObstacle | None:
         """What in a frame stands where views of the last moments looked past, the nearest of it; None for nothing."""
         odom_from_depth = odom_from_body @ nearby.body_from_depth
         while self._views and nearby.stamp_s - self._views[0].stamp_s > _MEMORY_S:
@@ -66,7 +66,7 @@ class Neighbourhood:
         if np.count_nonzero(new) < _CELLS:
             return None
         away = np.linalg.norm(close[new, :2] - here[:2], axis=1)
-        return Intruder(nearby.stamp_s, close[new][np.argsort(away)], float(away.min()))
+        return SuddenObstacle(nearby.stamp_s, close[new][np.argsort(away)], float(away.min()))
 
 
 def _looked_past(views: Collection[_View], places: FloatArray) -> IntArray:
@@ -83,7 +83,7 @@ def _looked_past(views: Collection[_View], places: FloatArray) -> IntArray:
     return said
 
 
-def _eroded(nearby: Nearby) -> FloatArray:
+def _eroded(nearby: MinRangeGrid) -> FloatArray:
     """Each cell's nearest return or that of the eight around it; NaN where most of it has none, or it lies at the border, or
     above one most of which has none: near the floor that is the floor, too near to be seen, and a table's top at a flat angle
     shows nothing of itself but what is behind it.

@@ -5,39 +5,44 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from uav_recon.autopilot.pilot.message_validation import tells_of_depth, tells_of_space
+from uav_recon.autopilot.pilot.message_validation import is_valid_free_space, is_valid_range_grid
 from uav_recon.autopilot.pilot.pose_feed import newest
-from uav_recon.autopilot.pilot.sudden_obstacle import Intruder, Neighbourhood
+from uav_recon.autopilot.pilot.sudden_obstacle import Neighbourhood, SuddenObstacle
 from uav_recon.interfaces import Channel
-from uav_recon.safety.free_space_check import KnownFree
-from uav_recon.safety.obstacle_speed_limit import Ahead
-from uav_recon.safety.recently_seen_space import Sight
+from uav_recon.safety.free_space_check import FreeSpaceCheck
+from uav_recon.safety.obstacle_speed_limit import ForwardDepth
+from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.maps import FreeSpace
-from uav_recon.types.min_range_grid import Nearby
+from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import StampedPose
 
 _FUTURE_S = 0.1
 _PAST_S, _BESIDE_S = 0.5, 0.04  # poses are kept for so long; one so far from a frame's stamp is not its pose
 
 
-class Lookout:
+class Surroundings:
     """Keeps the newest of both, ready to be asked. A frame with too few returns, or an old one, is none.
 
     One that is not believed keeps the vehicle off what it shows as near, and is none for anything else.
     """
 
     def __init__(
-        self, free: Channel[FreeSpace], nearby: Channel[Nearby], sight: Sight, hull_radius_m: float, hull_height_m: float
+        self,
+        free: Channel[FreeSpace],
+        nearby: Channel[MinRangeGrid],
+        sight: RecentlySeenSpace,
+        hull_radius_m: float,
+        hull_height_m: float,
     ) -> None:
         self._free, self._nearby, self._sight = free, nearby, sight
         self._radius_m, self._height_m = hull_radius_m, hull_height_m
         self._free_heard: FreeSpace | None = None
-        self._nearby_heard: Nearby | None = None
-        self.known_free: KnownFree | None = None
-        self.ahead: Ahead | None = None
+        self._nearby_heard: MinRangeGrid | None = None
+        self.known_free: FreeSpaceCheck | None = None
+        self.ahead: ForwardDepth | None = None
         self._believed_s, self._neighbourhood = -math.inf, Neighbourhood()
         self._past: deque[StampedPose] = deque()
-        self.intruder: Intruder | None = None  # in the newest frame that is believed
+        self.intruder: SuddenObstacle | None = None  # in the newest frame that is believed
 
     def step(self, pose: StampedPose | None, now_s: float) -> None:
         """Take over what is new. Raises nothing: a record that makes no sense is none.
@@ -51,14 +56,18 @@ class Lookout:
         free = newest(self._free, self._free_heard)
         if free is not None:
             self._free_heard = free
-            if tells_of_space(free):
-                self.known_free = KnownFree(free, self._radius_m, self._height_m)
+            if is_valid_free_space(free):
+                self.known_free = FreeSpaceCheck(free, self._radius_m, self._height_m)
         nearby = newest(self._nearby, self._nearby_heard)
         self._nearby_heard = nearby or self._nearby_heard
-        if nearby is None or not (tells_of_depth(nearby) and Ahead.tells(nearby)) or not nearby.stamp_s <= now_s + _FUTURE_S:
+        if (
+            nearby is None
+            or not (is_valid_range_grid(nearby) and ForwardDepth.tells(nearby))
+            or not nearby.stamp_s <= now_s + _FUTURE_S
+        ):
             return
         if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
-            self.ahead = Ahead(nearby, self._radius_m)
+            self.ahead = ForwardDepth(nearby, self._radius_m)
             self._believed_s = nearby.stamp_s if nearby.believed else self._believed_s
             then = min(self._past, key=lambda past: abs(past.stamp_s - nearby.stamp_s), default=None)
             if then is not None and abs(then.stamp_s - nearby.stamp_s) <= _BESIDE_S and nearby.believed:

@@ -9,7 +9,7 @@ from uav_recon.autopilot.mavlink.telemetry import Telemetry
 _TILT_RAD = math.radians(15.0)
 
 
-class LiftOff:
+class TakeoffMonitor:
     """From the first word that makes it climb until it is LIFTED_M up. within_s: how long that may take; PX4 spools up for a
     second and ramps for half a second (MPC_TKO_RAMP_T), and by itself stops the motors after five.
     """

@@ -23,11 +23,11 @@ from uav_recon.bench.mapper import seeded_views, training_run
 from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH, MapperBench, write_json
 from uav_recon.bench.mapper.mapper_tables import figure
 from uav_recon.bench.planner.planner_tables import narrow_table
-from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.keyframes.ray_buffer import MOST_VIEWS
-from uav_recon.mapping.neural.neural_mapper import Trainer
-from uav_recon.mapping.neural.worker.checkpoint import Checkpoints
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
+from uav_recon.mapping.neural.worker.checkpoint import MapperCheckpoints
 
 PARTS = 10
 HOURS = (0.01, 10.0)
@@ -104,7 +104,7 @@ def endure(
     when_full: training_run.Accuracy | None = None
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        keyframes, checkpoints = KeyframeFolder(folder / "keyframes"), Checkpoints(folder / "checkpoint", {"seed": seed})
+        keyframes, checkpoints = KeyframeFolder(folder / "keyframes"), MapperCheckpoints(folder / "checkpoint", {"seed": seed})
         laps: list[list[float]] = []
         for n in range(count):
             if not len(order):
@@ -141,9 +141,9 @@ def endure(
     return Endurance(parts, when_full, _accuracy(trainer, scene))
 
 
-def _accuracy(trainer: Trainer, scene: seeded_views.MapperScene) -> training_run.Accuracy:
+def _accuracy(trainer: NeuralMapper, scene: seeded_views.MapperScene) -> training_run.Accuracy:
     mesh = trainer.mesh(training_run.MESH_VOXEL_M)
-    return training_run.against_truth(Surface(mesh.vertices_world, mesh.faces), scene)
+    return training_run.against_truth(TriangleSurface(mesh.vertices_world, mesh.faces), scene)
 
 
 def _show(console: Console, result: Endurance, title: str) -> None:

@@ -13,12 +13,12 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from uav_recon.app.option_validation import UsageError, need_file
+from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run, tsdf_baseline
-from uav_recon.errors import EXIT_FAILURE, Failure
-from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.errors import EXIT_FAILURE, UserError
+from uav_recon.evaluation.triangle_surface import TriangleSurface
 
 PRINTED_WIDTH = 100  # where no terminal says
 VIEWS, STEPS = (4, 2000), (1, 200)
@@ -47,7 +47,7 @@ class MapperBench:
 
     def checked(self) -> seeded_views.SceneOptions:
         """Raises Failure in one line."""
-        need_file("--json", self.json)
+        require_writable_file("--json", self.json)
         if not VIEWS[0] <= self.views <= VIEWS[1]:
             raise UsageError(f"--views {self.views}: want {VIEWS[0]} to {VIEWS[1]}")
         if not STEPS[0] <= self.steps_per_view <= STEPS[1]:
@@ -90,7 +90,7 @@ def write_json(result: Result, path: Path) -> None:
     try:
         path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
-        raise Failure(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
+        raise UserError(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
 
 
 def ticking(progress: Progress, name: str, total: int) -> training_run.Tick:
@@ -114,7 +114,7 @@ def _measured(scene: seeded_views.MapperScene, wanted: MapperBench, factor_befor
     run = training_run.online(scene, wanted.steps_per_view, wanted.seed, ticking(progress, "view by view", views))
     room = training_run.room_extraction(run.trainer)
     mesh = run.trainer.mesh(training_run.MESH_VOXEL_M)
-    quality = training_run.against_truth(Surface(mesh.vertices_world, mesh.faces), scene)
+    quality = training_run.against_truth(TriangleSurface(mesh.vertices_world, mesh.faces), scene)
     psnr_db = training_run.picture_psnr_db(run.trainer, run.trainer.painted(), scene.pictures)
     unpainted_db = training_run.picture_psnr_db(run.trainer, run.trainer.field, scene.pictures)
     looks = training_run.RECALL_STEPS // training_run.RECALL_EVERY
@@ -168,7 +168,7 @@ def _compared(
     if options.pose_sigma != (0.0, 0.0) or wanted.exposure:
         trainer = training_run.learned(shown, steps, seed, False, ticking(progress, "without corrections", views))
         mesh = trainer.mesh(training_run.MESH_VOXEL_M)
-        quality = training_run.against_truth(Surface(mesh.vertices_world, mesh.faces), plain)
+        quality = training_run.against_truth(TriangleSurface(mesh.vertices_world, mesh.faces), plain)
         result["uncorrected"] = asdict(quality) | {
             "psnr_db": training_run.picture_psnr_db(trainer, trainer.painted(), shown.pictures)
         }

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from uav_recon.app.option_validation import UsageError
-from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.sensors.stream_camera import depth_table
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 if TYPE_CHECKING:
-    from sitl.apps.scene_captures import Captures
+    from sitl.apps.scene_captures import SceneCaptures
     from sitl.camera.d435i import Model, Noise
 
 TRUTH_POINTS, TRUTH_SEED = 300_000, 20240319
@@ -43,7 +43,7 @@ class SceneOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class PictureRays:
+class ImageRays:
     """Held-out pixels whose surface some view saw in depth and colour: rays (N, 3) in world, true rgb (N, 3), and the
     number of the picture (N,), ascending, to which each belongs.
     """  # fmt: skip
@@ -67,10 +67,10 @@ class MapperScene:
     high_m: FloatArray
     depth_noise_px: float
     keyframes: tuple[PosedFrame, ...]
-    surface: Surface
+    surface: TriangleSurface
     points: FloatArray
     coloured: BoolArray
-    pictures: PictureRays
+    pictures: ImageRays
 
 
 def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> MapperScene:
@@ -79,7 +79,7 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
     say(what) is called as the work goes on.
     """
     from sitl.apps import scene_captures as outside
-    from sitl.apps.flight_judge import truth_cut
+    from sitl.apps.flight_judge import visible_truth
     from sitl.apps.sim_options import NOISE_PX, SimOptions
     from sitl.scene.mesh_sampling import area_weighted_samples
     from sitl.scene.scene import SceneError, load_scene
@@ -94,7 +94,7 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
     except SceneError as error:
         raise UsageError(str(error)) from None
     say("cutting truth to what the vehicle could see")
-    cut = truth_cut(wanted, scene)
+    cut = visible_truth(wanted, scene)
     pitch_deg = wanted.mount_pitch_down_deg
     say(f"taking {options.views} views")
     taken = outside.capture(
@@ -114,10 +114,10 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
         scene.fence_max,
         NOISE_PX[options.depth_noise],
         _keyframes(taken, options),
-        Surface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
+        TriangleSurface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
         samples[seen].astype(np.float64),
         coloured[: len(samples)][seen],
-        PictureRays(pixels.origin[shown], pixels.direction[shown], pixels.rgb[shown], pixels.picture[shown]),
+        ImageRays(pixels.origin[shown], pixels.direction[shown], pixels.rgb[shown], pixels.picture[shown]),
     )
 
 
@@ -148,7 +148,7 @@ def _brighter(ev: float) -> ByteArray:
     return table
 
 
-def _keyframes(taken: Captures, options: SceneOptions) -> tuple[PosedFrame, ...]:
+def _keyframes(taken: SceneCaptures, options: SceneOptions) -> tuple[PosedFrame, ...]:
     """The product's own values, with the errors of the poses that the product would be told."""
     metres = depth_table(*DEPTH_RANGE_M)
     header, rng = taken.header, np.random.default_rng([options.seed, 1])

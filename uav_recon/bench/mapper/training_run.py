@@ -12,15 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.bench import host_info
-from uav_recon.bench.mapper.seeded_views import MapperScene, PictureRays
+from uav_recon.bench.mapper.seeded_views import ImageRays, MapperScene
 from uav_recon.bench.mapper.sparsification import ause
-from uav_recon.bench.planner.stage_timing import Spread
+from uav_recon.bench.planner.stage_timing import TimingSummary
 from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.evaluation.metrics import PSNR_CAP_DB, share_within
 from uav_recon.evaluation.recall import ElementRecall
-from uav_recon.evaluation.triangle_surface import Surface
-from uav_recon.mapping.neural.neural_mapper import Trainer
-from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.evaluation.triangle_surface import TriangleSurface
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
+from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import Float32Array
 
@@ -51,21 +51,21 @@ class Accuracy:
 class Online:
     """One view after the other. The first two and the last are spreads over views; *_wall_ms beside them by the clock."""
 
-    trainer: Trainer
-    step: Spread
-    step_wall: Spread
-    view_update: Spread
-    view_update_wall: Spread
-    extraction_view: Spread
+    trainer: NeuralMapper
+    step: TimingSummary
+    step_wall: TimingSummary
+    view_update: TimingSummary
+    view_update_wall: TimingSummary
+    extraction_view: TimingSummary
     memory_mb: float
     ause_all: float | None
     ause_observed: float | None
 
 
-def make_trainer(scene: MapperScene, steps_per_view: int, seed: int) -> Trainer:
+def make_trainer(scene: MapperScene, steps_per_view: int, seed: int) -> NeuralMapper:
     """A mapper of the scene's box."""
     config = MapperConfig(seed=seed, steps_per_view=steps_per_view)
-    return Trainer(config, scene.low_m, scene.high_m, scene.depth_noise_px, 0.05)
+    return NeuralMapper(config, scene.low_m, scene.high_m, scene.depth_noise_px, 0.05)
 
 
 def online(scene: MapperScene, steps_per_view: int, seed: int, tick: Tick = lambda: None) -> Online:
@@ -95,7 +95,7 @@ def online(scene: MapperScene, steps_per_view: int, seed: int, tick: Tick = lamb
     )  # fmt: skip
 
 
-def learned(scene: MapperScene, steps_per_view: int, seed: int, correct: bool, tick: Tick = lambda: None) -> Trainer:
+def learned(scene: MapperScene, steps_per_view: int, seed: int, correct: bool, tick: Tick = lambda: None) -> NeuralMapper:
     """The same views one by one, untimed; without ``correct`` poses and exposures are taken as they are told."""
     trainer = make_trainer(scene, steps_per_view, seed)
     trainer.align_views = trainer.learn_gains = correct
@@ -117,7 +117,7 @@ def colour_sigmas(scene: MapperScene, steps_per_view: int, seeds: Iterable[int],
     return {name: float(mean) for name, mean in zip(COLOUR_SIGMAS, means, strict=True)}
 
 
-def uncertainty_scores(trainer: Trainer, truth: Surface) -> tuple[float | None, float | None]:
+def uncertainty_scores(trainer: NeuralMapper, truth: TriangleSurface) -> tuple[float | None, float | None]:
     """AUSE of the mapper's uncertainty over every vertex of the field's surface, and over those that were observed."""
     whole = trainer.whole_surface(WHOLE_VOXEL_M)
     error = truth.distance_m(whole.vertices.astype(np.float64))
@@ -125,7 +125,7 @@ def uncertainty_scores(trainer: Trainer, truth: Surface) -> tuple[float | None, 
     return ause(error, uncertainty), ause(error[whole.observed], uncertainty[whole.observed])
 
 
-def room_extraction(trainer: Trainer) -> Spread:
+def room_extraction(trainer: NeuralMapper) -> TimingSummary:
     """Elements of the whole room from nothing, some times over."""
     took = []
     for _ in range(ROOM_RUNS):
@@ -158,7 +158,7 @@ def time_to_recall(scene: MapperScene, seed: int, tick: Tick = lambda: None) -> 
     return reached
 
 
-def against_truth(model: Surface, scene: MapperScene, seed: int = 0) -> Accuracy:
+def against_truth(model: TriangleSurface, scene: MapperScene, seed: int = 0) -> Accuracy:
     """Point to surface both ways, 300,000 points drawn on the model by area."""
     to_truth_m = scene.surface.distance_m(model.sample(SAMPLES, seed))
     to_model_m = model.distance_m(scene.points)
@@ -171,7 +171,7 @@ def against_truth(model: Surface, scene: MapperScene, seed: int = 0) -> Accuracy
     )
 
 
-def picture_psnr_db(trainer: Trainer, field: LearnedField, pictures: PictureRays) -> float | None:
+def picture_psnr_db(trainer: NeuralMapper, field: SdfField, pictures: ImageRays) -> float | None:
     """Mean over held-out pictures, drawn through a trainer's field, painted or not; a pixel that meets no surface is black."""
     if not len(pictures.rgb):
         return None
@@ -186,7 +186,7 @@ def picture_psnr_db(trainer: Trainer, field: LearnedField, pictures: PictureRays
 def warm_up(keyframe: PosedFrame) -> None:
     """Compile everything that is timed."""
     position = keyframe.world_from_depth.translation_m
-    trainer = Trainer(MapperConfig(), position - 1.5, position + 1.5, 0.02, 0.05)
+    trainer = NeuralMapper(MapperConfig(), position - 1.5, position + 1.5, 0.02, 0.05)
     trainer.warm_up()
     trainer.add(keyframe)
     trainer.train(2)
@@ -201,6 +201,6 @@ def _clocks() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     return np.array([time.thread_time() * 1e3, time.perf_counter() * 1e3])
 
 
-def _spreads(took: list[np.ndarray[tuple[int], np.dtype[np.float64]]]) -> tuple[Spread, Spread]:
+def _spreads(took: list[np.ndarray[tuple[int], np.dtype[np.float64]]]) -> tuple[TimingSummary, TimingSummary]:
     columns = np.array(took).reshape(-1, 2)
-    return Spread.of(columns[:, 0]), Spread.of(columns[:, 1])
+    return TimingSummary.of(columns[:, 0]), TimingSummary.of(columns[:, 1])

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uav_recon.evaluation.triangle_surface import Surface
+from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.types.camera import PosedFrame
 
 VOXEL_M = 0.02
@@ -15,7 +15,7 @@ BLOCK, BLOCKS = 8, 40_000
 DEPTH_MAX_M = 6.0
 
 
-def tsdf_surface(keyframes: tuple[PosedFrame, ...], tick: Callable[[], None] = lambda: None) -> Surface:
+def tsdf_surface(keyframes: tuple[PosedFrame, ...], tick: Callable[[], None] = lambda: None) -> TriangleSurface:
     """Fuse depth with the poses that are told; surface wherever any view measured one. By Open3D, on the CPU.
 
     About 0.1 s a view. Geometry only. Open3D's own habit, surface where three views agree, costs it a tenth of the recall
@@ -44,4 +44,4 @@ def tsdf_surface(keyframes: tuple[PosedFrame, ...], tick: Callable[[], None] = l
         tick()
     mesh = grid.extract_triangle_mesh(weight_threshold=0.0).cpu()
     vertices = mesh.vertex.positions.numpy().astype(np.float64)
-    return Surface(vertices, mesh.triangle.indices.numpy().astype(np.int64).reshape(-1, 3))
+    return TriangleSurface(vertices, mesh.triangle.indices.numpy().astype(np.int64).reshape(-1, 3))

@@ -16,7 +16,7 @@ from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run
 from uav_recon.bench.mapper.mapper_bench import VIEWS, MapperBench, ticking, write_json
 from uav_recon.bench.mapper.sparsification import ause, spearman
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 
 PRINTED_WIDTH = 100  # where no terminal says
 RANDOM_SEED = 20240320
@@ -78,7 +78,7 @@ def partial_maps(
     return maps
 
 
-def _scores(trainer: Trainer, scene: seeded_views.MapperScene) -> Result:
+def _scores(trainer: NeuralMapper, scene: seeded_views.MapperScene) -> Result:
     whole = trainer.whole_surface(training_run.WHOLE_VOXEL_M)
     error = scene.surface.distance_m(whole.vertices.astype(np.float64))
     seen = whole.observed

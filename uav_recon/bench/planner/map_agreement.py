@@ -14,15 +14,15 @@ _ONE_VOXEL = np.ones((3, 3, 3), dtype=bool)
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
+class MapAgreement:
     """share: voxels whose state the reference has in that voxel or in one of its 26 neighbours; occupied_freed: a count."""
 
     share: float
     occupied_freed: int
 
 
-def agreement(state: ByteArray, reference: ByteArray) -> Agreement:
+def agreement(state: ByteArray, reference: ByteArray) -> MapAgreement:
     """Compare two maps (nx, ny, nz) uint8; walls that lie on voxel borders fall to either side, hence the one voxel."""
     near = [ndimage.binary_dilation(reference == value, _ONE_VOXEL) for value in (UNKNOWN, FREE, OCCUPIED)]
     freed = np.count_nonzero((state == FREE) & (reference == OCCUPIED))
-    return Agreement(float(np.choose(state, near).mean()), int(freed))
+    return MapAgreement(float(np.choose(state, near).mean()), int(freed))

@@ -10,7 +10,7 @@ from uav_recon.bench.planner import path_oracle
 from uav_recon.mapping.occupancy.distance_field import distance2_to_not_free
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.frontier.frontiers import fence_box
-from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, GridSpec, VoxelMap
 
@@ -45,10 +45,10 @@ def compare(
     if not len(chosen):
         return None
     space = space_of(voxels, clearance_m, (low, high))
-    ways = Ways(space)
+    ways = PathCache(space)
     ours, exact = [], []
     for start, goal in chosen:
-        exact.append(path_oracle.length_of(path_oracle.shortest_way(mask, start, goal)) * grid.resolution_m)
+        exact.append(path_oracle.length_of(path_oracle.shortest_path(mask, start, goal)) * grid.resolution_m)
         ours.append(_planned_m(space, ways, start, goal))
     excess = np.array(ours) / np.array(exact) - 1.0
     return PathLengths(
@@ -68,7 +68,7 @@ def space_of(voxels: VoxelMap, clearance_m: float, box: tuple[IntArray, IntArray
     return space
 
 
-def _planned_m(space: FlyableSpace, ways: Ways, start: IntArray, goal: IntArray) -> float:
+def _planned_m(space: FlyableSpace, ways: PathCache, start: IntArray, goal: IntArray) -> float:
     """Length between two voxels (3,) that can reach each other."""
     start_m = space.grid.centre(start)
     exit_cells = space.stand(start_m)

@@ -44,7 +44,7 @@ def connected_pairs(mask: BoolArray, count: int, seed: int) -> IntArray:
     return np.stack([cells[rng.choice(len(cells), 2, replace=False)] for _ in range(count)])
 
 
-def shortest_way(mask: BoolArray, start: IntArray, goal: IntArray) -> FloatArray:
+def shortest_path(mask: BoolArray, start: IntArray, goal: IntArray) -> FloatArray:
     """Points (M, 3) in voxels, cell centres, from ``start`` to ``goal``: an exact 26-grid path and its tightest pulling.
 
     Of all subsequences of the path's cells whose lines stay in the mask, the shortest. Raises ValueError if there is no path.

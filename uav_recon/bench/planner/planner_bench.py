@@ -14,7 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from uav_recon.app.option_validation import UsageError, need_file
+from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import Calibration, calibrate
 from uav_recon.bench.planner import builtin_building, path_lengths, planner_tables, scaling, tours
@@ -22,7 +22,7 @@ from uav_recon.bench.planner.map_agreement import agreement
 from uav_recon.bench.planner.recorded_stream import SIZE, STRIDE, Recording, load
 from uav_recon.bench.planner.replay import judged_views, mapped_of, timed_plans, timed_stages
 from uav_recon.bench.planner.stages import MOUNTS_RAD, STAGES, warm_up
-from uav_recon.errors import EXIT_FAILURE, Failure
+from uav_recon.errors import EXIT_FAILURE, UserError
 from uav_recon.planning.tour import atsp
 from uav_recon.types.maps import UNKNOWN
 
@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 def bench_planner(stream: Path | None, size: str | None, stride: int | None, scale: bool, json_path: Path | None) -> int:
     """Measure, print tables, write JSON. size and stride are a stream's. Raises Failure in one line for bad input."""
-    need_file("--json", json_path)
+    require_writable_file("--json", json_path)
     for option, value in (("--size", size), ("--stride", stride)):
         if stream is None and value is not None:
             raise UsageError(f"{option} {value}: is of a --stream, and none is given")
@@ -70,7 +70,7 @@ def _write(result: Result, path: Path) -> None:
     try:
         path.write_text(json.dumps(_without_nan(result), indent=1) + "\n", encoding="utf-8")
     except OSError as error:
-        raise Failure(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
+        raise UserError(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
 
 
 def _without_nan(value: Any) -> Any:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.app.option_validation import UsageError, looked_at
+from uav_recon.app.option_validation import UsageError, readable
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, ByteArray, FloatArray
 from uav_recon.types.maps import GridSpec
@@ -62,7 +62,7 @@ def recorded(depth_m: AnyArray, world_from_camera: Pose, lens: Intrinsics, seque
 
 def load(folder: Path, size: str = SIZE, stride: int = STRIDE) -> Recording:
     """Read a stream at one of its sizes. Raises UsageError in one line for what is wrong."""
-    with looked_at(f"--stream {folder}"):
+    with readable(f"--stream {folder}"):
         there = folder.is_dir()
     if not there:
         raise UsageError(f"--stream {folder}: no such folder; want a folder with meta.json, poses.npy and depth_WxH.npz")

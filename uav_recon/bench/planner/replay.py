@@ -9,8 +9,8 @@ from collections.abc import Iterable
 
 from uav_recon.bench.planner import view_oracle
 from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, Recording
-from uav_recon.bench.planner.stage_timing import LapTable, Stopwatch
-from uav_recon.bench.planner.stages import Mapped, Mount, Stages, oracle_lens, request_of
+from uav_recon.bench.planner.stage_timing import StageTimings, Stopwatch
+from uav_recon.bench.planner.stages import Mapped, Mount, PlannerStages, oracle_lens, request_of
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.camera import PosedFrame
 
@@ -27,7 +27,7 @@ class Timed:
     """Laps of a replay, by the wall's clock and of the processor."""
 
     def __init__(self) -> None:
-        self.wall, self.cpu = LapTable(), LapTable()
+        self.wall, self.cpu = StageTimings(), StageTimings()
 
     def add(self, watch: Stopwatch) -> None:
         """Keep a frame."""
@@ -38,7 +38,7 @@ class Timed:
 def timed_stages(recording: Recording, frames: Iterable[PosedFrame]) -> Timed:
     """The laps of STAGES."""
     mapped, timed = mapped_of(recording), Timed()
-    stages = Stages(mapped)
+    stages = PlannerStages(mapped)
     mapped.start(recording.frames[0])
     for posed in frames:
         watch = Stopwatch()
@@ -63,7 +63,7 @@ def timed_plans(mapped: Mapped, planner: ViewPlanner, frames: Iterable[PosedFram
 def judged_views(recording: Recording, frames: Iterable[PosedFrame], mount: Mount) -> list[float]:
     """What each chosen view sees of its frontier, over what the best of 1,000 random views sees of it; every few frames."""
     mapped = mapped_of(recording, mount)
-    stages, lens = Stages(mapped), oracle_lens(mapped.camera, RESOLUTION_M)
+    stages, lens = PlannerStages(mapped), oracle_lens(mapped.camera, RESOLUTION_M)
     shell = (SHELL_M[0] / RESOLUTION_M, SHELL_M[1] / RESOLUTION_M)
     mapped.start(recording.frames[0])
     ratios = []

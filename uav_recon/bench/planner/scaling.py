@@ -17,7 +17,7 @@ import numpy as np
 from uav_recon.bench.host_info import resident_mb
 from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, Recording
 from uav_recon.bench.planner.replay import timed_plans
-from uav_recon.bench.planner.stage_timing import Spread, Stopwatch
+from uav_recon.bench.planner.stage_timing import Stopwatch, TimingSummary
 from uav_recon.bench.planner.stages import WHOLE, Mapped, request_of
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
@@ -39,7 +39,7 @@ class Size:
     copies: int
     area_m2: float
     voxels: tuple[int, int, int]
-    stages: dict[str, Spread]
+    stages: dict[str, TimingSummary]
     memory_mb: float
 
 

@@ -11,7 +11,7 @@ from uav_recon.types.frames import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class TimingSummary:
     """Median, 95th percentile and largest of many times."""
 
     median_ms: float
@@ -19,15 +19,15 @@ class Spread:
     max_ms: float
 
     @staticmethod
-    def of(took_ms: FloatArray | list[float]) -> Spread:
+    def of(took_ms: FloatArray | list[float]) -> TimingSummary:
         """Nothing measured is nan."""
         if not len(took_ms):
-            return Spread(np.nan, np.nan, np.nan)
-        return Spread(float(np.median(took_ms)), float(np.percentile(took_ms, 95)), float(np.max(took_ms)))
+            return TimingSummary(np.nan, np.nan, np.nan)
+        return TimingSummary(float(np.median(took_ms)), float(np.percentile(took_ms, 95)), float(np.max(took_ms)))
 
-    def divided_by(self, factor: float) -> Spread:
+    def divided_by(self, factor: float) -> TimingSummary:
         """Return what the reference machine would have taken."""
-        return Spread(*(value / factor for value in asdict(self).values()))
+        return TimingSummary(*(value / factor for value in asdict(self).values()))
 
 
 class Stopwatch:
@@ -53,7 +53,7 @@ class Stopwatch:
         self._last_s, self._last_cpu_s = now_s, now_cpu_s
 
 
-class LapTable:
+class StageTimings:
     """The laps of many frames, by one of the clocks."""
 
     def __init__(self) -> None:
@@ -72,6 +72,6 @@ class LapTable:
         summed: FloatArray = np.array(rows, dtype=np.float64).reshape(-1, len(stages)).sum(axis=1)
         return summed
 
-    def spread(self, *stages: str) -> Spread:
+    def spread(self, *stages: str) -> TimingSummary:
         """Of the sum of these stages."""
-        return Spread.of(self.per_frame_ms(stages))
+        return TimingSummary.of(self.per_frame_ms(stages))

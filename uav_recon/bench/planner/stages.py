@@ -14,19 +14,19 @@ import numpy as np
 
 from uav_recon.bench.planner.recorded_stream import Recording
 from uav_recon.bench.planner.stage_timing import Stopwatch
-from uav_recon.bench.planner.view_oracle import Frontier, Lens
+from uav_recon.bench.planner.view_oracle import Lens, OracleFrontier
 from uav_recon.config import MotionConfig, PlannerConfig, VoxelConfig
-from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, Voxels
+from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
 from uav_recon.planning import view_planner
 from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
-from uav_recon.planning.candidate_view import Proposal
+from uav_recon.planning.candidate_view import CandidateView
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.frontier.frontier_views import FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
-from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.planning.presets import derived
 from uav_recon.planning.task_generation import MOST_FRONTIERS, places_of
-from uav_recon.planning.tour.travel_time import TurningOnTheWay, time_costs
+from uav_recon.planning.tour.travel_time import YawWhileFlying, time_costs
 from uav_recon.planning.variants import variant
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.camera import Intrinsics, PosedFrame
@@ -68,15 +68,15 @@ class ChosenView:
     """A view that the planner chose for a frontier: (x, y, z, yaw, pitch down), lengths in voxels."""
 
     view: FloatArray
-    frontier: Frontier
+    frontier: OracleFrontier
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Decision:
+class BenchDecision:
     """What one frame came to: tasks, and the order (M,) in which a tour visits those that cannot wait, of ``tasks``."""
 
     voxels: VoxelMap
-    tasks: tuple[Proposal, ...]
+    tasks: tuple[CandidateView, ...]
     order: IntArray
 
 
@@ -119,7 +119,7 @@ class Mapped:
         self.camera = camera_of(recording.lens, recording.max_range_m, mount)
         self.config = derived(PlannerConfig(variant="explore"), *fence_m, self.camera)
         low, high = (tuple(corner.tolist()) for corner in fence_m)
-        self.voxels = Voxels(
+        self.voxels = OccupancyMap(
             grid, SENSOR, recording.max_range_m, low, high, VoxelConfig().distance_cap_m, pixel_stride=recording.stride
         )
 
@@ -140,24 +140,24 @@ class Mapped:
     def planner(self) -> ViewPlanner:
         """A planner for this map's fence and camera."""
         motion = MotionConfig()
-        price = TurningOnTheWay(motion.speed_mps, math.radians(motion.yaw_rate_degps))
+        price = YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
         return ViewPlanner(self.config, *self.fence_m, self.camera, price)
 
 
-class Stages:
+class PlannerStages:
     """The planner's stages over a map."""
 
     def __init__(self, mapped: Mapped) -> None:
         grid, self._mapped, motion = mapped.voxels.grid, mapped, MotionConfig()
         inset_m = mapped.config.clearance_m
         self._space = FlyableSpace(grid, inset_m, *fence_box(grid, mapped.fence_m[0] + inset_m, mapped.fence_m[1] - inset_m))
-        self._frontiers, self._ways = Frontiers(), Ways(self._space)
+        self._frontiers, self._ways = Frontiers(), PathCache(self._space)
         self._views = FrontierViews(mapped.config, mapped.camera)
         self._choice = variant(mapped.config.variant, mapped.config).choice
         self._none_ignored = np.zeros(grid.shape, dtype=np.uint8)
-        self._price = TurningOnTheWay(motion.speed_mps, math.radians(motion.yaw_rate_degps))
+        self._price = YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
 
-    def decide(self, voxels: VoxelMap, posed: PosedFrame, watch: Stopwatch) -> Decision:
+    def decide(self, voxels: VoxelMap, posed: PosedFrame, watch: Stopwatch) -> BenchDecision:
         """Plan from the pose of a frame; the laps are those of STAGES."""
         place = posed.world_from_depth.translation_m
         watch.restart()
@@ -167,19 +167,19 @@ class Stages:
         exit_cells = self._space.stand(place)
         watch.lap("space")
         if exit_cells is None:
-            return Decision(voxels, (), NOTHING)
+            return BenchDecision(voxels, (), NOTHING)
         nearest = self._views.update(voxels, self._space, self._frontiers, place).proposals[:MOST_FRONTIERS]
         gains = self._frontiers.beyond(voxels, [one.promised for one in nearest])
         tasks = [one.gaining(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
         watch.lap("views")
-        return Decision(voxels, tuple(tasks), self._tour(exit_cells, posed, tasks, watch))
+        return BenchDecision(voxels, tuple(tasks), self._tour(exit_cells, posed, tasks, watch))
 
     def reachable(self) -> BoolArray:
         """Voxels (nx, ny, nz) that the vehicle could fly to when the last decision was made."""
         mask: BoolArray = self._space.reachable[1:-1, 1:-1, 1:-1] > 0
         return mask
 
-    def _tour(self, exit_cells: IntArray, posed: PosedFrame, tasks: list[Proposal], watch: Stopwatch) -> IntArray:
+    def _tour(self, exit_cells: IntArray, posed: PosedFrame, tasks: list[CandidateView], watch: Stopwatch) -> IntArray:
         if not tasks:
             return NOTHING
         self._ways.update(exit_cells, posed.world_from_depth.translation_m, places_of(tasks))
@@ -189,18 +189,18 @@ class Stages:
         watch.lap("order")
         return order - 1
 
-    def chosen(self, decision: Decision) -> tuple[ChosenView, ...]:
+    def chosen(self, decision: BenchDecision) -> tuple[ChosenView, ...]:
         """The views of a decision's tasks, each with the frontier that it was chosen for; only of the last decision."""
         return tuple(self._chosen(decision.voxels.grid, task) for task in decision.tasks)
 
-    def _chosen(self, grid: GridSpec, proposal: Proposal) -> ChosenView:
+    def _chosen(self, grid: GridSpec, proposal: CandidateView) -> ChosenView:
         view = proposal.task.viewpoint
         place = (view.position_world - grid.origin_world_m) / grid.resolution_m
         centre = (proposal.task.centroid_world - grid.origin_world_m) / grid.resolution_m
         rows = self._frontiers.rows()
         away2 = ((self._frontiers.table.centre[rows] - centre) ** 2).sum(axis=1)
         cells = self._frontiers.cluster(int(rows[np.argmin(away2)])).cells
-        return ChosenView(np.array([*place, view.yaw_rad, view.pitch_down_rad]), Frontier(cells, *self._mapped.fence))
+        return ChosenView(np.array([*place, view.yaw_rad, view.pitch_down_rad]), OracleFrontier(cells, *self._mapped.fence))
 
 
 def request_of(voxels: VoxelMap, posed: PosedFrame) -> PlanRequest:
@@ -219,7 +219,7 @@ def warm_up(recording: Recording) -> None:
     mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
     mapped.voxels.warm_up()
     view_planner.warm_up(mapped.config.variant)
-    stages, whole = Stages(mapped), mapped.planner()
+    stages, whole = PlannerStages(mapped), mapped.planner()
     mapped.start(recording.frames[0])
     for posed in recording.frames[:WARM_FRAMES]:
         voxels = mapped.fuse(posed, Stopwatch())

@@ -19,14 +19,14 @@ from rich.console import Console
 from rich.progress import track
 
 from uav_recon.app import factory
-from uav_recon.app.option_validation import UsageError, looked_at, need_file
+from uav_recon.app.option_validation import UsageError, readable, require_writable_file
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.planner.planner_tables import narrow_table
-from uav_recon.bench.planner.stage_timing import Spread, Stopwatch
-from uav_recon.errors import Failure
+from uav_recon.bench.planner.stage_timing import Stopwatch, TimingSummary
+from uav_recon.errors import UserError
 from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
-from uav_recon.planning.candidate_view import Situation
+from uav_recon.planning.candidate_view import PlanningContext
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.planning.presets import derived
@@ -45,8 +45,8 @@ Result = dict[str, Any]
 
 def bench_tasks(flight: Path, json_path: Path | None) -> int:
     """Measure, print a table, write JSON. Raises Failure in one line for a folder that is no whole flight."""
-    need_file("--json", json_path)
-    with looked_at(str(flight)):
+    require_writable_file("--json", json_path)
+    with readable(str(flight)):
         folder, flown = flight.is_dir(), (flight / "config.toml").is_file()
     if not folder:
         raise UsageError(f"{flight}: no such flight folder")
@@ -64,8 +64,8 @@ def bench_tasks(flight: Path, json_path: Path | None) -> int:
             phase: {
                 "plans": len(times[phase]),
                 "tasks": float(np.mean(tasks[phase])),
-                "cpu_ms": asdict(Spread.of(times[phase])),
-                "cpu_ms_calibrated": asdict(Spread.of(times[phase]).divided_by(calibration.cpu_factor)),
+                "cpu_ms": asdict(TimingSummary.of(times[phase])),
+                "cpu_ms_calibrated": asdict(TimingSummary.of(times[phase]).divided_by(calibration.cpu_factor)),
             }
             for phase in PHASES
         },
@@ -96,7 +96,7 @@ def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]]
             exit_cells = space.stand(position)
             if exit_cells is None:
                 continue
-            situation = Situation(voxels, space, exit_cells, position)
+            situation = PlanningContext(voxels, space, exit_cells, position)
             for phase, factor in zip(PHASES, (1.0, planner.end_factor), strict=True):
                 fresh = SurfaceElements(*surface, revision=(lap * len(moments) + n) * len(PHASES) + PHASES.index(phase))
                 watch = Stopwatch()
@@ -106,7 +106,7 @@ def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]]
                     times[phase].append(watch.cpu_ms[phase])
                     tasks[phase].append(len(found))
     if not times[PHASES[0]]:
-        raise Failure(f"{flight}: no keyframe stands where this vehicle may fly")
+        raise UserError(f"{flight}: no keyframe stands where this vehicle may fly")
     return times, tasks, len(moments[-1][0][0])
 
 

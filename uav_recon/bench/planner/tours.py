@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_recon.errors import Failure
+from uav_recon.errors import UserError
 from uav_recon.planning.tour.atsp import best_tour
 from uav_recon.types.frames import FloatArray, IntArray
 
@@ -56,9 +56,9 @@ def _case(path: Path, tour: Path, tasks: int) -> TourCase:
         costs = np.loadtxt(path, dtype=np.float64)
         order = np.array(tour.read_text(encoding="utf-8").splitlines()[0].split(), dtype=np.int64) + 1
     except (OSError, ValueError, IndexError) as error:
-        raise Failure(f"{path}: cannot be read as costs and a tour: {error}") from None
+        raise UserError(f"{path}: cannot be read as costs and a tour: {error}") from None
     if costs.shape != (tasks + 1, tasks + 1) or sorted(order) != list(range(1, tasks + 1)):
-        raise Failure(f"{path}: shape {costs.shape} and {len(order)} tasks in the tour, want {tasks}")
+        raise UserError(f"{path}: shape {costs.shape} and {len(order)} tasks in the tour, want {tasks}")
     return TourCase(tasks, costs, cost_of(costs, order))
 
 

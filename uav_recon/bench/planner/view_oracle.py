@@ -40,7 +40,7 @@ class Lens:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frontier:
+class OracleFrontier:
     """cells (N, 3): free voxels beside unknown ones. low, high (3,): the fence, [low, high)."""
 
     cells: IntArray
@@ -57,13 +57,13 @@ class Frontier:
         return np.column_stack([cell, around[cell, face]]).astype(np.int64)
 
 
-def cells_seen(state: ByteArray, lens: Lens, view: FloatArray, frontier: Frontier) -> int:
+def cells_seen(state: ByteArray, lens: Lens, view: FloatArray, frontier: OracleFrontier) -> int:
     """How many of the frontier's cells a view (x, y, z, yaw, pitch down) sees; the eye is at x, y, z."""
     return _count(state, lens.numbers(), view, frontier.targets(state), len(frontier.cells), 0)
 
 
 def best_seen(
-    state: ByteArray, lens: Lens, reachable: BoolArray, frontier: Frontier, shell: tuple[float, float], seed: int
+    state: ByteArray, lens: Lens, reachable: BoolArray, frontier: OracleFrontier, shell: tuple[float, float], seed: int
 ) -> int:
     """Most cells that any of 1,000 seeded random views sees: 0 if there is no place for one.
 

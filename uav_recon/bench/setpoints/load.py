@@ -18,7 +18,7 @@ from pathlib import Path
 
 from uav_recon import config as configuration
 from uav_recon.app import processes
-from uav_recon.app.flight_channels import file_wires
+from uav_recon.app.flight_channels import file_channels
 from uav_recon.bench.mapper import seeded_views, training_run
 
 LEARNING = "learning"  # a file of this name tells that all of it runs
@@ -32,7 +32,7 @@ def load_machine(config_path: Path, folder: Path, with_pilot: bool) -> None:
     options = seeded_views.SceneOptions(None, VIEWS, "d435i", "d435i", "fixed:15", (0.0, 0.0), 0)
     scene = seeded_views.load(options)
     training_run.warm_up(scene.keyframes[0])
-    wires = file_wires(configuration.load(config_path).runtime.folder)
+    wires = file_channels(configuration.load(config_path).runtime.folder)
 
     def learn() -> None:
         trainer = training_run.make_trainer(scene, STEPS_PER_VIEW, seed=0)

@@ -22,14 +22,14 @@ import numpy as np
 from rich.console import Console
 
 from uav_recon import config as configuration
-from uav_recon.app.option_validation import UsageError, need_file
+from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH, write_json
 from uav_recon.bench.planner.planner_tables import narrow_table
 from uav_recon.bench.setpoints import load as setpoint_load
 from uav_recon.config import Config
-from uav_recon.errors import Failure
+from uav_recon.errors import UserError
 from uav_recon.types.frames import FloatArray
 
 MINUTES = (0.1, 120.0)
@@ -42,7 +42,7 @@ _PILOT_FIFO = 50  # CPUSchedulingPriority of its unit
 
 
 @dataclass(frozen=True)
-class Steadiness:
+class SetpointRegularity:
     """Milliseconds between setpoints as they arrived; the last one ends with the time that was measured."""
 
     setpoints: int
@@ -63,12 +63,12 @@ class Steadiness:
         return self.p99_ms, self.p999_ms, self.max_ms
 
 
-def steadiness(arrivals_s: FloatArray, begin_s: float, end_s: float) -> Steadiness:
+def setpoint_regularity(arrivals_s: FloatArray, begin_s: float, end_s: float) -> SetpointRegularity:
     """Of the arrivals (N,) from begin_s to end_s. A stream that stops, or never came, is a gap to the end."""
     inside = arrivals_s[(arrivals_s >= begin_s) & (arrivals_s <= end_s)]
     gaps_ms = np.diff(np.concatenate([[begin_s], inside, [end_s]])) * 1e3
     median, p99, p999 = (float(np.percentile(gaps_ms, q, method="higher")) for q in (50, 99, 99.9))
-    return Steadiness(len(inside), len(inside) / (end_s - begin_s), median, p99, p999, float(gaps_ms.max()))
+    return SetpointRegularity(len(inside), len(inside) / (end_s - begin_s), median, p99, p999, float(gaps_ms.max()))
 
 
 def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path | None) -> int:
@@ -77,7 +77,7 @@ def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path |
         raise UsageError(f"--minutes {minutes:g}: want {MINUTES[0]:g} to {MINUTES[1]:g}")
     if autopilot not in AUTOPILOTS:
         raise UsageError(f"--autopilot {autopilot}: want one of {', '.join(AUTOPILOTS)}")
-    need_file("--json", json)
+    require_writable_file("--json", json)
     status = Console(stderr=True)
     with status.status("loading ...") as now:
         measured = measure(minutes * 60.0, negative, autopilot, lambda what: now.update(f"{what} ..."))
@@ -92,7 +92,7 @@ def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path |
     return int(measured.kept == negative)
 
 
-def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str], None] = lambda _: None) -> Steadiness:
+def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str], None] = lambda _: None) -> SetpointRegularity:
     """Start everything, fly for so long, end everything. Raises Failure."""
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as name, contextlib.ExitStack() as ends:
         folder = Path(name)
@@ -115,11 +115,11 @@ def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str],
         except subprocess.TimeoutExpired:
             flown = False
         if not flown and not negative:
-            raise Failure(f"the vehicle did not fly: {_last_words(log)}")
+            raise UserError(f"the vehicle did not fly: {_last_words(log)}")
         if not flown:  # the control kept it from the air: no setpoint came
-            return steadiness(np.zeros(0), 0.0, seconds)
+            return setpoint_regularity(np.zeros(0), 0.0, seconds)
         with np.load(out) as told:
-            return steadiness(told["arrivals_s"], float(told["begin_s"]), float(told["end_s"]))
+            return setpoint_regularity(told["arrivals_s"], float(told["begin_s"]), float(told["end_s"]))
 
 
 def _config(folder: Path, autopilot: str) -> Config:
@@ -147,9 +147,9 @@ def _config(folder: Path, autopilot: str) -> Config:
 @contextlib.contextmanager
 def _child(module: list[str], log: Path, niceness: int, fifo: int = 0) -> Iterator[subprocess.Popen[bytes]]:
     """A Python program of ours, as its unit runs it where we may; it ends with us, however we go, or with the block."""
-    from sitl.runtime.die_with_parent import leashed
+    from sitl.runtime.die_with_parent import die_with_parent_command
 
-    command = leashed([sys.executable, "-m", *module])
+    command = die_with_parent_command([sys.executable, "-m", *module])
     with log.open("ab") as out:
         process = subprocess.Popen(  # noqa: S603 - our own programs
             command, stdin=subprocess.PIPE, stdout=out, stderr=out, start_new_session=True
@@ -171,7 +171,7 @@ def _await(path: Path, process: subprocess.Popen[bytes], log: Path) -> None:
     deadline_s = time.monotonic() + _LOADED_S
     while not path.exists():
         if process.poll() is not None or time.monotonic() > deadline_s:
-            raise Failure(f"the load did not begin: {_last_words(log)}")
+            raise UserError(f"the load did not begin: {_last_words(log)}")
         time.sleep(0.2)
 
 
@@ -180,7 +180,7 @@ def _last_words(log: Path) -> str:
     return lines[-1].strip() if lines else "and nobody said why"
 
 
-def _show(console: Console, told: Steadiness, minutes: float, negative: bool, factor: float) -> None:
+def _show(console: Console, told: SetpointRegularity, minutes: float, negative: bool, factor: float) -> None:
     who = "the pilot as a thread of the load (negative control)" if negative else "the pilot as it flies"
     console.print(f"{who}: {told.setpoints} setpoints in {minutes:g} minutes, {told.rate_hz:.2f} a second", highlight=False)
     table = narrow_table("", "between two", "ms", "bar")

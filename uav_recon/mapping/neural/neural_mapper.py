@@ -8,26 +8,32 @@ from typing import Any
 import numpy as np
 
 from uav_recon.config import MapperConfig, UncertaintyName
-from uav_recon.mapping.neural.keyframes.exposure_compensation import Exposure
-from uav_recon.mapping.neural.keyframes.keyframe_buffer import Album
+from uav_recon.mapping.neural.keyframes.exposure_compensation import ExposureCompensation
+from uav_recon.mapping.neural.keyframes.keyframe_buffer import KeyframeBuffer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import (
     FEWEST_VIEWS,
-    Doubt,
-    Refusal,
-    Refusals,
+    ContradictionVote,
+    RejectCounts,
+    RejectReason,
     padded,
-    pose_refusal,
-    refusal,
+    pose_reject_reason,
+    reject_reason,
 )
-from uav_recon.mapping.neural.keyframes.pose_refinement import Alignment
+from uav_recon.mapping.neural.keyframes.pose_refinement import PoseRefinement
 from uav_recon.mapping.neural.keyframes.ray_records import in_rows
-from uav_recon.mapping.neural.keyframes.surfels import Patches
-from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.mapping.neural.keyframes.surfels import Surfels
+from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.mapping.neural.sdf_numba.ray_rendering import render_rays
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
-from uav_recon.mapping.neural.surface.colour_fusion import Painted
-from uav_recon.mapping.neural.surface.extraction import Evidence, WholeSurface, surface_elements, triangle_mesh, whole_surface
-from uav_recon.mapping.neural.surface.incremental_surface import LiveSurface
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
+from uav_recon.mapping.neural.surface.colour_fusion import ColourFusedField
+from uav_recon.mapping.neural.surface.extraction import (
+    MeasuredCells,
+    WholeSurface,
+    surface_elements,
+    triangle_mesh,
+    whole_surface,
+)
+from uav_recon.mapping.neural.surface.incremental_surface import IncrementalSurface
 from uav_recon.mapping.neural.surface.uncertainty import (
     ColourError,
     DepthInformation,
@@ -36,8 +42,8 @@ from uav_recon.mapping.neural.surface.uncertainty import (
     ProductUncertainty,
     SurfaceUncertainty,
 )
-from uav_recon.mapping.neural.training_data import Gathered
-from uav_recon.mapping.neural.training_step import Learner
+from uav_recon.mapping.neural.training_data import TrainingData
+from uav_recon.mapping.neural.training_step import NumbaTrainingStep
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
@@ -48,7 +54,7 @@ ALIGN_ROUNDS = 3  # for another learner, all views at once
 FINAL_RATE = 0.1  # the polish ends at this share of the learning rate
 
 
-class Trainer:
+class NeuralMapper:
     """The mapper without its process. box_min_m, box_max_m (3,): the room's box in world.
 
     depth_noise_px: disparity noise of the depth image as delivered; baseline_m: stereo baseline. uncertainties: all measures
@@ -62,23 +68,23 @@ class Trainer:
         low, high = padded(box_min_m, box_max_m)
         self._low, self._high = low.astype(np.float32), high.astype(np.float32)
         self._stream = np.array([config.seed], dtype=np.uint64)
-        self._album = Album(depth_noise_px, baseline_m, config.prior_model, config.seed)
+        self._album = KeyframeBuffer(depth_noise_px, baseline_m, config.prior_model, config.seed)
         self._replay = self._album.replay
         self.align_views = self.learn_gains = True
-        self.refusals = Refusals()
+        self.refusals = RejectCounts()
         self.steps, self.map_epoch = 0, 0
         self._begin(config.uncertainty)
 
     def _begin(self, uncertainty: UncertaintyName) -> None:
         """A map of nothing, of which no view is part yet."""
         low, high = self._low.astype(np.float64), self._high.astype(np.float64)
-        self._taken, self._doubt = 0, Doubt()
-        self._evidence = Evidence(low, high)
-        self._live = LiveSurface(self._evidence, self._config.surface_voxel_m)
-        self._patches = Patches(low, high)
-        self._alignment, self._exposure = Alignment(self._patches), Exposure(self._patches)
+        self._taken, self._doubt = 0, ContradictionVote()
+        self._evidence = MeasuredCells(low, high)
+        self._live = IncrementalSurface(self._evidence, self._config.surface_voxel_m)
+        self._patches = Surfels(low, high)
+        self._alignment, self._exposure = PoseRefinement(self._patches), ExposureCompensation(self._patches)
         self._information, self._colour_error = DepthInformation(low, high), ColourError(low, high)
-        self._learner = Learner(self._low, self._high, self._config.seed, self._stream, self._colour_error)
+        self._learner = NumbaTrainingStep(self._low, self._high, self._config.seed, self._stream, self._colour_error)
         self._agreement = MeasuredAgreement(low, high)
         self.uncertainties = self._measures()
         self.uncertainty = self.uncertainties[uncertainty]
@@ -93,7 +99,7 @@ class Trainer:
         self.uncertainty = self.uncertainties[state["uncertainty"]]
 
     @property
-    def field(self) -> Field:
+    def field(self) -> NumbaSdfField:
         """As it is now; repose() begins another."""
         return self._learner.field
 
@@ -102,12 +108,12 @@ class Trainer:
         """Keyframes taken so far."""
         return self._album.remembered.taken
 
-    def gathered(self) -> Gathered:
+    def gathered(self) -> TrainingData:
         """What the views brought, aligned with each other once more, for another learner; it changes with this trainer."""
         for _ in range(ALIGN_ROUNDS):
             self._alignment.refine(self._replay)
         self._album.place_images()
-        return Gathered(self._low, self._high, self._replay, self._evidence, self._album.images, self.uncertainty)
+        return TrainingData(self._low, self._high, self._replay, self._evidence, self._album.images, self.uncertainty)
 
     @property
     def kept(self) -> list[int]:
@@ -132,25 +138,25 @@ class Trainer:
 
         number: by which it is known, greater than those before; as many as were taken, if not given.
         """
-        reason = refusal(keyframe, self._low, self._high)
+        reason = reject_reason(keyframe, self._low, self._high)
         if reason is None:
             try:
                 reason = self._learn_of(keyframe, self.views if number is None else number)
             except MemoryError:
-                reason = Refusal.MEMORY
+                reason = RejectReason.MEMORY
         if reason is not None:
             self.refusals.note(reason)
         return reason is None
 
-    def _learn_of(self, keyframe: PosedFrame, number: int) -> Refusal | None:
+    def _learn_of(self, keyframe: PosedFrame, number: int) -> RejectReason | None:
         """Note everything that a view says, unless it contradicts the others. MemoryError leaves the map as it was."""
         if self._replay.count and keyframe.map_epoch != self.map_epoch:
-            return Refusal.EPOCH
+            return RejectReason.EPOCH
         view = self._album.develop(keyframe)
         if view is None:
-            return Refusal.EMPTY
+            return RejectReason.EMPTY
         if self.views >= FEWEST_VIEWS and self._doubt.rises(keyframe.frame.depth_intrinsics, self._album.votes(view)):
-            return Refusal.DISAGREES
+            return RejectReason.DISAGREES
         if self._album.full:
             self._keep(self._album.most_needed())
         taken, kept = self.views, np.ones(self._replay.count, dtype=np.bool_)
@@ -183,7 +189,9 @@ class Trainer:
 
     def _placed(self, world_from_depth: Pose | None) -> bool:
         """Whether a view can be where a new map says."""
-        reason = Refusal.UNPLACED if world_from_depth is None else pose_refusal(world_from_depth, self._low, self._high)
+        reason = (
+            RejectReason.UNPLACED if world_from_depth is None else pose_reject_reason(world_from_depth, self._low, self._high)
+        )
         if reason is not None:
             self.refusals.note(reason)
         return reason is None
@@ -195,7 +203,7 @@ class Trainer:
                 self._take()
                 self.train(self._config.steps_per_view)
             except MemoryError:
-                self.refusals.note(Refusal.MEMORY)
+                self.refusals.note(RejectReason.MEMORY)
                 self._keep(np.arange(self._replay.count) != self._taken - 1)
         return self.waiting
 
@@ -263,11 +271,11 @@ class Trainer:
         self._album.place_images()
         return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._album.images, self.painted())
 
-    def painted(self) -> Painted:
+    def painted(self) -> ColourFusedField:
         """The field in the colours of the views that are replayed, at the poses and exposures that they have now."""
-        return Painted(self.field, self._replay, self._low, self._high)
+        return ColourFusedField(self.field, self._replay, self._low, self._high)
 
-    def look(self, field: LearnedField, origin: Float32Array, direction: Float32Array) -> Float32Array:
+    def look(self, field: SdfField, origin: Float32Array, direction: Float32Array) -> Float32Array:
         """Colour (N, 3) in 0..1 seen along rays from origin (N, 3) in unit direction (N, 3), drawn through a field: this one
         as it was learned, or painted().
         """
@@ -288,7 +296,7 @@ class Trainer:
     def warm_up(self) -> None:
         """Compile every kernel, on a small trainer of its own."""
         config = self._config.model_copy(update={"prior_model": None})
-        small = Trainer(config, np.zeros(3), np.ones(3), self._noise_px, self._baseline_m)
+        small = NeuralMapper(config, np.zeros(3), np.ones(3), self._noise_px, self._baseline_m)
         small.add(_wall())
         small.train(1)
         small.surface()

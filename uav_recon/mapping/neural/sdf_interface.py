@@ -7,7 +7,7 @@ from typing import Protocol
 from uav_recon.types.frames import Float32Array
 
 
-class LearnedField(Protocol):
+class SdfField(Protocol):
     """Distance and colour at any point of the box."""
 
     def distance_m(self, points: Float32Array) -> Float32Array:

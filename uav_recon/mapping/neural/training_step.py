@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.mapping.neural.keyframes.ray_sampling import Views, draw, make_batch
-from uav_recon.mapping.neural.sdf_numba.adam import Optimiser
+from uav_recon.mapping.neural.sdf_numba.adam import NumbaAdam
 from uav_recon.mapping.neural.sdf_numba.feature_grid import POINTS
 from uav_recon.mapping.neural.sdf_numba.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.mapping.neural.surface.uncertainty import ColourError
 from uav_recon.types.frames import AnyArray, Float32Array
 
 
-class Learner:
+class NumbaTrainingStep:
     """stream (1,) uint64: state of the random numbers, which goes on changing; colour_error: is told of every step's errors."""
 
     def __init__(
         self, low_m: Float32Array, high_m: Float32Array, seed: int, stream: AnyArray, colour_error: ColourError
     ) -> None:
         self._low, self._high, self._stream, self._colour_error = low_m, high_m, stream, colour_error
-        self.field = Field(low_m.astype(np.float64), high_m.astype(np.float64), seed)
-        self._optimiser = Optimiser(self.field)
+        self.field = NumbaSdfField(low_m.astype(np.float64), high_m.astype(np.float64), seed)
+        self._optimiser = NumbaAdam(self.field)
         self._batch = make_batch()
         self._corners = np.zeros((POINTS, 3), dtype=np.float32)
 

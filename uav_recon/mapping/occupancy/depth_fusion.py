@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.occupancy.depth_min_pooling import CELL, LEVELS, STRIP, pool
-from uav_recon.mapping.occupancy.free_space_carving import free, view_box
-from uav_recon.mapping.occupancy.hit_integration import count_hits, occupy
+from uav_recon.mapping.occupancy.depth_min_pooling import CELL, LEVELS, STRIP, min_pool
+from uav_recon.mapping.occupancy.free_space_carving import carve_free, view_box
+from uav_recon.mapping.occupancy.hit_integration import count_hits, mark_occupied
 from uav_recon.mapping.occupancy.log_odds import doubtful_look
 from uav_recon.types.frames import AnyArray, IntArray
 from uav_recon.types.maps import GridSpec
@@ -57,11 +57,13 @@ def fuse(
     box = np.empty((2, 3), dtype=np.int64)
     pixels = depth_m.shape
     view_box(camera, rotation, origin, far_m / resolution_m, pixels, shape, box)
-    pool(depth_m, near_m, lowest_m, farthest_m, valid)
+    min_pool(depth_m, near_m, lowest_m, farthest_m, valid)
     doubtful = doubtful_look(noise_per_m, far_m, resolution_m)
     number = count_hits(depth_m, camera, rotation, origin, near_m, far_m, resolution_m, box, hits, touched)
-    listing = free(
+    listing = carve_free(
         lowest_m, farthest_m, valid, camera, rotation, origin, pixels, far_m, noise_per_m, doubtful, resolution_m, box, shape,
         hits, odds, listed,
     )  # fmt: skip
-    return occupy(touched, number, camera, rotation, origin, noise_per_m, resolution_m, box, shape, hits, odds, listed, listing)
+    return mark_occupied(
+        touched, number, camera, rotation, origin, noise_per_m, resolution_m, box, shape, hits, odds, listed, listing
+    )

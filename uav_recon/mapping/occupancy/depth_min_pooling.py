@@ -14,7 +14,7 @@ LARGEST_WINDOW = (1 << LEVELS) - 1  # cells across; four windows of the last lev
 
 
 @kernel
-def pool(depth_m: AnyArray, near_m: float, lowest_m: AnyArray, farthest_m: AnyArray, valid: AnyArray) -> None:
+def min_pool(depth_m: AnyArray, near_m: float, lowest_m: AnyArray, farthest_m: AnyArray, valid: AnyArray) -> None:
     """Sliding minima and counts of the pixels that have a return (finite, at least near_m).
 
     lowest_m: (LEVELS, h, w) float32 over cells; each window grows to the right and down and is cut at the border; infinite

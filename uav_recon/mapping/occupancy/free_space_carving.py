@@ -6,7 +6,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.occupancy.depth_min_pooling import CELL, LARGEST_WINDOW, STRIP
-from uav_recon.mapping.occupancy.log_odds import CLEAR, LOWEST, NOISE_SIGMAS, add
+from uav_recon.mapping.occupancy.log_odds import CLEAR, LOWEST, NOISE_SIGMAS, add_log_odds
 from uav_recon.types.frames import AnyArray
 
 VALID_SHARE = 0.75  # of the footprint must have a return before a voxel is freed
@@ -174,7 +174,7 @@ def _share_seen(valid: AnyArray, window: int, right: int, down: int) -> float:
 
 
 @kernel
-def free(
+def carve_free(
     lowest_m: AnyArray, farthest_m: AnyArray, valid: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray,
     pixels: tuple[int, int], far_m: float, noise_per_m: float, doubtful: int, resolution_m: float, box: AnyArray,
     shape: tuple[int, int, int], hits: AnyArray, odds: AnyArray, listed: AnyArray,
@@ -246,7 +246,7 @@ def free(
             if holes and _share_seen(valid, a, right_by, down_by) < VALID_SHARE:
                 continue
             sure = (gap > two * extent_m) & (reach > two * doubt)
-            if add(odds, kept[n], -CLEAR if sure else -doubtful):
+            if add_log_odds(odds, kept[n], -CLEAR if sure else -doubtful):
                 listed[number] = kept[n]
                 number += 1
     return number

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.occupancy.log_odds import add
+from uav_recon.mapping.occupancy.log_odds import add_log_odds
 from uav_recon.types.frames import AnyArray
 
 SOLID_SHARE = 0.15  # of the pixels that a facing voxel would catch make a hit solid; fewer are a speckle or a wire
@@ -69,7 +69,7 @@ def count_hits(
 
 
 @kernel
-def occupy(
+def mark_occupied(
     touched: AnyArray, number: int, camera: AnyArray, rotation: AnyArray, origin: AnyArray, noise_per_m: float,
     resolution_m: float, box: AnyArray, shape: tuple[int, int, int], hits: AnyArray, odds: AnyArray, listed: AnyArray,
     listing: int,
@@ -94,7 +94,7 @@ def occupy(
             weight = 4 if sigma_m <= 0.25 * resolution_m else 2 if sigma_m <= 0.5 * resolution_m else 1
         hits[end] = 0
         index = (i * shape[1] + j) * shape[2] + k
-        if add(odds, index, weight):
+        if add_log_odds(odds, index, weight):
             listed[listing] = index
             listing += 1
     return listing

@@ -25,7 +25,7 @@ def doubtful_look(noise_per_m: float, far_m: float, resolution_m: float) -> int:
 
 
 @kernel
-def add(odds: AnyArray, index: int, evidence: int) -> bool:
+def add_log_odds(odds: AnyArray, index: int, evidence: int) -> bool:
     """Add evidence to a voxel; returns whether the odds left the range of its state."""
     before = np.int32(odds[index])
     after = min(max(before + np.int32(evidence), np.int32(LOWEST)), np.int32(HIGHEST))
@@ -70,7 +70,7 @@ def new_states(
 
 
 @kernel
-def paint(
+def copy_changed(
     listed: AnyArray, found: AnyArray, number: int, shape: tuple[int, int, int], fence: AnyArray, revision: int,
     state: AnyArray, tile_revision: AnyArray, first: AnyArray, last: AnyArray,
 ) -> int:  # fmt: skip

@@ -11,7 +11,7 @@ from uav_recon.types.maps import FREE
 
 
 @kernel
-def forget_behind(
+def reset_behind_new_obstacles(
     listed: AnyArray, number: int, odds: AnyArray, state: AnyArray, shape: tuple[int, int, int], origin: AnyArray, reach: float
 ) -> int:
     """Make unknown what is free behind voxels that returns end in and that were free, as far as ``reach`` and as the first that

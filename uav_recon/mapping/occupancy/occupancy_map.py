@@ -18,9 +18,9 @@ import numpy as np
 
 from uav_recon.mapping.occupancy.depth_fusion import FrameScratch, fuse
 from uav_recon.mapping.occupancy.distance_field import DistanceField
-from uav_recon.mapping.occupancy.log_odds import FREE_AT, LOWEST, new_states, paint
-from uav_recon.mapping.occupancy.occlusion_reset import forget_behind
-from uav_recon.mapping.occupancy.snapshot_pool import Pictures
+from uav_recon.mapping.occupancy.log_odds import FREE_AT, LOWEST, copy_changed, new_states
+from uav_recon.mapping.occupancy.occlusion_reset import reset_behind_new_obstacles
+from uav_recon.mapping.occupancy.snapshot_pool import SnapshotPool
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, TILE, GridSpec, VoxelMap
@@ -38,7 +38,7 @@ class DepthSensor:
     baseline_m: float
 
 
-class Voxels:
+class OccupancyMap:
     """The occupancy map of one flight, one map epoch at a time. Not thread-safe: one owner; snapshots are frozen."""
 
     def __init__(
@@ -72,7 +72,7 @@ class Voxels:
         self._odds = np.zeros(int(np.prod(self.grid.shape)), dtype=np.int8)
         self._tile_revision = np.full([-(-n // TILE) for n in self.grid.shape[:2]], self._revision, dtype=np.int64)
         self._distance = DistanceField(self.grid.shape, self._reach)
-        self._pictures = Pictures(self.grid, self._revision)
+        self._pictures = SnapshotPool(self.grid, self._revision)
         self._picture: VoxelMap | None = None
 
     @property
@@ -103,7 +103,9 @@ class Voxels:
         )  # fmt: skip
         known = self._pictures.canvas.state
         return self._settle(
-            forget_behind(scratch.listed, number, self._odds, known, self.grid.shape, origin, _SHADOW_M / resolution_m)
+            reset_behind_new_obstacles(
+                scratch.listed, number, self._odds, known, self.grid.shape, origin, _SHADOW_M / resolution_m
+            )
         )
 
     def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:
@@ -141,7 +143,9 @@ class Voxels:
     def warm_up(self) -> None:
         """Compile every kernel on a map of its own."""
         lens = Intrinsics.from_fov(16, 8, 1.5, 1.0)
-        small = Voxels(GridSpec(np.zeros(3), 0.5, (4, 4, 4)), self._sensor, 2.0, (0, 0, 0), (2, 2, 2), 1.0, pixel_stride=1)
+        small = OccupancyMap(
+            GridSpec(np.zeros(3), 0.5, (4, 4, 4)), self._sensor, 2.0, (0, 0, 0), (2, 2, 2), 1.0, pixel_stride=1
+        )
         depth_m = np.full((8, 16), 1.0, dtype=np.float32)
         frame = Frame(0.0, 0, depth_m, lens, np.zeros((8, 16, 3), dtype=np.uint8), lens, Pose.identity())
         held = []
@@ -160,7 +164,7 @@ class Voxels:
             self._revision += 1
             self._picture = None
             canvas = self._pictures.paintable(self._tile_revision)
-            self._known += paint(
+            self._known += copy_changed(
                 scratch.listed, scratch.found, number, shape, self._fence, self._revision, canvas.state,
                 self._tile_revision, self._distance.first, self._distance.last,
             )  # fmt: skip

@@ -13,7 +13,7 @@ from uav_recon.types.frames import AnyArray, ByteArray, IntArray
 from uav_recon.types.maps import TILE, GridSpec, VoxelMap
 
 
-class Canvas:
+class SnapshotBuffer:
     """State and squared distance of a whole map (flat uint8), as they were at a revision. Fresh memory: all unknown."""
 
     def __init__(self, size: int, revision: int) -> None:
@@ -24,17 +24,17 @@ class Canvas:
         self.shown = False
 
 
-class Pictures:
+class SnapshotPool:
     """The canvas that is being painted, and those that were shown. One owner paints; pictures may be dropped in any thread."""
 
     def __init__(self, grid: GridSpec, revision: int) -> None:
         """All unknown at a revision."""
         self._grid, self._blank_revision = grid, revision
         self._size = int(np.prod(grid.shape))
-        self.canvas = Canvas(self._size, revision)
+        self.canvas = SnapshotBuffer(self._size, revision)
         self._canvases = [self.canvas]
 
-    def paintable(self, tile_revision: IntArray) -> Canvas:
+    def paintable(self, tile_revision: IntArray) -> SnapshotBuffer:
         """The canvas to paint on: the one at hand, or if somebody holds a picture of it, another made equal to it.
 
         tile_revision: as of the canvas at hand. Of the other only the tiles that changed since it was painted last are copied.
@@ -54,10 +54,10 @@ class Pictures:
         dated.setflags(write=False)
         return VoxelMap(self._grid, view[0], view[1], dated, revision, map_epoch)
 
-    def _free(self) -> Canvas:
+    def _free(self) -> SnapshotBuffer:
         """The newest canvas that nobody holds, or a blank one; older ones than that are given up, but for one."""
         free = sorted((canvas for canvas in self._canvases if not canvas.shown), key=lambda canvas: canvas.revision)
-        chosen = free[-1] if free else Canvas(self._size, self._blank_revision)
+        chosen = free[-1] if free else SnapshotBuffer(self._size, self._blank_revision)
         self._canvases = [canvas for canvas in self._canvases if canvas.shown] + free[-2:-1] + [chosen]
         return chosen
 
@@ -65,13 +65,13 @@ class Pictures:
 class _Lease:
     """The owner of a picture's arrays: numpy keeps it alive as their base, views of views included."""
 
-    def __init__(self, canvas: Canvas, shape: tuple[int, ...]) -> None:
+    def __init__(self, canvas: SnapshotBuffer, shape: tuple[int, ...]) -> None:
         address = canvas.memory.__array_interface__["data"][0]
         self.__array_interface__: dict[str, Any] = {"version": 3, "typestr": "|u1", "shape": shape, "data": (address, True)}
         weakref.finalize(self, _take_back, canvas).atexit = False
 
 
-def _take_back(canvas: Canvas) -> None:
+def _take_back(canvas: SnapshotBuffer) -> None:
     canvas.shown = False
 
 

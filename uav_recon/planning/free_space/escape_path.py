@@ -14,7 +14,7 @@ STEP_LENGTHS = np.sqrt((STEPS**2).sum(axis=1).astype(np.float64))
 ESCAPE_LIMIT_M = 2.0  # a way out longer than this is no way out
 
 
-class Escape:
+class EscapePath:
     """Finds the nearest flyable cell through known-free ones, in a window as large as the limit; its memory is kept."""
 
     def __init__(self, resolution_m: float) -> None:

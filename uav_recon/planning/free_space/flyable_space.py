@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.free_space.escape_path import Escape
-from uav_recon.planning.free_space.reachability import Regions
-from uav_recon.planning.free_space.subvoxel_clearance import berth_of
+from uav_recon.planning.free_space.escape_path import EscapePath
+from uav_recon.planning.free_space.reachability import ReachableSpace
+from uav_recon.planning.free_space.subvoxel_clearance import clearance_box
 from uav_recon.planning.free_space.voxel_blocks import EDGE
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
@@ -29,7 +29,7 @@ class FlyableSpace:
     leap: the same for lines through the mask, see ``segment_is_open``: 0 where the mask is 0, else 1 + how many samples on are
     open whatever the line's direction, by the distance field. (Lines begin and end in the mask: they never leave the box.)
 
-    berth: (7,) what a place off its voxel's centre must keep, see ``berth_of``.
+    berth: (7,) what a place off its voxel's centre must keep, see ``clearance_box``.
 
     revision: grows with each change of mask or reachable. mask_revision, reachable_revision: (tiles along x, along y), the
     revision at which anything in a tile of TILE x TILE columns last changed; block_revision: the same for the mask in the
@@ -48,15 +48,15 @@ class FlyableSpace:
         needed = math.sqrt(self._needed2) + math.sqrt(3.0)  # twice from a point to its voxel's centre
         self._leaps2 = np.array([min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MOST_LEAPS)], dtype=np.int64)
         self._box = np.array([np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)], dtype=np.int64)
-        self.berth = berth_of(grid.shape, self._box[0], self._box[1], self._needed2)
-        self._escape = Escape(grid.resolution_m)
+        self.berth = clearance_box(grid.shape, self._box[0], self._box[1], self._needed2)
+        self._escape = EscapePath(grid.resolution_m)
         self._start()
 
     def _start(self) -> None:
         nx, ny, nz = self.grid.shape
         self.mask = np.zeros((nx + 2, ny + 2, nz + 2), dtype=np.uint8)
         self.free, self.leap = np.zeros_like(self.mask), np.zeros_like(self.mask)
-        self.regions = Regions(self.grid.shape)
+        self.regions = ReachableSpace(self.grid.shape)
         self.reachable: ByteArray = self.regions.reachable
         self.reachable_revision: IntArray = self.regions.tile_revision
         self.mask_revision = np.zeros_like(self.reachable_revision)

@@ -14,7 +14,7 @@ from uav_recon.planning.free_space.voxel_blocks import (
     EDGE,
     MOST_PARTS,
     ONE,
-    Blocks,
+    VoxelBlocks,
     WordArray,
     blocks_of,
     corner_of,
@@ -33,7 +33,7 @@ PartArray = NDArray[np.int32]
 DETACHED, ORPHAN = 0, -1  # values of parent; otherwise the parent's number + 1, the root is its own parent
 
 
-class Regions:
+class ReachableSpace:
     """Blocks of a padded mask, and which of their parts hang together with the root.
 
     parent: (8 * blocks,) int32, DETACHED, or a part's number + 1. reachable: padded uint8 like the mask, 1 = hangs together
@@ -89,7 +89,7 @@ class Regions:
 
 @kernel
 def _reshape(
-    blocks: Blocks, mask: ByteArray, changed: IntArray, parent: PartArray, root: int, orphans: PartArray, queue: PartArray
+    blocks: VoxelBlocks, mask: ByteArray, changed: IntArray, parent: PartArray, root: int, orphans: PartArray, queue: PartArray
 ) -> tuple[int, int, int]:
     """Read the changed blocks anew; the root (-1: lost), how many orphans there are and how many parts are queued."""
     number = len(blocks.counts)
@@ -129,7 +129,7 @@ def _reshape(
 
 
 @kernel
-def _orphan_children(blocks: Blocks, parent: PartArray, part: int, orphans: PartArray, size: int) -> int:
+def _orphan_children(blocks: VoxelBlocks, parent: PartArray, part: int, orphans: PartArray, size: int) -> int:
     number = len(blocks.counts)
     for side in range(26):
         beside = part % number + blocks.steps[side]
@@ -160,7 +160,7 @@ def _hangs_on_root(parent: PartArray, checked: PartArray, now: int, part: int) -
 
 @kernel
 def _adopt(
-    blocks: Blocks,
+    blocks: VoxelBlocks,
     parent: PartArray,
     checked: PartArray,
     now: int,
@@ -194,7 +194,7 @@ def _adopt(
 
 
 @kernel
-def _grow(blocks: Blocks, parent: PartArray, queue: PartArray, queued: int) -> int:
+def _grow(blocks: VoxelBlocks, parent: PartArray, queue: PartArray, queued: int) -> int:
     """Attach the queued parts that touch the tree, then whatever touches them, and so on; how many are queued in the end."""
     number = len(blocks.counts)
     first = 0
@@ -224,7 +224,7 @@ def _grow(blocks: Blocks, parent: PartArray, queue: PartArray, queued: int) -> i
 
 
 @kernel
-def _detach(blocks: Blocks, parent: PartArray, queue: PartArray, root: int) -> int:
+def _detach(blocks: VoxelBlocks, parent: PartArray, queue: PartArray, root: int) -> int:
     """Detach the whole tree; how many parts it had, all in the queue."""
     number = len(blocks.counts)
     queue[0] = root
@@ -247,7 +247,7 @@ def _detach(blocks: Blocks, parent: PartArray, queue: PartArray, root: int) -> i
 @kernel
 def _show(
     changed: IntArray,
-    blocks: Blocks,
+    blocks: VoxelBlocks,
     parent: PartArray,
     shown: WordArray,
     reachable: ByteArray,

@@ -17,7 +17,7 @@ LOW, HIGH, SIDES2 = 0, 3, 6  # in a berth (7,): where the corners of the box beg
 CLEAR, OUTSIDE = -1, -2
 
 
-def berth_of(shape: tuple[int, int, int], low: IntArray, high: IntArray, needed2: int) -> FloatArray:
+def clearance_box(shape: tuple[int, int, int], low: IntArray, high: IntArray, needed2: int) -> FloatArray:
     """What a place off its voxel's centre must keep: a box around centres [low, high), and a distance to sides, squared.
 
     needed2: what centres keep from the centres of all voxels that are not known free.
@@ -31,7 +31,7 @@ def berth_of(shape: tuple[int, int, int], low: IntArray, high: IntArray, needed2
 
 
 @kernel
-def voxel_beside(distance2: ByteArray, shape: tuple[int, int, int], berth: FloatArray, x: float, y: float, z: float) -> int:
+def blocking_voxel(distance2: ByteArray, shape: tuple[int, int, int], berth: FloatArray, x: float, y: float, z: float) -> int:
     """Flat index of a voxel that is not known free and has a side nearer to a place than its berth allows.
 
     CLEAR if there is none, OUTSIDE if the place is not in its box. distance2: raveled, as in VoxelMap.

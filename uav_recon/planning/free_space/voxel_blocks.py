@@ -86,7 +86,7 @@ def part_around(seed: np.uint64, word: np.uint64) -> np.uint64:
         grown = wide
 
 
-class Blocks(NamedTuple):
+class VoxelBlocks(NamedTuple):
     """The blocks of a grid, for kernels; rewritten in place.
 
     shape: (3,) blocks along each axis, the border included. steps: (26,) what to add to a block's number to get to its
@@ -103,11 +103,11 @@ class Blocks(NamedTuple):
     centre: FloatArray
 
 
-def blocks_of(grid_shape: tuple[int, int, int]) -> Blocks:
+def blocks_of(grid_shape: tuple[int, int, int]) -> VoxelBlocks:
     """Empty blocks for a grid of voxels. The system commits their memory only where something is."""
     shape = np.array([-(-n // EDGE) + 2 for n in grid_shape], dtype=np.int64)
     number = int(np.prod(shape))
-    return Blocks(
+    return VoxelBlocks(
         shape=shape,
         steps=SIDES @ np.array([shape[1] * shape[2], shape[2], 1], dtype=np.int64),
         counts=np.zeros(number, dtype=np.uint8),
@@ -118,7 +118,7 @@ def blocks_of(grid_shape: tuple[int, int, int]) -> Blocks:
 
 
 @kernel
-def corner_of(blocks: Blocks, block: int) -> tuple[int, int, int]:
+def corner_of(blocks: VoxelBlocks, block: int) -> tuple[int, int, int]:
     """Return the PADDED indices of a block's first voxel."""
     plane = blocks.shape[1] * blocks.shape[2]
     rest = block % plane
@@ -127,7 +127,7 @@ def corner_of(blocks: Blocks, block: int) -> tuple[int, int, int]:
 
 
 @kernel
-def part_at(blocks: Blocks, i: int, j: int, k: int) -> int:
+def part_at(blocks: VoxelBlocks, i: int, j: int, k: int) -> int:
     """Return the number of the part that holds a PADDED voxel; -1 for none."""
     i, j, k = i + EDGE - 1, j + EDGE - 1, k + EDGE - 1
     block = (i // EDGE * blocks.shape[1] + j // EDGE) * blocks.shape[2] + k // EDGE
@@ -139,7 +139,7 @@ def part_at(blocks: Blocks, i: int, j: int, k: int) -> int:
 
 
 @kernel
-def word_of(blocks: Blocks, block: int, mask: ByteArray) -> np.uint64:
+def word_of(blocks: VoxelBlocks, block: int, mask: ByteArray) -> np.uint64:
     """Read a block's voxels from a padded mask."""
     i0, j0, k0 = corner_of(blocks, block)
     word, bit = np.uint64(0), np.uint64(0)
@@ -153,7 +153,7 @@ def word_of(blocks: Blocks, block: int, mask: ByteArray) -> np.uint64:
 
 
 @kernel
-def split(blocks: Blocks, block: int, word: np.uint64) -> None:
+def split(blocks: VoxelBlocks, block: int, word: np.uint64) -> None:
     """Write a block's parts, in the order of their lowest voxels. Links and centres are to be renewed after that."""
     count = 0
     while word != 0:
@@ -167,7 +167,7 @@ def split(blocks: Blocks, block: int, word: np.uint64) -> None:
 
 
 @kernel
-def link(blocks: Blocks, block: int) -> None:
+def link(blocks: VoxelBlocks, block: int) -> None:
     """Note which sides of a block's parts touch others, on both ends, and let each part stand for a voxel."""
     number = len(blocks.counts)
     i0, j0, k0 = corner_of(blocks, block)
@@ -194,7 +194,7 @@ def link(blocks: Blocks, block: int) -> None:
 
 
 @kernel
-def meets(blocks: Blocks, part: int, side: int, other: int) -> bool:
+def meets(blocks: VoxelBlocks, part: int, side: int, other: int) -> bool:
     """Tell whether a part touches a certain part on a side on which it touches something."""
     beside = part % len(blocks.counts) + blocks.steps[side]
     return blocks.counts[beside] == 1 or touches(blocks.words[part], blocks.words[other], side)

@@ -10,10 +10,10 @@ import numpy as np
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.candidate_view import MIN_SEEN, Proposal
+from uav_recon.planning.candidate_view import MIN_SEEN, CandidateView
 from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.frontier.reachable_tiles import Reach, ReachableTiles
-from uav_recon.planning.frontier.view_cache import ViewTable
+from uav_recon.planning.frontier.view_cache import ViewCache
 from uav_recon.planning.view_sampling import explore_shell
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, GridSpec, VoxelMap
@@ -41,7 +41,7 @@ class Flyable(Reach, Protocol):
 class FrontierProposals:
     """Tasks for frontiers, the nearest cluster first; how many clusters have no view, and how many were left for later."""
 
-    proposals: list[Proposal]
+    proposals: list[CandidateView]
     without_view: int
     later: int
 
@@ -49,10 +49,10 @@ class FrontierProposals:
 class FrontierViews:
     """Finds the best view of each cluster for one vehicle and camera. A view does not depend on where the vehicle is."""
 
-    table: ViewTable
+    table: ViewCache
     _revision: int
     _centre: FloatArray
-    _tasks: dict[int, tuple[tuple[IntArray, ...], Proposal]]
+    _tasks: dict[int, tuple[tuple[IntArray, ...], CandidateView]]
 
     def __init__(self, config: PlannerConfig, camera: CameraGeometry) -> None:
         self._config = config
@@ -136,7 +136,7 @@ class FrontierViews:
     def _worth(self, row: int) -> bool:
         return bool(self.table.shown[row] >= MIN_SEEN)
 
-    def _proposals(self, voxels: VoxelMap, space: Flyable, found: list[int], lens: FloatArray) -> list[Proposal]:
+    def _proposals(self, voxels: VoxelMap, space: Flyable, found: list[int], lens: FloatArray) -> list[CandidateView]:
         """Tasks for the rows, without those that a better view shows as well; that view then promises their cells too."""
         if not found:
             return []
@@ -147,7 +147,7 @@ class FrontierViews:
             groups.setdefault(by, []).append(rows[n])
         return [self._proposal(voxels.grid, space, tuple(groups[n])) for _, n in sorted((best_first[n], n) for n in groups)]
 
-    def _proposal(self, grid: GridSpec, space: Flyable, rows: tuple[int, ...]) -> Proposal:
+    def _proposal(self, grid: GridSpec, space: Flyable, rows: tuple[int, ...]) -> CandidateView:
         """The first row's task, which promises what all promise; the very same object as long as they all are."""
         promised = tuple(self.table.promised[row] for row in rows)
         kept = self._tasks.get(rows[0])
@@ -159,7 +159,7 @@ class FrontierViews:
         centroid_world = grid.origin_world_m + self._centre[rows[0]] * grid.resolution_m
         task = Task(TaskKind.EXPLORE, centroid_world, viewpoint, float(self.table.shown[rows[0]]))
         cells = np.concatenate(promised)
-        proposal = Proposal(task, place + 1.0, cells, np.ones(len(cells)))
+        proposal = CandidateView(task, place + 1.0, cells, np.ones(len(cells)))
         self._tasks[rows[0]] = (promised, proposal)
         return proposal
 
@@ -185,7 +185,7 @@ class FrontierViews:
         """Forget all: it is another map."""
         self._faces = faces
         self._revision = -BATCH  # for the first plan all of a batch
-        self.table = ViewTable(explore_shell(self._config, self._camera, resolution_m))
+        self.table = ViewCache(explore_shell(self._config, self._camera, resolution_m))
         self._reach = float(np.abs(self.table.shell.offsets).max(initial=0.0))  # of a place from its frontier, along an axis
         self._centre = np.zeros((len(self.table.shown), 3))  # of the clusters, by row, voxels
         self._tasks = {}  # by row

@@ -9,7 +9,7 @@ import numpy as np
 
 from uav_recon.planning.frontier.cluster_table import ClusterTable
 from uav_recon.planning.frontier.clustering import BLOCK, MAX_EXTENT_M, scan
-from uav_recon.planning.frontier.unknown_volume import around, beyond_each
+from uav_recon.planning.frontier.unknown_volume import around, unknown_volume_of_each
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE, GridSpec, VoxelMap
 
@@ -95,7 +95,7 @@ class Frontiers:
         """Unknown voxels (N,) behind each of N sets of frontier cells, flat indices; see beyond.py."""
         ends = np.cumsum([0, *(len(cells) for cells in promised)])
         cells = np.concatenate([np.zeros(0, dtype=np.int64), *promised])
-        counts: IntArray = beyond_each(voxels.state, self.faces, cells, ends, self._low, self._high)
+        counts: IntArray = unknown_volume_of_each(voxels.state, self.faces, cells, ends, self._low, self._high)
         return counts
 
     def _start(self, low: IntArray, high: IntArray, shape: tuple[int, int, int]) -> None:

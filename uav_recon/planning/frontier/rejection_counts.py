@@ -13,7 +13,7 @@ from uav_recon.types.maps import FREE, UNKNOWN
 _AROUND = np.ones((3, 3, 3), dtype=np.uint8)
 
 
-def left_out(state: ByteArray, faces: ByteArray, exhausted: ByteArray) -> dict[str, int]:
+def count_rejected_frontiers(state: ByteArray, faces: ByteArray, exhausted: ByteArray) -> dict[str, int]:
     """Counts of 26-connected frontiers by reason: too small, looked at in vain, outside the fence.
 
     state, faces, exhausted: (nx, ny, nz) uint8: voxels, unknown neighbours of frontier voxels inside the fence, 1 = in vain.

@@ -19,7 +19,7 @@ SHALLOW = 2  # voxels that do not count
 
 
 @kernel
-def beyond(state: ByteArray, faces: ByteArray, cells: IntArray, low: IntArray, high: IntArray) -> int:
+def unknown_volume(state: ByteArray, faces: ByteArray, cells: IntArray, low: IntArray, high: IntArray) -> int:
     """Unknown voxels met straight on from the unknown faces of frontier cells (N,), flat indices; inside [low, high) alone.
 
     The first SHALLOW of each face do not count.
@@ -58,11 +58,13 @@ def _run(flat: ByteArray, at: int, stride: int, room: int) -> int:
 
 
 @kernel
-def beyond_each(state: ByteArray, faces: ByteArray, cells: IntArray, ends: IntArray, low: IntArray, high: IntArray) -> IntArray:
+def unknown_volume_of_each(
+    state: ByteArray, faces: ByteArray, cells: IntArray, ends: IntArray, low: IntArray, high: IntArray
+) -> IntArray:
     """The same for N sets of cells in a row: set n is cells[ends[n] : ends[n + 1]]."""
     out = np.zeros(len(ends) - 1, dtype=np.int64)
     for n in range(len(out)):
-        out[n] = beyond(state, faces, cells[ends[n] : ends[n + 1]], low, high)
+        out[n] = unknown_volume(state, faces, cells[ends[n] : ends[n + 1]], low, high)
     return out
 
 
@@ -85,7 +87,7 @@ def weigh(
         for j in range(asked.shape[1]):
             row = head[i, j] - 1 if asked[i, j] else -1
             while row >= 0:
-                out[row] = beyond(state, faces, pool[start[row] : start[row] + count[row]], low, high)
+                out[row] = unknown_volume(state, faces, pool[start[row] : start[row] + count[row]], low, high)
                 row = after[row] - 1
 
 

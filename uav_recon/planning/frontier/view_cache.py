@@ -9,7 +9,7 @@ from uav_recon.geometry.traversal import first_obstacle
 from uav_recon.planning.camera_frustum import Sight, in_view, sight
 from uav_recon.planning.frontier.view_search import ROOM, best_view
 from uav_recon.planning.frontier.visibility_bound import Int32Array
-from uav_recon.planning.view_sampling import Shell
+from uav_recon.planning.view_sampling import ViewShell
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 ROWS = 512  # answers kept; the oldest go first
@@ -18,7 +18,7 @@ SAMPLE_CELLS = 40  # of what a view shows: so many stand for all when another vi
 SAMPLE_POINTS = 6 * SAMPLE_CELLS
 
 
-class ViewTable:
+class ViewCache:
     """Rows of one map and shell.
 
     row_of: by the cluster's key. shown: (R,) cells that the view shows, 0 = none. view: (R, 5), see glimpses.best_view(), as
@@ -27,7 +27,7 @@ class ViewTable:
     promised: by row, flat indices of the cells shown. used: (R,) the plan that last wanted the row.
     """
 
-    def __init__(self, shell: Shell) -> None:
+    def __init__(self, shell: ViewShell) -> None:
         self.shell = shell
         self.row_of: dict[int, int] = {}
         self.key = [0] * ROWS

@@ -12,10 +12,19 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera_frustum import CAM_X, CAM_Y, aim, look_at, sight
-from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, SIDES2, voxel_beside
+from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, SIDES2, blocking_voxel
 from uav_recon.planning.frontier.camera_aiming import aimed, framed
-from uav_recon.planning.frontier.visibility_bound import BOOK, Int32Array, Targets, cells_with, distinct, outlook
-from uav_recon.planning.frontier.visibility_rays import Notes, Scene, confirmed, hoped_for, inside, note_sides, noted, revealed
+from uav_recon.planning.frontier.visibility_bound import BOOK, Int32Array, Targets, cells_with, distinct, visibility_bound
+from uav_recon.planning.frontier.visibility_rays import (
+    Notes,
+    Scene,
+    candidate_rays,
+    confirm_visible,
+    inside,
+    note_sides,
+    record_blocker,
+    visible_cells,
+)
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
@@ -86,17 +95,17 @@ def _look(
     line = look_at(lens, x, y, z, centre[0], centre[1], centre[2])
     if not inside(shape, line):
         return 0, count, 0
-    outlook(targets, lens, line, facing)
+    visibility_bound(targets, lens, line, facing)
     fitting, centred = cells_with(targets, facing)
     if fitting <= best:
         return 0, count, 0
     yaw, pitch = aim(lens, x, y, z, centre[0], centre[1], centre[2])
     if centred <= best:
-        most, yaw, pitch = aimed(lens, ways, hoped_for(targets, line, facing, ways), yaw, pitch)
+        most, yaw, pitch = aimed(lens, ways, candidate_rays(targets, line, facing, ways), yaw, pitch)
         if most <= best:
             return 0, count, 0
     _widen(extents[0], x, y)
-    visible, count = revealed(scene, targets, line, facing, fitting, beat, order, found, ways, notes, count)
+    visible, count = visible_cells(scene, targets, line, facing, fitting, beat, order, found, ways, notes, count)
     if visible <= beat:
         return 0, count, 1
     total, yaw, pitch = aimed(lens, ways, visible, yaw, pitch)
@@ -107,8 +116,8 @@ def _look(
         # the camera stands off the body's middle, and has moved with the heading
         if not inside(shape, turned):
             return 0, count, 1
-        outlook(targets, lens, turned, facing)
-        visible, count = revealed(
+        visibility_bound(targets, lens, turned, facing)
+        visible, count = visible_cells(
             scene, targets, turned, facing, cells_with(targets, facing)[0], beat, order, found, ways, notes, count
         )
         total = framed(lens, ways, visible, yaw, pitch)
@@ -163,7 +172,7 @@ def _survey(
         place = places[opened]
         place[0], place[1], place[2] = int(x) + 0.5, int(y) + 0.5, int(z) + 0.5
         line = look_at(lens, place[0], place[1], place[2], centre[0], centre[1], centre[2])
-        turned, centred = outlook(targets, lens, line, desk[0])
+        turned, centred = visibility_bound(targets, lens, line, desk[0])
         promises[opened] = turned + centred
         opened += 1
         if cast < AT_ONCE and 2 * centred >= cells and cells_with(targets, desk[0])[1] >= ENOUGH * cells:
@@ -236,9 +245,9 @@ def _climb(
         if not within:
             continue
         if HOPS[hop] < FROM_CENTRE_TO_CENTRE:
-            voxel = voxel_beside(distance2, shape, berth, x, y, z)
+            voxel = blocking_voxel(distance2, shape, berth, x, y, z)
             if voxel >= 0:
-                count = noted(voxel, notes, count)
+                count = record_blocker(voxel, notes, count)
             if voxel != CLEAR:
                 continue
             _widen(extents[0], x - beside, y - beside)
@@ -313,7 +322,7 @@ def best_view(
     count = note_sides(shape, targets, notes, count)
     seen = np.zeros(cells, dtype=np.bool_)
     if totals.max() > 0:
-        seen, count = confirmed(scene, best, points, first, notes, count)
+        seen, count = confirm_visible(scene, best, points, first, notes, count)
     boxes = np.empty((2, 4), dtype=np.int64)
     _tiles(extents[0], abs(lens[CAM_X]) + abs(lens[CAM_Y]) + 1.0, shape, boxes[0])  # from a place to its lines' ends
     _tiles(extents[1], 0.0, shape, boxes[1])

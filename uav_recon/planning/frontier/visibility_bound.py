@@ -60,7 +60,7 @@ def distinct(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArr
 
 
 @kernel
-def outlook(targets: Targets, lens: FloatArray, line: Sight, facing: Int32Array) -> tuple[int, int]:
+def visibility_bound(targets: Targets, lens: FloatArray, line: Sight, facing: Int32Array) -> tuple[int, int]:
     """Fill facing (U,) with what each target is to an eye (bits); how many are TURNED, and how many FRAMED.
 
     FITTING is exact for a mount that does not tilt by more than half the picture; where the pitch is free it is TURNED. All in

@@ -20,7 +20,7 @@ UNASKED, CLEAR, HIDDEN = 0, 1, 2  # what a ray to a target found
 
 
 @kernel
-def noted(voxel: int, notes: Notes, count: int) -> int:
+def record_blocker(voxel: int, notes: Notes, count: int) -> int:
     """Append a voxel to ``blockers`` unless it is there; ``book`` is a hash table of them. How many there are now."""
     book, blockers = notes
     at = (voxel * 2654435761 >> 16) & (BOOK - 1)
@@ -44,17 +44,17 @@ def note_sides(shape: tuple[int, int, int], targets: Targets, notes: Notes, coun
         flat = (i * ny + j) * nz + k
         closed = ~sides[u]
         if closed & 1 and i > 0:
-            count = noted(flat - ny * nz, notes, count)
+            count = record_blocker(flat - ny * nz, notes, count)
         if closed & 2 and i < nx - 1:
-            count = noted(flat + ny * nz, notes, count)
+            count = record_blocker(flat + ny * nz, notes, count)
         if closed & 4 and j > 0:
-            count = noted(flat - nz, notes, count)
+            count = record_blocker(flat - nz, notes, count)
         if closed & 8 and j < ny - 1:
-            count = noted(flat + nz, notes, count)
+            count = record_blocker(flat + nz, notes, count)
         if closed & 16 and k > 0:
-            count = noted(flat - 1, notes, count)
+            count = record_blocker(flat - 1, notes, count)
         if closed & 32 and k < nz - 1:
-            count = noted(flat + 1, notes, count)
+            count = record_blocker(flat + 1, notes, count)
     return count
 
 
@@ -65,7 +65,7 @@ def inside(shape: tuple[int, int, int], line: Sight) -> bool:
 
 
 @kernel
-def hoped_for(targets: Targets, line: Sight, facing: Int32Array, ways: Float32Array) -> int:
+def candidate_rays(targets: Targets, line: Sight, facing: Int32Array, ways: Float32Array) -> int:
     """Fill ways (3, N) with the directions to the first FITTING target of each cell that has one; how many."""
     centres, _, links, first = targets
     count = 0
@@ -81,7 +81,7 @@ def hoped_for(targets: Targets, line: Sight, facing: Int32Array, ways: Float32Ar
 
 
 @kernel
-def revealed(
+def visible_cells(
     scene: Scene,
     targets: Targets,
     line: Sight,
@@ -116,7 +116,7 @@ def revealed(
                 voxel = first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2])
                 found[u] = CLEAR if voxel < 0 else HIDDEN
                 if voxel >= 0:
-                    count = noted(voxel, notes, count)
+                    count = record_blocker(voxel, notes, count)
             if found[u] == CLEAR:
                 for axis in range(3):
                     ways[axis, visible] = centres[axis, u] - np.float32(line[axis])
@@ -132,7 +132,7 @@ def revealed(
 
 
 @kernel
-def confirmed(
+def confirm_visible(
     scene: Scene, view: FloatArray, points: FloatArray, first: IntArray, notes: Notes, count: int
 ) -> tuple[BoolArray, int]:
     """Which cells a view shows, and blockers. Asked in both directions: a line through an edge or a corner of voxels may pass
@@ -153,5 +153,5 @@ def confirmed(
                 if voxel < 0 or voxel == own:
                     seen[cell] = True
                     break
-            count = noted(voxel, notes, count)
+            count = record_blocker(voxel, notes, count)
     return seen, count

@@ -8,7 +8,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
-from uav_recon.planning.free_space.voxel_blocks import EDGE, Blocks, corner_of, part_at
+from uav_recon.planning.free_space.voxel_blocks import EDGE, VoxelBlocks, corner_of, part_at
 from uav_recon.planning.paths.segments import departure, distance, length_of, segment_is_open
 from uav_recon.planning.paths.string_pulling import pull_taut
 from uav_recon.planning.paths.theta_star import Memory, find_bends, memory_for
@@ -20,7 +20,7 @@ MOST_POINTS = 24  # of a way that is remembered; a longer one is found again whe
 _ROOM = 1024  # points of a way before it is pulled taut
 
 
-class Known(NamedTuple):
+class CachedPaths(NamedTuple):
     """Ways between remembered places, for kernels. Entry [a, b] is the way from place a to b, where a comes first.
 
     place: (P, 3), NaN = nobody's; used: (P,) the plan that last asked for it. kept: (P, P); length: (P, P) in
@@ -38,7 +38,7 @@ class Known(NamedTuple):
     leaves: FloatArray
 
 
-class Ways:
+class PathCache:
     """Ways between node 0 (the vehicle) and nodes 1..N (tasks); one object per flight.
 
     lengths_m: (N+1, N+1), symmetric, inf where there is no way. departures: (N+1, N+1, 3), unit directions in which the way
@@ -57,7 +57,7 @@ class Ways:
         self._memory = memory_for(self._regions.blocks)
         self._seen = self._space.revision
         self._buffer = np.empty((_ROOM, 3))
-        self._known = Known(
+        self._known = CachedPaths(
             place=np.full((places, 3), np.nan),
             used=np.zeros(places, dtype=np.int64),
             kept=np.zeros((places, places), dtype=np.bool_),
@@ -121,7 +121,7 @@ class Ways:
 
 @kernel
 def _forget(
-    known: Known, leap: ByteArray, blocks: Blocks, mask_revision: IntArray, block_revision: IntArray, seen: int
+    known: CachedPaths, leap: ByteArray, blocks: VoxelBlocks, mask_revision: IntArray, block_revision: IntArray, seen: int
 ) -> None:
     """Forget each way whose span a change of the mask since ``seen`` meets."""
     away = np.empty(len(known.place))
@@ -139,7 +139,9 @@ def _forget(
 
 
 @kernel
-def _changed_box(blocks: Blocks, block_revision: IntArray, across: int, along: int, seen: int) -> tuple[FloatArray, FloatArray]:
+def _changed_box(
+    blocks: VoxelBlocks, block_revision: IntArray, across: int, along: int, seen: int
+) -> tuple[FloatArray, FloatArray]:
     """Box (3,), (3,) in padded voxel units around the blocks of a tile that changed since ``seen``."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     per_tile = TILE // EDGE
@@ -165,7 +167,7 @@ def _comes_first(places: FloatArray, a: int, b: int) -> bool:
 
 
 @kernel
-def _seat_of(known: Known, place: FloatArray) -> int:
+def _seat_of(known: CachedPaths, place: FloatArray) -> int:
     """The seat of a remembered place (3,), else -1."""
     for a in range(len(known.place)):
         if known.place[a, 0] == place[0] and known.place[a, 1] == place[1] and known.place[a, 2] == place[2]:
@@ -174,7 +176,7 @@ def _seat_of(known: Known, place: FloatArray) -> int:
 
 
 @kernel
-def _seat(known: Known, places: FloatArray, plan: int) -> IntArray:
+def _seat(known: CachedPaths, places: FloatArray, plan: int) -> IntArray:
     """Give each place (N, 3) a seat (N,): its own if it is remembered, else the one that was not asked for for longest."""
     seats = np.full(len(places), -1)
     for n in range(len(places)):
@@ -194,7 +196,7 @@ def _seat(known: Known, places: FloatArray, plan: int) -> IntArray:
 
 @kernel
 def _way_between(
-    blocks: Blocks, leap: ByteArray, memory: Memory, start: FloatArray, goal: FloatArray, points: FloatArray
+    blocks: VoxelBlocks, leap: ByteArray, memory: Memory, start: FloatArray, goal: FloatArray, points: FloatArray
 ) -> tuple[int, float, float]:
     """Write the way into ``points``; how many points it has (0: none), its length in voxels and its span."""
     if segment_is_open(leap, start[0], start[1], start[2], goal[0], goal[1], goal[2]):
@@ -216,7 +218,13 @@ def _way_between(
 
 @kernel
 def _connect(
-    known: Known, blocks: Blocks, leap: ByteArray, memory: Memory, seats: IntArray, head: FloatArray, points: FloatArray
+    known: CachedPaths,
+    blocks: VoxelBlocks,
+    leap: ByteArray,
+    memory: Memory,
+    seats: IntArray,
+    head: FloatArray,
+    points: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Lengths (N+1, N+1) in voxels and departures (N+1, N+1, 3); finds what is not remembered.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.free_space.reachability import PartArray
-from uav_recon.planning.free_space.voxel_blocks import MOST_PARTS, ONE, Blocks, corner_of, touches
+from uav_recon.planning.free_space.voxel_blocks import MOST_PARTS, ONE, VoxelBlocks, corner_of, touches
 from uav_recon.planning.paths.segments import distance, length_of, segment_is_open
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
@@ -37,7 +37,7 @@ class Memory(NamedTuple):
     heap_part: PartArray
 
 
-def memory_for(blocks: Blocks) -> Memory:
+def memory_for(blocks: VoxelBlocks) -> Memory:
     """Return fresh work arrays; the system commits only what searches touch."""
     number = len(blocks.counts)
     return Memory(
@@ -89,7 +89,7 @@ def _pop(heap_cost: FloatArray, heap_part: PartArray, size: int) -> int:
 
 
 @kernel
-def _search(blocks: Blocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray) -> tuple[bool, float]:
+def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray) -> tuple[bool, float]:
     """Find the parts' ``before`` from the goal back to the start; whether there is a way, and the greatest cost looked at."""
     # unpacked once: to hand on such a tuple in the inner loops costs more than what they do
     steps, counts, words, links, stands = blocks.steps, blocks.counts, blocks.words, blocks.links, blocks.centre
@@ -149,7 +149,9 @@ def _search(blocks: Blocks, leap: ByteArray, memory: Memory, ends: IntArray, pla
 
 
 @kernel
-def _bend(blocks: Blocks, leap: ByteArray, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray) -> int:
+def _bend(
+    blocks: VoxelBlocks, leap: ByteArray, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray
+) -> int:
     """Write points ``found`` (M, 3) that lead from a to b through their touching parts; how many.
 
     One voxel that sees both, the one with the least detour; where there is none, voxel by voxel.
@@ -170,7 +172,7 @@ def _bend(blocks: Blocks, leap: ByteArray, a: FloatArray, part_a: int, b: FloatA
 
 
 @kernel
-def _voxel_by_voxel(blocks: Blocks, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray) -> int:
+def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray) -> int:
     """Shortest way (in steps) from a to b inside two touching parts: centres of voxels, but for ends that are centres."""
     cells = np.empty((128, 3))
     count, goal, start = 0, -1, -1
@@ -212,7 +214,7 @@ def _voxel_by_voxel(blocks: Blocks, a: FloatArray, part_a: int, b: FloatArray, p
 
 @kernel
 def find_bends(
-    blocks: Blocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray, points: FloatArray
+    blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray, points: FloatArray
 ) -> tuple[int, float]:
     """Write an open polyline into ``points`` (M, 3); how many points it has (0: no way, or no room), and its span.
 

@@ -15,7 +15,7 @@ from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import is_visible
 from uav_recon.planning.camera_frustum import CAM_Z, NEAR, RANGE, CameraGeometry, Sight, in_view, sight
-from uav_recon.planning.candidate_view import MIN_SEEN, Proposal, Situation
+from uav_recon.planning.candidate_view import MIN_SEEN, CandidateView, PlanningContext
 from uav_recon.planning.frontier.frontiers import FACES, Frontier
 from uav_recon.planning.reconstruction.surface_elements import CELL, Elements, KeptElements, squarest, weigh, within
 from uav_recon.planning.reconstruction.surface_views import LOOK_DISCOUNT
@@ -42,8 +42,8 @@ class FieldViews:
         self._elements = KeptElements(config.downsample)
 
     def propose(
-        self, situation: Situation, frontiers: Sequence[Frontier], surface: SurfaceElements | None, looks: Float32Array
-    ) -> list[Proposal]:
+        self, situation: PlanningContext, frontiers: Sequence[Frontier], surface: SurfaceElements | None, looks: Float32Array
+    ) -> list[CandidateView]:
         """Return the views (at most BEST_VIEWS) that promise most, for the metres to them; the order of ``frontiers`` is free.
 
         looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel. A view's kind says
@@ -59,13 +59,13 @@ class FieldViews:
 
     def _within(
         self,
-        situation: Situation,
+        situation: PlanningContext,
         frontiers: Sequence[Frontier],
         surface: SurfaceElements | None,
         looks: Float32Array,
         here: FloatArray,
         radius: float,
-    ) -> list[Proposal]:
+    ) -> list[CandidateView]:
         resolution_m = situation.voxels.grid.resolution_m
         lens = self._camera.lens(resolution_m, self._camera.range_m)
         places = sampled_places(situation, here, radius)
@@ -83,7 +83,7 @@ class FieldViews:
         field = np.concatenate(rows)
         gains, yaws, tilts = field_gains(situation.voxels.state, lens, places, field, len(frontier_rows), well, pitches)
         away_m = np.sqrt(((places - here) ** 2).sum(axis=1)) * resolution_m
-        proposals: list[Proposal] = []
+        proposals: list[CandidateView] = []
         for p in np.argsort(-gains / (1.0 + away_m), kind="stable"):
             if gains[p] <= 0.0 or len(proposals) == BEST_VIEWS:
                 break
@@ -95,7 +95,7 @@ class FieldViews:
 
     def _proposal(
         self,
-        situation: Situation,
+        situation: PlanningContext,
         lens: FloatArray,
         place: FloatArray,
         view: Viewpoint,
@@ -104,7 +104,7 @@ class FieldViews:
         elements: Elements | None,
         around: IntArray,
         weight: FloatArray,
-    ) -> Proposal | None:
+    ) -> CandidateView | None:
         """A view as a task of the kind that it gains most by; None if that is too little for a stop."""
         grid, state = situation.voxels.grid, situation.voxels.state
         cells, groups = frontier
@@ -120,15 +120,15 @@ class FieldViews:
             surface_gain = surface_gain if count >= self._config.min_visible else 0.0
         if len(flat) >= MIN_SEEN and unknown_gain >= surface_gain:
             task = Task(TaskKind.EXPLORE, view.position_world, view, unknown_gain + surface_gain)
-            return Proposal(task, place + 1.0, np.sort(flat), np.ones(len(flat)))
+            return CandidateView(task, place + 1.0, np.sort(flat), np.ones(len(flat)))
         if elements is None or surface_gain < self._config.min_visible:
             return None
         task = Task(TaskKind.RECONSTRUCT, view.position_world, view, unknown_gain + surface_gain)
         settled = np.flatnonzero(cosine)
-        return Proposal(task, place + 1.0, *squarest(elements.voxel[settled], cosine[settled]))
+        return CandidateView(task, place + 1.0, *squarest(elements.voxel[settled], cosine[settled]))
 
 
-def sampled_places(situation: Situation, here: FloatArray, radius: float) -> FloatArray:
+def sampled_places(situation: PlanningContext, here: FloatArray, radius: float) -> FloatArray:
     """Centres (P, 3) of every SPACING-th reachable voxel along each axis within a radius of ``here``, which comes first."""
     reachable = situation.space.reachable[1:-1, 1:-1, 1:-1]
     low = np.maximum(np.floor(here - radius).astype(np.int64), 0)

@@ -13,10 +13,10 @@ import numpy as np
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera_frustum import RANGE, CameraGeometry
-from uav_recon.planning.candidate_view import Proposal, Situation
+from uav_recon.planning.candidate_view import CandidateView, PlanningContext
 from uav_recon.planning.reconstruction.geodesic_neighbourhood import seen_from_near, wave
 from uav_recon.planning.reconstruction.surface_elements import Elements, KeptElements, squarest, weigh, within
-from uav_recon.planning.reconstruction.unmodelled_surface import bare_surface
+from uav_recon.planning.reconstruction.unmodelled_surface import unmodelled_surface
 from uav_recon.planning.reconstruction.view_gain import best_view, patches_near, promising
 from uav_recon.planning.view_sampling import shell
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
@@ -42,8 +42,8 @@ class SurfaceViews:
         self._elements = KeptElements(config.downsample)
 
     def propose(
-        self, situation: Situation, surface: SurfaceElements | None, looks: Float32Array, factor: float
-    ) -> list[Proposal]:
+        self, situation: PlanningContext, surface: SurfaceElements | None, looks: Float32Array, factor: float
+    ) -> list[CandidateView]:
         """Return at most N_rec tasks; ``factor`` multiplies R_loc, R_clu and N_rec (alpha once no frontier is left).
 
         looks: (nx, ny, nz), sum of the cosines under which tasks have looked at the surface in a voxel. Gains are what a task
@@ -63,7 +63,7 @@ class SurfaceViews:
         weight = weigh(around, elements.sigma, elements.voxel, looks.ravel(), LOOK_DISCOUNT)
         near = local(elements, around, situation, start, limit)
         left = weighty(near, weight)
-        proposals: list[Proposal] = []
+        proposals: list[CandidateView] = []
         for _ in range(round(config.max_reconstruct_tasks * factor)):
             if not len(left):
                 break
@@ -77,13 +77,13 @@ class SurfaceViews:
 
     def _propose_one(
         self,
-        situation: Situation,
+        situation: PlanningContext,
         elements: Elements,
         cells: IntArray,
         weight: FloatArray,
         centre: FloatArray,
         lens: FloatArray,
-    ) -> Proposal | None:
+    ) -> CandidateView | None:
         """The best view of one cluster; what it will show is worth less afterwards (``weight`` is changed)."""
         state, min_visible = situation.voxels.state, self._config.min_visible
         surface = (elements.position, elements.normal, weight, cells)
@@ -99,19 +99,19 @@ class SurfaceViews:
         grid = situation.voxels.grid
         viewpoint = Viewpoint(grid.origin_world_m + hopeful[best] * grid.resolution_m, yaw, pitch)
         task = Task(TaskKind.RECONSTRUCT, grid.origin_world_m + centre * grid.resolution_m, viewpoint, gain)
-        return Proposal(task, hopeful[best] + 1.0, *squarest(elements.voxel[seen], cosine[seen]))
+        return CandidateView(task, hopeful[best] + 1.0, *squarest(elements.voxel[seen], cosine[seen]))
 
 
-def _and_bare(elements: Elements, situation: Situation, start: IntArray, reach: float) -> Elements:
+def _and_bare(elements: Elements, situation: PlanningContext, start: IntArray, reach: float) -> Elements:
     """And what the map alone knows, at most ``reach`` voxels along each axis from ``start`` (3,)."""
     voxels = situation.voxels
     low = np.maximum(start - math.ceil(reach), 0)
     high = np.minimum(start + math.ceil(reach) + 1, np.array(voxels.grid.shape, dtype=np.int64))
-    position, normal = bare_surface(voxels.state, low, high, elements.modelled)
+    position, normal = unmodelled_surface(voxels.state, low, high, elements.modelled)
     return elements.with_bare(position, normal, voxels.grid)
 
 
-def local(elements: Elements, cells: IntArray, situation: Situation, start: IntArray, limit: float) -> IntArray:
+def local(elements: Elements, cells: IntArray, situation: PlanningContext, start: IntArray, limit: float) -> IntArray:
     """Of some cells (C, 3), those that the vehicle is at most ``limit`` voxels away from, through free space."""
     state = situation.voxels.state
     reach, low = wave(state, start, limit)

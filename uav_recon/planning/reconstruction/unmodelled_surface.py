@@ -29,7 +29,7 @@ def _any(held: BoolArray, i: int, j: int, k: int) -> bool:
 
 
 @kernel
-def bare_surface(state: ByteArray, low: IntArray, high: IntArray, modelled: IntArray) -> tuple[FloatArray, FloatArray]:
+def unmodelled_surface(state: ByteArray, low: IntArray, high: IntArray, modelled: IntArray) -> tuple[FloatArray, FloatArray]:
     """Centres (N, 3) and outward unit normals (N, 3) of bare surface in voxels [low, high) of the map, in voxel units.
 
     state: (nx, ny, nz) uint8. modelled: (M, 3) voxels that hold an element of the model, in the map or not.

@@ -23,14 +23,14 @@ _NONE = (0, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Kept:
+class KeptTour:
     """order: (K,) nodes of the tour that is left, in its order; dropped: how many surface tasks were not worth their flight."""
 
     order: IntArray
     dropped: int
 
 
-class Worth:
+class StoppingRule:
     """Memory of one flight: the best that a tour has gained per second. keep() is to be called once for each plan.
 
     share: of that best, which a stretch of surface tasks must gain per second.
@@ -40,7 +40,7 @@ class Worth:
         self._share = share
         self._best_per_s = 0.0
 
-    def keep(self, tasks: Sequence[Task], costs_s: FloatArray, order: IntArray) -> Kept:
+    def keep(self, tasks: Sequence[Task], costs_s: FloatArray, order: IntArray) -> KeptTour:
         """Leave out of a tour the stretches of surface tasks that are not worth the seconds that they add to it.
 
         costs_s: (N + 1, N + 1) seconds from node to node, node 0 the vehicle, node n the place of tasks[n - 1]. order: (N,)
@@ -53,7 +53,7 @@ class Worth:
         while True:
             first, last = _worst_stretch(nodes, gain, surface, costs_s, self._share * self._best_per_s)
             if (first, last) == _NONE:
-                return Kept(np.array(nodes, dtype=np.int64), len(order) - len(nodes))
+                return KeptTour(np.array(nodes, dtype=np.int64), len(order) - len(nodes))
             del nodes[first:last]
 
 

@@ -17,7 +17,7 @@ from uav_recon.types.tasks import Task
 NOW_SHARE = 0.2  # of the best task's gain per second: less can wait
 
 
-def worth_now(tasks: Sequence[Task], costs_s: FloatArray) -> BoolArray:
+def not_deferred(tasks: Sequence[Task], costs_s: FloatArray) -> BoolArray:
     """Tell which tasks (N,) are not to wait. costs_s: (N + 1, N + 1) seconds, node 0 the vehicle, node n tasks[n - 1]'s place.
 
     The best task gains most per second of the way to it; of a task beside that way only the detour counts.

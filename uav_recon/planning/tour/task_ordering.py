@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.planning.tour.atsp import best_tour
-from uav_recon.planning.tour.stopping_rule import VIEW_S, Kept, Worth
-from uav_recon.planning.tour.task_deferral import worth_now
+from uav_recon.planning.tour.stopping_rule import VIEW_S, KeptTour, StoppingRule
+from uav_recon.planning.tour.task_deferral import not_deferred
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.tasks import Task, TaskKind
 
@@ -20,10 +20,10 @@ DETOUR_SHARE = 0.5  # of the seconds to the next frontier that may be spent on s
 DETOUR_S = 3.0  # ... or so many, if that is more
 
 
-class Choice(Protocol):
+class TaskOrdering(Protocol):
     """Orders the tasks of one plan; to be asked once a plan. Never blocks."""
 
-    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> Kept:
+    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
         """Nodes to fly to, in order. costs_s: (N + 1, N + 1) seconds, node 0 the vehicle, node n the place of tasks[n - 1]."""
         ...
 
@@ -31,32 +31,32 @@ class Choice(Protocol):
 class Tour:
     """The paper's: the shortest open tour through all tasks, less what can wait and what is not worth its flight."""
 
-    def __init__(self, worth: Worth) -> None:
+    def __init__(self, worth: StoppingRule) -> None:
         self._worth = worth
 
-    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> Kept:
+    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
         """See Choice."""
-        now = worth_now(tasks, costs_s)
+        now = not_deferred(tasks, costs_s)
         kept = self._of(now, tasks, costs_s)
         return kept if len(kept.order) or now.all() else self._of(~now, tasks, costs_s)
 
-    def _of(self, which: BoolArray, tasks: Sequence[Task], costs_s: FloatArray) -> Kept:
+    def _of(self, which: BoolArray, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
         """The tour of some tasks (N,)."""
         if which.all():
             return self._worth.keep(tasks, costs_s, best_tour(costs_s))
         nodes = np.flatnonzero(np.concatenate(([True], which)))
         costs_s = np.ascontiguousarray(costs_s[nodes][:, nodes])
         kept = self._worth.keep([tasks[node - 1] for node in nodes[1:]], costs_s, best_tour(costs_s))
-        return Kept(nodes[kept.order], kept.dropped)
+        return KeptTour(nodes[kept.order], kept.dropped)
 
 
 class Greedy:
     """EVPP's: the one view that gains most per second of flight; then plan anew."""
 
-    def __init__(self, worth: Worth) -> None:
+    def __init__(self, worth: StoppingRule) -> None:
         self._worth = worth
 
-    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> Kept:
+    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
         """See Choice."""
         gain = np.array([task.gain for task in tasks])
         best = np.argmax(gain / (costs_s[0, 1:] + VIEW_S)) + 1 if len(tasks) else np.zeros(0)
@@ -69,10 +69,10 @@ class ByTheWay:
     Without a frontier, surface is looked at nearest first.
     """
 
-    def __init__(self, worth: Worth) -> None:
+    def __init__(self, worth: StoppingRule) -> None:
         self._worth = worth
 
-    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> Kept:
+    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
         """See Choice."""
         frontiers = [n for n, task in enumerate(tasks, 1) if task.kind is TaskKind.EXPLORE]
         surface = [n for n, task in enumerate(tasks, 1) if task.kind is TaskKind.RECONSTRUCT]

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.candidate_view import Proposal
-from uav_recon.planning.paths.path_cache import Ways
+from uav_recon.planning.candidate_view import CandidateView
+from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.types.frames import FloatArray
 
 LEAVING_TURN_SHARE = 0.25  # of the time to turn from a view's heading into the direction of flight: the camera should lead
@@ -18,7 +18,7 @@ BRAKING_MPS2 = 0.8  # changing the present velocity costs time too
 LEVEL = 0.1  # of a direction's length: less is straight up or down, and has no heading
 
 
-class Price(Protocol):
+class TravelTimeModel(Protocol):
     """What legs are reckoned to take, by the way in which motion flies them."""
 
     def seconds(
@@ -31,7 +31,7 @@ class Price(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class TurningOnTheWay:
+class YawWhileFlying:
     """The longer of flying and turning; leaving a view against its heading costs a share of that turn."""
 
     speed_mps: float
@@ -41,12 +41,12 @@ class TurningOnTheWay:
         self, lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
     ) -> FloatArray:
         """See Price."""
-        costs: FloatArray = turning_on_the_way(lengths_m, departures, yaw_rad, self.speed_mps, self.rate_radps)
+        costs: FloatArray = yaw_while_flying(lengths_m, departures, yaw_rad, self.speed_mps, self.rate_radps)
         return costs
 
 
 @dataclass(frozen=True, slots=True)
-class NoseFirst:
+class YawThenFly:
     """Turned so far that the camera sees the way, flown, and turned to the view; or slowly, and turned on the way, if that is
     faster.
 
@@ -63,7 +63,7 @@ class NoseFirst:
         self, lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
     ) -> FloatArray:
         """See Price."""
-        costs: FloatArray = nose_first(
+        costs: FloatArray = yaw_then_fly(
             lengths_m, departures, yaw_rad, pitch_down_rad, self.speed_mps, self.rate_radps, self.blind_mps, self.off_rad,
             self.upright,
         )  # fmt: skip
@@ -71,7 +71,7 @@ class NoseFirst:
 
 
 def time_costs(
-    ways: Ways, proposals: list[Proposal], yaw_rad: float, velocity_world_mps: FloatArray, price: Price
+    ways: PathCache, proposals: list[CandidateView], yaw_rad: float, velocity_world_mps: FloatArray, price: TravelTimeModel
 ) -> FloatArray:
     """Seconds (N+1, N+1) from node to node, asymmetric; leaving the vehicle's place costs the change of velocity too."""
     views = [proposal.task.viewpoint for proposal in proposals]
@@ -93,10 +93,10 @@ def leave(costs: FloatArray, departures: FloatArray, velocity_world_mps: FloatAr
 
 
 @kernel
-def turning_on_the_way(
+def yaw_while_flying(
     lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, speed_mps: float, rate_radps: float
 ) -> FloatArray:
-    """TurningOnTheWay."""
+    """YawWhileFlying."""
     nodes = len(yaw_rad)
     costs = np.zeros((nodes, nodes))
     for i in range(nodes):
@@ -109,11 +109,11 @@ def turning_on_the_way(
 
 
 @kernel
-def nose_first(
+def yaw_then_fly(
     lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray, speed_mps: float,
     rate_radps: float, blind_mps: float, off_rad: float, upright: float,
 ) -> FloatArray:  # fmt: skip
-    """NoseFirst. Of a way with bends its first and last direction are looked at."""
+    """YawThenFly. Of a way with bends its first and last direction are looked at."""
     nodes = len(yaw_rad)
     costs = np.zeros((nodes, nodes))
     for i in range(nodes):
@@ -157,5 +157,5 @@ def warm_up() -> None:
     """Compile."""
     none = np.zeros((2, 2)), np.zeros((2, 2, 3)), np.zeros(2), np.zeros(2)
     leave(none[0], none[1], np.zeros(3))
-    TurningOnTheWay(1.0, 1.0).seconds(*none)
-    NoseFirst(1.0, 1.0, 0.3, 0.6, 0.5).seconds(*none)
+    YawWhileFlying(1.0, 1.0).seconds(*none)
+    YawThenFly(1.0, 1.0, 0.3, 0.6, 0.5).seconds(*none)

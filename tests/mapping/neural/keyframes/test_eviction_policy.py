@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mapping.neural.keyframes.eviction_policy import CELL_M, Remembered
-from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
+from uav_recon.mapping.neural.keyframes.eviction_policy import CELL_M, EvictionPolicy
+from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.ray_sampling import RECENT_VIEWS
 from uav_recon.types.frames import Float32Array
 
@@ -15,8 +15,8 @@ def _patch(cell: int, size: int = 10) -> Float32Array:
     return np.stack([x, np.full_like(x, 2.0), np.full_like(x, 1.0)], axis=1).astype(np.float32)
 
 
-def _of(cells: list[int]) -> Remembered:
-    remembered = Remembered()
+def _of(cells: list[int]) -> EvictionPolicy:
+    remembered = EvictionPolicy()
     for cell in cells:
         remembered.add(remembered.taken, np.array([-100.0, 0.0, 0.0]), _patch(cell))
     return remembered
@@ -41,7 +41,7 @@ def test_the_same_place_from_the_other_side_counts_for_itself() -> None:
 
 
 def test_forgetting_again_and_again_keeps_all_parts_of_a_flight() -> None:
-    remembered, random = Remembered(), np.random.default_rng(0)
+    remembered, random = EvictionPolicy(), np.random.default_rng(0)
     for _ in range(2000):
         remembered.add(remembered.taken, np.array([-100.0, 0.0, 0.0]), _patch(int(random.integers(0, 40))))
         if len(remembered.numbers) == 64:
@@ -54,7 +54,7 @@ def test_forgetting_again_and_again_keeps_all_parts_of_a_flight() -> None:
 
 
 def test_replay_keeps_the_rays_of_those_that_stay() -> None:
-    replay, random = Replay(), np.random.default_rng(1)
+    replay, random = RayBuffer(), np.random.default_rng(1)
     views = [random.integers(-30000, 30000, (50 + n, 10)).astype(np.int16) for n in range(9)]
     for n, records in enumerate(views):
         replay.add(records, n * np.eye(3), np.full(3, float(n)), 0.1 * n)

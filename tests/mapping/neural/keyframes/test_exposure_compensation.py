@@ -6,16 +6,16 @@ import numpy as np
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 
 VIEWS = 28
 
 
-def _learn(factor: FloatArray, steps: int = 0) -> Trainer:
+def _learn(factor: FloatArray, steps: int = 0) -> NeuralMapper:
     """The box room, the pictures with (rgb + 0.055) multiplied by factors (V, 3) and clipped."""
-    trainer = Trainer(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
+    trainer = NeuralMapper(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
     for view, gain in zip(tour(VIEWS), factor, strict=True):
         shown = np.clip((view.frame.rgb / 255.0 + 0.055) * gain - 0.055, 0.0, 1.0)
         frame = dataclasses.replace(view.frame, rgb=np.rint(255.0 * shown).astype(np.uint8))
@@ -24,7 +24,7 @@ def _learn(factor: FloatArray, steps: int = 0) -> Trainer:
     return trainer
 
 
-def _sigma(trainer: Trainer) -> FloatArray:
+def _sigma(trainer: NeuralMapper) -> FloatArray:
     points = trainer.whole_room().position_world.astype(np.float32)
     return np.array([np.median(trainer.uncertainties[name].at(points)) for name in ("colour", "paper")])
 

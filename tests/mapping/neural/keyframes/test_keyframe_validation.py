@@ -10,8 +10,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Doubt, Refusal, Refusals, padded, refusal
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.keyframes.keyframe_validation import (
+    ContradictionVote,
+    RejectCounts,
+    RejectReason,
+    padded,
+    reject_reason,
+)
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose
@@ -21,8 +27,8 @@ PADDED = padded(LOW, HIGH)
 STRANGE = [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e-40, 1e-3, 0.15, 1.0, 8.0, 65.0, 3e38]
 
 
-def _trainer() -> Trainer:
-    return Trainer(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
+def _trainer() -> NeuralMapper:
+    return NeuralMapper(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
 
 
 def _with_lens(view: PosedFrame, **numbers: float) -> PosedFrame:
@@ -38,31 +44,31 @@ def _with_depth(view: PosedFrame, depth_m: Float32Array) -> PosedFrame:
     ("numbers", "reason"),
     [
         ({}, None),
-        ({"fx": np.nan}, Refusal.INTRINSICS),
-        ({"fy": np.inf}, Refusal.INTRINSICS),
-        ({"fx": 0.0}, Refusal.INTRINSICS),
-        ({"fy": -50.0}, Refusal.INTRINSICS),
-        ({"cx": 1e6}, Refusal.INTRINSICS),
-        ({"cy": np.nan}, Refusal.INTRINSICS),
-        ({"fx": 5.0}, Refusal.INTRINSICS),  # a ray record cannot hold such bearings
-        ({"fx": 1e6, "fy": 1e6}, Refusal.INTRINSICS),
-        ({"width": 60, "height": 106}, Refusal.SHAPE),
+        ({"fx": np.nan}, RejectReason.INTRINSICS),
+        ({"fy": np.inf}, RejectReason.INTRINSICS),
+        ({"fx": 0.0}, RejectReason.INTRINSICS),
+        ({"fy": -50.0}, RejectReason.INTRINSICS),
+        ({"cx": 1e6}, RejectReason.INTRINSICS),
+        ({"cy": np.nan}, RejectReason.INTRINSICS),
+        ({"fx": 5.0}, RejectReason.INTRINSICS),  # a ray record cannot hold such bearings
+        ({"fx": 1e6, "fy": 1e6}, RejectReason.INTRINSICS),
+        ({"width": 60, "height": 106}, RejectReason.SHAPE),
     ],
 )
-def test_intrinsics_that_no_camera_has_are_refused(numbers: dict[str, float], reason: Refusal | None) -> None:
-    assert refusal(_with_lens(GOOD, **numbers), *PADDED) is reason
+def test_intrinsics_that_no_camera_has_are_refused(numbers: dict[str, float], reason: RejectReason | None) -> None:
+    assert reject_reason(_with_lens(GOOD, **numbers), *PADDED) is reason
 
 
 def test_a_pose_that_got_past_its_type_is_refused() -> None:
     for name, value in (("translation_m", np.array([np.nan, 1.0, 1.0])), ("quat_wxyz", np.array([1.0, 1.0, 0.0, 0.0]))):
         pose = Pose(GOOD.world_from_depth.quat_wxyz, GOOD.world_from_depth.translation_m)
         object.__setattr__(pose, name, value)
-        assert refusal(dataclasses.replace(GOOD, world_from_depth=pose), *PADDED) is Refusal.POSE
+        assert reject_reason(dataclasses.replace(GOOD, world_from_depth=pose), *PADDED) is RejectReason.POSE
 
 
 @pytest.mark.parametrize("metres", [np.nan, 0.0, -1.0, 0.1, 30.0, np.inf, 3e38])
 def test_a_picture_without_depth_that_a_ray_can_hold_is_empty(metres: float) -> None:
-    assert refusal(_with_depth(GOOD, np.full_like(GOOD.frame.depth_m, metres)), *PADDED) is Refusal.EMPTY
+    assert reject_reason(_with_depth(GOOD, np.full_like(GOOD.frame.depth_m, metres)), *PADDED) is RejectReason.EMPTY
 
 
 def test_a_speck_of_depth_between_the_rays_is_empty() -> None:
@@ -75,16 +81,16 @@ def test_a_speck_of_depth_between_the_rays_is_empty() -> None:
     depth[::10, ::10] = 1.0
     depth[50:, 50:] = np.nan
     frame = dataclasses.replace(GOOD.frame, depth_m=depth, depth_intrinsics=Intrinsics.from_fov(100, 100, 1.2, 0.9))
-    assert refusal(dataclasses.replace(GOOD, frame=frame), *PADDED) is Refusal.EMPTY
+    assert reject_reason(dataclasses.replace(GOOD, frame=frame), *PADDED) is RejectReason.EMPTY
 
 
 def test_refusals_are_counted_and_logged_ever_more_rarely(caplog: pytest.LogCaptureFixture) -> None:
-    refusals = Refusals()
+    refusals = RejectCounts()
     with caplog.at_level(logging.WARNING):
         for _ in range(9):
-            refusals.note(Refusal.EMPTY)
-        refusals.note(Refusal.POSE)
-    assert refusals.counts == {Refusal.EMPTY: 9, Refusal.POSE: 1}
+            refusals.note(RejectReason.EMPTY)
+        refusals.note(RejectReason.POSE)
+    assert refusals.counts == {RejectReason.EMPTY: 9, RejectReason.POSE: 1}
     assert refusals.total() == 10
     assert caplog.messages == [
         *(f"a view was refused: no depth ({n} so far)" for n in (1, 2, 4, 8)),
@@ -93,7 +99,7 @@ def test_refusals_are_counted_and_logged_ever_more_rarely(caplog: pytest.LogCapt
 
 
 @pytest.fixture(scope="module")
-def room() -> Trainer:
+def room() -> NeuralMapper:
     mapper = _trainer()
     for view in tour(12, NOISE_PX):
         assert mapper.add(view)
@@ -105,7 +111,7 @@ def _crossing(n: int) -> PosedFrame:
     return look((0.5 + 0.1 * n, 0.4 + 0.2 * n, 1.2), 40.0 + 35.0 * n, 100 + n, NOISE_PX)
 
 
-def test_a_wrong_focal_length_is_caught_by_what_is_mapped(room: Trainer) -> None:
+def test_a_wrong_focal_length_is_caught_by_what_is_mapped(room: NeuralMapper) -> None:
     lens = GOOD.frame.depth_intrinsics
     for wrong in (
         {"fx": 2.0 * lens.fx, "fy": 2.0 * lens.fy},
@@ -114,10 +120,10 @@ def test_a_wrong_focal_length_is_caught_by_what_is_mapped(room: Trainer) -> None
     ):
         taken = sum(room.add(_with_lens(_crossing(n), **wrong)) for n in range(6))
         assert taken <= 1
-    assert room.refusals.counts[Refusal.DISAGREES] >= 9  # most of the rest lies outside the box
+    assert room.refusals.counts[RejectReason.DISAGREES] >= 9  # most of the rest lies outside the box
 
 
-def test_honest_views_are_taken_also_with_poses_off_by_2_cm_and_1_degree(room: Trainer) -> None:
+def test_honest_views_are_taken_also_with_poses_off_by_2_cm_and_1_degree(room: NeuralMapper) -> None:
     random, refused = np.random.default_rng(5), room.refusals.total()
     for n in range(10):
         view = _crossing(n)
@@ -135,9 +141,13 @@ def _votes(seen: int, refuted: int) -> Float32Array:
 
 
 def test_doubt_needs_votes_and_remembers_a_lens() -> None:
-    doubt, lens, other = Doubt(), Intrinsics(50.0, 50.0, 10.0, 10.0, 20, 20), Intrinsics(60.0, 50.0, 10.0, 10.0, 20, 20)
+    doubt, lens, other = (
+        ContradictionVote(),
+        Intrinsics(50.0, 50.0, 10.0, 10.0, 20, 20),
+        Intrinsics(60.0, 50.0, 10.0, 10.0, 20, 20),
+    )
     assert not doubt.rises(lens, _votes(20, 60))  # too few have an opinion
-    doubt = Doubt()
+    doubt = ContradictionVote()
     assert not doubt.rises(lens, _votes(400, 20))
     assert doubt.rises(lens, _votes(400, 101))  # one bad view: its pose
     assert not doubt.rises(lens, _votes(400, 0))

@@ -13,7 +13,7 @@ from onnx import TensorProto, helper
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.neural.keyframes.normal_prior import NormalPrior, PriorError, open_prior
 from uav_recon.mapping.neural.keyframes.ray_records import NORMAL_UNIT, ray_records
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, FloatArray
@@ -111,7 +111,7 @@ def test_the_mapper_learns_with_a_model_from_its_config(tmp_path: Path) -> None:
     path = _linear(tmp_path / "normals.onnx", np.zeros((3, 3)), np.array([0.0, 0.0, -1.0]))
     normals = []
     for model in (None, path):
-        mapper = Trainer(MapperConfig(prior_model=model), LOW, HIGH, NOISE_PX, BASELINE_M)
+        mapper = NeuralMapper(MapperConfig(prior_model=model), LOW, HIGH, NOISE_PX, BASELINE_M)
         frame = _wall(np.zeros(3))
         pose = Pose.from_rotation_vector(np.array([0.0, np.pi / 2, 0.0]), np.array([0.5, 1.2, 1.0]))
         assert mapper.add(PosedFrame(frame, pose))
@@ -128,7 +128,7 @@ def test_no_model_is_no_prior() -> None:
 def test_a_missing_file_is_named_at_the_start(tmp_path: Path) -> None:
     config = MapperConfig(prior_model=tmp_path / "absent.onnx")
     with pytest.raises(PriorError, match=r"^mapper\.prior_model .*absent\.onnx: no such file$"):
-        Trainer(config, LOW, HIGH, NOISE_PX, BASELINE_M)
+        NeuralMapper(config, LOW, HIGH, NOISE_PX, BASELINE_M)
     with pytest.raises(PriorError, match=r"absent\.onnx"):
         ProcessMapper(config, LOW, HIGH, NOISE_PX, BASELINE_M, tmp_path)
 

@@ -5,7 +5,7 @@ import pytest
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, distance_to_walls, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
@@ -13,10 +13,10 @@ from uav_recon.types.pose import Pose
 VIEWS = 20
 
 
-def _learn(align: bool, pose_sigma_m: float) -> tuple[Trainer, FloatArray]:
+def _learn(align: bool, pose_sigma_m: float) -> tuple[NeuralMapper, FloatArray]:
     """A room from poses with errors; returns the trainer and the errors of its positions (V, 3) afterwards."""
     random = np.random.default_rng(2)
-    trainer = Trainer(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
+    trainer = NeuralMapper(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
     trainer.align_views = align
     views = tour(VIEWS, sigma_px=NOISE_PX)
     for view in views:
@@ -34,11 +34,11 @@ def _learn(align: bool, pose_sigma_m: float) -> tuple[Trainer, FloatArray]:
 
 
 @pytest.fixture(scope="module")
-def aligned() -> tuple[Trainer, FloatArray]:
+def aligned() -> tuple[NeuralMapper, FloatArray]:
     return _learn(align=True, pose_sigma_m=0.015)
 
 
-def test_alignment_takes_pose_errors_away(aligned: tuple[Trainer, FloatArray]) -> None:
+def test_alignment_takes_pose_errors_away(aligned: tuple[NeuralMapper, FloatArray]) -> None:
     plain, before = _learn(align=False, pose_sigma_m=0.015)
     trainer, after = aligned
     apart = [np.linalg.norm(error - error.mean(axis=0), axis=1).mean() for error in (before, after)]
@@ -47,7 +47,7 @@ def test_alignment_takes_pose_errors_away(aligned: tuple[Trainer, FloatArray]) -
     assert error[1] < 0.9 * error[0]
 
 
-def test_the_map_as_a_whole_stays_where_the_given_poses_put_it(aligned: tuple[Trainer, FloatArray]) -> None:
+def test_the_map_as_a_whole_stays_where_the_given_poses_put_it(aligned: tuple[NeuralMapper, FloatArray]) -> None:
     trainer, _ = aligned
     common = np.abs(trainer.corrections()[:, :3].mean(axis=0)).max()
     assert common < 0.0005

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from box_room import BASELINE_M, DEPTH_LENS, HIGH, LOW, NOISE_PX, distance_to_walls, look
 
-from uav_recon.mapping.neural.keyframes.ray_buffer import RAYS_PER_VIEW, Replay, ViewRays
+from uav_recon.mapping.neural.keyframes.ray_buffer import RAYS_PER_VIEW, RayBuffer, ViewRays
 from uav_recon.mapping.neural.keyframes.ray_records import ray_records
 from uav_recon.types.camera import PosedFrame
 
@@ -13,7 +13,7 @@ SIGMA = NOISE_PX / (DEPTH_LENS.fx * BASELINE_M)
 
 def _rays(view: PosedFrame, sigma: float) -> ViewRays:
     records = ray_records(view.frame, sigma, RAYS_PER_VIEW, np.random.default_rng(0))
-    return Replay().rays(records, view.world_from_depth.rotation(), view.world_from_depth.translation_m, sigma)
+    return RayBuffer().rays(records, view.world_from_depth.rotation(), view.world_from_depth.translation_m, sigma)
 
 
 def test_rays_end_on_the_walls_with_their_normals() -> None:
@@ -42,7 +42,7 @@ def test_the_plane_fit_takes_noise_away() -> None:
 
 def test_replay_thins_its_views_instead_of_growing_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uav_recon.mapping.neural.keyframes.ray_buffer.MOST_RAYS", 5000)
-    replay = Replay()
+    replay = RayBuffer()
     records = np.zeros((1000, 10), dtype=np.int16)
     for n in range(12):
         records[:, 0] = n

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
+from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.ray_records import COLUMNS, DEPTH_UNIT_M
 from uav_recon.mapping.neural.keyframes.ray_sampling import DISTANCE_FACTOR, FREE, LEAST_TRUST, NEAR, RAYS, draw, make_batch
 
@@ -14,7 +14,7 @@ def weight_of_a_measurement(z_m: float) -> float:
     """Of its samples near the surface together, as a share of what one without error has."""
     records = np.zeros((100, COLUMNS), dtype=np.int16)
     records[:, 2] = round(z_m / DEPTH_UNIT_M)
-    replay, batch = Replay(), make_batch()
+    replay, batch = RayBuffer(), make_batch()
     replay.add(records, np.eye(3), np.zeros(3), D435I)
     low, high = np.full(3, -9.0, dtype=np.float32), np.full(3, 9.0, dtype=np.float32)
     draw(np.array([7], dtype=np.uint64), replay.views, 1, low, high, batch)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from uav_recon.mapping.neural.sdf_numba.adam import Optimiser
-from uav_recon.mapping.neural.sdf_numba.feature_grid import LEVELS, POINTS, Grid
+from uav_recon.mapping.neural.sdf_numba.adam import NumbaAdam
+from uav_recon.mapping.neural.sdf_numba.feature_grid import LEVELS, POINTS, FeatureGrid
 from uav_recon.mapping.neural.sdf_numba.losses import (
     STENCIL_M,
     TETRAHEDRON,
@@ -19,7 +19,7 @@ from uav_recon.mapping.neural.sdf_numba.losses import (
     fit_shape,
 )
 from uav_recon.mapping.neural.sdf_numba.network import OUTSIDE_BIAS_M, TRUNCATION_M
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.types.frames import Float32Array
 
 LOW, HIGH = np.zeros(3), np.array([1.0, 0.8, 0.6])
@@ -29,7 +29,7 @@ COUNT = 150  # not a multiple of POINTS: the last piece is padded
 class TorchField:
     """The same field in torch: dense volumes, grid_sample, linear layers."""
 
-    def __init__(self, field: Field) -> None:
+    def __init__(self, field: NumbaSdfField) -> None:
         torch.set_num_threads(1)
         self._grid = field.grid
         self.volumes = [torch.tensor(_dense(field.grid, level), requires_grad=True) for level in range(LEVELS)]
@@ -66,11 +66,11 @@ class TorchField:
         return torch.cat([rgb, x.detach() @ self.net["c3"][3:].T + self.net["d3"][3:]], dim=1)
 
 
-def _weights(field: Field) -> list[tuple[str, Float32Array]]:
+def _weights(field: NumbaSdfField) -> list[tuple[str, Float32Array]]:
     return [(name, getattr(field.network, name)) for name in field.network._fields]
 
 
-def _slots(grid: Grid, level: int) -> tuple[Any, Any]:
+def _slots(grid: FeatureGrid, level: int) -> tuple[Any, Any]:
     nx, ny, nz = grid.cells[level] + 1
     i, j, k = np.meshgrid(np.arange(nx), np.arange(ny), np.arange(nz), indexing="ij")
     blocks = grid.blocks[level]
@@ -78,15 +78,15 @@ def _slots(grid: Grid, level: int) -> tuple[Any, Any]:
     return grid.slot[entry], ((i % 2) * 4 + (j % 2) * 2 + k % 2)[..., None] * 2 + np.arange(2)
 
 
-def _dense(grid: Grid, level: int) -> Any:
+def _dense(grid: FeatureGrid, level: int) -> Any:
     slot, place = _slots(grid, level)
     return grid.features[slot[..., None], place].astype(np.float64)
 
 
 @pytest.fixture
-def field() -> Field:
+def field() -> NumbaSdfField:
     random = np.random.default_rng(3)
-    field = Field(LOW, HIGH, seed=1)
+    field = NumbaSdfField(LOW, HIGH, seed=1)
     field.grid.features[1 : field.slots] = random.uniform(-0.5, 0.5, field.grid.features[1 : field.slots].shape)
     return field
 
@@ -96,7 +96,7 @@ def points() -> Float32Array:
     return np.random.default_rng(4).uniform(LOW + 0.04, HIGH - 0.04, (COUNT, 3)).astype(np.float32)
 
 
-def _check(field: Field, optimiser: Optimiser, reference: TorchField, loss: float, expected: torch.Tensor) -> None:
+def _check(field: NumbaSdfField, optimiser: NumbaAdam, reference: TorchField, loss: float, expected: torch.Tensor) -> None:
     expected.backward()  # type: ignore[no-untyped-call]
     assert loss == pytest.approx(float(expected.detach()), rel=1e-4)
     for name, tensor in reference.net.items():
@@ -108,7 +108,7 @@ def _check(field: Field, optimiser: Optimiser, reference: TorchField, loss: floa
         _close(_by_slot(optimiser)[slot[..., None], place], volume.grad.numpy(), f"level {level}")
 
 
-def _by_slot(optimiser: Optimiser) -> Any:
+def _by_slot(optimiser: NumbaAdam) -> Any:
     gradient = optimiser.gradient
     used = int(gradient.rows[0])
     out = np.zeros_like(gradient.features)
@@ -121,7 +121,7 @@ def _close(ours: Any, wanted: Any, name: str) -> None:
     np.testing.assert_allclose(ours, wanted, atol=5e-4 * scale + 2e-5, rtol=2e-3, err_msg=name)
 
 
-def test_queries_match_torch(field: Field, points: Float32Array) -> None:
+def test_queries_match_torch(field: NumbaSdfField, points: Float32Array) -> None:
     reference = TorchField(field)
     at = torch.tensor(points.astype(np.float64))
     np.testing.assert_allclose(field.distance_m(points), reference.distance(at).detach().numpy(), atol=1e-6)
@@ -130,12 +130,12 @@ def test_queries_match_torch(field: Field, points: Float32Array) -> None:
     np.testing.assert_allclose(field.colour_sigma(points), np.exp(0.5 * colour[:, 3]), rtol=1e-4)
 
 
-def test_distance_gradients_match_torch(field: Field, points: Float32Array) -> None:
+def test_distance_gradients_match_torch(field: NumbaSdfField, points: Float32Array) -> None:
     random = np.random.default_rng(5)
     target = random.uniform(-0.1, 0.1, COUNT).astype(np.float32)
     weight = random.uniform(0.0, 2.0, COUNT).astype(np.float32)
     at_least = random.random(COUNT) < 0.5
-    optimiser = Optimiser(field)
+    optimiser = NumbaAdam(field)
     loss = fit_distance(
         field.grid,
         field.network,
@@ -153,12 +153,12 @@ def test_distance_gradients_match_torch(field: Field, points: Float32Array) -> N
     _check(field, optimiser, reference, loss, (torch.tensor(weight.astype(np.float64)) * error**2).sum())
 
 
-def test_shape_gradients_match_torch(field: Field, points: Float32Array) -> None:
+def test_shape_gradients_match_torch(field: NumbaSdfField, points: Float32Array) -> None:
     random = np.random.default_rng(6)
     normal = random.standard_normal((COUNT, 3)).astype(np.float32)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     eikonal, facing = (random.uniform(0.0, 2.0, COUNT).astype(np.float32) for _ in range(2))
-    optimiser = Optimiser(field)
+    optimiser = NumbaAdam(field)
     corners = np.zeros((POINTS, 3), dtype=np.float32)
     loss = fit_shape(
         field.grid, field.network, optimiser.network_gradient, optimiser.gradient, field.scratch,
@@ -175,13 +175,13 @@ def test_shape_gradients_match_torch(field: Field, points: Float32Array) -> None
     _check(field, optimiser, reference, loss, (weights[0] * (length - 1) ** 2 + weights[1] * apart).sum())
 
 
-def test_colour_gradients_match_torch(field: Field, points: Float32Array) -> None:
+def test_colour_gradients_match_torch(field: NumbaSdfField, points: Float32Array) -> None:
     random = np.random.default_rng(7)
     rgb = random.random((COUNT, 3)).astype(np.float32)
     weight = random.uniform(0.0, 2.0, COUNT).astype(np.float32)
     white = random.random((COUNT, 3)) < 0.3
     error = np.zeros(COUNT, dtype=np.float32)
-    optimiser = Optimiser(field)
+    optimiser = NumbaAdam(field)
     shared = (field.grid, field.network, optimiser.network_gradient, optimiser.gradient, field.scratch)
     loss = fit_colour(*shared, points, rgb, white, weight, error)
     reference = TorchField(field)
@@ -197,8 +197,8 @@ def test_colour_gradients_match_torch(field: Field, points: Float32Array) -> Non
     _check(field, optimiser, reference, loss, expected)
 
 
-def test_adam_matches_torch(field: Field) -> None:
-    optimiser = Optimiser(field)
+def test_adam_matches_torch(field: NumbaSdfField) -> None:
+    optimiser = NumbaAdam(field)
     start = field.parameters.copy()
     tensor = torch.tensor(start.astype(np.float64), requires_grad=True)
     reference = torch.optim.Adam([tensor], lr=4e-3, betas=(0.9, 0.99), eps=1e-8)
@@ -212,8 +212,8 @@ def test_adam_matches_torch(field: Field) -> None:
     assert not optimiser.flat_gradient.any()
 
 
-def test_a_slot_without_gradient_keeps_its_features(field: Field, points: Float32Array) -> None:
-    optimiser = Optimiser(field)
+def test_a_slot_without_gradient_keeps_its_features(field: NumbaSdfField, points: Float32Array) -> None:
+    optimiser = NumbaAdam(field)
     before = field.grid.features.copy()
     one = np.ones(1, dtype=np.float32)
     fit_distance(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from uav_recon.mapping.neural.sdf_numba.ray_rendering import EDGE_M, FARTHEST_M, render_rays
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.types.frames import BoolArray, Float32Array
 
 RADIUS_M = 2.0
@@ -14,7 +14,7 @@ def everywhere(points: Float32Array) -> BoolArray:
     return np.ones(len(points), dtype=np.bool_)
 
 
-class Hollow(Field):
+class Hollow(NumbaSdfField):
     """A spherical room round the origin; the colour of a place is its direction."""
 
     def __init__(self) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from uav_recon.mapping.neural.sdf_torch.checkpoint import BEFORE, LAST, CheckpointMismatchError, Checkpoints, Identity
+from uav_recon.mapping.neural.sdf_torch.checkpoint import BEFORE, LAST, CheckpointMismatchError, Identity, RefineCheckpoints
 
 RUN: Identity = {"steps": 100, "voxel_m": 0.01, "flight": "abc"}
 
@@ -15,15 +15,15 @@ def state(number: float) -> dict[str, torch.Tensor]:
 
 
 @pytest.fixture
-def two(tmp_path: Path) -> Checkpoints:
+def two(tmp_path: Path) -> RefineCheckpoints:
     """A folder after two saves."""
-    checkpoints = Checkpoints(tmp_path / "refined", RUN)
+    checkpoints = RefineCheckpoints(tmp_path / "refined", RUN)
     checkpoints.save(state(1))
     checkpoints.save(state(2))
     return checkpoints
 
 
-def test_the_newest_comes_back(two: Checkpoints) -> None:
+def test_the_newest_comes_back(two: RefineCheckpoints) -> None:
     held, said = two.load()
     assert held is not None
     assert int(held["steps"]) == 2
@@ -32,11 +32,11 @@ def test_the_newest_comes_back(two: Checkpoints) -> None:
 
 
 def test_nothing_there_is_nothing(tmp_path: Path) -> None:
-    assert Checkpoints(tmp_path, RUN).load() == (None, [])
+    assert RefineCheckpoints(tmp_path, RUN).load() == (None, [])
 
 
 @pytest.mark.parametrize("damage", [b"", b"short", b"x" * 4000])
-def test_a_damaged_one_is_named_and_the_one_before_taken(two: Checkpoints, tmp_path: Path, damage: bytes) -> None:
+def test_a_damaged_one_is_named_and_the_one_before_taken(two: RefineCheckpoints, tmp_path: Path, damage: bytes) -> None:
     (tmp_path / "refined" / LAST).write_bytes(damage)
     held, said = two.load()
     assert held is not None
@@ -44,7 +44,7 @@ def test_a_damaged_one_is_named_and_the_one_before_taken(two: Checkpoints, tmp_p
     assert said == [f"{tmp_path / 'refined' / LAST}: damaged, left aside"]
 
 
-def test_one_flipped_bit_is_damage(two: Checkpoints, tmp_path: Path) -> None:
+def test_one_flipped_bit_is_damage(two: RefineCheckpoints, tmp_path: Path) -> None:
     path = tmp_path / "refined" / LAST
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
@@ -55,7 +55,7 @@ def test_one_flipped_bit_is_damage(two: Checkpoints, tmp_path: Path) -> None:
     assert len(said) == 1
 
 
-def test_with_both_damaged_a_run_begins_anew(two: Checkpoints, tmp_path: Path) -> None:
+def test_with_both_damaged_a_run_begins_anew(two: RefineCheckpoints, tmp_path: Path) -> None:
     for name in (LAST, BEFORE):
         (tmp_path / "refined" / name).write_bytes(b"broken")
     held, said = two.load()
@@ -63,7 +63,7 @@ def test_with_both_damaged_a_run_begins_anew(two: Checkpoints, tmp_path: Path) -
     assert len(said) == 2
 
 
-def test_a_kill_between_the_renames_leaves_the_one_before(two: Checkpoints, tmp_path: Path) -> None:
+def test_a_kill_between_the_renames_leaves_the_one_before(two: RefineCheckpoints, tmp_path: Path) -> None:
     (tmp_path / "refined" / LAST).replace(tmp_path / "refined" / BEFORE)  # the first of the two renames
     held, said = two.load()
     assert held is not None
@@ -72,7 +72,7 @@ def test_a_kill_between_the_renames_leaves_the_one_before(two: Checkpoints, tmp_
 
 
 def test_a_kill_while_writing_leaves_the_last(
-    two: Checkpoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    two: RefineCheckpoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
     def torn(descriptor: int) -> None:
         raise KeyboardInterrupt
@@ -86,7 +86,7 @@ def test_a_kill_while_writing_leaves_the_last(
     assert said == []
 
 
-def test_another_run_is_refused_by_what_differs(two: Checkpoints, tmp_path: Path) -> None:
-    other = Checkpoints(tmp_path / "refined", RUN | {"voxel_m": 0.02, "steps": 200})
+def test_another_run_is_refused_by_what_differs(two: RefineCheckpoints, tmp_path: Path) -> None:
+    other = RefineCheckpoints(tmp_path / "refined", RUN | {"voxel_m": 0.02, "steps": 200})
     with pytest.raises(CheckpointMismatchError, match=r"steps 100 there, 200 here, voxel_m 0\.01 there, 0\.02 here"):
         other.load()

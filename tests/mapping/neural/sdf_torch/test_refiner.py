@@ -8,10 +8,10 @@ import torch
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, WALL_RGB, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.neural_mapper import Trainer
-from uav_recon.mapping.neural.sdf_torch.distributed import DeviceError, Team, device_kind
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
+from uav_recon.mapping.neural.sdf_torch.distributed import DeviceError, ProcessGroup, device_kind
 from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan, Refiner
-from uav_recon.mapping.neural.training_data import Gathered
+from uav_recon.mapping.neural.training_data import TrainingData
 from uav_recon.types.frames import ByteArray, Float32Array
 
 PLAN = RefinePlan(steps=240, voxel_m=0.03, rays=256, seed=0)
@@ -22,16 +22,16 @@ def one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def gathered() -> Gathered:
+def gathered() -> TrainingData:
     """The box room in eight views."""
-    trainer = Trainer(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
+    trainer = NeuralMapper(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
     for view in tour(8):
         assert trainer.add(view)
     return trainer.gathered()
 
 
 def refiner(device: str = "cpu", plan: RefinePlan = PLAN) -> Refiner:
-    return Refiner(gathered(), plan, Team(device))
+    return Refiner(gathered(), plan, ProcessGroup(device))
 
 
 def measured() -> tuple[Float32Array, Float32Array, ByteArray]:

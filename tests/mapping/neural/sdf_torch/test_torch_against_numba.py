@@ -8,14 +8,14 @@ import torch
 
 from uav_recon.mapping.neural.keyframes import ray_sampling
 from uav_recon.mapping.neural.keyframes.ray_records import COLUMNS
-from uav_recon.mapping.neural.sdf_numba.adam import Optimiser
+from uav_recon.mapping.neural.sdf_numba.adam import NumbaAdam
 from uav_recon.mapping.neural.sdf_numba.feature_grid import FINEST_CELL_M, POINTS, Gradient
 from uav_recon.mapping.neural.sdf_numba.losses import TETRAHEDRON, fit_colour, fit_distance, fit_shape
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
-from uav_recon.mapping.neural.sdf_torch.adam import Adam
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
+from uav_recon.mapping.neural.sdf_torch.adam import TorchAdam
 from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError, lay_out
-from uav_recon.mapping.neural.sdf_torch.ray_sampling import Batch, Replayed, draw, state_before
-from uav_recon.mapping.neural.sdf_torch.sdf_field import TensorField
+from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed, TorchBatch, draw, state_before
+from uav_recon.mapping.neural.sdf_torch.sdf_field import TorchSdfField
 from uav_recon.types.frames import Float32Array
 
 LOW, HIGH = np.zeros(3), np.array([1.7, 1.2, 0.9])
@@ -23,18 +23,18 @@ CPU = torch.device("cpu")
 
 
 @pytest.fixture
-def kernels() -> Field:
+def kernels() -> NumbaSdfField:
     """A field that has learned something everywhere it can."""
     random = np.random.default_rng(3)
-    field = Field(LOW, HIGH, seed=1)
+    field = NumbaSdfField(LOW, HIGH, seed=1)
     field.cover(random.uniform(LOW, HIGH, (3000, 3)).astype(np.float32))
     field.grid.features[1 : field.slots] = random.uniform(-0.5, 0.5, field.grid.features[1 : field.slots].shape)
     return field
 
 
-def same(kernels: Field, device: torch.device = CPU) -> TensorField:
+def same(kernels: NumbaSdfField, device: torch.device = CPU) -> TorchSdfField:
     layout = lay_out(LOW, HIGH, FINEST_CELL_M)
-    tensors = TensorField(layout, torch.tensor(kernels.grid.slot), len(kernels.grid.features), 0, device)
+    tensors = TorchSdfField(layout, torch.tensor(kernels.grid.slot), len(kernels.grid.features), 0, device)
     with torch.no_grad():
         tensors.features.copy_(torch.tensor(kernels.grid.features))
         tensors.weights.copy_(torch.tensor(kernels.parameters))
@@ -60,7 +60,7 @@ def views() -> ray_sampling.Views:
     return ray_sampling.Views(records, first, turn.astype(np.float32), position.astype(np.float32), sigma, gain)
 
 
-def drawn_by_kernels(draws: int) -> tuple[ray_sampling.Batch, int]:
+def drawn_by_kernels(draws: int) -> tuple[ray_sampling.NumbaBatch, int]:
     """The last of so many batches, and how many of its rays have colour."""
     batch, state = ray_sampling.make_batch(), np.array([5], dtype=np.uint64)
     coloured = 0
@@ -69,14 +69,14 @@ def drawn_by_kernels(draws: int) -> tuple[ray_sampling.Batch, int]:
     return batch, coloured
 
 
-def drawn(draws: int, device: torch.device = CPU) -> Batch:
+def drawn(draws: int, device: torch.device = CPU) -> TorchBatch:
     state = torch.tensor(state_before(5, draws - 1, ray_sampling.RAYS), device=device)
     low, high = (torch.tensor(c, dtype=torch.float32, device=device) for c in (LOW, HIGH))
     return draw(state, Replayed.of(views(), 3, device), low, high, ray_sampling.RAYS, ray_sampling.RECENT_SHARE)
 
 
-def gradients_of_kernels(field: Field, batch: ray_sampling.Batch, coloured: int) -> tuple[Optimiser, float]:
-    optimiser = Optimiser(field)
+def gradients_of_kernels(field: NumbaSdfField, batch: ray_sampling.NumbaBatch, coloured: int) -> tuple[NumbaAdam, float]:
+    optimiser = NumbaAdam(field)
     shared = (field.grid, field.network, optimiser.network_gradient, optimiser.gradient, field.scratch)
     b, corners = batch, np.zeros((POINTS, 3), dtype=np.float32)
     loss = fit_distance(*shared, b.points, b.target_m, b.weight, b.at_least)
@@ -97,7 +97,7 @@ def assert_like(ours: torch.Tensor | None, theirs: Float32Array) -> None:
     np.testing.assert_allclose(ours.detach().cpu().numpy(), theirs, rtol=2e-3, atol=1e-4 * float(np.abs(theirs).max()))
 
 
-def test_a_grid_of_the_kernels_levels_is_laid_out_alike(kernels: Field) -> None:
+def test_a_grid_of_the_kernels_levels_is_laid_out_alike(kernels: NumbaSdfField) -> None:
     layout = lay_out(LOW, HIGH, FINEST_CELL_M)
     for name in ("origin_world_m", "inverse_cell_per_m", "cells", "blocks", "first"):
         np.testing.assert_array_equal(getattr(layout, name).numpy(), getattr(kernels.grid, name))
@@ -108,7 +108,7 @@ def test_a_box_too_large_for_its_cells_names_what_fits() -> None:
         lay_out(np.zeros(3), np.array([50.0, 50.0, 10.0]), 0.004)
 
 
-def test_queries_agree_with_the_kernels_inside_and_outside_the_box(kernels: Field) -> None:
+def test_queries_agree_with_the_kernels_inside_and_outside_the_box(kernels: NumbaSdfField) -> None:
     points = np.random.default_rng(4).uniform(LOW - 0.1, HIGH + 0.1, (500, 3)).astype(np.float32)
     tensors = same(kernels)
     np.testing.assert_allclose(tensors.distance_m(points), kernels.distance_m(points), atol=2e-6)
@@ -127,7 +127,7 @@ def test_batches_are_those_of_the_kernels(draws: int) -> None:
     assert not bool(ours.weight.bool().all())  # some samples fell out of the box
 
 
-def test_loss_and_gradients_agree_with_the_kernels(kernels: Field) -> None:
+def test_loss_and_gradients_agree_with_the_kernels(kernels: NumbaSdfField) -> None:
     batch, coloured = drawn_by_kernels(1)
     optimiser, loss = gradients_of_kernels(kernels, batch, coloured)
     tensors = same(kernels)
@@ -138,10 +138,10 @@ def test_loss_and_gradients_agree_with_the_kernels(kernels: Field) -> None:
     assert_like(tensors.features.grad, by_slot(optimiser.gradient))
 
 
-def test_a_step_moves_parameters_as_the_kernels_do_and_leaves_the_untouched(kernels: Field) -> None:
+def test_a_step_moves_parameters_as_the_kernels_do_and_leaves_the_untouched(kernels: NumbaSdfField) -> None:
     optimiser, _ = gradients_of_kernels(kernels, *drawn_by_kernels(1))
     tensors, before = same(kernels), kernels.grid.features.copy()
-    adam = Adam(tensors.features, tensors.weights)
+    adam = TorchAdam(tensors.features, tensors.weights)
     weights, features = optimiser.flat_gradient.copy(), by_slot(optimiser.gradient)
     held = Gradient(*(part.copy() for part in optimiser.gradient))
     tensors.weights.grad, tensors.features.grad = torch.tensor(weights), torch.tensor(features)
@@ -155,7 +155,7 @@ def test_a_step_moves_parameters_as_the_kernels_do_and_leaves_the_untouched(kern
     np.testing.assert_array_equal(moved[features == 0.0], before[features == 0.0])
 
 
-def test_a_place_outside_the_box_has_no_slope_and_leaves_gradients_finite(kernels: Field) -> None:
+def test_a_place_outside_the_box_has_no_slope_and_leaves_gradients_finite(kernels: NumbaSdfField) -> None:
     tensors = same(kernels)
     batch = drawn(1)
     batch.surface[:] = torch.tensor([9.0, 9.0, 9.0])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
+from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.ray_records import BEARING_UNIT, COLUMNS, DEPTH_UNIT_M
 from uav_recon.mapping.neural.keyframes.ray_sampling import TOE
 from uav_recon.mapping.neural.surface import colour_fusion
-from uav_recon.mapping.neural.surface.colour_fusion import CELL_M, FIELD_WORTH, Painted
+from uav_recon.mapping.neural.surface.colour_fusion import CELL_M, FIELD_WORTH, ColourFusedField
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 
 LOW, HIGH = np.array([-1.0, -1.0, 0.0], dtype=np.float32), np.array([1.0, 1.0, 2.5], dtype=np.float32)
@@ -45,15 +45,15 @@ def ends(records: AnyArray) -> Float32Array:
     return np.concatenate([records[:, :2] * BEARING_UNIT * z, z], axis=1).astype(np.float32)
 
 
-def seen(*views: AnyArray, sigma: float = SHARP) -> Replay:
-    replay = Replay()
+def seen(*views: AnyArray, sigma: float = SHARP) -> RayBuffer:
+    replay = RayBuffer()
     for records in views:
         replay.add(records, np.eye(3), np.zeros(3), sigma)
     return replay
 
 
-def paint(replay: Replay, level: float = 0.5) -> Painted:
-    return Painted(Plain(level), replay, LOW, HIGH)
+def paint(replay: RayBuffer, level: float = 0.5) -> ColourFusedField:
+    return ColourFusedField(Plain(level), replay, LOW, HIGH)
 
 
 def centre(point: FloatArray) -> Float32Array:

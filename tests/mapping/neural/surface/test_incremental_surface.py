@@ -5,14 +5,14 @@ import pytest
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, look, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.neural_mapper import Trainer
-from uav_recon.mapping.neural.surface.extraction import Evidence
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
+from uav_recon.mapping.neural.surface.extraction import MeasuredCells
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements
 
 
-def _trainer(voxel_m: float = 0.05) -> Trainer:
-    return Trainer(MapperConfig(surface_voxel_m=voxel_m), LOW, HIGH, NOISE_PX, BASELINE_M)
+def _trainer(voxel_m: float = 0.05) -> NeuralMapper:
+    return NeuralMapper(MapperConfig(surface_voxel_m=voxel_m), LOW, HIGH, NOISE_PX, BASELINE_M)
 
 
 def _sorted(surface: SurfaceElements) -> FloatArray:
@@ -62,7 +62,7 @@ def test_training_alone_renews_everything_in_time() -> None:
 
 
 def test_both_sides_of_a_thin_thing_are_surface() -> None:
-    evidence = Evidence(LOW, HIGH)
+    evidence = MeasuredCells(LOW, HIGH)
     n = 4000
     plate = np.column_stack([np.random.default_rng(0).uniform(1.0, 2.0, (n, 2)), np.full(n, 1.0)]).astype(np.float32)
     up = np.tile(np.array([[0.0, 0.0, 1.0]], dtype=np.float32), (n, 1))
@@ -78,7 +78,7 @@ def test_both_sides_of_a_thin_thing_are_surface() -> None:
 
 
 def test_a_side_that_nobody_saw_is_none() -> None:
-    evidence = Evidence(LOW, HIGH)
+    evidence = MeasuredCells(LOW, HIGH)
     point, up = np.array([[1.5, 1.2, 1.0]], dtype=np.float32), np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
     sigma = np.full(1, 0.01, dtype=np.float32)
     for _ in range(5):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.mapping.neural.surface.node_distances import fill_distances
 from uav_recon.mapping.neural.surface.surface_nets import node_points, wanted_nodes
 
@@ -14,7 +14,7 @@ CELL_M = 0.05
 @pytest.mark.parametrize("voxel_m", [0.02, 0.05, 0.13])
 def test_nodes_get_what_the_field_says_of_their_places(voxel_m: float) -> None:
     random = np.random.default_rng(3)
-    field = Field(LOW, HIGH, seed=1)
+    field = NumbaSdfField(LOW, HIGH, seed=1)
     field.cover(random.uniform(LOW, LOW + 0.7 * (HIGH - LOW), (4000, 3)).astype(np.float32))  # the rest has coarse levels only
     field.grid.features[1:] += random.normal(0.0, 3.0, field.grid.features[1:].shape).astype(np.float32)
     shape = np.ceil((HIGH - LOW) / CELL_M).astype(int)
@@ -31,5 +31,5 @@ def test_nodes_get_what_the_field_says_of_their_places(voxel_m: float) -> None:
 
 def test_no_nodes_are_no_trouble() -> None:
     nodes = wanted_nodes(np.zeros((4, 4, 4), dtype=np.bool_), LOW, CELL_M, CELL_M)
-    fill_distances(Field(LOW, HIGH, seed=1), nodes)
+    fill_distances(NumbaSdfField(LOW, HIGH, seed=1), nodes)
     assert nodes.values.size == 0

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from uav_recon.mapping.neural.watertight import texture_atlas
-from uav_recon.mapping.neural.watertight.texture_atlas import GUTTER, Atlas, unwrap
+from uav_recon.mapping.neural.watertight.texture_atlas import GUTTER, TextureAtlas, unwrap
 from uav_recon.types.frames import FloatArray
 
 TEXEL_M = 0.02
@@ -25,13 +25,13 @@ def box() -> trimesh.Trimesh:
     return shape
 
 
-def unwrapped(mesh: trimesh.Trimesh) -> Atlas:
+def unwrapped(mesh: trimesh.Trimesh) -> TextureAtlas:
     return unwrap(
         np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int64), mesh.vertex_normals.astype(np.float32), TEXEL_M
     )
 
 
-def at_uv(found: Atlas, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
+def at_uv(found: TextureAtlas, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Row and column of the texels that hold uv (N, 2)."""
     return np.floor((1.0 - uv[:, 1]) * found.side), np.floor(uv[:, 0] * found.side)
 

@@ -8,10 +8,10 @@ import trimesh
 from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, WALL_RGB, distance_to_walls, tour
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.neural_mapper import Trainer
-from uav_recon.mapping.neural.training_data import Gathered
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
+from uav_recon.mapping.neural.training_data import TrainingData
 from uav_recon.mapping.neural.watertight import watertight_mesh
-from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh, ShellError, closed_mesh
+from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh, MeshResolutionError, closed_mesh
 from uav_recon.types.frames import Float32Array
 
 VOXEL_M = 0.04
@@ -33,15 +33,15 @@ class ExactRoom:
 
 
 @pytest.fixture(scope="module")
-def gathered() -> Gathered:
-    trainer = Trainer(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
+def gathered() -> TrainingData:
+    trainer = NeuralMapper(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
     for view in tour(12):
         assert trainer.add(view)
     return trainer.gathered()
 
 
 @pytest.fixture(scope="module")
-def mesh(gathered: Gathered) -> ClosedMesh:
+def mesh(gathered: TrainingData) -> ClosedMesh:
     return closed_mesh(ExactRoom(), gathered, VOXEL_M)
 
 
@@ -71,7 +71,7 @@ def test_colours_are_the_fields(mesh: ClosedMesh) -> None:
     assert np.mean((mesh.rgb[at] == WALL_RGB[wall[at]]).all(axis=1)) > 0.98  # edges belong to two walls
 
 
-def test_air_that_a_field_dreams_of_behind_a_wall_is_filled(gathered: Gathered, mesh: ClosedMesh) -> None:
+def test_air_that_a_field_dreams_of_behind_a_wall_is_filled(gathered: TrainingData, mesh: ClosedMesh) -> None:
     class Dreamer(ExactRoom):
         def distance_m(self, points: Float32Array) -> Float32Array:
             """A second cavity 4 cm behind the wall."""
@@ -84,7 +84,7 @@ def test_air_that_a_field_dreams_of_behind_a_wall_is_filled(gathered: Gathered, 
     assert dreamt.vertices_world[:, 0].max() < HIGH[0] + 0.03
 
 
-def test_a_voxel_too_fine_for_the_box_names_what_fits(gathered: Gathered, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_voxel_too_fine_for_the_box_names_what_fits(gathered: TrainingData, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watertight_mesh, "MOST_NODES", 100_000)
-    with pytest.raises(ShellError, match=r"voxels of 0\.\d\d\d m at the finest"):
+    with pytest.raises(MeshResolutionError, match=r"voxels of 0\.\d\d\d m at the finest"):
         closed_mesh(ExactRoom(), gathered, VOXEL_M)

@@ -4,55 +4,67 @@ from __future__ import annotations
 
 import os
 
-from uav_recon.mapping.neural.worker.child_watchdog import ASLEEP_S, LOOK_S, SILENT_S, Pulse, Vigil, pulse_of
+from uav_recon.mapping.neural.worker.child_watchdog import (
+    ASLEEP_S,
+    LOOK_S,
+    SILENT_S,
+    ChildWatchdog,
+    ProcessActivity,
+    activity_of,
+)
 
 
-def given_up_after_s(pulse: Pulse, grows: bool = False, patient: bool = False, longest_s: float = 200.0) -> float | None:
+def given_up_after_s(
+    pulse: ProcessActivity, grows: bool = False, patient: bool = False, longest_s: float = 200.0
+) -> float | None:
     """How long after it was asked a child of this pulse is given up; None for never."""
-    vigil, now_s = Vigil(), 0.0
+    vigil, now_s = ChildWatchdog(), 0.0
     vigil.asked(now_s)
     while now_s < longest_s:
         now_s += LOOK_S
         used_s = pulse.processor_s + (now_s if grows else 0.0)
-        if vigil.hung(now_s, Pulse(used_s, pulse.at_rest), patient):
+        if vigil.hung(now_s, ProcessActivity(used_s, pulse.at_rest), patient):
             return now_s
     return None
 
 
 def test_one_that_sleeps_and_owes_an_answer_is_given_up_soon() -> None:
-    after_s = given_up_after_s(Pulse(7.0, at_rest=True))
+    after_s = given_up_after_s(ProcessActivity(7.0, at_rest=True))
     assert after_s is not None
     assert ASLEEP_S < after_s <= ASLEEP_S + 2 * LOOK_S
 
 
 def test_one_that_computes_or_starves_has_a_minute() -> None:
-    for working in (given_up_after_s(Pulse(7.0, at_rest=True), grows=True), given_up_after_s(Pulse(7.0, at_rest=False))):
+    for working in (
+        given_up_after_s(ProcessActivity(7.0, at_rest=True), grows=True),
+        given_up_after_s(ProcessActivity(7.0, at_rest=False)),
+    ):
         assert working is not None
         assert SILENT_S < working <= SILENT_S + LOOK_S
 
 
 def test_one_that_compiles_is_waited_for_but_not_asleep() -> None:
-    assert given_up_after_s(Pulse(7.0, at_rest=False), patient=True) is None
-    assert given_up_after_s(Pulse(7.0, at_rest=True), patient=True) is not None
+    assert given_up_after_s(ProcessActivity(7.0, at_rest=False), patient=True) is None
+    assert given_up_after_s(ProcessActivity(7.0, at_rest=True), patient=True) is not None
 
 
 def test_one_that_owes_nothing_may_sleep() -> None:
-    vigil = Vigil()
-    assert not vigil.hung(100.0, Pulse(1.0, at_rest=True), patient=False)
+    vigil = ChildWatchdog()
+    assert not vigil.hung(100.0, ProcessActivity(1.0, at_rest=True), patient=False)
     vigil.asked(100.0)
     vigil.answered()
-    assert not vigil.hung(300.0, Pulse(1.0, at_rest=True), patient=False)
+    assert not vigil.hung(300.0, ProcessActivity(1.0, at_rest=True), patient=False)
 
 
 def test_a_process_that_is_gone_is_anothers_business() -> None:
-    vigil = Vigil()
+    vigil = ChildWatchdog()
     vigil.asked(0.0)
     assert not vigil.hung(1000.0, None, patient=False)
-    assert pulse_of(2**22 + 1) is None
+    assert activity_of(2**22 + 1) is None
 
 
 def test_the_pulse_is_this_processs_own() -> None:
-    pulse = pulse_of(os.getpid())
+    pulse = activity_of(os.getpid())
     assert pulse is not None
     assert pulse.processor_s > 0.0
     assert not pulse.at_rest

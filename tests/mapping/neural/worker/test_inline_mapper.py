@@ -7,8 +7,8 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, bent, correction, distance
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.worker.inline_mapper import InlineMapper
 
 CONFIG = MapperConfig(steps_per_view=10, polish_steps=20, mesh_voxel_m=0.05)
@@ -16,7 +16,7 @@ CONFIG = MapperConfig(steps_per_view=10, polish_steps=20, mesh_voxel_m=0.05)
 
 def test_it_learns_at_once_saves_and_meshes(tmp_path: Path) -> None:
     keyframes = KeyframeFolder(tmp_path / "keyframes")
-    mapper = InlineMapper(Trainer(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M), CONFIG, keyframes)
+    mapper = InlineMapper(NeuralMapper(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M), CONFIG, keyframes)
     assert mapper.surface() is None
     for view in tour(4):
         assert mapper.add(view)
@@ -32,12 +32,12 @@ def test_it_learns_at_once_saves_and_meshes(tmp_path: Path) -> None:
 
 def test_a_new_map_epoch_is_learned_at_once(tmp_path: Path) -> None:
     keyframes = KeyframeFolder(tmp_path / "keyframes")
-    mapper = InlineMapper(Trainer(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M), CONFIG, keyframes)
+    mapper = InlineMapper(NeuralMapper(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M), CONFIG, keyframes)
     views = tour(6)
     for view in bent(views):
         assert mapper.add(view)
     mapper.repose(correction(views[:5], 2))
-    assert mapper.refusals() == {Refusal.UNPLACED: 1}
+    assert mapper.refusals() == {RejectReason.UNPLACED: 1}
     surface = mapper.surface()
     assert surface is not None
     assert surface.map_epoch == 2

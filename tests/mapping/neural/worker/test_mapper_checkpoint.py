@@ -15,9 +15,9 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, look, tour
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.keyframes import keyframe_buffer, ray_buffer
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.worker import checkpoint
-from uav_recon.mapping.neural.worker.checkpoint import EVERY_VIEWS, CheckpointError, Checkpoints
+from uav_recon.mapping.neural.worker.checkpoint import EVERY_VIEWS, CheckpointError, MapperCheckpoints
 
 CONFIG, ORDER = MapperConfig(), {"config": {"seed": 0}, "box_min_m": [0.0, 0.0, 0.0]}
 VIEWS, STEPS = EVERY_VIEWS + 4, 6
@@ -31,8 +31,8 @@ class Flight:
         self.keyframes = KeyframeFolder(folder / "keyframes")
         for view in tour(VIEWS, NOISE_PX):
             self.keyframes.save(view)
-        self.trainer = Trainer(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M)
-        checkpoints = Checkpoints(self.path, ORDER)
+        self.trainer = NeuralMapper(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M)
+        checkpoints = MapperCheckpoints(self.path, ORDER)
         for number in range(VIEWS):
             learn(self.trainer, self.keyframes, number)
             if number == EVERY_VIEWS - 3:
@@ -43,7 +43,7 @@ class Flight:
         checkpoints.wait()
 
 
-def learn(mapper: Trainer, keyframes: KeyframeFolder, number: int) -> None:
+def learn(mapper: NeuralMapper, keyframes: KeyframeFolder, number: int) -> None:
     assert mapper.add(keyframes.load(number))
     mapper.train(STEPS)
 
@@ -53,7 +53,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
     return Flight(tmp_path_factory.mktemp("flight"))
 
 
-def _assert_equal(a: Trainer, b: Trainer) -> None:
+def _assert_equal(a: NeuralMapper, b: NeuralMapper) -> None:
     for first, second in ((a.surface(), b.surface()), (a.whole_room(), b.whole_room())):
         assert len(first.position_world) > 1000
         assert np.array_equal(first.position_world, second.position_world)
@@ -69,7 +69,7 @@ def _assert_equal(a: Trainer, b: Trainer) -> None:
 
 
 def test_training_on_after_a_restore_equals_never_having_stopped(flight: Flight) -> None:
-    found = Checkpoints(flight.path, ORDER).load(flight.keyframes)
+    found = MapperCheckpoints(flight.path, ORDER).load(flight.keyframes)
     assert found is not None
     restored, learned = found
     assert learned == restored.views == EVERY_VIEWS
@@ -91,8 +91,8 @@ def test_a_restored_trainer_forgets_and_checkpoints_as_the_first(
     monkeypatch.setattr(keyframe_buffer, "MOST_VIEWS", EVERY_VIEWS + 1)
     monkeypatch.setattr(keyframe_buffer, "KEPT_VIEWS", EVERY_VIEWS - 2)
     monkeypatch.setattr(ray_buffer, "MOST_RAYS", 30_000)  # so that rays are thinned too
-    first = Trainer(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M)
-    checkpoints = Checkpoints(tmp_path / "checkpoint", ORDER)
+    first = NeuralMapper(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M)
+    checkpoints = MapperCheckpoints(tmp_path / "checkpoint", ORDER)
     for number in range(VIEWS):
         learn(first, flight.keyframes, number)
         checkpoints.save_if_due(first, number + 1, flight.keyframes.stamp_s(number))
@@ -103,7 +103,7 @@ def test_a_restored_trainer_forgets_and_checkpoints_as_the_first(
     assert len(first.kept) < first.views == VIEWS
     names = {path.name for path in (tmp_path / "checkpoint").iterdir()}
     assert names == {"state", *(f"view_{number:06d}.npz" for number in first.kept)}
-    found = Checkpoints(tmp_path / "checkpoint", ORDER).load(flight.keyframes)
+    found = MapperCheckpoints(tmp_path / "checkpoint", ORDER).load(flight.keyframes)
     assert found is not None
     for mapper in (first, found[0]):
         assert mapper.add(look((1.4, 1.0, 1.1), 77.0))
@@ -112,7 +112,7 @@ def test_a_restored_trainer_forgets_and_checkpoints_as_the_first(
 
 
 def test_no_checkpoint_is_none(tmp_path: Path, flight: Flight) -> None:
-    assert Checkpoints(tmp_path, ORDER).load(flight.keyframes) is None
+    assert MapperCheckpoints(tmp_path, ORDER).load(flight.keyframes) is None
 
 
 def _flip(position: float) -> Callable[[Path], None]:
@@ -151,13 +151,13 @@ def test_a_damaged_checkpoint_is_named_and_not_used(flight: Flight, tmp_path: Pa
     subprocess.run(["cp", "-r", str(flight.path), str(copy)], check=True)
     damage(copy)
     with pytest.raises(CheckpointError, match=r"checkpoint/(state|view_\d+.npz).*(damaged|No such file)"):
-        Checkpoints(copy, ORDER).load(flight.keyframes)
+        MapperCheckpoints(copy, ORDER).load(flight.keyframes)
 
 
 @pytest.mark.parametrize("change", [{"config": {"seed": 1}}, {"box_min_m": [0.0, 0.0, 0.1]}, {"depth_noise_px": 1.0}])
 def test_a_checkpoint_of_another_order_is_foreign(flight: Flight, change: dict[str, Any]) -> None:
     with pytest.raises(CheckpointError, match="of another configuration, box or camera"):
-        Checkpoints(flight.path, ORDER | change).load(flight.keyframes)
+        MapperCheckpoints(flight.path, ORDER | change).load(flight.keyframes)
 
 
 def test_a_checkpoint_of_other_keyframes_is_foreign(flight: Flight, tmp_path: Path) -> None:
@@ -168,20 +168,20 @@ def test_a_checkpoint_of_other_keyframes_is_foreign(flight: Flight, tmp_path: Pa
         others.save(view)
     for keyframes in (fewer, others):
         with pytest.raises(CheckpointError, match="of other keyframes"):
-            Checkpoints(flight.path, ORDER).load(keyframes)
+            MapperCheckpoints(flight.path, ORDER).load(keyframes)
 
 
 def test_a_checkpoint_of_other_code_is_foreign(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checkpoint, "_code", lambda: "tomorrow's")
     with pytest.raises(CheckpointError, match="of another version"):
-        Checkpoints(flight.path, ORDER).load(flight.keyframes)
+        MapperCheckpoints(flight.path, ORDER).load(flight.keyframes)
 
 
 def test_a_disk_that_refuses_costs_the_checkpoint_alone(
     flight: Flight, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "file").write_text("not a folder")
-    checkpoints = Checkpoints(tmp_path / "file", ORDER)
+    checkpoints = MapperCheckpoints(tmp_path / "file", ORDER)
     assert checkpoints.save_if_due(flight.trainer, VIEWS, 0.0)
     checkpoints.wait()
     assert "no checkpoint after 12 keyframes" in caplog.text

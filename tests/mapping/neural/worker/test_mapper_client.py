@@ -18,7 +18,7 @@ from box_room import BASELINE_M, HIGH, LOW, NOISE_PX, bent, correction, distance
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
+from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason
 from uav_recon.mapping.neural.worker.checkpoint import EVERY_VIEWS
 from uav_recon.mapping.neural.worker.child_watchdog import ASLEEP_S, LOOK_S
 from uav_recon.mapping.neural.worker.mapper_client import RESTARTS, ProcessMapper
@@ -173,7 +173,7 @@ def test_on_a_new_map_epoch_the_child_or_its_successor_learns_that_map_from_the_
     assert mapper.surface() is None  # the old map's
     assert not mapper.add(views[0])
     _wait(lambda: _revision(mapper) > 0, "a surface of the new map")
-    assert mapper.refusals() == {Refusal.EPOCH: 1, Refusal.UNPLACED: 2}
+    assert mapper.refusals() == {RejectReason.EPOCH: 1, RejectReason.UNPLACED: 2}
     surface = mapper.surface()
     assert surface is not None
     assert surface.map_epoch == 1

@@ -11,13 +11,13 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 from scripted_companion import Companion
 
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 
 ARM, FORCE = mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 21196.0
 
 
 def companion(seed: int = 1, **changes: float) -> Companion:
-    p = Parameters.load()
+    p = Px4Parameters.load()
     for name, value in changes.items():
         p.set(name, value)
     return Companion(p, seed)

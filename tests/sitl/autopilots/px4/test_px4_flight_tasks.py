@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from scripted_companion import LAND, Companion
 
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.parameters import Parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.world.quadrotor import Quadrotor
 from sitl.world.step_sizes import REAL
 
@@ -37,7 +37,7 @@ def square(start_s: float, side: float, speed: float) -> tuple[Any, float]:
 
 @pytest.mark.parametrize(("wind_mps", "widest"), [(0.0, 0.05), (0.15, 0.07)])
 def test_the_whole_handshake_flies_a_square_and_lands(wind_mps: float, widest: float) -> None:
-    c = Companion(Parameters.load(), 2, wind_mps)
+    c = Companion(Px4Parameters.load(), 2, wind_mps)
     c.take_off()
     path, duration = square(c.now_s, 2.0, 0.8)
     c.setpoint = path
@@ -62,7 +62,7 @@ def test_the_whole_handshake_flies_a_square_and_lands(wind_mps: float, widest: f
 
 
 def test_corners_of_a_smooth_path_are_cut_by_no_more_than_5_cm() -> None:
-    c = Companion(Parameters.load(), 3, wind_mps=0.0)
+    c = Companion(Px4Parameters.load(), 3, wind_mps=0.0)
     c.take_off()
     start = c.now_s
     radius, speed = 0.5, 0.8
@@ -126,7 +126,7 @@ class LateReader:
 
 def test_a_late_call_does_not_hear_messages_before_they_arrived() -> None:
     link = LateReader()
-    px4 = Px4(Quadrotor(1), link, Parameters.load(), 1)
+    px4 = Px4(Quadrotor(1), link, Px4Parameters.load(), 1)
     px4.step(500.0)
     px4.step(501.0)
     heard = mavlink.MAVLink(None, 1, 1).parse_buffer(link.written)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sitl.autopilots.px4.parameters import DEFAULT_FILE, INT32, REAL32, ParameterError, Parameters
+from sitl.autopilots.px4.parameters import DEFAULT_FILE, INT32, REAL32, ParameterError, Px4Parameters
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -16,7 +16,7 @@ def written(tmp_path: Path, text: str) -> Path:
 
 
 def test_the_indoor_file_loads_and_makes_no_failsafe_a_return() -> None:
-    p = Parameters.load()
+    p = Px4Parameters.load()
     assert p.integer("COM_OBL_RC_ACT") == 4
     assert p.integer("NAV_RCL_ACT") == 3
     assert p.integer("COM_LOW_BAT_ACT") == 2
@@ -35,7 +35,7 @@ def test_the_indoor_readme_explains_each_value_of_the_file() -> None:
 
 
 def test_without_a_file_the_defaults_hold() -> None:
-    p = Parameters()
+    p = Px4Parameters()
     assert p["COM_OF_LOSS_T"] == 1.0
     assert p.integer("COM_OBL_RC_ACT") == 0
 
@@ -54,18 +54,18 @@ def test_without_a_file_the_defaults_hold() -> None:
 def test_a_bad_line_names_file_line_and_fault(tmp_path: Path, line: str, fault: str) -> None:
     path = written(tmp_path, f"# header\n{line}\n")
     with pytest.raises(ParameterError, match=re.escape(f"{path}:2: ")) as caught:
-        Parameters.load(path)
+        Px4Parameters.load(path)
     assert fault in str(caught.value)
 
 
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="cannot be read"):
-        Parameters.load(tmp_path / "none.params")
+        Px4Parameters.load(tmp_path / "none.params")
 
 
 @pytest.mark.parametrize("value", [-1, 0, 4, 121212, 2**31 - 1, -(2**31)])
 def test_integers_travel_as_bytes(value: int) -> None:
-    p = Parameters()
+    p = Px4Parameters()
     p.set("CBRK_FLIGHTTERM", value)
     wire = struct.unpack("<f", struct.pack("<f", p.on_wire("CBRK_FLIGHTTERM")))[0]
     assert p.from_wire("CBRK_FLIGHTTERM", wire) == value
@@ -74,7 +74,7 @@ def test_integers_travel_as_bytes(value: int) -> None:
 
 
 def test_types_indices_and_revision() -> None:
-    p = Parameters()
+    p = Px4Parameters()
     assert p.kind("COM_OBL_RC_ACT") == INT32
     assert p.kind("COM_OF_LOSS_T") == REAL32
     assert [p.name(p.index(name)) for name in p] == list(p)

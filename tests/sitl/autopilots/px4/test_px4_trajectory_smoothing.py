@@ -7,14 +7,14 @@ import random
 
 import pytest
 
-from sitl.autopilots.px4.trajectory_smoothing import Limits, Smoothing
+from sitl.autopilots.px4.trajectory_smoothing import SmoothingLimits, TrajectorySmoothing
 
-LIMITS = Limits(speed=1.0, acceleration=2.0, jerk=4.0)
+LIMITS = SmoothingLimits(speed=1.0, acceleration=2.0, jerk=4.0)
 
 
 def brake(velocity: float, dt_s: float) -> tuple[float, float]:
     """Seconds and metres to rest."""
-    motion, steps = Smoothing(0.0, velocity), 0
+    motion, steps = TrajectorySmoothing(0.0, velocity), 0
     while abs(motion.velocity) > 1e-6:
         motion.step(dt_s, 0.0, LIMITS)
         steps += 1
@@ -32,7 +32,7 @@ def test_braking_takes_the_shortest_time_there_is(velocity: float, dt_s: float) 
 
 
 def test_whatever_is_wanted_acceleration_and_jerk_keep_their_limits() -> None:
-    dice, motion, wanted = random.Random(1), Smoothing(), 0.0
+    dice, motion, wanted = random.Random(1), TrajectorySmoothing(), 0.0
     for k in range(20_000):
         if k % 37 == 0:
             wanted = dice.uniform(-2.0, 2.0)
@@ -44,7 +44,7 @@ def test_whatever_is_wanted_acceleration_and_jerk_keep_their_limits() -> None:
 
 
 def test_a_speed_is_reached_without_overshoot_and_kept() -> None:
-    motion, fastest = Smoothing(), 0.0
+    motion, fastest = TrajectorySmoothing(), 0.0
     for _ in range(1000):
         motion.step(0.01, 0.9, LIMITS)
         fastest = max(fastest, motion.velocity)
@@ -57,7 +57,7 @@ def test_a_speed_is_reached_without_overshoot_and_kept() -> None:
 def test_it_stops_where_a_mode_is_to_stay_and_never_goes_beyond(velocity: float) -> None:
     place = LIMITS.stopping_m(velocity)
     assert place == pytest.approx(velocity**2 / 4.0 + 0.6 * velocity)
-    motion, farthest = Smoothing(0.0, velocity), 0.0
+    motion, farthest = TrajectorySmoothing(0.0, velocity), 0.0
     for _ in range(2500):
         motion.step(0.004, LIMITS.speed_towards(place - motion.position), LIMITS)
         farthest = max(farthest, motion.position)

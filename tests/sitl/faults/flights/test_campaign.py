@@ -14,16 +14,16 @@ from made_up_evidence import evidence
 from sitl.apps.sim_options import AUTOPILOTS, UsageError
 from sitl.faults.flights.campaign import FaultOptions, _line, _missed, faults
 from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, fly_together
-from sitl.faults.flight_evidence import Evidence
+from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.report.html_page import render
 from sitl.faults.report.scenario_result import result_of
 from sitl.faults.table.all_scenarios import ROWS, TABLE
-from sitl.faults.table.scenario import Bar, Row, Verdict, judge
+from sitl.faults.table.scenario import Limit, Scenario, ScenarioVerdict, judge
 
-GAP = Bar("gap", m.longest_gap(), 0.25, "s")
-CLEAR = Bar("clearance", m.clearance, 0.4, "m", at_least=True, ardupilot=0.6)
-ROW = Row("X1", "a <hazard>", "something", bars=(GAP, CLEAR))
+GAP = Limit("gap", m.longest_gap(), 0.25, "s")
+CLEAR = Limit("clearance", m.clearance, 0.4, "m", at_least=True, ardupilot=0.6)
+ROW = Scenario("X1", "a <hazard>", "something", bars=(GAP, CLEAR))
 
 
 def test_rows_come_in_the_tables_order() -> None:
@@ -86,12 +86,12 @@ def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: 
     assert [case.number for case in options.cases(ROWS["B3"], "px4")] == [7]
     assert [case.number for case in options.cases(ROWS["B1"], "px4")] == [7, 8, 9]
     assert options.cases(ROWS["B3"], "px4")[0].out == tmp_path / "B3-px4-7"
-    record = FaultRecord(FaultCase("B3", "px4", 7), Verdict((0.30, 0.0), ("contact",)))
+    record = FaultRecord(FaultCase("B3", "px4", 7), ScenarioVerdict((0.30, 0.0), ("contact",)))
     assert _missed(record).startswith(
         "missed: motion of the error 0.30 <= 0.05 m, contact (--only B3 --autopilot px4 --seeds 1 --seed0 7)"
     )
     assert "seed 7, 9" in _line(
-        result_of(ROWS["B3"], "px4", [record.verdict, Verdict((0.0, 0.0), ()), record.verdict], first=7)
+        result_of(ROWS["B3"], "px4", [record.verdict, ScenarioVerdict((0.0, 0.0), ()), record.verdict], first=7)
     )
 
 
@@ -129,7 +129,7 @@ def test_a_flight_is_held_to_its_bars() -> None:
 
 
 def test_a_program_that_breaks_fails_its_rows_and_says_with_what(monkeypatch: pytest.MonkeyPatch) -> None:
-    def breaks(*_: object) -> Evidence:
+    def breaks(*_: object) -> FlightEvidence:
         raise OSError("gone")
 
     monkeypatch.setattr("sitl.faults.flights.fault_flight.flight", breaks)
@@ -142,7 +142,7 @@ def test_a_program_that_breaks_fails_its_rows_and_says_with_what(monkeypatch: py
 
 
 def test_a_row_is_as_good_as_its_worst_flight() -> None:
-    result = result_of(ROW, "px4", [Verdict((0.03, 0.5), ()), Verdict((0.30, 0.45), ()), Verdict((0.05, 0.7), ("contact",))])
+    result = result_of(ROW, "px4", [ScenarioVerdict((0.03, 0.5), ()), ScenarioVerdict((0.30, 0.45), ()), ScenarioVerdict((0.05, 0.7), ("contact",))])
     assert (result.kept, result.seeds, result.passed, result.missed) == (1, 3, False, (1, 2))
     assert result.tree()["missed"] == [1, 2]
     assert result.worst == (0.30, 0.45)
@@ -153,14 +153,14 @@ def test_a_row_is_as_good_as_its_worst_flight() -> None:
 
 
 def test_a_result_names_the_firmware_that_flew() -> None:
-    result = result_of(ROW, "ardupilot", [Verdict((0.03, 0.7), ())], "4.8.0 (8f898471)")
+    result = result_of(ROW, "ardupilot", [ScenarioVerdict((0.03, 0.7), ())], "4.8.0 (8f898471)")
     assert (result.tree()["tier"], result.tree()["firmware"]) == ("T1", "4.8.0 (8f898471)")
     assert "<td>ardupilot 4.8.0 (8f898471)</td>" in render([result])
     assert result_of(ROW, "px4", []).tree()["tier"] == "T0"
 
 
 def test_what_never_came_is_null_and_breaks_the_bar() -> None:
-    result = result_of(ROW, "px4", [Verdict((math.inf, math.nan), ())])
+    result = result_of(ROW, "px4", [ScenarioVerdict((math.inf, math.nan), ())])
     assert result.passed is False
     assert result.tree()["figure"] is None
     assert "gap never" in result.sentence()
@@ -180,7 +180,7 @@ def test_a_row_that_cannot_be_flown_says_why(tmp_path: Path, capsys: pytest.Capt
 
 
 def test_the_page_tells_figures_and_keeps_its_tags() -> None:
-    page = render([result_of(ROW, "px4", [Verdict((0.3, 0.5), ("contact <1>",))])])
+    page = render([result_of(ROW, "px4", [ScenarioVerdict((0.3, 0.5), ("contact <1>",))])])
     assert "0 of 1 rows pass" in page
     assert "gap 0.30 &lt;= 0.25 s" in page
     assert "a &lt;hazard&gt;" in page
@@ -188,7 +188,7 @@ def test_the_page_tells_figures_and_keeps_its_tags() -> None:
 
 
 def test_the_page_shows_how_much_of_each_bar_is_used_up_and_how_to_fly_what_missed() -> None:
-    page = render([result_of(ROW, "px4", [Verdict((0.1, 0.5), ()), Verdict((0.3, 0.5), ())], first=7)])
+    page = render([result_of(ROW, "px4", [ScenarioVerdict((0.1, 0.5), ()), ScenarioVerdict((0.3, 0.5), ())], first=7)])
     assert '<i class="over"><u style="width:100%"></u></i>gap 0.30' in page
     assert '<i><u style="width:80%"></u></i>clear' in page
     assert "faults --only X1 --autopilot px4 --seeds 1 --seed0 8" in page
@@ -202,6 +202,6 @@ def test_the_page_shows_how_much_of_each_bar_is_used_up_and_how_to_fly_what_miss
 )
 def test_what_missed_is_flown_again_the_same_way(live: bool, firmware: Path | None, how: str) -> None:
     case = FaultCase("B3", "px4", 7, live=live, firmware=firmware)
-    verdict, again = Verdict((0.30, 0.0), ()), f"--only B3 --autopilot px4 {how}--seeds 1 --seed0 7"
+    verdict, again = ScenarioVerdict((0.30, 0.0), ()), f"--only B3 --autopilot px4 {how}--seeds 1 --seed0 7"
     assert f"({again})" in _missed(FaultRecord(case, verdict))
     assert again in html.unescape(render([result_of(ROWS["B3"], "px4", [verdict], first=7, how=case.how)]))

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from sitl.faults.injectors.base import Theatre
-from sitl.faults.injectors.cpu_and_disk_load import NoSpace, Toil, Weighed, resident_bytes, writes_of
-from sitl.faults.process_registry import Roster
+from sitl.faults.injectors.base import InjectionContext
+from sitl.faults.injectors.cpu_and_disk_load import BusyProcesses, MemoryPressure, NoSpace, resident_bytes, writes_of
+from sitl.faults.process_registry import ProcessRegistry
 
 PATIENCE_S = 20.0
 WRITER = """
@@ -38,16 +38,16 @@ def wait_for(condition: Callable[[], bool]) -> None:
         pause.wait(0.01)
 
 
-def theatre(folder: Path) -> Theatre:
+def theatre(folder: Path) -> InjectionContext:
     world: Any = None
-    return Theatre(world, dice=None, roster=Roster(folder), config=folder / "config.toml")  # type: ignore[arg-type]
+    return InjectionContext(world, dice=None, roster=ProcessRegistry(folder), config=folder / "config.toml")  # type: ignore[arg-type]
 
 
 @pytest.fixture
 def writer(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-c", WRITER, str(tmp_path / "written")]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        Roster(tmp_path).tell({"mission": process.pid, "pilot": process.pid}, [])
+        ProcessRegistry(tmp_path).tell({"mission": process.pid, "pilot": process.pid}, [])
         yield process
         process.kill()
 
@@ -62,7 +62,7 @@ def written(writer: subprocess.Popen[str], count: int) -> str:
 
 def test_who_toils_is_gone_with_its_file_when_the_time_is_over(tmp_path: Path) -> None:
     at = theatre(tmp_path)
-    toil = Toil("import sys, time; open(sys.argv[1], 'w').close(); time.sleep(60)", 2, for_s=5.0)
+    toil = BusyProcesses("import sys, time; open(sys.argv[1], 'w').close(); time.sleep(60)", 2, for_s=5.0)
     toil.begin(at)
     wait_for(lambda: {p.name for p in tmp_path.iterdir()} == {"toil-0", "toil-1"})
     toil.turn(at, 4.9)
@@ -82,7 +82,7 @@ def test_no_file_of_the_product_grows_beyond_the_limit(tmp_path: Path, writer: s
 
 
 def test_what_a_process_takes_is_noted(tmp_path: Path, writer: subprocess.Popen[str]) -> None:
-    at, weighed = theatre(tmp_path), Weighed("pilot")
+    at, weighed = theatre(tmp_path), MemoryPressure("pilot")
     assert written(writer, 10) == "done"
     weighed.begin(at)
     weighed.turn(at, 0.0)

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 
 from sitl.apps.direct_channels import DirectChannel
-from sitl.apps.lockstep import Calls, Nobody
+from sitl.apps.lockstep import Calls, NoHook
 from sitl.camera.d435i import FAST_DEPTH_SPEC
 from sitl.faults.fault_director import off_nose_rad
 from sitl.faults.injectors import depth_camera, pose_stream
-from sitl.faults.injectors.base import Depth, Injector, Theatre
+from sitl.faults.injectors.base import Depth, InjectionContext, Injector
 from sitl.faults.injectors.companion import Crash, Stall
 from sitl.faults.injectors.obstacle import Furnished, Obstacle
-from sitl.faults.judges.map_integrity import AGAIN, CLAIMED, FREED, SETTLED_S, UNDER_WAY_S, Cartographer, Claims, Tally
+from sitl.faults.judges.map_integrity import AGAIN, CLAIMED, FREED, SETTLED_S, UNDER_WAY_S, Claims, MapIntegrityCheck, Tally
 from sitl.faults.table.all_scenarios import ROWS, TABLE
 from sitl.geometry.quaternion import yaw_of
 from sitl.geometry.transform import body_from_camera
 from sitl.scene.mesh import joined
-from sitl.scene.primitives import Workshop
+from sitl.scene.primitives import MeshBuilder
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.texture import plain
 from sitl.world.pose_tracker import PoseRecord
@@ -46,43 +46,43 @@ def one(trouble: Injector, since_s: float = 0.0) -> PoseRecord:
 
 
 def test_poses_stop_and_come_back() -> None:
-    silence = pose_stream.Silence(0.5)
+    silence = pose_stream.PoseSilence(0.5)
     assert silence.pose(0.4, record()) == []
     assert len(silence.pose(0.6, record())) == 1
 
 
 def test_a_spike_is_one_pose() -> None:
-    spike = pose_stream.Altered(pose_stream.moved(x=0.5), count=1)
+    spike = pose_stream.AlteredPoses(pose_stream.moved(x=0.5), count=1)
     assert one(spike).position_m[0] == pytest.approx(1.5)
     assert one(spike).position_m[0] == pytest.approx(1.0)
 
 
 def test_drift_grows_and_ends() -> None:
-    drift = pose_stream.Altered(pose_stream.drifting(0.05, 0.0, most_m=3.0))
+    drift = pose_stream.AlteredPoses(pose_stream.drifting(0.05, 0.0, most_m=3.0))
     assert one(drift, 10.0).position_m[0] == pytest.approx(1.5)
     assert one(drift, 1000.0).position_m[0] == pytest.approx(4.0)
 
 
 def test_a_heading_flips() -> None:
-    w, x, y, z = one(pose_stream.Altered(pose_stream.turned(90.0))).quat_wxyz
+    w, x, y, z = one(pose_stream.AlteredPoses(pose_stream.turned(90.0))).quat_wxyz
     assert yaw_of((w, x, y, z)) == pytest.approx(math.pi / 2)
-    moved = one(pose_stream.Altered(pose_stream.map_turned(90.0)))
+    moved = one(pose_stream.AlteredPoses(pose_stream.map_turned(90.0)))
     np.testing.assert_allclose(moved.position_m, [-2.0, 1.0, 1.0], atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp"])
 def test_what_makes_no_sense_makes_none(kind: str) -> None:
-    bad = one(pose_stream.Altered(pose_stream.spoilt(kind)))
+    bad = one(pose_stream.AlteredPoses(pose_stream.spoilt(kind)))
     numbers = np.concatenate([[bad.stamp_s], bad.position_m, bad.quat_wxyz, bad.variance])
     assert not np.isfinite(numbers).all() or abs(np.linalg.norm(bad.quat_wxyz) - 1.0) > 0.5
 
 
 def test_stamps_and_rates() -> None:
-    frozen = pose_stream.Frozen()
+    frozen = pose_stream.FrozenPose()
     assert [late[0][1].stamp_s for late in (frozen.pose(0.0, record(10.0)), frozen.pose(0.1, record(11.0)))] == [10.0, 10.0]
-    assert one(pose_stream.Altered(pose_stream.stamped(5.0))).stamp_s == 15.0
-    assert pose_stream.Later(0.3).pose(0.0, record())[0][0] == 0.3
-    thinned = pose_stream.Thinned(3.0)
+    assert one(pose_stream.AlteredPoses(pose_stream.stamped(5.0))).stamp_s == 15.0
+    assert pose_stream.LatePoses(0.3).pose(0.0, record())[0][0] == 0.3
+    thinned = pose_stream.ThinnedPoses(3.0)
     assert sum(len(thinned.pose(k / 30.0, record())) for k in range(300)) == pytest.approx(30, abs=2)
 
 
@@ -92,7 +92,7 @@ def test_frames_are_lost_repeated_and_late() -> None:
     assert len(depth_camera.Shuffled().depth(0.0, frame())) == 2
     redated = depth_camera.Redated(-3600.0, 1.0)
     assert [redated.depth(since_s, frame(5000.0))[0][1].stamp_s for since_s in (0.0, 0.9, 1.0)] == [1400.0, 1400.0, 5000.0]
-    hung = depth_camera.FrozenPicture()
+    hung = depth_camera.FrozenImage()
     first = hung.depth(0.0, frame(1.0))[0][1]
     later = Depth(2.0, np.full((4, 6), 500, np.uint16), first.rgb)
     assert (hung.depth(0.1, later)[0][1].depth_mm == first.depth_mm).all()
@@ -101,7 +101,7 @@ def test_frames_are_lost_repeated_and_late() -> None:
 
 def test_a_frame_that_is_mapped_again_is_counted_by_its_picture() -> None:
     frames = DirectChannel[Any]()
-    at = Theatre(cast("Any", None), dice=random.Random(), channels=SimpleNamespace(frames=frames))
+    at = InjectionContext(cast("Any", None), dice=random.Random(), channels=SimpleNamespace(frames=frames))
     tally = Tally()
     tally.begin(at)
     for picture in (1.0, None, 2.0, 1.0, 1.0):
@@ -123,8 +123,8 @@ def test_what_becomes_known_as_free_is_counted_once_what_was_under_way_is_mapped
     world = SimpleNamespace(
         clearance=SimpleNamespace(bins=SimpleNamespace(points=np.array([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5]])))
     )
-    at = Theatre(cast("Any", world), dice=random.Random(), channels=SimpleNamespace(voxels=voxels, free=free))
-    walls, claims = Cartographer(), Claims()
+    at = InjectionContext(cast("Any", world), dice=random.Random(), channels=SimpleNamespace(voxels=voxels, free=free))
+    walls, claims = MapIntegrityCheck(), Claims()
 
     def shows(*states: int) -> None:
         voxels.publish(mapped(*states))
@@ -150,8 +150,8 @@ def test_what_a_frame_of_before_frees_is_no_damage() -> None:
     voxels, free = DirectChannel[VoxelMap](), DirectChannel[FreeSpace]()
     points = np.array([[k + 0.5, 0.5, 0.5] for k in range(3)])
     world = SimpleNamespace(clearance=SimpleNamespace(bins=SimpleNamespace(points=points)))
-    at = Theatre(cast("Any", world), dice=random.Random(), channels=SimpleNamespace(voxels=voxels, free=free))
-    walls = Cartographer()
+    at = InjectionContext(cast("Any", world), dice=random.Random(), channels=SimpleNamespace(voxels=voxels, free=free))
+    walls = MapIntegrityCheck()
     voxels.publish(mapped(OCCUPIED, OCCUPIED, OCCUPIED))
     walls.begin(at)
     free.publish(FreeSpace.of(mapped(FREE, OCCUPIED, OCCUPIED)))
@@ -164,7 +164,7 @@ def test_what_a_frame_of_before_frees_is_no_damage() -> None:
 
 
 def test_a_flight_that_never_settled_claims_nothing_and_so_holds_no_bar() -> None:
-    at = Theatre(cast("Any", None), dice=random.Random(), channels=SimpleNamespace(free=DirectChannel[FreeSpace]()))
+    at = InjectionContext(cast("Any", None), dice=random.Random(), channels=SimpleNamespace(free=DirectChannel[FreeSpace]()))
     claims = Claims()
     claims.turn(at, 1.0)
     claims.end(at)
@@ -184,7 +184,7 @@ def test_a_flight_that_never_settled_claims_nothing_and_so_holds_no_bar() -> Non
 )
 def test_pictures_are_spoilt(change: depth_camera.Change) -> None:
     depth = np.arange(400, 400 + 24 * 50, 50).reshape(4, 6).astype(np.uint16)
-    changed = depth_camera.Painted(change).depth(0.0, Depth(0.0, depth, None))[0][1].depth_mm
+    changed = depth_camera.AlteredDepth(change).depth(0.0, Depth(0.0, depth, None))[0][1].depth_mm
     assert changed.dtype == np.uint16
     assert changed.shape == depth.shape
     assert (changed != depth).any()
@@ -204,11 +204,11 @@ def test_stages_stall_and_crash() -> None:
 def test_a_call_of_the_planner_hangs_while_the_mission_runs() -> None:
     hung, clock = Stall("planner"), ManualClock(0.0)
 
-    class Hung(Nobody):
+    class Hung(NoHook):
         def runs(self, stage: str) -> bool:
             return not hung.stalls(clock.now_s(), stage)
 
-    free, stuck = (Calls(InlineExecutor(clock), meddler).submit(lambda: 7, 0.1) for meddler in (Nobody(), Hung()))
+    free, stuck = (Calls(InlineExecutor(clock), meddler).submit(lambda: 7, 0.1) for meddler in (NoHook(), Hung()))
     assert not free.done()
     clock.advance_to(1.0)
     assert free.done() and free.result() == 7
@@ -218,7 +218,7 @@ def test_a_call_of_the_planner_hangs_while_the_mission_runs() -> None:
 
 
 def test_an_obstacle_is_seen_and_felt() -> None:
-    wall = joined([Workshop(fine=False).patch((4, -5, -5), (0, 10, 0), (0, 0, 10), plain((0.5, 0.5, 0.5)))])
+    wall = joined([MeshBuilder(fine=False).patch((4, -5, -5), (0, 10, 0), (0, 0, 10), plain((0.5, 0.5, 0.5)))])
     scene = Renderer(wall.vertices, wall.faces, wall.rgb)
     box = Obstacle(3.0, (0.5, 0.5, 0.5), lambda now_s: (2.5, 0.0, 0.0))
     pose = body_from_camera((0.0, 0.0, 0.0), 0.0)

@@ -12,11 +12,19 @@ import pytest
 from made_up_evidence import evidence, rewired
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.faults.fault import Trouble
-from sitl.faults.fault_director import Meddler
+from sitl.faults.fault import Fault
+from sitl.faults.fault_director import FaultDirector
 from sitl.faults.flights.fault_flight import attended
-from sitl.faults.injectors.base import ATTENDED, Theatre
-from sitl.faults.injectors.operator_silence import Gone, GroundStation, Rare, acts_after, astray, warnings, warns_after
+from sitl.faults.injectors.base import ATTENDED, InjectionContext
+from sitl.faults.injectors.operator_silence import (
+    GroundStation,
+    OperatorIntermittent,
+    OperatorSilent,
+    acts_after,
+    astray,
+    warnings,
+    warns_after,
+)
 from sitl.faults.table.all_scenarios import ROWS
 from uav_recon import config as product_config
 
@@ -33,25 +41,25 @@ class Line:
         self.forged.append(data)
 
 
-def theatre() -> Theatre:
+def theatre() -> InjectionContext:
     world: Any = None
     line: Any = Line()
-    return Theatre(world, random.Random(1), proxy=line)
+    return InjectionContext(world, random.Random(1), proxy=line)
 
 
 def test_who_has_gone_asks_no_more_and_his_last_question_is_noted() -> None:
-    meddler = Meddler([Trouble("D8", [Gone()])], 0)
+    meddler = FaultDirector([Fault("D8", [OperatorSilent()])], 0)
     at = meddler.theatre = theatre()
     at.now_s = 7.0
     assert meddler.attends()
-    Gone().begin(at)
+    OperatorSilent().begin(at)
     at.now_s = 8.0
     assert not meddler.attends()
     assert at.notes == {ATTENDED: 7.0}
 
 
 def test_who_is_heard_now_and_then_asks_once_in_ten_seconds() -> None:
-    at, rare = theatre(), Rare(10.0)
+    at, rare = theatre(), OperatorIntermittent(10.0)
     asked = []
     for second in range(40):
         rare.turn(at, second + 0.4)

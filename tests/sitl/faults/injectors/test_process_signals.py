@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 
 from sitl.faults.flights.fault_flight_real_time import Supervised
-from sitl.faults.injectors.base import Theatre
-from sitl.faults.injectors.process_signals import Asked, Killed, Stopped
-from sitl.faults.process_registry import Exit, Roster, child_of
-from uav_recon.errors import Failure
+from sitl.faults.injectors.base import InjectionContext
+from sitl.faults.injectors.process_signals import ProcessKilled, ProcessStopped, ProcessTerminated
+from sitl.faults.process_registry import Exit, ProcessRegistry, child_of
+from uav_recon.errors import UserError
 
 PATIENCE_S = 20.0
 SLEEPER = "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: sys.exit(7)); print(flush=True); signal.pause()"
@@ -48,27 +48,27 @@ def sleeper() -> Iterator[subprocess.Popen[bytes]]:
     process.stdout.close()
 
 
-def theatre(roster: Roster, armed: bool = True) -> Theatre:
+def theatre(roster: ProcessRegistry, armed: bool = True) -> InjectionContext:
     world: Any = SimpleNamespace(flyer=SimpleNamespace(truth=lambda: SimpleNamespace(armed=armed)))
-    return Theatre(world, dice=None, roster=roster)  # type: ignore[arg-type]
+    return InjectionContext(world, dice=None, roster=roster)  # type: ignore[arg-type]
 
 
 def test_the_roster_is_empty_at_first_and_repeats_what_it_was_told(tmp_path: Path) -> None:
-    roster = Roster(tmp_path)
+    roster = ProcessRegistry(tmp_path)
     assert roster.pid("pilot") is None
     assert roster.exits() == []
     assert roster.kept_down() == frozenset()
     roster.tell({"pilot": 12}, [Exit("mission", -9, 3.5)])
     roster.keep_down(("mission",))
-    assert Roster(tmp_path).pid("pilot") == 12
-    assert Roster(tmp_path).exits() == [Exit("mission", -9, 3.5)]
-    assert Roster(tmp_path).kept_down() == {"mission"}
+    assert ProcessRegistry(tmp_path).pid("pilot") == 12
+    assert ProcessRegistry(tmp_path).exits() == [Exit("mission", -9, 3.5)]
+    assert ProcessRegistry(tmp_path).kept_down() == {"mission"}
 
 
 def test_a_stopped_process_goes_on_after_its_time(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:
-    roster = Roster(tmp_path)
+    roster = ProcessRegistry(tmp_path)
     roster.tell({"mission": sleeper.pid}, [])
-    trouble, at = Stopped("mission", for_s=5.0), theatre(roster)
+    trouble, at = ProcessStopped("mission", for_s=5.0), theatre(roster)
     trouble.begin(at)
     wait_for(lambda: state_of(sleeper.pid) == "T")
     trouble.turn(at, 4.9)
@@ -78,9 +78,9 @@ def test_a_stopped_process_goes_on_after_its_time(tmp_path: Path, sleeper: subpr
 
 
 def test_a_killed_process_is_kept_down_for_its_time(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:
-    roster = Roster(tmp_path)
+    roster = ProcessRegistry(tmp_path)
     roster.tell({"mission": sleeper.pid}, [])
-    trouble, at = Killed("mission", "pilot", for_s=2.0), theatre(roster)
+    trouble, at = ProcessKilled("mission", "pilot", for_s=2.0), theatre(roster)
     trouble.begin(at)
     assert sleeper.wait(PATIENCE_S) == -signal.SIGKILL
     trouble.turn(at, 1.9)
@@ -90,9 +90,9 @@ def test_a_killed_process_is_kept_down_for_its_time(tmp_path: Path, sleeper: sub
 
 
 def test_how_a_process_ends_that_was_asked_to_is_noted(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:
-    roster = Roster(tmp_path)
+    roster = ProcessRegistry(tmp_path)
     roster.tell({"pilot": sleeper.pid}, [])
-    trouble, at = Asked("pilot"), theatre(roster)
+    trouble, at = ProcessTerminated("pilot"), theatre(roster)
     trouble.begin(at)
     assert sleeper.wait(PATIENCE_S) == 7
     trouble.turn(at, 0.1)
@@ -130,12 +130,12 @@ def test_what_ends_is_started_again_as_the_units_have_it(tmp_path: Path) -> None
     assert len((tmp_path / "pilot").read_text()) >= 3
     assert len((tmp_path / "perception").read_text()) == 1
     assert len((tmp_path / "mission").read_text()) == 1
-    ended = Roster(tmp_path).exits()
+    ended = ProcessRegistry(tmp_path).exits()
     assert {(e.name, e.code) for e in ended} == {("pilot", 0), ("perception", 78), ("mission", 0)}
 
 
 def test_a_world_that_dies_is_told(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     commands = {"world": [sys.executable, "-c", "import sys; sys.exit('no such arena')"]}
-    with pytest.raises(Failure, match="world died: no such arena"):
+    with pytest.raises(UserError, match="world died: no such arena"):
         Supervised(commands, tmp_path / "logs", tmp_path).watch()

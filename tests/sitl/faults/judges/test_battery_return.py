@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from made_up_evidence import DT_S, evidence
 
-from sitl.faults.flight_evidence import Evidence
+from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.judges.battery_return import reserve, turned_at
 from sitl.faults.table.all_scenarios import ROWS
 
 
-def there_and_back(share: float, per_s: float, astray_m: float = 0.0) -> Evidence:
+def there_and_back(share: float, per_s: float, astray_m: float = 0.0) -> FlightEvidence:
     """To 4 m within 8 s, there until 10 s, back over the pad at 14 s, motors off at 18 s. From a share, with so much a second.
 
     astray_m: at 12 s, 2 m before the pad, it goes out again so far.

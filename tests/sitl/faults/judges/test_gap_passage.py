@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made_up_evidence import evidence
 
-from sitl.faults.flight_evidence import Evidence
+from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.table.all_scenarios import ROWS
 from sitl.faults.table.arenas import GAP
 from sitl.faults.table.scenario import judge
@@ -17,7 +17,7 @@ REFUSED = "33 frontiers left: 18 not reachable, 8 out of the camera's sight, 2 t
 SPENT = "view budget of 10 spent, 2 frontiers left in the last plan"
 
 
-def flown_to(farthest_m: float, stop_reason: str, aside_m: float = 0.0) -> Evidence:
+def flown_to(farthest_m: float, stop_reason: str, aside_m: float = 0.0) -> FlightEvidence:
     """Out along x and home again, aside of the middle where it is farthest."""
     e = evidence(stop_reason=stop_reason)
     away = np.interp(e.stamp_s, [2.0, 8.0, 14.0], [0.0, 1.0, 0.0])
@@ -26,7 +26,7 @@ def flown_to(farthest_m: float, stop_reason: str, aside_m: float = 0.0) -> Evide
     return dataclasses.replace(e, position_m=place)
 
 
-def passes(e: Evidence) -> bool:
+def passes(e: FlightEvidence) -> bool:
     return judge(ROWS["F6"], e, []).passed(ROWS["F6"], "px4")
 
 

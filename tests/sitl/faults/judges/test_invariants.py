@@ -11,24 +11,24 @@ import pytest
 from made_up_evidence import DT_S, rewired, spoilt
 from made_up_evidence import evidence as flown
 
-from sitl.faults.flight_evidence import Evidence
+from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.base import TAKEN_OVER
 from sitl.faults.judges.invariants import Room, violations
 from sitl.faults.table.all_scenarios import TABLE
-from sitl.faults.wire_capture import Order
+from sitl.faults.wire_capture import CapturedCommand
 
-Spoil = Callable[[Evidence], Evidence]
+Spoil = Callable[[FlightEvidence], FlightEvidence]
 LIMIT_RADPS = 1.0  # of the flight's limits
 
 
-def evidence(**changes: Any) -> Evidence:
+def evidence(**changes: Any) -> FlightEvidence:
     """The flight that never was, which says why it lands and turns all the way, past the back."""
     plain = flown(**changes)
     turns = np.remainder(0.7 * plain.wire.setpoint_s, 2.0 * np.pi)
     return rewired(plain, texts=((6.0, "holding"), (15.1, "the mission asks to land")), yaw_rad=turns)
 
 
-def hovering(e: Evidence, mode: str = "OFFBOARD", **changes: Any) -> Evidence:
+def hovering(e: FlightEvidence, mode: str = "OFFBOARD", **changes: Any) -> FlightEvidence:
     """Armed and alone until the end, and the end is far."""
     t = np.arange(0.0, 90.0, 1.0 / 30.0)
     place = np.tile([1.0, 0.0, 1.0], (len(t), 1))
@@ -39,7 +39,7 @@ def hovering(e: Evidence, mode: str = "OFFBOARD", **changes: Any) -> Evidence:
     )  # fmt: skip
 
 
-def taken(e: Evidence, mode: str = "POSCTL", **said: Any) -> Evidence:
+def taken(e: FlightEvidence, mode: str = "POSCTL", **said: Any) -> FlightEvidence:
     """Another's mode is set at 9.9 s, the product hears of it at 10 s and sends no setpoint any more."""
     theirs = dataclasses.replace(
         e, mode=tuple(mode if t > 9.9 else "OFFBOARD" for t in e.stamp_s),
@@ -71,9 +71,9 @@ SPOILS: dict[str, Spoil] = {
     "out of the inset fence": lambda e: rewired(e, position_m=spoilt(e.wire.position_m, (slice(None), 1), 2.8)),
     "after the pilot took over": lambda e: rewired(
         dataclasses.replace(e, mode=tuple("POSCTL" if t > 8.0 else m for t, m in zip(e.stamp_s, e.mode, strict=True))),
-        orders=(*e.wire.orders, Order(9.0, 176, 1.0, 6.0)),
+        orders=(*e.wire.orders, CapturedCommand(9.0, 176, 1.0, 6.0)),
     ),
-    "motors to stop": lambda e: rewired(e, orders=(*e.wire.orders, Order(9.0, 400, 0.0, 21196.0))),
+    "motors to stop": lambda e: rewired(e, orders=(*e.wire.orders, CapturedCommand(9.0, 400, 0.0, 21196.0))),
     "disarmed in the air": lambda e: dataclasses.replace(e, armed=e.stamp_s < 9.0),
     "hovers": hovering,
     "hovers armed": lambda e: hovering(e, "LOITER"),
@@ -105,7 +105,7 @@ def test_what_is_allowed_is_no_violation() -> None:
     assert violations(rewired(quiet, orders=reset.wire.orders[:2])) == [], "a pilot may take over"
 
 
-def on_a_table(fed_until_s: float, touched_s: float = 16.8) -> Evidence:
+def on_a_table(fed_until_s: float, touched_s: float = 16.8) -> FlightEvidence:
     """Comes down on something 0.3 m high and stands there at 17.1 s, its hull near it from such an instant on."""
     e = evidence()
     over, fed = e.stamp_s > 15.0, e.wire.odometry_s < fed_until_s
@@ -166,11 +166,11 @@ def test_what_is_said_of_another_thing_is_no_reason_for_a_landing(other: str) ->
 def test_a_pilot_who_takes_the_vehicle_out_of_our_landing_keeps_it() -> None:
     e = evidence()
     kept = dataclasses.replace(e, mode=tuple("POSCTL" if t > 16.0 else m for t, m in zip(e.stamp_s, e.mode, strict=True)))
-    again = rewired(kept, orders=(*e.wire.orders, Order(17.0, 176, 1.0, 4.0)))
+    again = rewired(kept, orders=(*e.wire.orders, CapturedCommand(17.0, 176, 1.0, 4.0)))
     assert violations(kept) == [], "the order to land came before"
     assert violations(again) == ["1 mode or arm commands after the pilot took over"]
     known_s = next(s for s, _, _ in e.heard if s > 16.0)
-    under_way = rewired(kept, orders=(*e.wire.orders, Order(known_s + 0.01, 176, 1.0, 4.0)))
+    under_way = rewired(kept, orders=(*e.wire.orders, CapturedCommand(known_s + 0.01, 176, 1.0, 4.0)))
     assert violations(under_way) == [], "sent before it could have heard"
 
 
@@ -200,7 +200,7 @@ def test_setpoints_that_arrive_together_were_sent_apart() -> None:
     assert any("velocity jumps" in words for words in violations(rewired(held_up, setpoint_stamp_ms=together)))
 
 
-def ramped(speed_mps: float, acceleration_mps2: float) -> Evidence:
+def ramped(speed_mps: float, acceleration_mps2: float) -> FlightEvidence:
     """From 7 s on setpoints go faster and faster aside for 1 s, and then on so fast."""
     e = evidence()
     since_s = np.clip(e.wire.setpoint_s - 7.0, 0.0, 1.0)
@@ -212,7 +212,7 @@ def ramped(speed_mps: float, acceleration_mps2: float) -> Evidence:
     )  # fmt: skip
 
 
-def turning(rate_radps: float) -> Evidence:
+def turning(rate_radps: float) -> FlightEvidence:
     """From 7 s on setpoints turn at this rate for a second."""
     e = evidence()
     return rewired(e, yaw_rad=rate_radps * np.clip(e.wire.setpoint_s - 7.0, 0.0, 1.0))

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from made_up_evidence import BOOT_S, DT_S, evidence, rewired, spoilt
 
-from sitl.faults.flight_evidence import Evidence
+from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.base import TAKEN_OVER
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.manual_takeover import mode_taken_back
-from sitl.faults.judges.statustext_checks import told_after, told_after_arming, told_on_the_floor
-from sitl.faults.wire_capture import Order
+from sitl.faults.judges.statustext_checks import statustext_after_arming, statustext_delay, statustext_on_floor
+from sitl.faults.wire_capture import CapturedCommand
 
 NEAR = 2.5 * DT_S
 
 
-def stopping(from_s: float) -> Evidence:
+def stopping(from_s: float) -> FlightEvidence:
     """Setpoints and vehicle brake at 1 m/s² from an instant on, out of 0.5 m/s."""
     e = evidence()
     left = np.clip(0.5 - (e.stamp_s - from_s), 0.0, 0.5)
@@ -102,8 +102,8 @@ def test_orders_are_counted() -> None:
     assert m.commands()(rewired(e, orders=e.wire.orders[:2])) == 0
     assert m.arm_tries(e) == 1
     assert m.forced(e) == 0
-    assert m.forced(rewired(e, orders=(Order(1.0, 400, 1.0, 21196.0),))) == 1
-    assert m.last_try_after(rewired(e, orders=tuple(Order(t, 400, 1.0, 0.0) for t in (1.0, 6.0, 30.0)))) == 29.0
+    assert m.forced(rewired(e, orders=(CapturedCommand(1.0, 400, 1.0, 21196.0),))) == 1
+    assert m.last_try_after(rewired(e, orders=tuple(CapturedCommand(t, 400, 1.0, 0.0) for t in (1.0, 6.0, 30.0)))) == 29.0
     assert m.first_arm(e) == pytest.approx(0.8)
     assert m.asked_to_land(e) == pytest.approx(10.0)
 
@@ -116,15 +116,17 @@ def test_only_the_words_that_are_asked_for_count_as_told() -> None:
         (19.0, "no pose for 1.0 s"),
     )
     e = rewired(evidence(), texts=said)
-    assert told_after("no pose|pose is stale")(e) == pytest.approx(1.0), "what was said before the trouble is not about it"
-    assert told_after("^pose")(e) == math.inf
-    assert told_after("")(e) == pytest.approx(0.3)
+    assert statustext_delay("no pose|pose is stale")(e) == pytest.approx(1.0), (
+        "what was said before the trouble is not about it"
+    )
+    assert statustext_delay("^pose")(e) == math.inf
+    assert statustext_delay("")(e) == pytest.approx(0.3)
     down_s = float(e.stamp_s[np.flatnonzero((e.stamp_s > 5.0) & (e.position_m[:, 2] <= e.position_m[-1, 2] + 0.05))[0]])
     assert down_s == pytest.approx(17.6, abs=0.1)
-    assert told_on_the_floor("no pose")(e) == pytest.approx(19.0 - down_s)
-    assert told_on_the_floor("refused")(e) == math.inf, "in the air"
-    assert told_after_arming("no pose")(e) == pytest.approx(4.0 - 0.8)
-    assert told_after_arming("no pose")(rewired(e, orders=())) == math.inf
+    assert statustext_on_floor("no pose")(e) == pytest.approx(19.0 - down_s)
+    assert statustext_on_floor("refused")(e) == math.inf, "in the air"
+    assert statustext_after_arming("no pose")(e) == pytest.approx(4.0 - 0.8)
+    assert statustext_after_arming("no pose")(rewired(e, orders=())) == math.inf
 
 
 def test_a_landing_is_measured_from_the_last_setpoint_that_leads_anywhere_or_turns() -> None:
@@ -207,7 +209,7 @@ def test_where_a_vehicle_drifts_that_a_pilot_took_is_not_answered_for() -> None:
     assert (m.clearance(back), m.overshoot(back) > 5.0) == (0.0, True), "it is ours again"
 
 
-def going_after_a_rest(*, along: float, aside: float) -> Evidence:
+def going_after_a_rest(*, along: float, aside: float) -> FlightEvidence:
     """At rest from 5.2 to 7 s, then 0.5 m/s on along its way (back where negative) or aside of it until 9 s."""
     e = evidence()
     going = (e.stamp_s >= 7.0) & (e.stamp_s < 9.0)
@@ -257,7 +259,7 @@ def test_how_a_flight_ended() -> None:
     assert m.position_mode(dataclasses.replace(e, mode=kept)) > 0
 
 
-def raced(*lands: tuple[float, float], asked_s: tuple[float, ...] = ()) -> Evidence:
+def raced(*lands: tuple[float, float], asked_s: tuple[float, ...] = ()) -> FlightEvidence:
     """A pilot switches at 8 s and the product hears of it at 8.2 s; it lands between these instants, and was asked to then."""
     e = evidence()
 
@@ -268,7 +270,7 @@ def raced(*lands: tuple[float, float], asked_s: tuple[float, ...] = ()) -> Evide
     flown = dataclasses.replace(
         e, mode=tuple(map(mode, e.stamp_s)), notes={TAKEN_OVER: 8.0}, heard=((7.9, 6 << 16, True), (8.2, 3 << 16, True)),
     )  # fmt: skip
-    return rewired(flown, orders=tuple(Order(s, 176, 1.0, 4.0) for s in asked_s))
+    return rewired(flown, orders=tuple(CapturedCommand(s, 176, 1.0, 4.0) for s in asked_s))
 
 
 def test_the_mode_stays_the_pilots_but_for_a_landing_that_nobody_could_know_better_than_to_ask_for() -> None:

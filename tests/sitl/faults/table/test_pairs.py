@@ -13,27 +13,27 @@ from made_up_evidence import ONSET_S, evidence
 
 from sitl.apps.sim_options import UsageError
 from sitl.faults.flights.campaign import FaultOptions
-from sitl.faults.injectors.base import Depth, Needs, Theatre
+from sitl.faults.injectors.base import Capabilities, Depth, InjectionContext
 from sitl.faults.injectors.companion import Crash, Stall
-from sitl.faults.injectors.delayed import Postponed
-from sitl.faults.injectors.mavlink_link import Loss
-from sitl.faults.injectors.pose_stream import Silence
+from sitl.faults.injectors.delayed import Delayed
+from sitl.faults.injectors.mavlink_link import PacketLoss
+from sitl.faults.injectors.pose_stream import PoseSilence
 from sitl.faults.soak import SOAKS
 from sitl.faults.table.all_scenarios import PAIRS, ROWS, TABLE
 from sitl.faults.table.pairs import APART_S, PAIRED, REACTIONS
-from sitl.faults.table.scenario import Row, judge
+from sitl.faults.table.scenario import Scenario, judge
 from sitl.world.pose_tracker import PoseRecord
 
 POSE = PoseRecord(10.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 1e-4), 100, 0)
 PICTURE = Depth(10.0, np.zeros((4, 6), np.uint16), None)
 
 
-def theatre() -> Theatre:
+def theatre() -> InjectionContext:
     world: Any = None
-    return Theatre(world, random.Random(1), now_s=7.0)
+    return InjectionContext(world, random.Random(1), now_s=7.0)
 
 
-def moments(row: Row, number: int) -> dict[str, float]:
+def moments(row: Scenario, number: int) -> dict[str, float]:
     """When each trouble of the pair's n-th flight begins, in seconds after the flight's moment, to a hundredth."""
     at = theatre()
     for trouble in row.injectors(number):
@@ -44,7 +44,7 @@ def moments(row: Row, number: int) -> dict[str, float]:
 
 
 def test_until_its_moment_there_is_no_trouble_and_then_it_is_told() -> None:
-    at, silence = theatre(), Postponed(Silence(for_s=1.0), 0.5, "B1")
+    at, silence = theatre(), Delayed(PoseSilence(for_s=1.0), 0.5, "B1")
     silence.turn(at, 0.49)
     assert (len(silence.pose(0.49, POSE)), at.notes) == (1, {})
     silence.turn(at, 0.52)
@@ -57,7 +57,7 @@ def test_until_its_moment_there_is_no_trouble_and_then_it_is_told() -> None:
 
 def test_whatever_a_trouble_touches_it_touches_later() -> None:
     at = theatre()
-    lost, crash = Postponed(Loss("both", 1.0), 0.5, "D3"), Postponed(Crash("pilot", back_s=0.2), 0.5, "A7")
+    lost, crash = Delayed(PacketLoss("both", 1.0), 0.5, "D3"), Delayed(Crash("pilot", back_s=0.2), 0.5, "A7")
     for trouble in (lost, crash):
         trouble.turn(at, 0.4)
     assert (lost.to_autopilot(0.4, b"a"), lost.to_product(0.4, b"b")) == ([(0.0, b"a")], [(0.0, b"b")])
@@ -68,23 +68,23 @@ def test_whatever_a_trouble_touches_it_touches_later() -> None:
     assert lost.to_autopilot(0.6, b"a") == lost.to_product(0.6, b"b") == []
     assert crash.stalls(0.69, "pilot")
     assert [crash.restarts(0.69, "pilot"), crash.restarts(0.71, "pilot"), crash.restarts(0.8, "pilot")] == [False, True, False]
-    assert Postponed(Stall("mission"), 0.5, "A1").needs is Needs.STAGES
-    dark = Postponed(next(iter(ROWS["C1"].injectors(0))), 0.1, "C1")
+    assert Delayed(Stall("mission"), 0.5, "A1").needs is Capabilities.STAGES
+    dark = Delayed(next(iter(ROWS["C1"].injectors(0))), 0.1, "C1")
     assert dark.depth(0.2, PICTURE) == [(0.0, PICTURE)]
     dark.turn(at, 0.2)
     assert dark.depth(0.3, PICTURE) == []
 
 
 def test_a_trouble_that_never_began_has_nothing_to_end() -> None:
-    class Ended(Silence):
+    class Ended(PoseSilence):
         ends = 0
 
-        def end(self, at: Theatre) -> None:
+        def end(self, at: InjectionContext) -> None:
             self.ends += 1
 
     for turned_s, ends in ((0.4, 0), (0.6, 1)):
         trouble = Ended()
-        late = Postponed(trouble, 0.5, "X")
+        late = Delayed(trouble, 0.5, "X")
         late.turn(theatre(), turned_s)
         late.end(theatre())
         assert trouble.ends == ends

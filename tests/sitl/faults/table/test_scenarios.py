@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from made_up_evidence import BOOT_S, DT_S, evidence, rewired, spoilt, turning
 
-from sitl.faults.flight_evidence import Evidence
+from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.table.all_scenarios import ROWS
 
 
-def broken(row: str, e: Evidence, autopilot: str = "px4") -> set[str]:
+def broken(row: str, e: FlightEvidence, autopilot: str = "px4") -> set[str]:
     """Names of a row's bars that such a flight does not hold."""
     return {bar.name for bar in ROWS[row].bars if not bar.holds(bar.measure(e), autopilot)}
 
@@ -24,14 +24,14 @@ def test_odometry_that_takes_up_a_jump_slowly_breaks_b4() -> None:
     assert broken("B4", rewired(e, odometry_m=e.wire.odometry_m + taken_m[:, None] * (1, 0, 0))) == {"motion of the error"}
 
 
-def late(e: Evidence, by_s: float) -> Evidence:
+def late(e: FlightEvidence, by_s: float) -> FlightEvidence:
     """Poses of so long ago under new stamps, from the trouble on."""
     w = e.wire
     old_s = np.where(w.odometry_s >= e.onset_s, w.odometry_s - by_s, w.odometry_s)
     return rewired(e, odometry_m=np.stack([np.interp(old_s, w.odometry_s, w.odometry_m[:, k]) for k in range(3)], axis=1))
 
 
-def losing_the_pose(last_s: float = 5.4) -> Evidence:
+def losing_the_pose(last_s: float = 5.4) -> FlightEvidence:
     """Brakes from 5.1 s on and lands at 6.1 s; no ODOMETRY after last_s."""
     e = evidence()
     speed = e.velocity_mps.copy()
@@ -118,7 +118,7 @@ def test_an_alert_before_the_floor_is_none_for_a_landing_that_does_not_end() -> 
     assert broken("E9", rewired(evidence(), texts=((16.0, words), (19.0, "the mission asks to land")))) == {"alert"}
 
 
-def retreating(from_s: float) -> Evidence:
+def retreating(from_s: float) -> FlightEvidence:
     """Stands from 5.2 s on and goes back along its way at from_s."""
     e = evidence()
     going = (e.stamp_s >= from_s) & (e.stamp_s < from_s + 3.0)
@@ -151,7 +151,7 @@ def test_a_vehicle_that_circles_breaks_b9p_while_it_is_ours() -> None:
 
 
 def test_a_speed_that_is_cut_late_breaks_b10() -> None:
-    def slow(from_s: float) -> Evidence:
+    def slow(from_s: float) -> FlightEvidence:
         e = evidence()
         return rewired(e, velocity_mps=np.where((e.wire.setpoint_s > from_s)[:, None], 0.4, 1.0) * e.wire.velocity_mps)
 

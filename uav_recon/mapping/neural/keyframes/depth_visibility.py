@@ -17,7 +17,7 @@ SAW_COSINE = 0.15  # ... of a surface that faces it
 DepthImage = tuple[Float32Array, FloatArray, FloatArray, FloatArray, float]  # what Testimony.add() wants
 
 
-class Testimony:
+class DepthVisibility:
     """Depth images of the kept keyframes at half resolution, to ask whether they looked through a point."""
 
     def __init__(self) -> None:

@@ -19,7 +19,7 @@ CELL_M = 0.25
 SHIFT = 1 << 20  # cells along an axis, more than any box has
 
 
-class Remembered:
+class EvictionPolicy:
     """numbers: by which the views that are kept are known, ascending. taken: how many there ever were."""
 
     def __init__(self) -> None:

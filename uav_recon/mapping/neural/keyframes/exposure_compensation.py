@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
-from uav_recon.mapping.neural.keyframes.surfels import COLOUR, COLOURED, WHITENED, Patches
+from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
+from uav_recon.mapping.neural.keyframes.surfels import COLOUR, COLOURED, WHITENED, Surfels
 from uav_recon.types.frames import BoolArray, FloatArray
 
 GAIN_SIGMA = 0.3  # of a log gain: one EV is 0.29
@@ -22,15 +22,15 @@ ROUNDS = 4
 REVISITED = 3  # older views, for each new one
 
 
-class Exposure:
+class ExposureCompensation:
     """Log gains (V, 3) of the views' colour channels."""
 
-    def __init__(self, patches: Patches) -> None:
+    def __init__(self, patches: Surfels) -> None:
         self._patches = patches
         self._turn = 0
         self.log_gain: FloatArray = np.zeros((0, 3))
 
-    def meet(self, replay: Replay) -> None:
+    def meet(self, replay: RayBuffer) -> None:
         """Find the newest view's gain, then those of some older ones in turn. About 2 ms."""
         newest = len(self.log_gain)
         self.log_gain = np.concatenate([self.log_gain, np.zeros((1, 3))])

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.mapping.neural.keyframes.depth_visibility import DepthImage, Testimony
-from uav_recon.mapping.neural.keyframes.eviction_policy import Remembered
+from uav_recon.mapping.neural.keyframes.depth_visibility import DepthImage, DepthVisibility
+from uav_recon.mapping.neural.keyframes.eviction_policy import EvictionPolicy
 from uav_recon.mapping.neural.keyframes.keyframe_validation import FEWEST_RAYS
 from uav_recon.mapping.neural.keyframes.normal_prior import open_prior
-from uav_recon.mapping.neural.keyframes.ray_buffer import MOST_VIEWS, Replay, ViewRays
+from uav_recon.mapping.neural.keyframes.ray_buffer import MOST_VIEWS, RayBuffer, ViewRays
 from uav_recon.mapping.neural.keyframes.ray_records import pixel_stride, ray_records
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
@@ -35,7 +35,7 @@ class View:
     ray_rad: float
 
 
-class Album:
+class KeyframeBuffer:
     """Views by index, in the order in which they came; Remembered knows the numbers that outlast a clearing-out.
 
     depth_noise_px, baseline_m: see Trainer; seed: of the choice of rays. Raises PriorError (see priors).
@@ -45,7 +45,7 @@ class Album:
         self._noise_px, self._baseline_m, self._prior_model = depth_noise_px, baseline_m, prior_model
         self._random = np.random.default_rng(seed)
         self._prior = open_prior(prior_model)
-        self.replay, self.images, self.remembered = Replay(), Testimony(), Remembered()
+        self.replay, self.images, self.remembered = RayBuffer(), DepthVisibility(), EvictionPolicy()
         self._ray_rad: list[float] = []
 
     def __getstate__(self) -> dict[str, Any]:
@@ -91,7 +91,7 @@ class Album:
         ends = view.ends
         some = np.flatnonzero(ends.cosine >= 0.0)[:ASKED_POINTS]  # those with a normal; rays are in random order
         others = self.images.votes(ends.points[0, some], ends.normal[some], ASKED_VIEWS)
-        itself = Testimony()
+        itself = DepthVisibility()
         itself.add(*view.image)
         return np.concatenate([others, itself.votes(*self.replay.some_points(ASKED_VIEWS, ASKED_RAYS))])
 

@@ -27,7 +27,7 @@ VIEW_SHARE, LENS_SHARE = 0.2, 0.15  # of refuted points in one view, and lately 
 MEMORY = 0.8  # of the votes on the last view count with those on the next: about five views
 
 
-class Refusal(Enum):
+class RejectReason(Enum):
     """Why a view was not taken."""
 
     SHAPE = "pictures do not have the shape that their intrinsics say"
@@ -42,13 +42,13 @@ class Refusal(Enum):
     DISAGREES = "earlier views look through what it shows: wrong intrinsics or a wrong pose"
 
 
-class Refusals:
+class RejectCounts:
     """How many views were refused, by reason. Each count is logged when it reaches a power of two."""
 
     def __init__(self) -> None:
-        self.counts: Counter[Refusal] = Counter()
+        self.counts: Counter[RejectReason] = Counter()
 
-    def note(self, reason: Refusal) -> None:
+    def note(self, reason: RejectReason) -> None:
         """Count and log one."""
         self.counts[reason] += 1
         count = self.counts[reason]
@@ -60,7 +60,7 @@ class Refusals:
         return sum(self.counts.values())
 
 
-def in_words(counts: Mapping[Refusal, int]) -> dict[str, int]:
+def in_words(counts: Mapping[RejectReason, int]) -> dict[str, int]:
     """Counts by reason as somebody reads them."""
     return {reason.value: count for reason, count in counts.items()}
 
@@ -78,39 +78,39 @@ def padded(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[FloatArray, Fl
     return low, high
 
 
-def refusal(keyframe: PosedFrame, low_m: AnyArray, high_m: AnyArray) -> Refusal | None:
+def reject_reason(keyframe: PosedFrame, low_m: AnyArray, high_m: AnyArray) -> RejectReason | None:
     """What can be said against a view without a map of the box low_m to high_m (3,). About 1 ms."""
     frame = keyframe.frame
     lens, colour = frame.depth_intrinsics, frame.rgb_intrinsics
     if frame.depth_m.shape != (lens.height, lens.width) or frame.rgb.shape != (colour.height, colour.width, 3):
-        return Refusal.SHAPE
+        return RejectReason.SHAPE
     if not (_possible(lens) and _possible(colour)):
-        return Refusal.INTRINSICS
+        return RejectReason.INTRINSICS
     pose = keyframe.world_from_depth
-    reason = pose_refusal(pose, low_m, high_m)
+    reason = pose_reject_reason(pose, low_m, high_m)
     if reason is not None:
         return reason
     valid = (frame.depth_m >= DEPTH_NEAREST_M) & (frame.depth_m <= DEPTH_FARTHEST_M)
     if valid.mean() < FEWEST_SHARE:
-        return Refusal.EMPTY
+        return RejectReason.EMPTY
     v, u = np.nonzero(valid)
     v, u = v[::STRIDE], u[::STRIDE]
     z = frame.depth_m[v, u].astype(np.float64)
     points = np.stack([(u - lens.cx) / lens.fx * z, (v - lens.cy) / lens.fy * z, z], axis=1)
     world = pose.apply(points)
     inside = ((world > low_m) & (world < high_m)).all(axis=1)
-    return Refusal.ELSEWHERE if inside.mean() < INSIDE_SHARE else None
+    return RejectReason.ELSEWHERE if inside.mean() < INSIDE_SHARE else None
 
 
-def pose_refusal(world_from_depth: Pose, low_m: AnyArray, high_m: AnyArray) -> Refusal | None:
+def pose_reject_reason(world_from_depth: Pose, low_m: AnyArray, high_m: AnyArray) -> RejectReason | None:
     """What can be said against a place alone."""
     quat_wxyz, position = world_from_depth.quat_wxyz, world_from_depth.translation_m
     if not (np.isfinite(position).all() and abs(float(np.linalg.norm(quat_wxyz)) - 1.0) < 1e-6):
-        return Refusal.POSE
-    return None if ((position > low_m) & (position < high_m)).all() else Refusal.OUTSIDE
+        return RejectReason.POSE
+    return None if ((position > low_m) & (position < high_m)).all() else RejectReason.OUTSIDE
 
 
-class Doubt:
+class ContradictionVote:
     """Whether views contradict what was mapped, though each for itself is sound: a wrong focal length, a wrong pose.
 
     A point is refuted if other views looked through the place where this view measured it, or this view through the place

@@ -13,8 +13,8 @@ from itertools import compress
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
-from uav_recon.mapping.neural.keyframes.surfels import NORMAL, POINT, VARIANCE, WEIGHT, Patches
+from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
+from uav_recon.mapping.neural.keyframes.surfels import NORMAL, POINT, VARIANCE, WEIGHT, Surfels
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
@@ -33,10 +33,10 @@ LEAST_STEP_M, LEAST_STEP_RAD = 0.0003, np.deg2rad(0.01)  # less is not worth gat
 COMMON_M = 0.001  # a drift of the whole map that is taken out
 
 
-class Alignment:
+class PoseRefinement:
     """Corrections (V, 6) of the given poses: translation in world and rotation vector about the camera."""
 
-    def __init__(self, patches: Patches) -> None:
+    def __init__(self, patches: Surfels) -> None:
         self._patches = patches
         self._rotation: list[FloatArray] = []
         self._position: list[FloatArray] = []
@@ -44,7 +44,7 @@ class Alignment:
         self._turn = 0
         self.correction: FloatArray = np.zeros((0, 6))
 
-    def add(self, replay: Replay) -> None:
+    def add(self, replay: RayBuffer) -> None:
         """Note the given pose world_from_depth of the next view of the replay."""
         view = len(self._rotation)
         self._rotation.append(replay.views.rotation[view].astype(np.float64))
@@ -69,7 +69,7 @@ class Alignment:
         found: FloatArray = np.maximum(np.sqrt(variance), [LEAST_SIGMA_M, LEAST_SIGMA_RAD])
         return found
 
-    def meet(self, replay: Replay) -> None:
+    def meet(self, replay: RayBuffer) -> None:
         """Align the newest view, then those about it, then those about an older one."""
         newest = len(self._rotation) - 1
         self._turn = self._turn + 1 if self._turn + 1 < newest else 0
@@ -78,18 +78,18 @@ class Alignment:
         self._align_about(self._turn, TOGETHER, replay)
         self._settle(replay)
 
-    def refine(self, replay: Replay) -> None:
+    def refine(self, replay: RayBuffer) -> None:
         """Align all views with each other. About 10 ms a view."""
         for centre in range(len(self._rotation)):
             self._align_about(centre, TOGETHER, replay)
         self._settle(replay)
 
-    def _align_about(self, centre: int, together: int, replay: Replay) -> None:
+    def _align_about(self, centre: int, together: int, replay: RayBuffer) -> None:
         beside, shared = self._patches.beside(centre)
         if len(beside) > 1:
             self._align(beside[:together][shared[:together] >= FEWEST_SHARED], beside, replay)
 
-    def _align(self, views: IntArray, beside: IntArray, replay: Replay) -> None:
+    def _align(self, views: IntArray, beside: IntArray, replay: RayBuffer) -> None:
         """Move views to agree with each other and with those beside."""
         if not len(views):
             return
@@ -112,14 +112,14 @@ class Alignment:
         square = self.correction[views] ** 2 + np.diag(np.linalg.inv(normal)).reshape(-1, 6)
         self._square[views] = square.reshape(-1, 2, 3).sum(axis=2)
 
-    def _move(self, view: int, replay: Replay) -> None:
+    def _move(self, view: int, replay: RayBuffer) -> None:
         rotation, position = self._pose(view)
         v = replay.views
         v.rotation[view], v.position[view] = rotation, position
         records = v.records[v.first[view] : v.first[view + 1]]
         self._patches.place(view, records, rotation, position, float(v.inverse_depth_sigma[view]))
 
-    def _settle(self, replay: Replay) -> None:
+    def _settle(self, replay: RayBuffer) -> None:
         common = self._common()
         if np.abs(common[:, :3]).max() > COMMON_M:
             self.correction -= common

@@ -33,7 +33,7 @@ class ViewRays:
     normal: Float32Array
 
 
-class Replay:
+class RayBuffer:
     """The arrays behind Views, and how they are filled."""
 
     def __init__(self) -> None:

@@ -44,7 +44,7 @@ class Views(NamedTuple):
     gain: Float32Array
 
 
-class Batch(NamedTuple):
+class NumbaBatch(NamedTuple):
     """Training points of one step; every weight already holds its loss factor and the mean."""
 
     points: Float32Array
@@ -62,7 +62,7 @@ class Batch(NamedTuple):
     colour_error: Float32Array
 
 
-def make_batch() -> Batch:
+def make_batch() -> NumbaBatch:
     """Allocate once."""
     many, shape, colour = RAYS * (NEAR + FREE), SURFACE_POINTS, COLOUR_POINTS
     shapes: tuple[tuple[int, ...], ...] = (
@@ -72,7 +72,7 @@ def make_batch() -> Batch:
     )
     points, target, weight, *others = (np.zeros(size, dtype=np.float32) for size in shapes)
     below, white = np.zeros(many, dtype=np.bool_), np.zeros((colour, 3), dtype=np.bool_)
-    return Batch(points, target, weight, below, white, *others)
+    return NumbaBatch(points, target, weight, below, white, *others)
 
 
 @fast_kernel
@@ -87,7 +87,7 @@ def uniform(state: AnyArray) -> np.float32:
 
 
 @fast_kernel
-def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high: Float32Array, batch: Batch) -> int:
+def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high: Float32Array, batch: NumbaBatch) -> int:
     """Fill a batch from random rays; returns how many coloured points it holds. low, high (3,): the box."""
     recent = min(RECENT_VIEWS, view_count)
     per_ray = NEAR + FREE

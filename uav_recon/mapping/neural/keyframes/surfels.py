@@ -28,7 +28,7 @@ WEIGHT, POINT, NORMAL, VARIANCE, COLOURED, COLOUR, WHITENED = 0, slice(1, 4), sl
 COLUMNS = 15
 
 
-class Patches:
+class Surfels:
     """Patches of all views at the poses where they are now held to be.
 
     A row has the weight in rays, their mean point and normal in world, their mean variance of depth, the weight of those

@@ -9,7 +9,7 @@ import numpy as np
 from uav_recon.geometry.jit import fast_kernel
 from uav_recon.mapping.neural.sdf_numba.feature_grid import FEATURES, Gradient, make_gradient
 from uav_recon.mapping.neural.sdf_numba.network import PARAMETERS, Network, views
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.types.frames import Float32Array
 
 BETA_1, BETA_2 = np.float32(0.9), np.float32(0.99)
@@ -21,14 +21,14 @@ AHEAD = 64  # slots that are fetched together: their lines fit the first-level c
 _ONE = np.float32(1.0)
 
 
-class Optimiser:
+class NumbaAdam:
     """Gradients and moments beside a field's parameters. skipped: steps whose gradient was not finite."""
 
-    def __init__(self, field: Field) -> None:
+    def __init__(self, field: NumbaSdfField) -> None:
         self._step, self.skipped = 0, 0
         self._allocate(field)
 
-    def _allocate(self, field: Field) -> None:
+    def _allocate(self, field: NumbaSdfField) -> None:
         self._field = field
         self.gradient: Gradient = make_gradient(field.grid.features.shape[0])
         self.flat_gradient = np.zeros(PARAMETERS, dtype=np.float32)

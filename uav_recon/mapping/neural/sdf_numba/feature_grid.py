@@ -25,7 +25,7 @@ POINTS = 64  # points that travel together through the kernels: rows of this len
 _ONE = np.float32(1.0)
 
 
-class Grid(NamedTuple):
+class FeatureGrid(NamedTuple):
     """The arrays a kernel needs.
 
     origin_world_m (3,) f32. inverse_cell_per_m (L,) f32. cells (L, 3) i32. blocks (L, 3) i32. first (L,) i64 start of a
@@ -42,7 +42,7 @@ class Grid(NamedTuple):
     features: Float32Array
 
 
-def make_grid(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[Grid, int]:
+def make_grid(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[FeatureGrid, int]:
     """Lay out an empty grid over a box; returns it and the number of slots in use (dense levels are filled)."""
     growth = (FINEST_CELL_M / COARSEST_CELL_M) ** (1.0 / (LEVELS - 1))
     cell_m = COARSEST_CELL_M * growth ** np.arange(LEVELS)
@@ -57,7 +57,7 @@ def make_grid(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[Grid, int]:
         if count[level] <= DENSE_BLOCKS:
             index[first[level] : first[level] + count[level]] = np.arange(used, used + count[level])
             used += int(count[level])
-    grid = Grid(
+    grid = FeatureGrid(
         np.asarray(box_min_m, dtype=np.float32),
         (1.0 / cell_m).astype(np.float32),
         cells.astype(np.int32),
@@ -70,7 +70,7 @@ def make_grid(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[Grid, int]:
 
 
 @fast_kernel
-def allocate(grid: Grid, points: Float32Array, first_level: int, used: int, limit: int) -> int:
+def allocate(grid: FeatureGrid, points: Float32Array, first_level: int, used: int, limit: int) -> int:
     """Give a slot to every missing block under points (N, 3) in world metres; returns slots in use, at most ``limit``.
     Levels before first_level have all of their blocks.
 
@@ -102,7 +102,7 @@ def allocate(grid: Grid, points: Float32Array, first_level: int, used: int, limi
 
 
 @fast_kernel
-def locate(grid: Grid, points: Float32Array, start: int, count: int, node: AnyArray, weight: Float32Array) -> None:
+def locate(grid: FeatureGrid, points: Float32Array, start: int, count: int, node: AnyArray, weight: Float32Array) -> None:
     """Find the corner nodes (CORNERS, POINTS) and trilinear weights of points[start:start+count]; the rest gets weight 0.
 
     A point outside the box is moved to its border.

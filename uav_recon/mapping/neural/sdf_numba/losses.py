@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
-from uav_recon.mapping.neural.sdf_numba.feature_grid import POINTS, Gradient, Grid, gather, locate, scatter
+from uav_recon.mapping.neural.sdf_numba.feature_grid import POINTS, FeatureGrid, Gradient, gather, locate, scatter
 from uav_recon.mapping.neural.sdf_numba.network import (
     COLOUR_OUT,
     LEAST_LOG_VARIANCE,
@@ -36,7 +36,7 @@ _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 
 @fast_kernel
 def fit_distance(
-    grid: Grid, net: Network, d_net: Network, gradient: Gradient, s: Scratch,
+    grid: FeatureGrid, net: Network, d_net: Network, gradient: Gradient, s: Scratch,
     points: Float32Array, target_m: Float32Array, weight: Float32Array, at_least: BoolArray,
 ) -> float:  # fmt: skip
     """Sum of weight * (f(x) - target)², for points (N, 3); where at_least, only a value below the target counts."""
@@ -61,8 +61,8 @@ def fit_distance(
 
 @fast_kernel
 def fit_shape(
-    grid: Grid, net: Network, d_net: Network, gradient: Gradient, s: Scratch, stencil: Float32Array, corners: Float32Array,
-    points: Float32Array, normal: Float32Array, eikonal_weight: Float32Array, normal_weight: Float32Array,
+    grid: FeatureGrid, net: Network, d_net: Network, gradient: Gradient, s: Scratch, stencil: Float32Array,
+    corners: Float32Array, points: Float32Array, normal: Float32Array, eikonal_weight: Float32Array, normal_weight: Float32Array,
 ) -> float:  # fmt: skip
     """Sum of eikonal_weight * (|g| - 1)² + normal_weight * |g/|g| - n|², g from differences over a tetrahedron.
 
@@ -107,7 +107,7 @@ def fit_shape(
 
 @fast_kernel
 def fit_colour(
-    grid: Grid, net: Network, d_net: Network, gradient: Gradient, s: Scratch,
+    grid: FeatureGrid, net: Network, d_net: Network, gradient: Gradient, s: Scratch,
     points: Float32Array, rgb: Float32Array, at_least: BoolArray, weight: Float32Array, error_squared: Float32Array,
 ) -> float:  # fmt: skip
     """Sum of weight * (e² + VARIANCE_SHARE / 2 * (e² / v + log v)), where e² is the mean over channels of (colour(x) - rgb)²

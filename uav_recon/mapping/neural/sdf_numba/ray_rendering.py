@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.types.frames import BoolArray, Float32Array
 
 NEAREST_M, FARTHEST_M = 0.10, 12.0
@@ -26,7 +26,7 @@ Solid = Callable[[Float32Array], BoolArray]
 
 
 def render_rays(
-    field: LearnedField, solid: Solid, origin: Float32Array, direction: Float32Array
+    field: SdfField, solid: Solid, origin: Float32Array, direction: Float32Array
 ) -> tuple[Float32Array, Float32Array, BoolArray]:
     """What rays from origin (N, 3) along unit direction (N, 3) meet: colour (N, 3) in 0..1, mean distance in metres (N,), and
     whether they meet anything (N,).

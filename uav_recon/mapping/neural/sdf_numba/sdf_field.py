@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
-from uav_recon.mapping.neural.sdf_numba.feature_grid import DENSE_BLOCKS, POINTS, Grid, allocate, gather, locate, make_grid
+from uav_recon.mapping.neural.sdf_numba.feature_grid import (
+    DENSE_BLOCKS,
+    POINTS,
+    FeatureGrid,
+    allocate,
+    gather,
+    locate,
+    make_grid,
+)
 from uav_recon.mapping.neural.sdf_numba.network import (
     COLOUR_OUT,
     LEAST_LOG_VARIANCE,
@@ -27,7 +35,7 @@ from uav_recon.types.frames import Float32Array, FloatArray
 INITIAL_FEATURE = 1e-2  # new features are uniform in ± this: small, yet enough to break the symmetry
 
 
-class Field:
+class NumbaSdfField:
     """Parameters and queries. Coordinates are world metres; points are float32 inside."""
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray, seed: int) -> None:
@@ -98,7 +106,7 @@ class Field:
 
 
 @fast_kernel
-def query_distance(grid: Grid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
+def query_distance(grid: FeatureGrid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
     """Distance in metres (N,)."""
     for start in range(0, points.shape[0], POINTS):
         count = min(POINTS, points.shape[0] - start)
@@ -110,7 +118,7 @@ def query_distance(grid: Grid, net: Network, s: Scratch, points: Float32Array, o
 
 
 @fast_kernel
-def query_colour(grid: Grid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
+def query_colour(grid: FeatureGrid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
     """Colour and the log variance of its error (N, 4)."""
     for start in range(0, points.shape[0], POINTS):
         count = min(POINTS, points.shape[0] - start)

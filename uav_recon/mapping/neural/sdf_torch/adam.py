@@ -14,7 +14,7 @@ _B1, _B2 = float(BETA_1), float(BETA_2)
 SETTLED = 2000  # steps after which the corrections for the start are 1
 
 
-class Adam:
+class TorchAdam:
     """Moments of features (S, IN_BLOCK) and of weights (P,)."""
 
     def __init__(self, features: Tensor, weights: Tensor) -> None:

@@ -24,7 +24,7 @@ class CheckpointMismatchError(Exception):
     """A checkpoint of another run; the text names what differs."""
 
 
-class Checkpoints:
+class RefineCheckpoints:
     """Those of one folder, of the run that identity describes."""
 
     def __init__(self, folder: Path, identity: Identity) -> None:

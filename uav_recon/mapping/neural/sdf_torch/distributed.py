@@ -31,7 +31,7 @@ def gpus() -> int:
     return torch.cuda.device_count()
 
 
-class Team:
+class ProcessGroup:
     """This process among those which torchrun started; alone without it. kind: as device_kind() says."""
 
     def __init__(self, kind: str) -> None:

@@ -24,7 +24,7 @@ class GridError(Exception):
     """A box that is too large for its finest cell; the text says what would fit."""
 
 
-class Layout(NamedTuple):
+class GridLayout(NamedTuple):
     """Where a level's blocks are: origin_world_m (3,) f32; per level inverse_cell_per_m (L,) f32, cells (L, 3), blocks (L, 3)
     and first (L,) int64 (see mapping.neural.grid.Grid); within (3, 1) int64, the bit of each axis in a block's node number.
     """  # fmt: skip
@@ -41,12 +41,12 @@ class Layout(NamedTuple):
         """How many."""
         return len(self.inverse_cell_per_m)
 
-    def to(self, device: torch.device) -> Layout:
+    def to(self, device: torch.device) -> GridLayout:
         """The same on a device."""
-        return Layout(*(tensor.to(device) for tensor in self))
+        return GridLayout(*(tensor.to(device) for tensor in self))
 
 
-def lay_out(box_min_m: FloatArray, box_max_m: FloatArray, finest_cell_m: float) -> Layout:
+def lay_out(box_min_m: FloatArray, box_max_m: FloatArray, finest_cell_m: float) -> GridLayout:
     """Levels from COARSEST_CELL_M down to finest_cell_m. Raises GridError if the index would not fit."""
     levels = max(2, 1 + round(float(np.log(finest_cell_m / COARSEST_CELL_M) / np.log(GROWTH))))
     growth = (finest_cell_m / COARSEST_CELL_M) ** (1.0 / (levels - 1))
@@ -58,7 +58,7 @@ def lay_out(box_min_m: FloatArray, box_max_m: FloatArray, finest_cell_m: float) 
     if count.sum() > MOST_BLOCKS:
         least_m = finest_cell_m * (count.sum() / MOST_BLOCKS) ** (1 / 3)
         raise GridError(f"a box of {'x'.join(f'{e:.1f}' for e in extent_m)} m holds cells of {least_m:.3f} m at the finest")
-    return Layout(
+    return GridLayout(
         torch.tensor(np.asarray(box_min_m, dtype=np.float32)),
         torch.tensor((1.0 / cell_m).astype(np.float32)),
         torch.tensor(cells),
@@ -68,10 +68,10 @@ def lay_out(box_min_m: FloatArray, box_max_m: FloatArray, finest_cell_m: float) 
     )
 
 
-class Blocks:
+class FeatureBlocks:
     """Notes which blocks measurements need, then numbers them."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: GridLayout) -> None:
         self._layout = layout
         count = layout.blocks.prod(dim=1)
         self._wanted = torch.zeros(int(count.sum()), dtype=torch.bool)
@@ -102,7 +102,7 @@ class Blocks:
             self._wanted[int(grid.first[level]) + (block[:, 0] * ny + block[:, 1]) * nz + block[:, 2]] = True
 
 
-def locate(layout: Layout, slot: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+def locate(layout: GridLayout, slot: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     """Corner nodes (8, L, N) int64 and trilinear weights (8, L, N) of points (N, 3); a point outside moves to the border.
 
     Points come last: what a processor does to many at once lies side by side.

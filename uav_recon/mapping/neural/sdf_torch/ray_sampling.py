@@ -42,7 +42,7 @@ class Replayed(NamedTuple):
         return Replayed(*(torch.tensor(part, device=device) for part in parts))
 
 
-class Batch(NamedTuple):
+class TorchBatch(NamedTuple):
     """As samples.Batch, with a place for every ray's colour; its weight is 0 where there is none."""
 
     points: Tensor
@@ -73,7 +73,7 @@ def state_before(seed: int, draws: int, rays: int) -> int:
     return _signed((seed + draws * rays * NUMBERS * 0x9E3779B97F4A7C15) % (1 << 64))
 
 
-def draw(state: Tensor, views: Replayed, low: Tensor, high: Tensor, rays: int, recent_share: float) -> Batch:
+def draw(state: Tensor, views: Replayed, low: Tensor, high: Tensor, rays: int, recent_share: float) -> TorchBatch:
     """A batch of random rays; low, high (3,): the box; recent_share of the rays come from the last views."""
     number = uniform(state, rays * NUMBERS).view(rays, NUMBERS)
     view, record = _choose(number, views, recent_share)
@@ -110,7 +110,7 @@ def draw(state: Tensor, views: Replayed, low: Tensor, high: Tensor, rays: int, r
     end = position + (reach + jitter)[:, None] * direction
     inside = _inside(end, low, high)
     shape, toe = int(rays * SHAPE_SHARE), float(ray_sampling.TOE)
-    return Batch(
+    return TorchBatch(
         points.view(-1, 3),
         target.flatten(),
         (weight * usable).flatten(),

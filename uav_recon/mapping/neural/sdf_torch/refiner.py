@@ -10,12 +10,12 @@ from torch import Tensor
 
 from uav_recon.mapping.neural.keyframes.ray_buffer import OFFSETS_M
 from uav_recon.mapping.neural.sdf_torch.checkpoint import Identity
-from uav_recon.mapping.neural.sdf_torch.distributed import Team
-from uav_recon.mapping.neural.sdf_torch.feature_grid import Blocks, lay_out
+from uav_recon.mapping.neural.sdf_torch.distributed import ProcessGroup
+from uav_recon.mapping.neural.sdf_torch.feature_grid import FeatureBlocks, lay_out
 from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed
-from uav_recon.mapping.neural.sdf_torch.sdf_field import TensorField
-from uav_recon.mapping.neural.sdf_torch.training_step import Learner, Sampling
-from uav_recon.mapping.neural.training_data import Gathered
+from uav_recon.mapping.neural.sdf_torch.sdf_field import TorchSdfField
+from uav_recon.mapping.neural.sdf_torch.training_step import Sampling, TorchTrainingStep
+from uav_recon.mapping.neural.training_data import TrainingData
 
 FINAL_RATE = 0.05  # the last step has this share of the learning rate; it falls from the middle of the run on
 CELL_VOXELS = 2.0  # finest cell in voxels of the mesh: a trilinear cell holds what two samples of it show
@@ -38,17 +38,17 @@ class RefinePlan:
 class Refiner:
     """A run: advance() until done."""
 
-    def __init__(self, gathered: Gathered, plan: RefinePlan, team: Team) -> None:
+    def __init__(self, gathered: TrainingData, plan: RefinePlan, team: ProcessGroup) -> None:
         """Raises GridError if the box is too large for the voxel."""
         self._plan = plan
         layout = lay_out(gathered.low_m.astype(np.float64), gathered.high_m.astype(np.float64), CELL_VOXELS * plan.voxel_m)
-        blocks = Blocks(layout)
+        blocks = FeatureBlocks(layout)
         for points, direction in _rays(gathered):
             blocks.cover(points, direction)
-        self.field = TensorField(layout, *blocks.slots(), plan.seed, team.device)
+        self.field = TorchSdfField(layout, *blocks.slots(), plan.seed, team.device)
         views = Replayed.of(gathered.replay.views, gathered.replay.count, team.device)
         sampling = Sampling(plan.rays, plan.seed, recent_share=0.0)
-        self._learner = Learner(self.field, views, gathered.low_m, gathered.high_m, sampling, team)
+        self._learner = TorchTrainingStep(self.field, views, gathered.low_m, gathered.high_m, sampling, team)
 
     @property
     def steps(self) -> int:
@@ -75,7 +75,7 @@ class Refiner:
         self._learner.restore(state)
 
 
-def _rays(gathered: Gathered) -> list[tuple[Tensor, Tensor]]:
+def _rays(gathered: TrainingData) -> list[tuple[Tensor, Tensor]]:
     """Measured points (N, 3) and unit directions (N, 3) of each view."""
     replay, found = gathered.replay, []
     v = replay.views

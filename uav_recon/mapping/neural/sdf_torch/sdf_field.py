@@ -9,19 +9,19 @@ import torch
 from torch import Tensor, nn
 
 from uav_recon.mapping.neural.sdf_numba.sdf_field import INITIAL_FEATURE
-from uav_recon.mapping.neural.sdf_torch.feature_grid import IN_BLOCK, Layout, encode, locate
+from uav_recon.mapping.neural.sdf_torch.feature_grid import IN_BLOCK, GridLayout, encode, locate
 from uav_recon.mapping.neural.sdf_torch.losses import around, colour_loss, distance_loss, shape_loss, tetrahedron
 from uav_recon.mapping.neural.sdf_torch.network import Heads, initial_weights
-from uav_recon.mapping.neural.sdf_torch.ray_sampling import Batch
+from uav_recon.mapping.neural.sdf_torch.ray_sampling import TorchBatch
 from uav_recon.types.frames import Float32Array
 
 TOGETHER = {"cpu": 1 << 12, "cuda": 1 << 18}  # points of a question that travel at once: a cache full, or a GPU
 
 
-class TensorField(nn.Module):
+class TorchSdfField(nn.Module):
     """Parameters, the loss of a batch, and queries in world metres. layout, slot (N,) int32: see tensor.grid."""
 
-    def __init__(self, layout: Layout, slot: Tensor, slots: int, seed: int, device: torch.device) -> None:
+    def __init__(self, layout: GridLayout, slot: Tensor, slots: int, seed: int, device: torch.device) -> None:
         super().__init__()
         random = np.random.default_rng(seed)
         self._layout, self._slot = layout.to(device), slot.to(device)
@@ -31,7 +31,7 @@ class TensorField(nn.Module):
         features[0] = 0.0
         self.features = nn.Parameter(torch.tensor(features, device=device))
 
-    def forward(self, batch: Batch) -> Tensor:
+    def forward(self, batch: TorchBatch) -> Tensor:
         """The loss () of a batch."""
         every = torch.cat([batch.points, around(batch.surface, self._stencil), batch.coloured])
         sizes = [len(batch.points), 4 * len(batch.surface), len(batch.coloured)]

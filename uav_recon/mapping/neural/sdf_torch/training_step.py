@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from uav_recon.mapping.neural.sdf_torch.adam import Adam
-from uav_recon.mapping.neural.sdf_torch.distributed import Team
+from uav_recon.mapping.neural.sdf_torch.adam import TorchAdam
+from uav_recon.mapping.neural.sdf_torch.distributed import ProcessGroup
 from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed, draw, state_before
-from uav_recon.mapping.neural.sdf_torch.sdf_field import TensorField
+from uav_recon.mapping.neural.sdf_torch.sdf_field import TorchSdfField
 from uav_recon.types.frames import Float32Array
 
 EAGER_STEPS = 3  # on a side stream before a graph is captured, so that every library has set itself up
@@ -25,14 +25,20 @@ class Sampling:
     recent_share: float
 
 
-class Learner:
+class TorchTrainingStep:
     """Moves a field along. low_m, high_m (3,): the mapped box."""
 
     def __init__(
-        self, field: TensorField, views: Replayed, low_m: Float32Array, high_m: Float32Array, sampling: Sampling, team: Team
+        self,
+        field: TorchSdfField,
+        views: Replayed,
+        low_m: Float32Array,
+        high_m: Float32Array,
+        sampling: Sampling,
+        team: ProcessGroup,
     ) -> None:
         self._field, self._views, self._sampling, self._team = field, views, sampling, team
-        self._module, self._adam = team.parallel(field), Adam(field.features, field.weights)
+        self._module, self._adam = team.parallel(field), TorchAdam(field.features, field.weights)
         device = team.device
         self._low, self._high = (torch.tensor(corner, device=device) for corner in (low_m, high_m))
         self._stream = torch.tensor(0, device=device)  # the bits of the random stream's state

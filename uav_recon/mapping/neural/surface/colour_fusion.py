@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
-from uav_recon.mapping.neural.keyframes.ray_buffer import Replay
+from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.ray_sampling import TOE, WHITE, ray_points
-from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.types.frames import AnyArray, Float32Array
 
 CELL_M, EDGE = 0.02, 4  # cells live in blocks of EDGE³ that exist only where something was seen
@@ -22,13 +22,13 @@ BLOCKS = 4096  # room for so many at first
 _ON_THE_RAY = np.zeros(1, dtype=np.float32)
 
 
-class Painted:
+class ColourFusedField:
     """The field as it is, in the colours that the replayed views saw, at their poses and exposures of now.
 
     low_m, high_m (3,): the box. About 10 ms a view.
     """
 
-    def __init__(self, field: LearnedField, replay: Replay, low_m: Float32Array, high_m: Float32Array) -> None:
+    def __init__(self, field: SdfField, replay: RayBuffer, low_m: Float32Array, high_m: Float32Array) -> None:
         self._field, self._low = field, low_m
         blocks = np.ceil((high_m - low_m) / np.float32(CELL_M * EDGE)).astype(np.int64) + 1
         self._block = np.full(tuple(int(n) for n in blocks), -1, dtype=np.int32)
@@ -46,7 +46,7 @@ class Painted:
         _mix(self._block, self._sums, self._low, points, out)
         return out
 
-    def _see(self, replay: Replay, view: int) -> None:
+    def _see(self, replay: RayBuffer, view: int) -> None:
         records = replay.records(view)
         count = len(records)
         points, normal = np.empty((1, count, 3), dtype=np.float32), np.empty((count, 3), dtype=np.float32)

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.neural.keyframes.depth_visibility import Testimony
-from uav_recon.mapping.neural.sdf_interface import LearnedField
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.keyframes.depth_visibility import DepthVisibility
+from uav_recon.mapping.neural.sdf_interface import SdfField
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.mapping.neural.surface.node_distances import fill_distances
 from uav_recon.mapping.neural.surface.surface_nets import net_vertices, surface_net, wanted_nodes
 from uav_recon.mapping.neural.surface.uncertainty import Lattice, SurfaceUncertainty
@@ -30,7 +30,7 @@ LEAST_SUPPORT = 0.1  # measured normals for a surface over those against it
 SHEET_M = 0.006  # a vertex whose own distance is larger belongs to the border of the band, not to the surface
 
 
-class Evidence:
+class MeasuredCells:
     """Where surface was measured, counts on a 5 cm lattice, and which ways it faces: on a 10 cm lattice, for each half axis
     the sum of what normals have along it, so that both sides of a thin thing are remembered.
     """  # fmt: skip
@@ -99,7 +99,9 @@ def _halves(normal: Float32Array) -> Float32Array:
     return halves
 
 
-def borne_out(evidence: Evidence, images: Testimony, points: Float32Array, normal: Float32Array) -> BoolArray:
+def confirmed_by_depth(
+    evidence: MeasuredCells, images: DepthVisibility, points: Float32Array, normal: Float32Array
+) -> BoolArray:
     """Whether surface at points (N, 3) with normals (N, 3) faces as measured, and more images saw it than looked through it;
     as many are enough where an end point lies in its cell.
     """  # fmt: skip
@@ -109,7 +111,12 @@ def borne_out(evidence: Evidence, images: Testimony, points: Float32Array, norma
 
 
 def surface_elements(
-    field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, revision: int, map_epoch: int
+    field: NumbaSdfField,
+    evidence: MeasuredCells,
+    uncertainty: SurfaceUncertainty,
+    voxel_m: float,
+    revision: int,
+    map_epoch: int,
 ) -> SurfaceElements:
     """Elements on the surface nets of a ``voxel_m`` lattice; empty before the first view."""
     vertices, normals = extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
@@ -125,7 +132,12 @@ def surface_elements(
 
 
 def triangle_mesh(
-    field: Field, evidence: Evidence, uncertainty: SurfaceUncertainty, voxel_m: float, images: Testimony, painted: LearnedField
+    field: NumbaSdfField,
+    evidence: MeasuredCells,
+    uncertainty: SurfaceUncertainty,
+    voxel_m: float,
+    images: DepthVisibility,
+    painted: SdfField,
 ) -> TriangleMesh:
     """The whole surface as triangles, as far as it is borne_out(); painted is asked for the colours."""
     vertices, normals, quads = _extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
@@ -133,7 +145,7 @@ def triangle_mesh(
         slip = np.clip(field.distance_m(vertices), -0.5 * voxel_m, 0.5 * voxel_m)
         vertices = (vertices - slip[:, None] * normals).astype(np.float32)
     keep = np.abs(field.distance_m(vertices)) < SHEET_M
-    keep &= borne_out(evidence, images, vertices, normals)
+    keep &= confirmed_by_depth(evidence, images, vertices, normals)
     quads = quads[keep[quads].all(axis=1)]
     quads = quads[_in_large_parts(quads, len(vertices))]
     used, quads = np.unique(quads, return_inverse=True)
@@ -155,7 +167,7 @@ class WholeSurface:
     observed: BoolArray
 
 
-def whole_surface(field: Field, evidence: Evidence, voxel_m: float) -> WholeSurface:
+def whole_surface(field: NumbaSdfField, evidence: MeasuredCells, voxel_m: float) -> WholeSurface:
     """The zero level set in the whole box, without any gate; its observed part is what surface_elements() would give."""
     wanted = np.ones(evidence.count.shape, dtype=np.bool_)
     vertices, normals, _ = _extract(field, evidence, wanted, voxel_m)
@@ -163,7 +175,9 @@ def whole_surface(field: Field, evidence: Evidence, voxel_m: float) -> WholeSurf
     return WholeSurface(vertices, observed)
 
 
-def extract(field: Field, evidence: Evidence, wanted: BoolArray, voxel_m: float) -> tuple[Float32Array, Float32Array]:
+def extract(
+    field: NumbaSdfField, evidence: MeasuredCells, wanted: BoolArray, voxel_m: float
+) -> tuple[Float32Array, Float32Array]:
     """Vertices (V, 3) and normals (V, 3) of the field's surface in wanted evidence cells."""
     nodes = wanted_nodes(wanted, evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
     fill_distances(field, nodes)
@@ -171,7 +185,7 @@ def extract(field: Field, evidence: Evidence, wanted: BoolArray, voxel_m: float)
 
 
 def _extract(
-    field: Field, evidence: Evidence, wanted: BoolArray, voxel_m: float
+    field: NumbaSdfField, evidence: MeasuredCells, wanted: BoolArray, voxel_m: float
 ) -> tuple[Float32Array, Float32Array, IntArray]:
     nodes = wanted_nodes(wanted, evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
     fill_distances(field, nodes)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
-from uav_recon.mapping.neural.surface.extraction import EVIDENCE_CELL_M, FEWEST_ENDS, FILL_M, Evidence, extract
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
+from uav_recon.mapping.neural.surface.extraction import EVIDENCE_CELL_M, FEWEST_ENDS, FILL_M, MeasuredCells, extract
 from uav_recon.mapping.neural.surface.uncertainty import SurfaceUncertainty
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements
@@ -20,10 +20,10 @@ MARGIN_M = FILL_M + EVIDENCE_CELL_M  # so far from an end point it may make surf
 OLD_SHARE = 0.05  # of all tiles with surface, done again for age
 
 
-class LiveSurface:
+class IncrementalSurface:
     """Elements by tile. voxel_m: distance between them."""
 
-    def __init__(self, evidence: Evidence, voxel_m: float) -> None:
+    def __init__(self, evidence: MeasuredCells, voxel_m: float) -> None:
         self._evidence, self._voxel_m = evidence, voxel_m
         self._tiles = tuple(-(-n // TILE) for n in evidence.count.shape)
         self._stale = np.zeros(self._tiles, dtype=np.bool_)
@@ -36,7 +36,7 @@ class LiveSurface:
         """Say that end points (N, 3) were measured."""
         _touch(self._stale, self._evidence.origin_m, TILE * EVIDENCE_CELL_M, points, MARGIN_M)
 
-    def refresh(self, field: Field, uncertainty: SurfaceUncertainty) -> None:
+    def refresh(self, field: NumbaSdfField, uncertainty: SurfaceUncertainty) -> None:
         """Extract what is stale, and the oldest of the rest."""
         self._refreshes += 1
         stale = self._stale | self._oldest()

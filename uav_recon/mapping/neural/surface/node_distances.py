@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel
-from uav_recon.mapping.neural.sdf_numba.feature_grid import FEATURES, LEVELS, POINTS, Grid
+from uav_recon.mapping.neural.sdf_numba.feature_grid import FEATURES, LEVELS, POINTS, FeatureGrid
 from uav_recon.mapping.neural.sdf_numba.network import Network, Scratch, distance_alone
-from uav_recon.mapping.neural.sdf_numba.sdf_field import Field
+from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.mapping.neural.surface.surface_nets import ABSENT, EDGE, SparseNodes
 from uav_recon.types.frames import AnyArray, Float32Array
 
@@ -22,7 +22,7 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _STEP, _TWO = np.uint64(1), np.uint64(2)
 
 
-def fill_distances(field: Field, nodes: SparseNodes) -> None:
+def fill_distances(field: NumbaSdfField, nodes: SparseNodes) -> None:
     """Write the signed distance in metres to every wanted node."""
     grid = field.grid
     length = EDGE * max(nodes.slot.shape)
@@ -42,7 +42,7 @@ def fill_distances(field: Field, nodes: SparseNodes) -> None:
 
 @fast_kernel
 def _fill(
-    grid: Grid, net: Network, s: Scratch, cell: AnyArray, share: Float32Array, shared: int, blocks: AnyArray,
+    grid: FeatureGrid, net: Network, s: Scratch, cell: AnyArray, share: Float32Array, shared: int, blocks: AnyArray,
     values: Float32Array,
 ) -> None:  # fmt: skip
     raw = np.zeros((FEATURES, MOST_SHARED, MOST_SHARED, MOST_SHARED), dtype=np.float32)
@@ -77,7 +77,7 @@ def _fill(
 
 @fast_kernel
 def _share_levels(
-    grid: Grid, shared: int, cell: AnyArray, share: Float32Array, blocks: AnyArray, block: int, raw: Float32Array,
+    grid: FeatureGrid, shared: int, cell: AnyArray, share: Float32Array, blocks: AnyArray, block: int, raw: Float32Array,
     along_y: Float32Array, along_xy: Float32Array,
 ) -> None:  # fmt: skip
     """Interpolate the coarse levels along y, then x, for all nodes of a block. Indices are unsigned: numba asks a signed one
@@ -140,7 +140,7 @@ def _along_z(
 
 @fast_kernel
 def _each_node(
-    grid: Grid, shared: int, cell: AnyArray, share: Float32Array, blocks: AnyArray, block: int, inner: AnyArray,
+    grid: FeatureGrid, shared: int, cell: AnyArray, share: Float32Array, blocks: AnyArray, block: int, inner: AnyArray,
     start: int, end: int, at: AnyArray, weight: Float32Array, encoded: Float32Array,
 ) -> None:  # fmt: skip
     """Interpolate the other levels at the same nodes."""

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from uav_recon.mapping.keyframe_store import write_whole
-from uav_recon.mapping.neural.sdf_interface import LearnedField
+from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.mapping.neural.surface.ply_writer import ply
 from uav_recon.mapping.neural.watertight.texture_atlas import unwrap
-from uav_recon.mapping.neural.watertight.texture_baking import painted
+from uav_recon.mapping.neural.watertight.texture_baking import baked_texture
 from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh
 from uav_recon.types.frames import FloatArray, IntArray
 
@@ -29,7 +29,7 @@ def write_closed_ply(path: Path, mesh: ClosedMesh) -> None:
     write_whole(path, ply(mesh.vertices_world, mesh.faces, mesh.rgb, mesh.uncertainty, mesh.observed))
 
 
-def write_textured_glb(path: Path, mesh: ClosedMesh, field: LearnedField, texel_m: float) -> None:
+def write_textured_glb(path: Path, mesh: ClosedMesh, field: SdfField, texel_m: float) -> None:
     """Colours of the texels are asked of the field. Write whole or not at all. Raises OSError if the disk refuses."""
     import trimesh
     from PIL import Image
@@ -39,7 +39,10 @@ def write_textured_glb(path: Path, mesh: ClosedMesh, field: LearnedField, texel_
     if len(seen):
         atlas = unwrap(mesh.vertices_world, seen, mesh.normals, texel_m)
         material = trimesh.visual.material.PBRMaterial(
-            name=OBSERVED, baseColorTexture=Image.fromarray(painted(atlas, field)), metallicFactor=0.0, roughnessFactor=1.0
+            name=OBSERVED,
+            baseColorTexture=Image.fromarray(baked_texture(atlas, field)),
+            metallicFactor=0.0,
+            roughnessFactor=1.0,
         )
         visual = trimesh.visual.TextureVisuals(uv=atlas.uv, material=material)
         _add(scene, OBSERVED, mesh.vertices_world[atlas.source], atlas.faces, visual)

@@ -19,7 +19,7 @@ WIDEST = 8192  # texels of a texture's side, as any graphics card takes them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Atlas:
+class TextureAtlas:
     """A mesh cut into charts: source (W,), which vertex each copy is of; faces (F, 3) of copies; uv (W, 2) in 0..1, v up.
 
     texels (T, 2): row and column of every texel in use of a picture side x side; points (T, 3) float32: where it is.
@@ -33,7 +33,7 @@ class Atlas:
     points: Float32Array
 
 
-def unwrap(vertices: FloatArray, faces: IntArray, normals: Float32Array, texel_m: float) -> Atlas:
+def unwrap(vertices: FloatArray, faces: IntArray, normals: Float32Array, texel_m: float) -> TextureAtlas:
     """Charts of vertices (V, 3), faces (F, 3), normals (V, 3); texels are larger where WIDEST would not hold them."""
     axis = _axes(faces, _smoothed(faces, normals))
     chart, count = _charts(faces, axis)
@@ -53,7 +53,7 @@ def unwrap(vertices: FloatArray, faces: IntArray, normals: Float32Array, texel_m
     _fill(cut, pixel, vertices[source], where)
     rows, columns = np.nonzero(np.isfinite(where[:, :, 0]))
     uv = np.stack([pixel[:, 0] / side, 1.0 - pixel[:, 1] / side], axis=1).astype(np.float32)
-    return Atlas(source, cut, uv, side, np.stack([rows, columns], axis=1), where[rows, columns])
+    return TextureAtlas(source, cut, uv, side, np.stack([rows, columns], axis=1), where[rows, columns])
 
 
 def _smoothed(faces: IntArray, normals: Float32Array) -> FloatArray:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.mapping.neural.sdf_interface import LearnedField
-from uav_recon.mapping.neural.watertight.texture_atlas import Atlas
+from uav_recon.mapping.neural.sdf_interface import SdfField
+from uav_recon.mapping.neural.watertight.texture_atlas import TextureAtlas
 from uav_recon.types.frames import BoolArray, ByteArray
 
 
-def painted(atlas: Atlas, field: LearnedField) -> ByteArray:
+def baked_texture(atlas: TextureAtlas, field: SdfField) -> ByteArray:
     """RGB (side, side, 3)."""
     picture = np.zeros((atlas.side, atlas.side, 3), dtype=np.uint8)
     known = np.zeros((atlas.side, atlas.side), dtype=np.bool_)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.mapping.neural.sdf_interface import LearnedField
-from uav_recon.mapping.neural.surface.extraction import EVIDENCE_CELL_M, FEWEST_ENDS, SHEET_M, borne_out
+from uav_recon.mapping.neural.sdf_interface import SdfField
+from uav_recon.mapping.neural.surface.extraction import EVIDENCE_CELL_M, FEWEST_ENDS, SHEET_M, confirmed_by_depth
 from uav_recon.mapping.neural.surface.surface_nets import ABSENT, EDGE, node_points, wanted_nodes
-from uav_recon.mapping.neural.training_data import Gathered
+from uav_recon.mapping.neural.training_data import TrainingData
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TriangleMesh
 
@@ -25,7 +25,7 @@ CLIP_VOXELS = 2.0  # values beyond say nothing more
 LEAST_VOXELS = 0.02  # a node has at least this distance, so that no two vertices meet
 
 
-class ShellError(Exception):
+class MeshResolutionError(Exception):
     """A voxel that is too fine for the box; the text says what would fit."""
 
 
@@ -54,22 +54,22 @@ class ClosedMesh:
         return float(area[self.observed].sum() / max(float(area.sum()), 1e-12))
 
 
-def check_size(gathered: Gathered, voxel_m: float) -> None:
-    """Raises ShellError if the lattice over the box would not fit."""
+def check_size(gathered: TrainingData, voxel_m: float) -> None:
+    """Raises MeshResolutionError if the lattice over the box would not fit."""
     extent_m = np.array(gathered.evidence.count.shape) * EVIDENCE_CELL_M
     least_m = float((extent_m.prod() / MOST_NODES) ** (1 / 3))
     if voxel_m < least_m:
-        raise ShellError(f"so large a box can be meshed with voxels of {least_m:.3f} m at the finest")
+        raise MeshResolutionError(f"so large a box can be meshed with voxels of {least_m:.3f} m at the finest")
 
 
-def closed_mesh(field: LearnedField, gathered: Gathered, voxel_m: float) -> ClosedMesh:
-    """Raises ShellError if the lattice would not fit."""
+def closed_mesh(field: SdfField, gathered: TrainingData, voxel_m: float) -> ClosedMesh:
+    """Raises MeshResolutionError if the lattice would not fit."""
     values = _lattice(field, gathered, voxel_m)
     vertices, faces = _level_set(values, gathered.evidence.origin_m, voxel_m)
     normals = vertex_normals(vertices, faces)
     at, facing = vertices.astype(np.float32), normals.astype(np.float32)
     seen: BoolArray = np.abs(field.distance_m(at)) < SHEET_M
-    seen &= gathered.evidence.holding()(at) & borne_out(gathered.evidence, gathered.images, at, facing)
+    seen &= gathered.evidence.holding()(at) & confirmed_by_depth(gathered.evidence, gathered.images, at, facing)
     return ClosedMesh(
         vertices,
         faces,
@@ -91,7 +91,7 @@ def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return unit
 
 
-def _lattice(field: LearnedField, gathered: Gathered, voxel_m: float) -> Float32Array:
+def _lattice(field: SdfField, gathered: TrainingData, voxel_m: float) -> Float32Array:
     """Distances in voxels, positive in the air, at nodes origin + voxel * (i - 1, j - 1, k - 1); the border is solid."""
     check_size(gathered, voxel_m)
     near = gathered.evidence.near(FEWEST_ENDS)
@@ -114,7 +114,7 @@ def _lattice(field: LearnedField, gathered: Gathered, voxel_m: float) -> Float32
     return np.pad(values, 1, constant_values=-CLIP_VOXELS)
 
 
-def _seen_air(gathered: Gathered) -> BoolArray:
+def _seen_air(gathered: TrainingData) -> BoolArray:
     """Cells of the evidence lattice that some depth image looked through."""
     shape = gathered.evidence.count.shape
     centre = gathered.evidence.origin_m + (np.indices(shape).reshape(3, -1).T + 0.5) * EVIDENCE_CELL_M

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.frames import AnyArray
 
 LOG = logging.getLogger(__name__)
@@ -55,7 +55,7 @@ class _Header:
     views: list[tuple[int, int]]
 
 
-class Checkpoints:
+class MapperCheckpoints:
     """One flight's. save_if_due() returns at once and a thread writes; load() blocks.
 
     order: everything that a trainer is made from.
@@ -68,7 +68,7 @@ class Checkpoints:
         self._sums: dict[int, int] = {}  # of the views on disk
         self._learned, self._steps = 0, 0  # of the newest checkpoint
 
-    def load(self, keyframes: KeyframeFolder) -> tuple[Trainer, int] | None:
+    def load(self, keyframes: KeyframeFolder) -> tuple[NeuralMapper, int] | None:
         """The trainer and how many keyframes it went through; None if there is no checkpoint.
 
         Raises CheckpointError if it is damaged, or of another order, code or flight.
@@ -83,7 +83,7 @@ class Checkpoints:
             line, _, payload = content.partition(b"\n")
             header = _Header(**json.loads(line))
             self._check(header, keyframes)
-            trainer: Trainer = _Unpickler(io.BytesIO(payload)).load()
+            trainer: NeuralMapper = _Unpickler(io.BytesIO(payload)).load()
             for index, (number, crc32) in enumerate(header.views):
                 trainer.put_back(index, self._view(number, crc32))
         except (OSError, ValueError, TypeError, KeyError, EOFError, pickle.UnpicklingError) as error:
@@ -92,7 +92,7 @@ class Checkpoints:
         self._learned, self._steps = header.learned, trainer.steps
         return trainer, header.learned
 
-    def save_if_due(self, trainer: Trainer, learned: int, stamp_s: float) -> bool:
+    def save_if_due(self, trainer: NeuralMapper, learned: int, stamp_s: float) -> bool:
         """Begin a checkpoint if the last is old. False if it is not, or the disk still works on the last: then later.
 
         learned: keyframes gone through, the last of them stamped stamp_s. Holds the caller up for a copy of the state.

@@ -14,23 +14,23 @@ _AT_REST = "STt"  # sleeping and stopped: proc_pid_stat(5); a starved process is
 
 
 @dataclass(frozen=True, slots=True)
-class Pulse:
+class ProcessActivity:
     """processor_s that a process has used so far; whether it sleeps or was stopped."""
 
     processor_s: float
     at_rest: bool
 
 
-def pulse_of(pid: int) -> Pulse | None:
+def activity_of(pid: int) -> ProcessActivity | None:
     """Of a process and all its threads; None if it is gone."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:
         return None
-    return Pulse((int(fields[11]) + int(fields[12])) * _TICK_S, fields[0] in _AT_REST)
+    return ProcessActivity((int(fields[11]) + int(fields[12])) * _TICK_S, fields[0] in _AT_REST)
 
 
-class Vigil:
+class ChildWatchdog:
     """One child's. asked() and answered() as it happens; hung() now and then. Seconds are of any one clock."""
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class Vigil:
         """It answered."""
         self._asked_s = None
 
-    def hung(self, now_s: float, pulse: Pulse | None, patient: bool) -> bool:
+    def hung(self, now_s: float, pulse: ProcessActivity | None, patient: bool) -> bool:
         """Whether to give it up. patient: it compiles or learns a whole flight, so silence alone means nothing."""
         if pulse is None or self._asked_s is None:
             return False

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal, in_words
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason, in_words
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.surface.ply_writer import write_ply
 from uav_recon.mapping.neural.worker.mapper_process import MESH_FILE
 from uav_recon.types.camera import PosedFrame
@@ -19,7 +19,7 @@ from uav_recon.types.pose import MapCorrection
 class InlineMapper:
     """add() trains at once, surface() extracts when asked."""
 
-    def __init__(self, trainer: Trainer, config: MapperConfig, keyframes: KeyframeFolder | None = None) -> None:
+    def __init__(self, trainer: NeuralMapper, config: MapperConfig, keyframes: KeyframeFolder | None = None) -> None:
         self._trainer, self._config, self._keyframes = trainer, config, keyframes
         self._surface: SurfaceElements | None = None
         self._stale = False
@@ -48,7 +48,7 @@ class InlineMapper:
         self._trainer.relearn(self._trainer.waiting)
         self._stale = True
 
-    def refusals(self) -> Counter[Refusal]:
+    def refusals(self) -> Counter[RejectReason]:
         """Views that were not taken, by reason."""
         return self._trainer.refusals.counts.copy()
 

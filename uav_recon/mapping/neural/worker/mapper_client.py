@@ -18,9 +18,9 @@ from uav_recon.channels import FileChannel
 from uav_recon.clock import RateKeeper
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal, Refusals, in_words, padded, refusal
+from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectCounts, RejectReason, in_words, padded, reject_reason
 from uav_recon.mapping.neural.keyframes.normal_prior import open_prior
-from uav_recon.mapping.neural.worker.child_watchdog import LOOK_S, Vigil, pulse_of
+from uav_recon.mapping.neural.worker.child_watchdog import LOOK_S, ChildWatchdog, activity_of
 from uav_recon.mapping.neural.worker.mapper_process import (
     CHECKPOINT,
     KEYFRAMES,
@@ -79,7 +79,7 @@ class ProcessMapper:
         self._epoch: int | None = None  # of the map, once there is one
         self._ready, self._over = threading.Event(), threading.Event()
         self._losses, self._finishing = 0, False
-        self._refusals, self._childs_refusals = Refusals(), Counter[Refusal]()
+        self._refusals, self._childs_refusals = RejectCounts(), Counter[RejectReason]()
         self._mesh_folder: Path | None = None
         self._child = self._start()
         self._owner = threading.Thread(target=self._serve, name="mapper-owner", daemon=True)
@@ -97,9 +97,9 @@ class ProcessMapper:
         """
         if self._finishing or self._gone() or self._notes.qsize() >= BACKLOG:
             return False
-        reason = refusal(keyframe, self._low, self._high)
+        reason = reject_reason(keyframe, self._low, self._high)
         if self._epoch not in (None, keyframe.map_epoch):
-            reason = Refusal.EPOCH
+            reason = RejectReason.EPOCH
         if reason is not None:
             self._refusals.note(reason)
             return False
@@ -115,7 +115,7 @@ class ProcessMapper:
             self._epoch = correction.map_epoch
             self._notes.put(correction)
 
-    def refusals(self) -> Counter[Refusal]:
+    def refusals(self) -> Counter[RejectReason]:
         """Views that were not taken, by reason: by add(), or by the child, which knows the map."""
         return self._refusals.counts + self._childs_refusals
 
@@ -161,7 +161,7 @@ class ProcessMapper:
 
     def _start(self) -> ChildProcess:
         self._ready.clear()
-        self._vigil = Vigil()
+        self._vigil = ChildWatchdog()
         return ChildProcess(self._order, self._folder / LOG_FILE, self._notes.put)
 
     def _serve(self) -> None:
@@ -191,7 +191,7 @@ class ProcessMapper:
         if not self._vigil.owes:
             self._child.send({"answer": True})
             self._vigil.asked(now_s)
-        elif self._vigil.hung(now_s, pulse_of(self._child.pid), patient=self._finishing or not self._ready.is_set()):
+        elif self._vigil.hung(now_s, activity_of(self._child.pid), patient=self._finishing or not self._ready.is_set()):
             LOG.error("the mapper hangs and is killed")
             self._vigil.answered()
             self._child.kill()
@@ -204,7 +204,7 @@ class ProcessMapper:
         elif message["event"] == "finished":
             self._over.set()
         elif message["event"] == "refused":
-            self._childs_refusals = Counter({Refusal[name]: count for name, count in message["counts"].items()})
+            self._childs_refusals = Counter({RejectReason[name]: count for name, count in message["counts"].items()})
         else:
             self._replace_child()
 

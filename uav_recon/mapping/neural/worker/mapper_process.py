@@ -26,10 +26,10 @@ import numpy as np
 from uav_recon.channels import FileChannel
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
-from uav_recon.mapping.neural.keyframes.keyframe_validation import Refusal
-from uav_recon.mapping.neural.neural_mapper import Trainer
+from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason
+from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.surface.ply_writer import write_ply
-from uav_recon.mapping.neural.worker.checkpoint import CheckpointError, Checkpoints
+from uav_recon.mapping.neural.worker.checkpoint import CheckpointError, MapperCheckpoints
 from uav_recon.types.maps import SurfaceElements
 
 LOG = logging.getLogger(__name__)
@@ -154,8 +154,10 @@ class _Session:
         self._keyframes = KeyframeFolder(folder / KEYFRAMES)
         self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
         low, high = np.array(order["box_min_m"]), np.array(order["box_max_m"])
-        self._trainer = Trainer(self._config, low, high, order["depth_noise_px"], order["baseline_m"])
-        self._checkpoints = Checkpoints(folder / CHECKPOINT, {name: value for name, value in order.items() if name != "folder"})
+        self._trainer = NeuralMapper(self._config, low, high, order["depth_noise_px"], order["baseline_m"])
+        self._checkpoints = MapperCheckpoints(
+            folder / CHECKPOINT, {name: value for name, value in order.items() if name != "folder"}
+        )
         self._revision = self._channel.sequence()
         self._learned, self._unseen = 0, False  # keyframes learned; whether they show in no published surface yet
         self._refused = 0  # as told to the parent
@@ -217,7 +219,7 @@ class _Session:
             self._answer()
             try:
                 if self._keyframes.pose(number) is None:
-                    self._trainer.refusals.note(Refusal.UNPLACED)
+                    self._trainer.refusals.note(RejectReason.UNPLACED)
                 elif self._trainer.add(self._keyframes.load(number), number):
                     self._trainer.train(self._config.steps_per_view)
             except KeyframeError as error:
