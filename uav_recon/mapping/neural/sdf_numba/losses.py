@@ -62,7 +62,8 @@ def fit_distance(
 @fast_kernel
 def fit_shape(
     grid: FeatureGrid, net: Network, d_net: Network, gradient: Gradient, s: Scratch, stencil: Float32Array,
-    corners: Float32Array, points: Float32Array, normal: Float32Array, eikonal_weight: Float32Array, normal_weight: Float32Array,
+    corners: Float32Array, points: Float32Array, normal: Float32Array, eikonal_weight: Float32Array,
+    normal_weight: Float32Array,
 ) -> float:  # fmt: skip
     """Sum of eikonal_weight * (|g| - 1)² + normal_weight * |g/|g| - n|², g from differences over a tetrahedron.
 
