@@ -13,7 +13,7 @@ _HOLDS: dict[str, Callable[[float, float], bool]] = {
 }
 
 
-MOST_VOXELS = 30e6  # a channel of 64 MB takes 33 million
+MAX_VOXELS = 30e6  # a channel of 64 MB takes 33 million
 
 
 class Constraint(NamedTuple):
@@ -72,7 +72,7 @@ CONSTRAINTS = (
         "voxels.resolution_m",  # or neither memory nor the channels would hold the map
         "at least",
         "the edge of 30 million voxels from safety.fence_min_m to safety.fence_max_m with voxels.margin_m around",
-        lambda c: (_volume_m3(c) / MOST_VOXELS) ** (1 / 3),
+        lambda c: (_volume_m3(c) / MAX_VOXELS) ** (1 / 3),
         rounding=1e-9,
     ),
     _to("camera.depth_min_m", "less than", "camera.depth_max_m"),

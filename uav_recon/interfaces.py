@@ -234,7 +234,7 @@ class MotionPlannerInterface(Protocol):
 class SpeedLimitedMotion(MotionPlannerInterface, Protocol):
     """Motion that is told how fast it may be."""
 
-    def allow(self, most_mps: float) -> None:
+    def allow(self, max_speed_mps: float) -> None:
         """What is planned from now on stays below this speed (m/s)."""
         ...
 

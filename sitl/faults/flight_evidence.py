@@ -135,9 +135,9 @@ def gather(
     stamps = np.array([m.stamp_s for m in ledger])
     positions = np.array([m.position_m for m in ledger]).reshape(-1, 3)
     armed = np.array([m.armed for m in ledger], dtype=np.bool_)
-    aloft, boxes_m = armed & (positions[:, 2] > 0.05), np.full(len(stamps), math.inf)
+    airborne, boxes_m = armed & (positions[:, 2] > 0.05), np.full(len(stamps), math.inf)
     for obstacle in meddler.theatre.obstacles:
-        boxes_m[aloft] = np.minimum(boxes_m[aloft], obstacle.hull_m(stamps[aloft], positions[aloft], radius_m))
+        boxes_m[airborne] = np.minimum(boxes_m[airborne], obstacle.hull_m(stamps[airborne], positions[airborne], radius_m))
     return FlightEvidence(
         onset_s=meddler.onset_s,
         end_s=meddler.end_s,

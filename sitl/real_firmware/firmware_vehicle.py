@@ -97,7 +97,7 @@ class FirmwareVehicle:
         except OSError as error:
             raise FirmwareError(f"port {binary.truth_port}, where the firmware sends the truth: {error.strerror}") from None
         self._listener, self._speaker = MessageDecoder(), MessageEncoder(*_OURS)
-        self._now_s = self._heard_s = time.monotonic()
+        self._now_s = self._received_s = time.monotonic()
         self._asked_s = self._polled_s = 0.0
         self._wishes = RequestQueue()
         for kind, rate_hz in (*binary.streams_hz, *_STREAMS_HZ):
@@ -133,7 +133,7 @@ class FirmwareVehicle:
             self._ask()
         if self._path.begun and self._binary.transmitter is not None:
             self._binary.transmitter.hold(self.truth())
-        if self._path.begun and now_s - self._heard_s > _SILENT_S:
+        if self._path.begun and now_s - self._received_s > _SILENT_S:
             self._process.check()
             raise FirmwareError(f"the firmware says no more where it is; it said last: {self._process.last_line()}")
 
@@ -179,7 +179,7 @@ class FirmwareVehicle:
         if self._wishes.answered(message):
             self._ask()
         if message.kind in (mavlink.MAVLINK_MSG_ID_SIM_STATE, mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION):
-            self._heard_s = stamp_s
+            self._received_s = stamp_s
         elif message.kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._armed = bool(message.base_mode & _ARMED)
             self._mode = self._binary.mode(message.custom_mode)

@@ -11,7 +11,7 @@ from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.geometry.quaternion import yaw_of
 
 _PULSES = struct.Struct("<8H")  # microseconds of channels 1 to 8; 0 leaves one as it is
-_MIDDLE_US, _MOST_US = 1500, 300
+_MIDDLE_US, _MAX_US = 1500, 300
 _TILT_US_PER_MPS, _THROTTLE_US_PER_M, _THROTTLE_US_PER_MPS = 300.0, 250.0, 200.0
 _PERIOD_S = 0.02
 
@@ -56,4 +56,4 @@ class RcTransmitter:
 
 
 def _pulse(off_middle_us: float) -> int:
-    return _MIDDLE_US + round(min(max(off_middle_us, -_MOST_US), _MOST_US))
+    return _MIDDLE_US + round(min(max(off_middle_us, -_MAX_US), _MAX_US))

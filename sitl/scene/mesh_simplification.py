@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sitl.runtime.array_cache import Arrays, cache_folder, cached, key
 
 WORTH_FACES = 50_000  # below it drawing is quick as it is
-MOST_ERROR_M2 = 1e-12  # a thousandth of a millimetre, squared, and times the area that the quadrics weigh with
+MAX_ERROR_M2 = 1e-12  # a thousandth of a millimetre, squared, and times the area that the quadrics weigh with
 TOLERANCE_M, TOLERATED = 0.001, 1e-5  # the camera tells millimetres; this share of points may be farther off, or all is left
 LOST_M = 0.0004  # a triangle that far from the other surface is taken out, or put back as it was
 ROUNDS, SAMPLES = 3, 200_000
@@ -33,7 +33,7 @@ def merged(vertices: F32, faces: I32, cache_dir: Path | None = None) -> tuple[F3
     """
     if len(faces) < WORTH_FACES:
         return vertices, faces
-    path = (cache_dir or cache_folder()) / f"merged-{key(vertices, faces, f'{VERSION} {MOST_ERROR_M2} {TOLERANCE_M}')}.npz"
+    path = (cache_dir or cache_folder()) / f"merged-{key(vertices, faces, f'{VERSION} {MAX_ERROR_M2} {TOLERANCE_M}')}.npz"
     arrays = cached(path, {"vertices": 2, "faces": 2}, lambda: _collapsed(vertices, faces))
     return arrays["vertices"], arrays["faces"]
 
@@ -44,7 +44,7 @@ def _collapsed(vertices: F32, faces: I32) -> Arrays:
     mesh = open3d.geometry.TriangleMesh(
         open3d.utility.Vector3dVector(vertices.astype(np.float64)), open3d.utility.Vector3iVector(np.array(faces, np.int32))
     )
-    fewer = mesh.simplify_quadric_decimation(4, maximum_error=MOST_ERROR_M2)
+    fewer = mesh.simplify_quadric_decimation(4, maximum_error=MAX_ERROR_M2)
     corners, triangles = np.asarray(fewer.vertices, np.float32), np.asarray(fewer.triangles, np.int32)
     good, lost = np.ones(len(triangles), np.bool_), np.zeros(len(faces), np.bool_)
     for seed in range(ROUNDS):  # small things weigh nothing in quadrics, so there the surface is left as it was

@@ -27,8 +27,8 @@ TAKEOFF_HEIGHT_M = 1.10
 PAD_TOP_M = 0.40  # below this the hull's own radius is enough
 OPEN_SHARE = 0.005
 MAX_EXTENT_M = 100.0
-MOST_M3 = 30_000.0  # in voxels of 0.1 m: 30 million, what the product maps at most
-MOST_M2 = 12_000.0  # of surface: it is looked at every centimetre or two
+MAX_M3 = 30_000.0  # in voxels of 0.1 m: 30 million, what the product maps at most
+MAX_M2 = 12_000.0  # of surface: it is looked at every centimetre or two
 SAMPLES_M = 0.01
 GENERATED = "random:"  # and a seed
 
@@ -194,15 +194,15 @@ def _check_mesh(name: str, mesh: Mesh) -> None:
     _check_size(name, "scene", extent)
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     area_m2 = 0.5 * float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
-    if area_m2 > MOST_M2:
-        raise SceneError(f"{name}: a surface of {area_m2:.0f} m2; want at most {MOST_M2:.0f} (is the file in metres?)")
+    if area_m2 > MAX_M2:
+        raise SceneError(f"{name}: a surface of {area_m2:.0f} m2; want at most {MAX_M2:.0f} (is the file in metres?)")
 
 
 def _check_size(name: str, what: str, size_m: F64) -> None:
     """Everything that maps, cuts truth or measures keeps arrays of this volume."""
     volume_m3 = float(np.prod(size_m))
-    if volume_m3 > MOST_M3:
-        raise SceneError(f"{name}: a {what} of {_text(size_m)} m holds {volume_m3:.0f} m3; want at most {MOST_M3:.0f}")
+    if volume_m3 > MAX_M3:
+        raise SceneError(f"{name}: a {what} of {_text(size_m)} m holds {volume_m3:.0f} m3; want at most {MAX_M3:.0f}")
 
 
 def _check_column(name: str, vertices: F32, faces: I32, radius_m: float) -> None:

@@ -43,7 +43,7 @@ class Flight:
         frame = frame_of(self.now_s, depth_of(camera, room_m, *boxes_m, seed=self.n), rgb)
         place_m = camera.translation_m
         tilt = Pose.from_rotation_vector(self._tilt_rad, place_m) @ Pose.from_yaw(0.0, -place_m)
-        self.creep.hear(frame, moved(tilt @ camera, by_m))
+        self.creep.update(frame, moved(tilt @ camera, by_m))
         self.excess = max(self.excess, self.creep.excess)
         self.peak_mps = max(self.peak_mps, float(np.linalg.norm(self.creep.velocity_mps)))
         self.n += 1
@@ -136,7 +136,7 @@ def test_what_was_told_fades_and_a_new_odom_begins_anew() -> None:
     flight = Flight((0.05, 0.0, 0.0))
     flight.look_about(12.0)
     for _ in range(150):
-        flight.creep.hear(frame_of(flight.now_s, np.full((120, 212), np.nan, np.float32)), Pose.identity())
+        flight.creep.update(frame_of(flight.now_s, np.full((120, 212), np.nan, np.float32)), Pose.identity())
         flight.n += 1
     assert np.linalg.norm(flight.creep.velocity_mps) < 0.01
     flight = Flight((0.05, 0.0, 0.0))

@@ -30,7 +30,7 @@ def _flown(
     seen = None
     for n in range(pictures):
         camera = camera_at(0.03 * n, 0.05 * n, 1.2, 0.3 + 0.04 * n)
-        seen = flow.hear(_frame(n, camera, lens), moved(camera, n * PERIOD_S * (np.zeros(3) if drift is None else drift)))
+        seen = flow.update(_frame(n, camera, lens), moved(camera, n * PERIOD_S * (np.zeros(3) if drift is None else drift)))
     return seen
 
 
@@ -75,7 +75,7 @@ def test_a_frozen_picture_tells_nothing() -> None:
     frame = _frame(0, HERE)
     for n in range(8):
         shown = dataclasses.replace(frame, stamp_s=n * PERIOD_S)
-        assert flow.hear(shown, moved(HERE, np.array([0.0, 0.01 * n, 0.0]))) is None
+        assert flow.update(shown, moved(HERE, np.array([0.0, 0.01 * n, 0.0]))) is None
 
 
 @pytest.mark.parametrize("wrong", ["stamp", "empty", "black", "of noise"])
@@ -89,21 +89,21 @@ def test_what_is_no_picture_tells_nothing(wrong: str) -> None:
             "black": rng.integers(0, 2, frame.rgb.shape, dtype=np.uint8),
             "of noise": rng.integers(0, 255, frame.rgb.shape, dtype=np.uint8),
         }[wrong]
-        seen = flow.hear(dataclasses.replace(frame, rgb=rgb), HERE)
+        seen = flow.update(dataclasses.replace(frame, rgb=rgb), HERE)
         assert seen is None or (seen.age_s >= 0.3).sum() < 10
 
 
 @pytest.mark.parametrize("why", ["a pause", "odom begins anew"])
 def test_nothing_is_compared_across(why: str) -> None:
     flow = FeatureTracker()
-    assert flow.hear(_frame(0, HERE), HERE) is None
-    assert flow.hear(_frame(1, HERE), HERE) is not None
+    assert flow.update(_frame(0, HERE), HERE) is None
+    assert flow.update(_frame(1, HERE), HERE) is not None
     if why == "odom begins anew":
         flow.forget()
-    assert flow.hear(_frame(2 if why == "odom begins anew" else 5, HERE), HERE) is None
+    assert flow.update(_frame(2 if why == "odom begins anew" else 5, HERE), HERE) is None
 
 
 def test_what_has_no_depth_is_not_followed() -> None:
     flow = FeatureTracker()
     for n in range(3):
-        assert flow.hear(dataclasses.replace(_frame(n, HERE), depth_m=np.full((120, 212), np.nan, np.float32)), HERE) is None
+        assert flow.update(dataclasses.replace(_frame(n, HERE), depth_m=np.full((120, 212), np.nan, np.float32)), HERE) is None

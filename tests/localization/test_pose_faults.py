@@ -118,10 +118,10 @@ def test_b4_two_closed_loops_are_two_epochs() -> None:
 
 
 def test_b4_a_tracker_that_begins_anew_is_believed_once_it_has_proven_itself() -> None:
-    anew = shifted(x=-3.0, y=1.0, yaw_deg=140.0)
+    again = shifted(x=-3.0, y=1.0, yaw_deg=140.0)
 
     def reset(pose: StampedPose, since_s: float) -> StampedPose | None:
-        changed = anew(pose, since_s)
+        changed = again(pose, since_s)
         assert changed
         return replace(changed, reset_counter=7)
 

@@ -31,7 +31,7 @@ def _said(k: int, slip_m: float = 0.0, slip_rad: float = 0.0) -> Sighting:
 def _run(said: list[Sighting], *, inertial: bool = True) -> RelocalizationCheck:
     trial = RelocalizationCheck()
     for sighting in said:
-        trial.hear(sighting, _track(round(sighting.stamp_s * 15)), inertial)
+        trial.update(sighting, _track(round(sighting.stamp_s * 15)), inertial)
     return trial
 
 

@@ -157,8 +157,8 @@ class Desk:
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
-        self.note, self.stands, self.battery, self.most_mps = "", False, 0.9, math.inf
-        self.attended, self._heard_s = False, -math.inf
+        self.note, self.stands, self.battery, self.max_speed_mps = "", False, 0.9, math.inf
+        self.attended, self._received_s = False, -math.inf
         self.seen: list[Phase] = []
         self._place_m = np.zeros(3)
         self.epoch = 0
@@ -215,10 +215,11 @@ class Desk:
         self._place_m = position
         self.planner.was_at(position)
         armed = self.phase is FlightPhase.FLYING
-        self._heard_s = self.clock.now_s() if self.attended else self._heard_s
+        self._received_s = self.clock.now_s() if self.attended else self._received_s
         self.wires.vehicle.publish(
             VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase,
-                         self.battery, self.human, float("nan"), 1, self.refusals, self.note, self.most_mps, self._heard_s)
+                         self.battery, self.human, float("nan"), 1, self.refusals, self.note, self.max_speed_mps,
+                         self._received_s)
         )  # fmt: skip
 
     def _frame(self) -> None:

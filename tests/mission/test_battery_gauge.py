@@ -18,7 +18,7 @@ def told(
     """A charge that was told each share for so many seconds."""
     charge = charge or BatteryGaugeFilter()
     for k, share in enumerate(_each(said)):
-        charge.hear(begun_s + k * PERIOD_S, share, flying)
+        charge.update(begun_s + k * PERIOD_S, share, flying)
     return charge
 
 
@@ -44,7 +44,7 @@ def test_a_word_that_comes_and_goes_is_never_believed() -> None:
 def test_a_steady_fall_is_followed_three_seconds_late() -> None:
     charge = BatteryGaugeFilter()
     for k in range(400):
-        charge.hear(k * PERIOD_S, 0.40 - 0.01 * k * PERIOD_S, flying=True)
+        charge.update(k * PERIOD_S, 0.40 - 0.01 * k * PERIOD_S, flying=True)
     assert charge.left == pytest.approx(0.40 - 0.01 * (400 * PERIOD_S - 3.0), abs=0.002)
 
 
@@ -57,7 +57,7 @@ def test_nobody_charges_a_battery_in_flight() -> None:
 
 def test_on_the_ground_it_may_be_another_battery() -> None:
     charge = told((5.0, 0.30))
-    charge.hear(6.0, 0.98, flying=False)
+    charge.update(6.0, 0.98, flying=False)
     assert charge.left == 0.98
 
 
@@ -66,13 +66,13 @@ def test_silence_of_five_seconds_is_a_loss_and_the_next_word_ends_it() -> None:
     last_s = 5.0 - PERIOD_S
     assert not charge.lost(last_s + 4.99)
     assert charge.lost(last_s + 5.01)
-    charge.hear(15.0, 0.79, flying=True)
+    charge.update(15.0, 0.79, flying=True)
     assert not charge.lost(15.0)
 
 
 def test_a_word_after_a_silence_has_to_last_as_well() -> None:
     charge = told((5.0, 0.80))
-    charge.hear(9.0, 0.10, flying=True)
+    charge.update(9.0, 0.10, flying=True)
     assert charge.left == 0.80
     assert told((3.1, 0.10), charge=charge, begun_s=9.05).left == 0.10
 

@@ -27,7 +27,7 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
     desk.journal.close()
 
 
-def turned_back_at(far_m: float, most_mps: float = math.inf, per_s: float = 0.002) -> tuple[float, str]:
+def turned_back_at(far_m: float, max_speed_mps: float = math.inf, per_s: float = 0.002) -> tuple[float, str]:
     """The true share that is left when a vehicle that waits so far away wants home, and why; from 90 %, so much a second."""
     course = FlightTrack(0.0)
     steward = BatteryPolicy(course, HOME_M, 0.4)
@@ -35,9 +35,9 @@ def turned_back_at(far_m: float, most_mps: float = math.inf, per_s: float = 0.00
         place = np.array([min(0.1 * k, far_m), 0.0, 1.1])
         gauge = round(0.9 - per_s * 0.1 * k, 2)
         vehicle = VehicleState(0.1 * k, Pose.from_yaw(0.0, place), np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING,
-                               gauge, False, math.nan, 1, 0, "", most_mps)  # fmt: skip
+                               gauge, False, math.nan, 1, 0, "", max_speed_mps)  # fmt: skip
         course.follow(vehicle)
-        steward.hear(0.1 * k, vehicle, None)
+        steward.update(0.1 * k, vehicle, None)
         if steward.left < steward.needed:
             return 0.9 - per_s * 0.1 * k, steward.why()
     raise AssertionError("never wants home")
@@ -52,18 +52,18 @@ def test_the_farther_away_the_earlier_it_turns_back_and_says_with_what() -> None
 
 
 def test_while_nothing_fast_is_let_pass_it_turns_back_earlier() -> None:
-    assert turned_back_at(12.0, most_mps=0.3)[0] > turned_back_at(12.0)[0] + 0.05
+    assert turned_back_at(12.0, max_speed_mps=0.3)[0] > turned_back_at(12.0)[0] + 0.05
 
 
 def test_a_moment_in_which_nothing_fast_is_let_pass_calls_nobody_home() -> None:
     course = FlightTrack(0.0)
     steward, needed = BatteryPolicy(course, HOME_M, 0.4), list[float]()
     for k in range(1_000):
-        most_mps = 0.3 if 900 <= k < 920 else math.inf
+        max_speed_mps = 0.3 if 900 <= k < 920 else math.inf
         vehicle = VehicleState(0.1 * k, Pose.from_yaw(0.0, np.array([min(0.1 * k, 12.0), 0.0, 1.1])), np.zeros(3), True,
-                               "OFFBOARD", FlightPhase.FLYING, 0.8, False, math.nan, 1, 0, "", most_mps)  # fmt: skip
+                               "OFFBOARD", FlightPhase.FLYING, 0.8, False, math.nan, 1, 0, "", max_speed_mps)  # fmt: skip
         course.follow(vehicle)
-        steward.hear(0.1 * k, vehicle, None)
+        steward.update(0.1 * k, vehicle, None)
         needed.append(steward.needed)
     assert max(needed[900:]) <= needed[899]
 

@@ -18,7 +18,7 @@ from uav_recon.mission.battery_reserve import (
     TAKE_OFF,
     ConsumptionEstimator,
     flight_s,
-    least_for,
+    min_charge_for,
 )
 
 PERIOD_S = 0.1
@@ -36,15 +36,15 @@ def flown(
     now_s = 0.0
     for k in range(round(for_s / PERIOD_S) + 1):
         now_s = k * PERIOD_S
-        charge.hear(now_s, round((share - per_s * now_s) / grain) * grain, flying=True)
-        burn.hear(now_s, charge.left, flying=True)
+        charge.update(now_s, round((share - per_s * now_s) / grain) * grain, flying=True)
+        burn.update(now_s, charge.left, flying=True)
     return burn, charge, now_s
 
 
 def test_the_need_of_a_way_by_hand() -> None:
     seconds = flight_s(21.0, math.inf)
     assert seconds == pytest.approx(AROUND_S + 21.0 / PACE_MPS + LANDING_S) == pytest.approx(52.0)
-    assert least_for(seconds, 0.001) == pytest.approx(0.20 + 1.3 * 0.052)
+    assert min_charge_for(seconds, 0.001) == pytest.approx(0.20 + 1.3 * 0.052)
 
 
 def test_where_nothing_fast_is_let_pass_the_way_takes_longer_and_never_for_ever() -> None:
@@ -55,14 +55,14 @@ def test_where_nothing_fast_is_let_pass_the_way_takes_longer_and_never_for_ever(
 @given(WAYS_M, WAYS_M, RATES)
 def test_a_far_place_is_left_earlier_than_a_near_one(one_m: float, other_m: float, per_s: float) -> None:
     near_m, far_m = sorted((one_m, other_m))
-    near, far = (least_for(flight_s(way_m, math.inf), per_s) for way_m in (near_m, far_m))
+    near, far = (min_charge_for(flight_s(way_m, math.inf), per_s) for way_m in (near_m, far_m))
     assert near <= far
     assert far - near == pytest.approx(MARGIN * per_s * (far_m - near_m) / PACE_MPS, abs=1e-9)
 
 
 @given(WAYS_M, RATES, RATES)
 def test_what_burns_faster_is_left_earlier_and_never_below_where_it_lands(way_m: float, one: float, other: float) -> None:
-    slow, fast = (least_for(flight_s(way_m, math.inf), per_s) for per_s in sorted((one, other)))
+    slow, fast = (min_charge_for(flight_s(way_m, math.inf), per_s) for per_s in sorted((one, other)))
     assert LAND_AT < slow <= fast
 
 
@@ -82,16 +82,16 @@ def test_a_steady_burn_is_met_two_grains_below_at_worst_and_a_pessimistic_minute
 def test_whatever_a_gauge_says_the_figures_are_figures(words: list[float]) -> None:
     charge, burn = BatteryGaugeFilter(), ConsumptionEstimator()
     for k, word in enumerate(words):
-        charge.hear(0.5 * k, word, flying=True)
-        burn.hear(0.5 * k, charge.left, flying=True)
+        charge.update(0.5 * k, word, flying=True)
+        burn.update(0.5 * k, charge.left, flying=True)
         assert 0.0005 <= burn.per_s(0.5 * k) <= 0.2
-        assert LAND_AT < least_for(flight_s(10.0, math.inf), burn.per_s(0.5 * k)) < 20.0
+        assert LAND_AT < min_charge_for(flight_s(10.0, math.inf), burn.per_s(0.5 * k)) < 20.0
 
 
 def test_before_anything_is_measured_a_battery_of_eight_minutes_is_feared() -> None:
     assert ConsumptionEstimator().per_s(0.0) == 0.002
     burn = ConsumptionEstimator()
-    burn.hear(0.0, 0.9, flying=True)
+    burn.update(0.0, 0.9, flying=True)
     assert burn.per_s(0.0) == 0.002
     assert not burn.reckoned(29.0)
 
@@ -108,8 +108,8 @@ def test_what_is_drawn_of_late_counts_where_it_is_more() -> None:
     calm = burn.per_s(now_s)
     assert 0.0008 < calm < 0.0011
     for k in range(1, 401):
-        charge.hear(now_s + k * PERIOD_S, round(0.66 - 0.005 * k * PERIOD_S, 2), flying=True)
-        burn.hear(now_s + k * PERIOD_S, charge.left, flying=True)
+        charge.update(now_s + k * PERIOD_S, round(0.66 - 0.005 * k * PERIOD_S, 2), flying=True)
+        burn.update(now_s + k * PERIOD_S, charge.left, flying=True)
     assert 0.0045 <= burn.per_s(now_s + 40.0) <= 0.0055
 
 
@@ -118,8 +118,8 @@ def test_where_the_gauge_slips_the_measure_begins_anew_as_pessimistic_as_it_was(
         burn, charge, now_s = flown(0.9, per_s, 90.0)
         slipped = round(0.9 - per_s * 90.0 - 0.2, 2)
         for k in range(1, 101):
-            charge.hear(now_s + k * PERIOD_S, slipped, flying=True)
-            burn.hear(now_s + k * PERIOD_S, charge.left, flying=True)
+            charge.update(now_s + k * PERIOD_S, slipped, flying=True)
+            burn.update(now_s + k * PERIOD_S, charge.left, flying=True)
         assert burn.per_s(now_s + 3.0) == pytest.approx(after, rel=0.15)
         assert not burn.reckoned(now_s + 10.0)
         assert burn.reckoned(now_s + 40.0)
@@ -127,8 +127,8 @@ def test_where_the_gauge_slips_the_measure_begins_anew_as_pessimistic_as_it_was(
 
 def test_on_the_ground_everything_begins_anew() -> None:
     burn, _, now_s = flown(0.9, 0.01, 60.0)
-    burn.hear(now_s + 1.0, 0.3, flying=False)
-    burn.hear(now_s + 9.0, 1.0, flying=True)
+    burn.update(now_s + 1.0, 0.3, flying=False)
+    burn.update(now_s + 9.0, 1.0, flying=True)
     assert burn.per_s(now_s + 9.0) == pytest.approx(0.002)
     assert not burn.reckoned(now_s + 9.0)
 

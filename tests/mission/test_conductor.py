@@ -260,7 +260,7 @@ def test_where_nothing_fast_is_let_pass_nothing_fast_is_planned_until_it_is_agai
     desk.run(60.0, until=Phase.SURVEY)
     while desk.speed_mps() < 0.3:
         desk.run(0.1)
-    desk.most_mps = 0.25
+    desk.max_speed_mps = 0.25
     desk.refusals += 1
     desk.run(0.2)
     slow = [desk.speed_mps()]
@@ -269,7 +269,7 @@ def test_where_nothing_fast_is_let_pass_nothing_fast_is_planned_until_it_is_agai
         slow.append(desk.speed_mps())
     assert 0.1 < max(slow) < 0.25
     assert desk.planner.left, "it was not there yet"
-    desk.most_mps = math.inf
+    desk.max_speed_mps = math.inf
     fast = []
     for _ in range(100):
         desk.run(0.1)

@@ -43,10 +43,10 @@ def test_path_length_counts_only_flight() -> None:
 def test_a_vehicle_follows_where_it_is_about_there_and_looks_that_way(x: float, yaw_rad: float, followed: bool) -> None:
     course = FlightTrack(0.0)
     course.follow(vehicle_at(x, 0.0, yaw_rad=yaw_rad))
-    assert not course.is_followed(10.0), "nothing is flown"
+    assert not course.is_on_track(10.0), "nothing is flown"
     places, still, flat = np.array([[0.0, 0.0, 1.0], [2.0, 0.0, 1.0]]), np.zeros((2, 3)), np.zeros(2)
     course.trajectory = Trajectory(10.0, 2.0, places, still, still, flat, flat, flat, np.zeros(0), 0, 1)
-    assert course.is_followed(11.0) is followed
+    assert course.is_on_track(11.0) is followed
 
 
 def test_the_way_back_leaves_out_the_climb_from_the_pad() -> None:

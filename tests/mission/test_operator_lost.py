@@ -49,10 +49,10 @@ def test_half_a_minute_of_silence_ends_a_flight_at_home_also_out_of_a_hold(desk:
     begun_s = desk.clock.now_s()
     desk.run(29.0)
     assert desk.conductor.phase is Phase.HOLD
-    assert (desk.intent.note, desk.intent.unattended) == ("no operator for 5 s: returns after 30", False)
+    assert (desk.intent.note, desk.intent.operator_lost) == ("no operator for 5 s: returns after 30", False)
     desk.run(2.0, until=Phase.RETURN)
     assert desk.clock.now_s() - begun_s == pytest.approx(30.0, abs=0.2)
-    assert (desk.intent.note, desk.intent.unattended) == ("no operator for 30 s: returning", True)
+    assert (desk.intent.note, desk.intent.operator_lost) == ("no operator for 30 s: returning", True)
     desk.run(60.0, until=Phase.DONE)
     assert desk.distance_m() < 0.1
     assert desk.conductor.close() == "completed"
@@ -70,7 +70,7 @@ def test_who_comes_back_may_hold_it_and_takes_no_return_back(desk: Desk) -> None
     desk.conductor.request_hold()
     desk.run(1.0)
     assert desk.conductor.phase is Phase.HOLD
-    assert not desk.intent.unattended, "his hold stands at the pilot too"
+    assert not desk.intent.operator_lost, "his hold stands at the pilot too"
     desk.conductor.resume()
     desk.run(60.0, until=Phase.DONE)
     assert desk.distance_m() < 0.1

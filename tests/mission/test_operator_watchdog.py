@@ -18,15 +18,15 @@ def told(
     """What is told of a flight that begins at 100 s with an operator there, and when it had to go home; instants count from
     there. heard: whether there is a sign of life in that second.
     """
-    one, heard_s = OperatorWatchdog(timeout_s), 100.0
-    one.hear(100.0, heard_s, flying=False)
+    one, received_s = OperatorWatchdog(timeout_s), 100.0
+    one.update(100.0, received_s, flying=False)
     assert not one.missing
     news, lost = list[tuple[float, str]](), list[float]()
     for turn in range(1, int(seconds * HZ) + 1):
         now_s = 100.0 + turn / HZ
         if turn % HZ == 0 and heard(turn / HZ):
-            heard_s = now_s
-        said = one.hear(now_s, heard_s, flying=True)
+            received_s = now_s
+        said = one.update(now_s, received_s, flying=True)
         if said:
             news.append((round(turn / HZ, 1), said))
         if one.lost:
@@ -37,15 +37,15 @@ def told(
 def test_a_flight_begins_only_while_somebody_attends() -> None:
     one = OperatorWatchdog(30.0)
     assert one.missing == "no operator attends: uav-recon status --watch", "before anything was heard at all"
-    one.hear(100.0, -math.inf, flying=False)
+    one.update(100.0, -math.inf, flying=False)
     assert one.missing
     waits = list[bool]()
     for now_s in (101.0, 105.8, 106.0):
-        one.hear(now_s, 100.9, flying=False)
+        one.update(now_s, 100.9, flying=False)
         waits.append(bool(one.missing))
     assert waits == [False, False, True]
     assert (one.note, one.lost) == ("", ""), "on the ground nobody is warned and nothing returns"
-    one.hear(900.0, 100.9, flying=False)
+    one.update(900.0, 100.9, flying=False)
     assert one.lost == ""
 
 
@@ -80,25 +80,25 @@ def test_signs_under_five_seconds_apart_are_no_silence() -> None:
 def test_where_nobody_need_attend_nothing_is_missed() -> None:
     one = OperatorWatchdog()
     for now_s, flying in ((100.0, False), (101.0, True), (5000.0, True)):
-        assert one.hear(now_s, -math.inf, flying) == ""
+        assert one.update(now_s, -math.inf, flying) == ""
         assert (one.missing, one.lost, one.note) == ("", "", "")
 
 
 def test_a_pilot_that_has_forgotten_takes_nothing_away() -> None:
     one = OperatorWatchdog(30.0)
-    one.hear(100.0, 99.5, flying=True)
-    one.hear(104.0, -math.inf, flying=True)
+    one.update(100.0, 99.5, flying=True)
+    one.update(104.0, -math.inf, flying=True)
     assert one.note == ""
     fresh = OperatorWatchdog(30.0)
-    fresh.hear(100.0, -math.inf, flying=True)
-    fresh.hear(104.0, -math.inf, flying=True)
+    fresh.update(100.0, -math.inf, flying=True)
+    fresh.update(104.0, -math.inf, flying=True)
     assert (fresh.note, fresh.lost) == ("", "")
-    fresh.hear(131.0, -math.inf, flying=True)
+    fresh.update(131.0, -math.inf, flying=True)
     assert fresh.lost, "counted from when it was first looked at"
 
 
 def test_a_sign_from_the_future_is_none() -> None:
     one = OperatorWatchdog(30.0)
-    one.hear(100.0, 99.5, flying=True)
-    one.hear(131.0, 1e9, flying=True)
+    one.update(100.0, 99.5, flying=True)
+    one.update(131.0, 1e9, flying=True)
     assert one.lost

@@ -146,11 +146,11 @@ def seconds_home(folder: Path, slow_s: float) -> float:
     desk.run(60.0, until=Phase.SURVEY)
     while desk.distance_m() < 2.3:
         desk.run(0.1)
-    desk.most_mps = 0.25
+    desk.max_speed_mps = 0.25
     desk.conductor.request_return()
     began_s = desk.clock.now_s()
     desk.run(slow_s)
-    desk.most_mps = np.inf
+    desk.max_speed_mps = np.inf
     desk.run(60.0, until=Phase.DONE)
     assert desk.conductor.close() == "completed"
     desk.journal.close()

@@ -50,17 +50,17 @@ def nearest_m(trajectory: Trajectory, voxels: VoxelMap) -> float:
     """Least room, from the hull, where PX4 hears nothing more from any sample on: its loops, then its way to rest in LAND."""
     place, velocity, kept = trajectory.position_m[::8], trajectory.velocity_mps[::8], trajectory.acceleration_mps2[::8]
     at, speed = place.copy(), velocity.copy()
-    least_m = np.inf
+    min_m = np.inf
     for step in range(int(LANDS_AFTER_S / STEP_S)):
         speed += STEP_S * (kept + MPC_XY_VEL_P_ACC * (velocity + MPC_XY_P * (place - at) - speed))
         at += STEP_S * speed
         if step % 4 == 0:
-            least_m = min(least_m, float(room_around(at, voxels).min()))
+            min_m = min(min_m, float(room_around(at, voxels).min()))
     flat = np.linalg.norm(speed, axis=1, keepdims=True)
     for share in np.linspace(0.1, 1.0, 10):
         rest = at + share * speed * (STOP_DELAY_S + flat / (2.0 * MPC_ACC_HOR))
-        least_m = min(least_m, float(room_around(rest, voxels).min()))
-    return least_m - HULL_M
+        min_m = min(min_m, float(room_around(rest, voxels).min()))
+    return min_m - HULL_M
 
 
 def test_a_wall_is_flown_towards_with_room_for_silence() -> None:

@@ -92,8 +92,8 @@ def test_a_short_way_is_not_worth_a_turn() -> None:
 
 def test_what_looks_at_its_views_flies_as_fast_anywhere() -> None:
     slope, place = np.random.default_rng(0).normal(size=(2, 50, 5))
-    assert np.isinf(AT_VIEWS.most_mps(slope, place)).all()
-    slow = NOSE_AHEAD.most_mps(slope, place) == BLIND_MPS
+    assert np.isinf(AT_VIEWS.max_speed_mps(slope, place)).all()
+    slow = NOSE_AHEAD.max_speed_mps(slope, place) == BLIND_MPS
     np.testing.assert_array_equal(slow, ~in_picture(slope[:, :3], place[:, 3], place[:, 4], SHARE))
 
 

@@ -24,7 +24,7 @@ class Vehicle:
     """A pilot that only notes what is asked of it, and its channels."""
 
     def __init__(self, phase: FlightPhase, mission: bool = True, note: str = "") -> None:
-        self.phase, self.asked, self.heard_s = phase, list[str](), -math.inf
+        self.phase, self.asked, self.received_s = phase, list[str](), -math.inf
         self.clock = ManualClock(100.0)
         self.intent, self.orders = MemoryChannel(Intent), MemoryChannel(GivenCommand)
         vehicle, progress, odom = MemoryChannel(VehicleState), MemoryChannel(MissionProgress), MemoryChannel(StampedPose)
@@ -44,7 +44,7 @@ class Vehicle:
         self.asked.append("hold" if hold else "go on")
 
     def hear_operator(self) -> None:
-        self.heard_s = self.clock.now_s()
+        self.received_s = self.clock.now_s()
 
     def order(self, word: str) -> tuple[bool, str]:
         answer = self.clerk.serve(word)
@@ -180,15 +180,15 @@ def test_what_nobody_has_told_yet_is_not_known() -> None:
 def test_who_asks_or_orders_has_been_heard_and_who_babbles_has_not() -> None:
     flying = Vehicle(FlightPhase.FLYING)
     flying.order("jump")
-    assert flying.heard_s == -math.inf
+    assert flying.received_s == -math.inf
     for word in ("status", "hold", "start"):
         flying.clock.advance_to(flying.clock.now_s() + 1.0)
         flying.order(word)
-        assert flying.heard_s == flying.clock.now_s(), word
+        assert flying.received_s == flying.clock.now_s(), word
     flying.phase = FlightPhase.LANDING
     flying.clock.advance_to(110.0)
     assert not flying.order("hold")[0]
-    assert flying.heard_s == 110.0, "a refused order is a sign of life too"
+    assert flying.received_s == 110.0, "a refused order is a sign of life too"
 
 
 def test_on_the_ground_status_says_what_the_mission_waits_for() -> None:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from uav_recon.clock import ManualClock
 from uav_recon.operator.client import CallError, send_command
-from uav_recon.operator.command_socket import LONGEST_LINE, MOST_CLIENTS, PATIENCE_S, CommandSocket, CommandSocketError, allowed
+from uav_recon.operator.command_socket import LONGEST_LINE, MAX_CLIENTS, PATIENCE_S, CommandSocket, CommandSocketError, allowed
 
 
 class Office:
@@ -121,8 +121,8 @@ def test_no_bytes_raise_or_stay(office: Office, data: bytes) -> None:
 
 
 def test_the_slow_are_dropped_and_keep_nobody_out_for_long(office: Office) -> None:
-    slow = [office.client(b"{") for _ in range(MOST_CLIENTS)]
-    office.turns(MOST_CLIENTS)
+    slow = [office.client(b"{") for _ in range(MAX_CLIENTS)]
+    office.turns(MAX_CLIENTS)
     with office.client(b'{"do": "hold"}\n') as pipe:
         pipe.setblocking(False)
         office.turns(20)

@@ -84,7 +84,7 @@ def undue(wanted: SetpointProposal, here: GuardInputs, range_m: float) -> str:
     """
     velocity = wanted.setpoint.velocity_mps
     speed, forward = float(np.linalg.norm(velocity)), float(velocity[0])
-    most = 0.5 if wanted.giving_way else 0.3 if wanted.retreating or here.slow else 1.0
+    most = 0.5 if wanted.evading else 0.3 if wanted.retreating or here.slow else 1.0
     if speed > most + 1e-5:
         return "faster than is due"
     if not (-0.1 <= here.pose_age_s <= 0.2 and (wanted.retreating or -0.1 <= here.intent_age_s <= 0.5)):
@@ -134,7 +134,7 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
             strict=True,
         )
         for dt_s, range_m, frame_age_s, intent_age_s, pose_age_s, chances in drawn:
-            looks, far, retreating, giving_way, slow, unseen, silent, jumped = chances
+            looks, far, retreating, evading, slow, unseen, silent, jumped = chances
             now += dt_s
             ahead = copy.copy(views[range_m])
             ahead.stamp_s = now - frame_age_s
@@ -148,7 +148,7 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
             else:
                 p, v, a = (rng.choice([rng.normal(0, 3), rng.choice(AWKWARD)], 3) for _ in range(3))
                 wanted = proposal(p, v, a, float(rng.choice(AWKWARD)), float(rng.normal()))
-            wanted = dataclasses.replace(wanted, retreating=retreating, giving_way=giving_way)
+            wanted = dataclasses.replace(wanted, retreating=retreating, evading=evading)
             here = dataclasses.replace(
                 usual, now_s=now, ahead=None if unseen else ahead, intent_age_s=intent_age_s, pose_age_s=pose_age_s, slow=slow
             )

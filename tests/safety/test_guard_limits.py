@@ -98,17 +98,17 @@ def test_the_limits_themselves_are_flown_and_no_more(changes: dict[str, float], 
 
 
 @pytest.mark.parametrize(
-    ("giving_way", "slow", "most"),
+    ("evading", "slow", "most"),
     [(False, False, BOUNDS.retreat_mps), (True, False, BOUNDS.margins.slow_mps), (True, True, BOUNDS.margins.slow_mps)],
 )
-def test_out_of_the_way_of_what_comes_on_is_flown_faster_than_back(giving_way: bool, slow: bool, most: float) -> None:
+def test_out_of_the_way_of_what_comes_on_is_flown_faster_than_back(evading: bool, slow: bool, most: float) -> None:
     for factor, may in ((1.0, True), (1.0 + NEAR, False)):
-        wanted = dataclasses.replace(proposal(HERE, OBLIQUE * most * factor, retreating=True), giving_way=giving_way)
+        wanted = dataclasses.replace(proposal(HERE, OBLIQUE * most * factor, retreating=True), evading=evading)
         assert refusal(resting(), wanted, 10.5, slow=slow) == ("" if may else f"speed {most:.2f} m/s")
 
 
 def test_a_way_aside_through_what_is_not_known_free_is_refused() -> None:
-    wanted = dataclasses.replace(proposal(HERE, (0.4, 0.0, 0.0), retreating=True), giving_way=True)
+    wanted = dataclasses.replace(proposal(HERE, (0.4, 0.0, 0.0), retreating=True), evading=True)
     assert refusal(resting(), wanted, 10.5, free=None) == "no known-free space was published"
 
 

@@ -132,7 +132,7 @@ def test_a_turn_is_eight_degrees_beside_what_can_be_flown(turn_deg: float, good:
 
 def test_a_source_that_says_so_begins_anew() -> None:
     gate = settled()
-    assert judge(gate, pose(STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == PoseVerdict(True, anew=True)
+    assert judge(gate, pose(STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == PoseVerdict(True, again=True)
     assert judge(gate, pose(2 * STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == PoseVerdict(True)
 
 
@@ -140,7 +140,7 @@ def test_a_jump_that_stays_is_believed_after_a_second_of_agreement_and_as_a_new_
     gate = settled()
     answers = [judge(gate, pose(n * STEP_S, (0.5, 0.0, 1.0))) for n in range(1, 40)]
     first = next(n for n, verdict in enumerate(answers) if verdict.good)
-    assert answers[first].anew
+    assert answers[first].again
     assert first in (30, 31), "a second after the first"
     assert all(verdict == PoseVerdict(True) for verdict in answers[first + 1 :])
 
@@ -211,7 +211,7 @@ def test_whatever_way_the_counter_of_resets_changes_odom_has_jumped(before: int,
     gate = PoseGate(0.8)
     assert judge(gate, pose(0.0, reset_counter=before)) == PoseVerdict(True)
     again = judge(gate, pose(STEP_S, (5.0, 0.0, 1.0) if after != before else (0.0, 0.0, 1.0), reset_counter=int(str(after))))
-    assert again == PoseVerdict(True, anew=after != before)
+    assert again == PoseVerdict(True, again=after != before)
 
 
 @pytest.mark.parametrize(

@@ -216,8 +216,8 @@ def make_planner(config: Config, timer: Callable[[], float]) -> NarrowPassagePla
         config.planner, np.array(safety.fence_min_m), np.array(safety.fence_max_m), camera_geometry(config),
         travel_time_model(config), timer, inset_m,
     )  # fmt: skip
-    least_m = (safety.vehicle_radius_m + max(m, safety.stop_clearance_m) for m in (NARROW_M, RETREAT_M))
-    narrow_m, homeward_m = (min(m, config.planner.clearance_m) for m in least_m)
+    min_m = (safety.vehicle_radius_m + max(m, safety.stop_clearance_m) for m in (NARROW_M, RETREAT_M))
+    narrow_m, homeward_m = (min(m, config.planner.clearance_m) for m in min_m)
     return NarrowPassagePlanner(usual, narrow_m, homeward_m, max(narrow_m, safety.fence_inset_m), timer)
 
 

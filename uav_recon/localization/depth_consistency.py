@@ -36,7 +36,7 @@ _HIDDEN = 0.5  # of the points have something before them: a person that comes n
 _ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; honest, after so long a pause: 0.014
 _DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
 _MANY, _EXPLAINED = 100, 0.75  # points there are, and the share of them that it explains: a person explains fewer
-_MOST = 0.9  # the same where much may have come between
+_MAX = 0.9  # the same where much may have come between
 _TOLD = 2  # views that say it
 _HIDING = 0.22  # of the points, all nearer, have something before them; more, or some that are farther, and odom has moved
 _FARTHER = 0.02
@@ -90,11 +90,11 @@ class DepthConsistencyMonitor:
             self._doubted = self._doubted or CameraPose.of(odom_from_depth)
         else:
             self._doubted, self._calm = None, 0
-            self._creep.hear(frame, odom_from_depth)
+            self._creep.update(frame, odom_from_depth)
             moved = (
                 _moved(self._witness.of_oldest(*seen, ALIKE), _EXPLAINED)
                 or _moved(self._witness.of_oldest(*seen, ALIKE_LATELY), _EXPLAINED)
-                or _moved(itertools.chain(filter(None, [overlapping]), others), _MOST)
+                or _moved(itertools.chain(filter(None, [overlapping]), others), _MAX)
             )
             self._hear(frame.stamp_s, moved or _seen_through(overlapping) or self._crept())
             self._witness.remember(*seen)

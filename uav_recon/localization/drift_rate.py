@@ -56,7 +56,7 @@ class DriftRateEstimator:
         self._flown, self._flown_s2 = np.zeros(3), 0.0
         self._since_s = math.inf
 
-    def hear(self, frame: Frame, odom_from_depth: Pose) -> None:
+    def update(self, frame: Frame, odom_from_depth: Pose) -> None:
         """Look back from a picture that is believed. Once a picture, about 1 ms; it never blocks."""
         step_s = min(max(frame.stamp_s - self._stamp_s, 0.0), _LONGEST_STEP_S)
         fading = math.exp(-step_s / _FADES_S)
@@ -66,7 +66,7 @@ class DriftRateEstimator:
         velocity_mps = self.velocity_mps
         self._hear_patches(frame, odom_from_depth, step_s, velocity_mps)
         if self._settled:
-            self._hear_points(self._flow.hear(frame, odom_from_depth), step_s, velocity_mps)
+            self._hear_points(self._flow.update(frame, odom_from_depth), step_s, velocity_mps)
 
     @property
     def velocity_mps(self) -> FloatArray:
@@ -80,8 +80,8 @@ class DriftRateEstimator:
         way = flown_mps / max(float(np.linalg.norm(flown_mps)), 1e-9)
         along_mps = float(creep_mps @ way)
         across_mps = float(np.linalg.norm(creep_mps - along_mps * way))
-        most_across_mps = math.hypot(_HONEST_MPS, _TILT_RAD * float(np.linalg.norm(flown_mps)))
-        return math.hypot(along_mps / _HONEST_MPS, across_mps / most_across_mps)
+        max_lateral_mps = math.hypot(_HONEST_MPS, _TILT_RAD * float(np.linalg.norm(flown_mps)))
+        return math.hypot(along_mps / _HONEST_MPS, across_mps / max_lateral_mps)
 
     def _solved(self, prior_s3: float) -> FloatArray:
         return np.asarray(np.linalg.solve(self._held + prior_s3 * np.eye(3), self._moved), dtype=np.float64)

@@ -19,7 +19,7 @@ from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
 from uav_recon.types.pose import Pose
 
-_MOST, _APART_PX = 120, 5  # points
+_MAX, _APART_PX = 120, 5  # points
 _WIDEST_PX, _NARROWEST_PX = 320, 40  # of a picture: made smaller down to it; a smaller one is a stamp
 _WINDOW_PX, _LEVELS = 9, 2
 _PLAIN, _BLOCK_PX = 30e-6, 7  # least eigenvalue of the gradients (OpenCV's cornerMinEigenVal): paint that tells of both ways
@@ -94,7 +94,7 @@ class FeatureTracker:
         self._grey: ByteArray | None = None
         self._points, self._stamp_s, self._sought_s = _NONE, -math.inf, -math.inf
 
-    def hear(self, frame: Frame, odom_from_depth: Pose) -> TrackedPoints | None:
+    def update(self, frame: Frame, odom_from_depth: Pose) -> TrackedPoints | None:
         """Follow the points into a picture, and look for new ones. None where there is none to follow, or no picture."""
         if min(frame.rgb.shape[:2]) < _NARROWEST_PX:
             return None
@@ -139,7 +139,7 @@ class FeatureTracker:
         old_column, old_row = np.rint(self._points.at_px).astype(np.int64).T // _APART_PX
         taken[old_row, old_column] = True
         fresh = np.flatnonzero((telling > _PLAIN) & ~taken[row // _APART_PX, column // _APART_PX])
-        best = fresh[np.argsort(-telling[fresh], kind="stable")][: _MOST - len(self._points.since_s)]
+        best = fresh[np.argsort(-telling[fresh], kind="stable")][: _MAX - len(self._points.since_s)]
         return _Points(place_m[best], np.full(len(best), frame.stamp_s), at_px[best], np.zeros((len(best), 2), np.float32))
 
 

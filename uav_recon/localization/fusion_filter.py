@@ -65,7 +65,7 @@ class FusionFilter:
         """Take inertial samples, oldest first; what no sensor can say, and what is not newer than the one before or later than
         now_s, is counted and left out.
         """
-        self._chain.hear(samples, now_s)
+        self._chain.update(samples, now_s)
 
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
         """Fuse a pose of the source at its own stamp; now_s bounds what stamps are believed. False if it was turned down."""
@@ -131,7 +131,7 @@ class FusionFilter:
         tilt_rad = math.hypot(residual[3], residual[4])
         tilted = self._gates.tilt_rad < tilt_rad < _OVERTURNED_RAD  # the track takes gravity for a push; no map corrects that
         contradicted = lost and self._disputed  # not by a step: they never agreed on how the body moves
-        self._trial.hear(said, track, carried.inertial and credible and not (tilted or contradicted))
+        self._trial.update(said, track, carried.inertial and credible and not (tilted or contradicted))
         if not self._trial.stands(RETURN if lost else STEP):
             return False
         declared = said.source.reset_counter != self._source_resets
@@ -152,7 +152,7 @@ class FusionFilter:
     def _found_again(self, said: Sighting, noise: PoseNoise) -> bool:
         """After a silence longer than the track is kept: nothing stands against a source that agrees with itself."""
         if said.stamp_s >= self.newest_pose_s:
-            self._trial.hear(said, said, inertial=False)
+            self._trial.update(said, said, inertial=False)
             if self._trial.stands(RETURN):
                 return self._begin(said, noise, self._trial.velocity_mps())
         self.rejected["unproven"] += 1
@@ -171,8 +171,8 @@ class FusionFilter:
             return False
         if self._chain.newest is not None:
             self._reset_counter = (self._reset_counter + 1) % 256
-            anew = said.source.reset_counter != self._source_resets
-            self.correction = replace(self.correction, epoch=self.correction.epoch + anew)
+            again = said.source.reset_counter != self._source_resets
+            self.correction = replace(self.correction, epoch=self.correction.epoch + again)
         self._trial.clear()
         self._disputed = False
         self._source_resets = said.source.reset_counter

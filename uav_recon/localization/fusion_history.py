@@ -78,7 +78,7 @@ class FusionHistory:
         """None before the first."""
         return self._nodes[-1] if self._nodes else None
 
-    def hear(self, samples: list[ImuSample], now_s: float) -> None:
+    def update(self, samples: list[ImuSample], now_s: float) -> None:
         """Take inertial samples, oldest first; what no sensor can say, and what is not newer than the one before or of a time
         to come, is counted and left out.
         """

@@ -150,14 +150,14 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 
 def _compared(
-    view: _View, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, most_gone: int = MOST
+    view: _View, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, max_missing: int = MOST
 ) -> ViewComparison | None:
-    """most_gone: points without a return where there are too few with one, for a verdict all the same."""
+    """max_missing: points without a return where there are too few with one, for a verdict all the same."""
     rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
     found, gone = residuals(view.points, depth_m, lens.pinhole_px(), rotation, place)
     age_s = stamp_s - view.stamp_s
     if len(found) < FEWEST:
-        if gone <= most_gone:
+        if gone <= max_missing:
             return None
         return ViewComparison(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s, view.points)
     shift_m, held = shift_of(found)

@@ -38,7 +38,7 @@ class RelocalizationCheck:
         """Nothing is on trial."""
         self._run.clear()
 
-    def hear(self, said: Sighting, track: Sighting, inertial: bool) -> None:
+    def update(self, said: Sighting, track: Sighting, inertial: bool) -> None:
         """Add a pose and the place where the track alone leads at its stamp."""
         if self._run and said.stamp_s <= self._run[-1][0].stamp_s:
             return

@@ -19,21 +19,21 @@ class BatteryGaugeFilter:
 
     def __init__(self) -> None:
         self._heard: deque[tuple[float, float]] = deque()  # from when (s) which share was said; the first at the window's begin
-        self._heard_s = -math.inf
+        self._received_s = -math.inf
         self.left = math.nan
 
     def lost(self, now_s: float) -> bool:
         """Whether nothing credible came for too long. Of a battery that never said anything there is nothing to lose."""
-        return bool(self._heard) and now_s - self._heard_s > _LOST_S
+        return bool(self._heard) and now_s - self._received_s > _LOST_S
 
-    def hear(self, now_s: float, share: float, flying: bool) -> None:
+    def update(self, now_s: float, share: float, flying: bool) -> None:
         """The gauge's word, NaN for none. On the ground it may be another battery."""
         if not flying:
             self._heard.clear()
             self.left = math.nan
         if not 0.0 <= share <= 1.0 or share > self.left + _RISE:  # NaN never is
             return
-        self._heard_s = now_s
+        self._received_s = now_s
         if not self._heard or share != self._heard[-1][1]:
             self._heard.append((now_s, share))
         while len(self._heard) > 1 and self._heard[1][0] <= now_s - _LASTS_S:

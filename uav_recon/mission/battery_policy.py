@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from uav_recon.mission.battery_gauge import BatteryGaugeFilter
-from uav_recon.mission.battery_reserve import LAND_AT, LOW, TAKE_OFF, ConsumptionEstimator, flight_s, least_for
+from uav_recon.mission.battery_reserve import LAND_AT, LOW, TAKE_OFF, ConsumptionEstimator, flight_s, min_charge_for
 from uav_recon.mission.flight_track import FlightTrack
 from uav_recon.mission.return_distance import return_distance_m
 from uav_recon.types.frames import FloatArray
@@ -28,12 +28,12 @@ class BatteryPolicy:
         self._looked_s, self._way_m, self._pace_mps, self._now_s = -math.inf, 0.0, math.inf, 0.0
         self._quick_s = -math.inf  # when anything was let pass
 
-    def hear(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap | None) -> None:
+    def update(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap | None) -> None:
         """The gauge's word, and where the vehicle is: to be called when the course has followed it."""
-        self._now_s, self._quick_s = now_s, now_s if vehicle.most_mps == math.inf else self._quick_s
-        self._pace_mps = _SLOWER * vehicle.most_mps if now_s - self._quick_s >= _SLOW_S else math.inf
-        self._charge.hear(now_s, vehicle.battery_fraction, flying=vehicle.armed)
-        self._burn.hear(now_s, self._charge.left, flying=vehicle.armed)
+        self._now_s, self._quick_s = now_s, now_s if vehicle.max_speed_mps == math.inf else self._quick_s
+        self._pace_mps = _SLOWER * vehicle.max_speed_mps if now_s - self._quick_s >= _SLOW_S else math.inf
+        self._charge.update(now_s, vehicle.battery_fraction, flying=vehicle.armed)
+        self._burn.update(now_s, self._charge.left, flying=vehicle.armed)
         if vehicle.armed and now_s - self._looked_s >= _LOOK_S:
             self._looked_s, course = now_s, self._course
             way = np.array([course.position_world, *course.way_back(self._home_m), self._home_m])
@@ -52,7 +52,7 @@ class BatteryPolicy:
     @property
     def needed(self) -> float:
         """Share at which it has to turn back: for the way home, and no less than LOW while nothing can be reckoned."""
-        need = least_for(flight_s(self._way_m, self._pace_mps), self._burn.per_s(self._now_s))
+        need = min_charge_for(flight_s(self._way_m, self._pace_mps), self._burn.per_s(self._now_s))
         return need if self._burn.reckoned(self._now_s) else max(need, LOW)
 
     def ends(self, starting: bool, flying: bool) -> str:
@@ -66,7 +66,7 @@ class BatteryPolicy:
         if self.lost:
             return "battery unknown"
         per_s, home_s = self._burn.per_s(self._now_s), flight_s(self._way_m, self._pace_mps)
-        if self.left >= least_for(home_s, per_s):
+        if self.left >= min_charge_for(home_s, per_s):
             return f"battery at {_percent(self.left)}, and how fast it falls is not known yet"
         return f"battery at {_percent(self.left)}: the way home of {self._way_m:.0f} m needs {_percent(home_s * per_s)}"
 

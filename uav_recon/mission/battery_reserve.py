@@ -16,7 +16,7 @@ SPENT_S = 60.0  # of a flight of nothing but a climb, a look round and a landing
 # turns on the spot included; 1 to 2 s more for each stop to think again (four: 13 s for 3.5 m); at most 9 s from over the pad
 # to motors off. A narrow passage of a metre or two goes at 0.2 m/s.
 PACE_MPS, AROUND_S, LANDING_S = 0.6, 8.0, 9.0
-_LEAST_MPS = 0.05
+_MIN_MPS = 0.05
 
 _WHILE_S = 30.0  # so long a gauge is watched before it is reckoned with
 _PRIOR_PER_S, _PRIOR_S = 0.002, 60.0  # a battery of eight minutes, as if it had burnt so for the first minute
@@ -27,15 +27,15 @@ _GRAIN = 0.01
 
 def flight_s(way_m: float, pace_mps: float) -> float:
     """Seconds from the decision to motors off, for a way of that length at no more than that pace (m/s)."""
-    return AROUND_S + way_m / max(min(PACE_MPS, pace_mps), _LEAST_MPS) + LANDING_S
+    return AROUND_S + way_m / max(min(PACE_MPS, pace_mps), _MIN_MPS) + LANDING_S
 
 
-def least_for(seconds: float, per_s: float) -> float:
+def min_charge_for(seconds: float, per_s: float) -> float:
     """The share that is to be there before so many seconds of flight, if each burns per_s: landing is at LAND_AT."""
     return LAND_AT + MARGIN * seconds * per_s
 
 
-TAKE_OFF = least_for(SPENT_S, _PRIOR_PER_S)  # below it no flight is worth beginning
+TAKE_OFF = min_charge_for(SPENT_S, _PRIOR_PER_S)  # below it no flight is worth beginning
 
 
 class ConsumptionEstimator:
@@ -50,7 +50,7 @@ class ConsumptionEstimator:
         self._first = self._left = math.nan
         self._lately: deque[tuple[float, float]] = deque()  # instants (s) and shares; the first one held as the while began
 
-    def hear(self, now_s: float, left: float, flying: bool) -> None:
+    def update(self, now_s: float, left: float, flying: bool) -> None:
         """The believed share; NaN for none. On the ground nothing is burnt."""
         if not flying:
             self._begun_s, self._prior_per_s = math.inf, _PRIOR_PER_S

@@ -104,14 +104,14 @@ class Conductor:
         self._map_newest_frame(now_s)
         if vehicle is not None:
             self._course.follow(vehicle)
-            self._stages.motion.allow(vehicle.most_mps)
-            self._stages.retreat.allow(vehicle.most_mps)
+            self._stages.motion.allow(vehicle.max_speed_mps)
+            self._stages.retreat.allow(vehicle.max_speed_mps)
             self._hear_guard(now_s, vehicle)
             self._hear_operator(now_s, vehicle)
             self._hear_release(now_s, vehicle)
             self._hear_no_planner(now_s)
             self._hear_battery(now_s, vehicle)
-            self._account.hear(self.phase, vehicle, self._attendance.missing if self._start else "")
+            self._account.update(self.phase, vehicle, self._attendance.missing if self._start else "")
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
         elif self._abort:  # of no vehicle was ever heard, so there is none to land
@@ -152,7 +152,7 @@ class Conductor:
         self._frame_s = now_s
         self._stages.voxels.integrate(posed)
         self.map = self._stages.voxels.snapshot()
-        promised = self._captures.take(posed.frame.stamp_s) and self._course.is_followed(now_s)
+        promised = self._captures.take(posed.frame.stamp_s) and self._course.is_on_track(now_s)
         if self._account.views_left > 0 and (promised or self._worth_a_view(posed)) and self._stages.mapper.add(posed):
             self._stages.budget.keep(posed)
             self._account.view(posed)
@@ -167,12 +167,12 @@ class Conductor:
             self._account.refusal(now_s, vehicle.note)
             self._helm.hold(now_s, vehicle)
             self._survey.stopped(now_s)
-            self._homeward.think_again()
+            self._homeward.replan()
         self._refusals = vehicle.refusals
 
     def _hear_operator(self, now_s: float, vehicle: VehicleState) -> None:
         """Who attends no more holds nothing either."""
-        news = self._attendance.hear(now_s, vehicle.operator_heard_s, flying=vehicle.armed)
+        news = self._attendance.update(now_s, vehicle.operator_received_s, flying=vehicle.armed)
         if news:
             self._account.refusal(now_s, news)
         if self._attendance.lost:
@@ -194,7 +194,7 @@ class Conductor:
     def _hear_battery(self, now_s: float, vehicle: VehicleState) -> None:
         """Not to take off with it, or to land where it is; and where a held vehicle would turn back, its operator is told."""
         steward = self._steward
-        steward.hear(now_s, vehicle, self.map)
+        steward.update(now_s, vehicle, self.map)
         starting, flying = self._start and self.phase is Phase.READY, vehicle.phase is FlightPhase.FLYING
         if ends := steward.ends(starting, flying):
             self.request_abort(ends)
@@ -215,7 +215,7 @@ class Conductor:
             flight_s=now_s - self._ascent.begun_s,
             max_flight_s=self._orders.max_flight_s,
             arrived=self._homeward.has_arrived(now_s),
-            no_way_home=self._homeward.no_way,
+            no_way_home=self._homeward.no_path,
             charge=self._steward.left,
             charge_needed=self._steward.needed,
             charge_lost=self._steward.lost,

@@ -65,7 +65,7 @@ class FlightTrack:
         """Whether it is at rest, and where the trajectory ends: one that its pilot holds on the way comes to rest elsewhere."""
         return self.trajectory is not None and self.at_rest(now_s) and self._away_m(self.trajectory) <= THERE_M
 
-    def is_followed(self, now_s: float) -> bool:
+    def is_on_track(self, now_s: float) -> bool:
         """Whether the vehicle is where the trajectory has it by now, and looks there: what a view is to show is before it."""
         if self.trajectory is None:
             return False

@@ -61,7 +61,7 @@ class MissionLog:
         self.note = reason
         self.journal.refusal(stamp_s, reason)
 
-    def hear(self, phase: Phase, vehicle: VehicleState, waits: str = "") -> None:
+    def update(self, phase: Phase, vehicle: VehicleState, waits: str = "") -> None:
         """On the ground the pilot says why nothing happens or arming was given up, or else it is what a start waits for; of a
         landing of its own, why it lands.
         """

@@ -36,14 +36,14 @@ class OperatorCommandReceiver:
     """Passes each order on once. What was said before this mission began was not said to it."""
 
     def __init__(self, channel: Channel[GivenCommand], begun_s: float) -> None:
-        self._channel, self._heard_s = channel, begun_s
+        self._channel, self._received_s = channel, begun_s
         self._start = False
 
     def pass_on(self, conductor: Obedient, warm: bool, autostart: bool) -> None:
         """Hear the newest order; a start waits until everything is warm, and is not needed where it starts by itself."""
         given = self._newest()
-        if given is not None and given.stamp_s > self._heard_s:
-            self._heard_s = given.stamp_s
+        if given is not None and given.stamp_s > self._received_s:
+            self._received_s = given.stamp_s
             self._obey(given.order, conductor)
         if (self._start or autostart) and warm:
             conductor.request_start()

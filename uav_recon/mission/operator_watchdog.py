@@ -19,7 +19,10 @@ class OperatorWatchdog:
 
     def __init__(self, timeout_s: float = math.inf) -> None:
         self._timeout_s, self._warn_s = timeout_s, WARN_S if timeout_s < math.inf else math.inf
-        self._heard_s, self._steady_s = -math.inf, math.inf  # the newest sign, and the first of those without a silence between
+        self._received_s, self._steady_s = (
+            -math.inf,
+            math.inf,
+        )  # the newest sign, and the first of those without a silence between
         self._silent_s, self._missed = math.inf, False
         self.note = self.lost = ""
 
@@ -28,14 +31,14 @@ class OperatorWatchdog:
         """Why no flight begins now, '' for nothing."""
         return "no operator attends: uav-recon status --watch" if self._silent_s > self._warn_s else ""
 
-    def hear(self, now_s: float, heard_s: float, flying: bool) -> str:
-        """heard_s: when the pilot last heard the operator. Returns what is new in note, '' for nothing."""
-        if self._heard_s < heard_s <= now_s + _FUTURE_S:
-            broken = self._steady_s == math.inf or heard_s - self._heard_s > WARN_S
-            self._steady_s, self._heard_s = heard_s if broken else self._steady_s, heard_s
-        elif flying and self._heard_s == -math.inf:
-            self._heard_s = now_s  # a pilot that has forgotten: nobody knows since when
-        self._silent_s, before = now_s - self._heard_s, self.note
+    def update(self, now_s: float, received_s: float, flying: bool) -> str:
+        """received_s: when the pilot last heard the operator. Returns what is new in note, '' for nothing."""
+        if self._received_s < received_s <= now_s + _FUTURE_S:
+            broken = self._steady_s == math.inf or received_s - self._received_s > WARN_S
+            self._steady_s, self._received_s = received_s if broken else self._steady_s, received_s
+        elif flying and self._received_s == -math.inf:
+            self._received_s = now_s  # a pilot that has forgotten: nobody knows since when
+        self._silent_s, before = now_s - self._received_s, self.note
         self._judge(flying)
         return self.note if self.note != before else ""
 
@@ -48,5 +51,5 @@ class OperatorWatchdog:
         elif self._silent_s > self._warn_s and not self._missed:
             self._missed, self._steady_s = True, math.inf
             self.note = f"no operator for {WARN_S:.0f} s: returns after {self._timeout_s:.0f}"
-        elif self._missed and self._heard_s - self._steady_s >= BACK_S:
+        elif self._missed and self._received_s - self._steady_s >= BACK_S:
             self._missed, self.note = False, "the operator is back"

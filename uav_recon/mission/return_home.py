@@ -25,7 +25,7 @@ _QUICK_S, _WORTH_S = 2.0, 8.0  # a slow way with so much left is flown anew once
 
 
 class ReturnHome:
-    """Brings the vehicle over the pad, or over another place where something stands on the pad, once. no_way: what is known
+    """Brings the vehicle over the pad, or over another place where something stands on the pad, once. no_path: what is known
     leads nowhere. Where the breadcrumbs do not either, or it was stopped too often, it goes to the nearest floor that is good
     to land on; lost: it lands where it is, over such a floor or for want of one.
     """
@@ -36,7 +36,7 @@ class ReturnHome:
         self._decision: Pending[PlanResult] | None = None
         self._refused, self._looks = 0, False
         self._planned_mps, self._slow_s = math.inf, -math.inf  # what was let pass then, and when no more was last
-        self.under_way = self.no_way = False
+        self.en_route = self.no_path = False
         self._aside = self.lost = ""
 
     def interrupt(self) -> None:
@@ -45,24 +45,24 @@ class ReturnHome:
 
     def begin_again(self) -> None:
         """The map is a new one: the way home is looked for anew."""
-        self._decision, self.under_way, self.no_way = None, False, False
+        self._decision, self.en_route, self.no_path = None, False, False
 
-    def think_again(self) -> None:
+    def replan(self) -> None:
         """The guard or the map stopped it on its way: from where it hovers then, a few times. But for the first it looks round
         before that: nobody may have looked lately where it is to go.
         """
-        if self.under_way:
-            self.under_way, self._refused = False, self._refused + 1
+        if self.en_route:
+            self.en_route, self._refused = False, self._refused + 1
             self._looks = 1 < self._refused <= _REFUSED
 
     def has_arrived(self, now_s: float) -> bool:
         """Whether it is over the place, to land there."""
-        return self.under_way and self._helm.course.has_arrived(now_s)
+        return self.en_route and self._helm.course.has_arrived(now_s)
 
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap, along_breadcrumbs: bool) -> None:
         """From rest: think, then fly; and think again where something turns out to stand on the place."""
         course = self._helm.course
-        if self.under_way:
+        if self.en_route:
             self._watch(now_s, vehicle, voxels)
             return
         if not course.at_rest(now_s):
@@ -74,20 +74,20 @@ class ReturnHome:
             self._helm.look_round(now_s, vehicle, views=0)
             return
         if self._decision is None:
-            self._planned_mps = vehicle.most_mps
+            self._planned_mps = vehicle.max_speed_mps
             self._decision = self._think(course.rest(vehicle), voxels, along_breadcrumbs)
         if self._decision is None or not self._decision.done():
             return
         decision, self._decision = self._decision.result(), None
         if isinstance(decision.motion, Trajectory):
-            self.under_way = True
+            self.en_route = True
             self._helm.fly(dataclasses.replace(decision.motion, views_s=np.zeros(0)), now_s)  # home is no view
             return
         self._account.refusal(now_s, decision.motion)
         if along_breadcrumbs or self._aside:
             self._give_up(f"no way back: {decision.motion}")
         else:
-            self.no_way = True
+            self.no_path = True
 
     def _think(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[PlanResult] | None:
         """None where nothing is left to try."""
@@ -120,23 +120,23 @@ class ReturnHome:
         """Brake and think again where the way is blocked, or the place, as long as there are others to try."""
         resting = self._helm.course.at_rest(now_s)
         if not resting and self._helm.brake_if_blocked(now_s, voxels):
-            self.think_again()
+            self.replan()
         elif resting and not self.has_arrived(now_s):
             self._account.refusal(now_s, "held on the way home")
             self._helm.hold(now_s, vehicle)
-            self.think_again()
+            self.replan()
         elif len(self._bad) < _PLACES and self._is_near(self._place) and self._site.is_occupied(voxels, self._place):
             self._bad = (*self._bad, self._place)
             self._account.refusal(now_s, f"something stands at the landing place {self._place[0]:.1f} {self._place[1]:.1f} m")
-            self.under_way = False
+            self.en_route = False
             self._helm.brake(now_s)
         elif self._goes_faster(now_s, vehicle):
-            self.under_way = False
+            self.en_route = False
             self._helm.brake(now_s)
 
     def _goes_faster(self, now_s: float, vehicle: VehicleState) -> bool:
         """Whether more is let pass than when the way was planned, and much of it is left."""
-        self._slow_s = now_s if vehicle.most_mps <= self._planned_mps else self._slow_s
+        self._slow_s = now_s if vehicle.max_speed_mps <= self._planned_mps else self._slow_s
         return now_s - self._slow_s >= _QUICK_S and self._helm.course.remaining_s(now_s) >= _WORTH_S
 
     def _is_near(self, place: FloatArray) -> bool:

@@ -77,10 +77,10 @@ def rooms(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyAr
 @kernel
 def ways_ahead(
     distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, heading: AnyArray,
-    least_m: float, way_m: AnyArray,
+    min_m: float, way_m: AnyArray,
 ) -> None:  # fmt: skip
     """Shorten way_m (N,), metres from each point (N, 3 or more) along its heading (N, 3), to where there is no more room than
-    ``least_m``. A heading of no length leads nowhere and is left.
+    ``min_m``. A heading of no length leads nowhere and is left.
     """
     for n in range(len(points)):
         dx, dy, dz = heading[n, 0], heading[n, 1], heading[n, 2]
@@ -88,7 +88,7 @@ def ways_ahead(
         while flat > 1e-9 and went_m < way_m[n]:
             share = went_m / flat
             x, y, z = points[n, 0] + share * dx, points[n, 1] + share * dy, points[n, 2] + share * dz
-            left_m = room_at(distance2, frame, resolution_m, root, x, y, z) - least_m
+            left_m = room_at(distance2, frame, resolution_m, root, x, y, z) - min_m
             if left_m <= 0.0:
                 way_m[n] = went_m
             went_m += max(left_m, 0.5 * resolution_m)
@@ -96,7 +96,7 @@ def ways_ahead(
 
 @kernel
 def _blocked(
-    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, first: int, least_m: float,
+    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, first: int, min_m: float,
     out: AnyArray,
 ) -> int:  # fmt: skip
     """Mark blocked samples in ``out`` (N,) and return the first one, or -1.
@@ -121,9 +121,9 @@ def _blocked(
             continue
         room_m = room_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
         begun_m = room_m if begun_m == np.inf else begun_m
-        enough = room_m >= least_m
+        enough = room_m >= min_m
         reached = reached or enough or travelled_m > ESCAPE_M
-        deeper = room_m < min(begun_m, least_m) - LOSS_M
+        deeper = room_m < min(begun_m, min_m) - LOSS_M
         if deeper or (travelled_m > LEAVING_M and (room_m == 0.0 or (reached and not enough))):
             out[n] = True
             if found < 0:
@@ -131,15 +131,15 @@ def _blocked(
     return found
 
 
-def blocked(space: ClearanceMap, points_m: FloatArray, first: int, least_m: float) -> BoolArray:
-    """Which samples (N,) from ``first`` on are not known free, or have less room than ``least_m`` after having had it, or than
+def blocked(space: ClearanceMap, points_m: FloatArray, first: int, min_m: float) -> BoolArray:
+    """Which samples (N,) from ``first`` on are not known free, or have less room than ``min_m`` after having had it, or than
     where it begins.
     """
     out = np.zeros(len(points_m), dtype=np.bool_)
-    _blocked(space.distance2, space.frame, space.resolution_m, ROOT, points_m, first, least_m, out)
+    _blocked(space.distance2, space.frame, space.resolution_m, ROOT, points_m, first, min_m, out)
     return out
 
 
-def is_clear(space: ClearanceMap, points_m: FloatArray, first: int, least_m: float) -> bool:
+def is_clear(space: ClearanceMap, points_m: FloatArray, first: int, min_m: float) -> bool:
     """Whether no sample from ``first`` on is blocked."""
-    return not blocked(space, points_m, first, least_m).any()
+    return not blocked(space, points_m, first, min_m).any()

@@ -6,7 +6,7 @@ import dataclasses
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.motion.clearance import ROOT, ClearanceMap
-from uav_recon.motion.elastic_band import ElasticBand, least_room, mirror
+from uav_recon.motion.elastic_band import ElasticBand, min_clearance, mirror
 from uav_recon.types.frames import AnyArray
 
 STEP_M = 0.02
@@ -37,8 +37,8 @@ def _centre(
         for i in range(2, len(control) - 2):
             if held[i]:
                 continue
-            most_m = least_room(control, i, distance2, frame, resolution_m, root, 0.0)
-            if most_m >= wanted_m:
+            max_m = min_clearance(control, i, distance2, frame, resolution_m, root, 0.0)
+            if max_m >= wanted_m:
                 continue
             axis, step_m = -1, 0.0
             for d in range(3):
@@ -46,9 +46,9 @@ def _centre(
                 for side in (-STEP_M, STEP_M):
                     control[i, d] = at + side
                     mirror(control)
-                    room_m = least_room(control, i, distance2, frame, resolution_m, root, 0.0)
-                    if room_m > most_m + 1e-6:
-                        most_m, axis, step_m = room_m, d, side
+                    room_m = min_clearance(control, i, distance2, frame, resolution_m, root, 0.0)
+                    if room_m > max_m + 1e-6:
+                        max_m, axis, step_m = room_m, d, side
                 control[i, d] = at
             if axis >= 0:
                 control[i, axis] += step_m

@@ -104,16 +104,16 @@ class ElasticBand:
         return ElasticBand(control, node[course.view_vertex], held)
 
     def relaxed(
-        self, course: PathCourse, space: ClearanceMap, wanted_m: float, least_m: float, tolerance: tuple[float, float]
+        self, course: PathCourse, space: ClearanceMap, wanted_m: float, min_m: float, tolerance: tuple[float, float]
     ) -> ElasticBand:
-        """The band pulled smooth. What has less than ``least_m`` of room does not move; nothing comes under ``wanted_m``, or
+        """The band pulled smooth. What has less than ``min_m`` of room does not move; nothing comes under ``wanted_m``, or
         under what it has. tolerance: metres and radians off each view but the last, which is met exactly."""
         control = self.control.copy()
         view = np.full(len(control), -1, dtype=np.int64)
         view[self.view_node + 1] = course.view_vertex
         _relax(
             control, self.held, view, course.vertex, tolerance[0], tolerance[1], space.distance2, space.frame,
-            space.resolution_m, ROOT, wanted_m, least_m,
+            space.resolution_m, ROOT, wanted_m, min_m,
         )  # fmt: skip
         return ElasticBand(control, self.view_node, self.held)
 
@@ -128,27 +128,27 @@ def mirror(control: AnyArray) -> None:
 
 
 @kernel
-def least_room(
+def min_clearance(
     control: AnyArray, i: int, distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, enough_m: float
 ) -> float:
     """Least room at the nodes and middles of spans that control point i bears on; stops at the first under ``enough_m``."""
-    least_m = np.inf
+    min_m = np.inf
     last = len(control) - 2
     for j in range(max(i - 1, 1), min(i + 1, last) + 1):
         x = (control[j - 1, 0] + 4 * control[j, 0] + control[j + 1, 0]) / 6
         y = (control[j - 1, 1] + 4 * control[j, 1] + control[j + 1, 1]) / 6
         z = (control[j - 1, 2] + 4 * control[j, 2] + control[j + 1, 2]) / 6
-        least_m = min(least_m, room_at(distance2, frame, resolution_m, root, x, y, z))
-        if least_m < enough_m:
-            return least_m
+        min_m = min(min_m, room_at(distance2, frame, resolution_m, root, x, y, z))
+        if min_m < enough_m:
+            return min_m
     for j in range(max(i - 2, 1), min(i + 1, last - 1) + 1):
         x = (control[j - 1, 0] + 23 * (control[j, 0] + control[j + 1, 0]) + control[j + 2, 0]) / 48
         y = (control[j - 1, 1] + 23 * (control[j, 1] + control[j + 1, 1]) + control[j + 2, 1]) / 48
         z = (control[j - 1, 2] + 23 * (control[j, 2] + control[j + 1, 2]) + control[j + 2, 2]) / 48
-        least_m = min(least_m, room_at(distance2, frame, resolution_m, root, x, y, z))
-        if least_m < enough_m:
-            return least_m
-    return least_m
+        min_m = min(min_m, room_at(distance2, frame, resolution_m, root, x, y, z))
+        if min_m < enough_m:
+            return min_m
+    return min_m
 
 
 @kernel
@@ -201,7 +201,7 @@ def _turn_within(control: AnyArray, view: AnyArray, vertex: AnyArray, i: int, to
 @kernel
 def _relax(
     control: AnyArray, held: AnyArray, view: AnyArray, vertex: AnyArray, tolerance_m: float, tolerance_rad: float,
-    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, wanted_m: float, least_m: float,
+    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, wanted_m: float, min_m: float,
 ) -> None:  # fmt: skip
     """Gauss-Seidel on sum |c[j-1] - 2 c[j] + c[j+1]|² + TENSION sum |c[j+1] - c[j]|² + CALM sum of turning² at the views.
 
@@ -230,17 +230,17 @@ def _relax(
                 sees = True
                 for j in range(i - 1, i + 2):
                     sees = sees and (view[j] < 0 or _off_view(control, j, vertex[view[j]]) <= tolerance_m)
-                if sees and least_room(control, i, distance2, frame, resolution_m, root, wanted_m) >= wanted_m:
+                if sees and min_clearance(control, i, distance2, frame, resolution_m, root, wanted_m) >= wanted_m:
                     break
-                has_m = least_room(control, i, distance2, frame, resolution_m, root, 0.0) if sees else 0.0
+                has_m = min_clearance(control, i, distance2, frame, resolution_m, root, 0.0) if sees else 0.0
                 for d in range(3):
                     control[i, d] = old[d]
                 mirror(control)
                 if not sees:
                     continue
                 if had_m < 0.0:
-                    had_m = least_room(control, i, distance2, frame, resolution_m, root, 0.0)
-                if had_m >= least_m and has_m >= had_m:
+                    had_m = min_clearance(control, i, distance2, frame, resolution_m, root, 0.0)
+                if had_m >= min_m and has_m >= had_m:
                     for d in range(3):
                         share = (1.0, 0.5, 0.25)[attempt] if attempt < 3 else (1.0 if d == attempt - 3 else 0.0)
                         control[i, d] = old[d] + share * move[d]

@@ -177,7 +177,7 @@ class MotionPlanner:
         Where the relaxed band comes too close to something, the nearest corner is made a stop; if that does not do, all are,
         and the band is left as the polyline is.
         """
-        stop, least_m = course.stop.copy(), self._asked_m(clearance_m) - PLANNED_M
+        stop, min_m = course.stop.copy(), self._asked_m(clearance_m) - PLANNED_M
         pacer, room_m = self._pacer, self._clearance_m
         if clearance_m is not None:
             pacer, room_m = self._threader, self._clearance_m + MIDDLE_M
@@ -187,11 +187,11 @@ class MotionPlanner:
             if attempt < 2 and clearance_m is not None:
                 band = centred(band, space, room_m)
             if attempt < 2:
-                band = band.relaxed(strung, space, room_m, least_m, NEAR_VIEW)
+                band = band.relaxed(strung, space, room_m, min_m, NEAR_VIEW)
             flight = pacer.flown(band, entry, space, spacing_m)
             if not flight.feasible:
                 return "the present motion is too fast for the way that was planned"
-            bad = blocked(space, flight.rows, entry.left, least_m)
+            bad = blocked(space, flight.rows, entry.left, min_m)
             if not bad.any():
                 return flight
             if attempt == 0:
@@ -200,7 +200,7 @@ class MotionPlanner:
             else:
                 stop[:] = True
         where = ", ".join(f"{value:.2f}" for value in flight.rows[np.argmax(bad), :3])
-        return f"the way is not clear by {least_m:.2f} m at ({where})"
+        return f"the way is not clear by {min_m:.2f} m at ({where})"
 
     def _after_braking(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, at: int, spacing_m: float, identifier: int

@@ -22,7 +22,7 @@ class SpeedLimitedPlanner:
 
     def __init__(self, usual: MotionPlanner, slow: MotionPlanner, usual_mps: float) -> None:
         self._usual, self._slow, self._usual_mps = usual, slow, usual_mps
-        self._most_mps = math.inf
+        self._max_speed_mps = math.inf
 
     @staticmethod
     def of(config: Config, clearance_m: float, low_m: FloatArray, high_m: FloatArray) -> SpeedLimitedPlanner:
@@ -32,13 +32,13 @@ class SpeedLimitedPlanner:
         slow = usual.at_most(SLOW_SHARE * safety.retreat_speed_mps)
         return SpeedLimitedPlanner(MotionPlanner(usual, *limits), MotionPlanner(slow, *limits), usual.speed_mps)
 
-    def allow(self, most_mps: float) -> None:
+    def allow(self, max_speed_mps: float) -> None:
         """What is planned from now on stays below this speed, as far as the slow one does."""
-        self._most_mps = most_mps
+        self._max_speed_mps = max_speed_mps
 
     @property
     def _motion(self) -> MotionPlanner:
-        return self._usual if self._most_mps >= self._usual_mps else self._slow
+        return self._usual if self._max_speed_mps >= self._usual_mps else self._slow
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int

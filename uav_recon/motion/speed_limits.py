@@ -21,31 +21,31 @@ def _room_speeds(
     for n in range(len(out)):
         while along_m[n] - along_m[first] > spread_m:
             first += 1
-        least_m = room_m[n]
+        min_m = room_m[n]
         j = first
         while j < len(out) and along_m[j] - along_m[n] <= spread_m:
-            least_m = min(least_m, room_m[j])
+            min_m = min(min_m, room_m[j])
             j += 1
-        share = min(max((least_m - clearance_m) / open_m, 0.0), 1.0)
+        share = min(max((min_m - clearance_m) / open_m, 0.0), 1.0)
         out[n] = min(tight_speed, speed) + share * max(speed - tight_speed, 0.0)
 
 
 @kernel
 def node_speed_limits(
-    slope: AnyArray, along_m: AnyArray, room_m: AnyArray, most_mps: AnyArray, view_node: AnyArray, per_span: int,
+    slope: AnyArray, along_m: AnyArray, room_m: AnyArray, max_speed_mps: AnyArray, view_node: AnyArray, per_span: int,
     clearance_m: float, open_m: float, speed: float, tight_speed: float, climb: float, descent: float, rate: float,
     blur_radps: float, blur_distance_m: float, spread_m: float, entry: AnyArray, braking: float, fastest: float, out: AnyArray,
 ) -> None:  # fmt: skip
     """Fill out (M,): the greatest (spans per second)² at each node of a curve with derivatives slope (M, 5) by span.
 
     At the views the image may move by ``blur_radps`` (see MotionConfig): rate of turning plus speed over distance. A motion
-    entered at velocity ``entry`` (5,) that is faster than tight places or views ahead allow may brake down to that. most_mps
-    (M,): what else the speed may not exceed.
+    entered at velocity ``entry`` (5,) that is faster than tight places or views ahead allow may brake down to that.
+    max_speed_mps (M,): another limit of the speed.
     """
     _room_speeds(along_m, room_m, clearance_m, open_m, speed, tight_speed, spread_m, out)
     for n in range(len(out)):
         flat = math.sqrt(slope[n, 0] ** 2 + slope[n, 1] ** 2 + slope[n, 2] ** 2)
-        out[n] = min(out[n], most_mps[n]) / max(flat, 1e-9)
+        out[n] = min(out[n], max_speed_mps[n]) / max(flat, 1e-9)
     for node in view_node:
         for n in range(max((node - CALM_SPANS) * per_span, 0), min((node + CALM_SPANS) * per_span, len(out) - 1) + 1):
             flat = math.sqrt(slope[n, 0] ** 2 + slope[n, 1] ** 2 + slope[n, 2] ** 2)

@@ -101,43 +101,43 @@ def _change(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, x
 
 
 @kernel
-def _reaches(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, x: float, width: float, most_x: float) -> bool:
-    """Whether some allowed change brings x into [0, most_x] at the next node. True for all x below one for which it is."""
+def _reaches(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, x: float, width: float, max_x: float) -> bool:
+    """Whether some allowed change brings x into [0, max_x] at the next node. True for all x below one for which it is."""
     least, most = _change(slope, bend, acceleration, spin, x)
-    return least <= most and x + width * least <= most_x and x + width * most >= 0.0
+    return least <= most and x + width * least <= max_x and x + width * most >= 0.0
 
 
 @kernel
-def _gain(slope: AnyArray, bend: AnyArray, most_mps: float, x: float) -> float:
+def _gain(slope: AnyArray, bend: AnyArray, max_speed_mps: float, x: float) -> float:
     """Greatest d²s/dt² with which the speed and PUSHED_ON_S of its gain are at most so much."""
     a = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
-    if a < TINY or most_mps == np.inf:
+    if a < TINY or max_speed_mps == np.inf:
         return 1e9
     b = slope[0] * bend[0] + slope[1] * bend[1] + slope[2] * bend[2]
     flat = math.sqrt(a)
-    gain_mps2 = (most_mps - flat * math.sqrt(x)) / PUSHED_ON_S
+    gain_mps2 = (max_speed_mps - flat * math.sqrt(x)) / PUSHED_ON_S
     return float((gain_mps2 * flat - b * x) / a)
 
 
 @kernel
 def fastest(
-    slope: AnyArray, bend: AnyArray, cap: AnyArray, most_mps: AnyArray, most_mps2: AnyArray, spin: float, first: float,
-    x: AnyArray,
+    slope: AnyArray, bend: AnyArray, cap: AnyArray, max_speed_mps: AnyArray, max_acceleration_mps2: AnyArray, spin: float,
+    first: float, x: AnyArray,
 ) -> bool:  # fmt: skip
     """Fill x (M,), the squared pace at each node: ``first`` at the first, 0 at the last. False if ``first`` is too fast.
 
-    most_mps (M,): a speed that what is flown and PUSHED_ON_S of what is gained do not exceed together; most_mps2 (M,):
-    greatest acceleration.
+    max_speed_mps (M,): limit of the speed plus PUSHED_ON_S times the acceleration. max_acceleration_mps2 (M,): limit of the
+    acceleration.
     """
     last = len(cap) - 1
     width = 2.0 / PER_SPAN
     x[last] = 0.0
     for n in range(last - 1, -1, -1):
         low, high = 0.0, cap[n]
-        if not _reaches(slope[n], bend[n], most_mps2[n], spin, high, width, x[n + 1]):
+        if not _reaches(slope[n], bend[n], max_acceleration_mps2[n], spin, high, width, x[n + 1]):
             for _ in range(HALVINGS):
                 middle = 0.5 * (low + high)
-                if _reaches(slope[n], bend[n], most_mps2[n], spin, middle, width, x[n + 1]):
+                if _reaches(slope[n], bend[n], max_acceleration_mps2[n], spin, middle, width, x[n + 1]):
                     low = middle
                 else:
                     high = middle
@@ -147,8 +147,8 @@ def fastest(
         return False
     x[0] = first
     for n in range(last):
-        least, most = _change(slope[n], bend[n], most_mps2[n], spin, x[n])
-        most = max(min(most, _gain(slope[n], bend[n], most_mps[n], x[n])), least)
+        least, most = _change(slope[n], bend[n], max_acceleration_mps2[n], spin, x[n])
+        most = max(min(most, _gain(slope[n], bend[n], max_speed_mps[n], x[n])), least)
         x[n + 1] = min(x[n + 1], max(x[n] + width * most, 1e-9))
     x[last] = 0.0
     return True

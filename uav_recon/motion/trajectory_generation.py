@@ -34,7 +34,7 @@ RUN_ON_MPS = 0.2  # never slower on account of what lies ahead: a vehicle has to
 SHARE = 0.97  # of the limits of acceleration: the rest covers the distance between nodes ...
 FULL = 0.995  # ... and of those of speed
 BRAKING = 0.7  # of acceleration: what a motion that is entered too fast brakes with
-LEAST_MPS2 = 0.3  # a vehicle has to get on
+MIN_MPS2 = 0.3  # a vehicle has to get on
 TRIES = 4
 SLOWEST = 2.0  # spans a second: slower spans at the start of a moving band would be short ones
 
@@ -140,13 +140,13 @@ class Pacer:
         curve = Curve.of(band.control)
         first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
         cap, x, times = np.empty(len(curve.along_m)), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
-        most_mps = np.full(len(curve.along_m), np.inf) if space is None else self._heeding(curve, space)
+        max_speed_mps = np.full(len(curve.along_m), np.inf) if space is None else self._heeding(curve, space)
         leaning_mps2 = self._leaning(curve, entry)
-        self._cap(curve, band, entry, space, most_mps, cap)
+        self._cap(curve, band, entry, space, max_speed_mps, cap)
         share = SHARE
         for _ in range(TRIES):
-            most_mps2 = np.minimum(share * self.acceleration, leaning_mps2)
-            if not fastest(curve.slope, curve.bend, cap, most_mps, most_mps2, share * self.spin, first, x):
+            max_acceleration_mps2 = np.minimum(share * self.acceleration, leaning_mps2)
+            if not fastest(curve.slope, curve.bend, cap, max_speed_mps, max_acceleration_mps2, share * self.spin, first, x):
                 return TrajectoryGenerator(entry.rows, np.zeros(0), feasible=False)
             instants(x, times)
             flight = self._smoothed(band, entry, curve, x, times, spacing_m)
@@ -162,28 +162,28 @@ class Pacer:
             if excess > 1.02:
                 share *= 0.98 / excess
             if hasty.any():
-                most_mps[hasty] = np.minimum(most_mps[hasty], self.gaze.blind_mps)
-                self._cap(curve, band, entry, space, most_mps, cap)
+                max_speed_mps[hasty] = np.minimum(max_speed_mps[hasty], self.gaze.blind_mps)
+                self._cap(curve, band, entry, space, max_speed_mps, cap)
         return flight
 
     def _cap(
-        self, curve: Curve, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, most_mps: FloatArray,
+        self, curve: Curve, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, max_speed_mps: FloatArray,
         cap: FloatArray,
     ) -> None:  # fmt: skip
         room_m = np.full(len(cap), np.inf)
         if space is not None:
             rooms(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, room_m)
         node_speed_limits(
-            curve.slope, curve.along_m, room_m, most_mps, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
+            curve.slope, curve.along_m, room_m, max_speed_mps, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
             self.tight_speed, self.climb, self.descent, self.rate, self.blur_radps, self.blur_distance_m, SPREAD_M,
             entry.velocity, BRAKING * self.acceleration, FASTEST, cap,
         )  # fmt: skip
 
     def _leaning(self, curve: Curve, entry: InitialState) -> FloatArray:
         """Accelerations (M,) with which the camera sees the way; as much as need be where what is entered has to brake."""
-        most_mps2 = np.maximum(self.gaze.most_mps2(curve.slope, curve.place), LEAST_MPS2)
+        max_acceleration_mps2 = np.maximum(self.gaze.max_acceleration_mps2(curve.slope, curve.place), MIN_MPS2)
         entry2 = float(np.sum(entry.velocity[:3] ** 2))
-        return np.where(2.0 * BRAKING * self.acceleration * curve.along_m < entry2, np.inf, most_mps2)
+        return np.where(2.0 * BRAKING * self.acceleration * curve.along_m < entry2, np.inf, max_acceleration_mps2)
 
     def _hasty(self, flight: TrajectoryGenerator, entry: InitialState, times: FloatArray) -> BoolArray:
         """The nodes (M,), reached at these times, whose samples are faster than what they see allows, or share in such."""
@@ -194,7 +194,7 @@ class Pacer:
 
     def _heeding(self, curve: Curve, space: ClearanceMap) -> FloatArray:
         """Speeds (M,) that where it looks and what lies ahead allow."""
-        return np.minimum(self.gaze.most_mps(curve.slope, curve.place), self._heeding_silence(curve, space))
+        return np.minimum(self.gaze.max_speed_mps(curve.slope, curve.place), self._heeding_silence(curve, space))
 
     def _heeding_silence(self, curve: Curve, space: ClearanceMap) -> FloatArray:
         """Speeds (M,) from which an autopilot that hears nothing any more touches nothing before it is at rest.
@@ -210,14 +210,14 @@ class Pacer:
         fastest_x = np.minimum((self.speed / flat) ** 2, self.acceleration / most)
         bent = slope + PUSHED_ON_S * np.sqrt(fastest_x) * across
         far_m = (self.speed + PUSHED_ON_S * self.acceleration) * self.run_on_s
-        least_m = self.hull_m + 0.5 * space.resolution_m  # to a voxel's side
-        most_mps = np.full(len(slope), np.inf)
+        min_m = self.hull_m + 0.5 * space.resolution_m  # to a voxel's side
+        max_speed_mps = np.full(len(slope), np.inf)
         for heading in (slope, bent):
             way_m = np.full(len(slope), far_m)
-            ways_ahead(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, heading, least_m, way_m)
+            ways_ahead(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, heading, min_m, way_m)
             faster = np.linalg.norm(heading, axis=1) / flat[:, 0]
-            most_mps = np.minimum(most_mps, way_m / (self.run_on_s * np.maximum(faster, 1.0)))
-        return np.asarray(np.maximum(most_mps, RUN_ON_MPS))
+            max_speed_mps = np.minimum(max_speed_mps, way_m / (self.run_on_s * np.maximum(faster, 1.0)))
+        return np.asarray(np.maximum(max_speed_mps, RUN_ON_MPS))
 
     def _smoothed(
         self, band: ElasticBand, entry: InitialState, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float

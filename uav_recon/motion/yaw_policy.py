@@ -38,11 +38,11 @@ class YawPolicy(Protocol):
         """
         ...
 
-    def most_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+    def max_speed_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
         """Greatest speeds (M,) at the places (M, 5) of a curve with these directions (M, 5)."""
         ...
 
-    def most_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+    def max_acceleration_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
         """Greatest accelerations (M,) there: what leans to gain speed, or to lose it, looks elsewhere."""
         ...
 
@@ -63,11 +63,11 @@ class YawAtViews:
         along_m = np.cumsum(np.sqrt(np.sum(np.diff(way, axis=0) ** 2, axis=1)))
         return np.hstack([way[1:], begin[3:] + (along_m / along_m[-1])[:, None] * (goal[3:] - begin[3:])])
 
-    def most_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+    def max_speed_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
         """No limit."""
         return np.full(len(place), np.inf)
 
-    def most_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+    def max_acceleration_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
         """No limit."""
         return np.full(len(place), np.inf)
 
@@ -108,11 +108,11 @@ class YawAlongPath:
         ahead_s, evenly_s = (self._duration_s(np.vstack([begin, vertex])) for vertex in (ahead, evenly))
         return ahead if ahead_s < PREFERRED * evenly_s else evenly
 
-    def most_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+    def max_speed_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
         """blind_mps where the camera does not look."""
         return np.where(self.sees(slope[:, :3], place[:, 3], place[:, 4]), np.inf, self.blind_mps)
 
-    def most_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+    def max_acceleration_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
         """As much as brings a way that is seen to the picture's edge. One that is not is flown slowly, and leans as it may."""
         ahead, _, below = self._in_camera(slope[:, :3], place[:, 3], place[:, 4])
         edge_rad = math.atan((1.0 - SLACK) * self.half_tan[1])
@@ -164,7 +164,7 @@ class YawAlongPath:
     def _duration_s(self, vertex: FloatArray) -> float:
         """About, of a polyline (M, 5): each edge takes what its length or its turning does."""
         step, middle = np.diff(vertex, axis=0), 0.5 * (vertex[1:] + vertex[:-1])
-        speed_mps = np.minimum(self.most_mps(step, middle), USUAL_SHARE * self.speed_mps)
+        speed_mps = np.minimum(self.max_speed_mps(step, middle), USUAL_SHARE * self.speed_mps)
         return float(np.maximum(np.linalg.norm(step[:, :3], axis=1) / speed_mps, np.abs(step[:, 3]) / self.rate_radps).sum())
 
 

@@ -75,7 +75,7 @@ class CommandHandler:
     def status(self) -> Status:
         """What is known now."""
         return Status.of(
-            self._clock.now_s(), _newest(self._vehicle), _newest(self._odom), _newest(self._progress), self._mission_hears()
+            self._clock.now_s(), _newest(self._vehicle), _newest(self._odom), _newest(self._progress), self._mission_receives()
         )
 
     def _refusal(self, order: OperatorCommand) -> str:
@@ -91,7 +91,7 @@ class CommandHandler:
             return "it is about to take off: land, or ask again once it flies"
         if phase is FlightPhase.LANDING and order is not OperatorCommand.LAND:
             return "it is landing: that is not taken back"
-        if order is OperatorCommand.RETURN and not self._mission_hears():
+        if order is OperatorCommand.RETURN and not self._mission_receives():
             return "the mission is silent, and only it knows the way home: hold or land"
         return ""
 
@@ -100,7 +100,7 @@ class CommandHandler:
             return "this flight is over: restart the services for another one"
         if phase is FlightPhase.CONNECTING:
             return f"not ready: {self._note('starting')}"
-        return "" if self._mission_hears() else "the mission is silent: is uav-recon-mission running, and has it finished?"
+        return "" if self._mission_receives() else "the mission is silent: is uav-recon-mission running, and has it finished?"
 
     def _carry_out(self, order: OperatorCommand) -> str:
         if order is OperatorCommand.LAND:
@@ -122,7 +122,7 @@ class CommandHandler:
         vehicle = _newest(self._vehicle)
         return untold if vehicle is None else vehicle.note
 
-    def _mission_hears(self) -> bool:
+    def _mission_receives(self) -> bool:
         intent = _newest(self._intent)
         age_s = math.inf if intent is None else self._clock.now_s() - intent.stamp_s
         return -0.1 <= age_s <= SILENT_S

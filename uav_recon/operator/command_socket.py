@@ -20,7 +20,7 @@ from uav_recon.interfaces import Clock
 
 Answer = dict[str, Any]
 
-MOST_CLIENTS, LONGEST_LINE, PATIENCE_S = 4, 1024, 2.0
+MAX_CLIENTS, LONGEST_LINE, PATIENCE_S = 4, 1024, 2.0
 _SO_PEERGROUPS, _GROUPS_BYTES = 59, 1024  # unix(7); the socket module does not name it
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _LONGEST_PATH = 107
@@ -54,7 +54,7 @@ class CommandSocket:
             path.unlink(missing_ok=True)
             self._socket.bind(str(path))
             path.chmod(0o660)
-            self._socket.listen(MOST_CLIENTS)
+            self._socket.listen(MAX_CLIENTS)
         except OSError as error:
             self._socket.close()
             raise CommandSocketError(f"{path}: {error.strerror}") from None
@@ -78,7 +78,7 @@ class CommandSocket:
             self._path.unlink(missing_ok=True)
 
     def _accept(self, now_s: float) -> None:
-        if len(self._clients) >= MOST_CLIENTS:
+        if len(self._clients) >= MAX_CLIENTS:
             return
         try:
             connection, _ = self._socket.accept()

@@ -39,16 +39,16 @@ class Status:
         vehicle: VehicleState | None,
         pose: StampedPose | None,
         progress: MissionProgress | None,
-        mission_hears: bool,
+        mission_receives: bool,
     ) -> Status:
         """From the newest value of each channel; numbers that are not finite are not known."""
         if vehicle is None:
             return Status("starting", "silent")
         x, y, z = (_finite(v, 2) for v in vehicle.world_from_body.translation_m.tolist())
-        told, heard = progress if mission_hears else None, bool(vehicle.mode)
+        told, heard = progress if mission_receives else None, bool(vehicle.mode)
         return Status(
             pilot=vehicle.phase.value,
-            mission=told.phase if told is not None else "starting" if mission_hears else "silent",
+            mission=told.phase if told is not None else "starting" if mission_receives else "silent",
             mode=vehicle.mode if heard else None,
             armed=vehicle.armed if heard else None,
             battery=_finite(vehicle.battery_fraction, 2),

@@ -10,7 +10,7 @@ from uav_recon.interfaces import Clock
 from uav_recon.operator.client import CallError
 from uav_recon.operator.status import Status
 
-PERIOD_S, MOST_LOST = 1.0, 3  # a pilot that is started again is back before three answers are lost
+PERIOD_S, MAX_LOST = 1.0, 3  # a pilot that is started again is back before three answers are lost
 
 
 class Page(Protocol):
@@ -71,16 +71,16 @@ def in_a_line(status: Status) -> str:
 
 
 def watch(ask: Callable[[], Status], page: Page, clock: Clock) -> None:
-    """Ask once a second for ever. Raises the last CallError if the very first answer, or MOST_LOST in a row, did not come."""
-    lost, most_lost = 0, 1
+    """Ask once a second for ever. Raises the last CallError if the very first answer, or MAX_LOST in a row, did not come."""
+    lost, max_lost = 0, 1
     while True:
         begun_s = clock.now_s()
         try:
             page.show(ask())
-            lost, most_lost = 0, MOST_LOST
+            lost, max_lost = 0, MAX_LOST
         except CallError as error:
             lost += 1
-            if lost == most_lost:
+            if lost == max_lost:
                 raise
             page.lost(str(error))
         clock.sleep_until(max(begun_s + PERIOD_S, clock.now_s()))

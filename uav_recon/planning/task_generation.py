@@ -21,7 +21,7 @@ from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import PlanMode, TaskKind
 
-MOST_FRONTIERS, MOST_TASKS = 24, 40  # the nearest ones: the horizon executes only the first few
+MAX_FRONTIERS, MAX_TASKS = 24, 40  # the nearest ones: the horizon executes only the first few
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +82,7 @@ class ClusterTasks:
             return GeneratedTasks(mode, explore)
         widening = 1.0 if opening.any() else self._end_factor
         surface = self._surfaces.propose(situation, question.surface, question.looks, widening)
-        return GeneratedTasks(mode, (explore + surface[:spare])[:MOST_TASKS], widening)
+        return GeneratedTasks(mode, (explore + surface[:spare])[:MAX_TASKS], widening)
 
     def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
         """See Source."""
@@ -95,7 +95,7 @@ class ClusterTasks:
         if TaskKind.EXPLORE not in self._variant.kinds:
             return []
         found = self._views.update(situation.voxels, situation.space, frontiers, situation.position_world)
-        nearest = found.proposals[:MOST_FRONTIERS]
+        nearest = found.proposals[:MAX_FRONTIERS]
         gains = frontiers.beyond(situation.voxels, [one.promised for one in nearest])
         return [one.gaining(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
 

@@ -42,14 +42,14 @@ class ClearedSetpoint:
 @dataclass(frozen=True, slots=True, eq=False)
 class SetpointProposal:
     """A sample of a motion made on the map of ``map_epoch``. retreating: the pilot's own way back, slow, along breadcrumbs:
-    it needs neither a mission nor depth; giving_way: out of the way of something that comes on, as fast as past what is near.
+    it needs neither a mission nor depth; evading: out of the way of something that comes on, as fast as past what is near.
     """
 
     setpoint: Setpoint
     trajectory_id: int
     map_epoch: int
     retreating: bool = False
-    giving_way: bool = False
+    evading: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,8 +137,8 @@ class Guard:
             return f"trajectory is of map epoch {proposal.map_epoch}, pose of {situation.map_epoch}"
         motion = _motion_of(wanted, situation.now_s)
         speed_mps, push_mps2 = math.hypot(*motion.velocity_mps), math.hypot(*_floats(wanted.acceleration_mps2))
-        most_mps = bounds.retreat_mps if proposal.retreating or situation.slow else envelope.max_speed_mps
-        if not speed_mps <= (bounds.margins.slow_mps if proposal.giving_way else most_mps) + 1e-6:
+        max_speed_mps = bounds.retreat_mps if proposal.retreating or situation.slow else envelope.max_speed_mps
+        if not speed_mps <= (bounds.margins.slow_mps if proposal.evading else max_speed_mps) + 1e-6:
             return f"speed {speed_mps:.2f} m/s"
         if not proposal.retreating and self._silent(speed_mps, situation.intent_age_s):
             return "mission is silent"

@@ -11,7 +11,7 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.min_range_grid import MinRangeGrid
 
 _BESIDE_M = 0.05  # a return this far beside the hull's way still is in it
-_LEAST_SHARE = 0.2  # of the pixels: a frame with fewer returns is as good as none, be it dark, covered or too near
+_MIN_SHARE = 0.2  # of the pixels: a frame with fewer returns is as good as none, be it dark, covered or too near
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class ForwardDepth:
     @staticmethod
     def tells(nearby: MinRangeGrid) -> bool:
         """Whether a frame has enough returns to be believed at all."""
-        return nearby.share >= _LEAST_SHARE
+        return nearby.share >= _MIN_SHARE
 
     def sees(self, direction_body: FloatArray) -> bool:
         """Whether the camera looks where a unit vector (3,) in body axes points."""

@@ -24,7 +24,7 @@ class PoseVerdict:
     """Whether a pose is believed; anew: it does not go on from the last one believed, odom itself has jumped."""
 
     good: bool
-    anew: bool = False
+    again: bool = False
     why: str = ""
 
 
@@ -44,11 +44,11 @@ class PoseGate:
         if why := _unfit(pose, now_s) or ("repeated or older than the one before" if repeated else ""):
             return self._refuse(why)
         if last is None or pose.reset_counter != last.reset_counter:
-            return self._believe(pose, anew=last is not None)
+            return self._believe(pose, again=last is not None)
         why = self._leap(last, pose)
         lost = self._refused >= _PATIENCE
         if not why and not lost:
-            return self._believe(pose, anew=False)
+            return self._believe(pose, again=False)
         return self._prove(pose, why or "on trial after a loss")
 
     def _prove(self, pose: StampedPose, why: str) -> PoseVerdict:
@@ -58,12 +58,12 @@ class PoseGate:
             self._agreed, self._since_s = 0, pose.stamp_s
         self._agreed += 1
         if self._agreed >= _PROOF and pose.stamp_s - self._since_s >= _PROOF_S:
-            return self._believe(pose, anew=True)
+            return self._believe(pose, again=True)
         return self._refuse(why)
 
-    def _believe(self, pose: StampedPose, anew: bool) -> PoseVerdict:
+    def _believe(self, pose: StampedPose, again: bool) -> PoseVerdict:
         self._believed, self._track, self._refused = pose, None, 0
-        return PoseVerdict(True, anew)
+        return PoseVerdict(True, again)
 
     def _refuse(self, why: str) -> PoseVerdict:
         self._refused += 1

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from uav_recon.safety.envelope import Envelope, Vec3
 
 _LONGEST_S = 0.5  # the autopilot gives up on a stream that paused for longer
-_MOST = (0.02, 0.05, math.degrees(0.03), 0.02)
+_MAX = (0.02, 0.05, math.degrees(0.03), 0.02)
 _WORDS = ("jump of {:.2f} m", "velocity jump of {:.2f} m/s", "heading jump of {:.0f} degrees", "{:.2f} m off its velocity")
 
 
@@ -43,6 +43,6 @@ class ContinuityCheck:
         x, y, z = (old + q - p - (u + v) / 2.0 * dt_s for old, p, q, u, v in ways)
         off_m = math.hypot(x, y, z)
         left = max(1.0 - braking_mps2 * dt_s**2 / 4.0 / max(off_m, 1e-12), 0.0)  # what the limit allows between any two is none
-        taken = zip((a, b, c, off_m * left), (*steps, off_m), _MOST, _WORDS, strict=True)
+        taken = zip((a, b, c, off_m * left), (*steps, off_m), _MAX, _WORDS, strict=True)
         faults = [words.format(step) for beyond, step, most, words in taken if not beyond <= most]
         return ContinuityCheck((a, b, c), (x * left, y * left, z * left)), faults[0] if faults else ""

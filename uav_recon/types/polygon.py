@@ -60,8 +60,8 @@ class Polygon:
         """Least distance from any point of a straight way to the border; negative if the way is not all inside."""
         if not (self.holds(start_m) and self.holds(end_m)):
             return -math.inf
-        least_m = min(_between(start_m, end_m, a, b) for a, b in self.sides())
-        return least_m if least_m > 0.0 else -math.inf
+        min_m = min(_between(start_m, end_m, a, b) for a, b in self.sides())
+        return min_m if min_m > 0.0 else -math.inf
 
     def nearest_with_room(self, point_m: Vec2, room_m: float) -> Vec2 | None:
         """The nearest point that is so far from every side, found beside one side or two; None where none of these is."""

@@ -101,7 +101,7 @@ class Intent:
     goal: Goal
     trajectory: Trajectory | None = None
     note: str = ""
-    unattended: bool = False
+    operator_lost: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ class JitterCorrection:
 
     def __init__(self) -> None:
         self._offset_us: int | None = None
-        self._least_us = 0
+        self._min_us = 0
         self._count = 0
 
     def local_us(self, remote_us: int, now_us: int) -> int:
@@ -23,8 +23,8 @@ class JitterCorrection:
         if now_us - estimate_us > _LONGEST_LAG_US:  # nothing lags so far: the sender's clock was set
             estimate_us = now_us - _LONGEST_LAG_US
             self._offset_us = estimate_us - remote_us
-        self._least_us = lag_us if self._count == 0 else min(self._least_us, lag_us)
+        self._min_us = lag_us if self._count == 0 else min(self._min_us, lag_us)
         self._count += 1
         if self._count == _WINDOW:
-            self._offset_us, self._count = self._least_us, 0
+            self._offset_us, self._count = self._min_us, 0
         return estimate_us

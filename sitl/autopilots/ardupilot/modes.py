@@ -72,7 +72,7 @@ class ArduPilotCommander:
         self.armed = False
         self.armed_at_s = math.inf
         self.failsafes: list[str] = []
-        self.gcs_heard_s = math.inf  # inf: never heard, and its failsafe sleeps
+        self.gcs_received_s = math.inf  # inf: never heard, and its failsafe sleeps
         self._invalid_since_s = math.inf
         self._idle_since_s = math.inf
         self._troubles: set[str] = set()
@@ -163,7 +163,7 @@ class ArduPilotCommander:
     def heartbeat_from(self, system: int, now_s: float) -> None:
         """Of the ground station named by MAV_GCS_SYSID; another vehicle part with our own id is none (measured)."""
         if system == self._gcs_system and system != self._own_system:
-            self.gcs_heard_s = now_s
+            self.gcs_received_s = now_s
 
     def admits(self, distance_m: float, height_m: float) -> bool:
         """Whether a target so far from home and so high above it is inside the fence; NaN (no home) is."""
@@ -192,7 +192,7 @@ class ArduPilotCommander:
         pilots = self.mode in _PILOTS
         blind = self.mode in _NEED_POSITION and c.now_s - self._invalid_since_s >= _EKF_FAILSAFE_S
         self._judge("EKF Failsafe", blind, self._ekf_lands)
-        silent_s = c.now_s - self.gcs_heard_s
+        silent_s = c.now_s - self.gcs_received_s
         self._judge(_SILENT, silent_s > self._silence_s and self.mode is ArduPilotMode.GUIDED, True)
         silent = silent_s > self._gcs_timeout_s
         self._judge("GCS Failsafe", silent and not (pilots and self._pilots_modes_stay), self._gcs_lands)

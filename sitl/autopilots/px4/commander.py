@@ -79,19 +79,19 @@ class MissionComputer:
     """Its heartbeats: when they stop PX4 says so, and does nothing else. Sleeps until the first. say as the commander's."""
 
     def __init__(self, say: Callable[[int, str], None]) -> None:
-        self._say, self._heard_s, self._lost = say, math.inf, False
+        self._say, self._received_s, self._lost = say, math.inf, False
         self.timeout_s = 5.0
 
     def heard(self, now_s: float) -> None:
         """One came."""
-        self._heard_s = now_s
+        self._received_s = now_s
         if self._lost:
             self._lost = False
             self._say(INFO, "Connection to mission computer regained")
 
     def step(self, now_s: float) -> None:
         """Tell once of a silence of COM_OBC_LOSS_T."""
-        if not self._lost and now_s - self._heard_s > self.timeout_s:
+        if not self._lost and now_s - self._received_s > self.timeout_s:
             self._lost = True
             self._say(CRITICAL, "Connection to mission computer lost")
 

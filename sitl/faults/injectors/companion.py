@@ -63,13 +63,13 @@ class DiskFull(Injector):
 
     needs = Capabilities.STAGES
 
-    def __init__(self, most_bytes: int = 4096, for_s: float = 1e9) -> None:
-        self._most_bytes, self._for_s, self._before = most_bytes, for_s, (-1, -1)
+    def __init__(self, max_bytes: int = 4096, for_s: float = 1e9) -> None:
+        self._max_bytes, self._for_s, self._before = max_bytes, for_s, (-1, -1)
 
     def begin(self, at: InjectionContext) -> None:
         """Of this process alone."""
         self._before = resource.getrlimit(resource.RLIMIT_FSIZE)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (self._most_bytes, self._before[1]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (self._max_bytes, self._before[1]))
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Space again after the time, or when the motors have stopped: the referee must write too."""

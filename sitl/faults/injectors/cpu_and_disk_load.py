@@ -90,8 +90,8 @@ class NoSpace(Injector):
 
     needs = Capabilities.PROCESSES
 
-    def __init__(self, most_bytes: int = 4096) -> None:
-        self._most_bytes = most_bytes
+    def __init__(self, max_bytes: int = 4096) -> None:
+        self._max_bytes = max_bytes
 
     def begin(self, at: InjectionContext) -> None:
         """Mission, pilot and the mission's children; what the processes say to one another lies in memory."""
@@ -100,7 +100,7 @@ class NoSpace(Injector):
         for pid in (mission, roster.pid("pilot"), child_of(mission, MAPPER), child_of(mission, RECORDER)):
             if pid is not None:
                 _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
-                resource.prlimit(pid, resource.RLIMIT_FSIZE, (self._most_bytes, hard))
+                resource.prlimit(pid, resource.RLIMIT_FSIZE, (self._max_bytes, hard))
 
 
 def resident_bytes(pid: int) -> int:

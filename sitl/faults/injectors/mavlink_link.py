@@ -71,12 +71,12 @@ class Refused(Injector):
 class Jitter(Injector):
     """For a while every frame is late by a random time, so that some overtake others."""
 
-    def __init__(self, most_s: float, for_s: float = 1e9, seed: int = 0) -> None:
-        self._most_s, self._for_s, self._dice = most_s, for_s, random.Random(seed)
+    def __init__(self, max_s: float, for_s: float = 1e9, seed: int = 0) -> None:
+        self._max_s, self._for_s, self._dice = max_s, for_s, random.Random(seed)
 
     def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
         """Uniform."""
-        return [(self._dice.uniform(0.0, self._most_s) if since_s < self._for_s else 0.0, frame)]
+        return [(self._dice.uniform(0.0, self._max_s) if since_s < self._for_s else 0.0, frame)]
 
     to_product = to_autopilot
 

@@ -71,11 +71,11 @@ def moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
     return lambda record, _: dataclasses.replace(record, position_m=record.position_m + np.array([x, y, z]))
 
 
-def drifting(x: float, y: float, most_m: float = 3.0) -> Change:
+def drifting(x: float, y: float, max_m: float = 3.0) -> Change:
     """Shifted more and more, m/s, up to a distance."""
 
     def change(record: PoseRecord, since_s: float) -> PoseRecord:
-        drift_s = min(since_s, most_m / math.hypot(x, y))
+        drift_s = min(since_s, max_m / math.hypot(x, y))
         return dataclasses.replace(record, position_m=record.position_m + np.array([x, y, 0.0]) * drift_s)
 
     return change

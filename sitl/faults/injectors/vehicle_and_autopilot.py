@@ -32,7 +32,7 @@ class Dragged(Injector):
     """To a place beside its way and kept there until it is down, by whatever force that takes: y in the world (m)."""
 
     needs = Capabilities.INSIDES
-    _PER_S, _FASTEST_MPS, _STIFF_PER_S, _MOST_MPS2, _DOWN_M = 2.0, 0.8, 25.0, 15.0, 0.2
+    _PER_S, _FASTEST_MPS, _STIFF_PER_S, _MAX_MPS2, _DOWN_M = 2.0, 0.8, 25.0, 15.0, 0.2
 
     def __init__(self, y_m: float) -> None:
         self._y_m = y_m
@@ -41,7 +41,7 @@ class Dragged(Injector):
         """While it is in the air."""
         (_, y_m, z_m), (_, vy_mps, _) = (truth := at.world.flyer.truth()).position, truth.velocity
         wanted_mps = min(max(self._PER_S * (self._y_m - y_m), -self._FASTEST_MPS), self._FASTEST_MPS)
-        force = min(max(self._STIFF_PER_S * (wanted_mps - vy_mps), -self._MOST_MPS2), self._MOST_MPS2)
+        force = min(max(self._STIFF_PER_S * (wanted_mps - vy_mps), -self._MAX_MPS2), self._MAX_MPS2)
         force = force if z_m > self._DOWN_M else 0.0
         at.world.autopilot.vehicle.outside_mps2 = (0.0, force, 0.0)
 

@@ -42,16 +42,16 @@ def violations(e: FlightEvidence, room: Room = USUAL) -> list[str]:
     return [said for said in (_clear(e, room.clear_m), *told, _fence(e, room.overshoot_m)) if said]
 
 
-def _clear(e: FlightEvidence, least_m: float) -> str:
+def _clear(e: FlightEvidence, min_m: float) -> str:
     kept_m = reaction_metrics.clearance(e)
     if kept_m < CONTACT_M:
         return f"contact: clearance {kept_m:.3f} m"
-    return f"clearance {kept_m:.3f} m of {least_m:.2f}" if kept_m < least_m - 1e-9 else ""
+    return f"clearance {kept_m:.3f} m of {min_m:.2f}" if kept_m < min_m - 1e-9 else ""
 
 
-def _fence(e: FlightEvidence, most_m: float) -> str:
+def _fence(e: FlightEvidence, max_m: float) -> str:
     out_m = reaction_metrics.overshoot(e)
-    return f"fence overshot by {out_m:.2f} m" if out_m > most_m else ""
+    return f"fence overshot by {out_m:.2f} m" if out_m > max_m else ""
 
 
 def _numbers(e: FlightEvidence) -> str:
@@ -105,10 +105,10 @@ def _leaps(e: FlightEvidence, i: Indices, j: Indices) -> str:
 def _anew(e: FlightEvidence) -> Bools:
     """Of each setpoint but the first (N - 1,): a reset of the pose moved it along, or a pilot began anew with it."""
     w = e.wire
-    anew: Bools = np.diff(w.setpoint_s) >= 0.5
+    again: Bools = np.diff(w.setpoint_s) >= 0.5
     for reset_s in w.odometry_s[1:][np.diff(w.reset_counter) != 0]:
-        anew |= np.abs(w.setpoint_s[1:] - reset_s) < 0.1
-    return anew
+        again |= np.abs(w.setpoint_s[1:] - reset_s) < 0.1
+    return again
 
 
 def _place(e: FlightEvidence) -> str:
@@ -141,6 +141,6 @@ def _disarm(e: FlightEvidence) -> str:
 def _end(e: FlightEvidence) -> str:
     """Down with motors off, in a pilot's hands, or not yet so long alone."""
     human = TAKEN_OVER in e.notes and not e.ours[-1] and not e.landing[-1]
-    unattended = bool(e.armed[-1]) and not human and e.end_s - e.onset_s > UNATTENDED_S - 1.0
-    still = unattended and float(np.linalg.norm(np.diff(e.position_m[-int(30 / _TURN_S) :], axis=0), axis=1).sum()) < 3.0
+    operator_lost = bool(e.armed[-1]) and not human and e.end_s - e.onset_s > UNATTENDED_S - 1.0
+    still = operator_lost and float(np.linalg.norm(np.diff(e.position_m[-int(30 / _TURN_S) :], axis=0), axis=1).sum()) < 3.0
     return "hovers armed and unattended" if still else ""

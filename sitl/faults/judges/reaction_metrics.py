@@ -280,10 +280,10 @@ def stopped_short(e: FlightEvidence) -> float:
 
 def overshoot(e: FlightEvidence) -> float:
     """Farthest (m) out of the fence, of the vehicle's middle."""
-    aloft = e.position_m[e.armed & e.answered_for]
-    if not len(aloft):
+    airborne = e.position_m[e.armed & e.answered_for]
+    if not len(airborne):
         return 0.0
-    return float(max(np.maximum(e.limits.fence_min_m - aloft, aloft - e.limits.fence_max_m).max(), 0.0))
+    return float(max(np.maximum(e.limits.fence_min_m - airborne, airborne - e.limits.fence_max_m).max(), 0.0))
 
 
 def landing_after_leaving(e: FlightEvidence) -> float:

@@ -58,9 +58,11 @@ def _since(e: FlightEvidence, words: str, from_s: float) -> float:
 
 def statustext_missing(e: FlightEvidence) -> str:
     """The first reaction that nobody was told of in time, in words; '' for none."""
-    asked = [o.stamp_s for o in e.wire.orders if o.command in _LAND and _aloft(e, o.stamp_s)]
+    asked = [o.stamp_s for o in e.wire.orders if o.command in _LAND and _airborne(e, o.stamp_s)]
     due = [("landing asked for", _WHY_LAND, asked[0], asked[0])] if asked else []
-    due += [("another's mode", _WHY_LAND if lands else _WHOSE, lost_s, heard_s) for lost_s, heard_s, lands in _lost(e, asked)]
+    due += [
+        ("another's mode", _WHY_LAND if lands else _WHOSE, lost_s, received_s) for lost_s, received_s, lands in _lost(e, asked)
+    ]
     for what, why, from_s, known_s in due:
         said = [stamp_s for stamp_s, text in e.wire.texts if why.search(text)]
         told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in said)
@@ -69,7 +71,7 @@ def statustext_missing(e: FlightEvidence) -> str:
     return ""
 
 
-def _aloft(e: FlightEvidence, stamp_s: float) -> bool:
+def _airborne(e: FlightEvidence, stamp_s: float) -> bool:
     """Whether it was off the ground, where the flight's own mode has been asked for."""
     return bool(np.interp(stamp_s, e.stamp_s, e.position_m[:, 2]) > _ALOFT_M)
 
@@ -85,7 +87,7 @@ def _lost(e: FlightEvidence, asked: list[float]) -> list[tuple[float, float, boo
         flown = ((e.wire.setpoint_s > lost_s - _FLYING_S) & (e.wire.setpoint_s <= lost_s)).any()
         ours = any(0.0 <= lost_s - stamp_s < _OURS_S for stamp_s in asked)
         before = next((mode for stamp_s, mode, _ in reversed(e.heard) if stamp_s < lost_s), None)
-        heard_s = next((stamp_s for stamp_s, mode, _ in e.heard if stamp_s >= lost_s and mode != before), math.inf)
+        received_s = next((stamp_s for stamp_s, mode, _ in e.heard if stamp_s >= lost_s and mode != before), math.inf)
         if flown and not ours:
-            found.append((lost_s, heard_s, bool(e.landing[at])))
+            found.append((lost_s, received_s, bool(e.landing[at])))
     return found

@@ -19,7 +19,7 @@ STABILIZE, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 4, 5, 6, 9, 17
 
 def ready(**changes: Any) -> Telemetry:
     good = Telemetry(
-        system=1, heard_s=10.0, heartbeat_s=10.0, firmware_family=3, version=(4, 8, 0), estimator_good=True,
+        system=1, received_s=10.0, heartbeat_s=10.0, firmware_family=3, version=(4, 8, 0), estimator_good=True,
         prearm_good=True, origin_known=True, pose_fed_s=10.0,
     )  # fmt: skip
     return dataclasses.replace(good, **changes)

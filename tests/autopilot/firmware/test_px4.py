@@ -20,7 +20,7 @@ OFFBOARD, LAND, LOITER, POSCTL, RTL = 393216, 100925440, 50593792, 196608, 84148
 def ready(**changes: Any) -> Telemetry:
     good = Telemetry(
         system=1,
-        heard_s=10.0,
+        received_s=10.0,
         heartbeat_s=10.0,
         firmware_family=12,
         custom_mode=LOITER,

@@ -105,7 +105,7 @@ def truth(count: int, turn: int) -> bytes:
 def held_true(link: VehicleLink) -> dict[str, str]:
     """What the link knows, the autopilot's clock too, but for what the autopilot goes on saying."""
     known = {field.name: repr(getattr(link.telemetry, field.name)) for field in dataclasses.fields(link.telemetry)}
-    for name in ("heard_s", "position_m", "velocity_mps", "quat_wxyz"):
+    for name in ("received_s", "position_m", "velocity_mps", "quat_wxyz"):
         del known[name]
     return {**known, "clock": str(link._timesync.autopilot_ns(1.0))}
 

@@ -42,8 +42,8 @@ def noticed_s(arrivals: list[tuple[float, bytes]]) -> float | None:
     double, decoder = DuplicateAutopilotDetector(), Decoder()
     for now_s, frame in sorted(arrivals, key=lambda each: each[0]):
         for received in decoder.feed(frame):
-            double.hear(received, now_s)
-        if double.speaks(now_s):
+            double.update(received, now_s)
+        if double.detected(now_s):
             return now_s
     return None
 
@@ -99,7 +99,7 @@ def test_it_is_over_two_seconds_after_the_other_fell_silent() -> None:
     spoken = []
     for now_s, frame in sorted(flight(Voice(-30.0), 0, 1000) + flight(Voice(-900.0), 200, 400), key=lambda each: each[0]):
         for received in decoder.feed(frame):
-            double.hear(received, now_s)
-        spoken.append((now_s, double.speaks(now_s)))
+            double.update(received, now_s)
+        spoken.append((now_s, double.detected(now_s)))
     over_s = max(now_s for now_s, two in spoken if two)
     assert 5.9 <= over_s <= 6.5

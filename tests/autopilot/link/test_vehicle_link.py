@@ -47,7 +47,7 @@ class Wire:
     def restart(self) -> None:
         self._voices.clear()
 
-    def hear(self, message: Any, system: int = 1, component: int = 1) -> None:
+    def update(self, message: Any, system: int = 1, component: int = 1) -> None:
         voice = self._voices.setdefault((system, component), wire.MAVLink(None, system, component))
         self.inbox += bytes(message.pack(voice))
         voice.seq = (voice.seq + 1) % 256
@@ -68,11 +68,11 @@ def pair(far: Wire) -> tuple[VehicleLink, Wire]:
 
 
 def converge(link: VehicleLink, far: Wire, offset_s: float = 37.5) -> None:
-    far.hear(heartbeat())
+    far.update(heartbeat())
     link.receive(0.0)
     for i in range(12):
         now = 0.2 * i
-        far.hear(wire.MAVLink_timesync_message(int((now + 0.001 + offset_s) * 1e9), int(now * 1e9)))
+        far.update(wire.MAVLink_timesync_message(int((now + 0.001 + offset_s) * 1e9), int(now * 1e9)))
         link.receive(now + 0.002)
     assert link.time_known
 
@@ -80,20 +80,20 @@ def converge(link: VehicleLink, far: Wire, offset_s: float = 37.5) -> None:
 def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
     gate = AllowListFilter(AllowList(system=7, autopilot=1, gimbal=154))
     link = VehicleLink(far, NoLog(), 0.0, PX4, gate)
-    far.hear(heartbeat(autopilot=8), 255, 190)  # a ground station
-    far.hear(heartbeat(mode=4 << 16, armed=True), 9, 1)  # another vehicle, and earlier than ours
-    far.hear(heartbeat(autopilot=8), 7, 154)  # a gimbal
+    far.update(heartbeat(autopilot=8), 255, 190)  # a ground station
+    far.update(heartbeat(mode=4 << 16, armed=True), 9, 1)  # another vehicle, and earlier than ours
+    far.update(heartbeat(autopilot=8), 7, 154)  # a gimbal
     link.receive(0.0)
     system_before = link.telemetry.system
-    far.hear(heartbeat(mode=3 << 16), 7, 1)
+    far.update(heartbeat(mode=3 << 16), 7, 1)
     for _ in range(5):
-        far.hear(heartbeat(mode=4 << 16, armed=True), 9, 1)
-        far.hear(heartbeat(mode=4 << 16, armed=True), 7, 2)
+        far.update(heartbeat(mode=4 << 16, armed=True), 9, 1)
+        far.update(heartbeat(mode=4 << 16, armed=True), 7, 2)
     link.receive(0.1)
     assert (system_before, link.telemetry.system) == (0, 7)
     assert (link.telemetry.custom_mode, link.telemetry.armed) == (3 << 16, False)
     twin_before = link.telemetry.twin_heard
-    far.hear(heartbeat(), 245, 191)
+    far.update(heartbeat(), 245, 191)
     link.receive(0.2)
     assert (twin_before, link.telemetry.twin_heard) == (False, True)
     assert gate.refused == 12
@@ -119,7 +119,7 @@ def test_a_forger_with_a_thousand_names_fills_no_log(far: Wire, caplog: pytest.L
     link = VehicleLink(far, NoLog(), 0.0, PX4, gate)
     for system in range(2, 245):
         for component in (1, 2, 3, 4):
-            far.hear(heartbeat(), system, component)
+            far.update(heartbeat(), system, component)
     link.receive(0.0)
     assert gate.refused == 4 * 243
     assert len(caplog.records) == 32
@@ -128,17 +128,17 @@ def test_a_forger_with_a_thousand_names_fills_no_log(far: Wire, caplog: pytest.L
 @pytest.mark.parametrize("stranger", [100, 1])
 def test_only_the_vehicles_own_gimbal_tells_its_angle(pair: tuple[VehicleLink, Wire], stranger: int) -> None:
     link, far = pair
-    far.hear(heartbeat())
+    far.update(heartbeat())
     tilted = wire.MAVLink_gimbal_device_attitude_status_message(0, 0, 0, 0, [math.cos(0.1), 0, -math.sin(0.1), 0], 0, 0, 0, 0)
-    far.hear(tilted, 1 if stranger == 100 else 2, stranger if stranger == 100 else 154)
+    far.update(tilted, 1 if stranger == 100 else 2, stranger if stranger == 100 else 154)
     link.receive(0.0)
     assert math.isnan(link.telemetry.camera_pitch_down_rad)
 
 
 def test_a_gimbal_may_speak_for_itself(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
-    far.hear(heartbeat())
-    far.hear(
+    far.update(heartbeat())
+    far.update(
         wire.MAVLink_gimbal_device_attitude_status_message(0, 0, 0, 0, [math.cos(0.1), 0, -math.sin(0.1), 0], 0, 0, 0, 0),
         1,
         154,
@@ -159,7 +159,7 @@ def test_we_speak_five_times_a_second_and_ask_for_the_clock(pair: tuple[VehicleL
     for i in range(1000):
         link.keep_alive(i / 100)
     assert [m.get_type() for m in far.sent] == ["HEARTBEAT"] * 50
-    far.hear(heartbeat())
+    far.update(heartbeat())
     link.receive(10.0)
     for i in range(1000, 2000):
         link.keep_alive(i / 100)
@@ -181,7 +181,7 @@ def test_only_an_answer_that_comes_at_once_teaches_the_autopilot_our_clock(pair:
     converge(link, far)
     for n, late_s in enumerate((0.001, 0.02, 0.15, 0.5, 0.004)):
         asked_s = 10.0 + n
-        far.hear(wire.MAVLink_timesync_message(0, int((asked_s + 37.5) * 1e9)))
+        far.update(wire.MAVLink_timesync_message(0, int((asked_s + 37.5) * 1e9)))
         link.receive(asked_s + late_s)
     answers = [m for m in far.sent if m.get_type() == "TIMESYNC" and m.tc1 != 0]
     assert len(answers) == 5
@@ -190,12 +190,12 @@ def test_only_an_answer_that_comes_at_once_teaches_the_autopilot_our_clock(pair:
 
 def test_its_questions_are_answered_on_its_own_clock(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
-    far.hear(heartbeat())
-    far.hear(wire.MAVLink_timesync_message(0, 777))
+    far.update(heartbeat())
+    far.update(wire.MAVLink_timesync_message(0, 777))
     link.receive(0.0)
     assert far.sent == [], "before convergence any answer would be a lie"
     converge(link, far)
-    far.hear(wire.MAVLink_timesync_message(0, 778))
+    far.update(wire.MAVLink_timesync_message(0, 778))
     link.receive(5.0)
     assert far.sent[-1].ts1 == 778
     assert far.sent[-1].tc1 == pytest.approx(42.5e9, abs=2e6)
@@ -207,7 +207,7 @@ def test_no_heartbeat_pretends_that_we_hear(pair: tuple[VehicleLink, Wire]) -> N
     for phase_s in (10.0, 20.3, 30.6, 40.9):
         for n in range(100):
             link.keep_alive(phase_s - 1.0 + 0.01 * n)
-        far.hear(heartbeat())
+        far.update(heartbeat())
         link.receive(phase_s)
         last_s = 0.0
         for n in range(800):
@@ -215,7 +215,7 @@ def test_no_heartbeat_pretends_that_we_hear(pair: tuple[VehicleLink, Wire]) -> N
             link.keep_alive(phase_s + 0.01 * n)
             last_s = 0.01 * n if any(m.get_type() == "HEARTBEAT" for m in far.sent) else last_s
         assert 1.5 <= last_s <= 1.7
-    far.hear(heartbeat())
+    far.update(heartbeat())
     link.receive(50.0)
     far.sent.clear()
     link.keep_alive(50.0)
@@ -224,24 +224,24 @@ def test_no_heartbeat_pretends_that_we_hear(pair: tuple[VehicleLink, Wire]) -> N
 
 def test_what_comes_late_or_twice_undoes_nothing(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
-    far.hear(heartbeat(mode=3 << 16))
+    far.update(heartbeat(mode=3 << 16))
     old = far.inbox
     link.receive(0.0)
-    far.hear(heartbeat(mode=6 << 16, armed=True))
+    far.update(heartbeat(mode=6 << 16, armed=True))
     link.receive(0.1)
     far.inbox = old
     link.receive(0.2)
-    assert (link.telemetry.custom_mode, link.telemetry.armed, link.telemetry.heard_s) == (6 << 16, True, 0.1)
+    assert (link.telemetry.custom_mode, link.telemetry.armed, link.telemetry.received_s) == (6 << 16, True, 0.1)
     assert link.telemetry.stale_frames == 1
 
 
 def test_a_battery_that_is_told_no_more_is_not_known(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
-    far.hear(heartbeat())
-    far.hear(wire.MAVLink_sys_status_message(0, 0, 0, 0, 15000, 0, 62, 0, 0, 0, 0, 0, 0))
+    far.update(heartbeat())
+    far.update(wire.MAVLink_sys_status_message(0, 0, 0, 0, 15000, 0, 62, 0, 0, 0, 0, 0, 0))
     link.receive(5.0)
     assert link.telemetry.battery_at(5.9) == 0.62
-    far.hear(heartbeat())
+    far.update(heartbeat())
     link.receive(6.0)
     assert math.isnan(link.telemetry.battery_at(6.1)), "other words go on"
 
@@ -249,12 +249,12 @@ def test_a_battery_that_is_told_no_more_is_not_known(pair: tuple[VehicleLink, Wi
 def test_a_reboot_forgets_the_origin(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     converge(link, far)
-    far.hear(wire.MAVLink_gps_global_origin_message(1, 2, 3))
+    far.update(wire.MAVLink_gps_global_origin_message(1, 2, 3))
     link.receive(3.0)
     known_before = link.telemetry.origin_known
     for i in range(6):
         now = 4.0 + 0.2 * i
-        far.hear(wire.MAVLink_timesync_message(int((now - 3.0) * 1e9), int(now * 1e9)))
+        far.update(wire.MAVLink_timesync_message(int((now - 3.0) * 1e9), int(now * 1e9)))
         link.receive(now + 0.001)
     assert link.telemetry.reboots == 1
     assert (known_before, link.telemetry.origin_known) == (True, False)
@@ -275,7 +275,7 @@ def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[VehicleLink, Wire]) -> 
     for i in range(12):
         now = 4.0 + 0.02 * i
         sent.append(fed(now))
-        far.hear(wire.MAVLink_timesync_message(int((now - 3.0) * 1e9), int(now * 1e9)))
+        far.update(wire.MAVLink_timesync_message(int((now - 3.0) * 1e9), int(now * 1e9)))
         link.receive(now + 0.001)
         link.keep_alive(now + 0.001)
         assert link.time_known or "TIMESYNC" in [message.get_type() for message in far.sent]
@@ -290,11 +290,11 @@ def test_an_autopilot_that_counts_anew_is_understood_at_once(pair: tuple[Vehicle
     for n in range(5):
         far.restart()
         now = 2.4 + 0.02 * n
-        far.hear(wire.MAVLink_timesync_message(int((now - 2.0) * 1e9), int(now * 1e9)))
+        far.update(wire.MAVLink_timesync_message(int((now - 2.0) * 1e9), int(now * 1e9)))
         link.receive(now + 0.001)
         assert not link.time_known
     assert link.telemetry.reboots == 1
-    far.hear(heartbeat(mode=2 << 16))
+    far.update(heartbeat(mode=2 << 16))
     link.receive(2.6)
     assert link.telemetry.custom_mode == 2 << 16
 

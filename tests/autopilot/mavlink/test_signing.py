@@ -48,11 +48,11 @@ class Ear:
 
     def believes(self, *frames: bytes) -> bool:
         """Whether these frames, all together, had an effect."""
-        before, refused = self.link.telemetry.heard_s, self.gate.refused
+        before, refused = self.link.telemetry.received_s, self.gate.refused
         self.now_s = 0.0 if math.isinf(before) else before + 1.0
         self.far.inbox = b"".join(frames)
         self.link.receive(self.now_s)
-        changed = self.link.telemetry.heard_s != before
+        changed = self.link.telemetry.received_s != before
         assert changed == (self.gate.refused - refused < len(frames))
         return changed
 
@@ -226,7 +226,7 @@ def test_a_wall_clock_that_is_set_in_flight_is_not_felt_by_a_signed_link(
         rig.run(7.0)  # longer than the stamps' file is ahead of them
         assert rig.end.refused == refused
         assert len(rig.end.believed) - believed > 200, "it goes on being heard"
-        assert rig.clock.now_s() - rig.pilot._link.telemetry.heard_s < 0.15, "and hears"
+        assert rig.clock.now_s() - rig.pilot._link.telemetry.received_s < 0.15, "and hears"
     stamps = [Signature._stamp(frame) for frame in wire_bytes]
     assert all(after > before for before, after in itertools.pairwise(stamps))
     assert rig.autopilot.failsafes == []

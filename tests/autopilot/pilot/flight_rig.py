@@ -113,7 +113,7 @@ class Rig:
         self.wall_m = 9.0  # what the camera sees, in every cell
         self.pilot = self.new_pilot(log)
         self.intent: tuple[Goal, Trajectory | None] | None = (Goal.STANDBY, None)
-        self.said, self.unattended = "", False
+        self.said, self.operator_lost = "", False
         self.poses, self.health = True, PoseHealth.GOOD
         self.turn = 0
         self.track: list[tuple[float, FloatArray]] = []
@@ -170,7 +170,7 @@ class Rig:
             ranges = np.full((12, 16), self.wall_m, dtype=np.float32)
             self.channels.nearby.publish(MinRangeGrid(now, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
         if self.intent is not None and self.turn % 5 == 0:
-            self.channels.intent.publish(Intent(now, *self.intent, self.said, self.unattended))
+            self.channels.intent.publish(Intent(now, *self.intent, self.said, self.operator_lost))
         self.pilot.step()
         self.track.append((now, np.array(truth.position)))
         self.turn += 1

@@ -133,13 +133,13 @@ def test_a_retreat_begins_as_quickly_after_a_long_flight_as_after_a_short_one() 
 
 def test_as_far_as_can_be_flown_before_it_lands_it_is_the_whole_way() -> None:
     """A retreat ends in a landing after land_timeout_s: what lies beyond that much flight is not worked out."""
-    most_s = max(getattr(limit, "le", 0.0) for limit in SafetyConfig.model_fields["land_timeout_s"].metadata)
+    max_s = max(getattr(limit, "le", 0.0) for limit in SafetyConfig.model_fields["land_timeout_s"].metadata)
     places = serpentine(600)
     way = back(dropped(places), places[-1])
     assert trajectory_fault(way) == ""
-    assert way.duration_s >= most_s
+    assert way.duration_s >= max_s
     flown_m = np.linalg.norm(np.diff(way.position_m, axis=0), axis=1).sum()
-    assert flown_m == pytest.approx(0.9 * 0.3 * most_s, abs=0.3), "a little below the speed that is allowed"
+    assert flown_m == pytest.approx(0.9 * 0.3 * max_s, abs=0.3), "a little below the speed that is allowed"
     off_m = [np.linalg.norm(np.array(places) - place, axis=1).min() for place in way.position_m]
     assert max(off_m) < 0.15
     np.testing.assert_allclose(way.velocity_mps[-1], 0.0)

@@ -16,7 +16,7 @@ from uav_recon.autopilot.pilot.landing import Landing
 def _link(heartbeat_s: float, asked_s: list[float], lands: bool = False) -> Any:
     telemetry = SimpleNamespace(
         armed=True, on_ground_s=0.0, custom_mode=0, position_m=np.array([0.0, 0.0, 1.0]), heartbeat_s=heartbeat_s,
-        heard_s=100.0,
+        received_s=100.0,
     )  # fmt: skip
     firmware = SimpleNamespace(is_landing=lambda mode: lands, is_ours=lambda mode: True, land=(21, ()))
     return SimpleNamespace(telemetry=telemetry, firmware=firmware, command=lambda now_s, *order: asked_s.append(now_s))
@@ -36,7 +36,7 @@ def test_a_mode_from_before_a_silence_is_not_asked_away_however_long_it_waits() 
     link = _link(100.0, asked_s)
     for n in range(300):
         now_s = 100.6 + 0.01 * n
-        link.telemetry.heard_s = 100.0 if n < 50 else now_s  # it hears again, of all but the mode
+        link.telemetry.received_s = 100.0 if n < 50 else now_s  # it hears again, of all but the mode
         link.telemetry.heartbeat_s = 100.0 if n < 200 else 102.6
         landing.step(link, now_s)
     assert asked_s == [pytest.approx(102.6, abs=0.011)]

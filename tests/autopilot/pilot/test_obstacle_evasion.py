@@ -47,35 +47,35 @@ def evasion() -> ObstacleEvasion:
 
 
 def test_nothing_stops_a_vehicle_before_which_nothing_came(evasion: ObstacleEvasion) -> None:
-    evasion.hear(None)
+    evasion.update(None)
     assert not evasion.stops(1.0)
     assert evasion.why() == ""
 
 
 def test_much_of_it_stops_at_once_and_little_of_it_at_its_second_sight(evasion: ObstacleEvasion) -> None:
-    evasion.hear(_seen(1.0, 1.5, FEW))
+    evasion.update(_seen(1.0, 1.5, FEW))
     assert not evasion.stops(1.1)
-    evasion.hear(_seen(1.17, 1.5, FEW))
+    evasion.update(_seen(1.17, 1.5, FEW))
     assert evasion.stops(1.2)
     assert evasion.why() == "1.50 m from something that was not there"
 
 
 def test_two_sights_far_apart_are_two_first_ones(evasion: ObstacleEvasion) -> None:
-    evasion.hear(_seen(1.0, 1.5, FEW))
-    evasion.hear(_seen(1.6, 1.5, FEW))
+    evasion.update(_seen(1.0, 1.5, FEW))
+    evasion.update(_seen(1.6, 1.5, FEW))
     assert not evasion.stops(1.6)
 
 
 def test_the_same_sight_heard_twice_is_one(evasion: ObstacleEvasion) -> None:
     little = _seen(1.0, 1.5, FEW)
-    evasion.hear(little)
-    evasion.hear(little)
+    evasion.update(little)
+    evasion.update(little)
     assert not evasion.stops(1.0)
 
 
 @pytest.mark.parametrize(("away_m", "stops"), [(1.6, True), (1.61, False)])
 def test_what_stands_stops_within_a_metre_and_a_half(evasion: ObstacleEvasion, away_m: float, stops: bool) -> None:
-    evasion.hear(_seen(1.0, away_m))
+    evasion.update(_seen(1.0, away_m))
     assert evasion.stops(1.0) is stops
     assert evasion.stops(1.5) is stops
     assert not evasion.stops(1.51), "half a second old"
@@ -83,15 +83,15 @@ def test_what_stands_stops_within_a_metre_and_a_half(evasion: ObstacleEvasion, a
 
 @pytest.mark.parametrize(("away_m", "mps", "stops"), [(2.5, 0.3, True), (2.51, 0.3, False), (2.4, 0.2, False)])
 def test_what_comes_on_stops_from_farther_off(evasion: ObstacleEvasion, away_m: float, mps: float, stops: bool) -> None:
-    evasion.hear(_seen(1.0, away_m + 0.2 * mps))
-    evasion.hear(_seen(1.2, away_m))
+    evasion.update(_seen(1.0, away_m + 0.2 * mps))
+    evasion.update(_seen(1.2, away_m))
     assert evasion.stops(1.2) is stops
     assert (evasion.step_aside(REST, _situation(1.2)) is not None) is stops
 
 
 def test_a_step_aside_leads_out_of_its_way(evasion: ObstacleEvasion) -> None:
-    evasion.hear(_seen(1.0, 2.2))
-    evasion.hear(_seen(1.2, 2.04))
+    evasion.update(_seen(1.0, 2.2))
+    evasion.update(_seen(1.2, 2.04))
     way = evasion.step_aside(REST, _situation(1.2))
     assert isinstance(way, Trajectory)
     assert way.identifier == IDENTIFIER
@@ -104,8 +104,8 @@ def test_a_step_aside_leads_out_of_its_way(evasion: ObstacleEvasion) -> None:
 
 
 def test_a_step_aside_goes_where_it_is_known_free_and_inside_the_fence(evasion: ObstacleEvasion) -> None:
-    evasion.hear(_seen(1.0, 2.2))
-    evasion.hear(_seen(1.2, 2.04))
+    evasion.update(_seen(1.0, 2.2))
+    evasion.update(_seen(1.2, 2.04))
     left = np.ones(GRID.shape, np.bool_)
     left[:, 50:] = False  # y from 1 m on
     way = evasion.step_aside(REST, _situation(1.2, _free(left)))
@@ -127,8 +127,8 @@ def _cone(half_rad: float) -> BoolArray:
 def test_a_step_aside_does_not_lead_into_what_comes_on(
     evasion: ObstacleEvasion, half_deg: float, away_m: float, leads: bool
 ) -> None:
-    evasion.hear(_seen(1.0, away_m + 0.16))
-    evasion.hear(_seen(1.2, away_m))
+    evasion.update(_seen(1.0, away_m + 0.16))
+    evasion.update(_seen(1.2, away_m))
     way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(half_deg)))))
     assert isinstance(way, Trajectory) if leads else way == "nowhere to give way to"
 
@@ -137,7 +137,7 @@ def test_a_step_aside_does_not_lead_into_what_comes_on(
 def test_a_step_aside_reckons_with_all_that_is_seen_of_what_comes_on(evasion: ObstacleEvasion, left: float) -> None:
     wide = HERE + np.column_stack([np.full(MANY, 2.4), left * np.linspace(0.0, 1.2, MANY), np.zeros(MANY)])
     for stamp_s, nearer_m in ((1.0, 0.0), (1.2, 0.16)):
-        evasion.hear(SuddenObstacle(stamp_s, wide - np.array([nearer_m, 0.0, 0.0]), 2.4 - nearer_m))
+        evasion.update(SuddenObstacle(stamp_s, wide - np.array([nearer_m, 0.0, 0.0]), 2.4 - nearer_m))
     way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(90.0)))))
     assert isinstance(way, Trajectory)
     assert left * way.position_m[-1][1] < -0.8, "its nearest corner is straight ahead, and the rest of it to one side"
@@ -145,8 +145,8 @@ def test_a_step_aside_reckons_with_all_that_is_seen_of_what_comes_on(evasion: Ob
 
 def test_what_stands_is_not_given_way_to_while_the_vehicle_still_comes_nearer(evasion: ObstacleEvasion) -> None:
     box = np.tile(HERE + np.array([0.9, 0.0, 0.0]), (MANY, 1))
-    evasion.hear(SuddenObstacle(1.0, box, 1.1))  # seen from 0.2 m before the rest, then from 0.1 m
-    evasion.hear(SuddenObstacle(1.2, box, 1.0))
+    evasion.update(SuddenObstacle(1.0, box, 1.1))  # seen from 0.2 m before the rest, then from 0.1 m
+    evasion.update(SuddenObstacle(1.2, box, 1.0))
     assert evasion.stops(1.2)
     assert evasion.step_aside(REST, _situation(1.2)) is None
 
@@ -162,8 +162,8 @@ def _lane(half_m: float) -> BoolArray:
 def test_a_step_aside_keeps_the_room_of_planned_ways_where_there_is_any(
     evasion: ObstacleEvasion, half_m: float, sideways_m: float
 ) -> None:
-    evasion.hear(_seen(1.0, 2.2))
-    evasion.hear(_seen(1.2, 2.04))
+    evasion.update(_seen(1.0, 2.2))
+    evasion.update(_seen(1.2, 2.04))
     way = evasion.step_aside(REST, _situation(1.2, _free(_lane(half_m))))
     assert isinstance(way, Trajectory)
     assert abs(way.position_m[-1][1]) <= sideways_m + 1e-9
@@ -172,7 +172,7 @@ def test_a_step_aside_keeps_the_room_of_planned_ways_where_there_is_any(
 def test_a_step_aside_along_the_fence_keeps_inside_its_inset(evasion: ObstacleEvasion) -> None:
     here = np.array([0.0, 2.2, 1.1])
     for stamp_s, away_m in ((1.0, 2.2), (1.2, 2.04)):
-        evasion.hear(SuddenObstacle(stamp_s, np.tile(here - np.array([0.0, away_m, 0.0]), (MANY, 1)), away_m))
+        evasion.update(SuddenObstacle(stamp_s, np.tile(here - np.array([0.0, away_m, 0.0]), (MANY, 1)), away_m))
     way = evasion.step_aside(Setpoint.hold(here, 0.0), _situation(1.2))
     assert isinstance(way, Trajectory)
     assert way.position_m[-1][1] <= 2.6 + 1e-9, "0.1 m inside the inset, which ends at 2.7"

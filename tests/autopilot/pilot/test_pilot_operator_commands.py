@@ -79,10 +79,10 @@ def test_forged_heartbeats_of_a_ground_station_are_no_operator(hovering: Rig) ->
         hovering.tap.forged += b"".join(bytes(beat.pack(voice)) for voice in voices)
         hovering.run(0.1)
     assert hovering.pilot.phase is FlightPhase.FLYING
-    assert hovering.state.operator_heard_s == -math.inf
+    assert hovering.state.operator_received_s == -math.inf
     hovering.pilot.hear_operator()
     hovering.run(0.1)
-    assert hovering.state.operator_heard_s == pytest.approx(hovering.clock.now_s() - 0.1, abs=0.02)
+    assert hovering.state.operator_received_s == pytest.approx(hovering.clock.now_s() - 0.1, abs=0.02)
 
 
 def test_what_the_mission_has_to_tell_is_told_once_and_its_operators_hold_ends_with_him(hovering: Rig) -> None:
@@ -91,7 +91,7 @@ def test_what_the_mission_has_to_tell_is_told_once_and_its_operators_hold_ends_w
     hovering.said = "no operator for 5 s: returns after 30"
     hovering.run(3.0)
     assert hovering.track[-1][1][0] < 0.1, "a warning alone takes no hold away"
-    hovering.said, hovering.unattended = "no operator for 30 s: returning", True
+    hovering.said, hovering.operator_lost = "no operator for 30 s: returning", True
     hovering.run(way.duration_s + 2.0)
     way = hovering.fly((0.8, 0.0, 1.1), identifier=2)
     hovering.run(way.duration_s + 2.0)
@@ -100,7 +100,7 @@ def test_what_the_mission_has_to_tell_is_told_once_and_its_operators_hold_ends_w
     assert [text for text in texts if "no operator" in text] == [
         "no operator for 5 s: returns after 30", "no operator for 30 s: returning",
     ]  # fmt: skip
-    hovering.unattended = False
+    hovering.operator_lost = False
     hovering.pilot.request_hold(True)
     hovering.fly((0.0, 0.0, 1.1), identifier=3)
     hovering.run(3.0)

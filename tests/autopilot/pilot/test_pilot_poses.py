@@ -14,7 +14,7 @@ from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
 
-def under_way(rig: Rig, health: PoseHealth = PoseHealth.GOOD) -> float:
+def en_route(rig: Rig, health: PoseHealth = PoseHealth.GOOD) -> float:
     """In the middle of a way out along x, poses are of that health from now on; when that is."""
     rig.fly((2.5, 0.0, 1.1), identifier=2)
     rig.run(2.5)
@@ -33,7 +33,7 @@ def test_poses_are_stamped_on_the_autopilots_clock(hovering: Rig) -> None:
 
 
 def test_lost_poses_hold_then_land(hovering: Rig) -> None:
-    lost_s, hovering.poses = under_way(hovering), False
+    lost_s, hovering.poses = en_route(hovering), False
     hovering.run(0.3)
     assert hovering.pilot.phase is FlightPhase.FLYING
     hovering.until(FlightPhase.LANDING, 1.2)
@@ -48,7 +48,7 @@ def test_lost_poses_hold_then_land(hovering: Rig) -> None:
 
 def test_a_pose_that_is_lost_but_told_holds_at_once_and_lands(hovering: Rig) -> None:
     """Odometry goes on, carried by the IMU: the autopilot is fed, nobody flies on it."""
-    lost_s = under_way(hovering, PoseHealth.LOST)
+    lost_s = en_route(hovering, PoseHealth.LOST)
     hovering.until(FlightPhase.LANDING, 1.2)
     assert hovering.tap.since(lost_s + 0.1)["ODOMETRY"] > 10
     times, places = setpoints(hovering, lost_s + 0.7)
@@ -60,7 +60,7 @@ def test_a_pose_that_is_wrong_lands_once_it_rests(hovering: Rig) -> None:
     """To stand still by it is to move with its error, and the autopilot does so while it comes down. Told to land in motion it
     would look for its own place to stop, 0.6 s and more farther on.
     """
-    wrong_s = under_way(hovering, PoseHealth.WRONG)
+    wrong_s = en_route(hovering, PoseHealth.WRONG)
     times, places = setpoints(hovering, wrong_s - 0.2)
     assert np.linalg.norm(places[1] - places[0]) / (times[1] - times[0]) > 0.3, "under way"
     hovering.until(FlightPhase.LANDING, 0.6)
@@ -73,7 +73,7 @@ def test_a_pose_that_is_wrong_lands_once_it_rests(hovering: Rig) -> None:
 
 
 def test_with_a_degraded_pose_nothing_fast_is_flown(hovering: Rig) -> None:
-    slow_s = under_way(hovering, PoseHealth.DEGRADED)
+    slow_s = en_route(hovering, PoseHealth.DEGRADED)
     hovering.run(2.0)
     assert hovering.pilot.phase is FlightPhase.FLYING
     times, places = setpoints(hovering, slow_s + 1.0)
@@ -141,7 +141,7 @@ class Late:
 
 def test_poses_that_no_clock_lets_us_feed_hold_then_land(hovering: Rig) -> None:
     """One answer contradicts, none comes to clear it up: the autopilot hears of no pose, however good ours are."""
-    doubt_s, clock = under_way(hovering), hovering.pilot._link._timesync
+    doubt_s, clock = en_route(hovering), hovering.pilot._link._timesync
     now_ns = int(doubt_s * 1e9)
     clock.observe(now_ns - 10_000_000, clock.autopilot_ns(doubt_s) + 300_000_000, now_ns)
     hovering.tap._inner = Late(hovering)

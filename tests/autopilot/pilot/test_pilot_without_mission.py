@@ -217,9 +217,9 @@ def test_over_a_slow_link_it_is_flown_slowly(hovering: Rig) -> None:
         return b"".join(due)
 
     hovering.tap.read = slowly  # type: ignore[method-assign]
-    assert hovering.state.most_mps == math.inf
+    assert hovering.state.max_speed_mps == math.inf
     hovering.run(3.0)
-    assert hovering.state.most_mps == 0.3
+    assert hovering.state.max_speed_mps == 0.3
     assert any(
         "the link is slow: there and back takes 0.3" in str(m.text)
         for _, m in hovering.tap.sent
@@ -232,5 +232,5 @@ def test_over_a_slow_link_it_is_flown_slowly(hovering: Rig) -> None:
     assert hovering.px4.truth().position[0] < 0.5
     hovering.tap.read = read  # type: ignore[method-assign]
     hovering.run(13.0)
-    assert hovering.state.most_mps == math.inf
+    assert hovering.state.max_speed_mps == math.inf
     assert hovering.pilot.phase is FlightPhase.FLYING

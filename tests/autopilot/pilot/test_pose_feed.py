@@ -42,16 +42,16 @@ def test_the_autopilot_hears_of_a_jump_that_the_source_did_not_count(resets: int
     """Perception was started again, counts from where it did, and its odom lies 0.4 m beside the old one."""
     odom = MemoryChannel(StampedPose)
     feed, fed = _feed(odom)
-    anew = []
+    again = []
     for n in range(90):
         t = n * STEP_S
         odom.publish(_pose(t, 0.4 * (n >= 30), resets))
-        anew.append(feed.step(t + 0.01))
+        again.append(feed.step(t + 0.01))
     steps = [(b.odom_from_body.translation_m[0] - a.odom_from_body.translation_m[0]) for a, b in itertools.pairwise(fed)]
     counted = [b.reset_counter - a.reset_counter for a, b in itertools.pairwise(fed)]
     assert max(steps) == pytest.approx(0.4)
     assert [step % 256 for step in counted] == [int(step > 0.1) for step in steps]
-    assert sum(anew) == 1
+    assert sum(again) == 1
     assert feed.pose is not None
     assert feed.pose.reset_counter == resets
 

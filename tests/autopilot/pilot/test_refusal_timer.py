@@ -24,7 +24,7 @@ def heard(vain: RefusalTimer, seconds: float, now_s: float, refusals: int = 0, m
     """The same for a while; the instant at which it ends."""
     for _ in range(round(seconds / TICK_S)):
         now_s += TICK_S
-        vain.heed(refusals, moving, now_s)
+        vain.update(refusals, moving, now_s)
     return now_s
 
 

@@ -23,8 +23,8 @@ def test_memory_disk_and_views_stay_bounded(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(sitl.apps.flight_judge, "truth_cut", quick_cut)
     monkeypatch.setattr(seeded_views, "TRUTH_POINTS", 30_000)
     monkeypatch.setattr(training_run, "SAMPLES", 30_000)
-    monkeypatch.setattr(keyframe_buffer, "MOST_VIEWS", 16)
-    monkeypatch.setattr(endurance, "MOST_VIEWS", 16)
+    monkeypatch.setattr(keyframe_buffer, "MAX_VIEWS", 16)
+    monkeypatch.setattr(endurance, "MAX_VIEWS", 16)
     monkeypatch.setattr(keyframe_buffer, "KEPT_VIEWS", 12)
     written = tmp_path / "result.json"
     code, out, errors = bench("--views", "8", "--hours", "0.02", "--steps-per-view", "2", "--json", str(written))

@@ -13,7 +13,7 @@ from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.free_space.subvoxel_clearance import SIDES2
 from uav_recon.planning.frontier.frontiers import Frontiers
-from uav_recon.planning.frontier.view_cache import MOST_BLOCKERS, targets
+from uav_recon.planning.frontier.view_cache import MAX_BLOCKERS, targets
 from uav_recon.planning.frontier.view_search import ROOM, _ranked, best_view
 from uav_recon.planning.frontier.visibility_bound import BOOK
 from uav_recon.planning.view_sampling import explore_shell
@@ -42,7 +42,7 @@ def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: Ca
     oracle = view_oracle.Lens(tan_h, tan_v, lens[2], lens[3], camera.pitch_min_rad, camera.pitch_max_rad)
     reachable, shares = space.reachable[1:-1, 1:-1, 1:-1] > 0, []
     closed, off_centre = np.argwhere(voxels.state != FREE) + 0.5, 0
-    asked, blockers = np.zeros(len(shell.offsets) + ROOM, dtype=np.int32), np.zeros(MOST_BLOCKERS, dtype=np.int32)
+    asked, blockers = np.zeros(len(shell.offsets) + ROOM, dtype=np.int32), np.zeros(MAX_BLOCKERS, dtype=np.int32)
     for row in frontiers.rows():
         points, first = targets(frontiers.faces, frontiers.flat(int(row)))
         view, seen, asks, hidden, boxes = best_view(
@@ -50,7 +50,7 @@ def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: Ca
             shell.ends, shell.places, frontiers.table.centre[row], points, first, asked, blockers,
         )  # fmt: skip
         assert asks <= len(asked)
-        assert hidden < MOST_BLOCKERS
+        assert hidden < MAX_BLOCKERS
         assert len(set(blockers[:hidden].tolist())) == hidden
         assert (voxels.distance2.reshape(-1)[blockers[:hidden]] == 0).all()
         assert (space.reachable.reshape(-1)[np.where(asked[:asks] >= 0, asked[:asks], ~asked[:asks])] > 0).tolist() == (
@@ -82,4 +82,4 @@ def test_places_that_promise_most_come_first_and_equal_ones_in_their_order() -> 
 
 
 def test_the_table_of_blockers_has_room_for_all_that_are_kept() -> None:
-    assert MOST_BLOCKERS < BOOK
+    assert MAX_BLOCKERS < BOOK

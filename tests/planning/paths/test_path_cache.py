@@ -182,12 +182,12 @@ def test_what_is_remembered_is_what_would_be_found_anew(seed: int) -> None:
         tasks = np.concatenate([tasks[open_still][:9], chosen[:1] + 0.5, chosen[1:] + rng.random((2, 3))])
         before = ways._known.kept.sum()
         ways.update(exit_cells, start, tasks)
-        anew = PathCache(space)
-        anew.update(exit_cells, start, tasks)
-        np.testing.assert_array_equal(ways.lengths_m, anew.lengths_m)
-        np.testing.assert_array_equal(ways.departures, anew.departures)
+        again = PathCache(space)
+        again.update(exit_cells, start, tasks)
+        np.testing.assert_array_equal(ways.lengths_m, again.lengths_m)
+        np.testing.assert_array_equal(ways.departures, again.departures)
         i, j = rng.integers(0, len(tasks) + 1, 2)
-        np.testing.assert_array_equal(ways.way_world(int(i), int(j)), anew.way_world(int(i), int(j)))
+        np.testing.assert_array_equal(ways.way_world(int(i), int(j)), again.way_world(int(i), int(j)))
         remembered += int(before > 0)
     assert remembered > 15
 

@@ -13,14 +13,14 @@ class AutopilotIdentity:
 
     def __init__(self, wanted: str = "") -> None:
         self._wanted, self._uid = wanted, ""
-        self._heard_s = self._asked_s = -math.inf
+        self._received_s = self._asked_s = -math.inf
         self._asks = False
         self.fault = ""  # why it is not the one that we fly
 
-    def hear(self, now_s: float, doubtful: bool) -> None:
+    def update(self, now_s: float, doubtful: bool) -> None:
         """The autopilot speaks. doubtful: with another clock than before."""
-        self._asks = self._asks or doubtful or _SILENCE_S < now_s - self._heard_s < math.inf
-        self._heard_s = now_s
+        self._asks = self._asks or doubtful or _SILENCE_S < now_s - self._received_s < math.inf
+        self._received_s = now_s
 
     def told(self, uid: str) -> None:
         """What it answers, '' for nothing."""

@@ -17,7 +17,7 @@ _STAMPED = (31, 32)  # ATTITUDE_QUATERNION and LOCAL_POSITION_NED begin with mil
 _WRAP_S = 2.0**32 / 1000.0
 _APART_S = 0.8  # clocks farther apart are two; frames of one come half a second late at most
 _LIVED_S, _SILENT_S = 0.6, 0.4  # a clock heard for longer, and not silent for longer: longer than frames of a restart mix
-_MOST_CLOCKS = 3
+_MAX_CLOCKS = 3
 _CHANGES, _WITHIN_S = 6, 3.0  # of a mode: frames that are 0.3 s late make five of one switch
 _AGAIN_S = 1.0
 _CALM_S = 2.0
@@ -30,7 +30,7 @@ class _BootClock:
 
     ahead_s: float
     first_s: float
-    heard_s: float
+    received_s: float
 
 
 class DuplicateAutopilotDetector:
@@ -44,14 +44,14 @@ class DuplicateAutopilotDetector:
         self._told_s: dict[tuple[bool, int], float] = {}
         self._seen_s = -math.inf
 
-    def hear(self, received: Received, now_s: float) -> None:
+    def update(self, received: Received, now_s: float) -> None:
         """One frame that the gate let in."""
         if isinstance(received.message, Heartbeat):
             self._hear_state(received.message, received.frame, now_s)
         elif kind_of(received.frame) in _STAMPED:
             self._hear_clock(int.from_bytes(payload_of(received.frame)[:4], "little") / 1000.0 - now_s, now_s)
 
-    def speaks(self, now_s: float) -> bool:
+    def detected(self, now_s: float) -> bool:
         """Whether there are two, now or within the last two seconds."""
         return now_s - self._seen_s <= _CALM_S
 
@@ -62,15 +62,15 @@ class DuplicateAutopilotDetector:
         return [state for state, at_s in self._told_s.items() if now_s - at_s < _TOLD_S]
 
     def _hear_clock(self, ahead_s: float, now_s: float) -> None:
-        self._clocks = [clock for clock in self._clocks if now_s - clock.heard_s <= _SILENT_S]
+        self._clocks = [clock for clock in self._clocks if now_s - clock.received_s <= _SILENT_S]
         mine = [clock for clock in self._clocks if abs(math.remainder(clock.ahead_s - ahead_s, _WRAP_S)) <= _APART_S]
         if mine:
-            mine[0].ahead_s, mine[0].heard_s = ahead_s, now_s
+            mine[0].ahead_s, mine[0].received_s = ahead_s, now_s
         else:
             self._clocks.append(_BootClock(ahead_s, now_s, now_s))
         settled = sum(now_s - clock.first_s >= _LIVED_S for clock in self._clocks)
-        if settled > 1 or len(self._clocks) > _MOST_CLOCKS:
-            self._clocks, self._seen_s = self._clocks[-_MOST_CLOCKS:], now_s
+        if settled > 1 or len(self._clocks) > _MAX_CLOCKS:
+            self._clocks, self._seen_s = self._clocks[-_MAX_CLOCKS:], now_s
 
     def _hear_state(self, message: Heartbeat, frame: bytes, now_s: float) -> None:
         state = message.armed, message.custom_mode

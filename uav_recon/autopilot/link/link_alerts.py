@@ -39,7 +39,7 @@ class LinkAlerts:
         self._alarms: dict[str, str] = {}  # by kind: its first, until it is told
         self._told: set[str] = set()
 
-    def hear(self, received: Received) -> None:
+    def update(self, received: Received) -> None:
         """A frame that was not let in."""
         who = f"intruder: system {received.system}, component {received.component}"
         if (received.system, received.component) == self._own:

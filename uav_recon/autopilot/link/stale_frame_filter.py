@@ -22,7 +22,7 @@ class StaleFrameFilter:
         self._said: dict[int, bytes] = {}  # by kind: the newest payload
         self._taken: dict[int, tuple[int, float]] = {}  # by kind: the number of the newest, and when it came
 
-    def is_news(self, frame: bytes, now_s: float) -> bool:
+    def is_newest(self, frame: bytes, now_s: float) -> bool:
         """Whether a whole MAVLink 2 frame says something newer than all of its kind before it."""
         kind, half = kind_of(frame), _NUMBERS // 2
         if self._is_copy(frame, now_s) and payload_of(frame) != self._said[kind]:

@@ -95,7 +95,7 @@ class VehicleLink:
             self._log.record(now_s, received.frame)
             self._hear(received, now_s)
         self._notice_slowness(now_s)
-        self.telemetry.doubled = self._double.speaks(now_s)
+        self.telemetry.doubled = self._double.detected(now_s)
         if self.telemetry.doubled:
             self.intrusions.note(TWO)
         if self._decoder.mavlink1_frames > old_frames:
@@ -114,7 +114,7 @@ class VehicleLink:
         """Our heartbeat, and the question for the autopilot's clock. No heartbeat while we are deaf: one that lands only when
         it takes us for dead (ArduPilot, two seconds later) is to land before the vehicle is given up for lost.
         """
-        deaf = -math.inf < self.telemetry.heard_s < now_s - _DEAF_S
+        deaf = -math.inf < self.telemetry.received_s < now_s - _DEAF_S
         if self._heartbeat.due(now_s) and not (self.mute or deaf):
             self._send(self._encoder.heartbeat(), now_s)
         if self.telemetry.system and (self._resync if self._timesync.lost else self._sync).due(now_s):
@@ -199,10 +199,10 @@ class VehicleLink:
         t, message = self.telemetry, received.message
         if (received.system, received.component) == self._own:
             t.twin_heard = True
-            self.intrusions.hear(received)
+            self.intrusions.update(received)
             return
         if not self._gate.admits(received):
-            self.intrusions.hear(received)
+            self.intrusions.update(received)
             return
         from_autopilot = self._gate.is_autopilot(received)
         if isinstance(message, Heartbeat) and from_autopilot and message.autopilot != NOT_AN_AUTOPILOT:
@@ -210,13 +210,13 @@ class VehicleLink:
         if t.system == 0 or message is None:
             return
         if from_autopilot:
-            self._double.hear(received, now_s)
+            self._double.update(received, now_s)
             dated = isinstance(message, TimesyncMessage) and message.tc1_ns != 0  # its round trip tells how late it is
-            if not self._succession.is_news(received.frame, now_s) and not (dated or t.doubled):  # of two, nobody's is older
+            if not self._succession.is_newest(received.frame, now_s) and not (dated or t.doubled):  # of two, nobody's is older
                 t.stale_frames += 1
                 return
-            t.heard_s = now_s
-            self._identity.hear(now_s, self._timesync.lost)
+            t.received_s = now_s
+            self._identity.update(now_s, self._timesync.lost)
             self._take(message, now_s)
         elif isinstance(message, GimbalAttitude):
             t.camera_pitch_down_rad = message.pitch_down_rad

@@ -10,7 +10,7 @@ from uav_recon.autopilot.mavlink.messages import Heartbeat, Received
 from uav_recon.autopilot.mavlink.signing import NullSigner, Signer
 
 NOT_AN_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
-_MOST_NAMES = 32
+_MAX_NAMES = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class AllowListFilter:
     def refuse(self, who: str, times: int = 1) -> None:
         """Somebody was not let in. The log names each once, and no more than a screenful: a forger has names without end."""
         self.refused += times
-        if times and who not in self._named and len(self._named) < _MOST_NAMES:
+        if times and who not in self._named and len(self._named) < _MAX_NAMES:
             self._named.add(who)
             logging.getLogger(__name__).warning("link: %s: not listened to", who)
 

@@ -22,7 +22,7 @@ from uav_recon.clock import ThreadExecutor
 from uav_recon.interfaces import Clock
 
 KEY_BYTES = 32
-_MOST_BYTES = 1024
+_MAX_BYTES = 1024
 _SHORTEST_PHRASE = 8
 _TAIL = 13  # link id, time, signature
 _HASH = 6
@@ -136,7 +136,7 @@ def read_key(path: Path) -> bytes:
         raise KeyFileError(f"signing_key {path}: cannot be read ({error.strerror})") from None
     try:
         mode = os.fstat(file).st_mode
-        content = os.read(file, _MOST_BYTES + 1) if stat.S_ISREG(mode) else b""
+        content = os.read(file, _MAX_BYTES + 1) if stat.S_ISREG(mode) else b""
     finally:
         os.close(file)
     if not stat.S_ISREG(mode):
@@ -144,7 +144,7 @@ def read_key(path: Path) -> bytes:
     if mode & 0o077:
         raise KeyFileError(f"signing_key {path}: permissions {mode & 0o777:04o}, want 0600: others may read or change the key")
     phrase = _phrase(content)
-    if phrase is not None and len(phrase) <= _MOST_BYTES:
+    if phrase is not None and len(phrase) <= _MAX_BYTES:
         if len(phrase) < _SHORTEST_PHRASE:
             raise KeyFileError(f"signing_key {path}: a passphrase of {len(phrase)} bytes, want {_SHORTEST_PHRASE} at least")
         return hashlib.sha256(phrase).digest()

@@ -18,7 +18,7 @@ class Telemetry:
     """The newest word of the autopilot. Instants are ours; -inf = never."""
 
     system: int = 0  # MAVLink system id of the vehicle; 0 = nobody heard
-    heard_s: float = -math.inf
+    received_s: float = -math.inf
     heartbeat_s: float = -math.inf
     firmware_family: int = 0  # MAV_AUTOPILOT
     armed: bool = False

@@ -13,7 +13,7 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 IDENTIFIER = -2  # of the pilot's own trajectory; a mission counts from one
 
 _APART_M = 0.2
-_MOST = 5000  # a kilometre; beyond it the older half is forgotten
+_MAX = 5000  # a kilometre; beyond it the older half is forgotten
 _LONGEST_S = 60.0  # of a way: a retreat ends in a landing after land_timeout_s, which is no longer than this
 _STEP_S = 0.05
 _SMOOTH_S = 0.4  # width of each of two box averages: speed over width bounds the acceleration
@@ -26,16 +26,16 @@ class Breadcrumbs:
     """Places (odom, m) where the vehicle was in flight, and the way back along them."""
 
     def __init__(self) -> None:
-        self._places_m, self._count = np.empty((_MOST, 3)), 0  # oldest first
+        self._places_m, self._count = np.empty((_MAX, 3)), 0  # oldest first
 
     def drop(self, odom_from_body: Pose) -> None:
         """Note where the vehicle is."""
         place_m, places_m, count = odom_from_body.translation_m, self._places_m, self._count
         if count and math.hypot(*(place_m - places_m[count - 1]).tolist()) <= _APART_M:
             return
-        if count == _MOST:
-            count = _MOST // 2
-            places_m[:count] = places_m[_MOST - count :]
+        if count == _MAX:
+            count = _MAX // 2
+            places_m[:count] = places_m[_MAX - count :]
         places_m[count] = place_m
         self._count = count + 1
 
@@ -56,12 +56,12 @@ class Breadcrumbs:
         corners = self._corners(rest.position_m, height_m, _SHARE * speed_mps * _LONGEST_S)
         return flown(corners, rest, start_s, speed_mps, map_epoch, nose_first, IDENTIFIER)
 
-    def _corners(self, place_m: FloatArray, height_m: float, most_m: float) -> FloatArray:
-        """From a place (3,), newest first, without loops and without the climb, until they are most_m long: (N, 3)."""
+    def _corners(self, place_m: FloatArray, height_m: float, max_m: float) -> FloatArray:
+        """From a place (3,), newest first, without loops and without the climb, until they are max_m long: (N, 3)."""
         places_m = self._places_m[: self._count]
         high = places_m[:, 2] >= height_m
         places_m = places_m[int(np.argmax(high)) if high.any() else len(places_m) :]
-        corners, left_m = [place_m], most_m
+        corners, left_m = [place_m], max_m
         while len(places_m) and left_m > 0.0:
             off_m = places_m - place_m
             near = np.einsum("ij,ij->i", off_m, off_m) <= (1.5 * _APART_M) ** 2
@@ -73,12 +73,12 @@ class Breadcrumbs:
 
 
 def flown(
-    corners: FloatArray, rest: Setpoint, start_s: float, most_mps: float, map_epoch: int, nose_first: bool, identifier: int
+    corners: FloatArray, rest: Setpoint, start_s: float, max_speed_mps: float, map_epoch: int, nose_first: bool, identifier: int
 ) -> Trajectory:
-    """Corners (N, 3) a little below most_mps, slower while it turns towards the first leg, smoothed. It goes at once: who
+    """Corners (N, 3) a little below max_speed_mps, slower while it turns towards the first leg, smoothed. It goes at once: who
     waits for the turn begins late.
     """
-    speed_mps = _SHARE * most_mps
+    speed_mps = _SHARE * max_speed_mps
     along_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     samples_m = np.append(np.arange(0.0, along_m[-1], speed_mps * _STEP_S), along_m[-1])
     line = np.column_stack([np.interp(samples_m, along_m, corners[:, n]) for n in range(3)])
@@ -115,8 +115,8 @@ def _bearings(line: FloatArray, yaw_rad: float) -> list[float]:
 
 def _followed(bearings: list[float], yaw_rad: float) -> list[float]:
     """Headings after these bearings, unwrapped, turning no faster than _TURN_RADPS."""
-    out, most_rad = [], _TURN_RADPS * _STEP_S
+    out, max_rad = [], _TURN_RADPS * _STEP_S
     for bearing in bearings:
-        yaw_rad += min(max(math.remainder(bearing - yaw_rad, math.tau), -most_rad), most_rad)
+        yaw_rad += min(max(math.remainder(bearing - yaw_rad, math.tau), -max_rad), max_rad)
         out.append(yaw_rad)
     return out

@@ -62,7 +62,7 @@ class ControlAuthority:
             return yielded(t.stranger, abandoned=True)
         if phase in IN_THE_AIR and rebooted:
             return yielded("the autopilot restarted in flight")
-        if phase in IN_THE_AIR and now_s - t.heard_s > _LINK_LOST_S:
+        if phase in IN_THE_AIR and now_s - t.received_s > _LINK_LOST_S:
             return yielded("the autopilot is silent", abandoned=True)
         if phase is not FlightPhase.FLYING:
             return None
@@ -79,7 +79,7 @@ class ControlAuthority:
         ours = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s > _BACK_S
         return f"{self._firmware.mode_name(t.custom_mode)}: nobody flies, choose another mode" if ours else ""
 
-    def unattended(self, t: Telemetry, now_s: float) -> ControlLoss | None:
+    def operator_lost(self, t: Telemetry, now_s: float) -> ControlLoss | None:
         """Of a vehicle that was yielded: where the mode that it was yielded to was forged, nobody flies it. A human's mode
         outlives our heartbeats.
         """

@@ -79,7 +79,7 @@ class Landing:
         """Whether no human can have taken over unseen: the mode was told this instant, or is not told often; and since the last
         silence and request.
         """
-        if now_s - t.heard_s > _HEARD_S:
+        if now_s - t.received_s > _HEARD_S:
             self._deaf_s = now_s
         self._wait_s = min(self._wait_s, now_s)
         waited = now_s - self._wait_s >= _MODE_WAIT_S

@@ -20,12 +20,12 @@ class MissionInput:
         self._channel, self._fresh_s = intent, fresh_s
         self._intent: Intent | None = None
         self._wanted_s = -math.inf  # stamp of its last wish
-        self._forsaken: Key | None = None  # malformed, turned down, or made in an odom that is no more
+        self._rejected: Key | None = None  # malformed, turned down, or made in an odom that is no more
         self.trajectory: Trajectory | None = None
         self.news = self._told = ""  # what it has to tell people, once: '' in every other turn
         self.malformed = 0
 
-    def hear(self, now_s: float) -> str:
+    def update(self, now_s: float) -> str:
         """Take over the newest intent; why its trajectory cannot be flown, once, '' if it can."""
         self.news = ""
         try:
@@ -41,18 +41,18 @@ class MissionInput:
         if trajectory is None:
             self.trajectory = None
             return ""
-        if _key(trajectory) in (_key(self.trajectory), self._forsaken):
+        if _key(trajectory) in (_key(self.trajectory), self._rejected):
             return ""
         fault = trajectory_fault(trajectory)
         self.trajectory = trajectory
         if fault:
-            self.forsake()
+            self.reject_trajectory()
             self.malformed += 1
         return fault
 
-    def forsake(self) -> None:
+    def reject_trajectory(self) -> None:
         """Fly this trajectory no more: the mission has to propose another one."""
-        self._forsaken, self.trajectory = _key(self.trajectory) or self._forsaken, None  # twice is not never
+        self._rejected, self.trajectory = _key(self.trajectory) or self._rejected, None  # twice is not never
 
     def age_s(self, now_s: float) -> float:
         """Seconds since the mission last wanted anything, infinity before the first.
@@ -61,9 +61,9 @@ class MissionInput:
         """
         return now_s - self._wanted_s
 
-    def unattended(self, now_s: float) -> bool:
+    def operator_lost(self, now_s: float) -> bool:
         """Whether a mission that is not silent says that nobody attends any more."""
-        return self._intent is not None and self.age_s(now_s) <= self._fresh_s and self._intent.unattended
+        return self._intent is not None and self.age_s(now_s) <= self._fresh_s and self._intent.operator_lost
 
     def goal(self, now_s: float) -> Goal:
         """What a mission that is not silent wants, STANDBY otherwise."""

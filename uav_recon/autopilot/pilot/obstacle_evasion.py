@@ -37,7 +37,7 @@ class ObstacleEvasion:
         self._guard = guard
         self._heard: list[SuddenObstacle] = []
 
-    def hear(self, intruder: SuddenObstacle | None) -> None:
+    def update(self, intruder: SuddenObstacle | None) -> None:
         """What the newest depth frame showed, None for nothing."""
         if intruder is not None and not (self._heard and self._heard[-1] is intruder):
             self._heard = [*self._heard[-3:], intruder]

@@ -106,7 +106,7 @@ class Pilot:
         self._grounded = ""  # why the take-off is no good
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
         self._land_wanted, self._held, self._operator_s = "", False, -math.inf
-        self._anew_s = math.inf  # since when the flight goes on in another odom than it began in
+        self._again_s = math.inf  # since when the flight goes on in another odom than it began in
 
     def step(self) -> None:
         """One turn: listen, feed, judge, act, stream, tell."""
@@ -154,20 +154,20 @@ class Pilot:
             self._note = "pose source was reset: holding"
             self._steering.rebase(self._aware.situation(now_s), _RESET_REST_S)
             self._lookout.forget()
-            self._anew_s = min(self._anew_s, now_s) if self.in_flight else math.inf
+            self._again_s = min(self._again_s, now_s) if self.in_flight else math.inf
         self._lookout.step(self._poses.pose, now_s)
         if self.phase in IN_THE_AIR:  # what passes while it arms is none of its business: it stands, and gives way to nobody
-            self._steering.evasion.hear(self._lookout.intruder)
-        fault = self._mandate.hear(now_s)
+            self._steering.evasion.update(self._lookout.intruder)
+        fault = self._mandate.update(now_s)
         if fault:
             self._note = f"refused: {fault}"
-        self._held = self._held and not self._mandate.unattended(now_s)
+        self._held = self._held and not self._mandate.operator_lost(now_s)
         self._may_arm = self._may_arm or self._mandate.goal(now_s) is not Goal.FLY
 
     def _judge(self, now_s: float) -> None:
         loss = self._authority.watch(self.phase, self._link.telemetry, now_s)
         if self.phase is FlightPhase.YIELDED and not self._link.mute:
-            loss = self._authority.unattended(self._link.telemetry, now_s)
+            loss = self._authority.operator_lost(self._link.telemetry, now_s)
             self._note = self._authority.given_back(self._link.telemetry, now_s) or self._note
         if loss is not None:
             self._lose(loss)
@@ -190,7 +190,7 @@ class Pilot:
         if phase is FlightPhase.LANDING:
             self._landing = Landing(landing_seen, lifted=self._lift_off is None or self._lift_off.lifted)
         if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
-            self._mandate.forsake()
+            self._mandate.reject_trajectory()
 
     def _lose(self, loss: ControlLoss) -> None:
         self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
@@ -220,7 +220,7 @@ class Pilot:
             if blocked:
                 self._abandon_arming(f"take-off refused: {blocked}")
                 return
-            self._anew_s = math.inf
+            self._again_s = math.inf
             self._link.intrusions.begin()
             self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
             self._lift_off = TakeoffMonitor(float(self._link.telemetry.position_m[2]))
@@ -254,7 +254,7 @@ class Pilot:
 
     def _fly(self, now_s: float) -> None:
         wanted = "the mission asks to land" if self._mandate.goal(now_s) is Goal.LAND else ""
-        wanted = _ANEW if now_s - self._anew_s >= _RESET_REST_S else wanted
+        wanted = _ANEW if now_s - self._again_s >= _RESET_REST_S else wanted
         wanted = f"take-off given up: {self._grounded}" if self._grounded else wanted
         blocked = ": ".join(filter(None, (self._low, self._steering.blocked))) if self._steering.blocked else ""
         why = self._land_wanted or (self._low if self._rung is FailsafeAction.LAND else "") or blocked or wanted
@@ -278,10 +278,10 @@ class Pilot:
         landing = self.phase is FlightPhase.LANDING and self._landing is not None and not self._landing.seen
         if not (arming or landing or self.phase is FlightPhase.FLYING):
             return
-        linked = now_s - self._link.telemetry.heard_s <= _LINK_HOLD_S
+        linked = now_s - self._link.telemetry.received_s <= _LINK_HOLD_S
         steered = linked and not self._held and self.phase is FlightPhase.FLYING
         cleared, refusal = self._steering.steer(self._rung if steered else FailsafeAction.HOLD, self._aware.situation(now_s))
-        self._in_vain.heed(self._aware.refusals, self._steering.moves, now_s)
+        self._in_vain.update(self._aware.refusals, self._steering.moves, now_s)
         if refusal is not None:
             self._note = f"refused: {refusal.reason}"
         if self._lift_off is not None and self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:
@@ -291,11 +291,11 @@ class Pilot:
     def _tell(self, now_s: float) -> None:
         if self.phase in (FlightPhase.CONNECTING, FlightPhase.READY):
             return
-        aloft = self.phase in IN_THE_AIR
-        news = [*self._link.intrusions.news(), *([self._mandate.news] if aloft and self._mandate.news else [])]
+        airborne = self.phase in IN_THE_AIR
+        news = [*self._link.intrusions.news(), *([self._mandate.news] if airborne and self._mandate.news else [])]
         for words in news:
             self._herald.say(words, now_s)
-        if aloft and news:
+        if airborne and news:
             self._note = news[-1]
         self._herald.step(self._note, now_s)
 

@@ -50,12 +50,12 @@ class PoseFeed:
         if not verdict.good:
             self.refused += 1
             return False
-        if verdict.anew and self.pose is not None:
+        if verdict.again and self.pose is not None:
             self._uncounted += pose.reset_counter == self.pose.reset_counter
         self.pose = pose
         self.sound_s = self.sound_s if pose.health in _UNSOUND else pose.stamp_s
         self._link.feed_pose(replace(pose, reset_counter=(pose.reset_counter + self._uncounted) % 256), now_s)
-        return verdict.anew
+        return verdict.again
 
     def _why(self, health: PoseHealth) -> str:
         return self.pose.why if self.pose is not None and self.pose.health is health else ""

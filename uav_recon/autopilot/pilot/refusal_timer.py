@@ -20,7 +20,7 @@ class RefusalTimer:
         """Seconds for which refusals have come, however seldom, and no motion between them."""
         return max(self._last_s - self._first_s, 0.0)
 
-    def heed(self, refusals: int, moving: bool, now_s: float) -> None:
+    def update(self, refusals: int, moving: bool, now_s: float) -> None:
         """refusals: so far. moving: a motion that leads somewhere is flown at this instant."""
         self._moving_since_s = min(self._moving_since_s, now_s) if moving else math.inf
         if now_s - self._moving_since_s >= _MOTION_S or now_s - self._last_s > self._quiet_s:

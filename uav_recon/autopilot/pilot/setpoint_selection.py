@@ -27,7 +27,7 @@ _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends t
 
 
 class SetpointSelector:
-    """Keeps the breadcrumbs. ``blocked``: why there is no way back or aside any more, '' while there is one. ``gave_way``
+    """Keeps the breadcrumbs. ``blocked``: why there is no way back or aside any more, '' while there is one. ``evasions``
     counts what was not flown on because something stood there all of a sudden, and each step aside. ``moves``: the newest
     setpoint is of a motion, and not of a hold.
     """
@@ -46,7 +46,7 @@ class SetpointSelector:
         self._aside: Trajectory | None = None
         self._giving = False  # something near decides what is flown
         self.evasion = ObstacleEvasion(guard)
-        self.blocked, self.gave_way, self.moves = "", 0, False
+        self.blocked, self.evasions, self.moves = "", 0, False
 
     @property
     def at_rest(self) -> bool:
@@ -72,7 +72,7 @@ class SetpointSelector:
         self._guard.rebase(situation, rest_s)
         self._flown = None
         self._crumbs.forget()
-        self._mandate.forsake()
+        self._mandate.reject_trajectory()
         self._way_back, self._refused_ways, self._aside, self.blocked = None, 0, None, ""
 
     def steer(self, rung: FailsafeAction, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
@@ -102,10 +102,10 @@ class SetpointSelector:
         astray = off_m > _ASTRAY_M
         cleared, refusal = self._guard.clear(None if astray else self._proposal(trajectory, situation.now_s, False), situation)
         if astray:  # pushed as well as led outwards it would be over the fence before it stops
-            refusal, self.gave_way = Refusal(f"{off_m:.2f} m off its way", cleared.setpoint), self.gave_way + 1
+            refusal, self.evasions = Refusal(f"{off_m:.2f} m off its way", cleared.setpoint), self.evasions + 1
         if refusal is not None:
             self._braking = True
-            self._mandate.forsake()
+            self._mandate.reject_trajectory()
         return cleared, refusal
 
     def _soon_off_its_way_m(self, situation: GuardInputs) -> float:
@@ -142,7 +142,7 @@ class SetpointSelector:
     def _give_way(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """Stop, and from rest step aside if it comes on."""
         if self._aside is not None:
-            aside = dataclasses.replace(self._proposal(self._aside, situation.now_s, True), giving_way=True)
+            aside = dataclasses.replace(self._proposal(self._aside, situation.now_s, True), evading=True)
             cleared, refusal = self._guard.clear(aside, situation)
             if refusal is not None:
                 self.blocked = f"way aside blocked: {refusal.reason}"
@@ -156,8 +156,8 @@ class SetpointSelector:
 
     def _turn_down(self) -> None:
         """What the mission wants is made anew, from where the vehicle is."""
-        self.gave_way += 1
-        self._mandate.forsake()
+        self.evasions += 1
+        self._mandate.reject_trajectory()
 
     def _retreat(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """From rest back along the breadcrumbs, and a hold where they begin; it ends, at rest, where ways are refused again and

@@ -41,7 +41,7 @@ class SituationBuilder:
     @property
     def refusals(self) -> int:
         """Proposals turned down so far, by whomever."""
-        return self._guard.refusals + self._mandate.malformed + self._steering.gave_way
+        return self._guard.refusals + self._mandate.malformed + self._steering.evasions
 
     def situation(self, now_s: float) -> GuardInputs:
         """For the guard. Without a pose it is at odom's origin, with a pose that is infinitely old."""
@@ -87,8 +87,10 @@ class SituationBuilder:
             trajectory_id=-1 if trajectory is None else trajectory.identifier,
             refusals=self.refusals,
             note=note[:_LONGEST_NOTE],
-            operator_heard_s=operator_s,
-            most_mps=self._guard.bounds.retreat_mps if t.slow or (pose and pose.health is not PoseHealth.GOOD) else math.inf,
+            operator_received_s=operator_s,
+            max_speed_mps=self._guard.bounds.retreat_mps
+            if t.slow or (pose and pose.health is not PoseHealth.GOOD)
+            else math.inf,
             world_from_rest=self._steering.odom_from_rest,
         )
 

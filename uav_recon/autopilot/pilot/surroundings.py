@@ -36,8 +36,8 @@ class Surroundings:
     ) -> None:
         self._free, self._nearby, self._sight = free, nearby, sight
         self._radius_m, self._height_m = hull_radius_m, hull_height_m
-        self._free_heard: FreeSpace | None = None
-        self._nearby_heard: MinRangeGrid | None = None
+        self._free_received: FreeSpace | None = None
+        self._min_ranges_received: MinRangeGrid | None = None
         self.known_free: FreeSpaceCheck | None = None
         self.ahead: ForwardDepth | None = None
         self._believed_s, self._neighbourhood = -math.inf, Neighbourhood()
@@ -53,13 +53,13 @@ class Surroundings:
             self._past.append(pose)
         while self._past and now_s - self._past[0].stamp_s > _PAST_S:
             self._past.popleft()
-        free = newest(self._free, self._free_heard)
+        free = newest(self._free, self._free_received)
         if free is not None:
-            self._free_heard = free
+            self._free_received = free
             if is_valid_free_space(free):
                 self.known_free = FreeSpaceCheck(free, self._radius_m, self._height_m)
-        nearby = newest(self._nearby, self._nearby_heard)
-        self._nearby_heard = nearby or self._nearby_heard
+        nearby = newest(self._nearby, self._min_ranges_received)
+        self._min_ranges_received = nearby or self._min_ranges_received
         if (
             nearby is None
             or not (is_valid_range_grid(nearby) and ForwardDepth.tells(nearby))

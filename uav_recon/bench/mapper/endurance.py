@@ -25,7 +25,7 @@ from uav_recon.bench.mapper.mapper_tables import figure
 from uav_recon.bench.planner.planner_tables import narrow_table
 from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.keyframes.ray_buffer import MOST_VIEWS
+from uav_recon.mapping.neural.keyframes.ray_buffer import MAX_VIEWS
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.worker.checkpoint import MapperCheckpoints
 
@@ -122,7 +122,7 @@ def endure(
             checkpoints.save_if_due(trainer, n + 1, keyframes.stamp_s(n))
             lap.append(time.thread_time())
             laps.append(lap)
-            if len(trainer.kept) == MOST_VIEWS and when_full is None:
+            if len(trainer.kept) == MAX_VIEWS and when_full is None:
                 when_full = _accuracy(trainer, scene)
             if (n + 1) * PARTS // count > len(parts):
                 checkpoints.wait()
@@ -156,7 +156,7 @@ def _show(console: Console, result: Endurance, title: str) -> None:
         )  # fmt: skip
     console.print(table)
     console.print("save to held up (the longest wait for a checkpoint): ms, calibrated; RAM and disk (the checkpoint's): MB")
-    for when, accuracy in ((f"when {MOST_VIEWS} views were kept", result.when_full), ("at the end", result.at_the_end)):
+    for when, accuracy in ((f"when {MAX_VIEWS} views were kept", result.when_full), ("at the end", result.at_the_end)):
         if accuracy is not None:
             console.print(
                 f"{when}: accuracy {figure(accuracy.accuracy_cm, 2)} cm, completion {figure(accuracy.completion_cm, 2)} cm, "

@@ -23,7 +23,7 @@ from uav_recon.evaluation.triangle_surface import TriangleSurface
 PRINTED_WIDTH = 100  # where no terminal says
 VIEWS, STEPS = (4, 2000), (1, 200)
 CENTIMETRES, DEGREES = 10.0, 5.0  # the most that told poses may err
-MOST_EV = 2.0
+MAX_EV = 2.0
 SIGMA_SEEDS = 3  # the median of the paper's sigma differs by a tenth from one beginning to the next
 
 Result = dict[str, Any]
@@ -52,8 +52,8 @@ class MapperBench:
             raise UsageError(f"--views {self.views}: want {VIEWS[0]} to {VIEWS[1]}")
         if not STEPS[0] <= self.steps_per_view <= STEPS[1]:
             raise UsageError(f"--steps-per-view {self.steps_per_view}: want {STEPS[0]} to {STEPS[1]}")
-        if not 0.0 <= self.exposure <= MOST_EV:
-            raise UsageError(f"--exposure {self.exposure:g}: want 0 to {MOST_EV:g}")
+        if not 0.0 <= self.exposure <= MAX_EV:
+            raise UsageError(f"--exposure {self.exposure:g}: want 0 to {MAX_EV:g}")
         if self.device != "cpu":
             raise UsageError(f"--device {self.device}: want cpu; the mapper has no other path yet")
         return seeded_views.SceneOptions(

@@ -121,9 +121,9 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
     )
 
 
-def exposures(scene: MapperScene, most_ev: float, seed: int) -> FloatArray:
-    """An exposure (V,) for each view, uniform in ± most_ev."""
-    return np.random.default_rng([seed, 2]).uniform(-most_ev, most_ev, len(scene.keyframes))
+def exposures(scene: MapperScene, max_ev: float, seed: int) -> FloatArray:
+    """An exposure (V,) for each view, uniform in ± max_ev."""
+    return np.random.default_rng([seed, 2]).uniform(-max_ev, max_ev, len(scene.keyframes))
 
 
 def exposed(scene: MapperScene, ev: FloatArray) -> MapperScene:

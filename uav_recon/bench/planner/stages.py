@@ -25,7 +25,7 @@ from uav_recon.planning.frontier.frontier_views import FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
 from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.planning.presets import derived
-from uav_recon.planning.task_generation import MOST_FRONTIERS, places_of
+from uav_recon.planning.task_generation import MAX_FRONTIERS, places_of
 from uav_recon.planning.tour.travel_time import YawWhileFlying, time_costs
 from uav_recon.planning.variants import variant
 from uav_recon.planning.view_planner import ViewPlanner
@@ -168,7 +168,7 @@ class PlannerStages:
         watch.lap("space")
         if exit_cells is None:
             return BenchDecision(voxels, (), NOTHING)
-        nearest = self._views.update(voxels, self._space, self._frontiers, place).proposals[:MOST_FRONTIERS]
+        nearest = self._views.update(voxels, self._space, self._frontiers, place).proposals[:MAX_FRONTIERS]
         gains = self._frontiers.beyond(voxels, [one.promised for one in nearest])
         tasks = [one.gaining(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
         watch.lap("views")

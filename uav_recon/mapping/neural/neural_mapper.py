@@ -158,7 +158,7 @@ class NeuralMapper:
         if self.views >= FEWEST_VIEWS and self._doubt.rises(keyframe.frame.depth_intrinsics, self._album.votes(view)):
             return RejectReason.DISAGREES
         if self._album.full:
-            self._keep(self._album.most_needed())
+            self._keep(self._album.most_useful())
         taken, kept = self.views, np.ones(self._replay.count, dtype=np.bool_)
         try:
             self._album.add(view, number)
@@ -301,7 +301,7 @@ class NeuralMapper:
         small.train(1)
         small.surface()
         small.mesh(0.05)
-        small._keep(small._album.most_needed())
+        small._keep(small._album.most_useful())
 
     def _keep(self, which: BoolArray) -> None:
         """Forget all views but some (V,), in what is replayed and asked; the field keeps what they taught."""

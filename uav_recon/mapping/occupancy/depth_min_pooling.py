@@ -24,9 +24,9 @@ def min_pool(depth_m: AnyArray, near_m: float, lowest_m: AnyArray, farthest_m: A
     width = depth_m.shape[1]
     nearest_m = np.full(2 * lowest_m.shape[2], np.inf, dtype=np.float32)
     returns = np.zeros(2 * lowest_m.shape[2], dtype=np.int32)
-    most_m = np.zeros(width, dtype=np.float32)
+    max_m = np.zeros(width, dtype=np.float32)
     for i in range(lowest_m.shape[1]):
-        _fold(depth_m, np.float32(near_m), i, nearest_m[:width], most_m, returns[:width])
+        _fold(depth_m, np.float32(near_m), i, nearest_m[:width], max_m, returns[:width])
         target, count, above = lowest_m[0, i], valid[i + 1], valid[i]
         for j in range(target.size):
             a, b = nearest_m[2 * j], nearest_m[2 * j + 1]
@@ -38,16 +38,16 @@ def min_pool(depth_m: AnyArray, near_m: float, lowest_m: AnyArray, farthest_m: A
     farthest_m[:] = 0.0
     for u in range(width):
         strip = u // (CELL * STRIP)
-        farthest_m[strip] = max(farthest_m[strip], most_m[u])
+        farthest_m[strip] = max(farthest_m[strip], max_m[u])
     for level in range(1, lowest_m.shape[0]):
         _widen(lowest_m[level - 1], 1 << (level - 1), lowest_m[level])
 
 
 @kernel
 def _fold(
-    depth_m: AnyArray, near_m: np.float32, cell_row: int, nearest_m: AnyArray, most_m: AnyArray, returns: AnyArray
+    depth_m: AnyArray, near_m: np.float32, cell_row: int, nearest_m: AnyArray, max_m: AnyArray, returns: AnyArray
 ) -> None:
-    """Two rows of pixels into one: the nearer return, and how many there are; most_m is raised to the farther."""
+    """Two rows of pixels into one: the nearer return, and how many there are; max_m is raised to the farther."""
     infinite, zero = np.float32(np.inf), np.float32(0.0)
     upper = depth_m[CELL * cell_row]
     if CELL * cell_row + 1 == depth_m.shape[0]:
@@ -55,16 +55,16 @@ def _fold(
             a = upper[u]
             has_a = (a >= near_m) & (a < infinite)
             nearest_m[u] = a if has_a else infinite
-            most_m[u] = max(most_m[u], a if has_a else zero)
+            max_m[u] = max(max_m[u], a if has_a else zero)
             returns[u] = np.int32(has_a)
         return
     lower = depth_m[CELL * cell_row + 1]
     for u in range(nearest_m.size):
         a, b = upper[u], lower[u]
         has_a, has_b = (a >= near_m) & (a < infinite), (b >= near_m) & (b < infinite)
-        c, d, e = a if has_a else zero, b if has_b else zero, most_m[u]
+        c, d, e = a if has_a else zero, b if has_b else zero, max_m[u]
         c = c if c > d else d
-        most_m[u] = c if c > e else e
+        max_m[u] = c if c > e else e
         a, b = a if has_a else infinite, b if has_b else infinite
         nearest_m[u] = a if a < b else b
         returns[u] = np.int32(has_a) + np.int32(has_b)

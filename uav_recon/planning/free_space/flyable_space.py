@@ -15,7 +15,7 @@ from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
 
 NEVER = 256  # a squared distance that no byte holds
-MOST_LEAPS = 12
+MAX_LEAPS = 12
 
 
 class FlyableSpace:
@@ -46,7 +46,7 @@ class FlyableSpace:
         needed2 = (clearance_m / grid.resolution_m + 0.5 - 1e-3) ** 2
         self._needed2 = int(min(np.ceil(needed2), NEVER))
         needed = math.sqrt(self._needed2) + math.sqrt(3.0)  # twice from a point to its voxel's centre
-        self._leaps2 = np.array([min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MOST_LEAPS)], dtype=np.int64)
+        self._leaps2 = np.array([min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MAX_LEAPS)], dtype=np.int64)
         self._box = np.array([np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)], dtype=np.int64)
         self.berth = clearance_box(grid.shape, self._box[0], self._box[1], self._needed2)
         self._escape = EscapePath(grid.resolution_m)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.free_space.voxel_blocks import (
     EDGE,
-    MOST_PARTS,
+    MAX_PARTS,
     ONE,
     VoxelBlocks,
     WordArray,
@@ -45,13 +45,13 @@ class ReachableSpace:
         nx, ny, nz = grid_shape
         self.blocks = blocks_of(grid_shape)
         number = len(self.blocks.counts)
-        self.parent = np.zeros(MOST_PARTS * number, dtype=np.int32)
+        self.parent = np.zeros(MAX_PARTS * number, dtype=np.int32)
         self.reachable = np.zeros((nx + 2, ny + 2, nz + 2), dtype=np.uint8)
         self.tile_revision = np.zeros((-(-nx // TILE), -(-ny // TILE)), dtype=np.int64)
         self._shown = np.zeros(number, dtype=np.uint64)
-        self._checked = np.zeros(MOST_PARTS * number, dtype=np.int32)
-        self._orphans = np.empty(MOST_PARTS * number, dtype=np.int32)
-        self._queue = np.empty(2 * MOST_PARTS * number, dtype=np.int32)
+        self._checked = np.zeros(MAX_PARTS * number, dtype=np.int32)
+        self._orphans = np.empty(MAX_PARTS * number, dtype=np.int32)
+        self._queue = np.empty(2 * MAX_PARTS * number, dtype=np.int32)
         self._now = 0
         self._root = -1
 

@@ -19,7 +19,7 @@ WordArray = NDArray[np.uint64]
 LinkArray = NDArray[np.uint32]
 
 EDGE = 4  # voxels along a block's edge
-MOST_PARTS = 8
+MAX_PARTS = 8
 
 ONE, _FOUR, _SIXTEEN = np.uint64(1), np.uint64(4), np.uint64(16)
 _K0 = np.uint64(0x1111111111111111)  # voxels with k = 0, with k = 3, ...
@@ -111,9 +111,9 @@ def blocks_of(grid_shape: tuple[int, int, int]) -> VoxelBlocks:
         shape=shape,
         steps=SIDES @ np.array([shape[1] * shape[2], shape[2], 1], dtype=np.int64),
         counts=np.zeros(number, dtype=np.uint8),
-        words=np.zeros(MOST_PARTS * number, dtype=np.uint64),
-        links=np.zeros(MOST_PARTS * number, dtype=np.uint32),
-        centre=np.zeros((MOST_PARTS * number, 3), dtype=np.float64),
+        words=np.zeros(MAX_PARTS * number, dtype=np.uint64),
+        links=np.zeros(MAX_PARTS * number, dtype=np.uint32),
+        centre=np.zeros((MAX_PARTS * number, 3), dtype=np.float64),
     )
 
 

@@ -21,7 +21,7 @@ from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 COVERED_SHARE = 0.7  # of what its own view sees: a frontier that another view shows so well needs no stop of its own
 BATCH = 32  # clusters looked at, the nearest first; as many again, and again, as long as there is no view at all
-MOST_MORE = 256  # ... but so many at most: what is found in one go has room in the table
+MAX_MORE = 256  # ... but so many at most: what is found in one go has room in the table
 SEARCHES = 2  # for each revision of the map since the last plan, or until there is a view: the rest is left for later
 
 
@@ -100,7 +100,7 @@ class FrontierViews:
                 if not before:
                     self._tiles.update(space)
                     nearest = frontiers.table.nearest(here, total)
-                wanted = min(2 * wanted, wanted + MOST_MORE, total)
+                wanted = min(2 * wanted, wanted + MAX_MORE, total)
         return FrontierProposals(self._proposals(voxels, space, found, lens), without, total - asked + later)
 
     def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[str]:

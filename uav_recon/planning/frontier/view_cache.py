@@ -13,7 +13,7 @@ from uav_recon.planning.view_sampling import ViewShell
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 ROWS = 512  # answers kept; the oldest go first
-MOST_BLOCKERS = 2048
+MAX_BLOCKERS = 2048
 SAMPLE_CELLS = 40  # of what a view shows: so many stand for all when another view is asked whether it shows them as well
 SAMPLE_POINTS = 6 * SAMPLE_CELLS
 
@@ -35,7 +35,7 @@ class ViewCache:
         self.shown = np.zeros(ROWS, dtype=np.int64)
         self.view = np.zeros((ROWS, 5))
         self.asked = np.zeros((ROWS, len(shell.offsets) + ROOM), dtype=np.int32)
-        self.blockers = np.zeros((ROWS, MOST_BLOCKERS), dtype=np.int32)
+        self.blockers = np.zeros((ROWS, MAX_BLOCKERS), dtype=np.int32)
         self.box = np.zeros((ROWS, 2, 4), dtype=np.int64)
         self.counts = np.zeros((ROWS, 4), dtype=np.int64)
         self.points = np.zeros((ROWS, SAMPLE_POINTS, 3))

@@ -16,7 +16,7 @@ from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
 PLACES = 32  # tasks whose ways are remembered
-MOST_POINTS = 24  # of a way that is remembered; a longer one is found again when it is asked for
+MAX_POINTS = 24  # of a way that is remembered; a longer one is found again when it is asked for
 _ROOM = 1024  # points of a way before it is pulled taut
 
 
@@ -24,7 +24,7 @@ class CachedPaths(NamedTuple):
     """Ways between remembered places, for kernels. Entry [a, b] is the way from place a to b, where a comes first.
 
     place: (P, 3), NaN = nobody's; used: (P,) the plan that last asked for it. kept: (P, P); length: (P, P) in
-    voxels; span: (P, P), see ``find_bends``; number: (P, P) of points; points: (P, P, MOST_POINTS, 3); leaves: (P, P, 2, 3)
+    voxels; span: (P, P), see ``find_bends``; number: (P, P) of points; points: (P, P, MAX_POINTS, 3); leaves: (P, P, 2, 3)
     unit directions in which it leaves a, and b.
     """
 
@@ -64,7 +64,7 @@ class PathCache:
             length=np.zeros((places, places)),
             span=np.zeros((places, places)),
             number=np.zeros((places, places), dtype=np.int64),
-            points=np.zeros((places, places, MOST_POINTS, 3)),
+            points=np.zeros((places, places, MAX_POINTS, 3)),
             leaves=np.zeros((places, places, 2, 3)),
         )
 
@@ -105,7 +105,7 @@ class PathCache:
                 return self._places[i - 1 : i]
             if _comes_first(self._known.place, b, a):
                 return self._way(j, i)[::-1]
-            if self._known.number[a, b] <= MOST_POINTS:
+            if self._known.number[a, b] <= MAX_POINTS:
                 return self._known.points[a, b, : self._known.number[a, b]]
             start = self._places[i - 1]
         elif j == 0:
@@ -252,7 +252,7 @@ def _connect(
                 count, length, span = _way_between(blocks, leap, memory, known.place[a], known.place[b], points)
                 known.kept[a, b], known.number[a, b], known.length[a, b], known.span[a, b] = count > 0, count, length, span
                 known.leaves[a, b, 0], known.leaves[a, b, 1] = departure(points[:count]), departure(points[:count][::-1])
-                if count <= MOST_POINTS:
+                if count <= MAX_POINTS:
                     known.points[a, b, :count] = points[:count]
             lengths[m, n] = lengths[n, m] = known.length[a, b]
             departures[m, n], departures[n, m] = known.leaves[a, b, 0], known.leaves[a, b, 1]

@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.free_space.reachability import PartArray
-from uav_recon.planning.free_space.voxel_blocks import MOST_PARTS, ONE, VoxelBlocks, corner_of, touches
+from uav_recon.planning.free_space.voxel_blocks import MAX_PARTS, ONE, VoxelBlocks, corner_of, touches
 from uav_recon.planning.paths.segments import distance, length_of, segment_is_open
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
@@ -42,10 +42,10 @@ def memory_for(blocks: VoxelBlocks) -> Memory:
     number = len(blocks.counts)
     return Memory(
         now=np.zeros(1, dtype=np.int64),
-        opened=np.zeros(MOST_PARTS * number, dtype=np.int32),
-        closed=np.zeros(MOST_PARTS * number, dtype=np.int32),
-        before=np.zeros(MOST_PARTS * number, dtype=np.int32),
-        length=np.zeros(MOST_PARTS * number, dtype=np.float64),
+        opened=np.zeros(MAX_PARTS * number, dtype=np.int32),
+        closed=np.zeros(MAX_PARTS * number, dtype=np.int32),
+        before=np.zeros(MAX_PARTS * number, dtype=np.int32),
+        length=np.zeros(MAX_PARTS * number, dtype=np.float64),
         heap_cost=np.empty(_PUSHES * number, dtype=np.float64),
         heap_part=np.empty(_PUSHES * number, dtype=np.int32),
     )

@@ -27,7 +27,7 @@ from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 UNKNOWN_WEIGHT = 2.0  # of a frontier cell, where the most uncertain element of surface has 1
 SPACING = 4  # voxels between sampled places
 RADII_M = (3.0, 9.0, 1000.0)  # around the vehicle; a wider one if there is nothing worth a view in the one before
-MOST_PLACES = 1500  # the nearest ones
+MAX_PLACES = 1500  # the nearest ones
 HEADINGS = 12
 PITCHES = 3  # over the mount's range
 BEST_VIEWS = 12  # handed on, for the way to each to be measured
@@ -137,7 +137,7 @@ def sampled_places(situation: PlanningContext, here: FloatArray, radius: float) 
     box = tuple(slice(int(a), int(max(a, b)), SPACING) for a, b in zip(low, high, strict=True))
     places = np.argwhere(reachable[box]) * SPACING + low + 0.5
     away2 = ((places - here) ** 2).sum(axis=1)
-    nearest = np.argsort(away2, kind="stable")[:MOST_PLACES]
+    nearest = np.argsort(away2, kind="stable")[:MAX_PLACES]
     nearest = nearest[away2[nearest] <= radius**2]
     return np.concatenate([here[None], places[nearest]])
 

@@ -64,7 +64,7 @@ def _per_second(nodes: list[int], gain: FloatArray, surface: BoolArray, costs_s:
 
 
 def _worst_stretch(
-    nodes: list[int], gain: FloatArray, surface: BoolArray, costs_s: FloatArray, least_per_s: float
+    nodes: list[int], gain: FloatArray, surface: BoolArray, costs_s: FloatArray, min_per_s: float
 ) -> tuple[int, int]:
     """First and one past last index of the consecutive surface tasks whose removal saves most; _NONE if none does."""
     worst, least = _NONE, -1e-9
@@ -80,6 +80,6 @@ def _worst_stretch(
             saved_s = seconds
             if last + 1 < len(nodes):
                 saved_s += costs_s[at, nodes[last + 1]] - costs_s[before, nodes[last + 1]]
-            if gained - least_per_s * saved_s < least:
-                worst, least = (first, last + 1), gained - least_per_s * saved_s
+            if gained - min_per_s * saved_s < least:
+                worst, least = (first, last + 1), gained - min_per_s * saved_s
     return worst

@@ -24,7 +24,7 @@ def _of(cells: list[int]) -> EvictionPolicy:
 
 def test_a_hover_leaves_little_and_a_place_seen_once_stays() -> None:
     cells = [0] * 40 + [1000] + [0] * 40 + [2000, 2000, 2000]
-    which = _of(cells).most_needed(20)
+    which = _of(cells).most_useful(20)
     assert which.sum() == 20
     assert which[40]
     assert which[-RECENT_VIEWS:].all()
@@ -37,7 +37,7 @@ def test_the_same_place_from_the_other_side_counts_for_itself() -> None:
     remembered.add(remembered.taken, np.array([100.0, 0.0, 0.0]), _patch(0))
     for _ in range(10):
         remembered.add(remembered.taken, np.array([-100.0, 0.0, 0.0]), _patch(0))
-    assert remembered.most_needed(8)[10]
+    assert remembered.most_useful(8)[10]
 
 
 def test_forgetting_again_and_again_keeps_all_parts_of_a_flight() -> None:
@@ -45,7 +45,7 @@ def test_forgetting_again_and_again_keeps_all_parts_of_a_flight() -> None:
     for _ in range(2000):
         remembered.add(remembered.taken, np.array([-100.0, 0.0, 0.0]), _patch(int(random.integers(0, 40))))
         if len(remembered.numbers) == 64:
-            remembered.keep(remembered.most_needed(48))
+            remembered.keep(remembered.most_useful(48))
     numbers = np.array(remembered.numbers)
     assert remembered.taken == 2000
     assert (np.diff(numbers) > 0).all()

@@ -41,7 +41,7 @@ def test_the_plane_fit_takes_noise_away() -> None:
 
 
 def test_replay_thins_its_views_instead_of_growing_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uav_recon.mapping.neural.keyframes.ray_buffer.MOST_RAYS", 5000)
+    monkeypatch.setattr("uav_recon.mapping.neural.keyframes.ray_buffer.MAX_RAYS", 5000)
     replay = RayBuffer()
     records = np.zeros((1000, 10), dtype=np.int16)
     for n in range(12):

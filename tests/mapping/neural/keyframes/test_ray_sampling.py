@@ -5,7 +5,7 @@ import pytest
 
 from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.ray_records import COLUMNS, DEPTH_UNIT_M
-from uav_recon.mapping.neural.keyframes.ray_sampling import DISTANCE_FACTOR, FREE, LEAST_TRUST, NEAR, RAYS, draw, make_batch
+from uav_recon.mapping.neural.keyframes.ray_sampling import DISTANCE_FACTOR, FREE, MIN_TRUST, NEAR, RAYS, draw, make_batch
 
 D435I = 0.08 / (447.0 * 0.05)  # inverse depth, sigma
 
@@ -28,4 +28,4 @@ def test_a_measurement_weighs_by_its_variance_and_that_of_poses() -> None:
 
 
 def test_what_was_only_seen_from_afar_still_counts() -> None:
-    assert weight_of_a_measurement(5.0) == pytest.approx(float(LEAST_TRUST), rel=1e-3)
+    assert weight_of_a_measurement(5.0) == pytest.approx(float(MIN_TRUST), rel=1e-3)

@@ -5,8 +5,8 @@ import pytest
 
 from uav_recon.mapping.neural.sdf_numba.losses import UNKNOWN
 from uav_recon.mapping.neural.surface.uncertainty import (
-    LEAST_PAST_M,
-    MOST_PAST_M,
+    MAX_PAST_M,
+    MIN_PAST_M,
     PRIOR_COLOUR_SIGMA,
     PRIOR_SIGMA_M,
     SHARP_SIGMA_M,
@@ -65,7 +65,7 @@ def test_agreement_falls_with_the_root_of_the_count() -> None:
     once.add(node, up, SHARP)
     for _ in range(100):
         often.add(node, up, SHARP)
-    on_the_plane = (LEAST_PAST_M / MOST_PAST_M) ** 2
+    on_the_plane = (MIN_PAST_M / MAX_PAST_M) ** 2
     assert once.at(node)[0] == pytest.approx(on_the_plane * 0.05 / np.sqrt(1.1), rel=1e-2)
     assert often.at(node)[0] == pytest.approx(on_the_plane * 0.05 / np.sqrt(100.1), rel=1e-2)
 
@@ -85,7 +85,7 @@ def test_a_surface_beside_its_measurements_is_uncertain_by_how_far_it_is() -> No
     measure.add(floor, np.tile(np.array([[0.0, 0.0, 1.0]], dtype=np.float32), (8000, 1)), np.zeros(8000, dtype=np.float32))
     past = np.array([0.0, 0.004, 0.01, 0.02, 0.03])
     beside = np.column_stack([np.full((5, 2), 0.5), 0.42 + past]).astype(np.float32)
-    expected = np.square(past) + LEAST_PAST_M**2  # all distances are this one, and so is their geometric mean
+    expected = np.square(past) + MIN_PAST_M**2  # all distances are this one, and so is their geometric mean
     assert np.allclose(measure.at(beside) / measure.at(beside[:1]), expected / expected[0], rtol=0.25)
 
 
@@ -104,7 +104,7 @@ def test_a_corner_is_less_certain_than_a_wall_and_what_was_never_measured_least(
     for normal in np.eye(3, dtype=np.float32):
         measure.add(wall, np.eye(3, dtype=np.float32)[:1], SHARP)
         measure.add(corner, normal[None], SHARP)
-    on_the_plane = (LEAST_PAST_M / MOST_PAST_M) ** 2
+    on_the_plane = (MIN_PAST_M / MAX_PAST_M) ** 2
     assert measure.at(corner)[0] == pytest.approx(on_the_plane * (1.05 - 1 / np.sqrt(3)) / np.sqrt(3.1), rel=2e-2)
     assert 0 < measure.at(wall)[0] < measure.at(corner)[0] < measure.at(nowhere)[0]
     assert measure.at(nowhere)[0] == pytest.approx(1.05 / np.sqrt(0.1), rel=1e-2)

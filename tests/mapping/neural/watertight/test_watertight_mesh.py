@@ -85,6 +85,6 @@ def test_air_that_a_field_dreams_of_behind_a_wall_is_filled(gathered: TrainingDa
 
 
 def test_a_voxel_too_fine_for_the_box_names_what_fits(gathered: TrainingData, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watertight_mesh, "MOST_NODES", 100_000)
+    monkeypatch.setattr(watertight_mesh, "MAX_NODES", 100_000)
     with pytest.raises(MeshResolutionError, match=r"voxels of 0\.\d\d\d m at the finest"):
         closed_mesh(ExactRoom(), gathered, VOXEL_M)

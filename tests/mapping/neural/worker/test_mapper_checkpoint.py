@@ -88,9 +88,9 @@ def test_training_on_after_a_restore_equals_never_having_stopped(flight: Flight)
 def test_a_restored_trainer_forgets_and_checkpoints_as_the_first(
     flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(keyframe_buffer, "MOST_VIEWS", EVERY_VIEWS + 1)
+    monkeypatch.setattr(keyframe_buffer, "MAX_VIEWS", EVERY_VIEWS + 1)
     monkeypatch.setattr(keyframe_buffer, "KEPT_VIEWS", EVERY_VIEWS - 2)
-    monkeypatch.setattr(ray_buffer, "MOST_RAYS", 30_000)  # so that rays are thinned too
+    monkeypatch.setattr(ray_buffer, "MAX_RAYS", 30_000)  # so that rays are thinned too
     first = NeuralMapper(CONFIG, LOW, HIGH, NOISE_PX, BASELINE_M)
     checkpoints = MapperCheckpoints(tmp_path / "checkpoint", ORDER)
     for number in range(VIEWS):

@@ -58,7 +58,7 @@ def test_a_spike_is_one_pose() -> None:
 
 
 def test_drift_grows_and_ends() -> None:
-    drift = pose_stream.AlteredPoses(pose_stream.drifting(0.05, 0.0, most_m=3.0))
+    drift = pose_stream.AlteredPoses(pose_stream.drifting(0.05, 0.0, max_m=3.0))
     assert one(drift, 10.0).position_m[0] == pytest.approx(1.5)
     assert one(drift, 1000.0).position_m[0] == pytest.approx(4.0)
 

@@ -170,8 +170,8 @@ def test_a_pilot_who_takes_the_vehicle_out_of_our_landing_keeps_it() -> None:
     assert violations(kept) == [], "the order to land came before"
     assert violations(again) == ["1 mode or arm commands after the pilot took over"]
     known_s = next(s for s, _, _ in e.heard if s > 16.0)
-    under_way = rewired(kept, orders=(*e.wire.orders, CapturedCommand(known_s + 0.01, 176, 1.0, 4.0)))
-    assert violations(under_way) == [], "sent before it could have heard"
+    en_route = rewired(kept, orders=(*e.wire.orders, CapturedCommand(known_s + 0.01, 176, 1.0, 4.0)))
+    assert violations(en_route) == [], "sent before it could have heard"
 
 
 def test_what_was_told_in_time_or_could_not_be_known_is_no_violation() -> None:
@@ -243,13 +243,13 @@ def test_what_each_frame_may_be_off_does_not_add_up_over_a_while() -> None:
 
 def test_a_pilot_that_starts_anew_may_begin_elsewhere_also_over_a_while() -> None:
     e = evidence()
-    anew = np.where(e.wire.setpoint_s > 8.0, 0.9, 0.0)
+    again = np.where(e.wire.setpoint_s > 8.0, 0.9, 0.0)
     keep = (e.wire.setpoint_s < 7.4) | (e.wire.setpoint_s > 8.0)
     parts = {
         name: getattr(e.wire, name)[keep]
         for name in ("setpoint_s", "setpoint_stamp_ms", "velocity_mps", "yaw_rate_radps", "yaw_rad")
     }
-    moved = (e.wire.position_m + anew[:, None] * (0.0, 1.0, 0.0))[keep]
+    moved = (e.wire.position_m + again[:, None] * (0.0, 1.0, 0.0))[keep]
     assert violations(rewired(e, **parts, position_m=moved, acceleration_mps2=e.wire.acceleration_mps2[keep])) == []
 
 

@@ -87,8 +87,8 @@ def test_poses_on_the_wire() -> None:
         0.4
     )
     assert (odometry_metrics.misdated_for(e), odometry_metrics.dated_after(e)) == (0.0, 0.0)
-    anew = np.where((e.wire.odometry_s > 6.0) & (e.wire.odometry_s < 6.5), 30e6, 0.0)
-    assert odometry_metrics.misdated_for(rewired(e, odometry_stamp_us=e.wire.odometry_stamp_us + anew)) == pytest.approx(
+    again = np.where((e.wire.odometry_s > 6.0) & (e.wire.odometry_s < 6.5), 30e6, 0.0)
+    assert odometry_metrics.misdated_for(rewired(e, odometry_stamp_us=e.wire.odometry_stamp_us + again)) == pytest.approx(
         1.5, abs=0.05
     )
     assert odometry_metrics.dated_after(rewired(e, odometry_stamp_us=e.wire.odometry_stamp_us - 1e6)) == math.inf

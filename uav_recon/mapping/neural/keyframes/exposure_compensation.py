@@ -16,8 +16,8 @@ GAIN_SIGMA = 0.3  # of a log gain: one EV is 0.29
 CELL_SIGMA = 0.2  # two pictures of a cell show different parts of it ...
 CELLS_WORTH = 0.5  # ... and its neighbours err alike
 SCALE = 0.1  # a difference that counts half: what one view alone saw in a cell
-MOST_LOG_GAIN = 1.0
-FEWEST_RAYS, MOST_WHITE_SHARE = 1.5, 0.1  # of a cell whose mean colour is known
+MAX_LOG_GAIN = 1.0
+FEWEST_RAYS, MAX_WHITE_SHARE = 1.5, 0.1  # of a cell whose mean colour is known
 ROUNDS = 4
 REVISITED = 3  # older views, for each new one
 
@@ -54,7 +54,7 @@ class ExposureCompensation:
         distinct, number = np.unique(cell, return_inverse=True)
         mine = whose == view
         for channel in range(3):
-            level, white = row[:, COLOUR][:, channel], row[:, WHITENED][:, channel] > MOST_WHITE_SHARE
+            level, white = row[:, COLOUR][:, channel], row[:, WHITENED][:, channel] > MAX_WHITE_SHARE
             others = ~mine & ~white
             seen = np.bincount(number[others], minlength=len(distinct))
             sums = np.bincount(number[others], level[others] + self.log_gain[whose[others], channel], len(distinct))
@@ -71,4 +71,4 @@ def _log_gain(darker: FloatArray, at_most: BoolArray) -> float:
         weight[at_most & (darker > gain)] = 0.0
         information = CELLS_WORTH / CELL_SIGMA**2
         gain = information * float(weight @ darker) / (information * float(weight.sum()) + GAIN_SIGMA**-2)
-    return float(np.clip(gain, -MOST_LOG_GAIN, MOST_LOG_GAIN))
+    return float(np.clip(gain, -MAX_LOG_GAIN, MAX_LOG_GAIN))

@@ -13,12 +13,12 @@ from uav_recon.mapping.neural.keyframes.depth_visibility import DepthImage, Dept
 from uav_recon.mapping.neural.keyframes.eviction_policy import EvictionPolicy
 from uav_recon.mapping.neural.keyframes.keyframe_validation import FEWEST_RAYS
 from uav_recon.mapping.neural.keyframes.normal_prior import open_prior
-from uav_recon.mapping.neural.keyframes.ray_buffer import MOST_VIEWS, RayBuffer, ViewRays
+from uav_recon.mapping.neural.keyframes.ray_buffer import MAX_VIEWS, RayBuffer, ViewRays
 from uav_recon.mapping.neural.keyframes.ray_records import pixel_stride, ray_records
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 
-KEPT_VIEWS = MOST_VIEWS * 3 // 4  # when memory is full
+KEPT_VIEWS = MAX_VIEWS * 3 // 4  # when memory is full
 SOME_RAYS = 6500  # of a view, to see what it shows
 ASKED_VIEWS, ASKED_POINTS, ASKED_RAYS = 64, 600, 40  # whether a view fits: so many others, on it and on each of them
 
@@ -59,7 +59,7 @@ class KeyframeBuffer:
     @property
     def full(self) -> bool:
         """Whether keep() must make room for the next view."""
-        return self.replay.count == MOST_VIEWS
+        return self.replay.count == MAX_VIEWS
 
     def arrays(self, index: int) -> dict[str, AnyArray]:
         """What a view brought along and a checkpoint keeps apart; copies."""
@@ -118,9 +118,9 @@ class KeyframeBuffer:
         spacing: Float32Array = np.sqrt(sigma_m / self.replay.views.inverse_depth_sigma[index]) * self._ray_rad[index]
         return spacing.astype(np.float32)
 
-    def most_needed(self) -> BoolArray:
+    def most_useful(self) -> BoolArray:
         """The KEPT_VIEWS among the views (V,) that should stay when room must be made."""
-        return self.remembered.most_needed(KEPT_VIEWS)
+        return self.remembered.most_useful(KEPT_VIEWS)
 
     def keep(self, which: BoolArray) -> None:
         """Forget all views but some (V,), and whatever came after those."""

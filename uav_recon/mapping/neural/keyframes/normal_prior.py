@@ -28,7 +28,7 @@ TRIAL = 64  # pixels along a picture that a model with free size is tried on
 FEWEST = 50  # measured normals or depths that a picture is held against
 AGREEING_COSINE = 0.8  # median: 37°
 LENGTH_ERROR = 0.5  # of a normal, before it is none
-LEAST_FACING = 0.05  # a normal seen more edge on than this is no use
+MIN_FACING = 0.05  # a normal seen more edge on than this is no use
 
 
 class PriorError(Exception):
@@ -82,7 +82,7 @@ class NormalPrior:
             degrees = np.rad2deg(np.arccos(np.median(agreement)))
             self._refuse(f"mapper.prior_model {self._path}: its normals are at a median of {degrees:.0f}° to the measured ones")
             return 0
-        wanted = shown & ~known & (facing > LEAST_FACING)
+        wanted = shown & ~known & (facing > MIN_FACING)
         records[wanted, 3:6] = np.rint(found[wanted] / NORMAL_UNIT)
         return int(wanted.sum())
 

@@ -20,8 +20,8 @@ from uav_recon.types.pose import Pose
 
 GIVEN_SIGMA_M, GIVEN_SIGMA_RAD = 0.012, np.deg2rad(0.5)  # of given poses, before any view said more ...
 BELIEF_VIEWS = 3.0  # ... and how many views that is worth
-LEAST_SIGMA_M, LEAST_SIGMA_RAD = 0.002, np.deg2rad(0.06)
-MOST_M, MOST_RAD = 0.10, np.deg2rad(5.0)  # a view that asks for more is left where it was
+MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, np.deg2rad(0.06)
+MAX_M, MAX_RAD = 0.10, np.deg2rad(5.0)  # a view that asks for more is left where it was
 PATCH_SIGMA_M = 0.01  # of a patch's place across its plane: surfaces are not planes, and neighbours err alike
 DEPTH_SHARE = 0.1  # of the depth's variance, after smoothing
 SCALES_M = (0.08, 0.04, 0.02)  # distances that count half, one iteration after the other
@@ -29,7 +29,7 @@ FULL_RAYS = 4.0  # more do not make a patch better
 ALIKE = 0.9  # least cosine between a patch's normal and its cell's
 TOGETHER = 8  # views that move at once
 FEWEST_SHARED = 20  # cells, to belong together
-LEAST_STEP_M, LEAST_STEP_RAD = 0.0003, np.deg2rad(0.01)  # less is not worth gathering a view's patches anew
+MIN_STEP_M, MIN_STEP_RAD = 0.0003, np.deg2rad(0.01)  # less is not worth gathering a view's patches anew
 COMMON_M = 0.001  # a drift of the whole map that is taken out
 
 
@@ -66,7 +66,7 @@ class PoseRefinement:
         known = self._square[self._square[:, 0] > 0.0]
         believed = np.array([GIVEN_SIGMA_M, GIVEN_SIGMA_RAD])
         variance = (BELIEF_VIEWS * believed**2 + known.sum(axis=0) / 3.0) / (BELIEF_VIEWS + len(known))
-        found: FloatArray = np.maximum(np.sqrt(variance), [LEAST_SIGMA_M, LEAST_SIGMA_RAD])
+        found: FloatArray = np.maximum(np.sqrt(variance), [MIN_SIGMA_M, MIN_SIGMA_RAD])
         return found
 
     def meet(self, replay: RayBuffer) -> None:
@@ -104,8 +104,8 @@ class PoseRefinement:
             normal[np.diag_indices(len(normal))] += precision
             step = np.linalg.solve(normal, right + precision * self.correction[views].ravel()).reshape(-1, 6)
             wanted = self.correction[views] - step
-            near = (np.linalg.norm(wanted[:, :3], axis=1) < MOST_M) & (np.linalg.norm(wanted[:, 3:], axis=1) < MOST_RAD)
-            near &= (np.abs(step) > np.repeat([LEAST_STEP_M, LEAST_STEP_RAD], 3)).any(axis=1)
+            near = (np.linalg.norm(wanted[:, :3], axis=1) < MAX_M) & (np.linalg.norm(wanted[:, 3:], axis=1) < MAX_RAD)
+            near &= (np.abs(step) > np.repeat([MIN_STEP_M, MIN_STEP_RAD], 3)).any(axis=1)
             self.correction[views[near]] = wanted[near]
             for view in views[near]:
                 self._move(int(view), replay)

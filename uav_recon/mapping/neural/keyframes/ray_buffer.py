@@ -1,6 +1,6 @@
 """The rays of the keyframes that are kept, in one array, for random replay.
 
-Bounded: MOST_VIEWS views and MOST_RAYS rays. The array is reserved whole at once, and the system gives memory to what is
+Bounded: MAX_VIEWS views and MAX_RAYS rays. The array is reserved whole at once, and the system gives memory to what is
 written: nothing is ever copied for growth.
 """
 
@@ -16,8 +16,8 @@ from uav_recon.mapping.neural.keyframes.ray_sampling import Views, ray_points
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 
 RAYS_PER_VIEW = 26_000
-MOST_VIEWS = 512
-MOST_RAYS = 8_000_000  # 160 MB; beyond it every view keeps half of its rays (they are in random order)
+MAX_VIEWS = 512
+MAX_RAYS = 8_000_000  # 160 MB; beyond it every view keeps half of its rays (they are in random order)
 OFFSETS_M = np.array([0.0, -0.10, -0.07, -0.04, 0.03, 0.06], dtype=np.float32)
 
 
@@ -73,9 +73,9 @@ class RayBuffer:
         return ViewRays(points, cosine, sigma, normal)
 
     def add(self, records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float) -> None:
-        """Append a view. Raises IndexError beyond MOST_VIEWS: keep() makes room."""
+        """Append a view. Raises IndexError beyond MAX_VIEWS: keep() makes room."""
         start = int(self.views.first[self.count])
-        if start + len(records) > MOST_RAYS:
+        if start + len(records) > MAX_RAYS:
             self._thin()
             start = int(self.views.first[self.count])
         v, n = self.views, self.count
@@ -153,10 +153,10 @@ class RayBuffer:
 
 def _empty() -> Views:
     return Views(
-        np.zeros((MOST_RAYS, COLUMNS), dtype=np.int16),
-        np.zeros(MOST_VIEWS + 1, dtype=np.int64),
-        np.zeros((MOST_VIEWS, 3, 3), dtype=np.float32),
-        np.zeros((MOST_VIEWS, 3), dtype=np.float32),
-        np.zeros(MOST_VIEWS, dtype=np.float32),
-        np.ones((MOST_VIEWS, 3), dtype=np.float32),
+        np.zeros((MAX_RAYS, COLUMNS), dtype=np.int16),
+        np.zeros(MAX_VIEWS + 1, dtype=np.int64),
+        np.zeros((MAX_VIEWS, 3, 3), dtype=np.float32),
+        np.zeros((MAX_VIEWS, 3), dtype=np.float32),
+        np.zeros(MAX_VIEWS, dtype=np.float32),
+        np.ones((MAX_VIEWS, 3), dtype=np.float32),
     )

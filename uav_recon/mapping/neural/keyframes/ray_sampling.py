@@ -18,11 +18,11 @@ RECENT_VIEWS, RECENT_SHARE = 5, 0.3
 NEAR_BEFORE_M, NEAR_BEHIND_M = np.float32(0.10), np.float32(0.05)
 NEAREST_FREE_M = np.float32(0.15)
 JITTER_M = np.float32(0.015)
-LEAST_COSINE = np.float32(0.15)
+MIN_COSINE = np.float32(0.15)
 TOE = np.float32(0.055)  # sRGB (IEC 61966-2-1) is a power law on (value + this): another exposure is a factor there
 WHITE = 254  # a channel that may have been brighter than it says
 POSE_SIGMA_M = np.float32(0.01)  # what poses add to every measurement: weights are inverse variances down to it ...
-LEAST_TRUST = np.float32(0.3)  # ... but never less: a wall that was only seen from afar is a wall
+MIN_TRUST = np.float32(0.3)  # ... but never less: a wall that was only seen from afar is a wall
 
 DISTANCE_FACTOR, FREE_FACTOR, COLOUR_FACTOR = np.float32(10.0), np.float32(2.0), np.float32(5.0)
 EIKONAL_FACTOR, NORMAL_FACTOR = np.float32(0.1), np.float32(0.1)
@@ -117,8 +117,8 @@ def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high
         ny = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
         nz = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
         has_normal = a * a + b * b + c * c > np.float32(0.5)
-        cosine = max(abs(dx * nx + dy * ny + dz * nz), LEAST_COSINE) if has_normal else np.float32(0.7)
-        trust = max(POSE_SIGMA_M * POSE_SIGMA_M / (POSE_SIGMA_M * POSE_SIGMA_M + sigma * sigma), LEAST_TRUST)
+        cosine = max(abs(dx * nx + dy * ny + dz * nz), MIN_COSINE) if has_normal else np.float32(0.7)
+        trust = max(POSE_SIGMA_M * POSE_SIGMA_M / (POSE_SIGMA_M * POSE_SIGMA_M + sigma * sigma), MIN_TRUST)
         for n in range(per_ray):
             at = r * per_ray + n
             if n < NEAR:

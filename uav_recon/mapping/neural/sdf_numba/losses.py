@@ -13,8 +13,8 @@ from uav_recon.geometry.jit import fast_kernel
 from uav_recon.mapping.neural.sdf_numba.feature_grid import POINTS, FeatureGrid, Gradient, gather, locate, scatter
 from uav_recon.mapping.neural.sdf_numba.network import (
     COLOUR_OUT,
-    LEAST_LOG_VARIANCE,
-    MOST_LOG_VARIANCE,
+    MAX_LOG_VARIANCE,
+    MIN_LOG_VARIANCE,
     SHAPE_FEATURES,
     Network,
     Scratch,
@@ -138,7 +138,7 @@ def fit_colour(
                 total += error * error
                 s.d_rgb[j, p] = _TWO * third * weight[start + p] * error
             square = total / max(known, _ONE)
-            log_variance = min(max(s.rgb[3, p], LEAST_LOG_VARIANCE), MOST_LOG_VARIANCE)
+            log_variance = min(max(s.rgb[3, p], MIN_LOG_VARIANCE), MAX_LOG_VARIANCE)
             surprise = square * np.exp(-log_variance)
             share = np.float32(0.5) * VARIANCE_SHARE * weight[start + p] if known > _ZERO else _ZERO
             error_squared[start + p] = square if known > _ZERO else UNKNOWN

@@ -19,7 +19,7 @@ SHAPE_FEATURES = 15  # what the distance network tells the colour network
 COLOUR_IN = SHAPE_FEATURES + ENCODED
 COLOUR_OUT = 3 + 1  # red, green, blue; log variance of their error
 TRUNCATION_M = np.float32(0.10)  # distances are learned in units of this
-LEAST_LOG_VARIANCE, MOST_LOG_VARIANCE = np.float32(-10.0), np.float32(2.0)  # of a colour
+MIN_LOG_VARIANCE, MAX_LOG_VARIANCE = np.float32(-10.0), np.float32(2.0)  # of a colour
 OUTSIDE_BIAS_M = np.float32(0.05)  # an untrained field is air
 
 

@@ -19,7 +19,7 @@ EDGE_M = 0.008
 SURE = 2.5  # deviations, beyond which there is nothing to meet
 SHORTEST_STEP_M, LONGEST_STEP_M = 0.01, 0.25
 CAUTION = 0.8  # of the distance is stepped: a learned field is not exactly one
-LEAST_SHARE = 0.01  # of a ray, that is worth a colour
+MIN_SHARE = 0.01  # of a ray, that is worth a colour
 OPAQUE, FOUND = 0.02, 0.02  # what may be left of a ray when it ends, and must have been met for one to have a colour
 
 Solid = Callable[[Float32Array], BoolArray]
@@ -47,7 +47,7 @@ def render_rays(
         near = near[solid(points[near])]
         opening[near] = _open(distance[near])
         met = np.clip(1.0 - opening / np.maximum(open_before[walking], 1e-5), 0.0, 1.0).astype(np.float32)
-        some = np.flatnonzero(met > LEAST_SHARE)
+        some = np.flatnonzero(met > MIN_SHARE)
         ray, share = walking[some], (left[walking] * met)[some]
         middle = np.maximum(0.5 * (before[ray] + at[ray]), at[ray] - np.float32(0.5 * SHORTEST_STEP_M))
         rgb[ray] += share[:, None] * field.rgb(origin[ray] + at[ray, None] * direction[ray])

@@ -18,8 +18,8 @@ from uav_recon.mapping.neural.sdf_numba.feature_grid import (
 )
 from uav_recon.mapping.neural.sdf_numba.network import (
     COLOUR_OUT,
-    LEAST_LOG_VARIANCE,
-    MOST_LOG_VARIANCE,
+    MAX_LOG_VARIANCE,
+    MIN_LOG_VARIANCE,
     SHAPE_FEATURES,
     Network,
     Scratch,
@@ -90,7 +90,7 @@ class NumbaSdfField:
 
     def colour_sigma(self, points: Float32Array) -> Float32Array:
         """Standard deviation (N,) of the colour error, 0..1, that the network expects at points (N, 3)."""
-        log_variance = np.clip(self._coloured(points)[:, 3], LEAST_LOG_VARIANCE, MOST_LOG_VARIANCE)
+        log_variance = np.clip(self._coloured(points)[:, 3], MIN_LOG_VARIANCE, MAX_LOG_VARIANCE)
         sigma: Float32Array = np.exp(np.float32(0.5) * log_variance)
         return sigma
 

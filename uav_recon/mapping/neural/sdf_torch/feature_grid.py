@@ -15,9 +15,9 @@ from uav_recon.mapping.neural.sdf_numba.feature_grid import COARSEST_CELL_M, DEN
 from uav_recon.types.frames import FloatArray
 
 GROWTH = (FINEST_CELL_M / COARSEST_CELL_M) ** (1.0 / (LEVELS - 1))  # of a cell from one level to the next
-MOST_BLOCKS = 400_000_000  # entries of the index, 4 bytes each
+MAX_BLOCKS = 400_000_000  # entries of the index, 4 bytes each
 IN_BLOCK = 8 * FEATURES  # numbers of a block
-BAND_CELLS, LEAST_BAND_M = 4, 0.03  # a level has blocks so far from a measured point
+BAND_CELLS, MIN_BAND_M = 4, 0.03  # a level has blocks so far from a measured point
 
 
 class GridError(Exception):
@@ -55,9 +55,9 @@ def lay_out(box_min_m: FloatArray, box_max_m: FloatArray, finest_cell_m: float) 
     cells = np.maximum(np.ceil(extent_m[None, :] / cell_m[:, None]), 1).astype(np.int64)
     blocks = (cells + 2) // 2
     count = blocks.prod(axis=1)
-    if count.sum() > MOST_BLOCKS:
-        least_m = finest_cell_m * (count.sum() / MOST_BLOCKS) ** (1 / 3)
-        raise GridError(f"a box of {'x'.join(f'{e:.1f}' for e in extent_m)} m holds cells of {least_m:.3f} m at the finest")
+    if count.sum() > MAX_BLOCKS:
+        min_m = finest_cell_m * (count.sum() / MAX_BLOCKS) ** (1 / 3)
+        raise GridError(f"a box of {'x'.join(f'{e:.1f}' for e in extent_m)} m holds cells of {min_m:.3f} m at the finest")
     return GridLayout(
         torch.tensor(np.asarray(box_min_m, dtype=np.float32)),
         torch.tensor((1.0 / cell_m).astype(np.float32)),
@@ -83,7 +83,7 @@ class FeatureBlocks:
         """Want the blocks near measured points (N, 3), along their unit rays (N, 3): fine ones only near the surface."""
         for level in range(self._layout.levels):
             cell_m = 1.0 / float(self._layout.inverse_cell_per_m[level])
-            steps = int(max(BAND_CELLS, np.ceil(LEAST_BAND_M / cell_m)))
+            steps = int(max(BAND_CELLS, np.ceil(MIN_BAND_M / cell_m)))
             for n in range(-steps, steps + 1):
                 self._mark(points + n * cell_m * direction, level)
 

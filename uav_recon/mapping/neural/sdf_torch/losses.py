@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from uav_recon.mapping.neural.sdf_numba.losses import STENCIL_M, TETRAHEDRON, VARIANCE_SHARE
-from uav_recon.mapping.neural.sdf_numba.network import LEAST_LOG_VARIANCE, MOST_LOG_VARIANCE
+from uav_recon.mapping.neural.sdf_numba.network import MAX_LOG_VARIANCE, MIN_LOG_VARIANCE
 
-LEAST_SLOPE = 1e-6  # added to a gradient's length
+MIN_SLOPE = 1e-6  # added to a gradient's length
 
 
 def tetrahedron(device: torch.device) -> Tensor:
@@ -32,7 +32,7 @@ def shape_loss(corner_m: Tensor, stencil: Tensor, normal: Tensor, eikonal_weight
     """Sum of eikonal_weight * (|g| - 1)² + normal_weight * |g/|g| - n|², with g from corner_m (4 N,) of around()."""
     gradient = corner_m.view(-1, 4) @ stencil / (4.0 * float(STENCIL_M))
     # a place outside the box has no slope at all, and a root no derivative there
-    length = gradient.square().sum(dim=1).clamp(min=LEAST_SLOPE**2).sqrt() + LEAST_SLOPE
+    length = gradient.square().sum(dim=1).clamp(min=MIN_SLOPE**2).sqrt() + MIN_SLOPE
     along = (gradient * normal).sum(dim=1) / length
     return (eikonal_weight * (length - 1.0).square() + 2.0 * normal_weight * (1.0 - along)).sum()
 
@@ -46,6 +46,6 @@ def colour_loss(rgb: Tensor, log_variance: Tensor, seen: Tensor, at_least: Tenso
     known = ~at_least | (error <= 0.0)
     total, count = torch.where(known, error, 0.0).square().sum(dim=1), known.sum(dim=1)
     # held inside its limits, yet always free to move: what surprises must be able to widen it
-    held = log_variance + (log_variance.clamp(float(LEAST_LOG_VARIANCE), float(MOST_LOG_VARIANCE)) - log_variance).detach()
+    held = log_variance + (log_variance.clamp(float(MIN_LOG_VARIANCE), float(MAX_LOG_VARIANCE)) - log_variance).detach()
     gaussian = (total / count.clamp(min=1)).detach() * torch.exp(-held) + held
     return (weight * (total / 3.0 + 0.5 * float(VARIANCE_SHARE) * torch.where(count > 0, gaussian, 0.0))).sum()

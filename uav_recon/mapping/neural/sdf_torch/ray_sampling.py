@@ -86,9 +86,9 @@ def draw(state: Tensor, views: Replayed, low: Tensor, high: Tensor, rays: int, r
     seen_normal = record[:, 3:6].float() * NORMAL_UNIT
     normal = (rotation @ seen_normal[:, :, None])[:, :, 0]
     has_normal = seen_normal.square().sum(dim=1) > 0.5
-    cosine = torch.where(has_normal, (direction * normal).sum(dim=1).abs().clamp(min=float(ray_sampling.LEAST_COSINE)), 0.7)
+    cosine = torch.where(has_normal, (direction * normal).sum(dim=1).abs().clamp(min=float(ray_sampling.MIN_COSINE)), 0.7)
     variance = float(ray_sampling.POSE_SIGMA_M) ** 2
-    trust = (variance / (variance + sigma.square())).clamp(min=float(ray_sampling.LEAST_TRUST))
+    trust = (variance / (variance + sigma.square())).clamp(min=float(ray_sampling.MIN_TRUST))
 
     before, behind = float(ray_sampling.NEAR_BEFORE_M), float(ray_sampling.NEAR_BEHIND_M)
     truncation_m, nearest_m = float(TRUNCATION_M), float(ray_sampling.NEAREST_FREE_M)

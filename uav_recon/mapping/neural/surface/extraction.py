@@ -26,7 +26,7 @@ EVIDENCE_CELL_M = 0.05
 FILL_M = 0.15  # surface is filled at most so far from a measured point
 EVIDENCE_SIGMA_M = 0.15  # a vaguer measurement does not say where the surface is
 FEWEST_ENDS = 2  # end points that make a cell of surface
-LEAST_SUPPORT = 0.1  # measured normals for a surface over those against it
+MIN_SUPPORT = 0.1  # measured normals for a surface over those against it
 SHEET_M = 0.006  # a vertex whose own distance is larger belongs to the border of the band, not to the surface
 
 
@@ -81,7 +81,7 @@ class MeasuredCells:
     def contradicts(self, points: Float32Array, normal: Float32Array) -> BoolArray:
         """Whether normals (N, 3) at points (N, 3) face away from what was measured there."""
         for_it, against_it = _halves(normal), _halves(-normal)
-        return self._facing.dot(points, for_it - np.float32(LEAST_SUPPORT) * against_it) < 0.0
+        return self._facing.dot(points, for_it - np.float32(MIN_SUPPORT) * against_it) < 0.0
 
 
 def _within(cells: BoolArray, origin_m: FloatArray, points: Float32Array) -> BoolArray:

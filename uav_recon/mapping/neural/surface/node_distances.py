@@ -16,7 +16,7 @@ from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.mapping.neural.surface.surface_nets import ABSENT, EDGE, SparseNodes
 from uav_recon.types.frames import AnyArray, Float32Array
 
-MOST_SHARED = 8  # a level with at most so many nodes along a block is interpolated for the whole block
+MAX_SHARED = 8  # a level with at most so many nodes along a block is interpolated for the whole block
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _STEP, _TWO = np.uint64(1), np.uint64(2)
@@ -36,7 +36,7 @@ def fill_distances(field: NumbaSdfField, nodes: SparseNodes) -> None:
             cell[level, axis] = np.minimum(at.astype(np.int32), grid.cells[level, axis] - 1)
             share[level, axis] = at - cell[level, axis].astype(np.float32)
     spans = (EDGE - 1) * float(nodes.voxel_m) * grid.inverse_cell_per_m
-    shared = int(np.count_nonzero(np.ceil(spans) + 2 <= MOST_SHARED))  # the coarsest come first
+    shared = int(np.count_nonzero(np.ceil(spans) + 2 <= MAX_SHARED))  # the coarsest come first
     _fill(grid, field.network, field.scratch, cell, share, shared, nodes.blocks, nodes.values.reshape(-1, EDGE**3))
 
 
@@ -45,10 +45,10 @@ def _fill(
     grid: FeatureGrid, net: Network, s: Scratch, cell: AnyArray, share: Float32Array, shared: int, blocks: AnyArray,
     values: Float32Array,
 ) -> None:  # fmt: skip
-    raw = np.zeros((FEATURES, MOST_SHARED, MOST_SHARED, MOST_SHARED), dtype=np.float32)
-    along_y = np.zeros((FEATURES, MOST_SHARED, EDGE, MOST_SHARED), dtype=np.float32)
-    along_xy = np.zeros((LEVELS * FEATURES, EDGE, EDGE * MOST_SHARED), dtype=np.float32)
-    flat = along_xy.reshape(LEVELS * FEATURES, EDGE * EDGE * MOST_SHARED)
+    raw = np.zeros((FEATURES, MAX_SHARED, MAX_SHARED, MAX_SHARED), dtype=np.float32)
+    along_y = np.zeros((FEATURES, MAX_SHARED, EDGE, MAX_SHARED), dtype=np.float32)
+    along_xy = np.zeros((LEVELS * FEATURES, EDGE, EDGE * MAX_SHARED), dtype=np.float32)
+    flat = along_xy.reshape(LEVELS * FEATURES, EDGE * EDGE * MAX_SHARED)
     inner = np.zeros(POINTS, dtype=np.int64)
     target = np.zeros(POINTS, dtype=np.int64)
     out = values.reshape(-1)
@@ -83,7 +83,7 @@ def _share_levels(
     """Interpolate the coarse levels along y, then x, for all nodes of a block. Indices are unsigned: numba asks a signed one
     whether it counts from the end.
     """  # fmt: skip
-    features, layer = grid.features.reshape(-1), along_y.reshape(FEATURES, MOST_SHARED, EDGE * MOST_SHARED)
+    features, layer = grid.features.reshape(-1), along_y.reshape(FEATURES, MAX_SHARED, EDGE * MAX_SHARED)
     x0, y0, z0 = (np.uint64(blocks[block, 0] * EDGE), np.uint64(blocks[block, 1] * EDGE),
                   np.uint64(blocks[block, 2] * EDGE))  # fmt: skip
     last = np.uint64(EDGE - 1)
@@ -109,12 +109,12 @@ def _share_levels(
             for b in range(EDGE):
                 y, v = np.uint64(cell[level, 1, y0 + np.uint64(b)]) - j0, share[level, 1, y0 + np.uint64(b)]
                 for i in range(ni):
-                    for k in range(MOST_SHARED):
+                    for k in range(MAX_SHARED):
                         near, far = raw[feature, i, y, k], raw[feature, i, y + _STEP, k]
                         along_y[feature, i, b, k] = near + v * (far - near)
             for a in range(EDGE):
                 x, u = np.uint64(cell[level, 0, x0 + np.uint64(a)]) - i0, share[level, 0, x0 + np.uint64(a)]
-                for bk in range(EDGE * MOST_SHARED):
+                for bk in range(EDGE * MAX_SHARED):
                     near, far = layer[feature, x, bk], layer[feature, x + _STEP, bk]
                     along_xy[level * 2 + feature, a, bk] = near + u * (far - near)
 
@@ -131,7 +131,7 @@ def _along_z(
         for p in range(start, end):
             z = np.uint64(z0 + (inner[p] & 7))
             w = share[level, 2, z]
-            at = np.uint64((inner[p] >> 3) * MOST_SHARED + cell[level, 2, z] - k0)
+            at = np.uint64((inner[p] >> 3) * MAX_SHARED + cell[level, 2, z] - k0)
             near, far = along_xy[level * 2, at], along_xy[level * 2, at + _STEP]
             encoded[level * 2, p] = near + w * (far - near)
             near, far = along_xy[level * 2 + 1, at], along_xy[level * 2 + 1, at + _STEP]

@@ -18,9 +18,9 @@ from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 INFORMATION_CELL_M, COLOUR_CELL_M = 0.08, 0.10
 END_CELL_M, PLANE_CELL_M, ROUND_CELL_M = 0.05, 0.10, 0.10  # at most half of what a live surface renews about an end
 ROUND_STRIDE = 4  # of the measurements, one in so many says where they lie farther round: many fall into one cell
-COUNT_BELIEF, LEAST_DISAGREEMENT = 0.1, 0.05  # measurements that are held against none; disagreement of equal normals
-LEAST_PAST_M, MOST_PAST_M = 0.001, 0.10  # of a surface beside its measurements: to tell apart; where there are none
-LEAST_COUNT = 0.05  # of measurements, below which there are none
+COUNT_BELIEF, MIN_DISAGREEMENT = 0.1, 0.05  # measurements that are held against none; disagreement of equal normals
+MIN_PAST_M, MAX_PAST_M = 0.001, 0.10  # of a surface beside its measurements: to tell apart; where there are none
+MIN_COUNT = 0.05  # of measurements, below which there are none
 SHARP_SIGMA_M = 0.015  # a measurement of this depth sigma counts half of one without error
 PRIOR_SIGMA_M = 1.0  # of a surface that was never measured
 PRIOR_COLOUR_SIGMA, PRIOR_COUNT = 0.3, 8.0  # of a colour that was never seen, and how many samples that belief is worth
@@ -226,14 +226,14 @@ def _disagree(ends: Float32Array, farther: Float32Array, planes: Float32Array, p
         x, y, z = place[n, 0], place[n, 1], place[n, 2]
         nx, ny, nz, count = planes[n, 0], planes[n, 1], planes[n, 2], planes[n, 4]
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        together, past_each = 0.0, MOST_PAST_M
-        if count > LEAST_COUNT:
+        together, past_each = 0.0, MAX_PAST_M
+        if count > MIN_COUNT:
             together = length / count
-            past_each = min(abs(nx * x + ny * y + nz * z - planes[n, 3]) / count, MOST_PAST_M)
+            past_each = min(abs(nx * x + ny * y + nz * z - planes[n, 3]) / count, MAX_PAST_M)
         near = _past_mean(ends[n, 0], ends[n, 1], ends[n, 2], ends[n, 3], x, y, z, nx, ny, nz, length)
         far = _past_mean(farther[n, 0], farther[n, 1], farther[n, 2], farther[n, 3], x, y, z, nx, ny, nz, length)
-        past = np.cbrt((past_each**2 + LEAST_PAST_M**2) * (near**2 + LEAST_PAST_M**2) * (far**2 + LEAST_PAST_M**2))
-        out[n] = past / MOST_PAST_M**2 * (1.0 + LEAST_DISAGREEMENT - together) / np.sqrt(ends[n, 3] + COUNT_BELIEF)
+        past = np.cbrt((past_each**2 + MIN_PAST_M**2) * (near**2 + MIN_PAST_M**2) * (far**2 + MIN_PAST_M**2))
+        out[n] = past / MAX_PAST_M**2 * (1.0 + MIN_DISAGREEMENT - together) / np.sqrt(ends[n, 3] + COUNT_BELIEF)
 
 
 @fast_kernel
@@ -242,10 +242,10 @@ def _past_mean(
     x: float, y: float, z: float, nx: float, ny: float, nz: float, length: float,
 ) -> float:  # fmt: skip
     """Distance of a place along a normal of some length from the mean of known end points with this sum."""
-    if known <= LEAST_COUNT or length <= 0.0:
-        return MOST_PAST_M
+    if known <= MIN_COUNT or length <= 0.0:
+        return MAX_PAST_M
     along = nx * (x - sum_x / known) + ny * (y - sum_y / known) + nz * (z - sum_z / known)
-    return min(abs(along) / length, MOST_PAST_M)
+    return min(abs(along) / length, MAX_PAST_M)
 
 
 @fast_kernel

@@ -19,10 +19,10 @@ from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, Float32Array,
 from uav_recon.types.maps import TriangleMesh
 
 THROUGH_M = 0.06  # a cell is air if an image saw so far behind its middle
-MOST_NODES = 600_000_000  # of the lattice, 10 bytes each
+MAX_NODES = 600_000_000  # of the lattice, 10 bytes each
 SPECK_NODES = 64  # a piece of solid or of air with fewer nodes is noise
 CLIP_VOXELS = 2.0  # values beyond say nothing more
-LEAST_VOXELS = 0.02  # a node has at least this distance, so that no two vertices meet
+MIN_VOXELS = 0.02  # a node has at least this distance, so that no two vertices meet
 
 
 class MeshResolutionError(Exception):
@@ -57,9 +57,9 @@ class ClosedMesh:
 def check_size(gathered: TrainingData, voxel_m: float) -> None:
     """Raises MeshResolutionError if the lattice over the box would not fit."""
     extent_m = np.array(gathered.evidence.count.shape) * EVIDENCE_CELL_M
-    least_m = float((extent_m.prod() / MOST_NODES) ** (1 / 3))
-    if voxel_m < least_m:
-        raise MeshResolutionError(f"so large a box can be meshed with voxels of {least_m:.3f} m at the finest")
+    min_m = float((extent_m.prod() / MAX_NODES) ** (1 / 3))
+    if voxel_m < min_m:
+        raise MeshResolutionError(f"so large a box can be meshed with voxels of {min_m:.3f} m at the finest")
 
 
 def closed_mesh(field: SdfField, gathered: TrainingData, voxel_m: float) -> ClosedMesh:
@@ -109,8 +109,8 @@ def _lattice(field: SdfField, gathered: TrainingData, voxel_m: float) -> Float32
         held = block < ABSENT
         values[i : i + EDGE, j : j + EDGE, k : k + EDGE][held] = block[held]
     _drop_pieces(values, seen)
-    small = np.abs(values) < LEAST_VOXELS
-    values[small] = np.where(values[small] < 0.0, -LEAST_VOXELS, LEAST_VOXELS)
+    small = np.abs(values) < MIN_VOXELS
+    values[small] = np.where(values[small] < 0.0, -MIN_VOXELS, MIN_VOXELS)
     return np.pad(values, 1, constant_values=-CLIP_VOXELS)
 
 
