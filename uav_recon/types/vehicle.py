@@ -31,7 +31,7 @@ class VehicleState:
     mode: '' until the autopilot has told it, and whether it is armed. battery_fraction: NaN if unknown.
     camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount.
     trajectory_id: the trajectory being flown, -1 for none. refusals: proposals turned down by the guard so far.
-    note: the newest reason in words (refused arming, failsafe, refusal), '' for none. max_speed_mps: the guard's speed limit now.
+    note: the newest reason (refused arming, failsafe, refusal), '' for none. max_speed_mps: the guard's speed limit now.
     operator_received_s: when the pilot last answered its operator, companion's clock; -inf: not since it started.
     world_from_rest: of its setpoints, where braking from the newest ends; None before the first.
     """
