@@ -1,4 +1,7 @@
-"""Visibility of surface points in the depth images: seen, or measured through."""
+"""Visibility of surface points in depth images: seen, or measured through.
+
+An image measured through a point if its depth there is larger than that of the point.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Surface extraction from the field, limited to surface that the camera measured.
 
 Three gates reject surface that was not measured. Nodes are evaluated only near measured end points. The extracted surface
-must agree with the measured normals. At least as many depth images must see it as look through it; where no end point lies,
-more. So small holes are closed and sheets do not grow.
+must agree with the measured normals. At least as many depth images must see it as look through it; where its cell contains
+no end point, more must see it. So small holes are closed and sheets do not grow.
 """
 
 from __future__ import annotations
