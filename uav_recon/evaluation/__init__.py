@@ -1,1 +1,1 @@
-"""Pure metrics of a reconstruction against truth."""
+"""Metrics of a reconstruction against ground truth."""

@@ -1,7 +1,8 @@
-"""Quality of a model against truth, and the numbers of a stream and of a planner. Pure; every sampling is seeded.
+"""Metrics of a model against ground truth, and statistics of streams and exploration.
 
-Accuracy and completion are point to surface: they reach zero for a perfect model. The paper's point-to-point figures
-stand beside them and never fall under point_floor_cm, the distance of truth sampled twice against itself.
+All functions are pure, and all sampling is seeded. Accuracy and completion are point-to-surface distances: they are zero for
+a perfect model. The point-to-point figures of the paper are reported too. They never fall below point_floor_cm, the distance
+between two samplings of the ground truth.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ PSNR_CAP_DB = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceTruth:
-    """What a model is held against, in world; frozen once per scene and mount, never cut by what a flight saw.
+    """Ground truth in world, fixed per scene and mount; does not depend on what a flight saw.
 
-    surface: the triangles a model may lie on. points (N, 3): drawn on the part that can be seen, area-weighted.
-    points_again (M, 3): the same part drawn a second time, for the floor of the point-to-point figures; without it the
-    floor is taken between two halves of the points and scaled to their whole density.
+    surface: the triangles a model may lie on. points_world (N, 3): area-weighted samples of the part that can be seen.
+    points_again_world (M, 3): a second sampling of the same part, for the floor of the point-to-point figures; without it
+    the floor is taken between two halves of the points and scaled to their full density.
     """
 
     surface: TriangleSurface
@@ -35,7 +36,7 @@ class SurfaceTruth:
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """The quality section of report.json: cm, shares of 1, dB. None where there is nothing to measure."""
+    """The quality section of report.json: cm, shares of 1, dB; None if it cannot be measured."""
 
     accuracy_cm: float | None
     completion_cm: float | None
@@ -50,7 +51,7 @@ class Quality:
 
 @dataclass(frozen=True, slots=True)
 class StreamStatistics:
-    """A periodic stream as it arrived; None where there were too few arrivals to say."""
+    """Rate and gaps of a periodic stream; None if there were too few arrivals."""
 
     rate_hz: float | None
     gap_p99_ms: float | None
@@ -58,9 +59,9 @@ class StreamStatistics:
 
 
 def measure(model: TriangleSurface, truth: SurfaceTruth, psnr: float | None, seed: int = 0, samples: int = SAMPLES) -> Quality:
-    """Measure a model against truth, both in world.
+    """Measure a model against ground truth, both in world.
 
-    ``samples`` points are drawn on the model, area-weighted. An empty model recalls nothing and has no accuracy.
+    ``samples`` area-weighted points are drawn on the model. An empty model has a recall of zero and no accuracy.
     """
     model_points = model.sample(samples, seed)
     to_truth_m = truth.surface.distance_m(model_points)
@@ -80,22 +81,31 @@ def measure(model: TriangleSurface, truth: SurfaceTruth, psnr: float | None, see
 
 
 def point_distance_m(from_points: FloatArray, to_points: FloatArray) -> FloatArray:
-    """Distance (N,) from each point (N, 3) to the nearest of ``to_points`` (M, 3); infinite if M = 0."""
+    """Return the distance (N,) from each point (N, 3) to the nearest of ``to_points`` (M, 3).
+
+    Infinite if M = 0.
+    """
     if len(to_points) == 0:
         return np.full(len(from_points), np.inf)
     distance = np.empty(len(from_points))
-    near = cKDTree(from_points).indices  # neighbours after each other: what one search read is at hand for the next
+    near = cKDTree(from_points).indices  # neighbours in sequence: a search finds the memory of the previous one in the cache
     distance[near], _ = cKDTree(to_points).query(from_points[near], workers=-1)
     return distance
 
 
 def share_within(distance_m: FloatArray, threshold_m: float) -> float | None:
-    """Share of distances under a threshold: recall from truth to model, precision from model to truth."""
+    """Return the share of distances under a threshold; None without distances.
+
+    This is the recall for distances from truth to model, the precision from model to truth.
+    """
     return float(np.mean(distance_m < threshold_m)) if len(distance_m) else None
 
 
 def f_score(precision: float | None, recall: float | None) -> float | None:
-    """Harmonic mean of precision and recall (Knapitsch et al. 2017); an empty model scores 0."""
+    """Return the harmonic mean of precision and recall (Knapitsch et al. 2017).
+
+    An empty model scores 0; None without truth.
+    """
     if recall is None:
         return None
     if not precision or not recall:
@@ -104,9 +114,10 @@ def f_score(precision: float | None, recall: float | None) -> float | None:
 
 
 def psnr_db(images: Sequence[ByteArray], truths: Sequence[ByteArray]) -> float | None:
-    """Mean over views of the peak signal to noise ratio; images (H, W, 3) uint8, unseen pixels black by their maker.
+    """Return the peak signal-to-noise ratio, averaged over views; None without views.
 
-    A view without any error counts as 100 dB. Raises ValueError if counts or shapes differ.
+    images (H, W, 3) uint8; the caller renders unseen pixels black. A view without any error counts as 100 dB. Raises
+    ValueError if counts or shapes differ.
     """
     if len(images) != len(truths):
         raise ValueError(f"{len(images)} images for {len(truths)} truths")
@@ -120,7 +131,7 @@ def psnr_db(images: Sequence[ByteArray], truths: Sequence[ByteArray]) -> float |
 
 
 def stream_statistics(arrival_s: Sequence[float] | FloatArray) -> StreamStatistics:
-    """Rate and gaps of messages that arrived at these instants (any order)."""
+    """Return rate and gaps of messages from their arrival times (any order)."""
     gaps_s = np.diff(np.sort(np.asarray(arrival_s, dtype=np.float64)))
     if len(gaps_s) == 0 or gaps_s.sum() <= 0.0:
         return StreamStatistics(None, None, None)
@@ -132,9 +143,9 @@ def stream_statistics(arrival_s: Sequence[float] | FloatArray) -> StreamStatisti
 
 
 def explored_fraction(known_free: BoolArray, truth_free_seen: BoolArray) -> float | None:
-    """Share of the truly free voxels that can be seen, which the flight knows to be free; masks of one shape.
+    """Return the share of the visible free voxels of the ground truth that the map has as free.
 
-    Raises ValueError if the shapes differ. None if nothing can be seen.
+    The masks have the same shape, else ValueError. None if no voxel is visible.
     """
     if known_free.shape != truth_free_seen.shape:
         raise ValueError(f"known free {known_free.shape} and truth {truth_free_seen.shape} are on different grids")
@@ -143,7 +154,10 @@ def explored_fraction(known_free: BoolArray, truth_free_seen: BoolArray) -> floa
 
 
 def _point_floor_cm(truth: SurfaceTruth, seed: int) -> float | None:
-    """Truth against itself. The mean distance to the nearest of n points per area goes with 1 / sqrt(n) on a surface."""
+    """Return the distance between two samplings of the ground truth.
+
+    On a surface, the mean distance to the nearest of n points per area is proportional to 1 / sqrt(n).
+    """
     if truth.points_again_world is not None:
         return _mean_cm(point_distance_m(truth.points_again_world, truth.points_world))
     order = np.random.default_rng(seed).permutation(len(truth.points_world))
@@ -153,7 +167,7 @@ def _point_floor_cm(truth: SurfaceTruth, seed: int) -> float | None:
 
 
 def _mean_cm(distance_m: FloatArray) -> float | None:
-    """Mean in cm; None if there is none or it is infinite (nothing to be near to)."""
+    """Return the mean in cm; None if there is no distance or one is infinite."""
     if len(distance_m) == 0 or not np.isfinite(distance_m).all():
         return None
     return float(distance_m.mean() * 100.0)

@@ -1,4 +1,4 @@
-"""How much of the way that was flown lay where the camera looked."""
+"""Share of the flown path that lay in the camera's field of view."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from scipy.spatial.transform import Rotation
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import BoolArray, FloatArray
 
-COLUMN_M = 0.5  # about the pad: take-off and landing go through the column that the operator declares
+COLUMN_M = 0.5  # radius around the pad: take-off and landing use the column that the operator declares free
 MOVING_MPS = 0.05
 STEP_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class PathVisibility:
-    """Shares of the way by length: into what the camera saw at the time, and into what a level vehicle that turns its nose
-    along the way would see; the rest is steeper than the picture is high. None for a vehicle that did not go anywhere.
+    """Shares of the path by length; None for a vehicle that did not move.
+
+    seen: the motion was into the camera's view at the time. nose_first: it would be, for a level vehicle that yaws into the
+    direction of motion; the rest is steeper than the vertical field of view.
     """
 
     seen: float | None
@@ -28,8 +30,10 @@ class PathVisibility:
 def path_visibility(
     stamp_s: FloatArray, position_m: FloatArray, quat_wxyz: FloatArray, pitch_down_rad: float, fov_rad: tuple[float, float]
 ) -> PathVisibility:
-    """Of a way with stamps (N,), places (N, 3) from the pad and attitudes (N, 4) of the body in a level world, but for the
-    column over the pad; a camera that looks ahead and so far down, with a horizontal and a vertical angle of view.
+    """Return the visibility of a path, without the column above the pad.
+
+    stamp_s (N,); position_m (N, 3) from the pad; quat_wxyz (N, 4): attitude of the body in a level world. The camera looks
+    forward, pitch_down_rad downwards; fov_rad: horizontal and vertical field of view.
     """
     if len(stamp_s) < 2:
         return PathVisibility(None, None)

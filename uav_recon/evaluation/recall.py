@@ -1,9 +1,9 @@
-"""Recall while the model grows: the share of truth that surface elements cover.
+"""Recall of a growing model: the share of the ground truth that surface elements cover.
 
-The rule: an element stands for a disc in its tangent plane, half the elements' spacing in radius; a truth point is recalled
-where its distance to some disc is less than WITHIN_M. So a point on the surface is recalled between elements too, and the
-surface does not grow beyond its border. Replayed flights (30 and 120 views, states from 8 views on) give 0.000 to 0.007
-less than the triangles of the same state do at 2 cm; discs of 0.87 of the spacing would give up to 0.019 more.
+An element represents a disc in its tangent plane with a radius of half the element spacing. A truth point is recalled if its
+distance to a disc is less than WITHIN_M. So a point on the surface is also recalled between elements, and the surface does
+not grow beyond its border. On replayed flights (30 and 120 views, states from 8 views on) the recall is 0.000 to 0.007 lower
+than that of the triangles of the same state at 2 cm; discs of 0.87 of the spacing would give up to 0.019 more.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 
 WITHIN_M = 0.05
-REACH = 0.5  # an element's radius over the spacing: discs touch, and the gaps between them are far narrower than WITHIN_M
+REACH = 0.5  # radius over spacing: discs touch, and the gaps between them are much narrower than WITHIN_M
 
 
 class ElementRecall:
-    """Truth points (N, 3) in world, sorted once, to be held against many states of one surface.
+    """Truth points (N, 3) in world, sorted once for many states of one surface.
 
-    spacing_m: distance between neighbouring elements, the mapper's surface voxel. Raises ValueError if there is no truth.
+    spacing_m: distance between neighbouring elements, the mapper's surface voxel. The constructor raises ValueError if there
+    are no truth points.
     """
 
     def __init__(self, truth_points_world: FloatArray, spacing_m: float) -> None:
@@ -41,7 +42,7 @@ class ElementRecall:
         self._start = np.concatenate([np.zeros(1, np.int64), np.cumsum(count)]).astype(np.int64)
 
     def of(self, position_world: FloatArray, normal_world: FloatArray) -> float:
-        """Share of truth within WITHIN_M of elements (M, 3) with unit normals (M, 3)."""
+        """Return the share of truth within WITHIN_M of elements (M, 3) with unit normals (M, 3)."""
         found = np.zeros(len(self._points), dtype=np.bool_)
         position = np.ascontiguousarray(position_world, dtype=np.float64).reshape(-1, 3)
         normal = np.ascontiguousarray(normal_world, dtype=np.float64).reshape(-1, 3)
@@ -53,7 +54,10 @@ class ElementRecall:
 
 
 def time_to(curve: Sequence[tuple[float, int, float]], recall: float) -> float | None:
-    """The first instant of a curve of (seconds, views, recall) at which at least ``recall`` was reached; None if never."""
+    """Return the first time of a curve at which at least ``recall`` was reached; None if never.
+
+    curve: (seconds, views, recall).
+    """
     return next((time_s for time_s, _, reached in curve if reached >= recall), None)
 
 
@@ -62,7 +66,7 @@ def _cover(
     points: FloatArray, start: IntArray, shape: IntArray, low: FloatArray, cell_m: float,
     position: FloatArray, normal: FloatArray, radius_m: float, within_m: float, found: BoolArray,
 ) -> None:  # fmt: skip
-    """Mark the points that are nearer than within_m to a disc; a cell is as wide as an element can reach."""
+    """Mark the points nearer than within_m to a disc; a cell is as wide as an element's reach."""
     nx, ny, nz = shape[0], shape[1], shape[2]
     for n in range(position.shape[0]):
         i = int(np.floor((position[n, 0] - low[0]) / cell_m))

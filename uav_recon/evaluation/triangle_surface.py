@@ -1,4 +1,4 @@
-"""A bare triangle surface: what quality is measured on, whoever made it."""
+"""Triangle surface on which quality is measured."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from uav_recon.types.frames import FloatArray, IntArray, frozen
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriangleSurface:
-    """Triangles in world: vertices_world (V, 3) metres, faces (F, 3). Raises ValueError on a face without its vertex."""
+    """Triangles in world: vertices_world (V, 3) metres, faces (F, 3).
+
+    Raises ValueError if a face has an invalid vertex index.
+    """
 
     vertices_world: FloatArray
     faces: IntArray
@@ -25,15 +28,16 @@ class TriangleSurface:
         object.__setattr__(self, "faces", frozen(faces))
 
     def areas_m2(self) -> FloatArray:
-        """Area of each triangle, (F,)."""
+        """Return the area of each triangle, (F,)."""
         a, b, c = (self.vertices_world[self.faces[:, i]] for i in range(3))
         areas: FloatArray = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
         return areas
 
     def sample(self, count: int, seed: int) -> FloatArray:
-        """Points (count, 3), uniform over the area; (0, 3) if there is no area. The same seed gives the same points.
+        """Return points (count, 3), uniform over the area; (0, 3) if there is no area.
 
-        Stratified over the cumulated area, so that equal areas get equal shares (Turk 1990 within the triangle).
+        The same seed gives the same points. Stratified over the cumulative area, so that equal areas get equal shares (Turk
+        1990 within the triangle).
         """
         areas = self.areas_m2()
         if not areas.sum() > 0.0:
@@ -48,7 +52,7 @@ class TriangleSurface:
         return points
 
     def distance_m(self, points_world: FloatArray) -> FloatArray:
-        """Distance (N,) from points (N, 3) to the nearest triangle; infinite if there is no triangle."""
+        """Return the distance (N,) from points (N, 3) to the nearest triangle; infinite without one."""
         if len(self.faces) == 0:
             return np.full(len(points_world), np.inf)
         import open3d

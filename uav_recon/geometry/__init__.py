@@ -1,1 +1,1 @@
-"""Pure kernels shared by many stages: grids, ray traversal, projection."""
+"""Geometry kernels shared by several stages: compilation decorators and ray traversal."""

@@ -1,4 +1,4 @@
-"""The one typed door to numba: every kernel releases the GIL and is cached on disk."""
+"""Typed numba decorators: each kernel releases the GIL and is cached on disk."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def kernel(function: F) -> F:
-    """Compile for one core; no fastmath, so NaN keeps its meaning."""
+    """Compile for one core, without fastmath, so that NaN is handled correctly."""
     return cast("F", numba.njit(nogil=True, cache=True)(function))
 
 
 def fast_kernel(function: F) -> F:
-    """Compile with fastmath: only where no input can be NaN or infinite."""
+    """Compile with fastmath: only for kernels whose inputs cannot be NaN or infinite."""
     return cast("F", numba.njit(nogil=True, cache=True, fastmath=True)(function))

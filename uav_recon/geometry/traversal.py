@@ -1,6 +1,7 @@
-"""Lines of sight through a voxel map. Everything here is in voxel units: voxel (i, j, k) spans [(i,j,k), (i,j,k)+1].
+"""Line-of-sight queries in a voxel map.
 
-Traversal after Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing" (1987).
+All coordinates are in voxel units: voxel (i, j, k) spans [(i,j,k), (i,j,k)+1]. Traversal after Amanatides and Woo, "A Fast
+Voxel Traversal Algorithm for Ray Tracing" (1987).
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from uav_recon.types.maps import FREE
 
 @kernel
 def is_visible(state: ByteArray, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float, tail: float) -> bool:
-    """Tell whether known-free space alone lies between two points.
+    """Return True if the segment between two points crosses known-free space only.
 
-    state (nx, ny, nz) uint8; start and end in voxel units. Each voxel that the segment crosses must be FREE, its start's
-    included; the end's own voxel is not asked, nor are those within ``tail`` voxels before the end. Unknown and occupied
-    voxels block, and so does everything outside the array.
+    state (nx, ny, nz) uint8; start and end in voxel units. Each voxel that the segment crosses must be FREE, including that
+    of the start. The voxel of the end and the voxels within ``tail`` voxels before the end are not checked. Unknown and
+    occupied voxels block, and so does everything outside the array.
     """
     nx, ny, nz = state.shape
     i, j, k = math.floor(x0), math.floor(y0), math.floor(z0)
@@ -33,7 +34,7 @@ def is_visible(state: ByteArray, x0: float, y0: float, z0: float, x1: float, y1:
     si = 1 if dx > 0 else -1
     sj = 1 if dy > 0 else -1
     sk = 1 if dz > 0 else -1
-    # a zero component never reaches a border: infinity keeps it out of the comparison
+    # the segment never crosses a border along an axis with a zero component: infinity excludes it from the comparison
     delta_x = 1.0 / abs(dx) if dx != 0.0 else np.inf
     delta_y = 1.0 / abs(dy) if dy != 0.0 else np.inf
     delta_z = 1.0 / abs(dz) if dz != 0.0 else np.inf
@@ -63,28 +64,29 @@ def is_visible(state: ByteArray, x0: float, y0: float, z0: float, x1: float, y1:
 
 @kernel
 def visible_targets(state: ByteArray, eye: FloatArray, targets: FloatArray, tail: float) -> BoolArray:
-    """is_visible from one eye (3,) to many targets (N, 3), voxel units; (N,) bool."""
+    """Return is_visible from one eye (3,) to targets (N, 3), in voxel units, as (N,) bool."""
     out = np.zeros(len(targets), dtype=np.bool_)
     for n in range(len(targets)):
         out[n] = is_visible(state, eye[0], eye[1], eye[2], targets[n, 0], targets[n, 1], targets[n, 2], tail)
     return out
 
 
-# how far a line surely stays in free space from anywhere in a voxel, by its squared distance to the nearest centre of a voxel
-# that is not: less the half diagonals of both
+# Radius around any point of a voxel that is guaranteed free, by the squared distance from the voxel's centre to the nearest
+# centre of a voxel that is not free: the distance less the half diagonals of both voxels.
 _FREE_WAY = np.maximum(np.sqrt(np.arange(256)) - 1.7321, 0.0)
-_LEAP_FROM = 12  # squared distance: below it a leap is no longer than a step
+_LEAP_FROM = 12  # squared distance below which a jump is no longer than one voxel step
 
 
 @kernel
 def first_obstacle(
     distance2: ByteArray, ny: int, nz: int, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float
 ) -> int:
-    """Flat index of the first voxel on a segment that is not known free, or -1: its start's voxel is not asked, its end's is.
+    """Return the flat index of the first voxel on a segment that is not known free, or -1.
 
-    distance2: (nx * ny * nz,) uint8 as VoxelMap.distance2, raveled. Both ends in voxel units and INSIDE the array: nothing is
-    checked. Answers as traversal voxel by voxel does, but leaps over the free ball around where it is: "sphere tracing" on
-    exact distances less the voxels' own size, so that nothing is leapt over.
+    The voxel of the start is not checked, that of the end is. distance2: (nx * ny * nz,) uint8, VoxelMap.distance2
+    flattened. Both ends in voxel units and INSIDE the array: this is not checked. The result equals that of a voxel-by-voxel
+    traversal, but the search jumps across the free ball around the current point: sphere tracing on exact distances less the
+    size of the voxels, so that no voxel is skipped.
     """
     i, j, k = int(x0), int(y0), int(z0)
     end = (int(x1) * ny + int(y1)) * nz + int(z1)
@@ -92,7 +94,7 @@ def first_obstacle(
     if flat == end:
         return -1
     dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
-    # a zero component never reaches a border within the segment
+    # the segment never crosses a border along an axis with a zero component
     dx = dx if abs(dx) > 1e-9 else 1e-9
     dy = dy if abs(dy) > 1e-9 else 1e-9
     dz = dz if abs(dz) > 1e-9 else 1e-9
@@ -104,7 +106,7 @@ def first_obstacle(
     bi, bj, bk = (1 if dx > 0 else 0), (1 if dy > 0 else 0), (1 if dz > 0 else 0)
     tx, ty, tz = (i + bi - x0) * per_x, (j + bj - y0) * per_y, (k + bk - z0) * per_z
     while True:
-        # which border comes first is as good as random: no branches
+        # the order of the borders is close to random, so branches would be mispredicted
         along_x = (tx <= ty) & (tx <= tz)
         along_y = (not along_x) & (ty <= tz)
         t = tx if along_x else (ty if along_y else tz)

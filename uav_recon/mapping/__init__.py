@@ -1,1 +1,1 @@
-"""What is known of the room: voxels, distance field, keyframes, and the neural surface."""
+"""Map representations: occupancy voxels, distance field, keyframes and the neural surface."""

@@ -1,8 +1,9 @@
-"""Which frames are worth a place in the view budget: those that show surface which no keyframe has shown well yet.
+"""Keyframe selection: score a frame by the surface that no keyframe has observed well yet.
 
-Every surface voxel wants SIGHTINGS good looks. A look counts for less the vaguer its depth; a frame's gain is the sum over its
-voxels of what it adds to those still wanting. It is worth a view if its gain is the share that each remaining view must
-bring for the whole room to be covered, so the budget lasts for the room and is spent where surface is new.
+Each surface voxel needs SIGHTINGS good observations. An observation has a lower weight if its depth noise is larger. The
+gain of a frame is the sum, over its voxels, of the observation weight it adds where observations are still missing. A frame
+is selected if its gain reaches the share that each remaining view must contribute to cover the whole room. So the view
+budget lasts for the room and is spent on new surface.
 """
 
 from __future__ import annotations
@@ -16,18 +17,18 @@ from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
 
 SIGHTINGS = 3.0
-GOOD_SIGMA_M = 0.02  # depth this certain counts as one look
+GOOD_SIGMA_M = 0.02  # depth noise (one sigma) up to which an observation has full weight
 PIXEL_STEP = 4
-FURNITURE = 1.5  # surface of a furnished room against that of its box
+FURNITURE = 1.5  # ratio of the surface area of a furnished room to that of its bounding box
 SMALLEST_GAIN = 100.0
-UNIT = 10_000  # counts of a look; its sum of SIGHTINGS stays under MET
-MET = 1 << 15  # bit of a voxel that this frame has met already
-THRIFT = 2.5  # a view on the way must bring more than its share: tasks will want views too
-BASELINE_M, BASELINE_RAD = 0.25, 0.25  # nearer than both to the last keyframe a frame shows the same once more
+UNIT = 10_000  # fixed-point counts per observation; UNIT * SIGHTINGS stays below MET
+MET = 1 << 15  # flag bit of a voxel that was already counted in the current frame
+THRIFT = 2.5  # factor on the share of a view: leaves budget for the views that planned tasks will need
+BASELINE_M, BASELINE_RAD = 0.25, 0.25  # a frame closer than both to the last keyframe adds nothing new
 
 
 class KeyframeSelection:
-    """Looks per surface voxel, as keyframes gave them."""
+    """Observation weight that the keyframes gave to each surface voxel."""
 
     def __init__(
         self, grid: GridSpec, fence_min_m: FloatArray, fence_max_m: FloatArray, noise_px: float, baseline_m: float
@@ -41,23 +42,23 @@ class KeyframeSelection:
         self._last: Pose | None = None
 
     def worth(self, posed: PosedFrame, views_left: int) -> bool:
-        """Whether this frame should be one of the views that are left. About 1 ms."""
+        """Return True if the frame should use one of the remaining views. Takes about 1 ms."""
         if views_left <= 0 or not self._moved(posed.world_from_depth):
             return False
         missing = max(self._wanted - self.looks_given(), 0.0)
         return bool(self._read(posed, keep=False) >= max(THRIFT * missing / views_left, SMALLEST_GAIN))
 
     def keep(self, posed: PosedFrame) -> None:
-        """Note that this frame became a keyframe."""
+        """Record that the frame became a keyframe."""
         self._last = posed.world_from_depth
         self._read(posed, keep=True)
 
     def looks_given(self) -> float:
-        """Sum over all voxels of the looks they got."""
+        """Return the sum of the observation weights over all voxels."""
         return self._given
 
     def warm_up(self) -> None:
-        """Compile the kernel on an empty frame; nothing is kept."""
+        """Compile the kernel on an empty frame; the state does not change."""
         lens = Intrinsics(1.0, 1.0, 0.0, 0.0, 1, 1)
         empty = Frame(0.0, 0, np.full((1, 1), np.nan, np.float32), lens, np.zeros((1, 1, 3), np.uint8), lens, Pose.identity())
         self._read(PosedFrame(empty, Pose.identity()), keep=False)
@@ -87,9 +88,10 @@ def _gain(
     depth_m: AnyArray, lens: AnyArray, rotation: AnyArray, origin: AnyArray, sigma: float,
     shape: tuple[int, int, int], looks: AnyArray, met: AnyArray, keep: bool,
 ) -> float:  # fmt: skip
-    """Sum over the voxels met by the depth image of what one look adds; each voxel counts once a frame.
+    """Return the observation weight that a depth image adds, summed over the voxels it hits.
 
-    looks: flat uint16, in counts. met: scratch for the voxels met.
+    Each voxel counts once per frame. looks: flat uint16, in counts of UNIT per observation. met: scratch for the indices of
+    the voxels hit.
     """
     gain = number = 0
     for v in range(0, depth_m.shape[0], PIXEL_STEP):

@@ -1,8 +1,8 @@
-"""Keyframes on disk: what a flight saw, readable by anything.
+"""Keyframes on disk, in a folder that other programs can read.
 
-folder/NNNN_rgb.jpg, folder/NNNN_depth.png (16 bit, millimetres, 0 = no return) and folder/poses.json with intrinsics, poses
-and stamps of all of them. Every file appears whole or not at all. All poses are of one map epoch; a keyframe of which a new
-epoch does not say where it was taken has null for its pose, and keeps its number.
+folder/NNNN_rgb.jpg, folder/NNNN_depth.png (16 bit, millimetres, 0 = no return) and folder/poses.json with the intrinsics,
+poses and stamps of all keyframes. Each file is replaced atomically. All poses belong to one map epoch. A keyframe whose pose
+is unknown in a new epoch has a null pose and keeps its number.
 """
 
 from __future__ import annotations
@@ -20,31 +20,35 @@ from uav_recon.types.pose import MapCorrection, Pose
 
 JPEG_QUALITY = 95
 PNG_COMPRESSION = 1
-HEAD, BETWEEN, TAIL = '{"depth_unit_m": 0.001, "keyframes": [\n', ",\n", "\n]}\n"  # of poses.json: a line for each keyframe
+HEAD, BETWEEN, TAIL = '{"depth_unit_m": 0.001, "keyframes": [\n', ",\n", "\n]}\n"  # of poses.json: one line per keyframe
 
 
 class KeyframeError(Exception):
-    """A keyframe folder that cannot be read; the text names file and fault."""
+    """Raised for a keyframe folder that cannot be read; the text names the file and the fault."""
 
 
 class KeyframeFolder:
-    """One writer, any number of readers. Creating it makes the folder and reads what is there already.
+    """A keyframe folder with one writer and any number of readers.
 
-    Raises OSError if the folder cannot be made, KeyframeError if its poses.json is damaged.
+    The constructor creates the folder and reads existing keyframes. Raises OSError if the folder cannot be created,
+    KeyframeError if its poses.json is damaged.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         self._entries: list[dict[str, Any]] = []
-        self._lines = ""  # of poses.json: what stands in it already is neither put into words nor read again
+        self._lines = ""  # poses.json as text: refresh() parses and save() serialises only new entries
         self.refresh()
 
     def __len__(self) -> int:
         return len(self._entries)
 
     def refresh(self) -> None:
-        """See what another process wrote."""
+        """Read the keyframes that another process wrote.
+
+        Raises KeyframeError if poses.json is damaged.
+        """
         path = self.folder / "poses.json"
         if not path.exists():
             return
@@ -61,16 +65,19 @@ class KeyframeFolder:
             raise KeyframeError(f"{path}: not a list of keyframes ({error})") from None
 
     def stamp_s(self, number: int) -> float:
-        """When a keyframe was taken. Raises IndexError if there is none."""
+        """Return the capture time of a keyframe. Raises IndexError if there is no such keyframe."""
         return float(self._entries[number]["stamp_s"])
 
     @property
     def map_epoch(self) -> int:
-        """Of all poses; 0 without keyframes."""
+        """Map epoch of all poses; 0 without keyframes."""
         return int(self._entries[-1]["map_epoch"]) if self._entries else 0
 
     def pose(self, number: int) -> Pose | None:
-        """world_from_depth of a keyframe in the present map epoch, if that is known. Raises KeyframeError if it is damaged."""
+        """Return world_from_depth of a keyframe in the current map epoch, or None if it is unknown.
+
+        Raises KeyframeError if the entry is damaged.
+        """
         try:
             entry = self._entries[number]["world_from_depth"]
             return None if entry is None else _read_pose(entry)
@@ -78,7 +85,10 @@ class KeyframeFolder:
             raise KeyframeError(f"{self.folder}: keyframe {number}: {error}") from None
 
     def repose(self, correction: MapCorrection) -> None:
-        """Put all keyframes, by their stamps, where they are in a new map epoch. Raises OSError if the disk refuses."""
+        """Replace the poses of all keyframes, matched by stamp, by those of a new map epoch.
+
+        A keyframe without a pose in the correction gets a null pose. Raises OSError if the file cannot be written.
+        """
         where = dict(correction.poses())
         entries = []
         for entry in self._entries:
@@ -90,11 +100,14 @@ class KeyframeFolder:
         self._entries, self._lines = entries, lines
 
     def save(self, keyframe: PosedFrame) -> int:
-        """Write a keyframe; returns its number. Blocks for about 10 ms. Raises OSError if the disk refuses."""
+        """Write a keyframe and return its number. Blocks for about 10 ms.
+
+        Raises OSError if a file cannot be written.
+        """
         import cv2
 
         frame, number = keyframe.frame, len(self._entries)
-        with np.errstate(over="ignore"):  # what overflows is infinite, and that is no return
+        with np.errstate(over="ignore"):  # an overflow becomes infinite, which means no return
             millimetres = np.nan_to_num(frame.depth_m * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
         depth = np.where(millimetres < 65535.0, np.rint(millimetres), 0.0).astype(np.uint16)
         bgr = np.ascontiguousarray(frame.rgb[:, :, ::-1])
@@ -117,7 +130,7 @@ class KeyframeFolder:
         return number
 
     def load(self, number: int) -> PosedFrame:
-        """Read a keyframe back. Raises KeyframeError if it is missing or damaged."""
+        """Read a keyframe. Raises KeyframeError if it is missing, damaged or without a pose."""
         import cv2
 
         try:
@@ -150,10 +163,10 @@ class KeyframeFolder:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Replace a file in one step: a reader sees the old one or the new one."""
+    """Replace a file atomically: a reader sees either the old or the new content."""
     temporary = path.with_name(path.name + ".part")
     temporary.write_bytes(data)
-    os.replace(temporary, path)  # noqa: PTH105 - the atomic one
+    os.replace(temporary, path)  # noqa: PTH105 - os.replace is atomic
 
 
 def _lens(lens: Intrinsics) -> dict[str, float | int]:

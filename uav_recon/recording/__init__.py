@@ -1,1 +1,1 @@
-"""Everything a flight leaves behind: recorder, review blueprint, report."""
+"""Records of a flight: event log, rerun recording, report with plots, timelapse, viewer."""

@@ -1,4 +1,4 @@
-"""How a recorded flight is laid out on the screen, and the names of what is recorded."""
+"""Screen layout of a recorded flight, and the entity names in the recording."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FRONTIERS = "plots/views/frontiers"
 
 
 def review_blueprint() -> Any:
-    """3-D view beside both images; below them five time series and the log."""
+    """Return the layout: 3-D view beside both images; below them five time series and the log."""
     import rerun.blueprint as rrb
 
     def series(origin: str, name: str) -> Any:

@@ -1,6 +1,6 @@
-"""The mission's own account of a flight: timeline.jsonl, one line per event, readable after any crash.
+"""Event log of the mission: timeline.jsonl, one line per event, readable after any crash.
 
-Each line is written whole and at once; a torn line (power lost in the middle of it) costs that line only.
+Each line is written at once. A partial line (loss of power while writing) only loses that event.
 """
 
 from __future__ import annotations
@@ -41,7 +41,10 @@ class ProgressSample:
 
 @dataclass(frozen=True, slots=True)
 class PlanRecord:
-    """One plan. mode: explore | merged, "" when nothing was left. hover_wait_s: how long the vehicle stood waiting for it."""
+    """One plan. mode: explore | merged, "" when nothing was left.
+
+    hover_wait_s: time that the vehicle hovered waiting for the plan.
+    """
 
     stamp_s: float
     mode: str
@@ -55,7 +58,7 @@ class PlanRecord:
 
 @dataclass(frozen=True, slots=True)
 class ViewRecord:
-    """One keyframe given to the mapper: capture stamp and where its depth imager was."""
+    """One keyframe given to the mapper: capture stamp and pose of its depth imager."""
 
     stamp_s: float
     index: int
@@ -63,13 +66,13 @@ class ViewRecord:
     translation_m: tuple[float, float, float]
 
     def world_from_depth(self) -> Pose:
-        """The pose as a value."""
+        """Return the pose of the depth imager."""
         return Pose(np.array(self.quat_wxyz), np.array(self.translation_m))
 
 
 @dataclass(frozen=True, slots=True)
 class PhaseRecord:
-    """A new phase of the mission and why."""
+    """A new phase of the mission, with its reason."""
 
     stamp_s: float
     phase: str
@@ -78,7 +81,7 @@ class PhaseRecord:
 
 @dataclass(frozen=True, slots=True)
 class RefusalRecord:
-    """Something that was turned down (by guard, autopilot or mapper), in words."""
+    """A rejection by guard, autopilot or mapper, with its reason as text."""
 
     stamp_s: float
     reason: str
@@ -86,7 +89,7 @@ class RefusalRecord:
 
 @dataclass(frozen=True, slots=True)
 class RefusedViewsRecord:
-    """Keyframes that the mapper did not take, all of the flight: (reason in words, count) each."""
+    """Keyframes that the mapper rejected during the flight: (reason as text, count) each."""
 
     stamp_s: float
     counts: tuple[tuple[str, int], ...]
@@ -94,7 +97,10 @@ class RefusedViewsRecord:
 
 @dataclass(frozen=True, slots=True)
 class OutcomeRecord:
-    """How the flight ended: "completed" or "aborted: reason", and why it stopped looking."""
+    """Outcome of the flight: "completed" or "aborted: reason".
+
+    stop_reason: reason for the end of the survey.
+    """
 
     stamp_s: float
     outcome: str
@@ -103,7 +109,10 @@ class OutcomeRecord:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """A flight read back, each list in the order of writing. torn_lines: lines that could not be read."""
+    """The events of a flight, each list in the order of writing.
+
+    torn_lines: number of lines that could not be read.
+    """
 
     progress: tuple[ProgressSample, ...]
     plans: tuple[PlanRecord, ...]
@@ -115,25 +124,25 @@ class Timeline:
     torn_lines: int
 
     def start_s(self) -> float:
-        """Stamp of the first event, 0 for an empty timeline."""
+        """Return the stamp of the first event, 0 for an empty timeline."""
         records: tuple[Sequence[Any], ...] = (self.progress, self.plans, self.views, self.phases, self.refusals)
         return min((float(record[0].stamp_s) for record in records if record), default=0.0)
 
     def took_off_s(self) -> float | None:
-        """Stamp of the order to take off; None if there was none."""
+        """Return the stamp of the take-off command; None if there was none."""
         return next((record.stamp_s for record in self.phases if record.phase == TAKE_OFF), None)
 
     def last_view_s(self) -> float | None:
-        """From the order to take off to the last view, seconds; None if either is missing."""
+        """Return the seconds from the take-off command to the last view; None if either is missing."""
         start_s = self.took_off_s()
         return None if start_s is None or not self.views else self.views[-1].stamp_s - start_s
 
     def waited_s(self, begin_s: float, end_s: float) -> float:
-        """How much of the time between two stamps the vehicle stood waiting for a plan."""
+        """Return the time between two stamps that the vehicle hovered waiting for a plan."""
         return sum(max(0.0, min(plan.stamp_s, end_s) - max(plan.stamp_s - plan.hover_wait_s, begin_s)) for plan in self.plans)
 
     def path_world(self) -> tuple[FloatArray, FloatArray]:
-        """Stamps (N,) and positions (N, 3) of the progress samples."""
+        """Return stamps (N,) and positions (N, 3) of the progress samples."""
         stamps = np.array([sample.stamp_s for sample in self.progress])
         return stamps, np.array([sample.position_world for sample in self.progress]).reshape(-1, 3)
 
@@ -150,7 +159,10 @@ _KINDS: dict[str, type[Any]] = {
 
 
 class FlightLog:
-    """Appends events to ``folder``/timeline.jsonl. A full disk is logged once and counted: it never stops a flight."""
+    """Appends events to ``folder``/timeline.jsonl.
+
+    A full disk is logged once and the lost events are counted; it never stops a flight.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / TIMELINE
@@ -158,7 +170,7 @@ class FlightLog:
         before = self.path.read_bytes() if self.path.exists() else b""
         self._file = self.path.open("a", encoding="utf-8", buffering=1)
         if before and not before.endswith(b"\n"):
-            self._file.write("\n")  # a crash tore the last line: do not let it take the next one with it
+            self._file.write("\n")  # a crash left a partial last line: keep it separate from the next one
 
     def progress(self, now: MissionProgress) -> None:
         """Add a sample of the mission's progress."""
@@ -205,15 +217,15 @@ class FlightLog:
         self._write("refusal", RefusalRecord(stamp_s, reason))
 
     def refused_views(self, stamp_s: float, counts: Mapping[str, int]) -> None:
-        """Add how many keyframes the mapper did not take, by reason."""
+        """Add the number of keyframes that the mapper rejected, by reason."""
         self._write("refused views", RefusedViewsRecord(stamp_s, tuple(sorted(counts.items()))))
 
     def outcome(self, stamp_s: float, outcome: str, stop_reason: str) -> None:
-        """Add the last line."""
+        """Add the outcome, which is the last line."""
         self._write("outcome", OutcomeRecord(stamp_s, outcome, stop_reason))
 
     def close(self) -> None:
-        """Release the file."""
+        """Close the file."""
         self._file.close()
 
     def _write(self, kind: str, record: Any) -> None:
@@ -227,7 +239,10 @@ class FlightLog:
 
 
 def read_timeline(folder: Path) -> Timeline:
-    """Read ``folder``/timeline.jsonl; no file gives an empty timeline. Unreadable lines are counted, not raised."""
+    """Read ``folder``/timeline.jsonl; without the file the timeline is empty.
+
+    Unreadable lines are counted, not raised.
+    """
     found: dict[str, list[Any]] = {kind: [] for kind in _KINDS}
     torn = 0
     path = folder / TIMELINE
@@ -251,7 +266,7 @@ def read_timeline(folder: Path) -> Timeline:
 
 
 def _strict(value: Any) -> Any:
-    """Strict JSON has no NaN: it becomes null."""
+    """Return the value for strict JSON, which has no NaN: non-finite numbers become null."""
     if isinstance(value, tuple):
         return [_strict(item) for item in value]
     if isinstance(value, np.generic):

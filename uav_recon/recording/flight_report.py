@@ -1,4 +1,4 @@
-"""After the flight: its own account as a report with pictures. Truth, where there is one, is added by whoever has it."""
+"""Report of a flight from its own files, with plots; ground truth is added by the simulator."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ON_THE_GROUND = ("idle", "ready", "done")
 
 @dataclass(frozen=True, slots=True)
 class FlightInfo:
-    """What was flown: the report's head. depth_noise and seed are None where they mean nothing."""
+    """Head of the report. depth_noise and seed are None where they have no meaning."""
 
     scene: str
     variant: str
@@ -32,7 +32,10 @@ class FlightInfo:
 
 
 def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
-    """The report that the flight's own files allow: quality, recall, clearance, contacts and stream are unknown."""
+    """Return the report that the flight's own files allow.
+
+    Quality, recall, clearance, contacts and stream are unknown.
+    """
     timeline = read_timeline(folder)
     outcome = timeline.outcomes[-1] if timeline.outcomes else None
     stamps_s = [sample.stamp_s for sample in timeline.progress if sample.phase not in ON_THE_GROUND]
@@ -64,7 +67,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
 
 
 def publish(report: Report, folder: Path) -> None:
-    """Draw the pictures and write report.json and report.html."""
+    """Draw the plots and write report.json and report.html."""
     write_report(folder, report, _pictures(folder, report))
 
 
@@ -82,7 +85,7 @@ def _spread(values: list[float]) -> MedianP95:
 
 
 def _waiting_share(timeline: Timeline) -> float | None:
-    """Share of the time from take-off to the last view."""
+    """Return the share of the time from take-off to the last view spent waiting for a plan."""
     begin_s, lasted_s = timeline.took_off_s(), timeline.last_view_s()
     return timeline.waited_s(begin_s, begin_s + lasted_s) / lasted_s if begin_s is not None and lasted_s else None
 

@@ -1,4 +1,4 @@
-"""The final voxel map of a flight: voxels.npz in its folder."""
+"""File of the final voxel map of a flight: voxels.npz in its folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ VOXELS = "voxels.npz"
 
 
 def save_map(folder: Path, voxels: VoxelMap) -> None:
-    """Write the map; atomic."""
+    """Write the map atomically."""
     temporary = folder / f".new-{VOXELS}"
     grid = voxels.grid
     np.savez_compressed(
@@ -28,7 +28,7 @@ def save_map(folder: Path, voxels: VoxelMap) -> None:
 
 
 def load_map(folder: Path) -> VoxelMap | None:
-    """Read it back; None if the flight left none."""
+    """Read the map; None if the flight has none."""
     path = folder / VOXELS
     if not path.exists():
         return None

@@ -1,4 +1,4 @@
-"""The model of a flight as a value: mesh.ply in its folder, with colour and uncertainty per vertex."""
+"""Reader of the mesh of a flight: mesh.ply, with colour and uncertainty per vertex."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ _LOG = logging.getLogger(__name__)
 
 
 def load_mesh(folder: Path) -> TriangleMesh | None:
-    """Read ``folder``/mesh.ply; None if there is none, with a logged line if it cannot be read. No uncertainty reads as 0.
+    """Read ``folder``/mesh.ply; None if it is missing or cannot be read (which is logged).
 
-    Faces that are told as not observed close a room over what nobody saw: they are left out.
+    A missing uncertainty is read as 0. Faces marked as not observed, which close the room over space without observation,
+    are left out.
     """
     path = folder / MESH
     if not path.exists():

@@ -1,4 +1,4 @@
-"""Pictures of the finished model: in colour and by uncertainty over a corner of the room, and from straight above."""
+"""Renders of the finished model: colour and uncertainty in a corner view, and a top view."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ _DPI = 100
 
 
 def mesh_pictures(folder: Path, mesh: TriangleMesh, inside_world: FloatArray) -> list[Path]:
-    """Write mesh_colour.png, mesh_uncertainty.png and mesh_top.png (1200x800); an empty mesh gives none.
+    """Write mesh_colour.png, mesh_uncertainty.png, mesh_top.png (1200x800); returns the paths.
 
-    inside_world (3,): any point in the free space of the room: it tells which side of a surface is the front.
+    An empty mesh gives none. inside_world (3,): any point in the free space of the room; it determines the front side of the
+    surface.
     """
     if len(mesh.faces) == 0:
         return []
@@ -43,9 +44,10 @@ def mesh_pictures(folder: Path, mesh: TriangleMesh, inside_world: FloatArray) ->
 
 
 def _uncertainty_colours(mesh: TriangleMesh) -> tuple[ByteArray, float, float]:
-    """Vertex colours (V, 3) by uncertainty, and the values at both ends of the colour map (2nd and 98th percentile).
+    """Return vertex colours (V, 3) by uncertainty, and the values at the ends of the colour map.
 
-    The scale is logarithmic: a place looked at once is uncertain many times over one looked at often.
+    The ends are the 2nd and 98th percentile. The scale is logarithmic, because the uncertainty of a surface seen once is
+    many times that of one seen often.
     """
     import matplotlib
 
@@ -84,13 +86,13 @@ def _save(
 def _draw_ruler(
     plot: Callable[..., object], text: Callable[..., object], view: RenderView, lower: FloatArray, upper: FloatArray
 ) -> None:
-    """A ruler on the floor along the nearest long edge: one block per metre."""
+    """Draw a ruler on the floor along the nearest long edge, with one block per metre."""
     gap = 0.035 * float((upper - lower)[:2].max())
     corners = np.array([[lower[0], lower[1]], [upper[0], lower[1]], [upper[0], upper[1]], [lower[0], upper[1]]])
     outward = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
     lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     v_middle = view.project(_on_floor((corners + np.roll(corners, -1, axis=0)) / 2, lower))[:, 1]
-    near = v_middle > np.median(v_middle)  # the two edges in front; from above: the lower one
+    near = v_middle > np.median(v_middle)  # the two edges in front; in the top view the lower one
     edge = int(np.argmax(np.where(near, lengths, -1.0)))
     ends = corners[[edge, (edge + 1) % 4]]
     u_ends = view.project(_on_floor(ends, lower))[:, 0]

@@ -1,6 +1,6 @@
-"""Pictures of a flight, as PNG: the path over the floor plan, coverage and planning time over time.
+"""Plots of a flight as PNG: path over the floor plan, coverage and planning time over time.
 
-Every figure is its own object on the Agg canvas; no state is shared and no display is needed.
+Every figure is a separate object on the Agg canvas; no state is shared and no display is needed.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ _PHASE_SHADES = ("#f5f7fa", "#ffffff")
 def path_over_plan(
     picture: Path, timeline: Timeline, voxels: VoxelMap | None, slab_m: tuple[float, float] = (0.4, 1.6)
 ) -> None:
-    """Seen from above: occupied grey, free white, unknown hatched; the flown path by time, views as arrows.
+    """Plot the path over the floor plan: occupied grey, free white, unknown hatched.
 
-    A column of voxels is occupied if any voxel between the two heights of ``slab_m`` (world z) is.
+    The path is coloured by time, the views are arrows. A column of voxels is occupied if any voxel between the two heights
+    of ``slab_m`` (world z) is.
     """
     stamps_s, path = timeline.path_world()
     lower, upper = _extent(path, voxels)
@@ -54,7 +55,10 @@ def path_over_plan(
 
 
 def coverage_over_time(picture: Path, timeline: Timeline, free_volume_m3: float | None = None) -> None:
-    """Explored volume (its share, if the free volume that can be seen is known) and views over flight time."""
+    """Plot explored volume and views over flight time.
+
+    free_volume_m3: free volume that can be seen; if given, the explored share is plotted.
+    """
     start_s = timeline.start_s()
     time_s = np.array([sample.stamp_s - start_s for sample in timeline.progress])
     explored = np.array([sample.explored_m3 for sample in timeline.progress])
@@ -66,7 +70,7 @@ def coverage_over_time(picture: Path, timeline: Timeline, free_volume_m3: float 
         explored = 100.0 * explored / free_volume_m3
     axes.fill_between(time_s, explored, color=BLUE, alpha=0.12, lw=0)
     axes.plot(time_s, explored, color=BLUE, lw=2.2)
-    axes.set_ylim(0.0, 1.2 * max(float(explored.max(initial=0.0)), 1e-3))  # the phases' names stand above the curves
+    axes.set_ylim(0.0, 1.2 * max(float(explored.max(initial=0.0)), 1e-3))  # the names of the phases are above the curves
     axes.yaxis.label.set_color(BLUE)
     second = axes.twinx()
     second.spines[["top", "left", "right", "bottom"]].set_visible(False)
@@ -82,7 +86,7 @@ def coverage_over_time(picture: Path, timeline: Timeline, free_volume_m3: float 
 
 
 def planning_over_time(picture: Path, timeline: Timeline) -> None:
-    """Time spent per plan: whole step as a bar, its making of tasks darker inside; colour by mode."""
+    """Plot the time per plan: the whole step as a bar, its task time darker; colour by mode."""
     start_s = timeline.start_s()
     figure = new_figure(_WIDTH_IN, 3.4)
     axes = figure.add_subplot()
@@ -108,7 +112,7 @@ def planning_over_time(picture: Path, timeline: Timeline) -> None:
 
 
 def new_figure(width_in: float, height_in: float) -> Any:
-    """An empty figure on its own Agg canvas."""
+    """Return an empty figure on its own Agg canvas."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -121,7 +125,7 @@ def new_figure(width_in: float, height_in: float) -> Any:
 
 
 def style(axes: Any, x: str, y: str, title: str) -> None:
-    """The house style: few lines, soft ink, title at the left."""
+    """Apply the common style: few lines, soft colours, title at the left."""
     axes.set_xlabel(x, color=SOFT)
     axes.set_ylabel(y, color=SOFT)
     axes.set_title(title, loc="left", color=INK, fontsize=14, fontweight="bold", pad=12)
@@ -133,13 +137,13 @@ def style(axes: Any, x: str, y: str, title: str) -> None:
 
 
 def save(figure: Any, picture: Path) -> None:
-    """Write the PNG."""
+    """Write the figure as PNG."""
     picture.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=_DPI)
 
 
 def _extent(path: FloatArray, voxels: VoxelMap | None) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper corner (2,) of what is worth showing: known space and path, with a little room round it."""
+    """Return the lower and upper corner (2,) of known space and path, with a margin."""
     points = [path[:, :2]]
     if voxels is not None:
         known = np.argwhere((voxels.state != 0).any(axis=2))
@@ -187,7 +191,7 @@ def _draw_path(figure: Any, axes: Any, time_s: FloatArray, path: FloatArray) -> 
 
 
 def _draw_views(axes: Any, timeline: Timeline) -> None:
-    """Where each keyframe was taken and where it looked."""
+    """Draw the position and the viewing direction of each keyframe."""
     if not timeline.views:
         return
     poses = [view.world_from_depth() for view in timeline.views]
@@ -223,7 +227,7 @@ def _plan_handles(with_plan: bool) -> list[Any]:
 
 
 def _draw_phases(axes: Any, phases: Sequence[PhaseRecord], start_s: float, end_s: float) -> None:
-    """Phases as pale bands with their names, where there is room for a name."""
+    """Draw phases as pale bands, with their names where they fit."""
     last_label_s = -np.inf
     for n, record in enumerate(phases):
         begin = record.stamp_s - start_s

@@ -1,4 +1,4 @@
-"""The picture that tells how fast a flight was: recall and views over flight time, behind them what was planned when."""
+"""Plot of recall and views over flight time, with the planning mode in the background."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ _MODES = (("explore", "#dbeafe", "explore"), ("merged", "#ffedd5", "explore + re
 
 
 def recall_over_time(picture: Path, timeline: Timeline, report: Report) -> None:
-    """Recall within 5 cm since the order to take off, the instants at which it reached a mark, and views; modes as shades."""
+    """Plot recall within 5 cm and views since the take-off command.
+
+    Marks the times at which recall reached a limit; the planning modes are shaded.
+    """
     start_s = timeline.took_off_s() or timeline.start_s()
     curve = report.recall_over_time or ()
     time_s = np.array([point[0] for point in curve])
@@ -42,7 +45,7 @@ def recall_over_time(picture: Path, timeline: Timeline, report: Report) -> None:
 
 
 def _shade_modes(axes: Any, timeline: Timeline, start_s: float, end_s: float) -> None:
-    """From each plan to the next; the last one's shade ends with the last view."""
+    """Shade the mode from each plan to the next; the last one ends with the last view."""
     last_s = timeline.last_view_s()
     stop_s = end_s if last_s is None else last_s
     begins = [plan.stamp_s - start_s for plan in timeline.plans if plan.stamp_s - start_s < stop_s]
@@ -57,7 +60,10 @@ def _shade_modes(axes: Any, timeline: Timeline, start_s: float, end_s: float) ->
 
 
 def _draw_views(axes: Any, timeline: Timeline, start_s: float, end_s: float) -> None:
-    """Views as steps, in the same axes so that words stand before them; their own scale is at the right."""
+    """Draw the views as steps, with a scale at the right.
+
+    They are drawn in the main axes, so that text is in front of them.
+    """
     most = 1.05 * max(len(timeline.views), 1)
     second = axes.twinx()
     second.spines[["top", "left", "right", "bottom"]].set_visible(False)
@@ -71,7 +77,7 @@ def _draw_views(axes: Any, timeline: Timeline, start_s: float, end_s: float) -> 
 
 
 def _draw_mark(axes: Any, text: str, reached_s: float, recall: float) -> None:
-    """A line dropped from the curve to the time axis, with words along it."""
+    """Draw a vertical line from the curve to the time axis, with text along it."""
     axes.plot([reached_s, reached_s], [0.0, recall], color=INK, lw=1.0, ls="--")
     axes.plot([reached_s], [recall], "o", color=INK, ms=6.0, mec="white", mew=1.0, zorder=5)
     place = (reached_s, 0.0)

@@ -1,6 +1,6 @@
-"""report.json: the typed account of a flight. Its names are stable: others read it.
+"""Typed content of report.json. Its names are stable, because other programs read them.
 
-A number that was not or could not be measured is null: on a real flight there is no truth, so quality, clearance and
+A number that was not or could not be measured is null. Without ground truth, as on a real flight, quality, clearance and
 contacts are null, never zero.
 """
 
@@ -23,12 +23,12 @@ TIMED_RECALLS = ("0.90", "0.95")  # the keys of time_to_recall_s
 
 
 class ReportError(Exception):
-    """A report that does not have the agreed shape; its text is one line naming the key."""
+    """Raised for a report with an invalid structure; the text is one line that names the key."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReportQuality:
-    """Against truth: cm, shares of 1, dB. See evaluation.metrics."""
+    """Quality against ground truth: cm, shares of 1, dB. See evaluation.metrics."""
 
     accuracy_cm: float | None
     completion_cm: float | None
@@ -43,7 +43,7 @@ class ReportQuality:
 
 @dataclass(frozen=True, slots=True)
 class MedianP95:
-    """Median and 95th percentile of something, in its unit."""
+    """Median and 95th percentile of a quantity, in its unit."""
 
     median: float | None
     p95: float | None
@@ -51,7 +51,7 @@ class MedianP95:
 
 @dataclass(frozen=True, slots=True)
 class ModeTimes:
-    """Compute time per plan of one mode: making tasks, and the whole step."""
+    """Computation time per plan of one mode: task generation, and the whole step."""
 
     task_s: MedianP95
     step_s: MedianP95
@@ -59,7 +59,7 @@ class ModeTimes:
 
 @dataclass(frozen=True, slots=True)
 class ReportPlanning:
-    """Planning by mode, its sum, and how long the vehicle stood waiting for a plan."""
+    """Planning times by mode, their sum, and the time that the vehicle hovered for a plan."""
 
     explore: ModeTimes
     merged: ModeTimes
@@ -69,7 +69,7 @@ class ReportPlanning:
 
 @dataclass(frozen=True, slots=True)
 class ReportStream:
-    """Setpoints as they arrived at the autopilot."""
+    """Setpoint stream as received by the autopilot."""
 
     rate_hz: float | None
     gap_p99_ms: float | None
@@ -78,8 +78,11 @@ class ReportStream:
 
 @dataclass(frozen=True, slots=True)
 class ReportSafety:
-    """Clearance and contacts of the hull by the simulator's truth (null without one), and what was turned down; the share of
-    the way into which the camera looked, and would have looked nose first (null without truth, or with a gimbal).
+    """Clearance, contacts, rejections and failsafes of a flight.
+
+    Clearance and contacts are measured from the hull against the simulator's ground truth (null without it). way_in_sight:
+    share of the path inside the camera's field of view; way_in_sight_nose_first: the share if the vehicle always yawed into
+    the direction of motion (both null without ground truth, or with a gimbal).
     """
 
     min_clearance_m: float | None
@@ -93,12 +96,12 @@ class ReportSafety:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """One flight. outcome: "completed" or "aborted: reason"; stop_reason in words with counts.
+    """One flight. outcome: "completed" or "aborted: reason"; stop_reason: text with counts.
 
-    last_view_s: from the order to take off to the last view; waiting_share: the share of it spent hovering for a plan.
-    recall_over_time: (seconds since the order to take off, views then taken, recall within 5 cm of the surface as the mapper
-    then knew it); time_to_recall_s: by recall, the first of those instants that reaches it. oracle_s: what a tour by somebody
-    who knows the scene needs to see 95 % of it well. refused_views: keyframes that the mapper did not take, by reason.
+    last_view_s: from the take-off command to the last view; waiting_share: share of it spent hovering for a plan.
+    recall_over_time: (seconds since the take-off command, views taken by then, recall within 5 cm of the mapper's surface at
+    that time); time_to_recall_s: by recall, the first of these times that reaches it. oracle_s: time that a tour with full
+    knowledge of the scene needs to see 95 % of it well. refused_views: keyframes that the mapper rejected, by reason.
     """
 
     scene: str
@@ -127,21 +130,24 @@ class Report:
 
     @property
     def completed(self) -> bool:
-        """Whether the mission came to its own end."""
+        """True if the mission completed."""
         return self.outcome == "completed"
 
     def times_oracle(self, recall: str) -> float | None:
-        """Time to one of TIMED_RECALLS over the oracle's; None where either is unknown."""
+        """Return the time to one of TIMED_RECALLS over the oracle's; None if either is unknown."""
         time_s = self.time_to_recall_s.get(recall)
         return None if time_s is None or self.oracle_s is None else time_s / self.oracle_s
 
     def to_json(self) -> str:
-        """Strict JSON, in the order above; numbers that are not finite become null."""
+        """Return strict JSON, in the order of the fields; non-finite numbers become null."""
         return json.dumps(_strict(dataclasses.asdict(self)), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
     @staticmethod
     def from_tree(tree: dict[str, Any]) -> Report:
-        """Check and type a parsed report. Raises ReportError naming the first missing, unknown or mistyped key."""
+        """Check and type a parsed report.
+
+        Raises ReportError naming the first missing, unknown or mistyped key.
+        """
         return _typed(tree, Report, "")
 
     @staticmethod
@@ -156,7 +162,7 @@ class Report:
 
 
 def save_report(report: Report, folder: Path) -> Path:
-    """Write ``folder``/report.json whole or not at all; gives its path."""
+    """Write ``folder``/report.json atomically; returns its path."""
     path = folder / REPORT
     temporary = folder / (REPORT + ".new")
     temporary.write_text(report.to_json(), encoding="utf-8")
@@ -212,7 +218,10 @@ def _value(value: Any, hint: Any, where: str) -> Any:
 
 
 def _row(value: Any, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:
-    """A list of any length of one type (..., Ellipsis), or of as many things as there are types."""
+    """Return a typed tuple from a list of any length of one type, or of fixed types.
+
+    hints: (type, ...) with Ellipsis for any length, else one type per element.
+    """
     if not isinstance(value, list):
         raise ReportError(f"report: {where}: must be a list, got {value!r}")
     kinds = hints[:1] * len(value) if hints[-1] is Ellipsis else hints

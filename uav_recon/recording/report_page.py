@@ -1,4 +1,4 @@
-"""report.html: one page that needs nothing else, neither files nor network, and reads well on a phone."""
+"""HTML page of the report: self-contained (no files, no network) and readable on a phone."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NOT_MEASURED = "This flight has no truth to be held against, so its quality, cle
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A PNG of the flight folder and what it shows."""
+    """A PNG image of the flight folder and its caption."""
 
     path: Path
     caption: str
@@ -38,9 +38,9 @@ class Picture:
 def write_report(
     folder: Path, report: Report, pictures: Sequence[Picture] = (), notes: Sequence[str] = ()
 ) -> tuple[Path, Path]:
-    """Write report.json and report.html; gives both paths. A picture that is not there is left out.
+    """Write report.json and report.html; returns both paths. Missing images are left out.
 
-    notes: further sentences for the reader, such as what could not be measured and why.
+    notes: further sentences for the reader, for example about what could not be measured and why.
     """
     json_path = save_report(report, folder)
     page = folder / PAGE
@@ -49,7 +49,7 @@ def write_report(
 
 
 def verdict(report: Report) -> tuple[str, str]:
-    """The headline, and how it is coloured: good, fair or bad."""
+    """Return the headline and its colour class: good, fair or bad."""
     if not report.completed:
         return report.outcome[:1].upper() + report.outcome[1:], "bad"
     if report.safety.contacts:
@@ -60,7 +60,7 @@ def verdict(report: Report) -> tuple[str, str]:
 
 
 def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str]) -> str:
-    """The whole page as HTML."""
+    """Return the whole page as HTML."""
     headline, mood = verdict(report)
     shown = [picture for picture in pictures if picture.path.is_file()]
     sections = [

@@ -1,4 +1,4 @@
-"""How report.html looks."""
+"""Style sheet of report.html."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""From our values to what the viewer draws. Each function gives (entity, archetype) pairs and keeps nothing."""
+"""Conversion of the product's values to rerun archetypes.
+
+Each function returns (entity, archetype) pairs and keeps no state.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ _GREEN, _ORANGE, _BLUE, _GREY = (22, 163, 74), (234, 115, 23), (37, 99, 235), (1
 
 
 def scene(fence_world_m: FloatArray) -> Drawing:
-    """Axes and fence; logged once."""
+    """Return axes and fence; logged once."""
     import rerun as rr
 
     lower, upper = fence_world_m
@@ -40,7 +43,7 @@ def scene(fence_world_m: FloatArray) -> Drawing:
 
 
 def body(world_from_body: Pose, radius_m: float = 0.2) -> Drawing:
-    """The vehicle as an arrow that looks where it looks."""
+    """Return the vehicle as an arrow in its forward direction."""
     import rerun as rr
 
     arrow = rr.Arrows3D(origins=[[0, 0, 0]], vectors=[[2 * radius_m, 0, 0]], colors=[_BLUE], radii=[0.03])
@@ -48,14 +51,17 @@ def body(world_from_body: Pose, radius_m: float = 0.2) -> Drawing:
 
 
 def trail(strip: int, points_world: FloatArray) -> Drawing:
-    """One strip of the flown path; the whole path is many strips, so that none is written again and again."""
+    """Return one strip of the flown path.
+
+    The path consists of many strips, so that long ones are not written repeatedly.
+    """
     import rerun as rr
 
     return [(f"{names.TRAIL}/{strip:04d}", rr.LineStrips3D([points_world.astype(np.float32)], colors=[_BLUE], radii=[0.012]))]
 
 
 def frame(posed: PosedFrame) -> Drawing:
-    """Colour as JPEG and depth as a 16 bit PNG in millimetres, each under the pinhole of its own imager."""
+    """Return colour as JPEG and depth as a 16 bit PNG in millimetres, each with its pinhole."""
     import rerun as rr
 
     now = posed.frame
@@ -71,7 +77,7 @@ def frame(posed: PosedFrame) -> Drawing:
 
 
 def depth_png(now: Frame) -> bytes:
-    """Depth in whole millimetres, 0 where there was no return or it does not fit in 16 bits."""
+    """Return depth in whole millimetres, 0 without a return or beyond the range of 16 bits."""
     import cv2
 
     millimetres = np.nan_to_num(now.depth_m, nan=0.0, posinf=0.0, neginf=0.0) * 1000.0
@@ -81,7 +87,7 @@ def depth_png(now: Frame) -> bytes:
 
 
 def rgb_jpeg(rgb: ByteArray) -> bytes:
-    """Colour as JPEG."""
+    """Return colour as JPEG."""
     import cv2
 
     _, data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
@@ -89,8 +95,10 @@ def rgb_jpeg(rgb: ByteArray) -> bytes:
 
 
 def voxels(now: VoxelMap) -> Drawing:
-    """Occupied voxels as points, coloured by height; free and unknown space stays empty. The ceiling is an entity of its
-    own, so that a view may leave it out: what is occupied above nine tenths of the free voxels.
+    """Return the occupied voxels as points coloured by height; other voxels are not drawn.
+
+    The ceiling is a separate entity, so that a view can leave it out: all occupied voxels above nine tenths of the free
+    voxels.
     """
     import rerun as rr
 
@@ -107,7 +115,7 @@ def voxels(now: VoxelMap) -> Drawing:
 
 
 def surface(now: SurfaceElements) -> Drawing:
-    """Surface elements, coloured by uncertainty from blue (sure) to red."""
+    """Return the surface elements, coloured by uncertainty from blue (low) to red."""
     import rerun as rr
 
     pick = _thinned(np.arange(len(now.uncertainty)))
@@ -118,7 +126,7 @@ def surface(now: SurfaceElements) -> Drawing:
 
 
 def plan(now: ViewPath) -> Drawing:
-    """The way to each view, and the views as arrows."""
+    """Return the path to each view, and the views as arrows."""
     import rerun as rr
 
     strips = [np.asarray(way, dtype=np.float32) for way in now.waypoints_world if len(way) > 1]
@@ -131,7 +139,7 @@ def plan(now: ViewPath) -> Drawing:
 
 
 def trajectory(now: Trajectory | None) -> Drawing:
-    """The motion being proposed."""
+    """Return the proposed trajectory."""
     import rerun as rr
 
     strips = [] if now is None or len(now.position_m) < 2 else [now.position_m[::3].astype(np.float32)]
@@ -139,8 +147,10 @@ def trajectory(now: Trajectory | None) -> Drawing:
 
 
 def mesh(now: TriangleMesh, inside_world: FloatArray | None) -> Drawing:
-    """The finished model in place of voxels and elements. inside_world (3,): a free point, if known; then only the sides
-    of the surface that one sees from the room are drawn, where the viewer can do that.
+    """Return the finished model, and commands that clear voxels and elements.
+
+    inside_world (3,): a free point, if known; then only the sides of the surface that face the room are drawn, if the viewer
+    supports it.
     """
     import rerun as rr
 
@@ -168,7 +178,7 @@ def _pinhole(camera: Intrinsics, image_plane_m: float) -> Any:
 
     return rr.Pinhole(
         focal_length=[camera.fx, camera.fy],
-        principal_point=[camera.cx + 0.5, camera.cy + 0.5],  # there, pixel (0, 0) begins at its corner
+        principal_point=[camera.cx + 0.5, camera.cy + 0.5],  # in rerun, pixel (0, 0) starts at its corner
         resolution=[camera.width, camera.height],
         camera_xyz=rr.ViewCoordinates.RDF,
         image_plane_distance=image_plane_m,
@@ -181,7 +191,7 @@ def _looking(view: Viewpoint) -> FloatArray:
 
 
 def _thinned(rows: Any) -> Any:
-    """At most so many rows, evenly picked."""
+    """Return at most _MAX_POINTS rows, evenly selected."""
     return rows[:: -(-len(rows) // _MAX_POINTS)] if len(rows) > _MAX_POINTS else rows
 
 

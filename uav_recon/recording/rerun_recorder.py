@@ -1,7 +1,7 @@
-"""Writes flight.rrd and the timelapse of the surface: reads last-value channels, logs what is new, never touches flight code.
+"""Recorder of flight.rrd and the surface timelapse: logs new values of last-value channels.
 
-In real time it lives in its own process, in lockstep its step() is called inline. What comes faster than it is read is
-skipped and counted. Nothing is kept but the end of the trail.
+It runs in a separate process in real time; in lockstep its step() is called inline. It never affects flight code. Values
+that arrive faster than they are read are skipped and counted. Only the end of the trail is kept in memory.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _FRAME_RATE_HZ = 2.0
 _MAP_RATE_HZ = 0.5
 _FLUSH_RATE_HZ = 0.5  # each flush ends a chunk of every entity ...
 _BATCH_S = 60.0  # ... and nothing else does
-_LOUDNESS = "warn,re_log_encoding=error"  # that a file has no footer is no news here
+_LOUDNESS = "warn,re_log_encoding=error"  # a missing file footer is expected, so it is not reported
 _FLUSH_TIMEOUT_S = 1.0
 _TRAIL_STEP_M = 0.05
 _TRAIL_STRIP_POINTS = 100
@@ -46,7 +46,7 @@ _TRAIL_STRIP_POINTS = 100
 
 @dataclass(frozen=True, slots=True)
 class RecorderChannels:
-    """Everything a recorder listens to."""
+    """All channels that the recorder reads."""
 
     odom: Channel[StampedPose]
     frames: Channel[PosedFrame]
@@ -59,13 +59,16 @@ class RecorderChannels:
 
 
 class Inbox(Generic[T]):
-    """Hands out each value of a channel once. skipped: values that were replaced before anybody looked."""
+    """Returns each value of a channel once.
+
+    skipped: number of values that were replaced before being read.
+    """
 
     def __init__(self, channel: Channel[T]) -> None:
         self._channel, self._read, self.skipped = channel, 0, 0
 
     def new(self) -> T | None:
-        """The newest value if it was not handed out yet."""
+        """Return the newest value if it was not returned yet, else None."""
         sequence = self._channel.sequence()
         if sequence == self._read:
             return None
@@ -78,10 +81,10 @@ class Inbox(Generic[T]):
 
 
 class Recorder:
-    """One flight into ``folder``/flight.rrd, and into a viewer if ``live`` and one can be opened.
+    """Records one flight to ``folder``/flight.rrd, and to a viewer if ``live`` and available.
 
-    fence_world_m: (2, 3), lower and upper corner. The timeline counts seconds from construction.
-    Raises OSError if the file cannot be written.
+    fence_world_m (2, 3): lower and upper corner. The timeline counts seconds from construction. The constructor raises
+    OSError if the file cannot be written.
     """
 
     def __init__(
@@ -110,12 +113,12 @@ class Recorder:
         self._said: dict[str, str] = {}
 
         path = folder / names.RECORDING
-        path.open("wb").close()  # a folder that cannot be written is found out here, by its name
+        path.open("wb").close()  # reports a folder that cannot be written here, with its name
         self._timelapse = Timelapse(folder, channels.surface, clock)
         batches = rr.ChunkBatcherConfig.DEFAULT()
         batches.flush_tick = timedelta(seconds=_BATCH_S)
         self._file = rr.RecordingStream(names.APPLICATION, batcher_config=batches)
-        self._file.save(path, write_footer=False)  # which would hold a line for each chunk in memory until the end
+        self._file.save(path, write_footer=False)  # a footer would keep a line for each chunk in memory until the end
         self._viewer = find_viewer() if live else None
         self._live = None if self._viewer is None else rr.RecordingStream(names.APPLICATION)
         if self._viewer is not None and self._live is not None:
@@ -125,7 +128,7 @@ class Recorder:
         self._draw(rerun_archetypes.scene(np.asarray(fence_world_m, dtype=np.float64)), static=True)
 
     def step(self) -> None:
-        """Log what is new since the last step; call it at any rate, ten times a second or so."""
+        """Log all new values; call it about ten times per second."""
         self._timelapse.step()
         now_s = self._clock.now_s()
         self._set_time(now_s)
@@ -140,7 +143,7 @@ class Recorder:
             self._flush()
 
     def skipped(self) -> dict[str, int]:
-        """How many values of each channel were replaced before they were read."""
+        """Return the number of values of each channel that were replaced before being read."""
         return {
             name: inbox.skipped
             for name, inbox in (
@@ -150,7 +153,10 @@ class Recorder:
         }  # fmt: skip
 
     def close(self, mesh: TriangleMesh | None = None) -> None:
-        """Log the last state of everything and the finished model (``mesh``, else ``folder``/mesh.ply), and end the file."""
+        """Log the last values and the finished model, and end the file.
+
+        mesh: the model; by default ``folder``/mesh.ply.
+        """
         self._timelapse.close()
         self._set_time(self._clock.now_s())
         self._log_odom()
@@ -202,7 +208,7 @@ class Recorder:
         intent = self._intent.new()
         if intent is not None:
             identifier = -1 if intent.trajectory is None else intent.trajectory.identifier
-            if identifier != self._trajectory_id:  # the intent is renewed at every step, its trajectory seldom
+            if identifier != self._trajectory_id:  # the intent is sent at every step, but its trajectory changes rarely
                 self._trajectory_id = identifier
                 self._draw(rerun_archetypes.trajectory(intent.trajectory))
             self._say("intent", intent.goal.value)
@@ -217,7 +223,7 @@ class Recorder:
             self._draw(rerun_archetypes.surface(surface))
 
     def _say(self, who: str, text: str) -> None:
-        """Add a line to the log when what somebody says has changed."""
+        """Add a line to the log if the text of a source has changed."""
         if text and self._said.get(who) != text:
             import rerun as rr
 
@@ -240,7 +246,7 @@ class Recorder:
             stream.set_time(names.TIMELINE, duration=now_s - self._start_s)
 
     def _flush(self) -> None:
-        """To disk, so that a killed recorder loses two seconds; a viewer that was closed is let go."""
+        """Write to disk, so that a killed recorder loses two seconds; drop a closed viewer."""
         try:
             self._file.flush(timeout_sec=_FLUSH_TIMEOUT_S)
         except RuntimeError as error:
@@ -254,6 +260,6 @@ class Recorder:
 
 
 def _distance_m(voxels: VoxelMap, position_world: FloatArray) -> float | None:
-    """The map's distance to what is not known free, None outside the map."""
+    """Return the map's distance to the nearest voxel not known free; None outside the map."""
     index = voxels.grid.index(position_world)
     return float(voxels.distance_m(index)) if bool(voxels.grid.contains(index)) else None

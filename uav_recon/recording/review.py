@@ -1,4 +1,4 @@
-"""Looking at a recorded flight again."""
+"""Review of a recorded flight: open it in the viewer, or check that it can be read."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from uav_recon.recording.viewer import viewer_command
 
 
 class ReviewError(Exception):
-    """A flight that cannot be shown; its text is one line."""
+    """Raised for a flight that cannot be shown; the text is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingSummary:
-    """What a recording holds."""
+    """Content of a recording: entity names and number of chunks."""
 
     entities: tuple[str, ...]
     chunks: int
 
 
 def review(folder: Path) -> None:
-    """Open the viewer on a flight folder with the blueprint it carries; returns when the window is closed.
+    """Open the viewer on a flight folder with its stored blueprint; blocks until it is closed.
 
     Raises ReviewError if there is no recording, or if the viewer ends with an error.
     """
@@ -40,7 +40,7 @@ def review(folder: Path) -> None:
 
 
 def recording_path(folder: Path) -> Path:
-    """The recording of a flight folder. Raises ReviewError if it is missing or empty."""
+    """Return the recording of a flight folder. Raises ReviewError if it is missing or empty."""
     if not folder.is_dir():
         raise ReviewError(f"{folder}: no such flight folder")
     path = folder / RECORDING
@@ -52,7 +52,7 @@ def recording_path(folder: Path) -> Path:
 
 
 def check_recording(folder: Path) -> RecordingSummary:
-    """Read a recording from end to end; one that was cut short by a crash counts up to the cut.
+    """Read a recording completely; one that was cut short by a crash is valid up to the cut.
 
     Raises ReviewError if nothing can be read.
     """
@@ -63,7 +63,7 @@ def check_recording(folder: Path) -> RecordingSummary:
     chunks = 0
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a killed recorder writes no footer: that is no news here
+            warnings.simplefilter("ignore")  # a killed recorder writes no footer, which is expected
             for chunk in RrdReader(path).stream().to_chunks():
                 entities.add(str(chunk.entity_path))
                 chunks += 1

@@ -1,6 +1,6 @@
-"""A small software renderer for pictures of a finished model: no GL, no display, no heavy dependency.
+"""Software renderer for images of a finished model, without GL, display or large packages.
 
-Faces that look away from the camera are not drawn, so that one sees into a room through its near walls and its ceiling.
+Back faces are not drawn, so the view into a room passes through its near walls and its ceiling.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _CREASE_STRENGTH = 0.35
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderView:
-    """Where a picture is taken from.
+    """Camera of a render.
 
     camera_from_world: (3, 3) rotation, optical RDF axes. eye_world_m: (3,). scale_px: focal length in pixels of a
     perspective view; pixels per metre of an orthographic one.
@@ -33,7 +33,7 @@ class RenderView:
     orthographic: bool
 
     def project(self, points_world: FloatArray) -> FloatArray:
-        """Columns (N, 3): u and v in pixels, depth in metres along the axis."""
+        """Return columns (N, 3): u and v in pixels, depth in metres along the axis."""
         camera = (np.asarray(points_world, dtype=np.float64) - self.eye_world_m) @ self.camera_from_world.T
         scale = self.scale_px if self.orthographic else self.scale_px / np.maximum(camera[:, 2], 1e-3)
         return np.column_stack(
@@ -42,11 +42,10 @@ class RenderView:
 
 
 def corner_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: int, azimuth_rad: float) -> RenderView:
-    """Look down on a box (lower, upper corner) from outside, over a corner.
+    """Return a view down onto a box (lower, upper corner) from outside, over a corner.
 
-    The box fills the picture, with a strip of floor round it.
-
-    azimuth_rad: direction from the box's middle to the eye, about z from x.
+    The box and a strip of floor around it fill the image. azimuth_rad: direction from the middle of the box to the eye,
+    about z from x.
     """
     elevation, half_angle = np.radians(46.0), np.radians(15.0)
     outward = np.array([np.cos(elevation) * np.cos(azimuth_rad), np.cos(elevation) * np.sin(azimuth_rad), np.sin(elevation)])
@@ -54,7 +53,7 @@ def corner_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: in
     centre = (np.asarray(lower_m) + upper_m) / 2
     corners = (_box_corners(lower_m, upper_m) - centre) @ rotation.T
     tangents = np.array([np.tan(half_angle), np.tan(half_angle) * height / width])
-    # nearest distance at which every corner lies inside the view, with 4 % to spare
+    # smallest distance at which every corner lies inside the view, with a margin of 4 %
     distance = float((np.abs(corners[:, :2]) / (0.96 * tangents) - corners[:, 2:]).max())
     view = RenderView(
         rotation, centre + distance * outward, width / 2 / tangents[0], (width / 2, height / 2), width, height, False
@@ -63,7 +62,10 @@ def corner_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: in
 
 
 def top_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: int) -> RenderView:
-    """Look straight down, orthographic; the longer side of the box lies along the longer side of the picture."""
+    """Return an orthographic view straight down.
+
+    The longer side of the box lies along the longer side of the image.
+    """
     size = np.asarray(upper_m) - lower_m
     turned = (size[1] > size[0]) == (width > height)
     right = np.array([0.0, 1.0, 0.0]) if turned else np.array([1.0, 0.0, 0.0])
@@ -75,7 +77,10 @@ def top_view(lower_m: FloatArray, upper_m: FloatArray, width: int, height: int) 
 
 
 def render(vertices_world: FloatArray, faces: IntArray, rgb: ByteArray, view: RenderView) -> ByteArray:
-    """Picture (height, width, 3) uint8 sRGB on white, lit softly. rgb (V, 3) uint8 per vertex."""
+    """Return the image (height, width, 3) uint8 sRGB on white, softly lit.
+
+    rgb (V, 3) uint8 per vertex.
+    """
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     screen = view.project(vertices_world) * [_OVERSAMPLING, _OVERSAMPLING, 1.0]
     shade = _shade(_vertex_normals(np.asarray(vertices_world, dtype=np.float64), faces), view)
@@ -90,7 +95,10 @@ def render(vertices_world: FloatArray, faces: IntArray, rgb: ByteArray, view: Re
 
 
 def facing_inwards(vertices_world: FloatArray, faces: IntArray, inside_world: FloatArray) -> IntArray:
-    """The faces, all turned round if most of the area looks away from a point (3,) inside the room."""
+    """Return the faces, all reversed if most of the area faces away from a point in the room.
+
+    inside_world (3,): that point.
+    """
     a, b, c = (np.asarray(vertices_world, dtype=np.float64)[faces[:, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
     towards = inside_world - (a + b + c) / 3
@@ -112,14 +120,14 @@ def _box_corners(lower_m: FloatArray, upper_m: FloatArray) -> FloatArray:
 
 
 def _with_apron(lower_m: FloatArray, upper_m: FloatArray) -> FloatArray:
-    """The box's corners and those of a strip of floor round it, where the ruler lies."""
+    """Return the corners of the box and of the floor strip around it that holds the ruler."""
     strip = 0.075 * float((np.asarray(upper_m) - lower_m)[:2].max()) * np.array([1.0, 1.0, 0.0])
     floor = np.array([upper_m[0], upper_m[1], lower_m[2]])
     return np.concatenate([_box_corners(lower_m, upper_m), _box_corners(lower_m - strip, floor + strip)])
 
 
 def _centred(view: RenderView, points: FloatArray, fill: float) -> RenderView:
-    """The same view, scaled and moved so that the points' frame fills the picture."""
+    """Return the view, scaled and shifted so that the points fill the image."""
     screen = view.project(points)[:, :2]
     low, high = screen.min(axis=0), screen.max(axis=0)
     zoom = fill * float((np.array([view.width, view.height]) / (high - low)).min())
@@ -136,7 +144,7 @@ def _centred(view: RenderView, points: FloatArray, fill: float) -> RenderView:
 
 
 def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Area-weighted unit normals (V, 3)."""
+    """Return area-weighted unit normals (V, 3)."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
     total = np.stack(
@@ -147,7 +155,10 @@ def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def _shade(normals: FloatArray, view: RenderView) -> FloatArray:
-    """Light (V,) in linear units: sky from above, a key light over the viewer's left shoulder, a little fill."""
+    """Return the light (V,) in linear units.
+
+    Sky light from above, a key light over the viewer's left shoulder, and a weak fill light.
+    """
     key = np.array([-0.45, -0.75, -0.6]) @ view.camera_from_world
     key /= np.linalg.norm(key)
     fill = np.array([0.8, -0.1, -0.5]) @ view.camera_from_world
@@ -159,7 +170,7 @@ def _shade(normals: FloatArray, view: RenderView) -> FloatArray:
 
 
 def _creases(depth: FloatArray, view: RenderView) -> FloatArray:
-    """Eye-dome lighting (Boucheny 2009): a pixel is darkened by neighbours that stand nearer; (H, W) factors."""
+    """Return eye-dome lighting factors (H, W): nearer neighbours darken a pixel (Boucheny 2009)."""
     filled = np.where(np.isfinite(depth), depth, np.nan)
     metres_per_px = (1.0 if view.orthographic else float(np.nanmedian(filled)) if np.isfinite(depth).any() else 1.0) / (
         view.scale_px * _OVERSAMPLING
@@ -168,7 +179,7 @@ def _creases(depth: FloatArray, view: RenderView) -> FloatArray:
     for radius in (2, 6, 14):
         for du, dv in ((radius, 0), (-radius, 0), (0, radius), (0, -radius)):
             neighbour = np.roll(filled, (dv, du), axis=(0, 1))
-            # slopes count little, steps and inner corners much
+            # slopes have a small weight, steps and inner corners a large one
             slope = (filled - neighbour) / (radius * metres_per_px)
             total += np.clip(np.nan_to_num(slope) - 0.5, 0.0, 4.0) / 4.0
     factors: FloatArray = np.exp(-_CREASE_STRENGTH * total)
@@ -179,7 +190,10 @@ def _creases(depth: FloatArray, view: RenderView) -> FloatArray:
 def _rasterise(
     screen: FloatArray, faces: IntArray, colour: FloatArray, height: int, width: int, orthographic: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Z-buffer: colours (H, W, 3) and depth (H, W), infinite where nothing is. Pixel (0, 0) is centred at (0.5, 0.5)."""
+    """Render into a z-buffer: colours (H, W, 3) and depth (H, W), infinite where empty.
+
+    Pixel (0, 0) is centred at (0.5, 0.5).
+    """
     image = np.zeros((height, width, 3), dtype=np.float64)
     depth = np.full((height, width), np.inf, dtype=np.float64)
     for f in range(faces.shape[0]):
@@ -188,7 +202,7 @@ def _rasterise(
         bx, by, bz = screen[b, 0], screen[b, 1], screen[b, 2]
         cx, cy, cz = screen[c, 0], screen[c, 1], screen[c, 2]
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        # v points down: faces that look at the camera turn clockwise on the screen, which is a negative area here
+        # v points down: front faces are clockwise on the screen, which is a negative area here
         if not (area < 0.0) or az < 0.05 or bz < 0.05 or cz < 0.05:
             continue
         left, right = max(int(min(ax, bx, cx)), 0), min(int(max(ax, bx, cx)) + 1, width)
@@ -201,7 +215,7 @@ def _rasterise(
                 wc = 1.0 - wa - wb
                 if wa < 0.0 or wb < 0.0 or wc < 0.0:
                     continue
-                if not orthographic:  # 1/z is what varies linearly over the screen
+                if not orthographic:  # 1/z varies linearly over the screen
                     wa, wb, wc = wa / az, wb / bz, wc / cz
                     total = wa + wb + wc
                     wa, wb, wc = wa / total, wb / total, wc / total

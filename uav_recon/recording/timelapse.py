@@ -1,7 +1,7 @@
-"""How the learned surface grew: states of it in ``folder``/surfaces, one file each, whole or not there.
+"""Timelapse of the learned surface: states of it in ``folder``/surfaces, one file each.
 
-A subscriber like the recorder: it reads a last-value channel and flight code does not know it. About ten bytes an
-element before compression, four after: a room's surface of 50,000 elements takes 0.2 MB and 15 ms.
+Files are written atomically. Like the recorder, it reads a last-value channel, and flight code does not depend on it. About
+ten bytes per element before compression, four after: a room's surface of 50,000 elements takes 0.2 MB and 15 ms.
 """
 
 from __future__ import annotations
@@ -19,15 +19,18 @@ from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.maps import SurfaceElements
 
 SURFACES = "surfaces"
-PERIOD_S = 3.0  # at most one state in so long
-_STEP_M = 0.001  # of stored positions, in a room of up to 65 m; coarser in a larger one
+PERIOD_S = 3.0  # minimum time between two states
+_STEP_M = 0.001  # resolution of stored positions, in a room of up to 65 m; coarser in a larger one
 _LARGEST = 65535
 _LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceState:
-    """The surface as it was known at stamp_s: position_world (N, 3) and unit normal_world (N, 3), of a mapper's revision."""
+    """The surface as known at stamp_s, with the revision of the mapper.
+
+    position_world (N, 3), unit normal_world (N, 3).
+    """
 
     stamp_s: float
     revision: int
@@ -36,21 +39,24 @@ class SurfaceState:
 
 
 class Timelapse:
-    """Keeps states of the surface in ``folder``/surfaces; goes on after those that are there already.
+    """Stores states of the surface in ``folder``/surfaces, numbered after existing ones.
 
-    Raises OSError if the folder cannot be made; a full disk later is logged once and costs states, nothing else.
+    The constructor raises OSError if the folder cannot be created. A full disk later is logged once and only loses states.
     """
 
     def __init__(self, folder: Path, surface: Channel[SurfaceElements], clock: Clock) -> None:
         self._folder, self._surface, self._clock = folder / SURFACES, surface, clock
         self._folder.mkdir(exist_ok=True)
         self._number = 1 + max((int(path.stem) for path in _files(self._folder)), default=-1)
-        self._seen = self._kept = surface.sequence()  # what an earlier flight left in the channel is not ours
+        self._seen = self._kept = surface.sequence()  # ignore the value that an earlier flight left in the channel
         self._seen_s, self._due_s = clock.now_s(), -np.inf
         self._lost = 0
 
     def step(self) -> None:
-        """Note the instant of a new surface, and keep it if the last one is old enough. Blocks for 15 ms every PERIOD_S."""
+        """Record the time of a new surface, and store it if the last state is old enough.
+
+        Blocks for 15 ms every PERIOD_S.
+        """
         now_s, sequence = self._clock.now_s(), self._surface.sequence()
         if sequence != self._seen:
             self._seen, self._seen_s = sequence, now_s
@@ -58,7 +64,7 @@ class Timelapse:
             self._keep(now_s)
 
     def close(self) -> None:
-        """Keep the last state too, however young the one before."""
+        """Store the last state, even if the one before is recent."""
         self.step()
         self._keep(self._clock.now_s())
 
@@ -79,7 +85,10 @@ class Timelapse:
 
 
 def load_states(folder: Path) -> list[SurfaceState]:
-    """What a flight kept, oldest first; none if it kept nothing. A file that cannot be read is logged and left out."""
+    """Return the stored states of a flight, oldest first; files that cannot be read are skipped.
+
+    A skipped file is logged.
+    """
     states = []
     for path in _files(folder / SURFACES):
         try:
@@ -94,7 +103,10 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _save(path: Path, state: SurfaceState) -> None:
-    """Positions as whole steps from the lowest corner, each the difference to the one before: neighbours follow each other."""
+    """Write positions as integer steps from the lowest corner, each as a difference to the last.
+
+    Consecutive elements are neighbours, so the differences are small.
+    """
     low_m = state.position_world.min(axis=0) if len(state.position_world) else np.zeros(3)
     offset_m = state.position_world - low_m
     step_m = max(_STEP_M, float(offset_m.max(initial=0.0)) / _LARGEST)
@@ -106,7 +118,7 @@ def _save(path: Path, state: SurfaceState) -> None:
         revision=state.revision,
         low_m=low_m,
         step_m=step_m,
-        change_steps=np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.uint16)).T,  # wraps round, and back when summed
+        change_steps=np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.uint16)).T,  # wraps around, and back when summed
         normal=np.round(127.0 * state.normal_world).astype(np.int8).T,
     )
     temporary.replace(path)

@@ -1,4 +1,4 @@
-"""The viewer's window: a process of its own on this machine; without one the flight is recorded all the same."""
+"""Viewer window, a separate process on this machine; without it flights are still recorded."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Viewer:
 
     @property
     def address(self) -> str:
-        """Where a stream connects to."""
+        """Address that a stream connects to."""
         return f"rerun+http://{_HOST}:{self.port}/proxy"
 
     def alive(self) -> bool:
-        """Whether somebody still listens there. Blocks for a tenth of a second at most."""
+        """Return True if a process listens on the port. Blocks for at most a tenth of a second."""
         try:
             socket.create_connection((_HOST, self.port), timeout=0.1).close()
         except OSError:
@@ -37,9 +37,9 @@ class Viewer:
 
 
 def viewer_command(*arguments: str) -> list[str]:
-    """The command line of the installed viewer; it never listens beyond this machine.
+    """Return the command line of the installed viewer; it never listens beyond this machine.
 
-    The program itself, not ``python -m rerun``: that one starts it as a child, which outlives a kill of its parent.
+    This is the program itself, not ``python -m rerun``, which starts it as a child that survives a kill of its parent.
     """
     found = importlib.util.find_spec("rerun_cli")
     folders = [] if found is None else list(found.submodule_search_locations or [])
@@ -48,9 +48,10 @@ def viewer_command(*arguments: str) -> list[str]:
 
 
 def open_viewer(port: int = PORT, command: list[str] | None = None) -> Viewer | None:
-    """Find a viewer on ``port``, or open one and wait until it listens. None, and one logged line, if there is no way.
+    """Find a viewer on ``port``, or open one and wait until it listens; None if that fails.
 
-    The window outlives the flight: its user closes it. Blocks for ten seconds at most.
+    A failure is logged in one line. The window stays open after the flight: its user closes it. Blocks for at most ten
+    seconds.
     """
     viewer = Viewer(port)
     if viewer.alive():

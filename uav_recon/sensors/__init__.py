@@ -1,1 +1,1 @@
-"""Cameras behind one protocol: RealSense, any outside stream, a recording."""
+"""Cameras behind one protocol: RealSense, external camera stream, recorded flight."""

@@ -1,8 +1,8 @@
-"""Intel RealSense depth cameras, live or from a recorder file (.db3), through librealsense's own pipeline.
+"""Intel RealSense depth cameras, live or from a recorder file (.db3), through librealsense.
 
-librealsense puts pixel (0, 0) at the centre of the first pixel, as we do (its projection documentation), so intrinsics are
-taken as they are. Its rotations are column-major. Inertial samples come in the axes of the camera, and are turned into the
-body's by the fixed mount.
+librealsense puts pixel (0, 0) at the centre of the first pixel, as this project does (see its projection documentation), so
+intrinsics are used unchanged. Its rotations are column-major. Inertial samples are in the axes of the camera and are rotated
+to the body by the fixed mount.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
 _WINDOW_S = 10.0  # the clock offset follows 20 ppm of drift to 0.2 ms
-_SETTLES_S = 0.5  # after a change of the clock that stamps go by (HAZARDS, C7)
-_FIRST_FRAME_S = 5.0  # as librealsense itself waits for one by default
-_SILENCE_S = 1.5  # with RestartSec a new try two seconds after the last frame (HAZARDS, C2)
+_SETTLES_S = 0.5  # frames are dropped for this time after a change of the stamp clock (HAZARDS, C7)
+_FIRST_FRAME_S = 5.0  # the default timeout of librealsense itself
+_SILENCE_S = 1.5  # with RestartSec a restart is tried two seconds after the last frame (HAZARDS, C2)
 
 
 class RealSenseError(StreamError):
-    """No camera to be had, or it is gone; one line that says what to do."""
+    """Raised if there is no camera or it is gone; the text is one line and gives the remedy."""
 
 
 def _library() -> Any:
@@ -44,14 +44,18 @@ def _library() -> Any:
 
 
 def need_camera(playback: Path | None = None) -> None:
-    """Raises RealSenseError where opening would: no library, no camera, no such recording."""
+    """Check that a camera or recording can be opened.
+
+    Raises RealSenseError without the library, the camera or the recording.
+    """
     _settings(_library(), None, playback)
 
 
 class ClockOffset:
-    """Carries device stamps to the monotonic clock: the shortest delay between stamp and arrival seen lately counts as none.
+    """Converts device stamps to the monotonic clock.
 
-    A device clock that was reset (more than ``reset_s`` off) starts anew.
+    The shortest delay between stamp and arrival in the last 10 to 20 s is taken as zero. The estimate starts again if the
+    device clock was reset (more than ``reset_s`` off).
     """
 
     def __init__(self, reset_s: float = 1.0) -> None:
@@ -60,7 +64,7 @@ class ClockOffset:
         self._older_s = self._newer_s = math.inf  # smallest difference in the last window and in this one
 
     def monotonic_s(self, stamp_s: float, arrival_s: float) -> float:
-        """The stamp on the clock that measured its arrival; never later than the arrival."""
+        """Return the stamp on the clock of the arrival; never later than the arrival."""
         difference_s = arrival_s - stamp_s
         known_s = min(self._older_s, self._newer_s)
         if abs(difference_s - known_s) > self._reset_s or arrival_s < self._since_s:
@@ -72,13 +76,14 @@ class ClockOffset:
 
 
 class RealSenseCamera:
-    """Camera protocol over librealsense. Raises RealSenseError (one line) if there is no such camera, or if it goes away or
-    stays open and silent, which librealsense does not tell.
+    """Camera protocol over librealsense.
 
-    serial: None takes the first camera found. playback: a .db3 file instead of a camera. body_from_depth: the fixed mount,
-    only used to turn inertial samples into body axes; None gives none. dropped_frames: not newer than the one before, without
-    a colour image of their own instant, or less than half a second after stamps went over to another clock (the device's, this
-    machine's, or the latter as librealsense reckons it). Opening takes seconds; poll() and imu() never block.
+    Raises RealSenseError (one line) if there is no such camera, if it is disconnected, or if it is open but sends no frames,
+    which librealsense does not report. serial: None selects the first camera found. playback: a .db3 file instead of a
+    camera. body_from_depth: the fixed mount, only used to rotate inertial samples to body axes; without it there are none.
+    dropped_frames counts frames that are not newer than the one before, have no colour image of the same time, or come less
+    than half a second after a change of the stamp clock (that of the device, of this machine, or the machine clock as
+    estimated by librealsense). Opening takes seconds; poll() and imu() never block.
     """
 
     def __init__(
@@ -99,13 +104,13 @@ class RealSenseCamera:
         self.dropped_frames = 0
         self._before_s, self._pair_s, self._number = -math.inf, 0.6 / fps, -1
         self._domain, self._settled_s = cast("Any", None), -math.inf
-        self._silent_s, self._patience_s = math.inf, _FIRST_FRAME_S  # since when, and how long it may be; inf: never polled
+        self._silent_s, self._patience_s = math.inf, _FIRST_FRAME_S  # start of the silence (inf: never polled), and its limit
         self._pipeline = self._rs.pipeline()
         settings = _settings(self._rs, serial, playback)
         if playback is None:
             settings.enable_stream(self._rs.stream.depth, width, height, self._rs.format.z16, fps)
             settings.enable_stream(self._rs.stream.color, width, height, self._rs.format.rgb8, fps)
-        else:  # whatever size was recorded
+        else:  # any recorded size
             settings.enable_stream(self._rs.stream.depth)
             settings.enable_stream(self._rs.stream.color)
         try:
@@ -129,7 +134,10 @@ class RealSenseCamera:
             )
 
     def poll(self) -> Frame | None:
-        """The newest frame that was not handed out yet. Raises RealSenseError if the camera is gone, or silent."""
+        """Return the newest frame that was not returned yet, or None.
+
+        Raises RealSenseError if the camera is disconnected or silent.
+        """
         before = self._number
         frame = self._newest()
         if self._live:
@@ -167,7 +175,7 @@ class RealSenseCamera:
         )
 
     def imu(self) -> list[ImuSample]:
-        """Inertial samples since the last call; none without an IMU."""
+        """Return the inertial samples since the last call; none without an IMU."""
         return self._imu.samples() if self._imu else []
 
     def close(self) -> None:
@@ -177,14 +185,17 @@ class RealSenseCamera:
         self._pipeline.stop()
 
     def stamp_s(self, frame: Any) -> float:
-        """When a frame was taken, on our clock."""
+        """Return the capture time of a frame on the product's clock."""
         stamp_s, now_s = 0.001 * float(frame.get_timestamp()), self._clock.now_s()
         if self._live and frame.get_frame_timestamp_domain() != self._rs.timestamp_domain.hardware_clock:
             return stamp_s + now_s - self._wall_s()  # already on this machine's wall clock
         return self._offset.monotonic_s(stamp_s, now_s)
 
     def _listen(self, heard: bool) -> None:
-        """Of a live camera: a pair of pictures came, or not. From the first poll on: kernels may compile before it."""
+        """Record if a live camera sent an image pair; raise RealSenseError after a long silence.
+
+        The first silence starts at the first poll, because kernels may compile before it.
+        """
         now_s = self._clock.now_s()
         if heard:
             self._silent_s, self._patience_s = now_s, _SILENCE_S
@@ -193,7 +204,10 @@ class RealSenseCamera:
             raise RealSenseError(f"{self._name}: open, but no frame for {now_s - self._silent_s:.1f} s: plug it in anew")
 
     def _settled(self, domain: Any) -> bool:
-        """Whether stamps go by the clock that they went by half a second ago; the first one counts as settled."""
+        """Return True if the stamp clock has not changed for half a second.
+
+        The first clock counts as settled.
+        """
         now_s = self._clock.now_s()
         if domain != self._domain:
             self._settled_s = now_s if self._domain is None else now_s + _SETTLES_S
@@ -201,14 +215,17 @@ class RealSenseCamera:
         return now_s >= self._settled_s
 
     def _gyro(self, profile: Any) -> Any:
-        """The gyro's profile on the opened device, None without one."""
+        """Return the gyro's profile on the opened device; None without one."""
         sensors = [sensor for sensor in profile.get_device().query_sensors() if sensor.is_motion_sensor()]
         streams = [stream for sensor in sensors for stream in sensor.get_stream_profiles()]
         return next((stream for stream in streams if stream.stream_type() == self._rs.stream.gyro), None)
 
 
 class _Imu:
-    """The motion streams in a pipeline of their own: the video pipeline would hand out only the newest of them."""
+    """The motion streams, in a separate pipeline.
+
+    The video pipeline would return only the newest sample.
+    """
 
     def __init__(self, camera: RealSenseCamera, settings: Any, body_from_imu: FloatArray) -> None:
         self._camera, self._rs, self._body_from_imu = camera, camera._rs, body_from_imu
@@ -223,7 +240,7 @@ class _Imu:
             raise RealSenseError(f"RealSense IMU: {' '.join(str(error).split())}") from None
 
     def _take(self, frame: Any) -> None:
-        """On librealsense's thread: copy and leave."""
+        """Queue a sample; called on librealsense's thread, so it only copies."""
         motion = frame.as_motion_frame()
         if motion:
             data = motion.get_motion_data()
@@ -231,7 +248,10 @@ class _Imu:
             self._queue.append((gyro, self._camera.stamp_s(motion), (data.x, data.y, data.z)))
 
     def samples(self) -> list[ImuSample]:
-        """One sample per gyro reading, with the newest specific force before it (lever arm neglected), as they came."""
+        """Return one sample per gyro reading, with the newest specific force before it.
+
+        The samples are in order of arrival. The lever arm is neglected.
+        """
         out: list[ImuSample] = []
         while self._queue:
             gyro, stamp_s, data = self._queue.popleft()
@@ -266,7 +286,10 @@ def _intrinsics(theirs: Any) -> Intrinsics:
 
 
 def _depth_from_imu(gyro: Any, depth: Any) -> FloatArray:
-    """Rotation (3, 3). librealsense hands out samples in the depth imager's axes, so unknown means none."""
+    """Return the rotation (3, 3).
+
+    librealsense returns samples in the axes of the depth imager, so unknown extrinsics mean identity.
+    """
     try:
         return _pose(gyro.get_extrinsics_to(depth)).rotation()
     except RuntimeError:

@@ -1,7 +1,7 @@
-"""The keyframes of a flight folder as a camera and a pose source, at the pace at which they were flown.
+"""Playback of the keyframes of a flight folder as a camera and a pose source, in real time.
 
-Reads keyframes/poses.json (optics and the pose of the depth imager, for every keyframe), NNNN_rgb.jpg and NNNN_depth.png
-(16 bit, millimetres, 0 = no return), as mapping/keyframes.py writes them.
+Reads keyframes/poses.json (intrinsics and the pose of the depth imager, for every keyframe), NNNN_rgb.jpg and NNNN_depth.png
+(16 bit, millimetres, 0 = no return), as mapping/keyframe_store.py writes them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _POSE_RATE_HZ = 15.0
 
 
 class RecordingError(StreamError):
-    """The folder holds no keyframes that can be read; one line."""
+    """Raised for a folder without readable keyframes; the text is one line."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,10 @@ class _Keyframe:
 
 
 class _Recording:
-    """poses.json and the moment at which it began to play: the first keyframe plays at once."""
+    """Content of poses.json and the start time of the playback.
+
+    The first keyframe is due at once.
+    """
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         images = folder / "keyframes" if (folder / "keyframes").is_dir() else folder
@@ -67,13 +70,14 @@ class _Recording:
         if not frames or any(not a.stamp_s < b.stamp_s for a, b in itertools.pairwise(frames)):
             raise RecordingError(f"{path}: wants at least one keyframe, with stamps that increase")
         self.frames = frames
-        self.shift_s = clock.now_s() - frames[0].stamp_s  # recorded stamp + shift = ours
+        self.shift_s = clock.now_s() - frames[0].stamp_s  # recorded stamp + shift = stamp on our clock
 
 
 class RecordedCamera:
-    """Camera protocol over a flight folder. Raises RecordingError (one line) if it cannot be played.
+    """Camera protocol over a flight folder.
 
-    missing_images counts keyframes whose pictures are not there or of another size; they are left out.
+    Raises RecordingError (one line) if the folder cannot be played. missing_images counts keyframes whose images are missing
+    or have another size; they are skipped.
     """
 
     def __init__(self, folder: Path, clock: Clock, depth_min_m: float = 0.3, depth_max_m: float = 6.0) -> None:
@@ -83,7 +87,7 @@ class RecordedCamera:
         self.missing_images = 0
 
     def poll(self) -> Frame | None:
-        """The newest keyframe whose time has come, once; reads two images (about 5 ms)."""
+        """Return the newest keyframe that is due, once, else None; reads two images (about 5 ms)."""
         recording, now_s = self._recording, self._clock.now_s()
         due = self._next
         while due < len(recording.frames) and recording.frames[due].stamp_s + recording.shift_s <= now_s + 1e-9:
@@ -106,17 +110,17 @@ class RecordedCamera:
         return Frame(stamp_s, keyframe.sequence, self._table[depth_mm], depth, bgr[..., ::-1], rgb, rgb_from_depth)
 
     def imu(self) -> list[ImuSample]:
-        """Keyframes carry no inertial samples."""
+        """Return an empty list: keyframes have no inertial samples."""
         return []
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no resource is open."""
 
 
 class RecordedPoses:
-    """PoseSource protocol over the same folder: the keyframes' poses, joined by straight lines at 15 Hz.
+    """PoseSource protocol over the same folder: keyframe poses, linearly interpolated at 15 Hz.
 
-    body_from_depth: where the depth imager sat on the body (a fixed mount).
+    body_from_depth: mount of the depth imager on the body (fixed).
     """
 
     def __init__(self, folder: Path, clock: Clock, body_from_depth: Pose) -> None:
@@ -125,12 +129,12 @@ class RecordedPoses:
         first, last = self._recording.frames[0].stamp_s, self._recording.frames[-1].stamp_s
         grid = first + np.arange(math.floor((last - first) * _POSE_RATE_HZ) + 1) / _POSE_RATE_HZ
         own = np.array([frame.stamp_s for frame in self._recording.frames])
-        apart = np.abs(grid[:, None] - own).min(axis=1) > 0.5 / _POSE_RATE_HZ  # every keyframe has a pose of its own
+        apart = np.abs(grid[:, None] - own).min(axis=1) > 0.5 / _POSE_RATE_HZ  # every keyframe has its exact pose
         self._stamps_s = np.sort(np.concatenate((grid[apart], own)))
         self._next = 0
 
     def poses(self) -> list[StampedPose]:
-        """Poses whose time has come since the last call."""
+        """Return the poses that became due since the last call."""
         now_s = self._clock.now_s() - self._recording.shift_s
         due = int(np.searchsorted(self._stamps_s, now_s + 1e-9, side="right"))
         out = [self._pose_at(float(stamp_s)) for stamp_s in self._stamps_s[self._next : due]]

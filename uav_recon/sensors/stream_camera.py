@@ -1,4 +1,7 @@
-"""Any outside camera, through the memory-mapped stream of wire.py: frames, inertial samples and poses."""
+"""External camera through the memory-mapped stream: frames, inertial samples and poses.
+
+stream_format.py describes the stream.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,13 @@ __all__ = ["StreamCamera", "StreamError", "StreamPoses", "depth_table", "open_st
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.05
-_EMPTY_POLLS = 8  # so many in a row before the file is looked at: 0.1 s at 100 Hz
+_EMPTY_POLLS = 8  # consecutive empty polls before the file is checked: 0.1 s at 100 Hz
 
 
 def open_stream(path: Path, clock: Clock, timeout_s: float, stopped: Callable[[], bool] = lambda: False) -> StreamReader:
-    """Wait until a stream stands at ``path`` and open it; what is waited for is logged. Raises StreamError, one line, when
-    the time is over, or once stopped() says so.
+    """Wait until a stream exists at ``path`` and open it; the reason for waiting is logged.
+
+    Raises StreamError (one line) after timeout_s, or once stopped() returns True.
     """
     start_s, said = clock.now_s(), ""
     attempts = max(1, math.ceil(timeout_s / _POLL_S))
@@ -47,14 +51,17 @@ def open_stream(path: Path, clock: Clock, timeout_s: float, stopped: Callable[[]
 
 
 def depth_table(depth_min_m: float, depth_max_m: float, metres_per_unit: float = 0.001) -> Float32Array:
-    """Metres of every 16-bit depth, (65536,) float32: 0 and what lies outside [depth_min_m, depth_max_m] is NaN."""
+    """Return the metres of every 16-bit depth, (65536,) float32.
+
+    NaN for 0 and for depths outside [depth_min_m, depth_max_m].
+    """
     metres = np.arange(65536) * metres_per_unit
     believed = (metres >= depth_min_m - 1e-9) & (metres <= depth_max_m + 1e-9) & (metres > 0.0)
     return np.where(believed, metres, np.nan).astype(np.float32)
 
 
 class _Stream:
-    """A reader that follows the file when the camera is restarted and puts a new one under the same name."""
+    """A reader that reopens the file when a restarted camera replaces it under the same name."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -64,7 +71,10 @@ class _Stream:
         self._empty = 0
 
     def _follow(self) -> bool:
-        """Open the new file if there is one, asked at every empty poll. The old one stays until the new one can be read."""
+        """Open the new file if there is one; called at every empty poll.
+
+        The old file is used until the new one can be read. Returns True if a new file was opened.
+        """
         self._empty += 1
         if self._empty < _EMPTY_POLLS:
             return False
@@ -80,14 +90,15 @@ class _Stream:
         return True
 
     def close(self) -> None:
-        """The mapping goes with the object."""
+        """Do nothing: the mapping is released with the object."""
 
 
 class StreamCamera(_Stream):
-    """Camera protocol over a stream. Raises StreamError (one line) if the file is not a stream or its optics make no sense.
+    """Camera protocol over a stream.
 
-    dropped_frames: stamps that were not finite, or not newer than the frame before, handed on or not: one wrong stamp, of the
-    future say, costs itself and one frame more.
+    Raises StreamError (one line) if the file is not a stream or its intrinsics are invalid. dropped_frames counts frames
+    whose stamp is not finite or not newer than that of the previous frame, dropped or not: one wrong stamp, for example in
+    the future, costs its own frame and one more.
     """
 
     def __init__(self, path: Path, depth_min_m: float = 0.3, depth_max_m: float = 6.0) -> None:
@@ -99,7 +110,7 @@ class StreamCamera(_Stream):
         self.dropped_frames = 0
 
     def poll(self) -> Frame | None:
-        """The newest frame that was not handed out yet. About 1 ms for 424x240."""
+        """Return the newest frame that was not returned yet, or None. About 1 ms for 424x240."""
         raw = self._reader.frame(self._read)
         if raw is None:
             if self._follow():
@@ -114,7 +125,7 @@ class StreamCamera(_Stream):
         return self._frame(raw)
 
     def imu(self) -> list[ImuSample]:
-        """Inertial samples since the last call."""
+        """Return the inertial samples since the last call."""
         self._imu_read, samples = self._reader.imu(self._imu_read)
         if not len(samples):
             return []
@@ -127,14 +138,17 @@ class StreamCamera(_Stream):
 
 
 class StreamPoses(_Stream):
-    """PoseSource protocol over a stream. refused: records that are not finite or whose quaternion is not a rotation."""
+    """PoseSource protocol over a stream.
+
+    refused: number of records with non-finite values, a negative variance, or a quaternion that is not a rotation.
+    """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.refused = 0
 
     def poses(self) -> list[StampedPose]:
-        """Poses since the last call, in the order of their arrival."""
+        """Return the poses since the last call, in the order of their arrival."""
         self._read, records = self._reader.poses(self._read)
         if not len(records):
             self._follow()

@@ -1,12 +1,12 @@
-"""The camera-stream wire format: one memory-mapped file through which ANY outside camera feeds the product.
+"""Camera-stream wire format: one memory-mapped file through which ANY camera is read.
 
 Layout, little endian: a header page (magic, version, intrinsics, write counters), a ring of frame slots, a ring of IMU
-samples, a ring of pose samples. One writer, any number of readers; a record is valid if its sequence word is the same
-before and after the copy. Nothing else of the product is needed to write it, and this file imports nothing of ours.
+samples, a ring of pose samples. One writer, any number of readers; a record is valid if its sequence word is the same before
+and after the copy. A writer needs nothing else of the product, and this file imports no other module of it.
 
-Frames: depth uint16 in millimetres (0 = no return), rgb uint8. Intrinsics put pixel (0, 0) at the CENTRE of the first
-pixel. IMU: body FLU axes. Poses: odom_from_body (ENU-like z-up odom, FLU body), stamped at capture, written on arrival.
-All stamps are CLOCK_MONOTONIC seconds of this machine.
+Frames: depth uint16 in millimetres (0 = no return), rgb uint8. Intrinsics put pixel (0, 0) at the CENTRE of the first pixel.
+IMU: body FLU axes. Poses: odom_from_body (ENU-like z-up odom, FLU body), stamped at capture, written on arrival. All stamps
+are CLOCK_MONOTONIC seconds of this machine.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ HEADER = np.dtype(
         ("depth_k", "<f8", 4),  # fx, fy, cx, cy
         ("rgb_k", "<f8", 4),
         ("rgb_from_depth", "<f8", 7),  # qw qx qy qz tx ty tz
-        ("frames", "<i8"),  # how many were written
+        ("frames", "<i8"),  # number of frames written
         ("imu", "<i8"),
         ("poses", "<i8"),
     ]
@@ -51,7 +51,7 @@ POSE = np.dtype(
 
 
 class StreamError(Exception):
-    """The file is not a camera stream, or not of this version."""
+    """Raised for a file that is not a camera stream, or not of this version."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class CameraSpec:
 
 @dataclass(frozen=True)
 class StreamHeader:
-    """What does not change while a stream runs. rgb_from_depth: quaternion wxyz, then translation in metres."""
+    """Constants of a stream. rgb_from_depth: quaternion wxyz, then translation in metres."""
 
     depth: CameraSpec
     rgb: CameraSpec
@@ -77,7 +77,7 @@ class StreamHeader:
 
 @dataclass(frozen=True)
 class RawFrame:
-    """A frame as it stood on the wire: depth_mm (H, W) uint16, rgb (h, w, 3) uint8."""
+    """A frame as in the file: depth_mm (H, W) uint16, rgb (h, w, 3) uint8."""
 
     sequence: int
     stamp_s: float
@@ -130,7 +130,7 @@ class _Stream:
 
 
 class StreamWriter:
-    """The camera's side. The file appears under its name only when it is complete."""
+    """Writer for the camera. The file appears under its name only when it is complete."""
 
     def __init__(self, path: Path, header: StreamHeader) -> None:
         self._stream = _Stream(path, header, create=True)
@@ -171,7 +171,7 @@ class StreamWriter:
         quality: int = 100,
         reset_counter: int = 0,
     ) -> None:
-        """Publish odom_from_body captured at stamp_s (call it when the pose ARRIVES)."""
+        """Publish odom_from_body captured at stamp_s; call it when the pose ARRIVES."""
         count = int(self._stream.header["poses"][0])
         record = (stamp_s, position_m, quat_wxyz, variance, quality, reset_counter)
         self._stream.poses[count % POSE_SLOTS] = record
@@ -179,7 +179,7 @@ class StreamWriter:
 
 
 class StreamReader:
-    """The product's side. No call blocks."""
+    """Reader for the product. No call blocks. The constructor raises StreamError."""
 
     def __init__(self, path: Path) -> None:
         try:
@@ -203,10 +203,13 @@ class StreamReader:
             self._stream = _Stream(path, self.header, create=False)
         except OSError as error:
             raise StreamError(f"{path}: cannot be mapped ({error.strerror})") from None
-        self._written = {name: self._stream.header[name] for name in ("frames", "imu", "poses")}  # asked at every poll
+        self._written = {name: self._stream.header[name] for name in ("frames", "imu", "poses")}  # read at every poll
 
     def frame(self, after: int = 0) -> RawFrame | None:
-        """The newest frame if its sequence is above ``after``; None also if it was overwritten while being copied."""
+        """Return the newest frame if its sequence number is above ``after``, else None.
+
+        Returns None also if the frame was overwritten while being copied.
+        """
         sequence: int = self._written["frames"].item()
         if sequence <= after:
             return None
@@ -218,11 +221,17 @@ class StreamReader:
         return RawFrame(sequence, stamp_s, depth, rgb)
 
     def imu(self, after: int = 0) -> tuple[int, NDArray[Any]]:
-        """Count so far, and the samples (dtype IMU) after ``after``, oldest first; overwritten ones are lost."""
+        """Return the number of samples written, and the samples (dtype IMU) after number ``after``.
+
+        Oldest first; overwritten samples are lost.
+        """
         return self._ring("imu", self._stream.imu, IMU_SLOTS, after)
 
     def poses(self, after: int = 0) -> tuple[int, NDArray[Any]]:
-        """Count so far, and the poses (dtype POSE) after ``after``, oldest first; overwritten ones are lost."""
+        """Return the number of poses written, and the poses (dtype POSE) after number ``after``.
+
+        Oldest first; overwritten poses are lost.
+        """
         return self._ring("poses", self._stream.poses, POSE_SLOTS, after)
 
     def _ring(self, name: str, ring: Any, slots: int, after: int) -> tuple[int, NDArray[Any]]:

@@ -1,1 +1,1 @@
-"""The neural implicit mapper: signed distance, colour and surface uncertainty, learned online."""
+"""Neural implicit mapper: signed distance, colour and surface uncertainty, learned online."""

@@ -1,4 +1,4 @@
-"""The mapper: from keyframes to a field, its surface, its mesh. One thread, repeatable for a seed."""
+"""Neural mapper: learns a signed distance field from keyframes, extracts surface and mesh."""
 
 from __future__ import annotations
 
@@ -49,16 +49,17 @@ from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
 
-ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish at which views are aligned
-ALIGN_ROUNDS = 3  # for another learner, all views at once
-FINAL_RATE = 0.1  # the polish ends at this share of the learning rate
+ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish steps at which the poses are refined
+ALIGN_ROUNDS = 3  # for gathered(), over all views at once
+FINAL_RATE = 0.1  # the learning rate falls to this share during the polish
 
 
 class NeuralMapper:
-    """The mapper without its process. box_min_m, box_max_m (3,): the room's box in world.
+    """The mapper without its process. Single-threaded, repeatable for a seed.
 
-    depth_noise_px: disparity noise of the depth image as delivered; baseline_m: stereo baseline. uncertainties: all measures
-    by name; uncertainty: the one that elements carry, by config.uncertainty. Raises PriorError (see priors).
+    box_min_m, box_max_m (3,): bounding box of the room in world. depth_noise_px: disparity noise of the depth image as
+    delivered. baseline_m: stereo baseline. uncertainties: all uncertainty measures by name. uncertainty: the measure given
+    to surface elements, chosen by config.uncertainty. The constructor raises PriorError (see normal_prior).
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class NeuralMapper:
         self._begin(config.uncertainty)
 
     def _begin(self, uncertainty: UncertaintyName) -> None:
-        """A map of nothing, of which no view is part yet."""
+        """Start an empty map that contains no view yet."""
         low, high = self._low.astype(np.float64), self._high.astype(np.float64)
         self._taken, self._doubt = 0, ContradictionVote()
         self._evidence = MeasuredCells(low, high)
@@ -90,7 +91,10 @@ class NeuralMapper:
         self.uncertainty = self.uncertainties[uncertainty]
 
     def __getstate__(self) -> dict[str, Any]:
-        """For a checkpoint: all but what each view brought along; see view_arrays() and put_back()."""
+        """Return the state for a checkpoint, without the arrays of the views.
+
+        See view_arrays() and put_back().
+        """
         return self.__dict__ | {"uncertainties": None, "uncertainty": self._chosen()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -100,16 +104,19 @@ class NeuralMapper:
 
     @property
     def field(self) -> NumbaSdfField:
-        """As it is now; repose() begins another."""
+        """The current field; repose() replaces it."""
         return self._learner.field
 
     @property
     def views(self) -> int:
-        """Keyframes taken so far."""
+        """Number of keyframes taken."""
         return self._album.remembered.taken
 
     def gathered(self) -> TrainingData:
-        """What the views brought, aligned with each other once more, for another learner; it changes with this trainer."""
+        """Refine all poses again and return the training data for another training.
+
+        The data shares its arrays with this mapper and changes with it.
+        """
         for _ in range(ALIGN_ROUNDS):
             self._alignment.refine(self._replay)
         self._album.place_images()
@@ -117,26 +124,33 @@ class NeuralMapper:
 
     @property
     def kept(self) -> list[int]:
-        """Numbers of those that are still replayed, ascending."""
+        """Numbers of the views that are still replayed, ascending."""
         return self._album.remembered.numbers
 
     @property
     def skipped(self) -> int:
-        """Steps whose gradient was not finite, and which changed nothing."""
+        """Number of steps skipped because their gradient was not finite."""
         return self._learner.skipped
 
     def view_arrays(self, index: int) -> dict[str, AnyArray]:
-        """What the index-th kept view brought along and a checkpoint keeps apart; copies."""
+        """Return copies of the arrays of the index-th kept view.
+
+        A checkpoint stores them separately.
+        """
         return self._album.arrays(index)
 
     def put_back(self, index: int, arrays: dict[str, AnyArray]) -> None:
-        """Undo view_arrays() after unpickling. Raises ValueError or KeyError if they are not of this view."""
+        """Restore the arrays from view_arrays() after unpickling.
+
+        Raises ValueError or KeyError if they do not belong to this view.
+        """
         self._album.put_back(index, arrays)
 
     def add(self, keyframe: PosedFrame, number: int | None = None) -> bool:
-        """Take a keyframe. False (counted and logged by ``refusals``) if something is to be said against it (see intake).
+        """Add a keyframe; returns False if it is rejected (counted and logged by ``refusals``).
 
-        number: by which it is known, greater than those before; as many as were taken, if not given.
+        number: the number of the keyframe, greater than all before; by default the number of keyframes taken. For the
+        reasons of a rejection see keyframe_validation.
         """
         reason = reject_reason(keyframe, self._low, self._high)
         if reason is None:
@@ -149,7 +163,10 @@ class NeuralMapper:
         return reason is None
 
     def _learn_of(self, keyframe: PosedFrame, number: int) -> RejectReason | None:
-        """Note everything that a view says, unless it contradicts the others. MemoryError leaves the map as it was."""
+        """Add a view unless it contradicts the others; returns the reason of a rejection.
+
+        A MemoryError leaves the map unchanged.
+        """
         if self._replay.count and keyframe.map_epoch != self.map_epoch:
             return RejectReason.EPOCH
         view = self._album.develop(keyframe)
@@ -162,7 +179,7 @@ class NeuralMapper:
         taken, kept = self.views, np.ones(self._replay.count, dtype=np.bool_)
         try:
             self._album.add(view, number)
-            if self.waiting == 1:  # no older view waits
+            if self.waiting == 1:  # no older view is waiting
                 self._take()
         except MemoryError:
             self._keep(kept)
@@ -173,13 +190,14 @@ class NeuralMapper:
 
     @property
     def waiting(self) -> int:
-        """Views that are kept and not yet part of the map: after repose(), until relearn() took them."""
+        """Number of kept views that are not part of the map yet: after repose(), until relearn()."""
         return self._replay.count - self._taken
 
     def repose(self, world_from_depth: Mapping[int, Pose], map_epoch: int) -> None:
-        """Begin the map anew with other poses of the views, by number. Those of which none, or none in the box, is given are
-        forgotten and counted by ``refusals``. Cheap; relearn() does the work, in turns. Views that are added meanwhile wait
-        for their turn.
+        """Start a new map with new poses of the views, given by number.
+
+        Views without a pose, or with a pose outside the box, are dropped and counted by ``refusals``. This is cheap:
+        relearn() does the work, a few views per call. Views that are added in between wait for their turn.
         """
         self.map_epoch = map_epoch
         self._begin(self._chosen())
@@ -188,7 +206,7 @@ class NeuralMapper:
             self._album.place(view, world_from_depth[number].rotation(), world_from_depth[number].translation_m)
 
     def _placed(self, world_from_depth: Pose | None) -> bool:
-        """Whether a view can be where a new map says."""
+        """Return True if the pose of a view in the new map is valid; else count the reason."""
         reason = (
             RejectReason.UNPLACED if world_from_depth is None else pose_reject_reason(world_from_depth, self._low, self._high)
         )
@@ -197,7 +215,10 @@ class NeuralMapper:
         return reason is None
 
     def relearn(self, views: int) -> int:
-        """Take at most so many waiting views, with the steps that each had in flight; returns how many wait still."""
+        """Add at most ``views`` waiting views with their training steps; returns the number left.
+
+        Each view gets the steps that it gets in flight.
+        """
         for _ in range(min(views, self.waiting)):
             try:
                 self._take()
@@ -208,7 +229,7 @@ class NeuralMapper:
         return self.waiting
 
     def _take(self) -> None:
-        """Make the next waiting view part of the map."""
+        """Add the next waiting view to the map."""
         replay, number = self._replay, self._taken
         self._taken += 1
         self._alignment.add(replay)
@@ -228,7 +249,10 @@ class NeuralMapper:
         self._live.touch(view.points[0])
 
     def train(self, steps: int, rate: float = 1.0) -> float:
-        """Run steps; returns the last loss (0 before the first view). rate: share of the full learning rate."""
+        """Run training steps; returns the last loss (0 before the first view).
+
+        rate: share of the full learning rate.
+        """
         loss = 0.0
         for _ in range(steps if self._taken else 0):
             loss = self._learner.step(self._replay.views, self._taken, rate)
@@ -236,9 +260,10 @@ class NeuralMapper:
         return loss
 
     def polish(self, steps: int) -> None:
-        """Align the views with each other and train on, with a learning rate that falls to FINAL_RATE.
+        """Train for a number of steps with a learning rate that falls to FINAL_RATE.
 
-        What remains of the noise averages out; the alignment takes away most of what poses did to it.
+        The falling rate averages out the remaining noise. The pose refinement at ALIGN_AT removes most of the effect of pose
+        errors.
         """
         self.relearn(self.waiting)
         aligned_at = {int(steps * share) for share in ALIGN_AT}
@@ -253,48 +278,61 @@ class NeuralMapper:
         return self._config.surface_voxel_m
 
     def surface(self) -> SurfaceElements:
-        """Elements of the surface; none before the first view. New where new views looked, elsewhere a little older."""
+        """Return the elements of the surface; none before the first view.
+
+        The elements are up to date where new views measured surface, elsewhere slightly older.
+        """
         self._live.refresh(self.field, self.uncertainty)
         return self._live.elements(self.views, self.map_epoch)
 
     def whole_room(self) -> SurfaceElements:
-        """Elements of the whole surface as it is now."""
+        """Return the elements of the whole surface, extracted from the current field."""
         voxel_m = self._config.surface_voxel_m
         return surface_elements(self.field, self._evidence, self.uncertainty, voxel_m, self.views, self.map_epoch)
 
     def whole_surface(self, voxel_m: float) -> WholeSurface:
-        """Every place where the field changes its sign, also where nobody looked: to ask what an uncertainty says of it."""
+        """Return all zero crossings of the field, also where nothing was measured.
+
+        Used to evaluate an uncertainty measure.
+        """
         return whole_surface(self.field, self._evidence, voxel_m)
 
     def mesh(self, voxel_m: float) -> TriangleMesh:
-        """Triangles of the surface as it is now."""
+        """Return the triangles of the surface, extracted from the current field."""
         self._album.place_images()
         return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._album.images, self.painted())
 
     def painted(self) -> ColourFusedField:
-        """The field in the colours of the views that are replayed, at the poses and exposures that they have now."""
+        """Return the field with colours fused from the replayed views.
+
+        Uses the current poses and exposures of the views.
+        """
         return ColourFusedField(self.field, self._replay, self._low, self._high)
 
     def look(self, field: SdfField, origin: Float32Array, direction: Float32Array) -> Float32Array:
-        """Colour (N, 3) in 0..1 seen along rays from origin (N, 3) in unit direction (N, 3), drawn through a field: this one
-        as it was learned, or painted().
+        """Return the colours (N, 3) in 0..1 along rays, rendered through a field.
+
+        origin (N, 3) in world; direction (N, 3): unit vectors. field: the learned field or painted().
         """
         return render_rays(field, self._evidence.holding(), origin, direction)[0]
 
     def positions(self) -> FloatArray:
-        """Where the views' depth imagers are now held to have been, world (V, 3)."""
+        """Return the current depth camera positions of the views in world, (V, 3)."""
         return self._replay.views.position[: self._replay.count].astype(np.float64)
 
     def corrections(self) -> FloatArray:
-        """What alignment did to the given poses (V, 6): translation and rotation vector about the camera, world."""
+        """Return the pose corrections of the views (V, 6).
+
+        Translation and rotation vector about the camera, in world, relative to the given poses.
+        """
         return self._alignment.correction.copy()
 
     def log_gains(self) -> FloatArray:
-        """How each picture is brightened to agree with the others: log factors (V, 3) of rgb + TOE, their mean zero."""
+        """Return the exposure gains of the views: log factors (V, 3) of rgb + TOE with zero mean."""
         return self._exposure.log_gain.copy()
 
     def warm_up(self) -> None:
-        """Compile every kernel, on a small trainer of its own."""
+        """Compile every kernel on a small separate mapper."""
         config = self._config.model_copy(update={"prior_model": None})
         small = NeuralMapper(config, np.zeros(3), np.ones(3), self._noise_px, self._baseline_m)
         small.add(_wall())
@@ -304,7 +342,10 @@ class NeuralMapper:
         small._keep(small._album.most_useful())
 
     def _keep(self, which: BoolArray) -> None:
-        """Forget all views but some (V,), in what is replayed and asked; the field keeps what they taught."""
+        """Drop all views except those selected by a mask (V,).
+
+        The field keeps what was learned from the dropped views.
+        """
         self._album.keep(which)
         taken, self._taken = which[: self._taken], int(which[: self._taken].sum())
         for part in (self._alignment, self._exposure, self._patches):

@@ -1,4 +1,4 @@
-"""What the views of a flight brought to a mapper, for whoever learns from it."""
+"""Training data of a flight, shared by the training back ends."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from uav_recon.types.frames import Float32Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingData:
-    """low_m, high_m (3,): the mapped box. Rays, their poses, where surface was measured, and the depth images."""
+    """Rays with their poses, the measured cells and the depth images.
+
+    low_m, high_m (3,): the mapped box.
+    """
 
     low_m: Float32Array
     high_m: Float32Array

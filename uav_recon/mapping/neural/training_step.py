@@ -1,4 +1,4 @@
-"""One field and how it is taught: a step at a time, from rays drawn at random from the views that it may know."""
+"""One training step of the numba field on random rays of the known views."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from uav_recon.types.frames import AnyArray, Float32Array
 
 
 class NumbaTrainingStep:
-    """stream (1,) uint64: state of the random numbers, which goes on changing; colour_error: is told of every step's errors."""
+    """A field, its optimiser and its training step.
+
+    stream (1,) uint64: random state, advanced by every step. colour_error: receives the colour errors of every step.
+    """
 
     def __init__(
         self, low_m: Float32Array, high_m: Float32Array, seed: int, stream: AnyArray, colour_error: ColourError
@@ -27,18 +30,24 @@ class NumbaTrainingStep:
 
     @property
     def skipped(self) -> int:
-        """Steps whose gradient was not finite, and which changed nothing."""
+        """Number of steps skipped because their gradient was not finite."""
         return self._optimiser.skipped
 
     def cover(self, points: Float32Array) -> None:
-        """Make room for what will be learned at points (N, 3). Raises MemoryError; then what there is can be taught on."""
+        """Allocate grid entries for points (N, 3).
+
+        Raises MemoryError; training can continue with the existing entries.
+        """
         while not self.field.cover(points):
             capacity = 2 * self.field.capacity
             self._optimiser.grow(capacity)
             self.field.grow(capacity)
 
     def step(self, views: Views, known: int, rate: float) -> float:
-        """Teach what the first ``known`` views say, at a share of the full learning rate; returns the loss before."""
+        """Run one step on the first ``known`` views; returns the loss before the step.
+
+        rate: share of the full learning rate.
+        """
         f, o, b = self.field, self._optimiser, self._batch
         coloured = int(draw(self._stream, views, known, self._low, self._high, b))
         shared = (f.grid, f.network, o.network_gradient, o.gradient, f.scratch)

@@ -1,4 +1,4 @@
-"""One depth frame into the log-odds: pool it, count its hits, free what lies in front, mark what was hit."""
+"""Integration of one depth frame into the log-odds: pooling, hit counts, carving, marking."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from uav_recon.types.maps import GridSpec
 
 
 class FrameScratch:
-    """Memory that every frame needs again, as large as the view, not as the map."""
+    """Scratch memory reused by every frame; its size depends on the view, not on the map."""
 
     def __init__(self, grid: GridSpec, far_m: float) -> None:
-        across = 2 * int(np.ceil(far_m / grid.resolution_m)) + 3  # voxels of a box around the range sphere
+        across = 2 * int(np.ceil(far_m / grid.resolution_m)) + 3  # edge in voxels of a box around the range sphere
         box = int(np.prod(np.minimum(grid.shape, across)))
         self.hits = np.zeros(box + 1, dtype=np.int32)
         self.listed = np.zeros(box, dtype=np.int64)
@@ -25,7 +25,7 @@ class FrameScratch:
         self._pixels = (0, 0)
 
     def fit(self, pixels: tuple[int, ...]) -> FrameScratch:
-        """Make room for images of (H, W) pixels."""
+        """Allocate the arrays for images of (H, W) pixels; returns self."""
         if pixels != self._pixels:
             height, width = pixels
             self._pixels = (height, width)
@@ -37,7 +37,7 @@ class FrameScratch:
         return self
 
     def list(self, flat: IntArray) -> None:
-        """Put voxels into the list, whatever there was."""
+        """Set the list of voxels to ``flat``, replacing its content."""
         if flat.size > self.listed.size:
             self.listed, self.found = np.zeros(flat.size, dtype=np.int64), np.zeros(flat.size, dtype=np.uint8)
         self.listed[: flat.size] = flat
@@ -49,10 +49,11 @@ def fuse(
     resolution_m: float, shape: tuple[int, int, int], lowest_m: AnyArray, farthest_m: AnyArray, valid: AnyArray,
     hits: AnyArray, touched: AnyArray, odds: AnyArray, listed: AnyArray,
 ) -> int:  # fmt: skip
-    """Add a frame to the odds; returns how many voxels it lists whose state may have changed.
+    """Integrate a frame into the log-odds; returns the number of voxels listed.
 
-    depth_m (H, W) float32; camera fx, fy, cx, cy; rotation (3, 3) and origin (3,), in voxels, of the camera in the grid; one
-    sigma of the depth is noise_per_m * depth². The other arrays: see FrameScratch.
+    The listed voxels are those whose state may have changed. depth_m (H, W) float32; camera: fx, fy, cx, cy; rotation (3, 3)
+    and origin (3,), in voxels, of the camera in the grid. The depth noise (one sigma) is noise_per_m * depth². The other
+    arrays: see FrameScratch.
     """
     box = np.empty((2, 3), dtype=np.int64)
     pixels = depth_m.shape

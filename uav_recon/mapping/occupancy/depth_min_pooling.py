@@ -1,4 +1,4 @@
-"""The nearest return under any square window of a depth image, in four look-ups."""
+"""Minimum pooling of a depth image: the nearest return in a square window in four look-ups."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from uav_recon.types.frames import AnyArray
 
 CELL = 2  # pixels per cell of the pooled depth
 LEVELS = 7  # sliding minima over 1, 2, 4 ... 64 cells
-STRIP = 8  # cells across of an upright strip of the image, of which the farthest return is known
+STRIP = 8  # width in cells of a vertical image strip; the farthest return of each strip is stored
 LARGEST_WINDOW = (1 << LEVELS) - 1  # cells across; four windows of the last level cover it
 
 
 @kernel
 def min_pool(depth_m: AnyArray, near_m: float, lowest_m: AnyArray, farthest_m: AnyArray, valid: AnyArray) -> None:
-    """Sliding minima and counts of the pixels that have a return (finite, at least near_m).
+    """Compute sliding minima and counts of the pixels with a return (finite, at least near_m).
 
-    lowest_m: (LEVELS, h, w) float32 over cells; each window grows to the right and down and is cut at the border; infinite
-    where there is no return. farthest_m: (ceil(w / STRIP),) float32, 0 where there is none.
-    valid: (h + 1, w + 1) int32, the integral image of the counts.
+    lowest_m: (LEVELS, h, w) float32 over cells; each window extends right and down from its cell and is clipped at the
+    border; infinite where there is no return. farthest_m: (ceil(w / STRIP),) float32, 0 where there is no return. valid: (h
+    + 1, w + 1) int32, the integral image of the counts.
     """
     width = depth_m.shape[1]
     nearest_m = np.full(2 * lowest_m.shape[2], np.inf, dtype=np.float32)
@@ -47,7 +47,10 @@ def min_pool(depth_m: AnyArray, near_m: float, lowest_m: AnyArray, farthest_m: A
 def _fold(
     depth_m: AnyArray, near_m: np.float32, cell_row: int, nearest_m: AnyArray, max_m: AnyArray, returns: AnyArray
 ) -> None:
-    """Two rows of pixels into one: the nearer return, and how many there are; max_m is raised to the farther."""
+    """Reduce two pixel rows to one: nearest return and number of returns per column.
+
+    Raises max_m (W,) to the farthest return of each column.
+    """
     infinite, zero = np.float32(np.inf), np.float32(0.0)
     upper = depth_m[CELL * cell_row]
     if CELL * cell_row + 1 == depth_m.shape[0]:
@@ -72,7 +75,7 @@ def _fold(
 
 @kernel
 def _widen(narrow: AnyArray, half: int, wide: AnyArray) -> None:
-    """Minima over windows twice as wide as those of ``narrow``, which are ``half`` cells wide."""
+    """Compute minima over windows twice as wide as those of ``narrow`` (``half`` cells wide)."""
     rows, columns = narrow.shape
     whole = max(columns - half, 0)
     for i in range(rows):

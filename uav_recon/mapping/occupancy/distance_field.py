@@ -1,8 +1,9 @@
-"""Exact Euclidean distance from every voxel to the nearest one that is not known free, capped, kept up with the map.
+"""Incremental exact Euclidean distance to the nearest voxel that is not known free.
 
 Separable (Saito and Toriwaki 1994: D(p) = min over q of D(q) + (p - q)²): along z and y in one plane of constant x, then
-along x. What the planes say is kept, so a change costs its own planes, and of the others only those within reach, over the
-interval of rows that really differ. All loops run flat over (y, z) in bytes: a shift along y is an offset.
+along x. The distances within each plane are stored. A change therefore recomputes its own planes, and of the other planes
+only those within reach and only the interval of rows that really differ. Distances are capped at the reach. All loops are
+flat over (y, z) in bytes: a shift along y is an offset.
 """
 
 from __future__ import annotations
@@ -13,14 +14,17 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, ByteArray, IntArray
 from uav_recon.types.maps import FREE, LARGEST_DISTANCE_VOXELS, TILE
 
-CHUNK = 64  # bytes; flat loops run over whole chunks, so that they need no tail
+CHUNK = 64  # bytes; flat loops run over whole chunks and need no tail loop
 
 
 class DistanceField:
-    """Brings a map's distance2 up to date with its state, at the cost of what changed."""
+    """Updates the squared distances of a map where its state changed."""
 
     def __init__(self, shape: tuple[int, int, int], reach: int) -> None:
-        """A grid (nx, ny, nz) none of which is free. reach: voxels, 1 to LARGEST_DISTANCE_VOXELS, else ValueError."""
+        """Start with a grid (nx, ny, nz) without free voxels.
+
+        reach: distance cap in voxels, 1 to LARGEST_DISTANCE_VOXELS, else ValueError.
+        """
         if not 0 < reach <= LARGEST_DISTANCE_VOXELS:
             raise ValueError(f"reach {reach}: want 1 to {LARGEST_DISTANCE_VOXELS} voxels")
         self._shape, self._reach = shape, reach
@@ -35,13 +39,14 @@ class DistanceField:
         self.last = np.zeros(nx, dtype=np.int64)
 
     def touch_all(self) -> None:
-        """Everything may have changed."""
+        """Mark the whole grid as changed."""
         self.first[:], self.last[:] = 0, self._shape[1]
 
     def update(self, state: ByteArray, distance2: ByteArray, tile_revision: IntArray, revision: int) -> None:
-        """Make distance2 the field of a state whose free space changed, for each x, in the rows [first[x], last[x]) alone.
+        """Update distance2 for a changed state and record the revision of the tiles that changed.
 
-        state, distance2: flat, distance2 CHUNK longer than the grid. The tiles in which distance2 changed get the revision.
+        Only the rows [first[x], last[x]) of each x may have changed their free space. state, distance2: flat; distance2 is
+        CHUNK longer than the grid. tile_revision of each tile in which distance2 changed is set to ``revision``.
         """
         _update(
             state, self._shape, self._reach, self.first, self.last, self._border, self._outside, self._planes, self._scratch,
@@ -50,10 +55,11 @@ class DistanceField:
 
 
 def distance2_to_not_free(state: ByteArray, reach: int) -> ByteArray:
-    """SQUARED distance in voxels from each voxel's centre to the centre of the nearest voxel that is not FREE.
+    """Return the SQUARED distance in voxels from each voxel to the nearest that is not FREE.
 
-    state: (nx, ny, nz) uint8. Returns (nx, ny, nz) uint8, exact below reach² and reach² from there on; 0 in voxels that are
-    not free. Voxels outside the grid are not free. reach: at most LARGEST_DISTANCE_VOXELS, else ValueError.
+    Distances are measured between voxel centres. state: (nx, ny, nz) uint8. Returns (nx, ny, nz) uint8, exact below reach²
+    and reach² from there on; 0 in voxels that are not free. Voxels outside the grid are not free. reach: at most
+    LARGEST_DISTANCE_VOXELS, else ValueError.
     """
     nx, ny, nz = state.shape
     field, distance2 = DistanceField((nx, ny, nz), reach), np.zeros(state.size + CHUNK, dtype=np.uint8)
@@ -70,10 +76,11 @@ def warm_up() -> None:
 
 @kernel
 def _along_z(states: AnyArray, border: AnyArray, reach: int, now: AnyArray, then: AnyArray) -> None:
-    """Squared distance along z, for the flat states of whole columns, into now[CHUNK:]; ``then`` is scratch.
+    """Compute the squared distance along z for whole columns into now[CHUNK:].
 
-    border: distance to the column's own ends, which are not free. A shift that leaves its column meets a neighbour's voxels;
-    that is harmless, for the end it crosses is nearer. So is whatever stands beyond the columns.
+    states: flat; then: scratch; border: distance to the ends of the voxel's own column, beyond which nothing is free. A
+    shift can reach into the neighbouring column. This does not change the result, because the column end that it crosses is
+    nearer. The bytes beyond the columns do not change the result for the same reason.
     """
     size = -(-states.size // CHUNK) * CHUNK
     here, there = now[CHUNK:], then[CHUNK:]
@@ -91,7 +98,7 @@ def _along_z(states: AnyArray, border: AnyArray, reach: int, now: AnyArray, then
 
 @kernel
 def _shift(before: AnyArray, here: AnyArray, after: AnyArray, size: int, step: np.uint8, out: AnyArray) -> None:
-    """out = min(here, before + step, after + step), bytes that do not overflow."""
+    """Compute out = min(here, before + step, after + step) in saturating bytes."""
     limit = np.uint8(255 - step)
     for n in range(size):
         a, b, c = before[n], after[n], here[n]
@@ -102,7 +109,7 @@ def _shift(before: AnyArray, here: AnyArray, after: AnyArray, size: int, step: n
 
 @kernel
 def _improve(before: AnyArray, after: AnyArray, size: int, step: np.uint8, best: AnyArray) -> None:
-    """best = min(best, before + step, after + step), bytes that do not overflow."""
+    """Compute best = min(best, before + step, after + step) in saturating bytes."""
     limit = np.uint8(255 - step)
     for n in range(size):
         a, b, c = before[n], after[n], best[n]
@@ -113,14 +120,14 @@ def _improve(before: AnyArray, after: AnyArray, size: int, step: np.uint8, best:
 
 @kernel
 def _copy(source: AnyArray, first: int, last: int, target: AnyArray) -> None:
-    """target[first:last] = source[first:last]."""
+    """Copy source[first:last] to target[first:last]."""
     for n in range(first, last):
         target[n] = source[n]
 
 
 @kernel
 def _differ(one: AnyArray, other: AnyArray) -> bool:
-    """Whether two chunks differ."""
+    """Return True if two chunks differ."""
     found = np.uint8(0)
     for n in range(CHUNK):
         found |= np.uint8(one[n] ^ other[n])
@@ -132,7 +139,7 @@ def _update(
     state: AnyArray, shape: tuple[int, int, int], reach: int, first: AnyArray, last: AnyArray, border: AnyArray,
     outside: AnyArray, planes: AnyArray, scratch: AnyArray, distance2: AnyArray, tile_revision: AnyArray, revision: int,
 ) -> None:  # fmt: skip
-    """See DistanceField.update. Leaves [first, last) empty."""
+    """Update the planes, then distance2; see DistanceField.update. Leaves [first, last) empty."""
     nx, _, _ = shape
     begin, end = nx, 0
     for x in range(nx):
@@ -154,7 +161,10 @@ def _renew_plane(
     state: AnyArray, shape: tuple[int, int, int], x: int, reach: int, first: AnyArray, last: AnyArray, border: AnyArray,
     planes: AnyArray, scratch: AnyArray,
 ) -> None:  # fmt: skip
-    """Distance within the plane x; narrows or widens [first[x], last[x]) to the rows in which it changed."""
+    """Update the distances within the plane x.
+
+    Sets [first[x], last[x]) to the rows in which they changed.
+    """
     _, ny, nz = shape
     low, high = max(first[x] - reach + 1, 0), min(last[x] + reach - 1, ny)
     from_row, to_row = low - reach + 1, high + reach - 1
@@ -186,7 +196,7 @@ def _renew_across(
     shape: tuple[int, int, int], x: int, reach: int, low: int, high: int, outside: AnyArray, planes: AnyArray, best: AnyArray,
     distance2: AnyArray, tile_revision: AnyArray, revision: int,
 ) -> None:  # fmt: skip
-    """distance2 of the rows [low, high) at x, from what the planes around say."""
+    """Update distance2 of the rows [low, high) at x from the planes within reach."""
     nx, ny, nz = shape
     size = (high - low) * nz
     old = distance2[(x * ny + low) * nz :]

@@ -1,4 +1,4 @@
-"""The voxels in front of everything that a frame sees under their footprint."""
+"""Free-space carving: free the voxels in front of all returns within their image footprint."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from uav_recon.mapping.occupancy.depth_min_pooling import CELL, LARGEST_WINDOW, 
 from uav_recon.mapping.occupancy.log_odds import CLEAR, LOWEST, NOISE_SIGMAS, add_log_odds
 from uav_recon.types.frames import AnyArray
 
-VALID_SHARE = 0.75  # of the footprint must have a return before a voxel is freed
+VALID_SHARE = 0.75  # minimum share of the footprint with returns for a voxel to be freed
 Axes = tuple[np.float32, np.float32, np.float32]
 SIDES = 5  # left, right, top, bottom, and the nearest depth
 
@@ -19,7 +19,10 @@ def view_box(
     camera: AnyArray, rotation: AnyArray, origin: AnyArray, far: float, pixels: tuple[int, int], shape: tuple[int, int, int],
     box: AnyArray,
 ) -> None:  # fmt: skip
-    """The voxel box (2, 3) around the view, clipped to the grid. origin and far in voxels; pixels (H, W)."""
+    """Compute the voxel box (2, 3) around the view frustum, clipped to the grid.
+
+    origin and far in voxels; pixels (H, W).
+    """
     fx, fy, cx, cy = camera
     for axis in range(3):
         low = high = 0.0
@@ -34,7 +37,10 @@ def view_box(
 
 @kernel
 def _sides(camera: AnyArray, rotation: AnyArray, pixels: tuple[int, int], nearest: float) -> AnyArray:
-    """The planes (SIDES, 4) float32 of the view: inside where a·x + b·y + c·z + d >= 0, voxels from the camera."""
+    """Return the planes (SIDES, 4) float32 of the view frustum, in voxels from the camera.
+
+    A point is inside where a·x + b·y + c·z + d >= 0.
+    """
     fx, fy, cx, cy = camera
     sides = np.zeros((SIDES, 4), dtype=np.float32)
     for axis in range(3):
@@ -44,7 +50,7 @@ def _sides(camera: AnyArray, rotation: AnyArray, pixels: tuple[int, int], neares
         sides[2, axis] = fy * y + (cy + 0.5) * z
         sides[3, axis] = (pixels[0] - 0.5 - cy) * z - fy * y
         sides[4, axis] = z
-    for side in range(SIDES):  # keeps the divisions by c finite; a plane along z then says all or nothing
+    for side in range(SIDES):  # keeps the divisions by c finite; a plane parallel to z then accepts or rejects a whole column
         if abs(sides[side, 2]) < 1e-6:
             sides[side, 2] = 1e-6
     sides[4, 3] = -nearest
@@ -56,9 +62,9 @@ def _spans(
     sides: AnyArray, start: Axes, far2: np.float32, height: int,
     first: AnyArray, last: AnyArray,
 ) -> None:  # fmt: skip
-    """For each column of a row the voxels [first, last) of the box whose centres are in view.
+    """Compute the voxel span [first, last) in view for each z column of one x slice of the box.
 
-    start: the centre of the row's first voxel, in voxels from the camera; far2: range squared.
+    start: the centre of the first voxel of the first column, in voxels from the camera. far2: range squared, in voxels.
     """
     zero, top = np.float32(0.0), np.float32(height - 1)
     dx, dy, dz = start
@@ -84,7 +90,10 @@ def _spans(
 def _hidden(
     camera: AnyArray, step: Axes, start: Axes, count: int, farthest_m: AnyArray, edge_m: np.float32, extent_m: np.float32
 ) -> bool:
-    """Whether no return in the strips of the image that a run of voxels may touch lies behind any of them."""
+    """Return True if a run of voxels has no return behind any of its voxels.
+
+    Checks only the farthest return of the image strips that the run may cover.
+    """
     along = np.float32(count - 1)
     z, end_z = start[2], start[2] + step[2] * along
     fu, nearest = np.float32(camera[0] / CELL), min(z, end_z)
@@ -99,9 +108,10 @@ def _hidden(
 
 @kernel
 def _project(camera: AnyArray, step: Axes, start: Axes, depth: AnyArray, right: AnyArray, down: AnyArray) -> None:
-    """Where a run of voxels up a column lies in the pooled image: depth in voxels, right and down in cells.
+    """Project a run of voxels along z into the pooled image.
 
-    start and step: centre of the first voxel and way to the next, in voxels along the camera's axes.
+    start and step: centre of the first voxel and offset to the next one, in voxels along the camera axes. Writes depth in
+    voxels, right and down in cells.
     """
     fu, fv = np.float32(camera[0] / CELL), np.float32(camera[1] / CELL)
     cu, cv = np.float32((camera[2] + 0.5) / CELL), np.float32((camera[3] + 0.5) / CELL)
@@ -119,7 +129,10 @@ def _sift(
     run: AnyArray, held: AnyArray, index: int, depth: AnyArray, right: AnyArray, down: AnyArray, finest: AnyArray,
     edge_m: np.float32, extent_m: np.float32, kept: AnyArray, kept_at: AnyArray, number: int,
 ) -> int:  # fmt: skip
-    """Append the voxels of a run that may be freed: more to gain, no hit, and seen through at their centre. Branch-free."""
+    """Append the voxels of a run that are candidates for carving; returns the new number.
+
+    A candidate is not yet at the lower clamp, has no hit, and lies in front of the depth at its centre pixel. Branch-free.
+    """
     rows, columns = finest.shape
     kept_depth, kept_right, kept_down = kept_at
     last_row, last_column = np.int32(rows - 1), np.int32(columns - 1)
@@ -137,9 +150,10 @@ def _sift(
 def _windows(
     camera: AnyArray, cells: tuple[int, int], depth: AnyArray, right: AnyArray, down: AnyArray, window: AnyArray
 ) -> None:
-    """The window of the pooled depth that covers each voxel's footprint, for four look-ups.
+    """Compute the window of the pooled depth that covers each voxel's footprint.
 
-    window (3, N) int32: the index of the first look-up in (LEVELS, *cells), and what leads right and down to the others.
+    The minimum over a window takes four look-ups. window (3, N) int32: the index of the first look-up in (LEVELS, *cells),
+    and the offsets right and down to the others.
     """
     fu, fv = np.float32(0.5 * camera[0] / CELL), np.float32(0.5 * camera[1] / CELL)
     zero, none, one = np.float32(0.0), np.int32(0), np.int32(1)
@@ -164,7 +178,7 @@ def _windows(
 
 @kernel
 def _share_seen(valid: AnyArray, window: int, right: int, down: int) -> float:
-    """How much of a window (see _windows) has returns."""
+    """Return the share of the pixels of a window (see _windows) that have a return."""
     rows, columns = valid.shape[0] - 1, valid.shape[1] - 1
     row = window // columns
     u0, v0, size = window - row * columns, row % rows, 1 << (row // rows)
@@ -179,12 +193,13 @@ def carve_free(
     pixels: tuple[int, int], far_m: float, noise_per_m: float, doubtful: int, resolution_m: float, box: AnyArray,
     shape: tuple[int, int, int], hits: AnyArray, odds: AnyArray, listed: AnyArray,
 ) -> int:  # fmt: skip
-    """Free the voxels of a box in front of everything seen under their footprint, except those with hits.
+    """Free the voxels of a box without hits that lie in front of all returns in their footprint.
 
-    A voxel's footprint is the square of its edge, facing the camera. Every return in it must lie behind the voxel's centre by
-    more than half its extent and by more than the noise: in disparity, so a depth d may truly be
-    1 / (1 / d + sigmas * noise_per_m), noise_per_m = noise / (f * b). A look is worth CLEAR steps where twice that is left,
-    else ``doubtful`` ones. Lists the flat indices of voxels whose state may change; returns how many.
+    The footprint of a voxel is a square of its edge length that faces the camera. Every return in it must lie behind the
+    centre of the voxel by more than half the voxel's extent along the view and by more than the noise. The noise is in
+    disparity: the true depth for a measured d may be as small as 1 / (1 / d + sigmas * noise_per_m), noise_per_m = noise /
+    (f * b). The observation adds CLEAR steps where the margin is more than twice that, else ``doubtful`` steps. Lists the
+    flat indices of the voxels whose state may change and returns their number.
     """
     levels, rows, columns = lowest_m.shape
     pooled = lowest_m.reshape(levels * rows * columns)

@@ -1,4 +1,4 @@
-"""The returns of a frame: which voxels they end in, and how sure that makes them."""
+"""Hit integration: count the returns that end in each voxel and mark these voxels occupied."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.occupancy.log_odds import add_log_odds
 from uav_recon.types.frames import AnyArray
 
-SOLID_SHARE = 0.15  # of the pixels that a facing voxel would catch make a hit solid; fewer are a speckle or a wire
+SOLID_SHARE = 0.15  # hits with less than this share of the pixels of a facing voxel are a speckle or a wire
 
 
 @kernel
@@ -16,11 +16,12 @@ def count_hits(
     depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray, near_m: float, far_m: float,
     resolution_m: float, box: AnyArray, hits: AnyArray, touched: AnyArray,
 ) -> int:  # fmt: skip
-    """Count the returns that end in each voxel of a box; ``touched`` lists them, the number of them is returned.
+    """Count the returns that end in each voxel of a box; returns the number of voxels hit.
 
-    depth_m (H, W); camera fx, fy, cx, cy; rotation and origin (voxels) of the camera in the grid; box (2, 3) voxels of
-    the grid. hits: int32, all zero, one for each voxel of the box in C order and one more, for pixels without a return or with
-    one that ends elsewhere. touched: int32, indices in the box; H * W + 1 long. Branch-free: nobody can predict a pixel.
+    ``touched`` lists the voxels hit. depth_m (H, W); camera: fx, fy, cx, cy; rotation and origin (voxels) of the camera in
+    the grid; box (2, 3) voxels of the grid. hits: int32, all zero, one element per voxel of the box in C order and one more
+    for pixels without a return or with a return outside the box. touched: int32, indices in the box; H * W + 1 long.
+    Branch-free, because the branches would be unpredictable.
     """
     fx, fy, cx, cy = camera
     width = depth_m.shape[1]
@@ -74,9 +75,10 @@ def mark_occupied(
     resolution_m: float, box: AnyArray, shape: tuple[int, int, int], hits: AnyArray, odds: AnyArray, listed: AnyArray,
     listing: int,
 ) -> int:  # fmt: skip
-    """Mark the voxels with returns, the surer the more, and clear the counts.
+    """Add the log-odds of the voxels with returns and clear the hit counts.
 
-    Appends the flat indices of voxels whose state may change to listed[listing:]; returns the new number in the list.
+    The weight is larger for solid hits with low depth noise. Appends the flat indices of the voxels whose state may change
+    to listed[listing:]; returns the new length of the list.
     """
     ny, nz = box[1, 1] - box[0, 1], box[1, 2] - box[0, 2]
     for n in range(number):

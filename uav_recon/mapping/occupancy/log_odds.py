@@ -1,4 +1,4 @@
-"""How what the frames say adds up in a voxel: log-odds, their clamps, and the state they stand for."""
+"""Log-odds of a voxel: update steps, clamps, and the state for a value."""
 
 from __future__ import annotations
 
@@ -8,25 +8,28 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN
 
-# Evidence in steps of log-odds. One frame never frees a voxel: two clear looks or four doubtful ones do (two of either where
-# the sensor's noise is nothing beside a voxel). A solid hit at close range occupies at once, a thin or distant one after two
-# frames. The clamps bound how long a change takes.
+# Evidence in steps of log-odds. One frame never frees a voxel: it takes two clear observations or four doubtful ones (two of
+# either kind if the noise of the sensor is negligible against a voxel). One solid hit at close range marks a voxel occupied,
+# a thin or distant one needs two frames. The clamps bound how long a change takes.
 FREE_AT, OCCUPIED_AT = -4, 2
 CLEAR = 2
 LOWEST, HIGHEST = -10, 12
-NOISE_SIGMAS = 2.5  # a surface is believed to lie no nearer than its depth less so many sigmas
-EXACT_SHARE = 0.1  # of a voxel: noise (so many sigmas, at the largest range) under which a sensor counts as exact
+NOISE_SIGMAS = 2.5  # a surface may be nearer than its measured depth by up to this many sigmas
+EXACT_SHARE = 0.1  # a sensor is exact if its noise (NOISE_SIGMAS, at the largest range) is below this share of a voxel
 
 
 @kernel
 def doubtful_look(noise_per_m: float, far_m: float, resolution_m: float) -> int:
-    """Steps towards free of a look that leaves less than twice its margin; depth noise of noise_per_m * depth² (one sigma)."""
+    """Return the steps towards free of an observation with less than twice its margin.
+
+    The depth noise (one sigma) is noise_per_m * depth².
+    """
     return CLEAR if NOISE_SIGMAS * noise_per_m * far_m**2 <= EXACT_SHARE * resolution_m else CLEAR // 2
 
 
 @kernel
 def add_log_odds(odds: AnyArray, index: int, evidence: int) -> bool:
-    """Add evidence to a voxel; returns whether the odds left the range of its state."""
+    """Add evidence to a voxel; returns True if the state of the voxel may have changed."""
     before = np.int32(odds[index])
     after = min(max(before + np.int32(evidence), np.int32(LOWEST)), np.int32(HIGHEST))
     odds[index] = np.int8(after)
@@ -35,7 +38,7 @@ def add_log_odds(odds: AnyArray, index: int, evidence: int) -> bool:
 
 @kernel
 def _inside(index: int, shape: tuple[int, int, int], fence: AnyArray) -> bool:
-    """Whether a flat index lies in the box [fence[0], fence[1])."""
+    """Return True if a flat index lies in the box [fence[0], fence[1])."""
     column, k = divmod(index, shape[2])
     i, j = divmod(column, shape[1])
     across = (fence[0, 0] <= i < fence[1, 0]) and (fence[0, 1] <= j < fence[1, 1])
@@ -52,9 +55,10 @@ def new_states(
     state: AnyArray,
     found: AnyArray,
 ) -> int:
-    """Keep of the flat indices listed[:number] those whose state differs from what their odds say, and find that state.
+    """Reduce the list to the voxels whose state has to change; returns their number.
 
-    Outside the fence nothing is free. Returns how many are kept, in listed and found; each index must be listed once.
+    The state of a voxel has to change if it differs from that of its log-odds. listed[:number]: flat indices, each at most
+    once. The remaining indices are in listed, their new states in found. Outside the fence nothing is free.
     """
     kept = 0
     for n in range(number):
@@ -74,9 +78,10 @@ def copy_changed(
     listed: AnyArray, found: AnyArray, number: int, shape: tuple[int, int, int], fence: AnyArray, revision: int,
     state: AnyArray, tile_revision: AnyArray, first: AnyArray, last: AnyArray,
 ) -> int:  # fmt: skip
-    """Write the states found; date their tiles; widen [first[x], last[x]) by each column whose free space changed.
+    """Write the new states and update what depends on them; returns the growth of known voxels.
 
-    Returns by how many the known voxels inside the fence grew.
+    Sets the revision of the tiles written. Widens [first[x], last[x]) by each column whose free space changed. The returned
+    growth counts voxels inside the fence only.
     """
     grown = 0
     for n in range(number):

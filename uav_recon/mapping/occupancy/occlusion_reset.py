@@ -1,4 +1,4 @@
-"""What lies behind something that has come to stand in known-free space: its inside, and what nobody has seen since."""
+"""Occlusion reset: space behind an obstacle that appears in free space becomes unknown."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from uav_recon.types.maps import FREE
 def reset_behind_new_obstacles(
     listed: AnyArray, number: int, odds: AnyArray, state: AnyArray, shape: tuple[int, int, int], origin: AnyArray, reach: float
 ) -> int:
-    """Make unknown what is free behind voxels that returns end in and that were free, as far as ``reach`` and as the first that
-    is not free: a box that appears shows one side, and the rest of it stands in space that was seen free.
+    """Reset the free voxels behind new obstacles to unknown; returns the new length of the list.
 
-    listed[:number] as fuse() lists them, state (nx * ny * nz,) as it was before the frame; origin: the camera in voxels.
-    Appends the flat indices to the list; returns how many it holds.
+    A new obstacle is a listed voxel that was free and has returns in this frame. A box that appears shows one side only, and
+    the rest of it occupies space that was observed as free. The reset follows the ray from the camera behind the obstacle,
+    up to ``reach`` voxels or up to the first voxel that is not free.
+
+    listed[:number]: as from fuse(); state (nx * ny * nz,): as before the frame; origin: the camera, in voxels. Appends the
+    flat indices of the voxels that were reset to the list.
     """
     listing = number
     for n in range(number):

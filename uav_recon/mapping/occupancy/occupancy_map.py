@@ -1,12 +1,12 @@
-"""What is known free, occupied or unknown: log-odds voxels from posed depth frames, with their distance field.
+"""Occupancy map: log-odds voxels from posed depth frames, with their distance field.
 
-Voxel-centric. Each voxel in view is projected, and the frame frees it only if EVERY depth under its footprint lies
-behind it by more than its own half extent and the depth noise. So a grazing ray cannot carve a wall, and a hole (NaN)
-frees nothing. Returns mark the voxel they end in, and in that frame the mark wins over freeing. Where that voxel was
-free something has come, and what was free behind it is unknown again.
+Voxel-centric: each voxel in view is projected into the frame. The frame frees a voxel only if EVERY depth in its footprint
+lies behind it by more than half its extent and the depth noise. So a grazing ray cannot carve a wall, and a hole (NaN) frees
+nothing. A return marks the voxel it ends in; within one frame, marking takes precedence over freeing. If the marked voxel
+was free, an obstacle has appeared, and the free space behind it becomes unknown.
 
-Everything follows what changed: the states and the count of known voxels are kept, the distance field is brought up to date
-around the changes when a snapshot is asked for, and a snapshot is painted over an old one that nobody holds any more.
+All updates are incremental: the states and the number of known voxels are stored, the distance field is updated around the
+changes when a snapshot is requested, and a snapshot reuses the memory of an old one that is no longer referenced.
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, TILE, GridSpec, VoxelMap
 from uav_recon.types.pose import Pose
 
-_SHADOW_M = 0.6  # behind what has come: a person's or a chair's depth
+_SHADOW_M = 0.6  # depth reset behind a new obstacle: that of a person or a chair
 
 
 @dataclass(frozen=True, slots=True)
 class DepthSensor:
-    """What the voxels believe of the camera: sigma_z = z² * noise_px / (f * baseline); nearer returns are not believed."""
+    """Noise model of the depth camera: sigma_z = z² * noise_px / (f * baseline).
+
+    Returns nearer than depth_min_m are ignored.
+    """
 
     depth_min_m: float
     noise_px: float
@@ -39,7 +42,10 @@ class DepthSensor:
 
 
 class OccupancyMap:
-    """The occupancy map of one flight, one map epoch at a time. Not thread-safe: one owner; snapshots are frozen."""
+    """The occupancy map of one flight, one map epoch at a time.
+
+    Not thread-safe: it has one owner. Snapshots are immutable.
+    """
 
     def __init__(
         self,
@@ -52,9 +58,10 @@ class OccupancyMap:
         map_epoch: int = 0,
         pixel_stride: int = 1,
     ) -> None:
-        """Start unknown. A voxel whose centre is outside the fence box (world, metres) may be occupied, never free.
+        """Start with all voxels unknown.
 
-        pixel_stride: only every so many-th row and column of the depth is looked at.
+        A voxel whose centre is outside the fence box (world, metres) may be occupied, never free. pixel_stride: use only
+        every pixel_stride-th row and column of the depth.
         """
         self.grid = grid
         self._sensor, self._max_range_m, self._pixel_stride = sensor, float(max_range_m), pixel_stride
@@ -66,7 +73,7 @@ class OccupancyMap:
         self.reset(map_epoch)
 
     def reset(self, map_epoch: int) -> None:
-        """Forget everything: poses of a new epoch do not fit the old map."""
+        """Clear the map for a new epoch, whose poses do not fit the old map."""
         self._revision += 1
         self._map_epoch, self._known = map_epoch, 0
         self._odds = np.zeros(int(np.prod(self.grid.shape)), dtype=np.int8)
@@ -77,14 +84,14 @@ class OccupancyMap:
 
     @property
     def revision(self) -> int:
-        """Grows whenever a snapshot would differ."""
+        """Counter that grows whenever a snapshot would differ."""
         return self._revision
 
     def integrate(self, posed: PosedFrame) -> int:
-        """Add a frame; returns how many voxels changed between unknown, free and occupied.
+        """Integrate a frame; returns the number of voxels that changed state.
 
-        About 0.4 ms for 320 x 240. NaN and infinite depth say nothing; depth beyond the range frees up to it and marks
-        nothing. Raises ValueError for a frame of another map epoch (call reset first).
+        About 0.4 ms for 320 x 240. NaN and infinite depth are ignored. Depth beyond the range frees voxels up to the range
+        and marks nothing. Raises ValueError for a frame of another map epoch (call reset first).
         """
         if posed.map_epoch != self._map_epoch:
             raise ValueError(f"frame of map epoch {posed.map_epoch} given to voxels of epoch {self._map_epoch}")
@@ -109,9 +116,10 @@ class OccupancyMap:
         )
 
     def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:
-        """The operator's word: the voxels with centres in this upright cylinder are free, until returns say otherwise.
+        """Set the voxels in an upright cylinder free, as declared by the operator.
 
-        centre_world: (2,) or (3,) metres, of which x and y count.
+        Applies to voxels with their centre in the cylinder; later returns can mark them again. centre_world: (2,) or (3,)
+        metres; only x and y are used.
         """
         low = self.grid.index(np.array([centre_world[0] - radius_m, centre_world[1] - radius_m, z_min_m]))
         high = self.grid.index(np.array([centre_world[0] + radius_m, centre_world[1] + radius_m, z_max_m])) + 1
@@ -129,7 +137,10 @@ class OccupancyMap:
         self._settle(changing.size)
 
     def snapshot(self) -> VoxelMap:
-        """A frozen picture with its distance field: about 0.1 ms after a frame, nothing if nothing changed."""
+        """Return an immutable snapshot with its distance field.
+
+        About 0.1 ms after a frame. Returns the same object if nothing changed.
+        """
         if self._picture is None:
             canvas, revision = self._pictures.canvas, self._revision
             self._distance.update(canvas.state, canvas.distance2, self._tile_revision, revision)
@@ -137,11 +148,11 @@ class OccupancyMap:
         return self._picture
 
     def explored_m3(self) -> float:
-        """Volume inside the fence that is known, free or occupied."""
+        """Return the volume inside the fence that is known (free or occupied), in cubic metres."""
         return self._known * self.grid.resolution_m**3
 
     def warm_up(self) -> None:
-        """Compile every kernel on a map of its own."""
+        """Compile every kernel on a small separate map."""
         lens = Intrinsics.from_fov(16, 8, 1.5, 1.0)
         small = OccupancyMap(
             GridSpec(np.zeros(3), 0.5, (4, 4, 4)), self._sensor, 2.0, (0, 0, 0), (2, 2, 2), 1.0, pixel_stride=1
@@ -149,13 +160,13 @@ class OccupancyMap:
         depth_m = np.full((8, 16), 1.0, dtype=np.float32)
         frame = Frame(0.0, 0, depth_m, lens, np.zeros((8, 16, 3), dtype=np.uint8), lens, Pose.identity())
         held = []
-        for _ in range(3):  # the second picture is painted beside the first
+        for _ in range(3):  # the second snapshot uses another buffer than the first
             small.integrate(PosedFrame(frame, Pose.from_yaw(0.0, np.array([1.0, 1.0, 0.2]))))
             held.append(small.snapshot())
             small.declare_free(np.ones(3), 0.5 * len(held), 0.0, 2.0)
 
     def _settle(self, number: int) -> int:
-        """Paint those of the listed voxels whose state is another now; returns how many."""
+        """Update the listed voxels whose state changed; returns their number."""
         shape, scratch = self.grid.shape, self._scratch
         number = new_states(
             scratch.listed, number, self._odds, shape, self._fence, self._pictures.canvas.state, scratch.found

@@ -1,4 +1,4 @@
-"""Pictures of the map in recycled memory: a buffer is written again once nobody holds what was shown of it."""
+"""Pool of map snapshots: a buffer is reused once its snapshot is no longer referenced."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from uav_recon.types.maps import TILE, GridSpec, VoxelMap
 
 
 class SnapshotBuffer:
-    """State and squared distance of a whole map (flat uint8), as they were at a revision. Fresh memory: all unknown."""
+    """State and squared distance of a whole map at one revision (flat uint8).
+
+    A new buffer is all unknown.
+    """
 
     def __init__(self, size: int, revision: int) -> None:
-        self.memory = np.zeros(2 * size + CHUNK, dtype=np.uint8)  # pages nobody wrote cost nothing
+        self.memory = np.zeros(2 * size + CHUNK, dtype=np.uint8)  # untouched zero pages use no physical memory
         self.state: ByteArray = self.memory[:size]
         self.distance2: ByteArray = self.memory[size:]
         self.revision = revision
@@ -25,19 +28,23 @@ class SnapshotBuffer:
 
 
 class SnapshotPool:
-    """The canvas that is being painted, and those that were shown. One owner paints; pictures may be dropped in any thread."""
+    """The buffer that is being written, and those with a published snapshot.
+
+    One owner writes; snapshots may be released in any thread.
+    """
 
     def __init__(self, grid: GridSpec, revision: int) -> None:
-        """All unknown at a revision."""
+        """Start with one buffer, all unknown, at a revision."""
         self._grid, self._blank_revision = grid, revision
         self._size = int(np.prod(grid.shape))
         self.canvas = SnapshotBuffer(self._size, revision)
         self._canvases = [self.canvas]
 
     def paintable(self, tile_revision: IntArray) -> SnapshotBuffer:
-        """The canvas to paint on: the one at hand, or if somebody holds a picture of it, another made equal to it.
+        """Return the buffer to write to, with the current content.
 
-        tile_revision: as of the canvas at hand. Of the other only the tiles that changed since it was painted last are copied.
+        If the current buffer has a snapshot in use, this is another buffer with the same content. tile_revision: that of the
+        current buffer. Only the tiles that changed since the other buffer was last written are copied.
         """
         if self.canvas.shown:
             shown, self.canvas = self.canvas, self._free()
@@ -46,7 +53,10 @@ class SnapshotPool:
         return self.canvas
 
     def show(self, tile_revision: IntArray, revision: int, map_epoch: int) -> VoxelMap:
-        """A picture of the canvas at hand, which is not painted on for as long as anybody holds any of its arrays."""
+        """Return a snapshot of the current buffer.
+
+        The buffer is not written while any array of the snapshot is referenced.
+        """
         canvas = self.canvas
         canvas.revision, canvas.shown = revision, True
         view = np.asarray(_Lease(canvas, (2, *self._grid.shape)))
@@ -55,7 +65,10 @@ class SnapshotPool:
         return VoxelMap(self._grid, view[0], view[1], dated, revision, map_epoch)
 
     def _free(self) -> SnapshotBuffer:
-        """The newest canvas that nobody holds, or a blank one; older ones than that are given up, but for one."""
+        """Return the newest buffer without a snapshot in use, or a blank one.
+
+        Of the older free buffers all but one are dropped.
+        """
         free = sorted((canvas for canvas in self._canvases if not canvas.shown), key=lambda canvas: canvas.revision)
         chosen = free[-1] if free else SnapshotBuffer(self._size, self._blank_revision)
         self._canvases = [canvas for canvas in self._canvases if canvas.shown] + free[-2:-1] + [chosen]
@@ -63,7 +76,10 @@ class SnapshotPool:
 
 
 class _Lease:
-    """The owner of a picture's arrays: numpy keeps it alive as their base, views of views included."""
+    """Owner of the arrays of a snapshot.
+
+    numpy keeps it alive as the base of the arrays, also of views of views. Its finalizer releases the buffer.
+    """
 
     def __init__(self, canvas: SnapshotBuffer, shape: tuple[int, ...]) -> None:
         address = canvas.memory.__array_interface__["data"][0]

@@ -1,4 +1,7 @@
-"""What the depth images say of a surface: whether they saw it, or looked through the place where it is said to be."""
+"""Visibility of surface points in depth images: seen, or measured through.
+
+An image measured through a point if its depth there is larger than that of the point.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +13,15 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 
-SAW_SIGMAS, SAW_M = 2.0, 0.02  # a depth image confirms a vertex within sigmas * sigma_z + this ...
+SAW_SIGMAS, SAW_M = 2.0, 0.02  # a depth image sees a point within SAW_SIGMAS * sigma_z + SAW_M ...
 SAW_COSINE = 0.15  # ... of a surface that faces it
 
 
-DepthImage = tuple[Float32Array, FloatArray, FloatArray, FloatArray, float]  # what Testimony.add() wants
+DepthImage = tuple[Float32Array, FloatArray, FloatArray, FloatArray, float]  # arguments of DepthVisibility.add()
 
 
 class DepthVisibility:
-    """Depth images of the kept keyframes at half resolution, to ask whether they looked through a point."""
+    """Depth images of the kept keyframes at half resolution, for visibility queries."""
 
     def __init__(self) -> None:
         self._depth_mm: list[AnyArray] = []
@@ -27,19 +30,22 @@ class DepthVisibility:
         self._sigma: list[float] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        """For a checkpoint: without the images, which a checkpoint keeps by view; see image() and put_back()."""
+        """Return the state for a checkpoint, without the images, which it stores by view.
+
+        See image() and put_back().
+        """
         return self.__dict__ | {"_depth_mm": [np.zeros(0, dtype=np.uint16)] * len(self._depth_mm)}
 
     def image(self, view: int) -> AnyArray:
-        """Depth image (h, w) uint16 of a view, millimetres, to be read."""
+        """Return the depth image (h, w) uint16 of a view, in millimetres, read-only."""
         return self._depth_mm[view]
 
     def put_back(self, view: int, depth_mm: AnyArray) -> None:
-        """Fill in the depth image of a view after unpickling."""
+        """Restore the depth image of a view after unpickling."""
         self._depth_mm[view] = depth_mm
 
     def keep(self, which: BoolArray) -> None:
-        """Forget all views but some (V,)."""
+        """Drop all views except those selected by a mask (V,)."""
         self._depth_mm = list(compress(self._depth_mm, which))
         self._lens = list(compress(self._lens, which))
         self._depth_from_world = list(compress(self._depth_from_world, which))
@@ -48,8 +54,11 @@ class DepthVisibility:
     def add(
         self, depth_m: Float32Array, lens: FloatArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float
     ) -> None:
-        """Keep a depth image (H, W); lens = fx, fy, cx, cy; pose world_from_depth as rotation (3, 3), position (3,)."""
-        with np.errstate(over="ignore"):  # what overflows is infinite, and that is no return
+        """Add a depth image (H, W).
+
+        lens: fx, fy, cx, cy; pose world_from_depth as rotation (3, 3) and position (3,).
+        """
+        with np.errstate(over="ignore"):  # an overflow becomes infinite, which means no return
             half = np.nan_to_num(depth_m[::2, ::2] * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
         self._depth_mm.append(np.clip(half, 0, 65535).astype(np.uint16))
         self._lens.append(lens)
@@ -57,13 +66,14 @@ class DepthVisibility:
         self._sigma.append(inverse_depth_sigma)
 
     def place(self, view: int, rotation: FloatArray, position: FloatArray) -> None:
-        """Hold an image to have been taken elsewhere: world_from_depth as in add()."""
+        """Change the pose of an image: world_from_depth as in add()."""
         self._depth_from_world[view] = (rotation.T.copy(), -rotation.T @ position)
 
     def votes(self, points: Float32Array, normals: Float32Array, most: int = 1 << 30) -> Float32Array:
-        """For each place (N,): 1 for each image that saw a surface there, less 1/2 for each that looked through.
+        """Return the votes (N,) of the images on surface points (N, 3) with normals (N, 3).
 
-        most: images to ask, spread evenly over all of them.
+        Each image that sees a surface at the point adds 1, each that measured through it subtracts 1/2. most: maximum number
+        of images used, spread evenly over all.
         """
         score = np.zeros(len(points), dtype=np.float32)
         count = len(self._depth_mm)
@@ -73,7 +83,10 @@ class DepthVisibility:
         return score
 
     def looked_through(self, points: Float32Array, margin_m: float) -> BoolArray:
-        """Whether an image measured a depth beyond points (N, 3), by more than a margin: there was air."""
+        """Return True (N,) if an image measured a depth behind points (N, 3) by more than a margin.
+
+        Such a point is in the air.
+        """
         through = np.zeros(len(points), dtype=np.bool_)
         for image, lens, (rotation, translation), sigma in zip(
             self._depth_mm, self._lens, self._depth_from_world, self._sigma, strict=True
@@ -129,7 +142,7 @@ def _vote(
         ) / np.sqrt(x * x + y * y + z * z)
         slope = gate / max(facing, SAW_COSINE) if facing > 0.0 else gate
         measured, through = 0, 0
-        for near in range(5):  # the pixel and its four neighbours: poses are a pixel off, and edges are ragged
+        for near in range(5):  # the pixel and its four neighbours: poses can be off by a pixel, and depth edges are ragged
             depth = 0.001 * image[v + (near == 1) - (near == 2), u + (near == 3) - (near == 4)]
             if depth == 0.0:
                 continue

@@ -1,8 +1,9 @@
-"""Which views stay in memory when there are too many: those that show what few others show, spread over the flight.
+"""Eviction policy: keeps views that show what few others show, spread over the flight.
 
-A view is a set of cells of CELL_M that it measured, each with the octant from which it looked. It is needed by the sum over
-its cells of one over the number of views with the same cell, times the gap that it would leave in the sequence of views. So a
-hover leaves little, a place seen once stays, and a room seen many times keeps looks from all parts of the flight.
+A view is a set of cells of CELL_M that it measured, each with the octant of the viewing direction. The usefulness of a view
+is the sum over its cells of one divided by the number of views with the same cell, times the gap that the view would leave
+in the sequence of views. So few views of a hover remain, a position seen once stays, and a room seen many times keeps views
+from all parts of the flight.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from uav_recon.mapping.neural.keyframes.ray_sampling import RECENT_VIEWS
 from uav_recon.types.frames import BoolArray, Float32Array, FloatArray, IntArray
 
 CELL_M = 0.25
-SHIFT = 1 << 20  # cells along an axis, more than any box has
+SHIFT = 1 << 20  # more cells along an axis than any box has
 
 
 class EvictionPolicy:
-    """numbers: by which the views that are kept are known, ascending. taken: how many there ever were."""
+    """numbers: numbers of the kept views, ascending. taken: number of views ever added."""
 
     def __init__(self) -> None:
         self.taken = 0
@@ -28,7 +29,7 @@ class EvictionPolicy:
         self._cells: list[IntArray] = []
 
     def add(self, number: int, position: FloatArray, points: Float32Array) -> None:
-        """Note the next view: from position (3,), end points (N, 3), world."""
+        """Add the next view, taken from position (3,), with end points (N, 3), world."""
         some = points.astype(np.float64)
         x, y, z = np.floor(some / CELL_M).astype(np.int64).T + SHIFT // 2
         octant = (some > position) @ np.array([4, 2, 1])
@@ -37,7 +38,10 @@ class EvictionPolicy:
         self.taken += 1
 
     def most_useful(self, count: int) -> BoolArray:
-        """Which ``count`` of the views (V,) to keep. 30 ms for a quarter of 512."""
+        """Return a mask (V,) of the ``count`` views to keep.
+
+        Takes 30 ms to drop a quarter of 512.
+        """
         views = len(self.numbers)
         _, cell = np.unique(np.concatenate(self._cells), return_inverse=True)
         first = np.concatenate([[0], np.cumsum([len(cells) for cells in self._cells])])
@@ -46,7 +50,7 @@ class EvictionPolicy:
         return kept
 
     def keep(self, which: BoolArray) -> None:
-        """Forget all views but some (V,)."""
+        """Drop all views except those selected by a mask (V,)."""
         self.numbers, self._cells = list(compress(self.numbers, which)), list(compress(self._cells, which))
 
 
@@ -54,10 +58,13 @@ class EvictionPolicy:
 def _drop(
     first: IntArray, cell: IntArray, showing: IntArray, number: IntArray, droppable: int, count: int, kept: BoolArray
 ) -> None:
-    """Take ``count`` views out of kept (V,), the least needed first. showing: how many views show each cell."""
+    """Remove ``count`` views from the mask kept (V,), the least useful first.
+
+    showing: number of views per cell.
+    """
     for _ in range(count):
         least, worst = np.inf, -1
-        before = -1  # the flight's begin
+        before = -1  # the start of the flight
         for view in range(droppable):
             if not kept[view]:
                 continue

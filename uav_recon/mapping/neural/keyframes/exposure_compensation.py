@@ -1,7 +1,7 @@
-"""Exposure: how each picture must be brightened so that all agree on the colour of what they see.
+"""Exposure compensation: brightness gains that make the colours of all images agree.
 
-Another exposure is a factor on light, and a factor on (rgb + TOE) of an sRGB value. Factors are found from the mean logarithms
-of small cells of surface, before a picture is learned; their mean over all pictures is one.
+A change of exposure is a factor on light, and a factor on (rgb + TOE) of an sRGB value. The factors are estimated from the
+mean logarithms of small surface cells before the image is used for training. Their mean over all images is one.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.surfels import COLOUR, COLOURED, WHITENED, Surfels
 from uav_recon.types.frames import BoolArray, FloatArray
 
-GAIN_SIGMA = 0.3  # of a log gain: one EV is 0.29
-CELL_SIGMA = 0.2  # two pictures of a cell show different parts of it ...
-CELLS_WORTH = 0.5  # ... and its neighbours err alike
-SCALE = 0.1  # a difference that counts half: what one view alone saw in a cell
+GAIN_SIGMA = 0.3  # prior sigma of a log gain: one EV is 0.29
+CELL_SIGMA = 0.2  # sigma of a cell: two images of it show different parts ...
+CELLS_WORTH = 0.5  # ... weight of a cell, because errors of neighbouring cells are correlated
+SCALE = 0.1  # a difference with half weight; reduces the effect of what only one view sees in a cell
 MAX_LOG_GAIN = 1.0
-FEWEST_RAYS, MAX_WHITE_SHARE = 1.5, 0.1  # of a cell whose mean colour is known
+FEWEST_RAYS, MAX_WHITE_SHARE = 1.5, 0.1  # limits for a cell whose mean colour is valid
 ROUNDS = 4
-REVISITED = 3  # older views, for each new one
+REVISITED = 3  # older views updated per new view
 
 
 class ExposureCompensation:
@@ -31,7 +31,7 @@ class ExposureCompensation:
         self.log_gain: FloatArray = np.zeros((0, 3))
 
     def meet(self, replay: RayBuffer) -> None:
-        """Find the newest view's gain, then those of some older ones in turn. About 2 ms."""
+        """Estimate the gain of the newest view and update some older ones in turn. About 2 ms."""
         newest = len(self.log_gain)
         self.log_gain = np.concatenate([self.log_gain, np.zeros((1, 3))])
         self._learn(newest)
@@ -42,11 +42,17 @@ class ExposureCompensation:
         replay.views.gain[: newest + 1] = np.exp(self.log_gain)
 
     def keep(self, which: BoolArray) -> None:
-        """Forget all views but some (V,), and whatever came after those."""
+        """Drop all views except those selected by a mask (V,).
+
+        Views beyond the end of the mask are dropped too.
+        """
         self.log_gain, self._turn = self.log_gain[np.flatnonzero(which)], 0
 
     def _learn(self, view: int) -> None:
-        """The log gain of a view that makes its cells as bright as other views see them, drawn to none."""
+        """Estimate the log gain of a view from the brightness of its cells in other views.
+
+        The estimate has a prior of zero.
+        """
         beside, _ = self._patches.beside(view)
         cell, whose, row = self._patches.of(beside[:1], beside)
         coloured = row[:, COLOURED] > FEWEST_RAYS
@@ -64,7 +70,10 @@ class ExposureCompensation:
 
 
 def _log_gain(darker: FloatArray, at_most: BoolArray) -> float:
-    """Mean of differences (N,), with Cauchy's weights, drawn to zero; those of white cells (N,) only say how much at most."""
+    """Return the mean of differences (N,) with Cauchy weights and a prior of zero.
+
+    A difference with at_most set (N,), of a saturated cell, is only an upper bound.
+    """
     gain = float(np.median(darker)) if len(darker) else 0.0
     for _ in range(ROUNDS):
         weight = 1.0 / (1.0 + ((darker - gain) / SCALE) ** 2)

@@ -1,4 +1,4 @@
-"""The views that are kept: their rays, their depth images, and which of them go when memory is full."""
+"""Buffer of the kept views: rays, depth images, and eviction when memory is full."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ from uav_recon.mapping.neural.keyframes.ray_records import pixel_stride, ray_rec
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 
-KEPT_VIEWS = MAX_VIEWS * 3 // 4  # when memory is full
-SOME_RAYS = 6500  # of a view, to see what it shows
-ASKED_VIEWS, ASKED_POINTS, ASKED_RAYS = 64, 600, 40  # whether a view fits: so many others, on it and on each of them
+KEPT_VIEWS = MAX_VIEWS * 3 // 4  # number of views kept when memory is full
+SOME_RAYS = 6500  # rays of a view that are used to determine what it shows
+ASKED_VIEWS, ASKED_POINTS, ASKED_RAYS = 64, 600, 40  # validation of a view: other views, points of it, rays of each other view
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A keyframe as it is kept. records (R, COLUMNS): its rays (see rays); ends: where some of them end; image: its depth,
-    with lens, pose and noise; ray_rad: angle between neighbouring rays.
+    """A keyframe as stored in the buffer.
+
+    records (R, COLUMNS): its rays (see ray_records); ends: end points of some of them; image: its depth, with lens, pose and
+    noise; ray_rad: angle between neighbouring rays.
     """
 
     records: AnyArray
@@ -36,9 +38,10 @@ class View:
 
 
 class KeyframeBuffer:
-    """Views by index, in the order in which they came; Remembered knows the numbers that outlast a clearing-out.
+    """Views by index, in order of arrival. EvictionPolicy has their numbers, which never change.
 
-    depth_noise_px, baseline_m: see Trainer; seed: of the choice of rays. Raises PriorError (see priors).
+    depth_noise_px, baseline_m: see NeuralMapper; seed: of the choice of rays. The constructor raises PriorError (see
+    normal_prior).
     """
 
     def __init__(self, depth_noise_px: float, baseline_m: float, prior_model: Path | None, seed: int) -> None:
@@ -49,7 +52,10 @@ class KeyframeBuffer:
         self._ray_rad: list[float] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        """For a checkpoint: all but what each view brought along; see arrays() and put_back()."""
+        """Return the state for a checkpoint, without the arrays of the views.
+
+        See arrays() and put_back().
+        """
         return self.__dict__ | {"_prior": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -58,20 +64,23 @@ class KeyframeBuffer:
 
     @property
     def full(self) -> bool:
-        """Whether keep() must make room for the next view."""
+        """True if keep() must make room for the next view."""
         return self.replay.count == MAX_VIEWS
 
     def arrays(self, index: int) -> dict[str, AnyArray]:
-        """What a view brought along and a checkpoint keeps apart; copies."""
+        """Return copies of the arrays of a view, which a checkpoint stores separately."""
         return {"records": self.replay.records(index).copy(), "depth_mm": self.images.image(index)}
 
     def put_back(self, index: int, arrays: dict[str, AnyArray]) -> None:
-        """Undo arrays() after unpickling. Raises ValueError or KeyError if they are not of this view."""
+        """Restore the arrays from arrays() after unpickling.
+
+        Raises ValueError or KeyError if they do not belong to this view.
+        """
         self.replay.put_back(index, arrays["records"])
         self.images.put_back(index, arrays["depth_mm"])
 
     def develop(self, keyframe: PosedFrame) -> View | None:
-        """What a keyframe would bring; None if that is less than FEWEST_RAYS."""
+        """Return the view of a keyframe; None if it has fewer than FEWEST_RAYS rays."""
         frame = keyframe.frame
         lens = frame.depth_intrinsics
         sigma = self._noise_px / (lens.fx * self._baseline_m)
@@ -87,7 +96,10 @@ class KeyframeBuffer:
         return View(records, ends, image, pixel_stride(lens, most) / lens.fx)
 
     def votes(self, view: View) -> Float32Array:
-        """What the views say of a new one's points, and it of theirs (N,). About 1 ms."""
+        """Return the votes (N,) of kept views on a new view's points, and of it on theirs.
+
+        Takes about 1 ms. See DepthVisibility.votes().
+        """
         ends = view.ends
         some = np.flatnonzero(ends.cosine >= 0.0)[:ASKED_POINTS]  # those with a normal; rays are in random order
         others = self.images.votes(ends.points[0, some], ends.normal[some], ASKED_VIEWS)
@@ -96,7 +108,7 @@ class KeyframeBuffer:
         return np.concatenate([others, itself.votes(*self.replay.some_points(ASKED_VIEWS, ASKED_RAYS))])
 
     def add(self, view: View, number: int) -> None:
-        """Keep a view, known by a number greater than those before. Raises IndexError if full."""
+        """Add a view with a number greater than all before. Raises IndexError if full."""
         _, _, rotation, position, sigma = view.image
         self.remembered.add(number, position, view.ends.points[0])
         self.replay.add(view.records, rotation, position, sigma)
@@ -104,26 +116,29 @@ class KeyframeBuffer:
         self.images.add(*view.image)
 
     def place(self, index: int, rotation: FloatArray, position: FloatArray) -> None:
-        """Hold a view to have been taken elsewhere: world_from_depth as rotation (3, 3) and position (3,)."""
+        """Change the pose of a view: world_from_depth as rotation (3, 3) and position (3,)."""
         self.replay.place(index, rotation, position)
         self.images.place(index, rotation, position)
 
     def place_images(self) -> None:
-        """Hold images to have been taken where alignment now holds their rays to start."""
+        """Set the poses of the depth images to the refined poses of the rays."""
         for index in range(self.replay.count):
             self.images.place(index, *self.replay.pose(index))
 
     def footprint_m(self, index: int, sigma_m: Float32Array) -> Float32Array:
-        """Spacing (N,) of a view's rays where their depth has a noise of sigma_m (N,)."""
+        """Return the spacing (N,) of a view's rays where their depth has a noise of sigma_m (N,)."""
         spacing: Float32Array = np.sqrt(sigma_m / self.replay.views.inverse_depth_sigma[index]) * self._ray_rad[index]
         return spacing.astype(np.float32)
 
     def most_useful(self) -> BoolArray:
-        """The KEPT_VIEWS among the views (V,) that should stay when room must be made."""
+        """Return a mask (V,) of the KEPT_VIEWS views to keep when room must be made."""
         return self.remembered.most_useful(KEPT_VIEWS)
 
     def keep(self, which: BoolArray) -> None:
-        """Forget all views but some (V,), and whatever came after those."""
+        """Drop all views except those selected by a mask (V,).
+
+        Views beyond the end of the mask are dropped too.
+        """
         for memory in (self.remembered, self.replay, self.images):
             memory.keep(which)
         self._ray_rad = list(compress(self._ray_rad, which))

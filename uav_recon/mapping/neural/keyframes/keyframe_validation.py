@@ -1,4 +1,4 @@
-"""Which views a mapper takes, and what it says of the others."""
+"""Validation of keyframes: reasons for rejection, their counts, and the consistency check."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from uav_recon.types.pose import Pose
 
 LOG = logging.getLogger(__name__)
 
-PADDING_M = 0.15  # walls lie on the border of the room's box, and noise puts them outside
-FEWEST_SHARE = 0.01  # of all pixels must have depth
-FEWEST_RAYS = 32  # must come of them
-INSIDE_SHARE = 0.2  # of all end points must lie in the box
-STRIDE = 8  # pixels between those that are checked
-WIDEST, NARROWEST = 3.2, 0.04  # bearings x/z, y/z: what rays can hold; half of a picture at least
-FEWEST_VIEWS, FEWEST_VOTES = 4, 100  # before a view can contradict the map
-VIEW_SHARE, LENS_SHARE = 0.2, 0.15  # of refuted points in one view, and lately in all views of its lens, that is too much
-MEMORY = 0.8  # of the votes on the last view count with those on the next: about five views
+PADDING_M = 0.15  # walls lie on the border of the room's box, and noise moves points outside
+FEWEST_SHARE = 0.01  # minimum share of pixels with depth
+FEWEST_RAYS = 32  # minimum number of rays from them
+INSIDE_SHARE = 0.2  # minimum share of end points in the box
+STRIDE = 8  # every STRIDE-th valid pixel is checked
+WIDEST, NARROWEST = 3.2, 0.04  # limits of bearings x/z, y/z: range of a ray record; minimum extent of an image
+FEWEST_VIEWS, FEWEST_VOTES = 4, 100  # minimum numbers before a view can contradict the map
+VIEW_SHARE, LENS_SHARE = 0.2, 0.15  # refuted share that rejects a view: in the view itself; in the recent views of its lens
+MEMORY = 0.8  # decay of the votes per view: about five views count
 
 
 class RejectReason(Enum):
-    """Why a view was not taken."""
+    """Reason why a view was rejected."""
 
     SHAPE = "pictures do not have the shape that their intrinsics say"
     INTRINSICS = "intrinsics that no camera has"
@@ -43,30 +43,30 @@ class RejectReason(Enum):
 
 
 class RejectCounts:
-    """How many views were refused, by reason. Each count is logged when it reaches a power of two."""
+    """Number of rejected views by reason. A count is logged when it reaches a power of two."""
 
     def __init__(self) -> None:
         self.counts: Counter[RejectReason] = Counter()
 
     def note(self, reason: RejectReason) -> None:
-        """Count and log one."""
+        """Count one rejection, and log it if due."""
         self.counts[reason] += 1
         count = self.counts[reason]
         if count & (count - 1) == 0:
             LOG.warning("a view was refused: %s (%d so far)", reason.value, count)
 
     def total(self) -> int:
-        """Of all reasons."""
+        """Return the count over all reasons."""
         return sum(self.counts.values())
 
 
 def in_words(counts: Mapping[RejectReason, int]) -> dict[str, int]:
-    """Counts by reason as somebody reads them."""
+    """Return the counts with the reasons as text."""
     return {reason.value: count for reason, count in counts.items()}
 
 
 def padded(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The box that is mapped. Raises ValueError if it is not a finite box."""
+    """Return the mapped box: the room plus PADDING_M. Raises ValueError for an invalid box."""
     low = np.asarray(box_min_m, dtype=np.float64) - PADDING_M
     high = np.asarray(box_max_m, dtype=np.float64) + PADDING_M
     if (
@@ -79,7 +79,10 @@ def padded(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[FloatArray, Fl
 
 
 def reject_reason(keyframe: PosedFrame, low_m: AnyArray, high_m: AnyArray) -> RejectReason | None:
-    """What can be said against a view without a map of the box low_m to high_m (3,). About 1 ms."""
+    """Return the reason to reject a view without using the map, or None. Takes about 1 ms.
+
+    low_m, high_m (3,): the mapped box.
+    """
     frame = keyframe.frame
     lens, colour = frame.depth_intrinsics, frame.rgb_intrinsics
     if frame.depth_m.shape != (lens.height, lens.width) or frame.rgb.shape != (colour.height, colour.width, 3):
@@ -103,7 +106,7 @@ def reject_reason(keyframe: PosedFrame, low_m: AnyArray, high_m: AnyArray) -> Re
 
 
 def pose_reject_reason(world_from_depth: Pose, low_m: AnyArray, high_m: AnyArray) -> RejectReason | None:
-    """What can be said against a place alone."""
+    """Return the reason to reject a pose, or None."""
     quat_wxyz, position = world_from_depth.quat_wxyz, world_from_depth.translation_m
     if not (np.isfinite(position).all() and abs(float(np.linalg.norm(quat_wxyz)) - 1.0) < 1e-6):
         return RejectReason.POSE
@@ -111,11 +114,12 @@ def pose_reject_reason(world_from_depth: Pose, low_m: AnyArray, high_m: AnyArray
 
 
 class ContradictionVote:
-    """Whether views contradict what was mapped, though each for itself is sound: a wrong focal length, a wrong pose.
+    """Detects views that contradict the map although each is valid by itself.
 
-    A point is refuted if other views looked through the place where this view measured it, or this view through the place
-    where they did. Honest views: at most 1 % of the points that were judged, and 7 % with poses off by 2 cm and 1°. A wrong
-    lens shows in half of its views at a glance, and in the others, of new places, because it was caught before.
+    The causes are a wrong focal length or a wrong pose. A point is refuted if other views measured through the point that
+    this view measured, or if this view measured through their points. Correct views: at most 1 % of the judged points are
+    refuted, and 7 % with poses off by 2 cm and 1°. A wrong lens is detected directly in half of its views. Its other views,
+    of new positions, are rejected because of the earlier votes.
     """
 
     def __init__(self) -> None:
@@ -123,7 +127,11 @@ class ContradictionVote:
         self._judged, self._refuted = 0.0, 0.0
 
     def rises(self, lens: Intrinsics, votes: Float32Array) -> bool:
-        """Whether to refuse the view of which others, and which of others, gave these votes (N,); see Testimony.votes()."""
+        """Return True if the view must be rejected.
+
+        votes (N,): votes of other views on its points and of this view on theirs; see DepthVisibility.votes(). lens: depth
+        intrinsics of the view.
+        """
         if lens != self._lens:
             self._lens, self._judged, self._refuted = lens, 0.0, 0.0
         judged, refuted = int(np.count_nonzero(votes)), int(np.count_nonzero(votes < 0.0))
@@ -133,7 +141,7 @@ class ContradictionVote:
 
 
 def _possible(lens: Intrinsics) -> bool:
-    """Whether every pixel has a bearing that a camera of an aircraft may have."""
+    """Return True if the intrinsics are plausible and every bearing fits into a ray record."""
     numbers = lens.pinhole_px()
     if not np.isfinite(numbers).all() or min(lens.fx, lens.fy) <= 0.0 or min(lens.width, lens.height) < 2:
         return False

@@ -1,12 +1,14 @@
-"""Normals that a network sees in the colour picture, for rays whose depth has none: an ONNX model of the user's choice.
+"""Normals predicted from the colour image, by an optional ONNX model, for rays without one.
 
-Input: one float32 tensor (1, 3, h, w), RGB in 0..1; a model with free h and w gets the picture's own size, any other has the
-picture resized to what it wants. Output: one float32 tensor, either
+Input: one float32 tensor (1, 3, h, w), RGB in 0..1. A model with free h and w gets the original image size; for any other
+the image is resized. Output: one float32 tensor, either
+
 - (1, 3, h, w) normals in the colour camera's axes (x right, y down, z forward), towards the camera; components in -1..1, or
-  all in 0..1 for (n + 1) / 2, as Omnidata (Eftekhar et al. 2021) gives them; or
-- (1, 1, h, w) or (1, h, w) depth along the optical axis or its inverse, up to scale and shift (Ranftl et al. 2022): it is
-  fitted to the measured depth, the way round that fits better, and its slopes become normals.
-Measured normals are kept. A picture whose normals do not agree with the measured ones teaches nothing.
+  all in 0..1 for (n + 1) / 2, as Omnidata (Eftekhar et al. 2021) returns them; or
+- (1, 1, h, w) or (1, h, w) depth along the optical axis or its inverse, up to scale and shift (Ranftl et al. 2022): both
+  interpretations are fitted to the measured depth, the better one is used, and normals are computed from its slopes.
+
+Measured normals are never replaced. An image whose predicted normals disagree with the measured ones is not used.
 """
 
 from __future__ import annotations
@@ -24,21 +26,21 @@ from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, Float32Array,
 LOG = logging.getLogger(__name__)
 
 PROVIDERS = ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider")  # in order of preference
-TRIAL = 64  # pixels along a picture that a model with free size is tried on
-FEWEST = 50  # measured normals or depths that a picture is held against
-AGREEING_COSINE = 0.8  # median: 37°
-LENGTH_ERROR = 0.5  # of a normal, before it is none
-MIN_FACING = 0.05  # a normal seen more edge on than this is no use
+TRIAL = 64  # side in pixels of the test image for a model with free size
+FEWEST = 50  # minimum number of measured normals or depths for a comparison
+AGREEING_COSINE = 0.8  # minimum median: 37°
+LENGTH_ERROR = 0.5  # maximum error of the length of a normal
+MIN_FACING = 0.05  # a normal seen at a flatter angle is not used
 
 
 class PriorError(Exception):
-    """A model that cannot be used; the text is one line with its path."""
+    """Raised for a model that cannot be used; the text is one line with its path."""
 
 
 class NormalPrior:
-    """One model. refused: pictures that it was of no use for.
+    """One model. refused: number of images for which it was not used.
 
-    Raises PriorError if the file is missing, is no ONNX model, or wants or gives something else.
+    The constructor raises PriorError if the file is missing, is no ONNX model, or has other inputs or outputs.
     """
 
     def __init__(self, path: Path) -> None:
@@ -52,14 +54,14 @@ class NormalPrior:
         providers = [name for name in PROVIDERS if name in runtime.get_available_providers()]
         try:
             self._session = runtime.InferenceSession(str(path), options, providers=providers)
-        except Exception as error:  # its exceptions have no common base but this one
+        except Exception as error:  # the exceptions of onnxruntime have no other common base
             raise PriorError(f"mapper.prior_model {path}: not an ONNX model that runs here ({_line(error)})") from None
         self._input, self._size = self._checked_input()
         self.refused = 0
         self._run(np.full((*(side or TRIAL for side in self._size), 3), 128, dtype=np.uint8))
 
     def fill(self, records: AnyArray, frame: Frame) -> int:
-        """Give normals to the records (N, COLUMNS) of a frame that have none; returns to how many."""
+        """Add normals to the records (N, COLUMNS) of a frame that have none; returns their number."""
         lens, to_rgb = frame.rgb_intrinsics, frame.rgb_from_depth
         measured: FloatArray = records[:, 3:6] * NORMAL_UNIT
         known = measured.any(axis=1)
@@ -67,7 +69,7 @@ class NormalPrior:
         points = to_rgb.apply(bearing * (records[:, 2:3] * DEPTH_UNIT_M))
         try:
             answer = self._run(frame.rgb)
-        except PriorError as error:  # a model with free size that cannot take this one
+        except PriorError as error:  # a model with free size that cannot process this size
             self._refuse(str(error))
             return 0
         pixel, shown = _pixels(points, lens, answer.shape[1:])
@@ -102,7 +104,10 @@ class NormalPrior:
         return inputs[0].name, (height, width)
 
     def _run(self, rgb: ByteArray) -> Float32Array:
-        """The answer to a picture: (3, h, w) normals or (1, h, w) depth, not finite where it has none."""
+        """Run the model on an image: (3, h, w) normals or (1, h, w) depth, not finite if unknown.
+
+        Raises PriorError if the model fails or returns something else.
+        """
         import cv2
 
         height, width = (want or have for want, have in zip(self._size, rgb.shape[:2], strict=True))
@@ -110,7 +115,7 @@ class NormalPrior:
         tensor = np.ascontiguousarray(picture.transpose(2, 0, 1)[None].astype(np.float32) / np.float32(255.0))
         try:
             answers = self._session.run(None, {self._input: tensor})
-        except Exception as error:  # its exceptions have no common base but this one
+        except Exception as error:  # the exceptions of onnxruntime have no other common base
             raise PriorError(
                 f"mapper.prior_model {self._path}: fails on a picture of {width}x{height} ({_line(error)})"
             ) from None
@@ -125,7 +130,7 @@ class NormalPrior:
 
 
 def open_prior(path: Path | None) -> NormalPrior | None:
-    """The model at a path, or none where none is wanted. Raises PriorError."""
+    """Return the model at a path; None without a path. Raises PriorError."""
     return None if path is None else NormalPrior(path)
 
 
@@ -142,7 +147,10 @@ def _line(error: Exception) -> str:
 
 
 def _pixels(points: FloatArray, lens: Intrinsics, shape: tuple[int, ...]) -> tuple[IntArray, BoolArray]:
-    """Row and column (N, 2) in a picture of a shape (h, w) of points (N, 3) in its camera, and which of them it shows (N,)."""
+    """Return the pixels (N, 2) of points (N, 3), and a mask of the visible points (N,).
+
+    Pixels are (row, column). points: in the camera frame. shape (h, w): size of the image.
+    """
     z = np.maximum(points[:, 2], 1e-3)
     u, v = points[:, 0] / z * lens.fx + lens.cx, points[:, 1] / z * lens.fy + lens.cy
     shown = (points[:, 2] > 0.05) & (u > -0.5) & (v > -0.5) & (u < lens.width - 0.5) & (v < lens.height - 0.5)
@@ -152,18 +160,21 @@ def _pixels(points: FloatArray, lens: Intrinsics, shape: tuple[int, ...]) -> tup
 
 
 def _unit(answer: Float32Array) -> FloatArray:
-    """Unit normals (h, w, 3), zero where there is none, from (3, h, w)."""
+    """Return unit normals (h, w, 3) from (3, h, w), zero where there is none."""
     normals = answer.astype(np.float64).transpose(1, 2, 0)
     finite = np.isfinite(normals).all(axis=2, keepdims=True)
     normals = np.where(finite, normals, 0.0)
-    if normals.min() >= 0.0 and normals.max() <= 1.0:  # no normal towards the camera has z above 0
+    if normals.min() >= 0.0 and normals.max() <= 1.0:  # a normal towards the camera never has z above 0
         normals = 2.0 * normals - 1.0
     length = np.linalg.norm(normals, axis=2, keepdims=True)
     return np.where(finite & (np.abs(length - 1.0) < LENGTH_ERROR), normals / np.maximum(length, LENGTH_ERROR), 0.0)
 
 
 def _slopes(answer: Float32Array, lens: Intrinsics, pixel: IntArray, z_m: FloatArray) -> FloatArray:
-    """Normals (h, w, 3) of a relative depth (h, w) that at pixels (N, 2) was measured to be z_m (N,); zero where unknown."""
+    """Return normals (h, w, 3) from a relative depth (h, w); zero where unknown.
+
+    z_m (N,): measured depth at pixels (N, 2).
+    """
     told = np.where(np.isfinite(answer), answer.astype(np.float64), np.nan)
     at = told[pixel[:, 0], pixel[:, 1]]
     finite = np.isfinite(at)
@@ -184,7 +195,10 @@ def _slopes(answer: Float32Array, lens: Intrinsics, pixel: IntArray, z_m: FloatA
 
 
 def _fitted(told: FloatArray, at: FloatArray, target: FloatArray) -> FloatArray:
-    """scale * told + shift that fits ``at`` (N,) to ``target`` (N,), twice, the second time on the better half."""
+    """Return scale * told + shift, fitted so that ``at`` (N,) matches ``target`` (N,).
+
+    The second of two fits uses the better half of the points only.
+    """
     use = np.ones(len(at), dtype=np.bool_)
     for _ in range(2):
         (scale, shift), *_ = np.linalg.lstsq(np.stack([at[use], np.ones(use.sum())], axis=1), target[use], rcond=None)

@@ -1,9 +1,9 @@
-"""Pose correction: views that see the same surface are moved until they agree, without leaving what localization said.
+"""Pose refinement: adjusts keyframe poses so that views of the same surface agree.
 
-Gauss-Newton on the distances between small planes, for several views at once, the planes' own places eliminated (bundle
-adjustment: Triggs et al. 2000; with planes: Liu and Zhang 2021), with the given poses as priors. How much given poses err is
-learned from the corrections (expectation maximisation: Dempster et al. 1977). All views together must not drift: what they
-have in common is a motion of the whole map, which nothing measures but the given poses, so it is taken out again.
+Gauss-Newton on the distances between small planes, for several views at once, with the positions of the planes eliminated
+(bundle adjustment: Triggs et al. 2000; with planes: Liu and Zhang 2021) and with the given poses as priors. The error of the
+given poses is estimated from the corrections (expectation maximisation: Dempster et al. 1977). The whole map must not drift:
+a motion common to all views is only constrained by the given poses, so it is removed again.
 """
 
 from __future__ import annotations
@@ -18,23 +18,26 @@ from uav_recon.mapping.neural.keyframes.surfels import NORMAL, POINT, VARIANCE, 
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
-GIVEN_SIGMA_M, GIVEN_SIGMA_RAD = 0.012, np.deg2rad(0.5)  # of given poses, before any view said more ...
-BELIEF_VIEWS = 3.0  # ... and how many views that is worth
+GIVEN_SIGMA_M, GIVEN_SIGMA_RAD = 0.012, np.deg2rad(0.5)  # prior sigma of given poses ...
+BELIEF_VIEWS = 3.0  # ... and the weight of this prior in views
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, np.deg2rad(0.06)
-MAX_M, MAX_RAD = 0.10, np.deg2rad(5.0)  # a view that asks for more is left where it was
-PATCH_SIGMA_M = 0.01  # of a patch's place across its plane: surfaces are not planes, and neighbours err alike
-DEPTH_SHARE = 0.1  # of the depth's variance, after smoothing
-SCALES_M = (0.08, 0.04, 0.02)  # distances that count half, one iteration after the other
-FULL_RAYS = 4.0  # more do not make a patch better
-ALIKE = 0.9  # least cosine between a patch's normal and its cell's
-TOGETHER = 8  # views that move at once
-FEWEST_SHARED = 20  # cells, to belong together
-MIN_STEP_M, MIN_STEP_RAD = 0.0003, np.deg2rad(0.01)  # less is not worth gathering a view's patches anew
-COMMON_M = 0.001  # a drift of the whole map that is taken out
+MAX_M, MAX_RAD = 0.10, np.deg2rad(5.0)  # a view that needs a larger correction is not moved
+PATCH_SIGMA_M = 0.01  # sigma of a surfel across its plane: surfaces are not planar, and errors of neighbours are correlated
+DEPTH_SHARE = 0.1  # share of the depth variance that remains after smoothing
+SCALES_M = (0.08, 0.04, 0.02)  # distances with half weight, one per iteration
+FULL_RAYS = 4.0  # a surfel does not improve with more rays
+ALIKE = 0.9  # minimum cosine between the normals of a surfel and its cell
+TOGETHER = 8  # views refined together
+FEWEST_SHARED = 20  # minimum number of shared cells for views refined together
+MIN_STEP_M, MIN_STEP_RAD = 0.0003, np.deg2rad(0.01)  # smaller steps do not justify recomputing a view's surfels
+COMMON_M = 0.001  # drift of the whole map above which it is removed
 
 
 class PoseRefinement:
-    """Corrections (V, 6) of the given poses: translation in world and rotation vector about the camera."""
+    """Corrections (V, 6) of the given poses.
+
+    Translation in world and rotation vector about the camera.
+    """
 
     def __init__(self, patches: Surfels) -> None:
         self._patches = patches
@@ -45,7 +48,7 @@ class PoseRefinement:
         self.correction: FloatArray = np.zeros((0, 6))
 
     def add(self, replay: RayBuffer) -> None:
-        """Note the given pose world_from_depth of the next view of the replay."""
+        """Add the next view of the buffer with its given pose world_from_depth."""
         view = len(self._rotation)
         self._rotation.append(replay.views.rotation[view].astype(np.float64))
         self._position.append(replay.views.position[view].astype(np.float64))
@@ -54,7 +57,10 @@ class PoseRefinement:
         self._move(view, replay)
 
     def keep(self, which: BoolArray) -> None:
-        """Forget all views but some (V,), and whatever came after those."""
+        """Drop all views except those selected by a mask (V,).
+
+        Views beyond the end of the mask are dropped too.
+        """
         self._rotation, self._position = list(compress(self._rotation, which)), list(compress(self._position, which))
         kept = np.flatnonzero(which)
         self._square, self.correction = self._square[kept], self.correction[kept]
@@ -62,7 +68,7 @@ class PoseRefinement:
 
     @property
     def sigma(self) -> FloatArray:
-        """Standard deviation of given poses, each axis (2,): metres and radians."""
+        """Standard deviation (2,) of the given poses per axis, in metres and radians."""
         known = self._square[self._square[:, 0] > 0.0]
         believed = np.array([GIVEN_SIGMA_M, GIVEN_SIGMA_RAD])
         variance = (BELIEF_VIEWS * believed**2 + known.sum(axis=0) / 3.0) / (BELIEF_VIEWS + len(known))
@@ -70,7 +76,7 @@ class PoseRefinement:
         return found
 
     def meet(self, replay: RayBuffer) -> None:
-        """Align the newest view, then those about it, then those about an older one."""
+        """Refine the newest view, then the views near it, then the views near an older one."""
         newest = len(self._rotation) - 1
         self._turn = self._turn + 1 if self._turn + 1 < newest else 0
         self._align_about(newest, 1, replay)
@@ -79,7 +85,7 @@ class PoseRefinement:
         self._settle(replay)
 
     def refine(self, replay: RayBuffer) -> None:
-        """Align all views with each other. About 10 ms a view."""
+        """Refine all views. About 10 ms per view."""
         for centre in range(len(self._rotation)):
             self._align_about(centre, TOGETHER, replay)
         self._settle(replay)
@@ -90,7 +96,7 @@ class PoseRefinement:
             self._align(beside[:together][shared[:together] >= FEWEST_SHARED], beside, replay)
 
     def _align(self, views: IntArray, beside: IntArray, replay: RayBuffer) -> None:
-        """Move views to agree with each other and with those beside."""
+        """Refine ``views`` to agree with each other and with the views ``beside``."""
         if not len(views):
             return
         precision = np.tile(np.repeat(self.sigma, 3) ** -2, len(views))
@@ -132,7 +138,10 @@ class PoseRefinement:
         return rotation, self._position[view] + self.correction[view, :3]
 
     def _common(self) -> FloatArray:
-        """The rigid motion of the whole map that explains the corrections best, as corrections (V, 6)."""
+        """Return the rigid motion of the whole map that best explains the corrections.
+
+        The motion has the form of corrections (V, 6).
+        """
         precision = np.diag(1.0 / np.repeat(self.sigma, 3) ** 2)
         centre = np.stack(self._position)
         rows = np.zeros((len(centre), 6, 6))
@@ -150,9 +159,11 @@ class PoseRefinement:
 def gather_planes(
     cell: IntArray, active: IntArray, row: FloatArray, centre: FloatArray, scale_m: float, normal: FloatArray, right: FloatArray
 ) -> None:
-    """Add the normal equations of patches (N, COLUMNS) that are sorted by cell (N,). active (N,): which of the moving views a
-    patch is of, or -1; centre (N, 3): where its camera is. Each cell's plane has its offset eliminated.
-    """  # fmt: skip
+    """Add the normal equations of surfels (N, COLUMNS), sorted by cell (N,).
+
+    active (N,): index of the moving view of a surfel, or -1; centre (N, 3): position of its camera. The offset of each
+    cell's plane is eliminated.
+    """
     weight, distance, jacobian, plane = np.zeros(len(cell)), np.zeros(len(cell)), np.zeros((len(cell), 6)), np.zeros(3)
     first = 0
     while first < len(cell):
@@ -196,9 +207,10 @@ def _mean_normal(row: FloatArray, plane: FloatArray) -> bool:
 def _compare(
     row: FloatArray, plane: FloatArray, scale_m: float, distance: FloatArray, weight: FloatArray
 ) -> tuple[float, float]:
-    """Distances (N,) of a cell's patches along its normal and their weights (N,); returns the mean and the sum of weights.
+    """Compute distances (N,) of a cell's surfels along its normal, and weights (N,).
 
-    Cauchy's weights about the mean, from the median on: a surface that one view alone saw in a cell counts little.
+    Returns the mean distance and the sum of weights. Cauchy weights about the mean, starting from the median: surface that
+    only one view sees in a cell gets a low weight.
     """
     for n in range(len(row)):
         distance[n], facing = 0.0, 0.0
@@ -222,7 +234,10 @@ def _compare(
 
 @kernel
 def _derive(row: FloatArray, centre: FloatArray, plane: FloatArray, jacobian: FloatArray) -> None:
-    """Of a patch's distance, by its view's translation and rotation about the camera (6,)."""
+    """Compute the derivative (6,) of a surfel's distance with respect to the pose of its view.
+
+    The pose is its translation and rotation about the camera.
+    """
     x, y, z = row[POINT.start] - centre[0], row[POINT.start + 1] - centre[1], row[POINT.start + 2] - centre[2]
     a, b, c = plane
     jacobian[0], jacobian[1], jacobian[2] = a, b, c

@@ -1,7 +1,7 @@
-"""The rays of the keyframes that are kept, in one array, for random replay.
+"""Buffer of the rays of the kept keyframes, in one array, for random sampling.
 
-Bounded: MAX_VIEWS views and MAX_RAYS rays. The array is reserved whole at once, and the system gives memory to what is
-written: nothing is ever copied for growth.
+Bounded to MAX_VIEWS views and MAX_RAYS rays. The whole array is reserved at once, and the system assigns memory to the pages
+that are written, so the array is never copied to grow.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ OFFSETS_M = np.array([0.0, -0.10, -0.07, -0.04, 0.03, 0.06], dtype=np.float32)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewRays:
-    """One view's end points in world: points (len(OFFSETS_M), N, 3) shifted along the rays (the first by nothing),
-    viewing cosine (N,), depth sigma_m (N,), normal (N, 3); all float32.
+    """End points of one view in world; all float32.
+
+    points (len(OFFSETS_M), N, 3): shifted along the rays (the first set not at all); cosine (N,): viewing cosine; sigma_m
+    (N,): depth sigma; normal (N, 3).
     """
 
     points: Float32Array
@@ -34,14 +36,17 @@ class ViewRays:
 
 
 class RayBuffer:
-    """The arrays behind Views, and how they are filled."""
+    """Owner of the arrays of Views."""
 
     def __init__(self) -> None:
         self.count, self._share = 0, 1
         self.views = _empty()
 
     def __getstate__(self) -> dict[str, Any]:
-        """For a checkpoint: without records, which a checkpoint keeps by view; see records() and put_back()."""
+        """Return the state for a checkpoint, without the records, which it stores by view.
+
+        See records() and put_back().
+        """
         used = {name: getattr(self.views, name)[: self.count] for name in Views._fields if name not in ("records", "first")}
         return {"count": self.count, "share": self._share, "first": self.views.first[: self.count + 1], "used": used}
 
@@ -52,11 +57,11 @@ class RayBuffer:
             getattr(self.views, name)[: self.count] = values
 
     def rays_per_view(self) -> int:
-        """How many rays the next view should bring."""
+        """Return the number of rays wanted from the next view."""
         return RAYS_PER_VIEW // self._share
 
     def rays(self, records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float) -> ViewRays:
-        """Where the rays of a view end; world_from_depth as rotation (3, 3) and position (3,)."""
+        """Return the end points of rays; world_from_depth as rotation (3, 3) and position (3,)."""
         one = Views(
             records,
             np.array([0, len(records)]),
@@ -85,22 +90,22 @@ class RayBuffer:
         self.count += 1
 
     def pose(self, view: int) -> tuple[FloatArray, FloatArray]:
-        """Where a view is now held to be: world_from_depth as rotation (3, 3) and position (3,)."""
+        """Return the current pose of a view: world_from_depth as rotation (3, 3), position (3,)."""
         return self.views.rotation[view].astype(np.float64), self.views.position[view].astype(np.float64)
 
     def place(self, view: int, rotation: FloatArray, position: FloatArray) -> None:
-        """Hold a view to have been elsewhere."""
+        """Change the pose of a view: world_from_depth as in pose()."""
         self.views.rotation[view], self.views.position[view] = rotation, position
 
     def records(self, view: int) -> AnyArray:
-        """The rays (N, COLUMNS) of a view, to be read."""
+        """Return the rays (N, COLUMNS) of a view, read-only."""
         v = self.views
         return v.records[v.first[view] : v.first[view + 1]]
 
     def some_points(self, views: int, rays: int) -> tuple[Float32Array, Float32Array]:
-        """Measured points (N, 3) and normals (N, 3) in world: up to ``rays`` of each of up to ``views`` views, spread evenly.
+        """Return measured points (N, 3) and normals (N, 3) in world.
 
-        Only those with a normal.
+        Up to ``rays`` points from each of up to ``views`` views, spread evenly; only points with a normal.
         """
         v = self.views
         view = np.unique(np.linspace(0, self.count - 1, min(self.count, views)).astype(int)) if self.count else np.zeros(0, int)
@@ -116,9 +121,9 @@ class RayBuffer:
         return points, np.einsum("nij,nj->ni", v.rotation[view], records[:, 3:6] * np.float32(NORMAL_UNIT))
 
     def put_back(self, view: int, records: AnyArray) -> None:
-        """Fill in the rays of a view after unpickling: (N, COLUMNS), of which the first are taken if it was thinned since.
+        """Restore the rays (N, COLUMNS) of a view after unpickling.
 
-        Raises ValueError if these are not its rays.
+        If the view was thinned in the meantime, the first rays are used. Raises ValueError if they do not belong to it.
         """
         mine = self.records(view)
         if len(records) < len(mine):
@@ -126,7 +131,7 @@ class RayBuffer:
         mine[...] = records[: len(mine)]
 
     def keep(self, which: BoolArray) -> None:
-        """Forget all views but some (V,)."""
+        """Drop all views except those selected by a mask (V,)."""
         rays = np.diff(self.views.first[: self.count + 1])
         self._close_up(np.flatnonzero(which), rays)
 
@@ -136,12 +141,12 @@ class RayBuffer:
         self._share *= 2
 
     def _close_up(self, kept: IntArray, rays: IntArray) -> None:
-        """Move views kept (K,), ascending, to the front, each with the first of its rays (V,)."""
+        """Move the views kept (K,), ascending, to the front, each with the first of its rays (V,)."""
         v, end = self.views, 0
         for n, view in enumerate(kept):
             start, count = int(v.first[view]), int(rays[view])
             v.records[end : end + count] = v.records[start : start + count].copy()
-            v.first[n] = end  # first[view] of a later view is still the old one: n <= view
+            v.first[n] = end  # first[view] of a later view is still the old value: n <= view
             end += count
         self.count = len(kept)
         v.first[self.count] = end

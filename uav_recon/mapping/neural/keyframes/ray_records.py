@@ -1,6 +1,6 @@
-"""Keyframes as compact rays: one packed record of 20 bytes per measured pixel, smoothed by a local plane.
+"""Ray records: 20 bytes per measured pixel, with depth and normal smoothed by a local plane.
 
-A plane is exactly linear in inverse depth, and stereo noise is even and unbiased there, so both the normal and the
+A plane is exactly linear in inverse depth, and stereo noise is uniform and unbiased there. So both the normal and the
 smoothed depth come from one least-squares fit of 1/z over a window that stops at depth edges.
 """
 
@@ -15,14 +15,14 @@ from uav_recon.types.frames import AnyArray, ByteArray, Float32Array, FloatArray
 COLUMNS = 10  # bearing x, y; depth; normal x, y, z (camera; 0 = none); r, g, b; has colour
 BEARING_UNIT, DEPTH_UNIT_M, NORMAL_UNIT = 1e-4, 2.5e-4, 1 / 32767
 DEPTH_NEAREST_M, DEPTH_FARTHEST_M = 0.15, 8.0
-WINDOW = 4  # pixels each way
+WINDOW = 4  # pixels in each direction
 SIDE = 2 * WINDOW + 1
-HOLE = np.float32(1e9)  # inverse depth of a pixel without a return: farther from any plane than any gate
-FEWEST = 20  # pixels a plane must explain
+HOLE = np.float32(1e9)  # inverse depth of a pixel without a return: outside every gate
+FEWEST = 20  # minimum number of pixels on the plane
 
 
 def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.random.Generator) -> AnyArray:
-    """Records (N, COLUMNS) int16 of at most about ``most`` pixels, in random order.
+    """Return records (N, COLUMNS) int16 of at most about ``most`` pixels, in random order.
 
     inverse_depth_sigma: standard deviation of 1/z in 1/m (disparity noise over focal length times baseline).
     """
@@ -50,13 +50,13 @@ def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.
 
 
 def pixel_stride(lens: Intrinsics, most: int) -> int:
-    """Pixels between rays, so that about ``most`` rays cover the picture."""
+    """Return the pixel spacing for which about ``most`` rays cover the image."""
     return max(1, int(np.ceil(np.sqrt(lens.width * lens.height / most))))
 
 
 def in_rows(records: AnyArray) -> AnyArray:
-    """The same records in rows of the picture, so that neighbours in space lie side by side in memory."""
-    by_column = records[np.argsort(records[:, 0], kind="stable")]  # two quick sorts by 16 bits
+    """Return the records sorted by image row, so that spatial neighbours are adjacent in memory."""
+    by_column = records[np.argsort(records[:, 0], kind="stable")]  # two fast sorts by 16 bits
     rows: AnyArray = by_column[np.argsort(by_column[:, 1], kind="stable")]
     return rows
 
@@ -117,7 +117,7 @@ def _pack(
 
 @kernel
 def _invert(depth_m: Float32Array, inverse: Float32Array) -> None:
-    """1/z, and HOLE where nothing was measured."""
+    """Compute 1/z, and HOLE where nothing was measured."""
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
             z = depth_m[v, u]
@@ -126,7 +126,7 @@ def _invert(depth_m: Float32Array, inverse: Float32Array) -> None:
 
 @fast_kernel
 def _look_round(inverse: Float32Array, v0: int, u0: int, window: Float32Array) -> None:
-    """Inverse depth of the pixels round one, less that of its own: window (SIDE * SIDE,)."""
+    """Write the inverse depths around a pixel, less that of the pixel, to window (SIDE * SIDE,)."""
     height, width = inverse.shape
     own = inverse[v0, u0]
     for row in range(SIDE):
@@ -141,7 +141,10 @@ def _look_round(inverse: Float32Array, v0: int, u0: int, window: Float32Array) -
 def _fit_plane(
     window: Float32Array, across: Float32Array, down: Float32Array, own: float, sigma: float, plane: FloatArray
 ) -> bool:
-    """Fit 1/z = a du + b dv + c twice, the second time on what the first explains. across, down: du, dv of the window."""
+    """Fit 1/z = a du + b dv + c twice, the second time to the inliers of the first.
+
+    across, down: du, dv of the window.
+    """
     a, b, c = np.float32(0.0), np.float32(0.0), np.float32(0.0)  # c less the pixel's own inverse depth
     for turn in range(2):
         gate = np.float32(3.0 * sigma + (0.08 if turn == 0 else 0.004) * own)

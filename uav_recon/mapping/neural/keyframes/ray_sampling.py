@@ -1,4 +1,4 @@
-"""From replayed rays to training points: depth-guided samples along each ray, and points on the surface."""
+"""Ray sampling: training points at depth-guided positions along rays and on the surface."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from uav_recon.mapping.neural.sdf_numba.network import TRUNCATION_M
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, IntArray
 
 RAYS = 1024
-NEAR, FREE = 4, 3  # samples per ray: round the measured surface, and in the air before it
-SURFACE_POINTS, COLOUR_POINTS = 384, 1024  # of the rays: for the shape, and at most for colour
+NEAR, FREE = 4, 3  # samples per ray: near the measured surface, and in the air in front of it
+SURFACE_POINTS, COLOUR_POINTS = 384, 1024  # rays used for gradient and normal; maximum number of colour points
 RECENT_VIEWS, RECENT_SHARE = 5, 0.3
 NEAR_BEFORE_M, NEAR_BEHIND_M = np.float32(0.10), np.float32(0.05)
 NEAREST_FREE_M = np.float32(0.15)
 JITTER_M = np.float32(0.015)
 MIN_COSINE = np.float32(0.15)
-TOE = np.float32(0.055)  # sRGB (IEC 61966-2-1) is a power law on (value + this): another exposure is a factor there
-WHITE = 254  # a channel that may have been brighter than it says
-POSE_SIGMA_M = np.float32(0.01)  # what poses add to every measurement: weights are inverse variances down to it ...
-MIN_TRUST = np.float32(0.3)  # ... but never less: a wall that was only seen from afar is a wall
+TOE = np.float32(0.055)  # sRGB (IEC 61966-2-1) is a power law on (value + TOE): a change of exposure is a factor there
+WHITE = 254  # a channel from this level may be saturated
+POSE_SIGMA_M = np.float32(0.01)  # pose error in every measurement: a weight is its variance over the total variance ...
+MIN_TRUST = np.float32(0.3)  # ... but at least this, so that walls measured from a distance are learned too
 
 DISTANCE_FACTOR, FREE_FACTOR, COLOUR_FACTOR = np.float32(10.0), np.float32(2.0), np.float32(5.0)
 EIKONAL_FACTOR, NORMAL_FACTOR = np.float32(0.1), np.float32(0.1)
@@ -31,10 +31,12 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 class Views(NamedTuple):
-    """What the rays come from. records (M, 10) i16; first (V + 1,) i64 start of each view in records;
-    rotation (V, 3, 3) f32 and position (V, 3) f32 of world_from_depth; sigma (V,) f32 of 1/z in 1/m; gain (V, 3) f32 on
-    rgb + TOE that makes the view's colours those of a mean exposure.
-    """  # fmt: skip
+    """Arrays of the rays and their views.
+
+    records (M, 10) i16; first (V + 1,) i64: start of each view in records; rotation (V, 3, 3) f32 and position (V, 3) f32 of
+    world_from_depth; inverse_depth_sigma (V,) f32: sigma of 1/z in 1/m; gain (V, 3) f32: factor on rgb + TOE that converts
+    the view's colours to the mean exposure.
+    """
 
     records: AnyArray
     first: IntArray
@@ -45,7 +47,7 @@ class Views(NamedTuple):
 
 
 class NumbaBatch(NamedTuple):
-    """Training points of one step; every weight already holds its loss factor and the mean."""
+    """Training points of one step; every weight includes its loss factor and the mean."""
 
     points: Float32Array
     target_m: Float32Array
@@ -63,7 +65,7 @@ class NumbaBatch(NamedTuple):
 
 
 def make_batch() -> NumbaBatch:
-    """Allocate once."""
+    """Allocate a batch, which all steps reuse."""
     many, shape, colour = RAYS * (NEAR + FREE), SURFACE_POINTS, COLOUR_POINTS
     shapes: tuple[tuple[int, ...], ...] = (
         *((many, 3), (many,), (many,)),
@@ -77,7 +79,7 @@ def make_batch() -> NumbaBatch:
 
 @fast_kernel
 def uniform(state: AnyArray) -> np.float32:
-    """Next number in [0, 1) of a splitmix64 stream; state (1,) uint64."""
+    """Return the next number in [0, 1) of a splitmix64 stream; state (1,) uint64."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     z = state[0]
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -88,7 +90,10 @@ def uniform(state: AnyArray) -> np.float32:
 
 @fast_kernel
 def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high: Float32Array, batch: NumbaBatch) -> int:
-    """Fill a batch from random rays; returns how many coloured points it holds. low, high (3,): the box."""
+    """Fill a batch from random rays; returns the number of coloured points.
+
+    low, high (3,): the box.
+    """
     recent = min(RECENT_VIEWS, view_count)
     per_ray = NEAR + FREE
     coloured = 0
@@ -159,9 +164,10 @@ def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high
 @fast_kernel
 def ray_points(views: Views, view: int, offsets_m: Float32Array, points: Float32Array, cosine: Float32Array,
                sigma_m: Float32Array, normal: Float32Array) -> None:  # fmt: skip
-    """A view's measured points in world, one set per offset along the ray: points (len(offsets), N, 3).
+    """Compute a view's measured points in world: points (len(offsets), N, 3).
 
-    Also the viewing cosine (N,), -1 without a normal, the depth's sigma (N,) and the normal in world (N, 3).
+    One set of points per offset along the ray. Also computes the viewing cosine (N,), -1 without a normal, the depth sigma
+    (N,) and the normal in world (N, 3).
     """
     rotation, position = views.rotation[view], views.position[view]
     for n in range(views.first[view + 1] - views.first[view]):

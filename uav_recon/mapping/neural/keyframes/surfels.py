@@ -1,8 +1,8 @@
-"""What a view measured, condensed: mean point, normal and colour of each small cell of surface, ready to be compared.
+"""Surfels: mean point, normal and colour of each small surface cell of a view.
 
-A cell is CELL_M wide across the half axis that its normals lean to and DEEP_M deep along it, so that views which disagree by
-several centimetres, and not the two sides of a thin wall, meet in it. Cells overlap by half in depth: a surface never lies on
-a border of all of its cells.
+A cell is CELL_M wide across the half axis nearest to its normals, and DEEP_M deep along it. So a cell contains the surface
+of views that disagree by several centimetres, but not both sides of a thin wall. Cells overlap by half in depth: a surface
+never lies on the border of all of its cells.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 
 CELL_M, DEEP_M = 0.20, 0.25
 RAYS_USED = 2500
-BESIDE = 40  # views that a view is compared with
-FEWEST_RAYS = 1.5  # of a patch
+BESIDE = 40  # maximum number of views that a view is compared with
+FEWEST_RAYS = 1.5  # minimum weight of a surfel
 
-LOG_LEVEL = np.log(np.arange(256) / 255.0 + float(TOE))  # of a channel's 256 values
+LOG_LEVEL = np.log(np.arange(256) / 255.0 + float(TOE))  # of the 256 levels of a channel
 
 # columns of a row
 WEIGHT, POINT, NORMAL, VARIANCE, COLOURED, COLOUR, WHITENED = 0, slice(1, 4), slice(4, 7), 7, 8, slice(9, 12), slice(12, 15)
@@ -29,10 +29,10 @@ COLUMNS = 15
 
 
 class Surfels:
-    """Patches of all views at the poses where they are now held to be.
+    """Surfels of all views at their current poses.
 
-    A row has the weight in rays, their mean point and normal in world, their mean variance of depth, the weight of those
-    with a colour, their mean log(rgb + TOE), and the share of them that may have been brighter, by channel.
+    A row contains the weight in rays, the mean point and normal in world, the mean variance of depth, the weight of the rays
+    with a colour, their mean log(rgb + TOE), and the share of them that may be saturated, per channel.
     """
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
@@ -50,7 +50,10 @@ class Surfels:
     def place(
         self, view: int, records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float
     ) -> None:
-        """Condense records (N, 10) of a view, known or next, at world_from_depth as rotation (3, 3) and position (3,)."""
+        """Compute the surfels of a known view or the next one, at a pose.
+
+        records (N, 10); world_from_depth as rotation (3, 3) and position (3,).
+        """
         touched = np.zeros(2 * RAYS_USED, dtype=np.int64)
         count = _sum(
             records[:RAYS_USED], rotation, position, inverse_depth_sigma, self._origin, self._across, self._along, self._first,
@@ -68,20 +71,23 @@ class Surfels:
         self._key[view], self._row[view] = key, row
 
     def keep(self, which: BoolArray) -> None:
-        """Forget all views but some (V,)."""
+        """Drop all views except those selected by a mask (V,)."""
         self._key, self._row = list(compress(self._key, which)), list(compress(self._row, which))
 
     def beside(self, view: int) -> tuple[IntArray, IntArray]:
-        """The views (M,) that see most of what a view sees, itself first, and how many cells they share with it (M,)."""
+        """Return the views (M,) that share most cells with a view, itself first, and counts (M,)."""
         mark = np.zeros(self.cells, dtype=np.int64)
         mark[self._key[view]] = 1
         shared = np.array([int(mark[key].sum()) for key in self._key])
-        shared[view] += 1  # before one that sees the same and more
+        shared[view] += 1  # sort it before a view that shares all its cells
         most = np.argsort(-shared, kind="stable")[:BESIDE]
         return most, shared[most]
 
     def of(self, views: IntArray, beside: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
-        """Patches of the views beside, in the cells which some views see, by cell: cell (N,), view (N,), rows (N, COLUMNS)."""
+        """Return the surfels of the views ``beside`` in the cells of ``views``, sorted by cell.
+
+        Returns cell (N,), view (N,), rows (N, COLUMNS).
+        """
         mark = np.zeros(self.cells, dtype=np.bool_)
         for view in views:
             mark[self._key[view]] = True

@@ -1,1 +1,1 @@
-"""The neural signed distance field that learns in flight (numba kernels)."""
+"""Signed distance field trained in flight (numba kernels)."""

@@ -1,4 +1,4 @@
-"""Adam (Kingma and Ba 2015) for a field: all network weights, and just those grid entries which a step touched."""
+"""Adam (Kingma and Ba 2015) for the network weights and the touched grid entries."""
 
 from __future__ import annotations
 
@@ -13,16 +13,19 @@ from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.types.frames import Float32Array
 
 BETA_1, BETA_2 = np.float32(0.9), np.float32(0.99)
-EPSILON = np.float32(1e-15)  # of the grid: its gradients are tiny by nature
+EPSILON = np.float32(1e-15)  # for the grid, whose gradients are tiny
 WEIGHT_EPSILON = np.float32(1e-8)
 GRID_RATE, WEIGHT_RATE = 2e-2, 4e-3
-AHEAD = 64  # slots that are fetched together: their lines fit the first-level cache
+AHEAD = 64  # slots fetched together: they fit into the first-level cache
 
 _ONE = np.float32(1.0)
 
 
 class NumbaAdam:
-    """Gradients and moments beside a field's parameters. skipped: steps whose gradient was not finite."""
+    """Gradients and moments of the parameters of a field.
+
+    skipped: number of steps skipped because their gradient was not finite.
+    """
 
     def __init__(self, field: NumbaSdfField) -> None:
         self._step, self.skipped = 0, 0
@@ -37,7 +40,7 @@ class NumbaAdam:
         self._slot_moments = _slot_moments(field.grid.features.shape[0])
 
     def __getstate__(self) -> dict[str, Any]:
-        """For a checkpoint: between steps every gradient is zero; only the moments are worth keeping."""
+        """Return the state for a checkpoint: the moments only, as gradients are zero between steps."""
         return {
             "field": self._field,
             "weight_moments": self._weight_moments,
@@ -52,9 +55,10 @@ class NumbaAdam:
         self._slot_moments[: self._field.slots] = state["slot_moments"]
 
     def grow(self, slots: int) -> None:
-        """Have memory for more slots, between steps. Call before Field.grow(): what is too large here does no harm.
+        """Allocate memory for more slots, between steps.
 
-        Raises MemoryError; then nothing has changed.
+        Call before NumbaSdfField.grow(): a larger capacity here does no harm. Raises MemoryError and then leaves everything
+        unchanged.
         """
         held = self.gradient.row.shape[0]
         if slots <= held:
@@ -64,7 +68,10 @@ class NumbaAdam:
         self.gradient, self._slot_moments = make_gradient(slots), moments
 
     def step(self, rate_factor: float = 1.0) -> bool:
-        """Apply and clear the gradients. False if one was not finite: then it is counted, and nothing else changes."""
+        """Apply and clear the gradients; returns False if one was not finite.
+
+        Such a step is counted and changes nothing else. rate_factor: share of the full learning rate.
+        """
         if not self._finite():
             self._clear()
             self.skipped += 1
@@ -78,7 +85,10 @@ class NumbaAdam:
         return True
 
     def _finite(self) -> bool:
-        """Whether the squares of all gradients have a finite sum: 0.1 ms, and just what the second moments need."""
+        """Return True if the sum of the squares of all gradients is finite.
+
+        The second moments need exactly this. Takes 0.1 ms.
+        """
         slots = self.gradient.features[: int(self.gradient.rows[0])].reshape(-1)
         return bool(np.isfinite(np.vdot(self.flat_gradient, self.flat_gradient)) and np.isfinite(np.vdot(slots, slots)))
 
@@ -91,7 +101,10 @@ class NumbaAdam:
 
 
 def _slot_moments(slots: int) -> Float32Array:
-    """First, then second moments of a slot, side by side in memory: the step waits for memory, not for arithmetic."""
+    """Return zero moments (slots, 2, 16): first, then second moments, side by side in memory.
+
+    The step is limited by memory access, not by arithmetic.
+    """
     return np.zeros((slots, 2, 8 * FEATURES), dtype=np.float32)
 
 
@@ -99,7 +112,7 @@ def _slot_moments(slots: int) -> Float32Array:
 def step_weights(
     value: Float32Array, gradient: Float32Array, first: Float32Array, second: Float32Array, rate: float, step: int
 ) -> None:
-    """One step on vectors (P,), with bias correction for the step-th step (from 1)."""
+    """Run one step on vectors (P,), with bias correction for step number ``step`` (from 1)."""
     scale = _corrected(rate, step)
     for i in range(value.shape[0]):
         g = gradient[i]
@@ -111,10 +124,11 @@ def step_weights(
 
 @fast_kernel
 def step_slots(value: Float32Array, gradient: Gradient, moments: Float32Array, rate: float, step: int) -> np.float32:
-    """One step on the touched slots of features (S, 16); entries without a gradient keep value and moments.
+    """Run one step on the touched slots of features (S, 16).
 
-    Slots lie all over memory. Each batch of them is touched first, so that the processor waits for all at once and not
-    for one after the other: a third of the time. What comes back is the sum that keeps those reads from being left out.
+    Entries without a gradient keep their value and moments. Slots are scattered in memory. Each batch of slots is read
+    first, so that the processor waits for all cache misses at once: this takes a third of the time. Returns the sum of the
+    values read, which keeps the compiler from removing those reads.
     """
     scale = _corrected(rate, step)
     read, rows = np.float32(0.0), gradient.rows[0]

@@ -1,7 +1,7 @@
-"""A multi-resolution grid of learned features, in blocks that exist only where something was measured.
+"""Multi-resolution grid of learned features in blocks, allocated where points were measured.
 
-Six levels from 48 to 4 cm as in instant-ngp (Müller et al. 2022, section 3), but with exact blocks instead of a hash: no
-two places share an entry, and a place that nobody measured has none, so it cannot be hallucinated from a collision.
+Six levels from 48 to 4 cm as in instant-ngp (Müller et al. 2022, section 3), but with exact blocks instead of a hash: no two
+positions share an entry, and a position without measurement has none, so hash collisions cannot create false surface there.
 A block is 2x2x2 nodes of 2 features: 64 bytes, one cache line.
 """
 
@@ -19,18 +19,18 @@ FEATURES = 2
 ENCODED = LEVELS * FEATURES
 CORNERS = LEVELS * 8
 COARSEST_CELL_M, FINEST_CELL_M = 0.48, 0.04
-DENSE_BLOCKS = 20_000  # a level with at most so many blocks has all of them: free space needs coarse features too
-POINTS = 64  # points that travel together through the kernels: rows of this length stay in the first-level cache
+DENSE_BLOCKS = 20_000  # a level with at most this many blocks is fully allocated: free space needs coarse features too
+POINTS = 64  # points per kernel pass: rows of this length stay in the first-level cache
 
 _ONE = np.float32(1.0)
 
 
 class FeatureGrid(NamedTuple):
-    """The arrays a kernel needs.
+    """Arrays for the kernels.
 
-    origin_world_m (3,) f32. inverse_cell_per_m (L,) f32. cells (L, 3) i32. blocks (L, 3) i32. first (L,) i64 start of a
-    level in slot. slot (sum of blocks,) i32: where a
-    block lives in features, 0 = not there. features (S, 16) f32 by slot; slot 0 is zero.
+    origin_world_m (3,) f32. inverse_cell_per_m (L,) f32. cells (L, 3) i32. blocks (L, 3) i32. first (L,) i64: start of a
+    level in slot. slot (sum of blocks,) i32: index of a block in features, 0 = not allocated. features (S, 16) f32 by slot;
+    slot 0 is zero.
     """
 
     origin_world_m: Float32Array
@@ -43,7 +43,10 @@ class FeatureGrid(NamedTuple):
 
 
 def make_grid(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[FeatureGrid, int]:
-    """Lay out an empty grid over a box; returns it and the number of slots in use (dense levels are filled)."""
+    """Create an empty grid over a box; returns it and the number of slots in use.
+
+    Small levels are fully allocated, see DENSE_BLOCKS.
+    """
     growth = (FINEST_CELL_M / COARSEST_CELL_M) ** (1.0 / (LEVELS - 1))
     cell_m = COARSEST_CELL_M * growth ** np.arange(LEVELS)
     extent_m = np.asarray(box_max_m, dtype=np.float64) - np.asarray(box_min_m, dtype=np.float64)
@@ -71,10 +74,10 @@ def make_grid(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[FeatureGrid
 
 @fast_kernel
 def allocate(grid: FeatureGrid, points: Float32Array, first_level: int, used: int, limit: int) -> int:
-    """Give a slot to every missing block under points (N, 3) in world metres; returns slots in use, at most ``limit``.
-    Levels before first_level have all of their blocks.
+    """Allocate each missing block under points (N, 3), world metres; returns the slots in use.
 
-    Quick where points that follow each other share cells.
+    At most ``limit`` slots are used. Levels before first_level are fully allocated already. Fast if consecutive points share
+    cells.
     """
     last = np.full((LEVELS, 3), -1, dtype=np.int64)
     for n in range(points.shape[0]):
@@ -103,9 +106,9 @@ def allocate(grid: FeatureGrid, points: Float32Array, first_level: int, used: in
 
 @fast_kernel
 def locate(grid: FeatureGrid, points: Float32Array, start: int, count: int, node: AnyArray, weight: Float32Array) -> None:
-    """Find the corner nodes (CORNERS, POINTS) and trilinear weights of points[start:start+count]; the rest gets weight 0.
+    """Find corner nodes (CORNERS, POINTS) and trilinear weights of points[start:start+count].
 
-    A point outside the box is moved to its border.
+    The remaining columns get weight 0. A point outside the box is moved to its border.
     """
     for level in range(LEVELS):
         inverse = grid.inverse_cell_per_m[level]
@@ -154,7 +157,7 @@ def locate(grid: FeatureGrid, points: Float32Array, start: int, count: int, node
 
 @fast_kernel
 def gather(features: Float32Array, node: AnyArray, weight: Float32Array, encoded: Float32Array) -> None:
-    """Interpolate: encoded (ENCODED, POINTS) from features (S, 16)."""
+    """Interpolate the features (S, 16) into encoded (ENCODED, POINTS)."""
     flat = features.reshape(-1)
     for level in range(LEVELS):
         row = level * 8
@@ -170,8 +173,10 @@ def gather(features: Float32Array, node: AnyArray, weight: Float32Array, encoded
 
 
 class Gradient(NamedTuple):
-    """What a step adds up, packed: features (S, 16) f32, whose n-th row belongs to slot touched[n] (S,) i32; row (S,) i32 of
-    a slot, -1 = not touched; rows (1,) i64 in use.
+    """Sparse gradient of the features.
+
+    features (S, 16) f32: row n belongs to slot touched[n], (S,) i32. row (S,) i32: row of a slot, -1 = not touched. rows
+    (1,) i64: number of rows in use.
     """
 
     features: Float32Array
@@ -181,7 +186,7 @@ class Gradient(NamedTuple):
 
 
 def make_gradient(slots: int) -> Gradient:
-    """Nothing touched."""
+    """Return an empty gradient."""
     return Gradient(
         np.zeros((slots, 8 * FEATURES), dtype=np.float32),
         np.zeros(slots, dtype=np.int32),
@@ -192,10 +197,10 @@ def make_gradient(slots: int) -> Gradient:
 
 @fast_kernel
 def scatter(d_encoded: Float32Array, count: int, node: AnyArray, weight: Float32Array, gradient: Gradient) -> None:
-    """Transpose of gather(); slot 0 learns nothing."""
+    """Add the gradient of the features: the transpose of gather(). Slot 0 gets no gradient."""
     flat = gradient.features.reshape(-1)
     used = gradient.rows[0]
-    for p in range(count):  # points outside, levels inside: neighbours on a ray share nodes, and a sum waits for the last one
+    for p in range(count):  # points outside, as neighbours on a ray share nodes: fewer dependent additions
         for level in range(LEVELS):
             d0, d1 = d_encoded[level * 2, p], d_encoded[level * 2 + 1, p]
             if d0 == 0.0 and d1 == 0.0:

@@ -1,8 +1,8 @@
-"""Forward, loss and backward of one batch in one pass over cache-sized pieces.
+"""Losses of the numba field: forward pass, loss and backward pass of one batch.
 
-Each kernel takes points and what is known about them, adds gradients, and returns its loss. Weights carry the loss
-factors and the means, so a loss is a plain weighted sum. Kinds of loss: iSDF (Ortiz et al. 2022) and MonoSDF (Yu et al.
-2022), with metric depth.
+Each kernel works in cache-sized pieces. It takes points and their targets, adds to the gradients and returns its loss. The
+weights contain the loss factors and the means, so a loss is a plain weighted sum. Kinds of loss: iSDF (Ortiz et al. 2022)
+and MonoSDF (Yu et al. 2022), with metric depth.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from uav_recon.types.frames import BoolArray, Float32Array
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=np.float32)
 STENCIL_M = np.float32(0.02)  # half edge of the cube that holds the tetrahedron of difference points
 
-VARIANCE_SHARE = np.float32(0.02)  # of the Gaussian loss in the colour loss
-UNKNOWN = np.float32(-1.0)  # an error that no channel tells
+VARIANCE_SHARE = np.float32(0.02)  # share of the Gaussian loss in the colour loss
+UNKNOWN = np.float32(-1.0)  # an error that no channel determines
 
 _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 
@@ -39,7 +39,10 @@ def fit_distance(
     grid: FeatureGrid, net: Network, d_net: Network, gradient: Gradient, s: Scratch,
     points: Float32Array, target_m: Float32Array, weight: Float32Array, at_least: BoolArray,
 ) -> float:  # fmt: skip
-    """Sum of weight * (f(x) - target)², for points (N, 3); where at_least, only a value below the target counts."""
+    """Return the sum of weight * (f(x) - target)² for points (N, 3), and add its gradient.
+
+    Where at_least is set, only values below the target count.
+    """
     loss = _ZERO
     for start in range(0, points.shape[0], POINTS):
         count = min(POINTS, points.shape[0] - start)
@@ -65,9 +68,10 @@ def fit_shape(
     corners: Float32Array, points: Float32Array, normal: Float32Array, eikonal_weight: Float32Array,
     normal_weight: Float32Array,
 ) -> float:  # fmt: skip
-    """Sum of eikonal_weight * (|g| - 1)² + normal_weight * |g/|g| - n|², g from differences over a tetrahedron.
+    """Return the sum of eikonal_weight * (|g| - 1)² + normal_weight * |g/|g| - n|².
 
-    points, normal (N, 3). corners (POINTS, 3) is scratch, stencil is TETRAHEDRON.
+    Adds its gradient. g: gradient of f at the points (N, 3), from differences over a tetrahedron; n: normal (N, 3). corners
+    (POINTS, 3) is scratch, stencil is TETRAHEDRON.
     """
     loss = _ZERO
     together = POINTS // 4
@@ -111,12 +115,13 @@ def fit_colour(
     grid: FeatureGrid, net: Network, d_net: Network, gradient: Gradient, s: Scratch,
     points: Float32Array, rgb: Float32Array, at_least: BoolArray, weight: Float32Array, error_squared: Float32Array,
 ) -> float:  # fmt: skip
-    """Sum of weight * (e² + VARIANCE_SHARE / 2 * (e² / v + log v)), where e² is the mean over channels of (colour(x) - rgb)²
-    and v the variance that the network expects; e² counts as a given number in the second part. rgb (N, 3) in 0..1; where
-    at_least (N, 3), only a value below it counts, and one above says nothing of v: then the second part's e² is the mean of
-    the other channels, and there is no such part without any. Writes that e² to error_squared (N,), or UNKNOWN. The second
-    part is the paper's Gaussian colour loss.
-    """  # fmt: skip
+    """Return the sum of weight * (e² + VARIANCE_SHARE / 2 * (e² / v + log v)).
+
+    Adds its gradient. e² is the mean over channels of (colour(x) - rgb)², v the variance predicted by the network. The
+    second term is the Gaussian colour loss of the paper; its e² is constant in the gradient. rgb (N, 3) in 0..1. Where
+    at_least (N, 3) is set, only values below rgb count, and values above rgb are excluded from the second term: its e² is
+    the mean over the other channels, and it is zero without any. Writes that e² to error_squared (N,), or UNKNOWN.
+    """
     loss, third = _ZERO, np.float32(1.0 / 3.0)
     for start in range(0, points.shape[0], POINTS):
         count = min(POINTS, points.shape[0] - start)

@@ -1,7 +1,7 @@
-"""Two small networks on the encoded point: distance (12-32-1+15) and colour with the logarithm of its error's variance
-(15+12-32-32-3+1), forward and backward by hand.
+"""Distance network (12-32-1+15) and colour network (15+12-32-32-3+1) on encoded points.
 
-Everything works on POINTS columns at a time, so that the innermost loop is a vector operation on a row in cache.
+Forward and backward passes are written by hand. The last output of the colour network is the log variance of its error. All
+functions work on POINTS columns at a time, so that the innermost loop is a vector operation on a row in cache.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from uav_recon.mapping.neural.sdf_numba.feature_grid import CORNERS, ENCODED, PO
 from uav_recon.types.frames import AnyArray, Float32Array
 
 HIDDEN = 32
-SHAPE_FEATURES = 15  # what the distance network tells the colour network
+SHAPE_FEATURES = 15  # features passed from the distance network to the colour network
 COLOUR_IN = SHAPE_FEATURES + ENCODED
 COLOUR_OUT = 3 + 1  # red, green, blue; log variance of their error
-TRUNCATION_M = np.float32(0.10)  # distances are learned in units of this
+TRUNCATION_M = np.float32(0.10)  # unit of the learned distances
 MIN_LOG_VARIANCE, MAX_LOG_VARIANCE = np.float32(-10.0), np.float32(2.0)  # of a colour
 OUTSIDE_BIAS_M = np.float32(0.05)  # an untrained field is air
 
@@ -46,7 +46,7 @@ PARAMETERS = sum(int(np.prod(shape)) for shape in SHAPES)
 
 
 def views(flat: Float32Array) -> Network:
-    """The network whose arrays are views into one vector (PARAMETERS,)."""
+    """Return a network whose arrays are views into one vector (PARAMETERS,)."""
     arrays, start = [], 0
     for shape in SHAPES:
         size = int(np.prod(shape))
@@ -56,7 +56,10 @@ def views(flat: Float32Array) -> Network:
 
 
 def initial_parameters(random: np.random.Generator) -> Float32Array:
-    """Uniform in ±1/sqrt(in), as torch.nn.Linear does; the distance output starts near zero."""
+    """Return parameters uniform in ±1/sqrt(in), as in torch.nn.Linear.
+
+    The bias of the distance output is zero.
+    """
     flat = np.zeros(PARAMETERS, dtype=np.float32)
     net = views(flat)
     for weight, bias in ((net.w1, net.b1), (net.w2, net.b2), (net.c1, net.d1), (net.c2, net.d2), (net.c3, net.d3)):
@@ -68,7 +71,7 @@ def initial_parameters(random: np.random.Generator) -> Float32Array:
 
 
 class Scratch(NamedTuple):
-    """Rows of POINTS columns: what one batch leaves between its forward and its backward pass."""
+    """Intermediate results of a batch between its forward and backward pass, in rows of POINTS."""
 
     node: AnyArray
     weight: Float32Array
@@ -89,7 +92,7 @@ class Scratch(NamedTuple):
 
 
 def make_scratch() -> Scratch:
-    """Allocate once, use for every batch."""
+    """Allocate the scratch arrays, which all batches reuse."""
     rows = (ENCODED, HIDDEN, 1 + SHAPE_FEATURES, COLOUR_IN, HIDDEN, HIDDEN, COLOUR_OUT)
     forward = [np.zeros((n, POINTS), dtype=np.float32) for n in rows]
     backward = [np.zeros((n, POINTS), dtype=np.float32) for n in rows]
@@ -99,7 +102,7 @@ def make_scratch() -> Scratch:
 
 @fast_kernel
 def affine(weight: Float32Array, bias: Float32Array, x: Float32Array, y: Float32Array, rows: int) -> None:
-    """y[:rows] = W x + b, four inputs at a time."""
+    """Compute y[:rows] = W x + b, four inputs at a time."""
     columns = weight.shape[1]
     quads = columns // 4 * 4
     for j in range(rows):
@@ -140,7 +143,7 @@ def affine_backward(
 
 @fast_kernel
 def rectify(x: Float32Array) -> None:
-    """max(x, 0) in place."""
+    """Apply max(x, 0) in place."""
     for j in range(x.shape[0]):
         for p in range(POINTS):
             x[j, p] = max(x[j, p], np.float32(0.0))
@@ -148,7 +151,7 @@ def rectify(x: Float32Array) -> None:
 
 @fast_kernel
 def rectify_backward(x: Float32Array, d_x: Float32Array) -> None:
-    """Stop the gradient where the unit was off."""
+    """Set the gradient to zero where the unit was inactive."""
     for j in range(x.shape[0]):
         for p in range(POINTS):
             d_x[j, p] = d_x[j, p] if x[j, p] > 0.0 else np.float32(0.0)
@@ -156,7 +159,7 @@ def rectify_backward(x: Float32Array, d_x: Float32Array) -> None:
 
 @fast_kernel
 def distance_forward(net: Network, s: Scratch, rows: int) -> None:
-    """s.encoded -> s.out[:rows]; row 0 becomes metres."""
+    """Compute s.out[:rows] from s.encoded; row 0 is in metres."""
     affine(net.w1, net.b1, s.encoded, s.hidden, HIDDEN)
     rectify(s.hidden)
     affine(net.w2, net.b2, s.hidden, s.out, rows)
@@ -166,7 +169,10 @@ def distance_forward(net: Network, s: Scratch, rows: int) -> None:
 
 @fast_kernel
 def distance_alone(net: Network, s: Scratch) -> None:
-    """s.encoded -> s.out[0] in metres as distance_forward() has it, leaving nothing for a backward pass: no unit is kept."""
+    """Compute s.out[0] in metres from s.encoded, as distance_forward().
+
+    The hidden units are not stored, so that no backward pass is possible.
+    """
     x, total = s.encoded, s.out[0]
     for p in range(POINTS):
         total[p] = net.b2[0]
@@ -184,7 +190,10 @@ def distance_alone(net: Network, s: Scratch) -> None:
 
 @fast_kernel
 def distance_backward(net: Network, s: Scratch, rows: int, d_net: Network) -> None:
-    """s.d_out[:rows] (row 0 per metre) -> s.d_encoded, and the weights' gradients."""
+    """Compute s.d_encoded and the gradients of the weights from s.d_out[:rows].
+
+    Row 0 of s.d_out is per metre.
+    """
     for p in range(POINTS):
         s.d_out[0, p] *= TRUNCATION_M
     affine_backward(net.w2, s.hidden, s.d_out, rows, d_net.w2, d_net.b2, s.d_hidden)
@@ -194,7 +203,10 @@ def distance_backward(net: Network, s: Scratch, rows: int, d_net: Network) -> No
 
 @fast_kernel
 def colour_forward(net: Network, s: Scratch) -> None:
-    """s.out, s.encoded -> s.rgb in 0..1 and its log variance, after distance_forward with all rows."""
+    """Compute s.rgb (0..1 and the log variance) from s.out and s.encoded.
+
+    Needs distance_forward() with all rows before.
+    """
     for i in range(SHAPE_FEATURES):
         for p in range(POINTS):
             s.colour_in[i, p] = s.out[1 + i, p]
@@ -213,9 +225,9 @@ def colour_forward(net: Network, s: Scratch) -> None:
 
 @fast_kernel
 def colour_backward(net: Network, s: Scratch, d_net: Network) -> None:
-    """s.d_rgb -> s.d_encoded through both networks, and all weights' gradients.
+    """Compute s.d_encoded through both networks and all gradients of the weights from s.d_rgb.
 
-    The variance moves its own weights alone: a Gaussian loss that is surprised would drown what colours say.
+    The variance output only changes its own weights: a large Gaussian loss would outweigh the colour loss.
     """
     for i in range(HIDDEN):
         total = np.float32(0.0)

@@ -1,7 +1,7 @@
-"""Pictures of a field: what each ray meets, weighted by how sure it is to be there.
+"""Ray rendering of a field: composite colour and distance along each ray.
 
-Where a learned surface lies is known to about EDGE_M. So a ray that just misses an edge may meet it, and one that just
-meets it may pass: opacity is the share of a normal distribution of that width which the distance has fallen through, and
+The position of a learned surface is known to about EDGE_M. So a ray that just misses an edge may hit it, and one that just
+hits it may pass. Opacity is the share of a normal distribution of that width which the distance has fallen through, and
 colours are composited with it (NeuS: Wang et al. 2021, equation 13, with a cumulative normal for the sigmoid).
 """
 
@@ -16,11 +16,11 @@ from uav_recon.types.frames import BoolArray, Float32Array
 
 NEAREST_M, FARTHEST_M = 0.10, 12.0
 EDGE_M = 0.008
-SURE = 2.5  # deviations, beyond which there is nothing to meet
+SURE = 2.5  # deviations beyond which the opacity is zero
 SHORTEST_STEP_M, LONGEST_STEP_M = 0.01, 0.25
-CAUTION = 0.8  # of the distance is stepped: a learned field is not exactly one
-MIN_SHARE = 0.01  # of a ray, that is worth a colour
-OPAQUE, FOUND = 0.02, 0.02  # what may be left of a ray when it ends, and must have been met for one to have a colour
+CAUTION = 0.8  # step as a share of the distance: a learned field is not an exact distance
+MIN_SHARE = 0.01  # minimum share of a ray for a colour sample
+OPAQUE, FOUND = 0.02, 0.02  # remaining share at which a ray ends; minimum opacity for a hit
 
 Solid = Callable[[Float32Array], BoolArray]
 
@@ -28,11 +28,10 @@ Solid = Callable[[Float32Array], BoolArray]
 def render_rays(
     field: SdfField, solid: Solid, origin: Float32Array, direction: Float32Array
 ) -> tuple[Float32Array, Float32Array, BoolArray]:
-    """What rays from origin (N, 3) along unit direction (N, 3) meet: colour (N, 3) in 0..1, mean distance in metres (N,), and
-    whether they meet anything (N,).
+    """Render rays: colour (N, 3) in 0..1, mean distance in metres (N,) and hit mask (N,).
 
-    solid(points) says where surface was measured (Evidence.holding): elsewhere a field only guesses, and is looked through.
-    A ray that meets nothing in FARTHEST_M is black.
+    origin (N, 3), direction (N, 3): unit vectors. solid(points) returns where surface was measured (MeasuredCells.holding):
+    elsewhere the field is unsupported and treated as transparent. A ray without a hit within FARTHEST_M is black.
     """
     count = len(origin)
     rgb, reach = np.zeros((count, 3), dtype=np.float32), np.zeros(count, dtype=np.float32)
@@ -67,7 +66,7 @@ def render_rays(
 
 
 def _open(distance_m: Float32Array) -> Float32Array:
-    """How likely a place at a learned distance (N,) is air."""
+    """Return the probability (N,) that a point at a learned distance (N,) is in the air."""
     from scipy.special import ndtr
 
     share: Float32Array = ndtr(distance_m / np.float32(EDGE_M))

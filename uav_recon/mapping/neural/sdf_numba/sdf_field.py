@@ -1,4 +1,4 @@
-"""The learned field: signed distance (positive in the air) and colour at any point of the box."""
+"""Learned field (numba): signed distance (positive in the air) and colour in a box."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from uav_recon.mapping.neural.sdf_numba.network import (
 )
 from uav_recon.types.frames import Float32Array, FloatArray
 
-INITIAL_FEATURE = 1e-2  # new features are uniform in ± this: small, yet enough to break the symmetry
+INITIAL_FEATURE = 1e-2  # new features are uniform in ± this: small, but enough to break the symmetry
 
 
 class NumbaSdfField:
-    """Parameters and queries. Coordinates are world metres; points are float32 inside."""
+    """Parameters and queries of the field. Coordinates are in world metres; points are float32."""
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray, seed: int) -> None:
         self._random = np.random.default_rng(seed)
@@ -48,7 +48,7 @@ class NumbaSdfField:
         self._fill(1, self.slots)
 
     def __getstate__(self) -> dict[str, Any]:
-        """For a checkpoint: without scratch, what is a view of the parameters, and the slots that nobody uses yet."""
+        """Return the state for a checkpoint, without scratch, parameter views and unused slots."""
         capacity, used = self.grid.features.shape[0], self.grid._replace(features=self.grid.features[: self.slots])
         return self.__dict__ | {"grid": used, "capacity": capacity, "network": None, "scratch": None}
 
@@ -62,34 +62,40 @@ class NumbaSdfField:
 
     @property
     def capacity(self) -> int:
-        """Slots that there is memory for."""
+        """Number of allocated slots."""
         return int(self.grid.features.shape[0])
 
     def cover(self, points: Float32Array) -> bool:
-        """Make room for what will be learned at points (N, 3). False if the slots were used up: grow, and cover again."""
+        """Allocate grid entries for points (N, 3).
+
+        Returns False if all slots are used: call grow(), then cover() again.
+        """
         before = self.slots
         self.slots = int(allocate(self.grid, points, self._dense_levels, before, self.capacity))
         self._fill(before, self.slots)
         return self.slots < self.capacity
 
     def grow(self, capacity: int) -> None:
-        """Have memory for more slots, after the optimiser has it (see there). Raises MemoryError; then nothing has changed."""
+        """Allocate memory for more slots, after NumbaAdam.grow().
+
+        Raises MemoryError and then leaves everything unchanged.
+        """
         grown = np.zeros((capacity, self.grid.features.shape[1]), dtype=np.float32)
         grown[: self.capacity] = self.grid.features
         self.grid = self.grid._replace(features=grown)
 
     def distance_m(self, points: Float32Array) -> Float32Array:
-        """Signed distance (N,) at points (N, 3) float32."""
+        """Return the signed distances (N,) at points (N, 3) float32."""
         out = np.empty(points.shape[0], dtype=np.float32)
         query_distance(self.grid, self.network, self.scratch, points, out)
         return out
 
     def rgb(self, points: Float32Array) -> Float32Array:
-        """Colour (N, 3) in 0..1 at points (N, 3) float32."""
+        """Return the colours (N, 3) in 0..1 at points (N, 3) float32."""
         return self._coloured(points)[:, :3]
 
     def colour_sigma(self, points: Float32Array) -> Float32Array:
-        """Standard deviation (N,) of the colour error, 0..1, that the network expects at points (N, 3)."""
+        """Return the predicted standard deviation (N,) of the colour error, 0..1, at points (N, 3)."""
         log_variance = np.clip(self._coloured(points)[:, 3], MIN_LOG_VARIANCE, MAX_LOG_VARIANCE)
         sigma: Float32Array = np.exp(np.float32(0.5) * log_variance)
         return sigma
@@ -107,7 +113,7 @@ class NumbaSdfField:
 
 @fast_kernel
 def query_distance(grid: FeatureGrid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
-    """Distance in metres (N,)."""
+    """Compute the distances in metres (N,)."""
     for start in range(0, points.shape[0], POINTS):
         count = min(POINTS, points.shape[0] - start)
         locate(grid, points, start, count, s.node, s.weight)
@@ -119,7 +125,7 @@ def query_distance(grid: FeatureGrid, net: Network, s: Scratch, points: Float32A
 
 @fast_kernel
 def query_colour(grid: FeatureGrid, net: Network, s: Scratch, points: Float32Array, out: Float32Array) -> None:
-    """Colour and the log variance of its error (N, 4)."""
+    """Compute the colours and the log variance of their error (N, 4)."""
     for start in range(0, points.shape[0], POINTS):
         count = min(POINTS, points.shape[0] - start)
         locate(grid, points, start, count, s.node, s.weight)

@@ -1,1 +1,1 @@
-"""The neural signed distance field of `refine` (torch)."""
+"""Signed distance field trained by `refine` (torch)."""

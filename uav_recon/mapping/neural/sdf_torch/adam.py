@@ -1,6 +1,7 @@
-"""Adam (Kingma and Ba 2015) on tensors, as mapping.neural.optimiser has it: an entry without a gradient keeps everything.
+"""Adam (Kingma and Ba 2015) on tensors; entries without a gradient stay unchanged.
 
-Every shape stays and nothing is read back, so that a CUDA graph can hold it.
+The same algorithm as sdf_numba.adam. Shapes are constant and nothing is read back to the host, so that a CUDA graph can
+capture a step.
 """
 
 from __future__ import annotations
@@ -11,11 +12,11 @@ from torch import Tensor
 from uav_recon.mapping.neural.sdf_numba.adam import BETA_1, BETA_2, EPSILON, GRID_RATE, WEIGHT_EPSILON, WEIGHT_RATE
 
 _B1, _B2 = float(BETA_1), float(BETA_2)
-SETTLED = 2000  # steps after which the corrections for the start are 1
+SETTLED = 2000  # steps after which the bias corrections are 1
 
 
 class TorchAdam:
-    """Moments of features (S, IN_BLOCK) and of weights (P,)."""
+    """Moments of the features (S, IN_BLOCK) and of the weights (P,)."""
 
     def __init__(self, features: Tensor, weights: Tensor) -> None:
         self.feature_moments = torch.zeros((2, *features.shape), device=features.device)
@@ -23,7 +24,10 @@ class TorchAdam:
 
     @torch.no_grad()
     def step(self, features: Tensor, weights: Tensor, count: Tensor, rate: Tensor) -> None:
-        """Apply the gradients of both. count (): which step this is, from 1; rate (): share of the full rate."""
+        """Apply the gradients of the features and the weights.
+
+        count (): number of this step, from 1; rate (): share of the full rate. Raises ValueError if there are no gradients.
+        """
         power = count.clamp(max=SETTLED)
         scale = rate * torch.sqrt(1.0 - _B2**power) / (1.0 - _B1**power)
         if weights.grad is None or features.grad is None:
@@ -32,7 +36,7 @@ class TorchAdam:
         if features.is_cuda:
             _touched(features, features.grad, self.feature_moments, scale * GRID_RATE)
             return
-        # a processor waits for memory: it goes through the blocks that were touched, alone
+        # a CPU is limited by memory access: update only the touched blocks
         rows = torch.nonzero((features.grad != 0.0).any(dim=1))[:, 0]
         value, moments = features[rows], self.feature_moments[:, rows]
         _touched(value, features.grad[rows], moments, scale * GRID_RATE)

@@ -1,6 +1,7 @@
-"""Checkpoints that a kill at any instant leaves whole: the last one and the one before it.
+"""The last two checkpoints of a refinement, safe against a kill at any time.
 
-A file is the SHA-256 of what follows, then what torch.save() wrote. It is written beside, forced to the disk, and renamed.
+A file is the SHA-256 of the content, then the content, written by torch.save(). It is written to a temporary file, synced to
+disk, and renamed.
 """
 
 from __future__ import annotations
@@ -21,17 +22,20 @@ Identity = dict[str, float | int | str]
 
 
 class CheckpointMismatchError(Exception):
-    """A checkpoint of another run; the text names what differs."""
+    """Raised for a checkpoint of another run; the text names the differences."""
 
 
 class RefineCheckpoints:
-    """Those of one folder, of the run that identity describes."""
+    """The checkpoints in one folder of the run that ``identity`` describes."""
 
     def __init__(self, folder: Path, identity: Identity) -> None:
         self._folder, self._identity = folder, identity
 
     def save(self, state: State) -> None:
-        """Write the last one; what was last is the one before. Raises OSError if the disk refuses."""
+        """Write a checkpoint; the last one becomes the one before.
+
+        Raises OSError if it cannot be written.
+        """
         buffer = io.BytesIO()
         torch.save({"identity": self._identity, "state": state}, buffer)
         data = buffer.getbuffer()
@@ -48,7 +52,10 @@ class RefineCheckpoints:
         self._settle()
 
     def load(self) -> tuple[State | None, list[str]]:
-        """The newest whole one, or None; and a line for each that is damaged. Raises CheckpointMismatchError."""
+        """Return the newest valid checkpoint, or None, and a message for each damaged one.
+
+        Raises CheckpointMismatchError if it belongs to another run.
+        """
         said = []
         for name in (LAST, BEFORE):
             path = self._folder / name
@@ -73,7 +80,7 @@ class RefineCheckpoints:
         return name in identity and name in self._identity and identity[name] == self._identity[name]
 
     def _settle(self) -> None:
-        """Force the renames to the disk."""
+        """Sync the renames to disk."""
         descriptor = os.open(self._folder, os.O_RDONLY)
         try:
             os.fsync(descriptor)
@@ -82,7 +89,7 @@ class RefineCheckpoints:
 
 
 def _read(path: Path) -> tuple[Identity, State] | None:
-    """None if it is not whole."""
+    """Return identity and state; None if the file is damaged."""
     data = path.read_bytes()
     if len(data) <= _DIGEST or hashlib.sha256(memoryview(data)[_DIGEST:]).digest() != data[:_DIGEST]:
         return None

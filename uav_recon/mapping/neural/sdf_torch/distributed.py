@@ -1,4 +1,4 @@
-"""The processes that learn together, one for each GPU: torch.distributed, or one process by itself."""
+"""Process group for training on several GPUs: torch.distributed, or a single process."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ FullDeviceError = torch.OutOfMemoryError
 
 
 class DeviceError(Exception):
-    """A device that this machine lacks, in one line."""
+    """Raised for a device that this machine lacks; the text is one line."""
 
 
 def device_kind(name: str) -> str:
-    """cpu or cuda for one of DEVICES; auto takes a GPU where there is one. Raises DeviceError."""
+    """Return cpu or cuda for one of DEVICES; auto selects a GPU if there is one.
+
+    Raises DeviceError for an unknown or missing device.
+    """
     if name not in DEVICES:
         raise DeviceError(f"{name}: want {', '.join(DEVICES)}")
     found = torch.cuda.is_available()
@@ -27,12 +30,15 @@ def device_kind(name: str) -> str:
 
 
 def gpus() -> int:
-    """How many torch sees."""
+    """Return the number of GPUs that torch finds."""
     return torch.cuda.device_count()
 
 
 class ProcessGroup:
-    """This process among those which torchrun started; alone without it. kind: as device_kind() says."""
+    """This process within the group started by torchrun, or alone without it.
+
+    kind: as from device_kind(); one process per GPU.
+    """
 
     def __init__(self, kind: str) -> None:
         self.rank, self.size = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
@@ -45,17 +51,17 @@ class ProcessGroup:
 
     @property
     def leads(self) -> bool:
-        """Whether this process speaks and writes for all."""
+        """True if this process logs and writes for the group."""
         return self.rank == 0
 
     def parallel(self, module: nn.Module) -> nn.Module:
-        """The module, whose gradients become the mean over the team."""
+        """Return the module with its gradients averaged over the group."""
         if self.size == 1:
             return module
         return DistributedDataParallel(module, gradient_as_bucket_view=True)
 
     def any(self, flag: bool) -> bool:
-        """Whether one of the team says so; all must ask."""
+        """Return True if the flag is set in any process. All processes must call this."""
         if self.size == 1:
             return flag
         votes = torch.tensor(float(flag), device=self.device)
@@ -63,7 +69,7 @@ class ProcessGroup:
         return bool(votes > 0)
 
     def leave(self) -> None:
-        """Say good-bye, once all have come so far."""
+        """Leave the group, once all processes have reached this call."""
         if self.size > 1:
             distributed.barrier()
             distributed.destroy_process_group()

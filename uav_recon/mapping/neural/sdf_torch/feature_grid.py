@@ -1,6 +1,7 @@
-"""The grid of features as tensors: blocks as in mapping.neural.grid, with as many levels as the finest cell asks for.
+"""Feature grid as tensors: blocks as in sdf_numba.feature_grid, with finer levels.
 
-All views are known before learning starts, so blocks are handed out once and every shape stays as it is.
+The number of levels follows from the finest cell. All views are known before training starts, so blocks are allocated once
+and all shapes are constant.
 """
 
 from __future__ import annotations
@@ -14,20 +15,22 @@ from torch import Tensor
 from uav_recon.mapping.neural.sdf_numba.feature_grid import COARSEST_CELL_M, DENSE_BLOCKS, FEATURES, FINEST_CELL_M, LEVELS
 from uav_recon.types.frames import FloatArray
 
-GROWTH = (FINEST_CELL_M / COARSEST_CELL_M) ** (1.0 / (LEVELS - 1))  # of a cell from one level to the next
+GROWTH = (FINEST_CELL_M / COARSEST_CELL_M) ** (1.0 / (LEVELS - 1))  # ratio of the cell sizes of successive levels
 MAX_BLOCKS = 400_000_000  # entries of the index, 4 bytes each
-IN_BLOCK = 8 * FEATURES  # numbers of a block
-BAND_CELLS, MIN_BAND_M = 4, 0.03  # a level has blocks so far from a measured point
+IN_BLOCK = 8 * FEATURES  # numbers per block
+BAND_CELLS, MIN_BAND_M = 4, 0.03  # a level has blocks up to this distance from a measured point
 
 
 class GridError(Exception):
-    """A box that is too large for its finest cell; the text says what would fit."""
+    """Raised for a box too large for its finest cell; the text gives the finest that fits."""
 
 
 class GridLayout(NamedTuple):
-    """Where a level's blocks are: origin_world_m (3,) f32; per level inverse_cell_per_m (L,) f32, cells (L, 3), blocks (L, 3)
-    and first (L,) int64 (see mapping.neural.grid.Grid); within (3, 1) int64, the bit of each axis in a block's node number.
-    """  # fmt: skip
+    """Position of the blocks of each level.
+
+    origin_world_m (3,) f32; per level inverse_cell_per_m (L,) f32, cells (L, 3), blocks (L, 3) and first (L,) int64 (see
+    sdf_numba.feature_grid.FeatureGrid); within (3, 1) int64: bit of each axis in the node number within a block.
+    """
 
     origin_world_m: Tensor
     inverse_cell_per_m: Tensor
@@ -38,16 +41,19 @@ class GridLayout(NamedTuple):
 
     @property
     def levels(self) -> int:
-        """How many."""
+        """Number of levels."""
         return len(self.inverse_cell_per_m)
 
     def to(self, device: torch.device) -> GridLayout:
-        """The same on a device."""
+        """Return a copy on a device."""
         return GridLayout(*(tensor.to(device) for tensor in self))
 
 
 def lay_out(box_min_m: FloatArray, box_max_m: FloatArray, finest_cell_m: float) -> GridLayout:
-    """Levels from COARSEST_CELL_M down to finest_cell_m. Raises GridError if the index would not fit."""
+    """Return levels from COARSEST_CELL_M down to finest_cell_m.
+
+    Raises GridError if the index would be too large.
+    """
     levels = max(2, 1 + round(float(np.log(finest_cell_m / COARSEST_CELL_M) / np.log(GROWTH))))
     growth = (finest_cell_m / COARSEST_CELL_M) ** (1.0 / (levels - 1))
     cell_m = COARSEST_CELL_M * growth ** np.arange(levels)
@@ -69,7 +75,7 @@ def lay_out(box_min_m: FloatArray, box_max_m: FloatArray, finest_cell_m: float) 
 
 
 class FeatureBlocks:
-    """Notes which blocks measurements need, then numbers them."""
+    """Collects the blocks that the measurements need, then numbers them."""
 
     def __init__(self, layout: GridLayout) -> None:
         self._layout = layout
@@ -80,7 +86,10 @@ class FeatureBlocks:
                 self._wanted[int(layout.first[level]) :][: int(count[level])] = True
 
     def cover(self, points: Tensor, direction: Tensor) -> None:
-        """Want the blocks near measured points (N, 3), along their unit rays (N, 3): fine ones only near the surface."""
+        """Request the blocks near measured points (N, 3), along their unit rays (N, 3).
+
+        Fine blocks are requested only near the surface.
+        """
         for level in range(self._layout.levels):
             cell_m = 1.0 / float(self._layout.inverse_cell_per_m[level])
             steps = int(max(BAND_CELLS, np.ceil(MIN_BAND_M / cell_m)))
@@ -88,7 +97,10 @@ class FeatureBlocks:
                 self._mark(points + n * cell_m * direction, level)
 
     def slots(self) -> tuple[Tensor, int]:
-        """slot (sum of blocks,) int32, 0 = not there; and how many slots there are, the zeroth included."""
+        """Return slot (sum of blocks,) int32, 0 = not allocated, and the number of slots.
+
+        The number includes slot 0.
+        """
         number = torch.cumsum(self._wanted, 0, dtype=torch.int32)
         return torch.where(self._wanted, number, 0), int(number[-1]) + 1
 
@@ -103,16 +115,17 @@ class FeatureBlocks:
 
 
 def locate(layout: GridLayout, slot: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Corner nodes (8, L, N) int64 and trilinear weights (8, L, N) of points (N, 3); a point outside moves to the border.
+    """Return corner nodes (8, L, N) int64 and trilinear weights (8, L, N) of points (N, 3).
 
-    Points come last: what a processor does to many at once lies side by side.
+    A point outside is moved to the border. The points are the last axis, so that vectorised operations access contiguous
+    memory.
     """
     x = (points.T[:, None] - layout.origin_world_m[:, None, None]) * layout.inverse_cell_per_m[:, None]  # (3, L, N)
     cells = layout.cells.T[:, :, None]
     x = torch.minimum(x.clamp(min=0.0), cells.to(x.dtype))
     cell = torch.minimum(x.long(), cells - 1)
     share = x - cell
-    ends = torch.stack([cell, cell + 1])  # (2, 3, L, N): the cell's two ends
+    ends = torch.stack([cell, cell + 1])  # (2, 3, L, N): the two ends of the cell
     stride = torch.stack([layout.blocks[:, 1] * layout.blocks[:, 2], layout.blocks[:, 2], torch.ones_like(layout.first)])
     x0, y0, z0 = _by_axis((ends >> 1) * stride[:, :, None])
     x1, y1, z1 = _by_axis((ends & 1) << layout.within[:, :, None])
@@ -129,12 +142,15 @@ def encode(features: Tensor, node: Tensor, weight: Tensor) -> Tensor:
 
 
 def _by_axis(ends: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """What (2, 3, L, N) says of x, y and z, to be spread over the corners (2, 2, 2, L, N)."""
+    """Split (2, 3, L, N) into x, y and z for broadcasting over the corners (2, 2, 2, L, N)."""
     return ends[:, None, None, 0], ends[None, :, None, 1], ends[None, None, :, 2]
 
 
 class _Gather(torch.autograd.Function):
-    """Weighted sum over corners; its transpose adds up in one call, in shapes that a CUDA graph can keep."""
+    """Weighted sum over corners, with a backward pass in one call.
+
+    Its shapes are constant, so that a CUDA graph can capture it.
+    """
 
     @staticmethod
     def forward(ctx: Any, features: Tensor, node: Tensor, weight: Tensor) -> Tensor:
@@ -149,5 +165,5 @@ class _Gather(torch.autograd.Function):
         d_found = weight[..., None] * d_encoded.view(len(d_encoded), -1, FEATURES).transpose(0, 1)
         gradient = torch.zeros(ctx.shape, dtype=d_encoded.dtype, device=d_encoded.device)
         gradient.view(-1, FEATURES).index_add_(0, node.flatten(), d_found.flatten(0, 2))
-        gradient[0] = 0.0  # slot 0 stands for places that nobody measured
+        gradient[0] = 0.0  # slot 0 represents all positions without measurement
         return gradient, None, None

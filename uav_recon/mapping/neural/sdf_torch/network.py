@@ -1,4 +1,4 @@
-"""The two networks on tensors: mapping.neural.network with any number of levels, and autograd in place of kernels."""
+"""The networks of sdf_numba.network on tensors, for any number of levels, with autograd."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Shape = tuple[int, ...]
 
 
 def shapes(levels: int) -> tuple[Shape, ...]:
-    """Of w1 b1 w2 b2 c1 d1 c2 d2 c3 d3, as they follow each other in the vector of weights."""
+    """Return the shapes of w1 b1 w2 b2 c1 d1 c2 d2 c3 d3, in the order of the weight vector."""
     encoded = levels * FEATURES
     layers = (
         (HIDDEN, encoded),
@@ -28,7 +28,7 @@ def shapes(levels: int) -> tuple[Shape, ...]:
 
 
 def initial_weights(levels: int, random: np.random.Generator) -> Float32Array:
-    """Uniform in ±1/sqrt(in); the distance output starts near zero."""
+    """Return weights uniform in ±1/sqrt(in); the bias of the distance output is zero."""
     parts = []
     for matrix, vector in zip(shapes(levels)[::2], shapes(levels)[1::2], strict=True):
         bound = 1.0 / np.sqrt(matrix[1])
@@ -38,7 +38,7 @@ def initial_weights(levels: int, random: np.random.Generator) -> Float32Array:
 
 
 class Heads:
-    """Distance and colour of encoded points, as one vector of weights (P,) says."""
+    """Distance and colour of encoded points for one weight vector (P,)."""
 
     def __init__(self, weights: Tensor, levels: int) -> None:
         parts = torch.split(weights, [int(np.prod(shape)) for shape in shapes(levels)])
@@ -47,12 +47,15 @@ class Heads:
         )
 
     def distance_m(self, encoded: Tensor) -> Tensor:
-        """(N, E) -> (N,)."""
+        """Return the distances (N,) in metres of encoded points (N, E)."""
         hidden = linear(encoded, self._w1, self._b1).relu()
         return self._metres(linear(hidden, self._w2[:1], self._b2[:1])[:, 0])
 
     def colour(self, encoded: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, E) -> rgb (N, 3) in 0..1, and the log variance (N,) of its error, which moves its own weights alone."""
+        """Return rgb (N, 3) in 0..1 and the log variance (N,) of its error, for (N, E).
+
+        The log variance only changes its own weights.
+        """
         hidden = linear(encoded, self._w1, self._b1).relu()
         told = linear(hidden, self._w2[1:], self._b2[1:])
         x = linear(torch.cat([told, encoded], dim=1), self._c1, self._d1).relu()

@@ -1,7 +1,7 @@
-"""Training points drawn on the device, number for number as mapping.neural.samples draws them.
+"""Ray sampling on the device, with the same random draws as keyframes.ray_sampling.
 
-splitmix64 needs no state but a count, so a batch depends on seed, step and process alone: the same on every device, and a
-run that goes on draws what it would have drawn.
+The state of splitmix64 is a counter, so a batch depends only on seed, step and process. It is the same on every device, and
+a resumed run draws what the uninterrupted run would have drawn.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from uav_recon.mapping.neural.keyframes.ray_records import BEARING_UNIT, DEPTH_U
 from uav_recon.mapping.neural.keyframes.ray_sampling import FREE, NEAR, Views
 from uav_recon.mapping.neural.sdf_numba.network import TRUNCATION_M
 
-NUMBERS = 4 + NEAR + FREE  # that a ray takes from the stream: two for the view, one for the ray, its samples, the jitter
-SHAPE_SHARE = ray_sampling.SURFACE_POINTS / ray_sampling.RAYS  # of the rays that also say how the surface lies
+NUMBERS = 4 + NEAR + FREE  # random numbers per ray: two for the view, one for the ray, its samples, the jitter
+SHAPE_SHARE = ray_sampling.SURFACE_POINTS / ray_sampling.RAYS  # share of the rays that also train gradient and normal
 
 
 class Replayed(NamedTuple):
-    """samples.Views on a device: records (M, 10) i16, first (V + 1,) i64, rotation (V, 3, 3), position (V, 3), sigma (V,),
-    gain (V, 3).
-    """  # fmt: skip
+    """keyframes.ray_sampling.Views on a device.
+
+    records (M, 10) i16, first (V + 1,) i64, rotation (V, 3, 3), position (V, 3), inverse_depth_sigma (V,), gain (V, 3).
+    """
 
     records: Tensor
     first: Tensor
@@ -35,7 +36,7 @@ class Replayed(NamedTuple):
 
     @staticmethod
     def of(views: Views, count: int, device: torch.device) -> Replayed:
-        """The first ``count`` views."""
+        """Return the first ``count`` views on a device."""
         records = views.records[: views.first[count]]
         whole = (views.rotation, views.position, views.inverse_depth_sigma, views.gain)
         parts = (records, views.first[: count + 1], *(part[:count] for part in whole))
@@ -43,7 +44,10 @@ class Replayed(NamedTuple):
 
 
 class TorchBatch(NamedTuple):
-    """As samples.Batch, with a place for every ray's colour; its weight is 0 where there is none."""
+    """A training batch with a colour entry for every ray.
+
+    As keyframes.ray_sampling.NumbaBatch, but rays without a colour are included with weight 0.
+    """
 
     points: Tensor
     target_m: Tensor
@@ -60,7 +64,10 @@ class TorchBatch(NamedTuple):
 
 
 def uniform(state: Tensor, count: int) -> Tensor:
-    """The next numbers (count,) in [0, 1) of a splitmix64 stream whose state () is an int64 with the bits of the uint64."""
+    """Return the next numbers (count,) in [0, 1) of a splitmix64 stream.
+
+    state (): int64 with the bits of the uint64 state.
+    """
     z = state + _signed(0x9E3779B97F4A7C15) * torch.arange(1, count + 1, device=state.device)
     z = (z ^ _shifted(z, 30)) * _signed(0xBF58476D1CE4E5B9)
     z = (z ^ _shifted(z, 27)) * _signed(0x94D049BB133111EB)
@@ -69,12 +76,15 @@ def uniform(state: Tensor, count: int) -> Tensor:
 
 
 def state_before(seed: int, draws: int, rays: int) -> int:
-    """State of the stream after so many batches of so many rays."""
+    """Return the state of the stream after ``draws`` batches of ``rays`` rays."""
     return _signed((seed + draws * rays * NUMBERS * 0x9E3779B97F4A7C15) % (1 << 64))
 
 
 def draw(state: Tensor, views: Replayed, low: Tensor, high: Tensor, rays: int, recent_share: float) -> TorchBatch:
-    """A batch of random rays; low, high (3,): the box; recent_share of the rays come from the last views."""
+    """Return a batch of random rays.
+
+    low, high (3,): the box. recent_share of the rays come from the last views.
+    """
     number = uniform(state, rays * NUMBERS).view(rays, NUMBERS)
     view, record = _choose(number, views, recent_share)
     rotation, position = views.rotation[view], views.position[view]
@@ -145,5 +155,5 @@ def _signed(value: int) -> int:
 
 
 def _shifted(z: Tensor, bits: int) -> Tensor:
-    """Shift to the right, filling with zeros as unsigned numbers do."""
+    """Shift to the right, filling with zeros as for unsigned numbers."""
     return (z >> bits) & ((1 << (64 - bits)) - 1)

@@ -1,4 +1,4 @@
-"""The final model of a flight: all views at once, a finer field."""
+"""Refinement of a flight: trains a finer field on all views at once."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from uav_recon.mapping.neural.sdf_torch.sdf_field import TorchSdfField
 from uav_recon.mapping.neural.sdf_torch.training_step import Sampling, TorchTrainingStep
 from uav_recon.mapping.neural.training_data import TrainingData
 
-FINAL_RATE = 0.05  # the last step has this share of the learning rate; it falls from the middle of the run on
-CELL_VOXELS = 2.0  # finest cell in voxels of the mesh: a trilinear cell holds what two samples of it show
+FINAL_RATE = 0.05  # share of the learning rate at the last step; it falls from the middle of the run
+CELL_VOXELS = 2.0  # finest grid cell in mesh voxels: a trilinear cell resolves two samples
 
 
 @dataclass(frozen=True)
 class RefinePlan:
-    """What a run is to do: two runs of one plan and one flight are one run."""
+    """Parameters of a refinement; equal plan and equal flight mean the same run."""
 
     steps: int
     voxel_m: float
@@ -31,15 +31,15 @@ class RefinePlan:
     seed: int
 
     def identity(self, flight: str) -> Identity:
-        """For its checkpoints; flight: a digest of the views."""
+        """Return the identity for checkpoints; flight: digest of the views."""
         return {**asdict(self), "flight": flight}
 
 
 class Refiner:
-    """A run: advance() until done."""
+    """A refinement run: call advance() until done."""
 
     def __init__(self, gathered: TrainingData, plan: RefinePlan, team: ProcessGroup) -> None:
-        """Raises GridError if the box is too large for the voxel."""
+        """Prepare the run. Raises GridError if the box is too large for the voxel."""
         self._plan = plan
         layout = lay_out(gathered.low_m.astype(np.float64), gathered.high_m.astype(np.float64), CELL_VOXELS * plan.voxel_m)
         blocks = FeatureBlocks(layout)
@@ -52,31 +52,31 @@ class Refiner:
 
     @property
     def steps(self) -> int:
-        """Done so far."""
+        """Number of steps done."""
         return self._learner.steps
 
     @property
     def done(self) -> bool:
-        """Whether the plan is."""
+        """True if all steps of the plan are done."""
         return self.steps >= self._plan.steps
 
     def advance(self, steps: int) -> float:
-        """At most so many steps more; returns the last loss."""
+        """Run at most ``steps`` more steps; returns the last loss."""
         for _ in range(min(steps, self._plan.steps - self.steps)):
             self._learner.train(FINAL_RATE ** max(0.0, 2.0 * self.steps / self._plan.steps - 1.0))
         return self._learner.loss()
 
     def state(self) -> dict[str, Tensor]:
-        """All that is needed to go on."""
+        """Return everything that is needed to resume."""
         return self._learner.state()
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Go on from state()."""
+        """Resume from state()."""
         self._learner.restore(state)
 
 
 def _rays(gathered: TrainingData) -> list[tuple[Tensor, Tensor]]:
-    """Measured points (N, 3) and unit directions (N, 3) of each view."""
+    """Return measured points (N, 3) and unit directions (N, 3) of each view."""
     replay, found = gathered.replay, []
     v = replay.views
     for n in range(replay.count):

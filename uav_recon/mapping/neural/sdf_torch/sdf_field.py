@@ -1,4 +1,4 @@
-"""The learned field as a torch module, asked with arrays as mapping.neural.field.Field is."""
+"""Learned field as a torch module, with the queries of sdf_numba.sdf_field."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from uav_recon.mapping.neural.sdf_torch.network import Heads, initial_weights
 from uav_recon.mapping.neural.sdf_torch.ray_sampling import TorchBatch
 from uav_recon.types.frames import Float32Array
 
-TOGETHER = {"cpu": 1 << 12, "cuda": 1 << 18}  # points of a question that travel at once: a cache full, or a GPU
+TOGETHER = {"cpu": 1 << 12, "cuda": 1 << 18}  # points per query batch: cache-sized, or GPU-sized
 
 
 class TorchSdfField(nn.Module):
-    """Parameters, the loss of a batch, and queries in world metres. layout, slot (N,) int32: see tensor.grid."""
+    """Parameters, the loss of a batch, and queries in world metres.
+
+    layout, slot (N,) int32: see sdf_torch.feature_grid.
+    """
 
     def __init__(self, layout: GridLayout, slot: Tensor, slots: int, seed: int, device: torch.device) -> None:
         super().__init__()
@@ -32,7 +35,7 @@ class TorchSdfField(nn.Module):
         self.features = nn.Parameter(torch.tensor(features, device=device))
 
     def forward(self, batch: TorchBatch) -> Tensor:
-        """The loss () of a batch."""
+        """Return the loss () of a batch."""
         every = torch.cat([batch.points, around(batch.surface, self._stencil), batch.coloured])
         sizes = [len(batch.points), 4 * len(batch.surface), len(batch.coloured)]
         heads = Heads(self.weights, self._layout.levels)
@@ -43,11 +46,11 @@ class TorchSdfField(nn.Module):
         return loss + colour_loss(*heads.colour(coloured), batch.rgb, batch.at_least_rgb, batch.colour_weight)
 
     def distance_m(self, points: Float32Array) -> Float32Array:
-        """Signed distance (N,) at points (N, 3) float32."""
+        """Return the signed distances (N,) at points (N, 3) float32."""
         return self._ask(points, Heads.distance_m)
 
     def rgb(self, points: Float32Array) -> Float32Array:
-        """Colour (N, 3) in 0..1 at points (N, 3) float32."""
+        """Return the colours (N, 3) in 0..1 at points (N, 3) float32."""
         if len(points) == 0:
             return np.zeros((0, 3), dtype=np.float32)
         return self._ask(points, lambda heads, encoded: heads.colour(encoded)[0])

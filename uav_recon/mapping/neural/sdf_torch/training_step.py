@@ -1,4 +1,4 @@
-"""One training step after the other, on one device: eager, or as a CUDA graph once its shapes are warm."""
+"""Training steps on one device: eager, then as a CUDA graph."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed, draw, stat
 from uav_recon.mapping.neural.sdf_torch.sdf_field import TorchSdfField
 from uav_recon.types.frames import Float32Array
 
-EAGER_STEPS = 3  # on a side stream before a graph is captured, so that every library has set itself up
+EAGER_STEPS = 3  # on a side stream before a graph is captured, so that every library has initialised
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """rays of a batch, seed of the stream they come from, and the share of them that the last views get."""
+    """Rays per batch, seed of the random stream, and share of the rays from the last views."""
 
     rays: int
     seed: int
@@ -26,7 +26,7 @@ class Sampling:
 
 
 class TorchTrainingStep:
-    """Moves a field along. low_m, high_m (3,): the mapped box."""
+    """Trains a field. low_m, high_m (3,): the mapped box."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class TorchTrainingStep:
         self._module, self._adam = team.parallel(field), TorchAdam(field.features, field.weights)
         device = team.device
         self._low, self._high = (torch.tensor(corner, device=device) for corner in (low_m, high_m))
-        self._stream = torch.tensor(0, device=device)  # the bits of the random stream's state
+        self._stream = torch.tensor(0, device=device)  # the bits of the random state
         self._count, self._rate, self._loss = (torch.tensor(0.0, device=device) for _ in range(3))
         self._stride = state_before(0, team.size, sampling.rays)
         self._graph: torch.cuda.CUDAGraph | None = None
@@ -50,7 +50,7 @@ class TorchTrainingStep:
         self._rewind()
 
     def train(self, rate: float) -> None:
-        """One step at a share of the full learning rate. Does not wait for the device."""
+        """Run one step at a share of the full learning rate, without waiting for the device."""
         self._rate.fill_(rate)
         if self._graph is not None:
             self._graph.replay()
@@ -61,17 +61,17 @@ class TorchTrainingStep:
         self.steps += 1
 
     def loss(self) -> float:
-        """Of the last step; waits for it."""
+        """Return the loss of the last step; waits for the device."""
         return float(self._loss)
 
     def state(self) -> dict[str, Tensor]:
-        """All that a run needs to go on; on the processor."""
+        """Return everything that a run needs to resume, in CPU memory."""
         tensors = {**self._parts(), "steps": torch.tensor(self.steps)}
         return {name: tensor.detach().cpu().clone() for name, tensor in tensors.items()}
 
     @torch.no_grad()
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Go on from state(). Raises ValueError if it is of another field."""
+        """Resume from state(). Raises ValueError if it belongs to another field."""
         for name, tensor in self._parts().items():
             if name not in state or state[name].shape != tensor.shape:
                 raise ValueError(f"{name}: not of this field")
@@ -89,7 +89,7 @@ class TorchTrainingStep:
         }
 
     def _rewind(self) -> None:
-        """Put the random stream and the count where so many steps leave them."""
+        """Set the random stream and the step count according to the number of steps."""
         draws = self.steps * self._team.size + self._team.rank
         self._stream.fill_(state_before(self._sampling.seed, draws, self._sampling.rays))
         self._count.fill_(float(self.steps))
@@ -105,7 +105,10 @@ class TorchTrainingStep:
         self._loss.copy_(loss.detach())
 
     def _warm_step(self) -> None:
-        """The first steps run as they are; the one after them is recorded, and played from then on."""
+        """Run the first steps eagerly, then capture one as a graph.
+
+        Later steps replay the graph.
+        """
         if self._eager < EAGER_STEPS:
             side = torch.cuda.Stream()  # type: ignore[no-untyped-call]
             side.wait_stream(torch.cuda.current_stream())

@@ -1,1 +1,1 @@
-"""Where the field says that surface is, and how sure it may be of it."""
+"""Surface extraction from the field, and the uncertainty of the surface."""

@@ -1,7 +1,7 @@
-"""A field with the colours of its pictures: the finest level of colour, which is averaged and not learned.
+"""Colour fusion: mean of the observed colours per small cell, on top of the learned colours.
 
-A field of 4 cm cells blurs a print on a wall for as long as a flight lasts. What pictures show of a small cell is known at
-once: it is their mean, and the field's colour is one more picture of which little is held.
+A field of 4 cm cells blurs fine print on a wall during the whole flight. The mean of the observed colours in a small cell is
+available at once. The colour of the field is added to it as one more observation with a low weight.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from uav_recon.mapping.neural.keyframes.ray_sampling import TOE, WHITE, ray_poin
 from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.types.frames import AnyArray, Float32Array
 
-CELL_M, EDGE = 0.02, 4  # cells live in blocks of EDGE³ that exist only where something was seen
-FIELD_WORTH = 0.3  # rays: what the field's colour counts for
-VAGUEST_M = 0.03  # of a depth, sigma: beyond it a colour may belong elsewhere
-BLOCKS = 4096  # room for so many at first
+CELL_M, EDGE = 0.02, 4  # cells are stored in blocks of EDGE³, allocated where something was observed
+FIELD_WORTH = 0.3  # weight of the field's colour, in rays
+VAGUEST_M = 0.03  # maximum depth sigma of a colour sample: beyond it a colour may belong elsewhere
+BLOCKS = 4096  # initial capacity
 
 _ON_THE_RAY = np.zeros(1, dtype=np.float32)
 
 
 class ColourFusedField:
-    """The field as it is, in the colours that the replayed views saw, at their poses and exposures of now.
+    """The field with the colours of the replayed views, at their current poses and exposures.
 
-    low_m, high_m (3,): the box. About 10 ms a view.
+    low_m, high_m (3,): the box. The constructor takes about 10 ms per view.
     """
 
     def __init__(self, field: SdfField, replay: RayBuffer, low_m: Float32Array, high_m: Float32Array) -> None:
@@ -37,11 +37,11 @@ class ColourFusedField:
             self._see(replay, view)
 
     def distance_m(self, points: Float32Array) -> Float32Array:
-        """The field's."""
+        """Return the distances of the field."""
         return self._field.distance_m(points)
 
     def rgb(self, points: Float32Array) -> Float32Array:
-        """Colour (N, 3) in 0..1 at points (N, 3) float32."""
+        """Return the colours (N, 3) in 0..1 at points (N, 3) float32."""
         out = self._field.rgb(points)
         _mix(self._block, self._sums, self._low, points, out)
         return out
@@ -57,7 +57,10 @@ class ColourFusedField:
         self._add(where, self._shown(records[use, 6:9], replay.views.gain[view], where))
 
     def _shown(self, level: AnyArray, gain: Float32Array, points: Float32Array) -> Float32Array:
-        """Colours (N, 3) of levels 0..255 (N, 3) at a mean exposure. White may have been brighter, as the field says."""
+        """Return the colours (N, 3) of levels 0..255 (N, 3) at the mean exposure.
+
+        A saturated level that the gain darkens may have been brighter: there the colour of the field is a lower bound.
+        """
         share = level.astype(np.float32) / np.float32(255.0)
         rgb: Float32Array = np.clip((share + TOE) * gain - TOE, np.float32(0.0), np.float32(1.0))
         dimmed = (level >= WHITE) & (rgb < 1.0)
@@ -75,13 +78,13 @@ class ColourFusedField:
 
 
 def _sums(blocks: int) -> Float32Array:
-    """Of each cell: red, green, blue, rays."""
+    """Return zero sums of each cell: red, green, blue, number of rays."""
     return np.zeros((blocks, EDGE, EDGE, EDGE, 4), dtype=np.float32)
 
 
 @fast_kernel
 def _reserve(block: AnyArray, low: Float32Array, points: Float32Array, used: int) -> int:
-    """Number the blocks that hold points (N, 3) and have no number yet; returns how many have one."""
+    """Assign numbers to new blocks that contain points (N, 3); returns the blocks in use."""
     scale = np.float32(1.0 / (CELL_M * EDGE))
     nx, ny, nz = block.shape
     for n in range(points.shape[0]):
@@ -111,7 +114,10 @@ def _sum(block: AnyArray, sums: Float32Array, low: Float32Array, points: Float32
 
 @fast_kernel
 def _mix(block: AnyArray, sums: Float32Array, low: Float32Array, points: Float32Array, rgb: Float32Array) -> None:
-    """rgb (N, 3) becomes the mean of itself and of what the eight cells round points (N, 3) saw, by trilinear weights."""
+    """Replace rgb (N, 3) by its mean with the sums of the eight cells around points (N, 3).
+
+    The weights are trilinear.
+    """
     scale, half = np.float32(1.0 / CELL_M), np.float32(0.5)
     nx, ny, nz = block.shape[0] * EDGE, block.shape[1] * EDGE, block.shape[2] * EDGE
     for n in range(points.shape[0]):

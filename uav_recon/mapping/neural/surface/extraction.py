@@ -1,8 +1,8 @@
-"""From the field to a surface, only where the camera measured one.
+"""Surface extraction from the field, limited to surface that the camera measured.
 
-Gates keep imagined surface out: nodes are evaluated only near measured end points; what comes out must agree with the
-measured normals; and no more depth images may look through it than see it, one at least must see it where no end point lies.
-So small holes close and sheets do not grow.
+Three gates reject surface that was not measured. Nodes are evaluated only near measured end points. The extracted surface
+must agree with the measured normals. At least as many depth images must see it as look through it; where its cell contains
+no end point, more must see it. So small holes are closed and sheets do not grow.
 """
 
 from __future__ import annotations
@@ -23,17 +23,19 @@ from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 
 EVIDENCE_CELL_M = 0.05
-FILL_M = 0.15  # surface is filled at most so far from a measured point
-EVIDENCE_SIGMA_M = 0.15  # a vaguer measurement does not say where the surface is
-FEWEST_ENDS = 2  # end points that make a cell of surface
-MIN_SUPPORT = 0.1  # measured normals for a surface over those against it
-SHEET_M = 0.006  # a vertex whose own distance is larger belongs to the border of the band, not to the surface
+FILL_M = 0.15  # maximum distance of filled surface from a measured point
+EVIDENCE_SIGMA_M = 0.15  # a measurement with a larger sigma does not locate the surface
+FEWEST_ENDS = 2  # minimum number of end points of a surface cell
+MIN_SUPPORT = 0.1  # minimum ratio of measured normals for a surface to those against it
+SHEET_M = 0.006  # a vertex with a larger distance belongs to the border of the band, not to the surface
 
 
 class MeasuredCells:
-    """Where surface was measured, counts on a 5 cm lattice, and which ways it faces: on a 10 cm lattice, for each half axis
-    the sum of what normals have along it, so that both sides of a thin thing are remembered.
-    """  # fmt: skip
+    """Counts of measured end points on a 5 cm lattice, and measured orientations on a 10 cm one.
+
+    The orientations are six sums: the components of the normals along each half axis. So both sides of a thin object are
+    stored.
+    """
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
         self.origin_m = np.asarray(box_min_m, dtype=np.float64)
@@ -49,28 +51,33 @@ class MeasuredCells:
         sigma_m: Float32Array,
         footprint_m: Float32Array,
     ) -> None:
-        """Count end points (N, 3) seen from position_m (3,), with normals (N, 3) (zero = not known), depth sigma (N,) and
-        distance to the next ray across the line of sight (N,): far and slanted surface is filled between the rays.
+        """Count end points (N, 3) seen from position_m (3,).
+
+        normal (N, 3): zero if unknown; sigma_m (N,): depth sigma; footprint_m (N,): distance to the next ray, perpendicular
+        to the line of sight. Cells between the rays are counted too, on distant and slanted surface.
         """
         _count(self.count, self.origin_m, EVIDENCE_CELL_M, position_m, points, normal, sigma_m, footprint_m)
         self._facing.splat(points, _halves(normal))
 
     def near(self, least: int) -> BoolArray:
-        """Cells within one cell of at least ``least`` end points."""
+        """Return the cells within one cell of a cell with at least ``least`` end points."""
         return self.near_in(least, np.ones(self.count.shape, dtype=np.bool_))
 
     def near_in(self, least: int, cells: BoolArray) -> BoolArray:
-        """The same, of some cells (nx, ny, nz) only."""
+        """Return near(), limited to some cells (nx, ny, nz)."""
         out = np.zeros(self.count.shape, dtype=np.bool_)
         _spread(self.count, least, cells, out)
         return out
 
     def counted(self, points: Float32Array) -> BoolArray:
-        """Whether an end point lies in the cell of each of some points (N, 3)."""
+        """Return True (N,) for points (N, 3) whose cell contains an end point."""
         return _within(self.count > 0, self.origin_m, points)
 
     def holding(self) -> Callable[[Float32Array], BoolArray]:
-        """As it is now: which of some points (N, 3) lie where surface was measured (N,)."""
+        """Return a function that selects the points (N, 3) near measured surface (N,).
+
+        It uses the current counts.
+        """
         near = self.near(FEWEST_ENDS)
 
         def holds(points: Float32Array) -> BoolArray:
@@ -79,13 +86,13 @@ class MeasuredCells:
         return holds
 
     def contradicts(self, points: Float32Array, normal: Float32Array) -> BoolArray:
-        """Whether normals (N, 3) at points (N, 3) face away from what was measured there."""
+        """Return True (N,) where normals (N, 3) at points (N, 3) oppose the measured orientation."""
         for_it, against_it = _halves(normal), _halves(-normal)
         return self._facing.dot(points, for_it - np.float32(MIN_SUPPORT) * against_it) < 0.0
 
 
 def _within(cells: BoolArray, origin_m: FloatArray, points: Float32Array) -> BoolArray:
-    """Which of some points (N, 3) lie in marked cells (nx, ny, nz)."""
+    """Return True (N,) for points (N, 3) in marked cells (nx, ny, nz)."""
     cell = np.floor((points - origin_m) / EVIDENCE_CELL_M).astype(np.int64)
     inside = ((cell >= 0) & (cell < cells.shape)).all(axis=1)
     held = np.zeros(len(points), dtype=np.bool_)
@@ -94,7 +101,7 @@ def _within(cells: BoolArray, origin_m: FloatArray, points: Float32Array) -> Boo
 
 
 def _halves(normal: Float32Array) -> Float32Array:
-    """What normals (N, 3) have along +x, +y, +z, -x, -y, -z: (N, 6), none negative."""
+    """Return the non-negative components (N, 6) of normals (N, 3) along +x, +y, +z, -x, -y, -z."""
     halves: Float32Array = np.maximum(np.concatenate([normal, -normal], axis=1), np.float32(0.0))
     return halves
 
@@ -102,9 +109,11 @@ def _halves(normal: Float32Array) -> Float32Array:
 def confirmed_by_depth(
     evidence: MeasuredCells, images: DepthVisibility, points: Float32Array, normal: Float32Array
 ) -> BoolArray:
-    """Whether surface at points (N, 3) with normals (N, 3) faces as measured, and more images saw it than looked through it;
-    as many are enough where an end point lies in its cell.
-    """  # fmt: skip
+    """Return True (N,) for surface points supported by depth images and measured normals.
+
+    The normals (N, 3) at points (N, 3) must agree with the measured orientation. More images must see the surface than look
+    through it; an equal number is enough where an end point lies in its cell.
+    """
     seen = images.votes(points, normal)
     borne: BoolArray = (seen > 0.0) | ((seen == 0.0) & evidence.counted(points))
     return borne & ~evidence.contradicts(points, normal)
@@ -118,7 +127,10 @@ def surface_elements(
     revision: int,
     map_epoch: int,
 ) -> SurfaceElements:
-    """Elements on the surface nets of a ``voxel_m`` lattice; empty before the first view."""
+    """Return the elements on the surface net of a lattice; none before the first view.
+
+    voxel_m: spacing of the lattice.
+    """
     vertices, normals = extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
     keep = ~evidence.contradicts(vertices, normals)
     vertices, normals = vertices[keep], normals[keep]
@@ -139,9 +151,12 @@ def triangle_mesh(
     images: DepthVisibility,
     painted: SdfField,
 ) -> TriangleMesh:
-    """The whole surface as triangles, as far as it is borne_out(); painted is asked for the colours."""
+    """Return the surface as triangles, where confirmed_by_depth().
+
+    painted: field that gives the colours.
+    """
     vertices, normals, quads = _extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
-    for _ in range(2):  # surface nets round corners off by a fraction of a voxel: slide back onto the level set
+    for _ in range(2):  # surface nets round corners by a fraction of a voxel: move the vertices back onto the level set
         slip = np.clip(field.distance_m(vertices), -0.5 * voxel_m, 0.5 * voxel_m)
         vertices = (vertices - slip[:, None] * normals).astype(np.float32)
     keep = np.abs(field.distance_m(vertices)) < SHEET_M
@@ -161,14 +176,17 @@ def triangle_mesh(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WholeSurface:
-    """vertices (V, 3) float32 in world, and which of them lie where surface was measured (V,)."""
+    """Vertices (V, 3) float32 in world, and a mask of those near measured surface (V,)."""
 
     vertices: Float32Array
     observed: BoolArray
 
 
 def whole_surface(field: NumbaSdfField, evidence: MeasuredCells, voxel_m: float) -> WholeSurface:
-    """The zero level set in the whole box, without any gate; its observed part is what surface_elements() would give."""
+    """Return the zero level set in the whole box, without any gate.
+
+    Its observed part is what surface_elements() would return.
+    """
     wanted = np.ones(evidence.count.shape, dtype=np.bool_)
     vertices, normals, _ = _extract(field, evidence, wanted, voxel_m)
     observed = evidence.holding()(vertices) & ~evidence.contradicts(vertices, normals)
@@ -178,7 +196,7 @@ def whole_surface(field: NumbaSdfField, evidence: MeasuredCells, voxel_m: float)
 def extract(
     field: NumbaSdfField, evidence: MeasuredCells, wanted: BoolArray, voxel_m: float
 ) -> tuple[Float32Array, Float32Array]:
-    """Vertices (V, 3) and normals (V, 3) of the field's surface in wanted evidence cells."""
+    """Return vertices (V, 3) and normals (V, 3) of the surface of the field in wanted cells."""
     nodes = wanted_nodes(wanted, evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
     fill_distances(field, nodes)
     return net_vertices(nodes)
@@ -193,7 +211,7 @@ def _extract(
 
 
 def _triangles(vertices: Float32Array, quads: IntArray) -> IntArray:
-    """Split quads (Q, 4) along the shorter diagonal into (2Q, 3)."""
+    """Split quads (Q, 4) along the shorter diagonal into triangles (2Q, 3)."""
     corner = vertices[quads]
     first = np.linalg.norm(corner[:, 0] - corner[:, 2], axis=1) <= np.linalg.norm(corner[:, 1] - corner[:, 3], axis=1)
     a = np.where(first[:, None], quads[:, [0, 1, 2]], quads[:, [0, 1, 3]])
@@ -202,7 +220,7 @@ def _triangles(vertices: Float32Array, quads: IntArray) -> IntArray:
 
 
 def _in_large_parts(quads: IntArray, vertex_count: int, fewest: int = 40) -> BoolArray:
-    """Quads that belong to connected parts of at least ``fewest`` quads: specks are noise."""
+    """Return True (Q,) for quads in connected parts of at least ``fewest``: others are noise."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -232,7 +250,7 @@ def _count(
         steps_along, steps_across = 0, 0
         if cosine > 0.05:
             length = 0.0
-            for axis in range(3):  # the line of sight laid onto the surface, and the direction across it
+            for axis in range(3):  # the line of sight projected onto the surface, and the direction across it
                 along[axis] = points[n, axis] - position[axis] - facing * normal[n, axis]
                 length += along[axis] ** 2
             length = np.sqrt(length) + 1e-9
@@ -254,7 +272,7 @@ def _count(
 
 @kernel
 def _spread(count: AnyArray, least: int, cells: BoolArray, out: BoolArray) -> None:
-    """One axis after the other: what is held, widened along z, then y, then x."""
+    """Dilate the cells with at least ``least`` points by one cell, along z, then y, then x."""
     nx, ny, nz = count.shape
     along_z, along_y = np.zeros((ny + 2, nz), dtype=np.bool_), np.zeros((3, ny, nz), dtype=np.bool_)
     for i in range(nx + 1):

@@ -1,7 +1,7 @@
-"""The planner's surface, kept: a new view costs what it may have changed, whatever the size of the room.
+"""Incremental surface for the planner: the cost of a view is independent of the room size.
 
-The room is cut into tiles of TILE³ evidence cells. A view makes the tiles about its end points stale; refresh() extracts the
-surface anew in those, and in a few of the others, longest unseen first, because training moves the field everywhere.
+The room is divided into tiles of TILE³ evidence cells. A view marks the tiles around its end points as stale. refresh()
+extracts the surface again in those, and in a few of the others, oldest first, because training changes the field everywhere.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements
 
 TILE = 8  # evidence cells along a tile: 40 cm
-MARGIN_M = FILL_M + EVIDENCE_CELL_M  # so far from an end point it may make surface
-OLD_SHARE = 0.05  # of all tiles with surface, done again for age
+MARGIN_M = FILL_M + EVIDENCE_CELL_M  # maximum distance from an end point at which it can create surface
+OLD_SHARE = 0.05  # share of the tiles with surface that each refresh repeats because of their age
 
 
 class IncrementalSurface:
-    """Elements by tile. voxel_m: distance between them."""
+    """Surface elements by tile. voxel_m: distance between the elements."""
 
     def __init__(self, evidence: MeasuredCells, voxel_m: float) -> None:
         self._evidence, self._voxel_m = evidence, voxel_m
@@ -33,11 +33,11 @@ class IncrementalSurface:
         self._uncertainty = np.zeros(0, dtype=np.float32)
 
     def touch(self, points: Float32Array) -> None:
-        """Say that end points (N, 3) were measured."""
+        """Mark the tiles around measured end points (N, 3) as stale."""
         _touch(self._stale, self._evidence.origin_m, TILE * EVIDENCE_CELL_M, points, MARGIN_M)
 
     def refresh(self, field: NumbaSdfField, uncertainty: SurfaceUncertainty) -> None:
-        """Extract what is stale, and the oldest of the rest."""
+        """Extract the stale tiles and the oldest of the others."""
         self._refreshes += 1
         stale = self._stale | self._oldest()
         near = self._evidence.near_in(FEWEST_ENDS, _cells_of(stale, self._evidence.count.shape, self._halo_cells()))
@@ -54,7 +54,7 @@ class IncrementalSurface:
         self._stale[:] = False
 
     def elements(self, revision: int, map_epoch: int) -> SurfaceElements:
-        """All of them, as of the last refresh()."""
+        """Return all elements, as of the last refresh()."""
         return SurfaceElements(
             self._position.astype(np.float64),
             self._normal.astype(np.float64),
@@ -71,7 +71,10 @@ class IncrementalSurface:
         return oldest.reshape(self._tiles)
 
     def _halo_cells(self) -> int:
-        """A vertex needs the nodes round it, which may lie in the next tile."""
+        """Return the number of cells around a tile that its vertices need.
+
+        A vertex needs the nodes around it, which may lie in the next tile.
+        """
         return int(np.ceil(self._voxel_m / EVIDENCE_CELL_M))
 
     def _tile_of(self, points: Float32Array) -> tuple[IntArray, ...]:
@@ -81,7 +84,7 @@ class IncrementalSurface:
 
 
 def _cells_of(tiles: BoolArray, shape: tuple[int, ...], halo: int) -> BoolArray:
-    """Evidence cells (nx, ny, nz) of some tiles, and ``halo`` cells round them."""
+    """Return the evidence cells (nx, ny, nz) of some tiles and of ``halo`` cells around them."""
     out = np.zeros(shape, dtype=np.bool_)
     _mark_cells(tiles, halo, out)
     return out

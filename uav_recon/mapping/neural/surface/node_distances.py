@@ -1,8 +1,8 @@
-"""The field's distance at the nodes of sparse blocks: what neighbouring nodes share is interpolated once.
+"""Distances of the field at the nodes of sparse blocks, with shared interpolation.
 
-Along one axis nodes are evenly spaced, so where a level's cells lie is a table for each axis. A coarse level has few nodes
-of its own in a block: it is interpolated for the whole block, one axis after the other, eight nodes at a time. Fine levels
-are interpolated node by node. The sum is the one that grid.gather() forms, in another order.
+Nodes are evenly spaced, so the cell indices and weights of each level are a table per axis. A block spans few cells of a
+coarse level: such a level is interpolated for the whole block, one axis after the other, eight nodes at a time. Fine levels
+are interpolated node by node. The sum is that of feature_grid.gather(), in another order.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.mapping.neural.surface.surface_nets import ABSENT, EDGE, SparseNodes
 from uav_recon.types.frames import AnyArray, Float32Array
 
-MAX_SHARED = 8  # a level with at most so many nodes along a block is interpolated for the whole block
+MAX_SHARED = 8  # a level with at most this many nodes along a block is interpolated for the whole block
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _STEP, _TWO = np.uint64(1), np.uint64(2)
@@ -80,9 +80,10 @@ def _share_levels(
     grid: FeatureGrid, shared: int, cell: AnyArray, share: Float32Array, blocks: AnyArray, block: int, raw: Float32Array,
     along_y: Float32Array, along_xy: Float32Array,
 ) -> None:  # fmt: skip
-    """Interpolate the coarse levels along y, then x, for all nodes of a block. Indices are unsigned: numba asks a signed one
-    whether it counts from the end.
-    """  # fmt: skip
+    """Interpolate the coarse levels along y, then x, for all nodes of a block.
+
+    Indices are unsigned, because numba adds a check for negative values to signed ones.
+    """
     features, layer = grid.features.reshape(-1), along_y.reshape(FEATURES, MAX_SHARED, EDGE * MAX_SHARED)
     x0, y0, z0 = (np.uint64(blocks[block, 0] * EDGE), np.uint64(blocks[block, 1] * EDGE),
                   np.uint64(blocks[block, 2] * EDGE))  # fmt: skip
@@ -143,7 +144,7 @@ def _each_node(
     grid: FeatureGrid, shared: int, cell: AnyArray, share: Float32Array, blocks: AnyArray, block: int, inner: AnyArray,
     start: int, end: int, at: AnyArray, weight: Float32Array, encoded: Float32Array,
 ) -> None:  # fmt: skip
-    """Interpolate the other levels at the same nodes."""
+    """Interpolate the fine levels at the same nodes."""
     features = grid.features.reshape(-1)
     x0, y0, z0 = blocks[block, 0] * EDGE, blocks[block, 1] * EDGE, blocks[block, 2] * EDGE
     for level in range(shared, LEVELS):

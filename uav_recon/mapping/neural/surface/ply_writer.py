@@ -1,4 +1,7 @@
-"""A mesh as binary PLY: float xyz, uchar red green blue, float uncertainty; of a closed one, uchar observed by face."""
+"""Writer of binary PLY meshes.
+
+Vertices: float xyz, uchar red green blue, float uncertainty. Faces of a closed mesh: uchar observed.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +20,17 @@ _FACE = [("count", "u1"), ("vertices", "<i4", 3)]
 
 
 def write_ply(path: Path, mesh: TriangleMesh) -> None:
-    """Write whole or not at all. Raises OSError if the disk refuses."""
+    """Write the file atomically. Raises OSError if it cannot be written."""
     write_whole(path, ply(mesh.vertices_world, mesh.faces, mesh.rgb, mesh.uncertainty))
 
 
 def ply(
     vertices_world: FloatArray, faces: IntArray, rgb: ByteArray, uncertainty: Float32Array, observed: BoolArray | None = None
 ) -> bytes:
-    """The file: vertices (V, 3), faces (F, 3), rgb (V, 3), uncertainty (V,); observed (F,), where it is told."""
+    """Return the content of the file.
+
+    vertices_world (V, 3), faces (F, 3), rgb (V, 3), uncertainty (V,); observed (F,), optional.
+    """
     vertices = np.empty(len(vertices_world), dtype=_VERTEX)
     for axis, name in enumerate("xyz"):
         vertices[name] = vertices_world[:, axis]

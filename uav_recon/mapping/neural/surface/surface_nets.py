@@ -1,7 +1,7 @@
 """Zero level set of a field on sparse blocks: naive surface nets (Gibson 1998).
 
 One vertex per cell that the surface crosses, at the mean of its edge crossings; one quad per crossed edge. A cell with a
-corner that was not evaluated has no vertex, so nothing is closed over unknown space.
+corner that was not evaluated has no vertex, so no surface closes over unknown space.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class SparseNodes(NamedTuple):
     """Nodes on a lattice over a box, in blocks of EDGE³.
 
     origin_m (3,) f32 and voxel_m: node (i, j, k) lies at origin + voxel * (i, j, k). slot (bx, by, bz) i32, -1 = no block.
-    blocks (B, 3) i32 block coordinates. values (B, EDGE, EDGE, EDGE) f32, ABSENT where not wanted, 0 where wanted.
+    blocks (B, 3) i32: block coordinates. values (B, EDGE, EDGE, EDGE) f32: ABSENT where not wanted, 0 where wanted.
     """
 
     origin_m: Float32Array
@@ -32,7 +32,7 @@ class SparseNodes(NamedTuple):
 
 
 def wanted_nodes(wanted: BoolArray, origin_m: FloatArray, cell_m: float, voxel_m: float) -> SparseNodes:
-    """Nodes that lie in wanted cells (nx, ny, nz) of a lattice with corner origin_m (3,)."""
+    """Return the nodes in wanted cells (nx, ny, nz) of a lattice with corner origin_m (3,)."""
     extent = np.array(wanted.shape) * cell_m
     shape = np.ceil((np.floor(extent / voxel_m) + 1) / EDGE).astype(int)
     slot = np.full(tuple(int(n) for n in shape), -1, dtype=np.int32)
@@ -47,7 +47,10 @@ def wanted_nodes(wanted: BoolArray, origin_m: FloatArray, cell_m: float, voxel_m
 
 
 def node_points(nodes: SparseNodes) -> tuple[Float32Array, BoolArray]:
-    """World points (N, 3) of all wanted nodes, and the mask that puts values back: nodes.values[mask] = f(points)."""
+    """Return world points (N, 3) of all wanted nodes, and the mask to assign their values.
+
+    Use: nodes.values[mask] = f(points).
+    """
     mask: BoolArray = nodes.values != ABSENT
     block, *inner = np.nonzero(mask)
     node = nodes.blocks[block] * np.int32(EDGE) + np.stack(inner, axis=1).astype(np.int32)
@@ -56,12 +59,12 @@ def node_points(nodes: SparseNodes) -> tuple[Float32Array, BoolArray]:
 
 
 def net_vertices(nodes: SparseNodes) -> tuple[Float32Array, Float32Array]:
-    """Vertices (V, 3), unit normals towards positive values (V, 3)."""
+    """Return vertices (V, 3) and unit normals towards positive values (V, 3)."""
     return _vertices(nodes)[1:]
 
 
 def surface_net(nodes: SparseNodes) -> tuple[Float32Array, Float32Array, IntArray]:
-    """The same with quads (Q, 4), counter-clockwise seen from positive values."""
+    """Return vertices, normals and quads (Q, 4), counter-clockwise seen from positive values."""
     cells, vertices, normals = _vertices(nodes)
     quads = np.empty((3 * len(vertices), 4), dtype=np.int64)
     return vertices, normals, quads[: _join(nodes, cells, quads)]
@@ -128,7 +131,10 @@ def _read(slot: AnyArray, array: AnyArray, i: int, j: int, k: int, otherwise: fl
 
 @kernel
 def _with_halo(nodes: SparseNodes, block: int, values: Float32Array) -> None:
-    """Copy a block and the first layer of the seven blocks after it: values (EDGE + 1, EDGE + 1, EDGE + 1)."""
+    """Copy a block and the first layer of the seven next blocks.
+
+    values: (EDGE + 1, EDGE + 1, EDGE + 1).
+    """
     values[:] = ABSENT
     for n in range(8):
         i, j, k = n >> 2, (n >> 1) & 1, n & 1
@@ -144,7 +150,10 @@ def _with_halo(nodes: SparseNodes, block: int, values: Float32Array) -> None:
 
 @kernel
 def _place_vertices(nodes: SparseNodes, cells: AnyArray, vertices: Float32Array, normals: Float32Array) -> int:
-    """Number the crossed cells in ``cells``, -1 elsewhere, and place their vertices; returns how many."""
+    """Compute the vertices of the crossed cells and write their numbers to ``cells`` (else -1).
+
+    Returns the number of vertices.
+    """
     near = np.empty((EDGE + 1, EDGE + 1, EDGE + 1), dtype=np.float32)
     least, most = np.empty(EDGE + 1, dtype=np.float32), np.empty(EDGE + 1, dtype=np.float32)
     f = np.empty(8)
@@ -187,7 +196,10 @@ def _place_vertices(nodes: SparseNodes, cells: AnyArray, vertices: Float32Array,
 
 @kernel
 def _mean_crossing(f: FloatArray, mean: FloatArray) -> None:
-    """Mean (3,), in cells, of where the edges of a crossed cell with corners f (8,) change sign."""
+    """Compute the mean (3,), in cells, of the sign changes on the edges of a crossed cell.
+
+    f (8,): values at the corners.
+    """
     mean[:] = 0.0
     crossings = 0
     for n in range(8):

@@ -1,8 +1,9 @@
-"""How badly a piece of surface is known: small objects with one method, higher = worse known.
+"""Uncertainty measures of surface points, interchangeable; higher = less certain.
 
-The default counts measurements and asks whether they agree; `uav-recon bench uncertainty` says how well each ranks errors.
-Others: the paper's network output; a colour error that is stored in space, so that it cannot extrapolate; the standard
-deviation that depth measurements leave (BayesRays, Goli et al. 2024, in spirit); and the product of the last two.
+The default counts measurements and checks their agreement; `uav-recon bench uncertainty` reports how well each measure ranks
+errors. The others: the network output of the paper; a colour error that is stored in space, so that it cannot extrapolate;
+the standard deviation left by the depth measurements (similar to BayesRays, Goli et al. 2024); and the product of the last
+two.
 """
 
 from __future__ import annotations
@@ -16,22 +17,25 @@ from uav_recon.geometry.jit import fast_kernel
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 
 INFORMATION_CELL_M, COLOUR_CELL_M = 0.08, 0.10
-END_CELL_M, PLANE_CELL_M, ROUND_CELL_M = 0.05, 0.10, 0.10  # at most half of what a live surface renews about an end
-ROUND_STRIDE = 4  # of the measurements, one in so many says where they lie farther round: many fall into one cell
-COUNT_BELIEF, MIN_DISAGREEMENT = 0.1, 0.05  # measurements that are held against none; disagreement of equal normals
-MIN_PAST_M, MAX_PAST_M = 0.001, 0.10  # of a surface beside its measurements: to tell apart; where there are none
-MIN_COUNT = 0.05  # of measurements, below which there are none
-SHARP_SIGMA_M = 0.015  # a measurement of this depth sigma counts half of one without error
-PRIOR_SIGMA_M = 1.0  # of a surface that was never measured
-PRIOR_COLOUR_SIGMA, PRIOR_COUNT = 0.3, 8.0  # of a colour that was never seen, and how many samples that belief is worth
-COLOUR_MEMORY = 400.0  # samples: older errors, of a field that knew less, fade
+END_CELL_M, PLANE_CELL_M, ROUND_CELL_M = 0.05, 0.10, 0.10  # at most half of the margin of IncrementalSurface
+ROUND_STRIDE = 4  # every ROUND_STRIDE-th measurement enters the wider mean: many fall into one cell
+COUNT_BELIEF, MIN_DISAGREEMENT = 0.1, 0.05  # added to the number of measurements; disagreement of equal normals
+MIN_PAST_M, MAX_PAST_M = 0.001, 0.10  # distance of a surface from its measurements: resolution; value without measurements
+MIN_COUNT = 0.05  # number of measurements below which there are none
+SHARP_SIGMA_M = 0.015  # a measurement with this depth sigma has half the weight of an exact one
+PRIOR_SIGMA_M = 1.0  # sigma of a surface that was never measured
+PRIOR_COLOUR_SIGMA, PRIOR_COUNT = 0.3, 8.0  # sigma of a colour that was never observed, and the weight of this prior in samples
+COLOUR_MEMORY = 400.0  # maximum weight in samples: older errors, from an earlier state of the field, decay
 
 
 class SurfaceUncertainty(Protocol):
-    """Says how badly points are known."""
+    """Uncertainty of surface points."""
 
     def at(self, points: Float32Array) -> Float32Array:
-        """Positive numbers (N,) for world points (N, 3); higher = worse known; comparable within one map."""
+        """Return positive numbers (N,) for world points (N, 3); higher = less certain.
+
+        The numbers are comparable within one map.
+        """
         ...
 
 
@@ -46,85 +50,100 @@ class Lattice:
         self.values = np.zeros((*(int(n) for n in nodes), channels), dtype=np.float32)
 
     def splat(self, points: Float32Array, amounts: Float32Array) -> None:
-        """Add amounts (N, C) at points (N, 3) with trilinear weights; points outside are left out."""
+        """Add amounts (N, C) at points (N, 3) with trilinear weights; points outside are ignored."""
         _splat(self.values, self.origin_m, self.inverse_cell, points, amounts)
 
     def at(self, points: Float32Array) -> Float32Array:
-        """Trilinear values (N, C); zero outside."""
+        """Return trilinear values (N, C); zero outside."""
         out = np.zeros((points.shape[0], self.values.shape[3]), dtype=np.float32)
         _interpolate(self.values, self.origin_m, self.inverse_cell, points, out)
         return out
 
     def dot(self, points: Float32Array, weights: Float32Array) -> Float32Array:
-        """Scalar products (N,) of the values that at() gives and weights (N, C), without the values between."""
+        """Return the dot products (N,) of at(points) and weights (N, C).
+
+        The values are not stored in between.
+        """
         out = np.empty(points.shape[0], dtype=np.float32)
         _dot(self.values, self.origin_m, self.inverse_cell, points, weights, out)
         return out
 
 
 class DepthInformation:
-    """Standard deviation left by all depth measurements of a place: 1 / sqrt(sum of cos² / sigma_z²), metres."""
+    """Standard deviation left by all depth measurements of a point, in metres.
+
+    1 / sqrt(sum of cos² / sigma_z²).
+    """
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
         self._lattice = Lattice(box_min_m, box_max_m, INFORMATION_CELL_M, 1)
 
     def add(self, points: Float32Array, cosine: Float32Array, sigma_m: Float32Array) -> None:
-        """Count measurements: points (N, 3), viewing cosine (N,), depth sigma (N,)."""
+        """Add measurements: points (N, 3), viewing cosine (N,), depth sigma (N,)."""
         self._lattice.splat(points, np.square(np.maximum(cosine, 0.15) / sigma_m)[:, None])
 
     def at(self, points: Float32Array) -> Float32Array:
-        """Sigma (N,), at most PRIOR_SIGMA_M."""
+        """Return sigma (N,), at most PRIOR_SIGMA_M."""
         sigma: Float32Array = 1.0 / np.sqrt(self._lattice.at(points)[:, 0] + np.float32(1.0 / PRIOR_SIGMA_M**2))
         return sigma
 
 
 class ColourError:
-    """Standard deviation of the colour error near a place, 0..1: the optimum of the Gaussian loss, in closed form."""
+    """Standard deviation of the colour error near a point, 0..1.
+
+    It is the optimum of the Gaussian loss, in closed form.
+    """
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
         self._lattice = Lattice(box_min_m, box_max_m, COLOUR_CELL_M, 2)  # sum of weighted squares, sum of weights
 
     def add(self, points: Float32Array, error_squared: Float32Array) -> None:
-        """Learn from the colour loss of one step: points (N, 3), mean squared error (N,), negative where it is not known."""
+        """Add the colour errors of one training step.
+
+        points (N, 3); error_squared (N,): mean squared error, negative where unknown.
+        """
         points, error_squared = points[error_squared >= 0.0], error_squared[error_squared >= 0.0]
         _fade(self._lattice.values, self._lattice.origin_m, self._lattice.inverse_cell, points, COLOUR_MEMORY)
         self._lattice.splat(points, np.stack([error_squared, np.ones_like(error_squared)], axis=1))
 
     def at(self, points: Float32Array) -> Float32Array:
-        """Sigma (N,); PRIOR_COLOUR_SIGMA where no colour was seen."""
+        """Return sigma (N,); PRIOR_COLOUR_SIGMA where no colour was observed."""
         found = self._lattice.at(points)
         sigma: Float32Array = np.sqrt((found[:, 0] + PRIOR_COUNT * PRIOR_COLOUR_SIGMA**2) / (found[:, 1] + PRIOR_COUNT))
         return sigma.astype(np.float32)
 
 
 class MeasuredAgreement:
-    """How few measurements say where a surface is, times how much they disagree on which way it faces, times the square of how
-    far the learned surface runs past them.
+    """Product of three terms: lack of measurements, disagreement of normals, squared offset.
 
-    A measurement counts by its sharpness. 1 / sqrt(count) on a 5 cm lattice; 1.05 less the mean resultant length of the
-    measured normals on a 10 cm one (1 less that is the spherical variance: Mardia and Jupp 2000, section 9.2); and the
-    geometric mean of three distances along the mean normal: from the mean of the end points in 5 cm and in 10 cm round about,
-    and on average from the planes of all. Noise moves what is near, shape what is farther round: a surface that is past all
-    three errs. Edges, corners and clutter are where a field errs.
+    A measurement is weighted by its sharpness. Lack of measurements: 1 / sqrt(count) on a 5 cm lattice. Disagreement: 1.05
+    less the mean resultant length of the measured normals on a 10 cm lattice (1 less that is the spherical variance: Mardia
+    and Jupp 2000, section 9.2). Offset of the learned surface: the geometric mean of three distances along the mean normal:
+    from the mean of the end points within 5 cm, from that within 10 cm, and the mean distance from all measured planes.
+    Noise shifts the near mean and the shape of the surface shifts the wider ones, so a surface with all three offsets is
+    wrong. Errors of a field concentrate at edges, corners and clutter.
     """
 
     def __init__(self, box_min_m: FloatArray, box_max_m: FloatArray) -> None:
         self._ends = Lattice(box_min_m, box_max_m, END_CELL_M, 4)  # sum of end points, number
-        self._planes = Lattice(box_min_m, box_max_m, PLANE_CELL_M, 5)  # sum of normals, of their planes' offsets, number
-        self._round = Lattice(box_min_m, box_max_m, ROUND_CELL_M, 4)  # as ends, of some
+        self._planes = Lattice(box_min_m, box_max_m, PLANE_CELL_M, 5)  # sum of normals, sum of their planes' offsets, number
+        self._round = Lattice(box_min_m, box_max_m, ROUND_CELL_M, 4)  # as _ends, of every ROUND_STRIDE-th measurement
 
     def add(self, points: Float32Array, normal: Float32Array, sigma_m: Float32Array) -> None:
-        """Count end points (N, 3) with unit normals (N, 3), zero where not known, which agrees with none; depth sigma (N,)."""
+        """Add end points (N, 3) with unit normals (N, 3) and depth sigma (N,).
+
+        A normal of zero is unknown and agrees with no other.
+        """
         count = (np.float32(1.0) / (np.float32(1.0) + np.square(sigma_m / np.float32(SHARP_SIGMA_M))))[:, None]
         place = points - self._ends.origin_m
         offset = np.einsum("nc,nc->n", normal, place)[:, None]
         ends = count * np.concatenate([place, np.ones_like(count)], axis=1)
         self._ends.splat(points, ends)
-        self._round.splat(points[::ROUND_STRIDE].copy(), ends[::ROUND_STRIDE].copy())  # one layout, one kernel
+        self._round.splat(points[::ROUND_STRIDE].copy(), ends[::ROUND_STRIDE].copy())  # contiguous: one compilation
         self._planes.splat(points, count * np.concatenate([normal, offset, np.ones_like(count)], axis=1))
 
     def at(self, points: Float32Array) -> Float32Array:
-        """Positive (N,), largest where nothing was measured."""
+        """Return positive numbers (N,), largest where nothing was measured."""
         out = np.empty(len(points), dtype=np.float32)
         place = points - self._ends.origin_m
         _disagree(self._ends.at(points), self._round.at(points), self._planes.at(points), place, out)
@@ -132,13 +151,16 @@ class MeasuredAgreement:
 
 
 class NetworkColourSigma:
-    """The paper's measure, faithfully: the network's own colour sigma, asked at surface points without a ray direction."""
+    """The measure of the paper: the network's own colour sigma.
+
+    It is queried at surface points without a ray direction.
+    """
 
     def __init__(self, colour_sigma: Callable[[Float32Array], Float32Array]) -> None:
         self._colour_sigma = colour_sigma
 
     def at(self, points: Float32Array) -> Float32Array:
-        """Sigma (N,) of the colour, 0..1."""
+        """Return sigma (N,) of the colour, 0..1."""
         return self._colour_sigma(points)
 
 
@@ -149,7 +171,7 @@ class ProductUncertainty:
         self._first, self._second = first, second
 
     def at(self, points: Float32Array) -> Float32Array:
-        """Positive (N,)."""
+        """Return positive numbers (N,)."""
         return self._first.at(points) * self._second.at(points)
 
 
@@ -210,7 +232,7 @@ def _dot(
         total = 0.0
         for a in range(2):
             for b in range(2):
-                row = np.uint64((((i + a) * ny + j + b) * nz + k) * channels)  # two neighbours along z lie side by side
+                row = np.uint64((((i + a) * ny + j + b) * nz + k) * channels)  # two neighbours along z are adjacent in memory
                 low, high = 0.0, 0.0
                 for channel in range(channels):
                     low += weights[n, channel] * flat[row + np.uint64(channel)]
@@ -221,7 +243,10 @@ def _dot(
 
 @fast_kernel
 def _disagree(ends: Float32Array, farther: Float32Array, planes: Float32Array, place: Float32Array, out: Float32Array) -> None:
-    """See MeasuredAgreement: from its lattices' values at points, and the points from the box's corner."""
+    """Compute MeasuredAgreement from the values of its lattices at points.
+
+    place: the points relative to the corner of the box.
+    """
     for n in range(place.shape[0]):
         x, y, z = place[n, 0], place[n, 1], place[n, 2]
         nx, ny, nz, count = planes[n, 0], planes[n, 1], planes[n, 2], planes[n, 4]
@@ -241,7 +266,10 @@ def _past_mean(
     sum_x: float, sum_y: float, sum_z: float, known: float,
     x: float, y: float, z: float, nx: float, ny: float, nz: float, length: float,
 ) -> float:  # fmt: skip
-    """Distance of a place along a normal of some length from the mean of known end points with this sum."""
+    """Return the distance of a point from the mean of end points, along a normal.
+
+    length: that of the normal. known: number of end points; sum_x, sum_y, sum_z: their sum.
+    """
     if known <= MIN_COUNT or length <= 0.0:
         return MAX_PAST_M
     along = nx * (x - sum_x / known) + ny * (y - sum_y / known) + nz * (z - sum_z / known)
@@ -250,7 +278,7 @@ def _past_mean(
 
 @fast_kernel
 def _fade(values: AnyArray, origin: Float32Array, inverse: float, points: Float32Array, memory: float) -> None:
-    """Scale the node nearest to each point so that its weight stays below memory."""
+    """Scale the values at the node nearest to each point: their weight is at most ``memory``."""
     nx, ny, nz, _ = values.shape
     for n in range(points.shape[0]):
         i, j, k = (int((points[n, 0] - origin[0]) * inverse + 0.5), int((points[n, 1] - origin[1]) * inverse + 0.5),

@@ -1,7 +1,7 @@
-"""A closed mesh on disk: PLY with colours by vertex, and GLB with a texture.
+"""Export of a closed mesh: PLY with vertex colours, and GLB with a texture.
 
-Both tell what was seen from what merely closes the room: in the PLY by the faces' property ``observed``, in the GLB by the
-primitive and material ``unseen``. The GLB's nodes turn the world (z up) into glTF's axes (y up).
+Both mark observed surface and surface that only closes the room: the PLY by the face property ``observed``, the GLB by a
+separate primitive and material ``unseen``. The nodes of the GLB rotate the world frame (z up) to the axes of glTF (y up).
 """
 
 from __future__ import annotations
@@ -25,12 +25,15 @@ GLTF_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 
 
 
 def write_closed_ply(path: Path, mesh: ClosedMesh) -> None:
-    """Write whole or not at all. Raises OSError if the disk refuses."""
+    """Write the PLY file atomically. Raises OSError if it cannot be written."""
     write_whole(path, ply(mesh.vertices_world, mesh.faces, mesh.rgb, mesh.uncertainty, mesh.observed))
 
 
 def write_textured_glb(path: Path, mesh: ClosedMesh, field: SdfField, texel_m: float) -> None:
-    """Colours of the texels are asked of the field. Write whole or not at all. Raises OSError if the disk refuses."""
+    """Write the GLB file atomically, with texel colours queried from the field.
+
+    Raises OSError if it cannot be written.
+    """
     import trimesh
     from PIL import Image
 

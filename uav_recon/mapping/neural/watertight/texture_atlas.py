@@ -1,7 +1,8 @@
-"""A texture for a mesh: charts that lie flat along an axis, packed on shelves, and where in the room each texel is.
+"""Texture atlas of a mesh: axis-aligned charts, packed on shelves, with texel world points.
 
-A face belongs to the axis that its smoothed normal is nearest to; neighbours of one axis make a chart, which is simply
-projected. So a wall is one piece, vertices are shared within it, and a texel has the same size everywhere, up to the slant.
+Each face belongs to the axis nearest to its smoothed normal. Connected faces of one axis form a chart, which is projected
+along the axis. So a wall is one chart, its faces share vertices, and all texels have the same size, apart from the slant of
+the surface.
 """
 
 from __future__ import annotations
@@ -13,16 +14,17 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 
-SMOOTHINGS = 4  # of normals: noise must not tear a wall into charts
-GUTTER = 2  # texels round a chart
-WIDEST = 8192  # texels of a texture's side, as any graphics card takes them
+SMOOTHINGS = 4  # of the normals, so that noise does not split a wall into charts
+GUTTER = 2  # texels around a chart
+WIDEST = 8192  # maximum texture side in texels, supported by any graphics card
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TextureAtlas:
-    """A mesh cut into charts: source (W,), which vertex each copy is of; faces (F, 3) of copies; uv (W, 2) in 0..1, v up.
+    """A mesh cut into charts.
 
-    texels (T, 2): row and column of every texel in use of a picture side x side; points (T, 3) float32: where it is.
+    source (W,): original vertex of each copy; faces (F, 3) of copies; uv (W, 2) in 0..1, v up. texels (T, 2): row and column
+    of each texel in use in an image of side x side; points (T, 3) float32: its world point.
     """
 
     source: IntArray
@@ -34,7 +36,10 @@ class TextureAtlas:
 
 
 def unwrap(vertices: FloatArray, faces: IntArray, normals: Float32Array, texel_m: float) -> TextureAtlas:
-    """Charts of vertices (V, 3), faces (F, 3), normals (V, 3); texels are larger where WIDEST would not hold them."""
+    """Return the atlas of vertices (V, 3), faces (F, 3) and normals (V, 3).
+
+    Texels are enlarged if the texture would exceed WIDEST.
+    """
     axis = _axes(faces, _smoothed(faces, normals))
     chart, count = _charts(faces, axis)
     source, cut = _cut(faces, chart)
@@ -57,7 +62,7 @@ def unwrap(vertices: FloatArray, faces: IntArray, normals: Float32Array, texel_m
 
 
 def _smoothed(faces: IntArray, normals: Float32Array) -> FloatArray:
-    """Normals averaged over neighbours, some rings wide."""
+    """Return normals averaged over SMOOTHINGS rings of neighbours."""
     smooth = normals.astype(np.float64)
     for _ in range(SMOOTHINGS):
         of_face = smooth[faces].sum(axis=1)
@@ -69,14 +74,17 @@ def _smoothed(faces: IntArray, normals: Float32Array) -> FloatArray:
 
 
 def _axes(faces: IntArray, normals: FloatArray) -> IntArray:
-    """0 to 5 for +x, +y, +z, -x, -y, -z of each face (F,)."""
+    """Return 0 to 5 for +x, +y, +z, -x, -y, -z of each face (F,)."""
     mean = normals[faces].sum(axis=1)
     axis: IntArray = np.concatenate([mean, -mean], axis=1).argmax(axis=1)
     return axis
 
 
 def _charts(faces: IntArray, axis: IntArray) -> tuple[IntArray, int]:
-    """Number of the chart of each face (F,), and how many there are: faces of one axis that share an edge."""
+    """Return the chart number of each face (F,), and the number of charts.
+
+    A chart is a set of faces of one axis that are connected by edges.
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -92,7 +100,7 @@ def _charts(faces: IntArray, axis: IntArray) -> tuple[IntArray, int]:
 
 
 def _cut(faces: IntArray, chart: IntArray) -> tuple[IntArray, IntArray]:
-    """One copy of a vertex for each chart it is in: source (W,) and faces (F, 3) that name copies."""
+    """Return one vertex copy per chart: source (W,) and faces (F, 3) of copies."""
     many = int(faces.max(initial=0)) + 1
     copies, named = np.unique(chart[:, None] * many + faces, return_inverse=True)
     return copies % many, named.reshape(-1, 3)
@@ -105,14 +113,17 @@ def _axis_of_chart(chart: IntArray, axis: IntArray, count: int) -> IntArray:
 
 
 def _flattened(points: FloatArray, axis: IntArray) -> FloatArray:
-    """Metres across and down (W, 2) of points (W, 3), projected along their axes; walls stand upright."""
+    """Return metres across and down (W, 2) of points (W, 3), projected along their axes.
+
+    Walls are upright.
+    """
     across, down = np.array([1, 0, 0]), np.array([2, 2, 1])
     n = np.arange(len(points))
     return np.stack([points[n, across[axis % 3]], -points[n, down[axis % 3]]], axis=1)
 
 
 def _frames(flat: FloatArray, chart: IntArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Lower corner and size of each chart (C, 2)."""
+    """Return the lower corner and the size of each chart (C, 2)."""
     low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
     np.minimum.at(low, chart, flat)
     np.maximum.at(high, chart, flat)
@@ -120,7 +131,10 @@ def _frames(flat: FloatArray, chart: IntArray, count: int) -> tuple[FloatArray, 
 
 
 def _packed(cells: IntArray) -> tuple[IntArray, int]:
-    """Column and row of each chart (C, 2) of cells (C, 2) wide and high, tallest first on shelves; the side of the picture."""
+    """Pack charts on shelves, tallest first; returns column and row (C, 2), and the image side.
+
+    cells (C, 2): width and height of each chart in texels.
+    """
     order = np.lexsort((cells[:, 0], cells[:, 1]))[::-1]
     side = max(64, int(cells.max(initial=1)), int(np.sqrt(cells.prod(axis=1).sum())))
     while True:
@@ -145,7 +159,10 @@ def _shelve(cells: IntArray, order: IntArray, side: int, place: IntArray) -> int
 
 @kernel
 def _fill(faces: IntArray, pixel: FloatArray, vertices: FloatArray, where: Float32Array) -> None:
-    """World point of each texel (side, side, 3) whose centre is at most GUTTER texels from a face: of the nearest face."""
+    """Compute the world point of each texel within GUTTER texels of a face.
+
+    The point is that of the nearest face. where: (side, side, 3); distances are measured from the centre of the texel.
+    """
     side = where.shape[0]
     apart = np.full((side, side), np.float32(GUTTER * GUTTER), dtype=np.float32)
     for f in range(faces.shape[0]):
@@ -168,7 +185,7 @@ def _fill(faces: IntArray, pixel: FloatArray, vertices: FloatArray, where: Float
                     wa, wb, wc = wa / total, wb / total, wc / total
                 du, dv = wa * ax + wb * bx + wc * cx - u, wa * ay + wb * by + wc * cy - v
                 square = np.float32(du * du + dv * dv)
-                square = np.float32(0.0) if square < 1e-9 else square  # inside
+                square = np.float32(0.0) if square < 1e-9 else square  # inside the face
                 if square < apart[row, column]:
                     apart[row, column] = square
                     for axis in range(3):

@@ -1,7 +1,8 @@
-"""The picture of a texture: the texels that are in use as the field colours them, the rest as their surroundings.
+"""Texture baking: texel colours from the field, unused texels from their surroundings.
 
-Who looks from afar sees a texture scaled down. What lies between charts is then mixed with their borders, and black would draw
-a dark seam along every one of them. So it is filled from ever coarser means of what is known (pull-push: Gortler et al. 1996).
+From a distance a texture is displayed scaled down, which mixes the texels between charts with the borders of the charts.
+Black texels would draw a dark seam along each chart. So they are filled from coarser and coarser means of the known texels
+(pull-push: Gortler et al. 1996).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from uav_recon.types.frames import BoolArray, ByteArray
 
 
 def baked_texture(atlas: TextureAtlas, field: SdfField) -> ByteArray:
-    """RGB (side, side, 3)."""
+    """Return the texture as RGB (side, side, 3)."""
     picture = np.zeros((atlas.side, atlas.side, 3), dtype=np.uint8)
     known = np.zeros((atlas.side, atlas.side), dtype=np.bool_)
     at = tuple(atlas.texels.T)
@@ -25,7 +26,10 @@ def baked_texture(atlas: TextureAtlas, field: SdfField) -> ByteArray:
 
 
 def spread(picture: ByteArray, known: BoolArray) -> None:
-    """Fill what is not known (H, W) of a picture (H, W, 3) from the means of what is, round about; nothing known is left."""
+    """Fill the unknown pixels (H, W) of an image (H, W, 3) from the means of known neighbours.
+
+    Changes nothing if no pixel is known.
+    """
     if known.all() or not known.any():
         return
     height, width = known.shape
@@ -47,7 +51,10 @@ def spread(picture: ByteArray, known: BoolArray) -> None:
 
 
 def _widened(picture: ByteArray, known: BoolArray) -> BoolArray:
-    """Fill one ring round what is known (H, W) with the mean of its neighbours; returns what is known then."""
+    """Fill the ring around the known pixels (H, W) with the mean of their neighbours.
+
+    Returns the new mask of known pixels.
+    """
     height, width = known.shape
     total, count = np.zeros((height + 2, width + 2, 3), dtype=np.uint16), np.zeros((height + 2, width + 2), dtype=np.uint8)
     for row in range(3):

@@ -1,8 +1,9 @@
-"""The room as a closed shell: the learned surface where it was measured, and between air and what nobody saw a lid.
+"""Watertight mesh of the room: learned surface where measured, closed by lids elsewhere.
 
-On a lattice over the whole box everything is solid but what a depth image looked through; near measured surface the field
-decides. The zero level set of that (marching cubes: Lorensen and Cline 1987, in the variant of Lewiner et al. 2003) has no
-border. Faces that no measurement bears out are told apart: they are no part of the model, and of no figure.
+A lattice over the whole box is solid except where a depth image measured through it; near measured surface the field gives
+the values. Its zero level set (marching cubes: Lorensen and Cline 1987, in the variant of Lewiner et al. 2003) has no
+border. Lids separate air from space without observation. Faces not supported by a measurement are marked: they are not part
+of the model and are excluded from all evaluation figures.
 """
 
 from __future__ import annotations
@@ -18,22 +19,24 @@ from uav_recon.mapping.neural.training_data import TrainingData
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TriangleMesh
 
-THROUGH_M = 0.06  # a cell is air if an image saw so far behind its middle
-MAX_NODES = 600_000_000  # of the lattice, 10 bytes each
-SPECK_NODES = 64  # a piece of solid or of air with fewer nodes is noise
-CLIP_VOXELS = 2.0  # values beyond say nothing more
-MIN_VOXELS = 0.02  # a node has at least this distance, so that no two vertices meet
+THROUGH_M = 0.06  # a cell is air if an image measured a depth this far behind its centre
+MAX_NODES = 600_000_000  # maximum size of the lattice, 10 bytes per node
+SPECK_NODES = 64  # a connected part of solid or of air with fewer nodes is noise
+CLIP_VOXELS = 2.0  # larger values carry no information
+MIN_VOXELS = 0.02  # minimum absolute distance of a node, so that no two vertices coincide
 
 
 class MeshResolutionError(Exception):
-    """A voxel that is too fine for the box; the text says what would fit."""
+    """Raised for a voxel that is too fine for the box; the text gives the finest that fits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedMesh:
-    """vertices_world (V, 3) float64, faces (F, 3) int64 counter-clockwise seen from the air, normals (V, 3) float32 towards
-    it, rgb (V, 3) uint8, uncertainty (V,) float32, observed (F,) bool.
-    """  # fmt: skip
+    """A watertight mesh with a mark for observed faces.
+
+    vertices_world (V, 3) float64; faces (F, 3) int64, counter-clockwise seen from the air; normals (V, 3) float32, towards
+    the air; rgb (V, 3) uint8; uncertainty (V,) float32; observed (F,) bool.
+    """
 
     vertices_world: FloatArray
     faces: IntArray
@@ -43,19 +46,19 @@ class ClosedMesh:
     observed: BoolArray
 
     def seen(self) -> TriangleMesh:
-        """The model alone: what measurements bear out."""
+        """Return the observed part, which is the model."""
         used, faces = np.unique(self.faces[self.observed], return_inverse=True)
         return TriangleMesh(self.vertices_world[used], faces.reshape(-1, 3), self.rgb[used], self.uncertainty[used])
 
     def seen_share(self) -> float:
-        """Of the area."""
+        """Return the observed share of the area."""
         a, b, c = (self.vertices_world[self.faces[:, corner]] for corner in range(3))
         area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
         return float(area[self.observed].sum() / max(float(area.sum()), 1e-12))
 
 
 def check_size(gathered: TrainingData, voxel_m: float) -> None:
-    """Raises MeshResolutionError if the lattice over the box would not fit."""
+    """Check that the lattice over the box fits. Raises MeshResolutionError if it does not."""
     extent_m = np.array(gathered.evidence.count.shape) * EVIDENCE_CELL_M
     min_m = float((extent_m.prod() / MAX_NODES) ** (1 / 3))
     if voxel_m < min_m:
@@ -63,7 +66,10 @@ def check_size(gathered: TrainingData, voxel_m: float) -> None:
 
 
 def closed_mesh(field: SdfField, gathered: TrainingData, voxel_m: float) -> ClosedMesh:
-    """Raises MeshResolutionError if the lattice would not fit."""
+    """Return the watertight mesh of a field.
+
+    Raises MeshResolutionError if the lattice is too large.
+    """
     values = _lattice(field, gathered, voxel_m)
     vertices, faces = _level_set(values, gathered.evidence.origin_m, voxel_m)
     normals = vertex_normals(vertices, faces)
@@ -81,7 +87,7 @@ def closed_mesh(field: SdfField, gathered: TrainingData, voxel_m: float) -> Clos
 
 
 def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Area-weighted unit normals (V, 3)."""
+    """Return area-weighted unit normals (V, 3)."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     normal = np.cross(b - a, c - a)
     total = np.stack(
@@ -92,7 +98,10 @@ def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def _lattice(field: SdfField, gathered: TrainingData, voxel_m: float) -> Float32Array:
-    """Distances in voxels, positive in the air, at nodes origin + voxel * (i - 1, j - 1, k - 1); the border is solid."""
+    """Return distances in voxels, positive in the air, at lattice nodes; the border is solid.
+
+    Node (i, j, k) lies at origin + voxel * (i - 1, j - 1, k - 1).
+    """
     check_size(gathered, voxel_m)
     near = gathered.evidence.near(FEWEST_ENDS)
     nodes = wanted_nodes(near, gathered.evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
@@ -115,14 +124,14 @@ def _lattice(field: SdfField, gathered: TrainingData, voxel_m: float) -> Float32
 
 
 def _seen_air(gathered: TrainingData) -> BoolArray:
-    """Cells of the evidence lattice that some depth image looked through."""
+    """Return the cells of the evidence lattice that a depth image measured through."""
     shape = gathered.evidence.count.shape
     centre = gathered.evidence.origin_m + (np.indices(shape).reshape(3, -1).T + 0.5) * EVIDENCE_CELL_M
     return gathered.images.looked_through(centre.astype(np.float32), THROUGH_M).reshape(shape)
 
 
 def _drop_pieces(values: Float32Array, seen: BoolArray) -> None:
-    """Fill air that nobody looked into, and clear away specks of solid."""
+    """Fill air that was not observed, and remove specks of solid."""
     air = values > 0.0
     label, count = _pieces(air)
     known = np.zeros(count + 1, dtype=np.bool_)

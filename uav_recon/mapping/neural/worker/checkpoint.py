@@ -1,10 +1,11 @@
-"""The mapper's memory on disk: after kill -9 the next child goes on where the last one was a few views before.
+"""Checkpoints of the mapper: a new child resumes a few views before the last one stopped.
 
-Folder: ``state`` holds the whole trainer, except what every view brings along and nobody changes: its rays and its depth
-image, in a file of its own that is written once. So a checkpoint costs what was learned, not what was seen. Files appear
-whole or not at all (written aside, synced, renamed), and ``state`` comes last. Not kept: the keyframes (they are on disk),
-compiled kernels, and scratch memory. A checkpoint serves one order (configuration, box, noise), one set of keyframes and one
-version of this code.
+This also works after kill -9. Folder: ``state`` holds the whole mapper except the arrays of the views (rays and depth
+image). These do not change, so each view has its own file that is written once. The cost of a checkpoint depends on what was
+learned, not on what was observed. Files are replaced atomically (written to a temporary file, synced, renamed), and
+``state`` is written last. Not stored: the keyframes (they are already on disk), compiled kernels and scratch memory. A
+checkpoint is valid for one set of start parameters (configuration, box, noise), one set of keyframes and one version of this
+code.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from uav_recon.types.frames import AnyArray
 LOG = logging.getLogger(__name__)
 
 STATE, VIEW = "state", "view_{:06d}.npz"
-EVERY_VIEWS, EVERY_STEPS = 8, 2000  # whichever comes first: relearning eight views takes a second
-OURS = ("uav_recon.mapping.neural.", "uav_recon.types.")  # the modules whose classes a state may hold
+EVERY_VIEWS, EVERY_STEPS = 8, 2000  # the limit reached first applies: relearning eight views takes a second
+OURS = ("uav_recon.mapping.neural.", "uav_recon.types.")  # modules whose classes a state may contain
 OTHERS = {("uav_recon.config", "MapperConfig"), ("collections", "Counter")} | {
     (module, "PosixPath") for module in ("pathlib", "pathlib._local")
 }
@@ -41,12 +42,15 @@ NUMPY = {"_frombuffer", "_reconstruct", "dtype", "ndarray", "scalar", "PCG64", "
 
 
 class CheckpointError(Exception):
-    """A checkpoint that cannot be used; the text names file and fault."""
+    """Raised for a checkpoint that cannot be used; the text names the file and the fault."""
 
 
 @dataclass(frozen=True)
 class _Header:
-    """A line of JSON. learned: keyframes gone through; stamp_s: of the last; views: serial number and sum of each file."""
+    """Header of a state file, one line of JSON.
+
+    learned: number of keyframes processed; stamp_s: stamp of the last one; views: number and CRC-32 of each view file.
+    """
 
     order: str
     code: str
@@ -56,22 +60,22 @@ class _Header:
 
 
 class MapperCheckpoints:
-    """One flight's. save_if_due() returns at once and a thread writes; load() blocks.
+    """The checkpoints of one flight.
 
-    order: everything that a trainer is made from.
+    save_if_due() returns at once and a thread writes; load() blocks. order: all parameters that a mapper is created from.
     """
 
     def __init__(self, folder: Path, order: dict[str, Any]) -> None:
         self._folder = folder
         self._order, self._code = hashlib.sha256(json.dumps(order, sort_keys=True).encode()).hexdigest(), _code()
         self._writer = threading.Thread()
-        self._sums: dict[int, int] = {}  # of the views on disk
+        self._sums: dict[int, int] = {}  # CRC-32 of each view on disk
         self._learned, self._steps = 0, 0  # of the newest checkpoint
 
     def load(self, keyframes: KeyframeFolder) -> tuple[NeuralMapper, int] | None:
-        """The trainer and how many keyframes it went through; None if there is no checkpoint.
+        """Return the mapper and the number of keyframes it processed; None without a checkpoint.
 
-        Raises CheckpointError if it is damaged, or of another order, code or flight.
+        Raises CheckpointError if it is damaged or belongs to other parameters, other code or another flight.
         """
         path = self._folder / STATE
         if not path.exists():
@@ -93,9 +97,10 @@ class MapperCheckpoints:
         return trainer, header.learned
 
     def save_if_due(self, trainer: NeuralMapper, learned: int, stamp_s: float) -> bool:
-        """Begin a checkpoint if the last is old. False if it is not, or the disk still works on the last: then later.
+        """Start writing a checkpoint if the last one is old; returns True if started.
 
-        learned: keyframes gone through, the last of them stamped stamp_s. Holds the caller up for a copy of the state.
+        Returns False also while the last one is still being written. learned: number of keyframes processed; stamp_s: stamp
+        of the last of them. Blocks for a copy of the state.
         """
         young = learned - self._learned < EVERY_VIEWS and trainer.steps - self._steps < EVERY_STEPS
         if young or self._writer.is_alive():
@@ -109,7 +114,7 @@ class MapperCheckpoints:
         return True
 
     def wait(self) -> None:
-        """Until what was begun is on disk."""
+        """Block until a started checkpoint is on disk."""
         if self._writer.ident is not None:
             self._writer.join()
 
@@ -131,7 +136,10 @@ class MapperCheckpoints:
             return dict(arrays)
 
     def _write(self, header: _Header, payload: bytes, fresh: dict[int, dict[str, AnyArray]]) -> None:
-        """Views first, then the state that needs them, then the old ones away. A full disk costs the checkpoint alone."""
+        """Write the views, then the state that needs them; then delete the old views.
+
+        If the disk is full, only the checkpoint is lost.
+        """
         try:
             self._folder.mkdir(exist_ok=True)
             for number, arrays in fresh.items():
@@ -152,10 +160,10 @@ class MapperCheckpoints:
 
 
 class _Unpickler(pickle.Unpickler):
-    """Makes objects of the mapper and arrays, nothing else."""
+    """Unpickler restricted to objects of the mapper and arrays."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """Raises UnpicklingError for what has no place in a state."""
+        """Return an allowed class. Raises UnpicklingError for all others."""
         ours = module.startswith(OURS) or (module, name) in OTHERS
         arrays = (module == "numpy" or module.startswith("numpy.")) and name in NUMPY
         if "." in name or not (ours or arrays):
@@ -164,20 +172,20 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _code() -> str:
-    """What identifies the code that a state belongs to: all of this package's source."""
+    """Return a hash of all source of this package, which identifies the code of a state."""
     text = b"".join(path.read_bytes() for path in sorted(Path(__file__).parents[1].rglob("*.py")))
     return hashlib.sha256(text).hexdigest()
 
 
 def _write_durably(path: Path, *parts: bytes | memoryview) -> None:
-    """Replace a file in one step that also a loss of power cannot halve."""
+    """Replace a file atomically, also across a loss of power."""
     aside = path.with_name(path.name + ".part")
     with aside.open("wb") as file:
         for part in parts:
             file.write(part)
         file.flush()
         os.fsync(file.fileno())
-    os.replace(aside, path)  # noqa: PTH105 - the atomic one
+    os.replace(aside, path)  # noqa: PTH105 - os.replace is atomic
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)

@@ -1,4 +1,4 @@
-"""Whether a child process still gets on: it is asked in turn, and what it was given of the processor is watched meanwhile."""
+"""Watchdog of a child process: checks that it answers requests or uses processor time."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 LOOK_S = 0.5
-ASLEEP_S = 3.0  # owes an answer, is neither running nor waiting for a core or a disk, and uses no processor time
-SILENT_S = 60.0  # owes an answer, whatever it does meanwhile
+ASLEEP_S = 3.0  # timeout of an unanswered request while the child sleeps and uses no processor time
+SILENT_S = 60.0  # timeout of an unanswered request in any state
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
-_AT_REST = "STt"  # sleeping and stopped: proc_pid_stat(5); a starved process is R, one that waits for a disk D
+_AT_REST = "STt"  # sleeping or stopped, see proc_pid_stat(5); a starved process is in state R, one waiting for a disk in D
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessActivity:
-    """processor_s that a process has used so far; whether it sleeps or was stopped."""
+    """Processor time used by a process (processor_s), and whether it sleeps or is stopped."""
 
     processor_s: float
     at_rest: bool
 
 
 def activity_of(pid: int) -> ProcessActivity | None:
-    """Of a process and all its threads; None if it is gone."""
+    """Return the activity of a process with all its threads; None if the process is gone."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:
@@ -31,7 +31,10 @@ def activity_of(pid: int) -> ProcessActivity | None:
 
 
 class ChildWatchdog:
-    """One child's. asked() and answered() as it happens; hung() now and then. Seconds are of any one clock."""
+    """Watchdog of one child.
+
+    Call asked() and answered() on each request and answer, and hung() periodically. Times in seconds of any one clock.
+    """
 
     def __init__(self) -> None:
         self._asked_s: float | None = None
@@ -39,19 +42,22 @@ class ChildWatchdog:
 
     @property
     def owes(self) -> bool:
-        """Whether an answer is outstanding."""
+        """True while an answer is outstanding."""
         return self._asked_s is not None
 
     def asked(self, now_s: float) -> None:
-        """The child was asked."""
+        """Record that a request was sent to the child."""
         self._asked_s = self._awake_s = now_s
 
     def answered(self) -> None:
-        """It answered."""
+        """Record that the child answered."""
         self._asked_s = None
 
     def hung(self, now_s: float, pulse: ProcessActivity | None, patient: bool) -> bool:
-        """Whether to give it up. patient: it compiles or learns a whole flight, so silence alone means nothing."""
+        """Return True if the child hangs.
+
+        patient: the child compiles or learns a whole flight, so a missing answer alone is no sign of a hang.
+        """
         if pulse is None or self._asked_s is None:
             return False
         if not pulse.at_rest or pulse.processor_s > self._used_s:

@@ -1,4 +1,4 @@
-"""The mapper as the mission sees it in lockstep: the same trainer, and no process."""
+"""The mapper for lockstep: runs in the calling process."""
 
 from __future__ import annotations
 
@@ -17,16 +17,19 @@ from uav_recon.types.pose import MapCorrection
 
 
 class InlineMapper:
-    """add() trains at once, surface() extracts when asked."""
+    """Mapper whose add() trains immediately and whose surface() extracts on request."""
 
     def __init__(self, trainer: NeuralMapper, config: MapperConfig, keyframes: KeyframeFolder | None = None) -> None:
         self._trainer, self._config, self._keyframes = trainer, config, keyframes
         self._surface: SurfaceElements | None = None
         self._stale = False
-        self._numbers: dict[float, int] = {}  # of the views taken, by stamp
+        self._numbers: dict[float, int] = {}  # numbers of the views taken, by stamp
 
     def add(self, keyframe: PosedFrame) -> bool:
-        """Train on a view; blocks for steps_per_view steps. Raises OSError if the keyframe cannot be saved."""
+        """Train on a view; blocks for steps_per_view steps.
+
+        Returns False if the view is rejected. Raises OSError if the keyframe cannot be saved.
+        """
         number = self._trainer.views
         if not self._trainer.add(keyframe):
             return False
@@ -38,8 +41,9 @@ class InlineMapper:
         return True
 
     def repose(self, correction: MapCorrection) -> None:
-        """Begin the map anew in another frame; blocks until all views are learned again. Views that it does not place are
-        forgotten and counted. Raises OSError if the poses cannot be saved.
+        """Start a new map in a new map epoch; blocks until all views are learned again.
+
+        Views without a pose in the correction are dropped and counted. Raises OSError if the poses cannot be saved.
         """
         if self._keyframes is not None:
             self._keyframes.repose(correction)
@@ -49,28 +53,28 @@ class InlineMapper:
         self._stale = True
 
     def refusals(self) -> Counter[RejectReason]:
-        """Views that were not taken, by reason."""
+        """Return the number of rejected views by reason."""
         return self._trainer.refusals.counts.copy()
 
     def refused(self) -> dict[str, int]:
-        """The same in words."""
+        """Return the number of rejected views by reason, as text."""
         return in_words(self.refusals())
 
     def surface(self) -> SurfaceElements | None:
-        """The surface after the last view."""
+        """Return the surface after the last view."""
         if self._stale:
             self._surface, self._stale = self._trainer.surface(), False
         return self._surface
 
     def alive(self) -> bool:
-        """Always: there is no process to lose."""
+        """Return True: there is no child process to lose."""
         return True
 
     def ready(self) -> bool:
-        """Always; call Trainer.warm_up() before the flight."""
+        """Return True; call NeuralMapper.warm_up() before the flight."""
         return True
 
     def finish(self, folder: Path) -> None:
-        """Polish and write mesh.ply."""
+        """Polish the field and write mesh.ply."""
         self._trainer.polish(self._config.polish_steps)
         write_ply(folder / MESH_FILE, self._trainer.mesh(self._config.mesh_voxel_m))

@@ -1,7 +1,7 @@
-"""The mapper as the mission sees it: in a process of its own, which may die and come back.
+"""Client of the mapper process, which may die and be restarted.
 
-The disk is the queue between the processes: a keyframe is written to the flight folder first and its number sent
-after, so a restarted child has everything it needs, and the mission never waits for it.
+The disk is the queue between the processes: a keyframe is first written to the flight folder, then its number is sent. So a
+restarted child has all data it needs, and the mission never waits for the child.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ from uav_recon.types.pose import MapCorrection
 
 LOG = logging.getLogger(__name__)
 
-BACKLOG = 64  # keyframes that may wait for the disk
+BACKLOG = 64  # maximum number of keyframes waiting to be saved
 RESTARTS = 3
-FINISH_S, FINISH_STEP_S, FINISH_VIEW_S = 120.0, 0.1, 2.0  # patience with a busy machine: at all, per step, per view
+FINISH_S, FINISH_STEP_S, FINISH_VIEW_S = 120.0, 0.1, 2.0  # finish() timeout: constant part, per polish step, per view
 END_S = 5.0
 
 
 class ProcessMapper:
     """The mapper in a child process at low priority. Only finish() and close() block.
 
-    The child ends when this process does, whatever way; when the child dies, another goes on from its checkpoint and learns
-    the keyframes since, at most RESTARTS times. One that hangs is killed.
+    The child ends when this process ends for any reason. When the child dies, a new one resumes from its checkpoint and
+    learns the later keyframes, at most RESTARTS times. A child that hangs is killed.
 
-    box_min_m, box_max_m (3,): the room. One thread owns the child and the disk; the methods only leave it notes.
-    Raises OSError if folder cannot be written, PriorError if config.prior_model cannot be used.
+    box_min_m, box_max_m (3,): the room. One thread owns the child and the disk; the methods only put messages into its
+    queue. The constructor raises OSError if the folder cannot be written, PriorError if config.prior_model cannot be used.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class ProcessMapper:
         baseline_m: float,
         folder: Path,
     ) -> None:
-        open_prior(config.prior_model)  # here somebody hears of it
+        open_prior(config.prior_model)  # raises here, where the caller can report it
         self._config, self._folder = config, folder
         self._low, self._high = padded(box_min_m, box_max_m)
         self._order = {
@@ -76,7 +76,7 @@ class ProcessMapper:
         self._keyframes = KeyframeFolder(folder / KEYFRAMES)
         self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
         self._notes: queue.Queue[PosedFrame | MapCorrection | Path | Message] = queue.Queue()
-        self._epoch: int | None = None  # of the map, once there is one
+        self._epoch: int | None = None  # map epoch, once there is one
         self._ready, self._over = threading.Event(), threading.Event()
         self._losses, self._finishing = 0, False
         self._refusals, self._childs_refusals = RejectCounts(), Counter[RejectReason]()
@@ -87,13 +87,13 @@ class ProcessMapper:
 
     @property
     def pid(self) -> int:
-        """Process id of the child that runs now."""
+        """Process id of the current child."""
         return self._child.pid
 
     def add(self, keyframe: PosedFrame) -> bool:
-        """Hand over a view. False if it is refused, too many wait, or the last child died.
+        """Queue a view; returns False if it is rejected, the queue is full, or no restart is left.
 
-        While a new child is starting the answer is True: the view is on disk and will be learned.
+        Returns True while a new child is starting: the view will be on disk and will be learned.
         """
         if self._finishing or self._gone() or self._notes.qsize() >= BACKLOG:
             return False
@@ -108,38 +108,44 @@ class ProcessMapper:
         return True
 
     def repose(self, correction: MapCorrection) -> None:
-        """Put the views where they are in a new map epoch, and learn that map from them. Views that it does not place are
-        counted as refused. Returns at once; until the new map has been learned, surface() has none.
+        """Move the views to their poses in a new map epoch and relearn the map from them.
+
+        Views without a pose in the correction are counted as rejected. Returns at once. surface() returns None until the new
+        map has been learned.
         """
         if not self._finishing:
             self._epoch = correction.map_epoch
             self._notes.put(correction)
 
     def refusals(self) -> Counter[RejectReason]:
-        """Views that were not taken, by reason: by add(), or by the child, which knows the map."""
+        """Return the number of rejected views by reason, of add() and of the child."""
         return self._refusals.counts + self._childs_refusals
 
     def refused(self) -> dict[str, int]:
-        """The same in words."""
+        """Return the number of rejected views by reason, as text."""
         return in_words(self.refusals())
 
     def surface(self) -> SurfaceElements | None:
-        """The newest surface of this map epoch, also of a child that died since. Does not wait for the child."""
+        """Return the newest surface of this map epoch, or None. Does not wait for the child.
+
+        The surface may come from a child that has died since.
+        """
         surface = self._channel.latest()
         return surface if surface is not None and self._epoch in (None, surface.map_epoch) else None
 
     def alive(self) -> bool:
-        """False from a child's death until its successor has learned the saved keyframes."""
+        """Return True unless the child died and no successor has learned the saved keyframes yet."""
         return self._child.running() and not self._gone() and (self._losses == 0 or self._ready.is_set())
 
     def ready(self) -> bool:
-        """Whether the child has compiled its kernels and learned what was on disk."""
+        """Return True if the child has compiled its kernels and learned the keyframes on disk."""
         return self._ready.is_set() and self._child.running()
 
     def finish(self, folder: Path) -> None:
-        """Polish, write mesh.ply into folder, end the child. Blocks, bounded by steps and views.
+        """Polish, write mesh.ply into the folder and end the child.
 
-        A child that cannot do it leaves no mesh.ply, a log line, and its reason in mapper.log.
+        Blocks; the timeout grows with the polish steps and the views. If the child fails, there is no mesh.ply; an error is
+        logged and the reason is in mapper.log.
         """
         self._finishing = True
         patience_s = FINISH_S + FINISH_STEP_S * self._config.polish_steps + FINISH_VIEW_S * len(self._keyframes)
@@ -149,7 +155,7 @@ class ProcessMapper:
         self.close()
 
     def close(self) -> None:
-        """End the child at once, without a mesh, and take away what served only the flight."""
+        """End the child at once without a mesh, and delete the files needed in flight only."""
         self._finishing = True
         self._notes.put({"event": "close"})
         self._owner.join()

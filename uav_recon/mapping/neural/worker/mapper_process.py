@@ -1,9 +1,9 @@
-"""The mapper's own process, and the parent's handle on it: JSON lines down a pipe, JSON lines back.
+"""The mapper process and the parent's handle on it; they exchange JSON lines through pipes.
 
-Run as ``python -m uav_recon.mapping.neural.worker.mapper_process``. The first line is the order (config, box, noise, folder);
-then {"keyframe": N} for each view on disk; {"repose": EPOCH} when those on disk have other poses, of a new map epoch;
-{"answer": true} to see whether it still gets on; {"finish": FOLDER} at the end. Back come {"event": "ready" | "answer" |
-"finished"} and, when views were refused, {"event": "refused", "counts": {REASON: N so far}}.
+Run as ``python -m uav_recon.mapping.neural.worker.mapper_process``. The first line holds the start parameters (config, box,
+noise, folder). Requests: {"keyframe": N} for each view on disk; {"repose": EPOCH} when the views on disk have new poses, of
+a new map epoch; {"answer": true} to check that the child responds; {"finish": FOLDER} at the end. Replies: {"event": "ready"
+| "answer" | "finished"} and, when views were rejected, {"event": "refused", "counts": {REASON: total count}}.
 """
 
 from __future__ import annotations
@@ -44,10 +44,16 @@ Message = dict[str, Any]
 
 
 class ChildProcess:
-    """One child. Its pipe closes when this process ends, whatever way, and then it ends too."""
+    """One child process.
+
+    The child ends when its pipe closes, so also when this process ends for any reason.
+    """
 
     def __init__(self, order: Message, log: Path, tell: Callable[[Message], None]) -> None:
-        """Start it. tell() is called from a thread of this object, with what the child says and {"event": "lost"} last."""
+        """Start the child.
+
+        tell() is called from a thread of this object with each message of the child, and with {"event": "lost"} at the end.
+        """
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
         with log.open("ab") as errors:
             self._process = subprocess.Popen(
@@ -56,7 +62,7 @@ class ChildProcess:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 env=environment,
-                start_new_session=True,  # a terminal's Ctrl-C is not for the mapper
+                start_new_session=True,  # keep a terminal's Ctrl-C from the mapper
             )
         self._tell = tell
         self._listener = threading.Thread(target=self._listen, name="mapper-events", daemon=True)
@@ -69,11 +75,11 @@ class ChildProcess:
         return self._process.pid
 
     def running(self) -> bool:
-        """Whether the process is there."""
+        """Return True if the process is running."""
         return self._process.poll() is None
 
     def send(self, message: Message) -> None:
-        """Write a line; a child that is gone is reported through tell(), not here."""
+        """Write a line. A dead child is not reported here but through tell()."""
         pipe = self._process.stdin
         if pipe is None or pipe.closed:
             return
@@ -84,16 +90,16 @@ class ChildProcess:
             return
 
     def kill(self) -> None:
-        """End it at once; tell() hears of it."""
+        """Kill the child; tell() receives {"event": "lost"}."""
         self._process.kill()
 
     def end(self, patience_s: float) -> None:
-        """Close the pipe, wait, and kill what does not go."""
+        """Close the pipe, wait, and kill the child after a timeout."""
         try:
             if self._process.stdin is not None:
                 self._process.stdin.close()
         except OSError:
-            pass  # unsent bytes of a child that is gone
+            pass  # unsent bytes for a dead child
         try:
             self._process.wait(patience_s)
         except subprocess.TimeoutExpired:
@@ -126,12 +132,14 @@ def main() -> None:
 
 
 def _step_back() -> None:
-    """Let everything that flies go first, also where the kernel weighs sessions and not processes: sched(7), autogroup. And be
-    the first to go where memory is spent: the mission, whose child this is, is the larger one and cannot be done without.
+    """Lower the processor priority and make this process the first to kill if memory is short.
+
+    The autogroup value is needed where the kernel schedules sessions instead of processes: sched(7). Without oom_score_adj
+    the kernel would kill the mission, the parent: it is larger, and the flight needs it.
     """
     os.nice(NICENESS)
     for name, value in (("autogroup", NICENESS), ("oom_score_adj", FIRST_TO_GO)):
-        with contextlib.suppress(OSError):  # no such kernel
+        with contextlib.suppress(OSError):  # not supported by this kernel
             Path("/proc/self", name).write_text(str(value), encoding="ascii")
 
 
@@ -139,9 +147,9 @@ def _read(pipe: IO[bytes], messages: queue.Queue[Message], asked: threading.Even
     for line in pipe:
         message = json.loads(line)
         if "answer" in message:
-            asked.set()  # before its turn: many views may wait
+            asked.set()  # answered before earlier messages, because many views may wait
         messages.put(message)
-    os._exit(0)  # the parent is gone, or wants us gone: at once, also from the middle of a kernel
+    os._exit(0)  # the parent is gone or wants this process to end: exit at once, even in the middle of a kernel
 
 
 class _Session:
@@ -159,8 +167,8 @@ class _Session:
             folder / CHECKPOINT, {name: value for name, value in order.items() if name != "folder"}
         )
         self._revision = self._channel.sequence()
-        self._learned, self._unseen = 0, False  # keyframes learned; whether they show in no published surface yet
-        self._refused = 0  # as told to the parent
+        self._learned, self._unseen = 0, False  # keyframes learned; True while the published surface lacks some
+        self._refused = 0  # total count last reported to the parent
 
     def run(self) -> None:
         self._trainer.warm_up()
@@ -201,17 +209,17 @@ class _Session:
                 self._show()
 
     def _show(self) -> None:
-        """Publish what was learned, once nothing newer waits and a new map is whole."""
+        """Publish the surface if it has news, no request waits and the map is complete."""
         if self._unseen and not self._trainer.waiting and not self._behind():
             self._publish()
 
     def _behind(self) -> bool:
-        """Whether anything to be done waits; to be asked is nothing."""
+        """Return True if a request other than "answer" waits."""
         with self._messages.mutex:
             return any("answer" not in message for message in self._messages.queue)
 
     def _learn_to(self, count: int) -> None:
-        """Learn keyframes up to a number; a message for one that was learned from disk already does nothing."""
+        """Learn the keyframes up to a count; does nothing for those already learned."""
         if count <= self._learned:
             return
         self._look_on_disk()
@@ -223,14 +231,14 @@ class _Session:
                 elif self._trainer.add(self._keyframes.load(number), number):
                     self._trainer.train(self._config.steps_per_view)
             except KeyframeError as error:
-                LOG.warning("%s", error)  # one view less
+                LOG.warning("%s", error)  # skip this view
             self._learned = number + 1
             self._save()
         self._unseen = True
         self._tell_refusals()
 
     def _look_on_disk(self) -> None:
-        """See what the parent wrote; where it put the views into a new map, begin to learn that."""
+        """Read what the parent wrote; if the views moved to a new map epoch, start the new map."""
         self._keyframes.refresh()
         epoch = self._keyframes.map_epoch
         if epoch == self._trainer.map_epoch or not self._trainer.kept:
@@ -240,7 +248,7 @@ class _Session:
         LOG.warning("map epoch %d: %d views have a place in it", epoch, self._trainer.waiting)
 
     def _restore(self) -> None:
-        """Go on from the checkpoint, if there is a sound one; what came after it is learned from the keyframes."""
+        """Resume from a valid checkpoint, if there is one. Later keyframes are learned from disk."""
         try:
             found = self._checkpoints.load(self._keyframes)
         except CheckpointError as error:
@@ -276,7 +284,7 @@ class _Session:
                     )
                 )
                 return
-            except ValueError:  # a hall: every second element does
+            except ValueError:  # very large room: a subset of the elements suffices
                 continue
 
     def _finish(self, folder: Path) -> None:
@@ -285,7 +293,7 @@ class _Session:
         self._say("finished")
 
     def _answer(self) -> None:
-        """Say that it gets on, once for each time that it was asked."""
+        """Send an answer if one was requested."""
         if self._asked.is_set():
             self._asked.clear()
             self._say("answer")
