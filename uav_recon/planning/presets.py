@@ -53,9 +53,10 @@ def derived(config: PlannerConfig, fence_min_m: FloatArray, fence_max_m: FloatAr
 def _for_room(size_m: FloatArray, camera: CameraGeometry) -> dict[str, float]:
     """Return lengths in metres and counts for a box of size (3,) in metres.
 
-    The rules were tested in flights in rooms of 25 to 35 m2 (RESULTS.md). The camera shows surface well up to its surface
-    range, and the shorter side of its image limits the size of a cluster. The floor area gives the distance to the next
-    task. A box larger than LARGEST_M is treated as a building, in which the radius of "near" does not grow.
+    The rules were tested in flights in rooms of 25 to 35 m2 (docs/archive/results-2026-11.md). The camera shows surface
+    well up to its surface range, and the shorter side of its image limits the size of a cluster. The floor area gives the
+    distance to the next task. A box larger than LARGEST_M is treated as a building, in which the radius of "near" does not
+    grow.
     """
     side_m = float(np.clip(math.sqrt(size_m[0] * size_m[1]), SMALLEST_M, LARGEST_M))
     well_m = min(camera.surface_range_m, camera.range_m)
