@@ -191,8 +191,8 @@ class Mapper(Protocol):
 class Planner(Protocol):
     """Chooses views and paths.
 
-    The same requests and accepted paths, in the same order, give the same results.
-    The results do not depend on the load of the machine.
+    The same requests and accepted paths, in the same order, give the same results. The results do not depend on the load of
+    the machine.
     """
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:

@@ -41,6 +41,7 @@ def derived(config: PlannerConfig, fence_min_m: FloatArray, fence_max_m: FloatAr
     """Fill in the values of the config's preset; keys written in the config file are kept.
 
     Applying it twice changes nothing.
+
     fence_min_m, fence_max_m: (3,) corners of the box to be explored.
     """
     if config.preset == "auto":

@@ -22,6 +22,7 @@ class Variant:
     """The parts of a planner.
 
     A choice holds the state of one flight: make one variant per planner.
+
     kinds: kinds of tasks that are generated.
     mode: rule that decides when surface tasks are generated beside frontier tasks.
     choice: orders the tasks and drops those not worth a flight.

@@ -46,6 +46,7 @@ class ViewShell:
     """Offsets of candidate view positions around a frontier, in three parts.
 
     The parts are the shell [d_r, d_f] itself, the space beyond it, and the space inside it.
+
     offsets: (K, 3) in voxels from the frontier to the positions, part after part.
     ends: (3,) end of each part in ``offsets``.
     places: (3,) number of reachable positions to evaluate in each part.

@@ -33,6 +33,7 @@ class EscapePath:
         """Return the flat cells (N,) from ``cell`` to the nearest flyable cell, or None.
 
         Both ends are included. Indices refer to the padded arrays. None if there is no path within the limit.
+
         cell: (3,) padded index.
         """
         self._now += 1

@@ -21,8 +21,9 @@ CLEAR, OUTSIDE = -1, -2
 def clearance_box(shape: tuple[int, int, int], low: IntArray, high: IntArray, needed2: int) -> FloatArray:
     """Return the clearance box (7,): bounds of a position and squared distance to voxel sides.
 
-    The bounds are a box around the centres [low, high). needed2: squared distance in voxels that a centre must keep from
-    the centres of all voxels that are not known free.
+    The bounds are a box around the centres [low, high).
+
+    needed2: squared distance in voxels that a centre must keep from the centres of all voxels that are not known free.
     """
     steps2 = np.arange(math.isqrt(needed2) + 2) ** 2
     sides2 = np.maximum(np.arange(len(steps2)) - 0.5, 0.0) ** 2
@@ -37,6 +38,7 @@ def blocking_voxel(distance2: ByteArray, shape: tuple[int, int, int], berth: Flo
     """Return the flat index of a voxel, not known free, with a side too close to a position.
 
     CLEAR if there is none, OUTSIDE if the position is outside the clearance box.
+
     distance2: raveled, as in VoxelMap.
     berth: (7,), see clearance_box().
     """
