@@ -18,11 +18,9 @@ from uav_recon.types.frames import ByteArray, Float32Array, FloatArray, IntArray
 Int32Array = NDArray[np.int32]
 # centres (3, U) of the distinct unknown neighbours, voxels; sides (U,), bit f set = known free towards FACES[f]; then the
 # neighbours of each cell: links (L,), and the start of each cell's links (N + 1,)
-# them each cell has: links (L,), and where those of each cell begin (N + 1,)
 Targets = tuple[Float32Array, Int32Array, IntArray, IntArray]
 # bits of a target as seen from an eye. TURNED: an open side faces the eye, in range. FITTING: also visible at some heading.
 # FRAMED: also in the image
-# FRAMED: and it is in the picture
 FITTING, FRAMED, TURNED = 1, 2, 4
 BOOK = 4096  # size of a hash table, a power of two
 
