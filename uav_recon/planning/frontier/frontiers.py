@@ -56,7 +56,9 @@ class Frontiers:
         self._start(np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.int64), (0, 0, 0))
 
     def update(self, voxels: VoxelMap, low: IntArray, high: IntArray, ignored: ByteArray) -> None:
-        """Update to the map. Frontier cells and their unknown neighbours lie in voxels [low, high).
+        """Update the clusters to a newer map.
+
+        Only frontier cells and unknown neighbours in voxels [low, high) count.
 
         ignored: (nx, ny, nz) uint8, 1 = exhausted, not a frontier. Changes of it must be reported through ``touch``.
         """

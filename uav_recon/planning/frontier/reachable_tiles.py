@@ -39,7 +39,7 @@ class ReachableTiles:
         self._tiles: BoolArray = np.zeros((0, 0), dtype=np.bool_)
 
     def update(self, space: Reach) -> None:
-        """Update to a space; a different space is read from the beginning."""
+        """Update the tiles to a space; a different space is read from the beginning."""
         if space is not self._space or space.revision < self._seen:
             self._space, self._seen = space, -1
             self._tiles = np.zeros(space.reachable_revision.shape, dtype=np.bool_)
@@ -47,9 +47,9 @@ class ReachableTiles:
         self._seen = space.revision
 
     def near(self, centres: FloatArray, radius: float) -> BoolArray:
-        """Return, for positions (N, 3) in voxels, whether a reachable tile is near.
+        """Return a mask (N,) of the positions (N, 3), in voxels, with a reachable tile nearby.
 
-        Near means within ``radius`` along both horizontal axes.
+        Nearby means within ``radius`` along both horizontal axes.
         """
         near: BoolArray = _near(self._tiles, centres, radius)
         return near

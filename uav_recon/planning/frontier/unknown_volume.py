@@ -1,9 +1,9 @@
-"""Unknown volume behind a frontier: separates openings from gaps in front of a wall.
+"""Unknown volume behind a frontier: distinguishes openings from gaps in front of a wall.
 
 A small cluster may be either, and a tour that does not distinguish them wastes flight time on gaps. The volume is counted
 in voxels: from each unknown face of each cell straight on through unknown voxels, up to DEPTH of them and not beyond the
-fence. The first few do not count: there the wall itself is unknown, and the model closes so small a gap. Volume as the gain
-of exploration: Connolly, "The determination of next best views" (1985).
+fence. The first SHALLOW voxels do not count: there the wall itself is unknown, and the surface model closes so small a gap.
+Volume as the gain of exploration: Connolly, "The determination of next best views" (1985).
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Geodesic neighbourhood: distance by paths through free space, so that walls separate.
+"""Geodesic neighbourhood: a radius measured along paths through free space.
+
+Thus it does not extend through walls.
 
 A wave runs from the vehicle over every third voxel along each axis. A step is open if all voxels that it passes are known
 free. A wall of one voxel stops the wave; an opening wide enough for the vehicle never does. Few nodes are needed.
@@ -81,8 +83,9 @@ def seen_from_near(
 ) -> BoolArray:
     """Return a mask (N,) of the surface points within ``limit``.
 
-    position, normal: (N, 3) points and outward normals, in voxels. The distance of a point is the path to a nearby node
-        that sees it, plus the line of sight.
+    The distance of a point is the path to a nearby node that sees it, plus the line of sight.
+
+    position, normal: (N, 3) points and outward normals, in voxels.
     """
     out = np.zeros(len(position), dtype=np.bool_)
     for n in range(len(position)):
