@@ -1,7 +1,7 @@
 """Last-value channels: in memory for lockstep, memory-mapped files between processes.
 
-A record is a JSON head and raw array bytes behind a sequence word and a CRC; no pickle, so a hostile writer can at worst
-be refused. A reader copies once, then rechecks the sequence.
+A record is a JSON head and raw array bytes, behind a sequence number and a CRC. There is no pickle: a hostile writer can at
+most cause rejected records. A reader copies once and then checks the sequence number again.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ import numpy as np
 
 T = TypeVar("T")
 
-_HEAD = struct.Struct("<8sqIIq")  # magic, sequence, length, crc, sequence again
+_HEAD = struct.Struct("<8sqIIq")  # magic, sequence, length, CRC, sequence again
 _MAGIC = b"UAVCHAN1"
 _NONSENSE = (struct.error, TypeError, IndexError, KeyError, AttributeError, OverflowError, RecursionError, SyntaxError)
 
 
 class MemoryChannel(Generic[T]):
-    """The lockstep form: same bytes, through encode and decode, so both worlds see the same values."""
+    """A channel for lockstep. Values pass through encode() and decode(), as in a FileChannel."""
 
     def __init__(self, kind: type[T]) -> None:
         self._kind, self._value, self._sequence = kind, cast("T | None", None), 0
@@ -40,16 +40,19 @@ class MemoryChannel(Generic[T]):
         self._sequence += 1
 
     def latest(self) -> T | None:
-        """The newest value."""
+        """Return the newest value, or None."""
         return self._value
 
     def sequence(self) -> int:
-        """Values published so far."""
+        """Return the number of values published."""
         return self._sequence
 
 
 class FileChannel(Generic[T]):
-    """One file, one writer, any number of readers; the file outlives a crashed process of either side."""
+    """A channel in a memory-mapped file, with one writer and any number of readers.
+
+    The file survives a crash of either side.
+    """
 
     def __init__(self, path: Path, kind: type[T], capacity_bytes: int = 1 << 16) -> None:
         self._path, self._kind, self._capacity = path, kind, capacity_bytes + _HEAD.size
@@ -57,7 +60,7 @@ class FileChannel(Generic[T]):
         self._read_sequence, self._value = -1, cast("T | None", None)
 
     def publish(self, value: T) -> None:
-        """Replace the value. Raises ValueError if it does not fit."""
+        """Replace the value. Raises ValueError if it exceeds the capacity."""
         data = encode(value)
         if len(data) + _HEAD.size > self._capacity:
             raise ValueError(f"{self._path.name}: {len(data)} bytes do not fit in {self._capacity - _HEAD.size}")
@@ -67,7 +70,7 @@ class FileChannel(Generic[T]):
         self._map[: _HEAD.size] = _HEAD.pack(_MAGIC, sequence, len(data), zlib.crc32(data), sequence)
 
     def latest(self) -> T | None:
-        """The newest value; a torn record gives the one before it."""
+        """Return the newest value; for a torn or invalid record, return the previous value."""
         magic, sequence, length, crc, sequence_end = _HEAD.unpack(self._map[: _HEAD.size])
         if magic != _MAGIC or sequence == self._read_sequence:
             return self._value
@@ -79,12 +82,12 @@ class FileChannel(Generic[T]):
         self._read_sequence = sequence
         try:
             self._value = decode(data, self._kind)
-        except ValueError:  # a hostile or foreign writer: refused, once
+        except ValueError:  # from a hostile or foreign writer: reject the record once
             return self._value
         return self._value
 
     def sequence(self) -> int:
-        """Values published so far."""
+        """Return the number of values published."""
         magic, sequence, *_ = _HEAD.unpack(self._map[: _HEAD.size])
         return int(sequence) if magic == _MAGIC else 0
 
@@ -100,7 +103,7 @@ def _map_file(path: Path, size: int) -> mmap.mmap:
 
 
 def encode(value: Any) -> bytes:
-    """A frozen dataclass tree of numbers, strings, enums, tuples and arrays, as bytes."""
+    """Encode a tree of frozen dataclasses, numbers, strings, enums, tuples and arrays as bytes."""
     arrays: list[np.ndarray[Any, Any]] = []
     head = json.dumps(_encode(value, arrays)).encode()
     parts = [struct.pack("<I", len(head)), head]
@@ -127,7 +130,10 @@ def _encode(value: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
 
 
 def decode(data: bytes, kind: type[T]) -> T:
-    """The inverse of encode(), led by the declared types. Raises ValueError on bytes that do not fit them."""
+    """Decode the bytes of encode() by the declared types.
+
+    Raises ValueError on bytes that do not fit.
+    """
     try:
         (length,) = struct.unpack_from("<I", data)
         tree = json.loads(data[4 : 4 + length])
@@ -166,7 +172,7 @@ def _decode(tree: Any, kind: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
     origin = typing.get_origin(kind)
     if origin is np.ndarray:
         return arrays[tree]
-    if origin in (types.UnionType, typing.Union):  # of a kind and nothing
+    if origin in (types.UnionType, typing.Union):  # X | None
         if tree is None:
             return None
         (inner,) = [a for a in typing.get_args(kind) if a is not type(None)]

@@ -1,4 +1,4 @@
-"""Time, injected: a monotonic clock, a manual one, a rate keeper, and executors for both worlds."""
+"""Injected time: a monotonic clock, a manual clock, a rate keeper and two executors."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ T = TypeVar("T")
 
 
 class MonotonicClock:
-    """CLOCK_MONOTONIC: shared by all processes of one machine."""
+    """CLOCK_MONOTONIC, shared by all processes of one machine."""
 
     def now_s(self) -> float:
-        """Seconds."""
+        """Return the time in seconds."""
         return time.monotonic()
 
     def sleep_until(self, instant_s: float) -> None:
@@ -29,27 +29,27 @@ class MonotonicClock:
 
 
 class ManualClock:
-    """A clock that its owner moves: lockstep and tests."""
+    """A clock that is advanced by its owner, for lockstep and tests."""
 
     def __init__(self, start_s: float = 0.0) -> None:
         self._now_s = start_s
 
     def now_s(self) -> float:
-        """Seconds."""
+        """Return the time in seconds."""
         return self._now_s
 
     def sleep_until(self, instant_s: float) -> None:
-        """Return at once: only advance_to() moves this clock."""
+        """Return at once, because only advance_to() moves this clock."""
 
     def advance_to(self, instant_s: float) -> None:
-        """Move forward. Raises ValueError on a step back."""
+        """Advance the clock. Raises ValueError if the instant is in the past."""
         if instant_s < self._now_s:
             raise ValueError(f"clock would go back from {self._now_s} s to {instant_s} s")
         self._now_s = instant_s
 
 
 class RateKeeper:
-    """Says when a periodic job is due, without drift; a late job is done once, not caught up."""
+    """Schedules a periodic job without drift. A late job runs once; missed periods are skipped."""
 
     def __init__(self, rate_hz: float, start_s: float) -> None:
         self.period_s = 1.0 / rate_hz
@@ -57,11 +57,11 @@ class RateKeeper:
         self._next = 0
 
     def next_s(self) -> float:
-        """The instant at which the job is due next."""
+        """Return the instant at which the job is due next, in seconds."""
         return self._origin_s + self._next * self.period_s
 
     def due(self, now_s: float) -> bool:
-        """True once per period."""
+        """Return True once per period."""
         if now_s + 1e-9 < self.next_s():
             return False
         self._next = max(self._next + 1, int((now_s - self._origin_s) / self.period_s + 1e-6) + 1)
@@ -82,23 +82,25 @@ class _Finished(Generic[T]):
 
 
 class InlineExecutor:
-    """Lockstep: work runs inline at once, its result is seen after its declared cost in simulated time."""
+    """Executor for lockstep. Work runs at once; its result is visible after its declared cost."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
 
     def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
-        """Run now, show later."""
+        """Run the work now; its result becomes visible after ``cost_s`` simulated seconds."""
         value = work()
         return _Finished(self._clock, value, self._clock.now_s() + cost_s)
 
     def close(self) -> None:
-        """Nothing runs here."""
+        """Do nothing: no work is ever pending."""
 
 
 class ThreadExecutor:
-    """Real time: one worker thread, so plans never overlap. patience_s: how long close() waits for the work that runs; None:
-    until it has returned. Work that never does is left behind, and ends with the process.
+    """Executor for real time with one worker thread, so that plans never overlap.
+
+    patience_s: seconds for which close() waits for running work; None waits until it has returned. Work that never returns
+        is abandoned and ends with the process.
     """
 
     def __init__(self, name: str, patience_s: float | None = None) -> None:
@@ -109,13 +111,13 @@ class ThreadExecutor:
         self._thread.start()
 
     def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
-        """Start work on the thread."""
+        """Start the work on the thread."""
         future: Future[T] = Future()
         self._work.put(lambda: self._do(work, future))
         return future
 
     def close(self) -> None:
-        """Wait for running work and end; what has not begun is cancelled."""
+        """Wait for running work and end. Work that has not started is cancelled."""
         self._closed = True
         self._work.put(None)
         self._thread.join(self._patience_s)
@@ -131,5 +133,5 @@ class ThreadExecutor:
             return
         try:
             future.set_result(work())
-        except BaseException as error:  # whoever asks for the result gets it
+        except BaseException as error:  # re-raised by result()
             future.set_exception(error)

@@ -1,4 +1,4 @@
-"""What must hold between the numbers of a config: each is allowed by itself, and together they cannot be flown."""
+"""Constraints between the numbers of a config that a check of each single key cannot find."""
 
 from __future__ import annotations
 
@@ -17,7 +17,14 @@ MAX_VOXELS = 30e6  # a channel of 64 MB takes 33 million
 
 
 class Constraint(NamedTuple):
-    """A key, how it must stand to a limit, that in words, and what it comes to. rounding: what floats may lose of a sum."""
+    """A relation between a key and a limit.
+
+    key: dotted name of the constrained key.
+    must_be: key of _HOLDS, for example "at most".
+    limit: the limit as text.
+    of: computes the limit from the config.
+    rounding: tolerance for the rounding of floating-point sums.
+    """
 
     key: str
     must_be: str
@@ -27,7 +34,7 @@ class Constraint(NamedTuple):
 
 
 def _volume_m3(config: Any) -> float:
-    """Of the box that is mapped."""
+    """Return the volume of the mapped box, in cubic metres."""
     safety, around_m = config.safety, 2.0 * config.voxels.margin_m
     x, y, z = (high - low + around_m for low, high in zip(safety.fence_min_m, safety.fence_max_m, strict=True))
     return float(x * y * z)
@@ -44,16 +51,16 @@ CONSTRAINTS = (
     _to("motion.descent_mps", "at most", "safety.max_speed_mps"),
     _to("motion.acceleration_mps2", "at most", "safety.max_acceleration_mps2"),
     _to("motion.yaw_rate_degps", "at most", "safety.max_yaw_rate_degps"),
-    _to("safety.vehicle_radius_m", "at most", "safety.fence_inset_m"),  # or the hull would leave the fence
-    _to("voxels.takeoff_radius_m", "at least", "safety.vehicle_radius_m"),  # declared free: the hull must fit in
+    _to("safety.vehicle_radius_m", "at most", "safety.fence_inset_m"),  # otherwise the hull could leave the fence
+    _to("voxels.takeoff_radius_m", "at least", "safety.vehicle_radius_m"),  # the hull must fit into the cylinder declared free
     Constraint(
-        "planner.clearance_m",  # or the guard would stop what is planned
+        "planner.clearance_m",  # otherwise the guard would stop planned motion
         "at least",
         "safety.vehicle_radius_m + safety.stop_clearance_m",
         lambda c: c.safety.vehicle_radius_m + c.safety.stop_clearance_m,
         rounding=1e-9,
     ),
-    _to("voxels.distance_cap_m", "at least", "planner.clearance_m"),  # or no place would be known to be clear enough
+    _to("voxels.distance_cap_m", "at least", "planner.clearance_m"),  # otherwise no position would be known to be clear
     Constraint(
         "mission.takeoff_height_m",
         "at most",
@@ -69,28 +76,29 @@ CONSTRAINTS = (
         rounding=1e-9,
     ),
     Constraint(
-        "voxels.resolution_m",  # or neither memory nor the channels would hold the map
+        "voxels.resolution_m",  # otherwise the map would fit neither into memory nor into the channels
         "at least",
         "the edge of 30 million voxels from safety.fence_min_m to safety.fence_max_m with voxels.margin_m around",
         lambda c: (_volume_m3(c) / MAX_VOXELS) ** (1 / 3),
         rounding=1e-9,
     ),
     _to("camera.depth_min_m", "less than", "camera.depth_max_m"),
-    _to("camera.depth_min_m", "less than", "voxels.max_range_m"),  # or no depth would ever mark anything
-    _to("localization.frame_wait_s", "less than", "safety.depth_timeout_s"),  # or depth would be old when it comes
+    _to("camera.depth_min_m", "less than", "voxels.max_range_m"),  # otherwise no depth would mark a voxel occupied
+    _to("localization.frame_wait_s", "less than", "safety.depth_timeout_s"),  # otherwise depth would be too old when it arrives
     Constraint(
-        "localization.rate_hz",  # or each pose would be old before the next
+        "localization.rate_hz",  # otherwise each pose would be too old before the next one
         "at least",
         "1 / safety.pose_timeout_s",
         lambda c: 1.0 / c.safety.pose_timeout_s,
         rounding=1e-9,
     ),
 )
-WRITTEN_RELATIONS = (_to("planner.shell_min_m", "less than", "planner.shell_max_m"),)  # a preset gives what is not written
+# checked only if both keys are in the file: the preset gives missing ones
+WRITTEN_RELATIONS = (_to("planner.shell_min_m", "less than", "planner.shell_max_m"),)
 
 
 class Requirement(NamedTuple):
-    """What one setting asks of others: when it is broken, and that in words."""
+    """A condition between settings: a test that returns True if it is violated, and the message."""
 
     broken: Callable[[Any], bool]
     words: str
@@ -117,7 +125,10 @@ REQUIREMENTS = (
 
 
 def fault_of(config: Any) -> str:
-    """What does not hold, in one line that names key, value and allowed range; '' for nothing. config: the whole tree."""
+    """Return the first violated constraint as one line, or '' if there is none.
+
+    The line names key, value and allowed range. config: the whole tree.
+    """
     for key, must_be, limit, of, rounding in (*CONSTRAINTS, *(r for r in WRITTEN_RELATIONS if _written(config, r))):
         value, most = attrgetter(key)(config), of(config)
         slack = -rounding if must_be == "at least" else rounding
@@ -127,5 +138,5 @@ def fault_of(config: Any) -> str:
 
 
 def _written(config: Any, relation: Constraint) -> bool:
-    """Whether both keys stand in the file."""
+    """Return True if both keys are in the file."""
     return all(key.split(".")[1] in config.planner.model_fields_set for key in (relation.key, relation.limit))

@@ -1,4 +1,4 @@
-"""The interfaces between stages. Each says whether it blocks, how stale its answer may be, and what it raises."""
+"""Interfaces between stages. Each states blocking, staleness of the result and errors."""
 
 from __future__ import annotations
 
@@ -19,66 +19,78 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class Clock(Protocol):
-    """The only source of time. now_s() never blocks and never goes back."""
+    """The only source of time. now_s() never blocks and never decreases."""
 
     def now_s(self) -> float:
-        """Seconds of the companion's monotonic clock."""
+        """Return the companion's monotonic time in seconds."""
         ...
 
     def sleep_until(self, instant_s: float) -> None:
-        """Block until the instant (a manual clock returns at once: its owner moves it)."""
+        """Block until the instant. A manual clock returns at once, because its owner advances it."""
         ...
 
 
 class Channel(Protocol[T]):
-    """A last-value channel: a reader sees the newest value, never a queue. Neither side ever blocks."""
+    """A last-value channel: a reader gets the newest value, never a queue. No call blocks."""
 
     def publish(self, value: T) -> None:
-        """Replace the value. Raises ValueError if it does not fit."""
+        """Replace the value. Raises ValueError if it exceeds the channel's capacity."""
         ...
 
     def latest(self) -> T | None:
-        """The newest value, or None before the first. A reader's None is also the answer to a torn or corrupt record."""
+        """Return the newest value, or None before the first publish.
+
+        A reader without an earlier value also returns None for a torn or corrupt record.
+        """
         ...
 
     def sequence(self) -> int:
-        """How many values were published so far; tells whether latest() is new."""
+        """Return the number of values published. A change means that latest() is new."""
         ...
 
 
 class Pending(Protocol[T_co]):
-    """Work handed to an Executor."""
+    """The handle of work submitted to an Executor."""
 
     def done(self) -> bool:
-        """Whether result() would return at once."""
+        """Return True if result() would return at once."""
         ...
 
     def result(self) -> T_co:
-        """The result; raises what the work raised. Blocks only if not done."""
+        """Return the result, or raise the exception of the work. Blocks only while not done."""
         ...
 
 
 class Executor(Protocol):
-    """Runs work beside the loop: a thread in real time, inline with a fixed simulated cost in lockstep."""
+    """Runs work beside the control loop.
+
+    In real time the work runs on a thread. In lockstep it runs inline and takes a fixed simulated time.
+    """
 
     def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
-        """Start work; cost_s is its declared cost on a simulated clock and ignored in real time. Does not block."""
+        """Start the work and return its handle. Does not block.
+
+        cost_s: declared duration of the work on a simulated clock, in seconds; ignored in real time.
+        """
         ...
 
     def close(self) -> None:
-        """Wait for running work, for a while, and end."""
+        """Wait, for a limited time, for running work, and then shut down."""
         ...
 
 
 class DepthCamera(Protocol):
-    """A depth camera. poll() never blocks; a frame is handed out once, newest first, older ones dropped."""
+    """A depth camera.
+
+    poll() never blocks and returns each frame at most once; older unread frames are dropped.
+    """
 
     def poll(self) -> Frame | None:
-        """The newest frame that was not handed out yet."""
+        """Return the newest frame that was not returned before, or None."""
         ...
 
     def imu(self) -> list[ImuSample]:
-        """Inertial samples since the last call, oldest first (empty for a camera without an IMU)."""
+        """Return the inertial samples since the last call, oldest first. Empty without an IMU."""
         ...
 
     def close(self) -> None:
@@ -87,163 +99,197 @@ class DepthCamera(Protocol):
 
 
 class PoseSource(Protocol):
-    """Absolute poses in odom, late and at its own rate; each is stamped at capture."""
+    """A source of absolute poses in odom.
+
+    Poses arrive late and at the source's own rate, stamped at capture.
+    """
 
     def poses(self) -> list[StampedPose]:
-        """Poses since the last call, oldest first. Never blocks."""
+        """Return the poses since the last call, oldest first. Never blocks."""
         ...
 
 
 @runtime_checkable
 class ByteLink(Protocol):
-    """A byte pipe to an autopilot: UDP, serial, or memory."""
+    """A byte pipe to an autopilot: UDP, serial or memory."""
 
     def read(self) -> bytes:
-        """Whatever arrived; b'' if nothing. Never blocks. Raises OSError if the link is gone."""
+        """Return the received bytes, b'' if there are none. Never blocks.
+
+        Raises OSError if the link is gone.
+        """
         ...
 
     def write(self, data: bytes) -> None:
-        """Send. Never blocks for long. Raises OSError if the link is gone."""
+        """Send the bytes. May block briefly. Raises OSError if the link is gone."""
         ...
 
     def wait(self, timeout_s: float) -> None:
-        """Block until bytes are there or the time is over (memory links return at once)."""
+        """Block until bytes are available or the timeout ends. Memory links return at once."""
         ...
 
     def close(self) -> None:
-        """Release it."""
+        """Release the link."""
         ...
 
 
 class ViewBudget(Protocol):
-    """Decides which frames, beside the tasks' own views, become keyframes. Nothing blocks."""
+    """Decides which frames become keyframes, in addition to the views of the tasks.
+
+    No call blocks.
+    """
 
     def worth(self, posed: PosedFrame, views_left: int) -> bool:
-        """Whether a frame should be one of the views that are left."""
+        """Return True if the frame should use one of the remaining views."""
         ...
 
     def keep(self, posed: PosedFrame) -> None:
-        """Note that a frame became a keyframe."""
+        """Record that the frame became a keyframe."""
         ...
 
 
 class Mapper(Protocol):
-    """Learns the surface from keyframes, in its own process or inline. No call blocks except finish()."""
+    """Learns the surface from keyframes, in its own process or inline. Only finish() blocks."""
 
     def add(self, keyframe: PosedFrame) -> bool:
-        """Hand over a view. False if it was refused (not finite, empty, outside the box) or the mapper is down."""
+        """Hand over a keyframe. Return False if it was rejected or the mapper is down.
+
+        A keyframe is rejected if it is not finite, is empty, or lies outside the mapped box.
+        """
         ...
 
     def repose(self, correction: MapCorrection) -> None:
-        """The map has another frame: learn it anew from the views, each where it now is. Those without a place are dropped."""
+        """Relearn the surface in a new map frame, with the corrected pose of each view.
+
+        Views without a corrected pose are dropped.
+        """
         ...
 
     def surface(self) -> SurfaceElements | None:
-        """The newest surface; may be a few views behind. None before the first of a map epoch."""
+        """Return the newest surface, or None before the first of a map epoch.
+
+        It may lag by a few views.
+        """
         ...
 
     def refused(self) -> Mapping[str, int]:
-        """How many views were not taken so far, by reason in words."""
+        """Return the number of rejected views by reason, as text."""
         ...
 
     def alive(self) -> bool:
-        """False while the mapper is dead or restarting."""
+        """Return False while the mapper is dead or restarting."""
         ...
 
     def finish(self, folder: Path) -> None:
-        """Polish, write mesh.ply (and its uncertainty) into the folder, and end. Blocks, bounded by its polish budget."""
+        """Run the final training, write mesh.ply and its uncertainty to the folder, and end.
+
+        Blocks for at most the budget of the final training.
+        """
         ...
 
 
 class Planner(Protocol):
-    """The same requests, accepted paths and order give the same answers, whatever the machine's load."""
+    """Chooses views and paths.
+
+    The same requests and accepted paths, in the same order, give the same results. The results do not depend on the load of
+    the machine.
+    """
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
-        """Choose the next views and the way to them."""
+        """Choose the next views and the path to them."""
         ...
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
-        """The shortest clear way to one view (home), as a path with that single view."""
+        """Return the shortest clear path to one view, for example home. The path has only that view."""
         ...
 
     def accept(self, path: ViewPath) -> None:
-        """This path is flown, or was tried in vain; a later plan looks at what came of it."""
+        """Record that this path is flown, or could not be flown. A later plan evaluates the outcome."""
         ...
 
     def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
-        """Whether the next view of the last plan still promises anything in a newer map. Microseconds."""
+        """Return True if the next view of the last plan still has a gain in a newer map.
+
+        Takes microseconds.
+        """
         ...
 
 
 class OccupancyMapInterface(Protocol):
-    """The occupancy map. Nothing blocks; costs are a few milliseconds."""
+    """The occupancy map. No call blocks; each costs a few milliseconds."""
 
     def integrate(self, posed: PosedFrame) -> int:
-        """Fuse a frame; how many voxels changed."""
+        """Fuse a frame and return the number of changed voxels."""
         ...
 
     def reset(self, map_epoch: int) -> None:
-        """Forget everything: poses of a new epoch do not fit the old map."""
+        """Clear the map: poses of a new map epoch do not fit the old map."""
         ...
 
     def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:
-        """The operator's word: this upright cylinder is free."""
+        """Mark an upright cylinder as free, as declared by the operator."""
         ...
 
     def snapshot(self) -> VoxelMap:
-        """A frozen copy with its distance field."""
+        """Return a frozen copy of the map with its distance field."""
         ...
 
     def explored_m3(self) -> float:
-        """Volume known (free or occupied)."""
+        """Return the known volume (free or occupied), in cubic metres."""
         ...
 
 
 class MotionPlannerInterface(Protocol):
-    """Pure: paths to trajectories under limits. A str answer is the reason why there is none."""
+    """Pure functions from paths to trajectories within limits.
+
+    A returned str is the reason for a failure.
+    """
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | str:
-        """From rest at ``start`` through every view of the path to rest at the last."""
+        """Plan from rest at ``start`` through every view of the path to rest at the last one."""
         ...
 
     def onward(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | str:
-        """Follow ``flying`` until ``leave_s``, then go on, in motion, through every view of the path to rest at the last."""
+        """Follow ``flying`` until ``leave_s``, then fly every view of the path without stopping.
+
+        The trajectory ends at rest at the last view.
+        """
         ...
 
     def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
-        """Look round on the spot."""
+        """Turn on the spot through ``total_yaw_rad`` and capture ``views`` views."""
         ...
 
     def line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
-        """Straight, rest to rest."""
+        """Fly a straight line from rest to rest."""
         ...
 
     def stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
-        """Brake along the same path."""
+        """Brake to rest along the same path."""
         ...
 
     def still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
-        """Whether what is left of the trajectory is clear in a newer map."""
+        """Return True if the rest of the trajectory is clear in a newer map."""
         ...
 
 
 class SpeedLimitedMotion(MotionPlannerInterface, Protocol):
-    """Motion that is told how fast it may be."""
+    """A motion planner whose speed limit can be changed at run time."""
 
     def allow(self, max_speed_mps: float) -> None:
-        """What is planned from now on stays below this speed (m/s)."""
+        """Set the speed limit in m/s of all trajectories planned from now on."""
         ...
 
 
 class Journal(Protocol):
-    """The flight's own account: one line per event, crash-safe. Never blocks for long, never raises in flight."""
+    """The flight log: one line per event, crash-safe. May block briefly; never raises in flight."""
 
     def progress(self, now: MissionProgress) -> None:
-        """A sample of the mission's life."""
+        """Log a sample of the mission's progress."""
         ...
 
     def plan(
@@ -257,25 +303,25 @@ class Journal(Protocol):
         views: int,
         hover_wait_s: float,
     ) -> None:
-        """A plan, what it cost, and how long the vehicle stood waiting for it."""
+        """Log a plan, its computation times, and the time the vehicle hovered while waiting for it."""
         ...
 
     def view(self, stamp_s: float, index: int, world_from_depth: Pose) -> None:
-        """A keyframe."""
+        """Log a keyframe."""
         ...
 
     def phase(self, stamp_s: float, phase: str, note: str) -> None:
-        """A change of phase."""
+        """Log a change of phase."""
         ...
 
     def refusal(self, stamp_s: float, reason: str) -> None:
-        """Something that was turned down."""
+        """Log a rejected command, trajectory or setpoint with its reason."""
         ...
 
     def refused_views(self, stamp_s: float, counts: Mapping[str, int]) -> None:
-        """How many keyframes the mapper did not take, by reason in words."""
+        """Log the number of keyframes rejected by the mapper, by reason as text."""
         ...
 
     def outcome(self, stamp_s: float, outcome: str, stop_reason: str) -> None:
-        """The last line."""
+        """Log the outcome of the flight, as the last line."""
         ...

@@ -1,1 +1,1 @@
-"""Benchmarks: composition roots like run.py."""
+"""Benchmarks. They are composition roots like uav_recon/app."""

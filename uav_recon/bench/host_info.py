@@ -1,4 +1,4 @@
-"""What was measured on what: the processor and the commit."""
+"""Host information for benchmark results: processor, commit and memory of this process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def processor() -> str:
-    """'Intel(R) Xeon(R) ..., 2 cores', as the system tells."""
+    """Return the processor name and core count: 'Intel(R) Xeon(R) ..., 2 cores'."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
@@ -20,7 +20,10 @@ def processor() -> str:
 
 
 def commit() -> str:
-    """The short hash of this source tree, '+changed' where files differ from it; 'unknown' outside a repository."""
+    """Return the short hash of this source tree, or 'unknown' outside a repository.
+
+    '+changed' is appended if files differ from the commit.
+    """
     folder = Path(__file__).parent
     head = _git(folder, "rev-parse", "--short", "HEAD")
     if not head:
@@ -29,7 +32,7 @@ def commit() -> str:
 
 
 def resident_mb() -> float:
-    """Memory of this process that is resident now, megabytes."""
+    """Return the resident memory of this process, in megabytes."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGESIZE") / 1e6
 

@@ -1,7 +1,7 @@
-"""How fast this machine is beside the one on which the reference figures were taken.
+"""Speed of this machine relative to the machine of the reference figures.
 
-Two fixed single-threaded jobs that resemble voxel work, an exact Euclidean distance transform and a sort. Times measured here
-are divided by the geometric mean of time here / time there before they are compared with a reference figure.
+Two fixed single-threaded jobs resemble voxel work: an exact Euclidean distance transform and a sort. Times measured here
+are divided by the geometric mean of (time here / time there) before they are compared with a reference figure.
 """
 
 from __future__ import annotations
@@ -13,13 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-# medians of the two jobs on the reference machine: numbers of that machine, not of this project
+# medians of the two jobs on the reference machine: properties of that machine, not of this project
 REFERENCE_EDT_S, REFERENCE_SORT_S = 0.0375, 0.0045
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Median seconds of the two jobs here: by the wall's clock, and of the processor (less, where the machine is busy)."""
+    """Median seconds of the two jobs here, as wall-clock time and as processor time.
+
+    On a busy machine the processor time is shorter than the wall-clock time.
+    """
 
     edt_s: float
     sort_s: float
@@ -28,17 +31,20 @@ class Calibration:
 
     @property
     def factor(self) -> float:
-        """Geometric mean of time here / time there, to divide times by; above 1 this machine is slower."""
+        """Return the geometric mean of (time here / time there), the divisor of wall-clock times.
+
+        Above 1 this machine is slower.
+        """
         return _mean_ratio(self.edt_s, self.sort_s)
 
     @property
     def cpu_factor(self) -> float:
-        """The same for processor times."""
+        """Return the divisor of processor times."""
         return _mean_ratio(self.edt_cpu_s, self.sort_cpu_s)
 
 
 def calibrate(runs: int = 7) -> Calibration:
-    """Run both jobs; about half a second."""
+    """Run both jobs. Takes about half a second."""
     rng = np.random.default_rng(7)
     occupied = rng.random((100, 100, 60)) < 0.02
     keys = rng.random(1_000_000)

@@ -1,1 +1,1 @@
-"""Where to look next: pure functions from frozen inputs to a path of views."""
+"""The view planner: pure functions from frozen inputs to a path of views."""

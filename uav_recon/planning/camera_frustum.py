@@ -1,4 +1,4 @@
-"""The camera as the planner sees it: a frustum on the body, and the few numbers its kernels need."""
+"""The camera model of the planner: a frustum on the body, with kernel parameters."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import FloatArray, frozen
 
-EDGE_MARGIN = 0.95  # of the half-frustum's tangent: what a small error of pose would push out of the picture is not promised
+# share of the half-frustum's tangent that is used, so that a small pose error does not push a cell out of the image
+EDGE_MARGIN = 0.95
 # order of the numbers in CameraGeometry.lens()
 TAN_H, TAN_V, NEAR, RANGE, CAM_X, CAM_Y, CAM_Z, PITCH_MIN, PITCH_MAX, COS_MIN, SIN_MIN, COS_MAX, SIN_MAX = range(13)
 
@@ -18,11 +19,14 @@ Sight = tuple[float, float, float, float, float, float, float]  # eye x, y, z, c
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraGeometry:
-    """Depth camera on the body.
+    """A depth camera on the body.
 
-    hfov_rad, vfov_rad: full angles. position_body_m: (3,) of the imager. pitch_min_rad, pitch_max_rad: how far it can look
-    DOWN (a fixed mount: both its tilt). range_m: to which an unknown voxel is expected to be decided. surface_range_m: to
-    which a surface counts as seen well. near_m: nearer returns are not believed.
+    hfov_rad, vfov_rad: full angles of view.
+    position_body_m: (3,) position of the imager.
+    pitch_min_rad, pitch_max_rad: range of the pitch, positive looks DOWN. A fixed mount has its tilt as both.
+    range_m: range up to which an unknown voxel is expected to become known.
+    surface_range_m: range up to which a surface counts as well seen.
+    near_m: returns closer than this are ignored.
     """
 
     hfov_rad: float
@@ -40,7 +44,7 @@ class CameraGeometry:
             raise ValueError(f"camera pitch range is empty: {self.pitch_min_rad} to {self.pitch_max_rad} rad")
 
     def lens(self, resolution_m: float, range_m: float) -> FloatArray:
-        """Pack the numbers for a kernel, lengths in voxels: (13,) in the order TAN_H ... SIN_MAX."""
+        """Pack the parameters for a kernel, lengths in voxels: (13,) in the order TAN_H ... SIN_MAX."""
         position = self.position_body_m / resolution_m
         return np.array(
             [
@@ -63,7 +67,10 @@ class CameraGeometry:
 
 @kernel
 def aim(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float, tz: float) -> tuple[float, float]:
-    """Yaw and pitch (down) with which a body at (x, y, z) looks at a target, voxels; pitch as near as the mount allows."""
+    """Return yaw and pitch (down) with which a body at (x, y, z) looks at a target (tx, ty, tz).
+
+    Positions are in voxels. The pitch is limited to the range of the mount.
+    """
     dx, dy = tx - x, ty - y
     yaw = np.arctan2(dy, dx)
     flat = max(np.sqrt(dx * dx + dy * dy) - lens[CAM_X], 1e-6)
@@ -73,7 +80,10 @@ def aim(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float, tz
 
 @kernel
 def sight(lens: FloatArray, place: FloatArray, yaw_rad: float, pitch_down_rad: float) -> Sight:
-    """Line of sight of a level body at ``place`` (3,), voxels: where its camera is, and cosines and sines of its angles."""
+    """Return the line of sight of a level body at ``place`` (3,), in voxels.
+
+    The line of sight holds the camera position and the cosines and sines of yaw and pitch.
+    """
     cy, sy = np.cos(yaw_rad), np.sin(yaw_rad)
     x = place[0] + cy * lens[CAM_X] - sy * lens[CAM_Y]
     y = place[1] + sy * lens[CAM_X] + cy * lens[CAM_Y]
@@ -82,7 +92,7 @@ def sight(lens: FloatArray, place: FloatArray, yaw_rad: float, pitch_down_rad: f
 
 @kernel
 def look_at(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float, tz: float) -> Sight:
-    """sight() of a body at (x, y, z) with the angles of aim(), without trigonometry."""
+    """Return sight() of a body at (x, y, z) with the angles of aim(), without trigonometry."""
     dx, dy = tx - x, ty - y
     across = np.sqrt(dx * dx + dy * dy)
     cy, sy = (dx / across, dy / across) if across > 1e-9 else (1.0, 0.0)
@@ -99,7 +109,7 @@ def look_at(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float
 
 @kernel
 def in_view(lens: FloatArray, sight: Sight, x: float, y: float, z: float) -> bool:
-    """Tell whether a point (voxels) is in front of the camera, inside its frustum and its range."""
+    """Return True if a point (voxels) is in front of the camera, in its frustum and in range."""
     eye_x, eye_y, eye_z, cy, sy, cp, sp = sight
     dx, dy, dz = x - eye_x, y - eye_y, z - eye_z
     distance2 = dx * dx + dy * dy + dz * dz

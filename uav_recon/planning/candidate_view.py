@@ -1,4 +1,4 @@
-"""A task that can be flown to: what the tour orders and the memory keeps."""
+"""Candidate views: reachable tasks that the tour orders and the view history keeps."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import Task
 
-MIN_SEEN = 10  # frontier cells: a view of fewer is not worth a stop
+MIN_SEEN = 10  # frontier cells; a view of fewer is not worth a stop
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateView:
-    """task; place: (3,) where its viewpoint is, padded voxel units of the flyable space.
+    """A task with its view position and the voxels that the view should settle.
 
-    promised: (M,) flat indices into VoxelMap.state of the frontier cells, or of the voxels of surface, that it should settle.
-    squareness: (M,) cosine under which each is seen; 1 for frontier cells.
+    place: (3,) position of the viewpoint, in padded voxel units of the flyable space.
+    promised: (M,) flat indices into VoxelMap.state of the frontier cells or surface voxels that the view should settle.
+    squareness: (M,) cosine of the angle between surface normal and direction to the camera; 1 for frontier cells.
     """
 
     task: Task
@@ -29,14 +30,17 @@ class CandidateView:
     squareness: FloatArray
 
     def gaining(self, gain: float) -> CandidateView:
-        """The same with another gain."""
+        """Return a copy with another gain."""
         task = Task(self.task.kind, self.task.centroid_world, self.task.viewpoint, float(gain))
         return CandidateView(task, self.place, self.promised, self.squareness)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanningContext:
-    """What one plan looks at: the map, where the vehicle is and may fly, and the way out to the first such cell."""
+    """The inputs of one plan: map, flyable space, vehicle position and exit cells.
+
+    exit_cells: flat cells from the vehicle's cell to the nearest flyable cell, see FlyableSpace.stand().
+    """
 
     voxels: VoxelMap
     space: FlyableSpace
@@ -44,7 +48,10 @@ class PlanningContext:
     position_world: FloatArray
 
     def holds(self, place: FloatArray) -> bool:
-        """Whether a place (3,), padded voxel units, is in a voxel that can be flown to, and clear itself."""
+        """Return True if a position (3,) is reachable and has the full clearance.
+
+        The position is in padded voxel units.
+        """
         x, y, z = (place - 1.0).tolist()
         shape, space = self.voxels.grid.shape, self.space
         beside = blocking_voxel(self.voxels.distance2.reshape(-1), shape, space.berth, x, y, z)

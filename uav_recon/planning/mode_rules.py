@@ -1,4 +1,4 @@
-"""When to explore alone and when to merge exploring with looking at uncertain surface (paper, section III-C)."""
+"""Rules that choose between exploration alone and merged exploration (paper, section III-C)."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from uav_recon.types.tasks import PlanMode
 class ModeRule(Protocol):
     """Chooses the mode of one plan; never blocks.
 
-    It knows the path lengths (N,) in metres to the frontiers that can be viewed, and which of them (N,) are openings: with room
-    beyond them, and not gaps in front of a wall.
+    frontier_distance_m: (N,) path lengths in metres to the frontiers that can be viewed.
+    opening: (N,) True for frontiers with unknown space beyond them, False for gaps in front of a wall.
     """
 
     def choose(self, frontier_distance_m: FloatArray, opening: BoolArray) -> PlanMode:
@@ -25,9 +25,12 @@ class ModeRule(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Adaptive:
-    """V5: explore while more than ``near_count`` frontiers are near and they are more than ``near_share`` of all.
+    """V5: explore while many openings are near, else merge.
 
-    Beyond the paper: only openings count. Gaps in front of walls are near wherever one is, and would always win.
+    Many means more than ``near_count`` openings, and more than ``near_share`` of all openings.
+
+    Difference from the paper: only openings count. Gaps in front of walls are near at every position and would always
+    dominate.
     """
 
     near_distance_m: float
@@ -35,7 +38,7 @@ class Adaptive:
     near_share: float
 
     def choose(self, frontier_distance_m: FloatArray, opening: BoolArray) -> PlanMode:
-        """N_near and beta_near by PATH length: a frontier behind a wall is not near."""
+        """Compute N_near and beta_near by PATH length, so that a frontier behind a wall is not near."""
         near = int(np.count_nonzero(frontier_distance_m[opening] <= self.near_distance_m))
         share = near / max(int(np.count_nonzero(opening)), 1)
         return PlanMode.EXPLORE if near > self.near_count and share > self.near_share else PlanMode.MERGED
@@ -43,26 +46,26 @@ class Adaptive:
 
 @dataclass(frozen=True, slots=True)
 class ExploreOnly:
-    """V1 and V2: frontiers, and nothing after them."""
+    """V1 and V2: frontier tasks only."""
 
     def choose(self, frontier_distance_m: FloatArray, opening: BoolArray) -> PlanMode:
-        """Explore."""
+        """Return EXPLORE."""
         return PlanMode.EXPLORE
 
 
 @dataclass(frozen=True, slots=True)
 class AlwaysMerged:
-    """V3, V4 and the baselines: whatever there is to see, from the start."""
+    """V3, V4 and the baselines: frontier and surface tasks from the start."""
 
     def choose(self, frontier_distance_m: FloatArray, opening: BoolArray) -> PlanMode:
-        """Merge."""
+        """Return MERGED."""
         return PlanMode.MERGED
 
 
 @dataclass(frozen=True, slots=True)
 class ExploreThenRefine:
-    """The baseline that the paper leaves out: no look at surface until no frontier can be viewed any more."""
+    """A baseline that is not in the paper: no surface tasks while a frontier can be viewed."""
 
     def choose(self, frontier_distance_m: FloatArray, opening: BoolArray) -> PlanMode:
-        """Explore while there is a frontier."""
+        """Return EXPLORE while there is a frontier, else MERGED."""
         return PlanMode.EXPLORE if len(frontier_distance_m) else PlanMode.MERGED

@@ -1,4 +1,4 @@
-"""Through narrow ways: with less room than usual, and only to an opening, or home, that no other way leads to."""
+"""Paths with reduced clearance, used only for an opening or home that no other path reaches."""
 
 from __future__ import annotations
 
@@ -25,11 +25,13 @@ ON_A_NARROW_WAY = "on a narrow way nothing else is begun"
 
 
 class NarrowPassagePlanner:
-    """A planner that asks again with less room once another has nothing left; see protocols.Planner.
+    """Plans paths with reduced clearance when the usual planner finds none.
 
-    Only its ways are narrow: views have the usual room, so the vehicle rests where the other planner goes on. It is asked at
-    rest, proposes one opening at a time (a gap in front of a wall is not worth the squeeze), and costs nothing before: what it
-    needs of the map is looked up for each question.
+    Implements interfaces.Planner.
+
+    Only the paths are narrow. The views have the usual clearance, so the vehicle comes to rest where the usual planner can
+    plan again. A narrow path is planned at rest, for one opening at a time; a gap in front of a wall does not justify it.
+    There is no cost before that: the flyable space with reduced clearance is computed for each request.
     """
 
     def __init__(
@@ -40,15 +42,23 @@ class NarrowPassagePlanner:
         fence_inset_m: float,
         timer: Callable[[], float] = time.perf_counter,
     ) -> None:
-        """clearance_m: of a narrow way, less than ``planner``'s; homeward_m: the least on the way home, where a speck beside
-        the passage that it came by may have taken the rest; fence_inset_m, timer: as there."""
+        """Store the usual planner and the reduced clearances.
+
+        clearance_m: clearance of a narrow path, less than that of ``planner``.
+        homeward_m: minimum clearance on the path home. An occupied voxel near the passage that the vehicle flew through may
+            since have reduced the clearance there.
+        fence_inset_m, timer: as for ViewPlanner.
+        """
         self._planner, self._clearance_m, self._homeward_m = planner, clearance_m, homeward_m
         self._inset_m, self._timer = fence_inset_m, timer
         self._offered: tuple[ViewPath, CandidateView] | None = None
         self._squeezing = False
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
-        """The other planner's answer, or where it has nothing and the vehicle rests, a narrow way to the nearest opening."""
+        """Return the usual planner's result, or a narrow path to the nearest opening if it has none.
+
+        A narrow path is planned only while the vehicle rests.
+        """
         start_s, moving = self._timer(), bool(request.velocity_world_mps.any())
         if moving and self._squeezing:
             return NothingLeft(ON_A_NARROW_WAY, 0.0, 0.0)
@@ -62,7 +72,7 @@ class NarrowPassagePlanner:
         return found[0]
 
     def accept(self, path: ViewPath) -> None:
-        """See protocols.Planner."""
+        """See interfaces.Planner."""
         self._squeezing = self._offered is not None and self._offered[0] is path
         if self._offered is not None and self._squeezing:
             self._planner.visited.promise(path, (self._offered[1],))
@@ -70,11 +80,11 @@ class NarrowPassagePlanner:
             self._planner.accept(path)
 
     def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
-        """See protocols.Planner."""
+        """See interfaces.Planner."""
         return self._planner.still_worth(voxels, position_world, yaw_rad)
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
-        """The other planner's way, or where it knows none, a narrow one, or the least that leads home."""
+        """Return the usual planner's path, else a narrow one, else one with ``homeward_m``."""
         start_s = self._timer()
         answer = self._planner.route(request, goal)
         if isinstance(answer, ViewPath):
@@ -92,7 +102,7 @@ class NarrowPassagePlanner:
         clearance_m: float,
         start_s: float,
     ) -> tuple[ViewPath, CandidateView] | None:
-        """The shortest way with that clearance to what is wanted, if there is any: its path, and where that leads."""
+        """Return the shortest path with a clearance to a wanted view, and that view, or None."""
         space = self._space(request.voxels, clearance_m)
         exit_cells = space.stand(request.position_world)
         if exit_cells is None:
@@ -118,7 +128,7 @@ class NarrowPassagePlanner:
         return path, proposals[nearest]
 
     def _space(self, voxels: VoxelMap, clearance_m: float) -> FlyableSpace:
-        """Where there is room enough for a way with that clearance."""
+        """Return the flyable space for a clearance."""
         low_m, high_m = self._planner.fence_m
         box = fence_box(voxels.grid, low_m + self._inset_m, high_m - self._inset_m)
         space = FlyableSpace(voxels.grid, clearance_m, *box)
@@ -126,7 +136,10 @@ class NarrowPassagePlanner:
         return space
 
     def _openings(self, situation: PlanningContext) -> list[CandidateView]:
-        """The nearest openings that can be viewed with the usual room from beyond a narrow way."""
+        """Return views of the nearest openings from positions behind a narrow passage.
+
+        The positions have the usual clearance.
+        """
         usual, frontiers, voxels = self._planner.space, self._planner.frontiers, situation.voxels
         beyond = _Beyond(
             mask=usual.mask,
@@ -143,7 +156,7 @@ class NarrowPassagePlanner:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Beyond:
-    """Places with the usual room that a narrow way leads to; see views.Flyable."""
+    """Positions with the usual clearance behind a narrow passage; see frontier_views.Flyable."""
 
     mask: ByteArray
     reachable: ByteArray

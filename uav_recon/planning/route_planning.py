@@ -1,4 +1,4 @@
-"""The way to one given place, home for instance: not to look at anything, only to be there."""
+"""The route to a given position, for example home, without a view to take."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ import numpy as np
 from uav_recon.planning.candidate_view import CandidateView, PlanningContext
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
-NEAR_ENOUGH_M = 0.4  # a pad whose own column may not be flown is reached beside it
+NEAR_ENOUGH_M = 0.4  # if the column above the pad is not flyable, a cell beside it is used
 
 
 def route_to(situation: PlanningContext, goal: Viewpoint) -> CandidateView | None:
-    """The reachable cell nearest to ``goal`` as a proposal; None if all are farther away than NEAR_ENOUGH_M."""
+    """Return the reachable cell nearest to ``goal`` as a candidate view.
+
+    Returns None if all reachable cells are farther away than NEAR_ENOUGH_M.
+    """
     space = situation.space
     at = space.padded(goal.position_world)
     reach = NEAR_ENOUGH_M / space.grid.resolution_m

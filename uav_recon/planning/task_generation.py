@@ -1,4 +1,4 @@
-"""Where the tasks of one plan come from: clusters of frontier and surface with a best view each, or a field of gain."""
+"""Task sources: best views of frontier and surface clusters, or samples of a gain field."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MAX_FRONTIERS, MAX_TASKS = 24, 40  # the nearest ones: the horizon executes only
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GeneratedTasks:
-    """The tasks of one plan. widening: alpha once no opening can be viewed any more, else 1."""
+    """The tasks of one plan. widening: alpha once no opening can be viewed, else 1."""
 
     mode: PlanMode
     proposals: list[CandidateView]
@@ -35,9 +35,10 @@ class GeneratedTasks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskQuery:
-    """What a source is asked with: where one plan stands, and what there may be to look at.
+    """The inputs of a task source for one plan.
 
-    looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel. views_left: in the budget.
+    looks: (nx, ny, nz) sum of the cosines under which earlier views have seen the surface in a voxel.
+    views_left: remaining views in the budget.
     """
 
     situation: PlanningContext
@@ -49,21 +50,23 @@ class TaskQuery:
 
 
 class TaskSource(Protocol):
-    """Makes the tasks of one plan; remembers only what spares it work."""
+    """Generates the tasks of one plan. Its state is only a cache."""
 
     def propose(self, question: TaskQuery) -> GeneratedTasks:
-        """Look for tasks."""
+        """Return the tasks of one plan."""
         ...
 
     def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
-        """Why frontiers have no view, by reason; slow, for the end."""
+        """Count the frontiers without a view, by reason. Slow; meant for the end of a flight."""
         ...
 
 
 class ClusterTasks:
-    """The paper's: the best view of each cluster, surface beside frontiers as the mode says.
+    """The paper's task source: the best view of each frontier and surface cluster.
 
-    Beyond the paper: surface gets the views that frontiers leave over, its most uncertain first.
+    Surface tasks are generated only in merged mode.
+
+    Difference from the paper: surface gets the views that the frontiers leave, most uncertain surface first.
     """
 
     def __init__(self, config: PlannerConfig, variant: Variant, views: FrontierViews, surfaces: SurfaceViews) -> None:
@@ -71,7 +74,7 @@ class ClusterTasks:
         self._views, self._surfaces = views, surfaces
 
     def propose(self, question: TaskQuery) -> GeneratedTasks:
-        """See Source."""
+        """See TaskSource."""
         situation, ways = question.situation, question.ways
         explore = self._explore(situation, question.frontiers)
         ways.update(situation.exit_cells, situation.position_world, places_of(explore))
@@ -85,13 +88,16 @@ class ClusterTasks:
         return GeneratedTasks(mode, (explore + surface[:spare])[:MAX_TASKS], widening)
 
     def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
-        """See Source."""
+        """See TaskSource."""
         if TaskKind.EXPLORE not in self._variant.kinds:
             return Counter()
         return self._views.reasons(situation.voxels, situation.space, frontiers)
 
     def _explore(self, situation: PlanningContext, frontiers: Frontiers) -> list[CandidateView]:
-        """The nearest frontiers' tasks, openings first; each gains what is beyond all that its view shows."""
+        """Return the tasks of the nearest frontiers, openings first.
+
+        The gain of a task is the unknown volume beyond all frontier cells that its view shows.
+        """
         if TaskKind.EXPLORE not in self._variant.kinds:
             return []
         found = self._views.update(situation.voxels, situation.space, frontiers, situation.position_world)
@@ -101,23 +107,23 @@ class ClusterTasks:
 
 
 def places_of(proposals: list[CandidateView]) -> FloatArray:
-    """Where their views are: (N, 3), padded voxel units."""
+    """Return the positions (N, 3) of the candidate views, in padded voxel units."""
     return np.array([proposal.place for proposal in proposals], dtype=np.float64).reshape(-1, 3)
 
 
 class GainField:
-    """EVPP's: views sampled near the vehicle, the best of a field of gain."""
+    """EVPP's task source: views sampled near the vehicle, ranked by an information-gain field."""
 
     def __init__(self, views: FieldViews, reasons: FrontierViews) -> None:
         self._views, self._reasons = views, reasons
 
     def propose(self, question: TaskQuery) -> GeneratedTasks:
-        """See Source."""
+        """See TaskSource."""
         frontiers = question.frontiers.clusters()
         return GeneratedTasks(
             PlanMode.MERGED, self._views.propose(question.situation, frontiers, question.surface, question.looks)
         )
 
     def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
-        """See Source."""
+        """See TaskSource."""
         return self._reasons.reasons(situation.voxels, situation.space, frontiers)

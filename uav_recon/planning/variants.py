@@ -1,4 +1,4 @@
-"""The paper's variants and baselines, each put together of small objects; for `uav-recon sim --variant NAME` and benchmarks."""
+"""The paper's variants and baselines, for `uav-recon sim --variant NAME` and benchmarks."""
 
 from __future__ import annotations
 
@@ -19,10 +19,15 @@ BOTH = frozenset(TaskKind)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Variant:
-    """What a planner is made of. A choice remembers one flight: make a variant for each planner.
+    """The parts of a planner.
 
-    kinds: of tasks that are ever made. mode: says when surface tasks are made beside frontier tasks. choice: which are flown.
-    camera: how the mount may be used. views: where tasks come from, clusters with a best view each, or the gain field.
+    A choice holds the state of one flight: make one variant per planner.
+
+    kinds: kinds of tasks that are generated.
+    mode: rule that decides when surface tasks are generated beside frontier tasks.
+    choice: orders the tasks and drops those not worth a flight.
+    camera: restricts the use of the mount.
+    views: source of the tasks: one best view per cluster, or the gain field.
     """
 
     name: VariantName
@@ -52,11 +57,11 @@ def variant(name: VariantName, config: PlannerConfig) -> Variant:
 
 
 def as_mounted(camera: CameraGeometry) -> CameraGeometry:
-    """The whole range of the mount."""
+    """Return the camera with the full range of the mount."""
     return camera
 
 
 def yaw_only(camera: CameraGeometry) -> CameraGeometry:
-    """Level, or as near to level as the mount can: a fixed mount keeps its angle."""
+    """Return the camera with a fixed pitch, level or as near to level as the mount allows."""
     pitch_rad = min(max(0.0, camera.pitch_min_rad), camera.pitch_max_rad)
     return dataclasses.replace(camera, pitch_min_rad=pitch_rad, pitch_max_rad=pitch_rad)

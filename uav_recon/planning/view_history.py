@@ -1,8 +1,8 @@
-"""What earlier plans promised and what came of it: so that nothing is looked at for ever.
+"""View history: outcomes of earlier views, so that no frontier or surface is viewed forever.
 
-A frontier that a camera cannot settle (a ceiling corner, glass) stays a frontier after the view that should have settled it.
-Each voxel that was promised and not delivered twice is exhausted and makes no more tasks. Surface keeps the sum of the cosines
-under which tasks have looked at it: its uncertainty counts for less and less, so that reconstruction ends too.
+Some frontiers cannot be settled by a camera (a ceiling corner, glass) and remain after the view that should have settled
+them. A voxel that was promised twice and is still a frontier is exhausted and generates no more tasks. For surface, the sum
+of the cosines of all views is kept: each view reduces the weight of the uncertainty, so that reconstruction ends too.
 """
 
 from __future__ import annotations
@@ -15,21 +15,25 @@ from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArra
 from uav_recon.types.maps import FREE, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import PlanRequest, TaskKind, ViewPath
 
-MAX_LOOKS = 2  # in vain, then a frontier voxel is exhausted
-HOPELESS_SHARE = 0.7  # of the promised voxels: if so many are left after a look, another will not settle them either
-ARRIVED_M = 0.35  # a view counts as flown from here ...
-ARRIVED_RAD = 0.4  # ... with this heading
-WORTH_SHARE = 0.3  # of the promised frontier voxels: when fewer are left on the way there, the view is not flown to
-STALLED_PLANS = 3  # plans in a row at the same place: whoever flies refuses the first view, so it counts as flown
+MAX_LOOKS = 2  # unsuccessful views after which a frontier voxel is exhausted
+HOPELESS_SHARE = 0.7  # if this share of the promised voxels is left after a view, another view will not settle them either
+ARRIVED_M = 0.35  # a view counts as flown within this distance ...
+ARRIVED_RAD = 0.4  # ... and this heading difference
+WORTH_SHARE = 0.3  # if a smaller share of the promised frontier voxels is left, the view is no longer flown to
+# consecutive plans at the same position: the first view was refused by motion planning, so it counts as flown
+STALLED_PLANS = 3
 
 
 class ViewHistory:
-    """Memory of one flight, changed by the planner alone: settle() before a plan, promise() once it is flown.
+    """The views of one flight and their outcomes.
 
-    Grids have the map's shape and are forgotten when the map's frame changes (another epoch, origin or shape).
+    Only the planner changes it: settle() before a plan, promise() when a path is accepted.
 
-    looks_in_vain, exhausted: (nx, ny, nz) uint8, how often a frontier voxel was promised in vain, and 1 where that is enough.
-    surface_looks: (nx, ny, nz) float32, sum of the cosines under which tasks have looked at the surface in a voxel.
+    Grids have the shape of the map and are cleared when the map's frame changes (another epoch, origin or shape).
+
+    looks_in_vain: (nx, ny, nz) uint8, number of unsuccessful views of a frontier voxel.
+    exhausted: (nx, ny, nz) uint8, 1 where that number has reached its limit.
+    surface_looks: (nx, ny, nz) float32, sum of the cosines under which tasks have seen the surface in a voxel.
     """
 
     looks_in_vain: ByteArray
@@ -38,13 +42,16 @@ class ViewHistory:
     _path: ViewPath | None
     _proposals: tuple[CandidateView, ...]
     _position: FloatArray
-    _waiting: list[tuple[int, IntArray]]  # map revision and frontier voxels of views flown, not yet judged
+    _waiting: list[tuple[int, IntArray]]  # map revision and frontier voxels of views flown and not yet evaluated
 
     def __init__(self) -> None:
         self._forget((0, 0, 0), ())
 
     def settle(self, request: PlanRequest) -> IntArray:
-        """Judge the views flown since the last plan against the map as it is now; flat indices (N,) newly exhausted."""
+        """Evaluate the views flown since the last plan against the current map.
+
+        Returns the flat indices (N,) of voxels that became exhausted.
+        """
         self._keep_frame(request)
         voxels = request.voxels
         for proposal in self._newly_flown(request):
@@ -52,7 +59,7 @@ class ViewHistory:
                 self._waiting.append((voxels.revision, proposal.promised))
             else:
                 self.surface_looks.reshape(-1)[proposal.promised] += proposal.squareness.astype(np.float32)
-        # a view is judged by a map newer than the arrival: the picture taken there may still be on its way
+        # a view is evaluated by a map newer than the arrival, because the image taken there may still be in processing
         due = [promised for revision, promised in self._waiting if revision < voxels.revision]
         self._waiting = [(revision, promised) for revision, promised in self._waiting if revision >= voxels.revision]
         self._position = np.array(request.position_world)
@@ -69,11 +76,11 @@ class ViewHistory:
         return newly
 
     def promise(self, path: ViewPath, proposals: tuple[CandidateView, ...]) -> None:
-        """Keep what the new path's views (same order) are to settle."""
+        """Store what the views of the new path (same order) should settle."""
         self._path, self._proposals = path, proposals
 
     def next_promised(self, position_world: FloatArray, yaw_rad: float) -> CandidateView | None:
-        """What the next view of the promised path is to settle; None if there is no next view."""
+        """Return the next view of the promised path, or None if there is none."""
         if self._path is None:
             return None
         passed = _views_passed(self._path, position_world, yaw_rad)
@@ -81,7 +88,10 @@ class ViewHistory:
 
     @staticmethod
     def is_worth(voxels: VoxelMap, proposal: CandidateView) -> bool:
-        """Whether a view would still settle anything: enough of its frontier is still one."""
+        """Return True if at least WORTH_SHARE of the frontier cells of a view still exist.
+
+        A surface view is always worth it.
+        """
         if proposal.task.kind is not TaskKind.EXPLORE:
             return True
         still = int(np.count_nonzero(_still_frontier(voxels.state, proposal.promised)))
@@ -114,7 +124,7 @@ class ViewHistory:
 
 @kernel
 def _still_frontier(state: ByteArray, voxels: IntArray) -> BoolArray:
-    """Which of the voxels (N,), flat indices, are free beside an unknown one."""
+    """Mark the voxels (N,), flat indices, that are free and have an unknown face neighbour."""
     nx, ny, nz = state.shape
     out = np.zeros(len(voxels), dtype=np.bool_)
     for n in range(len(voxels)):
@@ -138,7 +148,10 @@ def warm_up() -> None:
 
 
 def _views_passed(path: ViewPath, position_world: FloatArray, yaw_rad: float) -> int:
-    """How many views lie behind the vehicle: up to the last one that it stands at, else by the nearest leg of the way."""
+    """Return how many views are behind the vehicle.
+
+    These are the views up to the last one at whose pose the vehicle is, or else up to the nearest leg of the path.
+    """
     at = [
         float(np.linalg.norm(view.position_world - position_world)) < ARRIVED_M
         and abs((view.yaw_rad - yaw_rad + np.pi) % (2 * np.pi) - np.pi) < ARRIVED_RAD

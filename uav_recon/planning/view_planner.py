@@ -1,4 +1,7 @@
-"""The planner: frontiers, uncertain surfaces, viewpoints, mode, tour (paper, sections III-A to III-C)."""
+"""The planner: frontiers, uncertain surface, viewpoints, mode, tour.
+
+Paper, sections III-A to III-C.
+"""
 
 from __future__ import annotations
 
@@ -37,19 +40,23 @@ from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, ViewPath, Viewpoint
 
-TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # to warm up with
-SAME_SHARE = 0.5  # of what a task is to settle: if the committed view settles so much of it, it is no task of its own
+TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # for warm_up()
+SAME_SHARE = 0.5  # a task is dropped if the committed view settles this share of its voxels
 
 
 class ViewPlanner:
-    """Chooses views and the way to them; one per flight. It keeps what it found out about the map, and looks at changes alone.
+    """Chooses views and the path to them; one object per flight.
 
-    The same requests and accepted paths in the same order give the same answers. fence_min_m, fence_max_m: (3,) box in world
-    that is to be explored; the body keeps ``fence_inset_m`` away from its sides. speed_mps, yaw_rate_radps: what a flight is
-    reckoned with. timer: seconds; read only to fill task_s and step_s.
+    Caches map results across plans. Only changed parts of the map are evaluated again. The same requests and accepted
+    paths, in the same order, give the same results.
 
-    For who goes on where it has nothing left: config with all that a preset gives, camera as the variant uses its mount, and as
-    the last request left them, space, frontiers and what was visited.
+    fence_min_m, fence_max_m: (3,) corners in world of the box to be explored.
+    fence_inset_m: distance that the body keeps from the sides of the box.
+    price: predicts the travel time of a path.
+    timer: returns seconds; read only to fill task_s and step_s.
+
+    Public attributes, for NarrowPassagePlanner: config (with all values of the preset), camera (as the variant uses its
+    mount), and space, frontiers and visited in the state of the last request.
     """
 
     space: FlyableSpace
@@ -77,11 +84,14 @@ class ViewPlanner:
 
     @property
     def explores(self) -> bool:
-        """Whether frontiers are ever looked at."""
+        """Return True if the variant generates frontier tasks."""
         return TaskKind.EXPLORE in self._variant.kinds
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
-        """Choose the next views and the way to them. About a millisecond, more with surface; never raises for a map."""
+        """Choose the next views and the path to them. Never raises because of the map.
+
+        Takes about a millisecond, more with surface tasks.
+        """
         start_s = self._timer()
         situation = self._look(request)
         if isinstance(situation, str):
@@ -101,17 +111,20 @@ class ViewPlanner:
         return path
 
     def accept(self, path: ViewPath) -> None:
-        """Remember what the views of a path made by plan() are to settle."""
+        """Store what the views of a path made by plan() should settle."""
         if self._offered is not None and self._offered[0] is path:
             self.visited.promise(*self._offered)
 
     def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
-        """Whether the next view of the accepted path still promises anything in a newer map."""
+        """Return True if the next view of the accepted path still has a gain in a newer map."""
         following = self.visited.next_promised(position_world, yaw_rad)
         return following is None or self.visited.is_worth(voxels, following)
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
-        """The shortest way to a place; its last waypoint is the flyable voxel nearest to it. Promises and remembers nothing."""
+        """Return the shortest path to a position. Its last waypoint is the nearest flyable voxel.
+
+        The result is not stored: no view is promised.
+        """
         start_s = self._timer()
         situation = self._look(dataclasses.replace(request, views_left=1))
         if isinstance(situation, str):
@@ -123,7 +136,10 @@ class ViewPlanner:
         return self._path(request, PlanMode.EXPLORE, [proposal], [1], start_s, start_s)
 
     def _look(self, request: PlanRequest) -> PlanningContext | str:
-        """Bring everything up to date with the map; where one may fly, or why no plan can start from here."""
+        """Update all caches with the map.
+
+        Return the context, or the reason why no plan can start here.
+        """
         voxels = request.voxels
         frame = (voxels.grid.shape, voxels.grid.resolution_m, *voxels.grid.origin_world_m.tolist())
         if frame != self._frame:
@@ -141,7 +157,10 @@ class ViewPlanner:
         return PlanningContext(voxels, self.space, exit_cells, request.position_world)
 
     def _committed(self, situation: PlanningContext, request: PlanRequest) -> list[CandidateView]:
-        """In motion the view that is being flown to stays the next one while it is worth it: minds do not change in mid-way."""
+        """Return the view being flown to, if it is still worth it, else an empty list.
+
+        Thus the goal does not change in motion.
+        """
         following = self.visited.next_promised(request.position_world, request.yaw_rad)
         if (
             following is None
@@ -155,7 +174,10 @@ class ViewPlanner:
     def _order(
         self, situation: PlanningContext, request: PlanRequest, tasks: list[CandidateView], committed: int
     ) -> tuple[list[int], int]:
-        """Nodes to fly to, the ``committed`` (0 or 1) first; and how many surface tasks were not worth their flight."""
+        """Return the nodes to fly to and the number of dropped surface tasks.
+
+        committed: 1 if the first task is committed and stays first, else 0.
+        """
         self._ways.update(situation.exit_cells, request.position_world, places_of(tasks))
         costs_s = time_costs(self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._price)
         # the tour begins at the committed view
@@ -164,7 +186,7 @@ class ViewPlanner:
         return order[: request.views_left], kept.dropped
 
     def _within_horizon(self, order: list[int], widening: float) -> list[int]:
-        """The tour's first nodes while the way stays within L_exec; at least one."""
+        """Return the first nodes of the tour whose path is within L_exec; at least one."""
         lengths_m = self._ways.lengths_m
         travelled_m = np.cumsum([lengths_m[i, j] for i, j in zip([0, *order[:-1]], order, strict=True)])
         return order[: max(1, int(np.searchsorted(travelled_m, self.config.horizon_m * widening, side="right")))]
@@ -191,7 +213,12 @@ class ViewPlanner:
         )
 
     def _why(self, situation: PlanningContext, not_worth: int) -> str:
-        """'14 frontiers left: 9 too narrow, 5 outside the fence', or that there is none; and surface not worth its flight."""
+        """Return the reason for an empty plan.
+
+        It counts the frontiers by reason, and the dropped surface tasks.
+
+        Example: '14 frontiers left: 9 too narrow, 5 outside the fence', or 'no frontiers left'.
+        """
         counts = {
             **dict(sorted(self._source.reasons(situation, self.frontiers).items())),
             **count_rejected_frontiers(situation.voxels.state, self.frontiers.faces, self.visited.exhausted),
@@ -216,7 +243,7 @@ def _source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> 
 
 
 def _without_what_they_settle(committed: list[CandidateView], proposals: list[CandidateView]) -> list[CandidateView]:
-    """The committed views, then the tasks that these do not settle as well."""
+    """Return the committed views, then the tasks that these do not settle as well."""
     tasks = list(committed)
     for proposal in proposals:
         if all(_share_in(proposal.promised, one.promised) < SAME_SHARE for one in committed):
@@ -225,14 +252,14 @@ def _without_what_they_settle(committed: list[CandidateView], proposals: list[Ca
 
 
 def _share_in(promised: IntArray, settled: IntArray) -> float:
-    """Share of some voxels (N,) that are among others (M,)."""
+    """Return the share of some voxels (N,) that are among others (M,)."""
     return float(np.isin(promised, settled).mean()) if len(promised) else 0.0
 
 
 def warm_up(name: VariantName) -> None:
-    """Compile every kernel of the planner: on a toy map that grows, surface included, by every way of choosing.
+    """Compile every kernel of the planner on a small growing map with surface.
 
-    The vehicle and its camera are toys too: in a room as small as this the real one might find nothing to do.
+    Vehicle and camera are small too: in so small a room the real ones might find no task.
     """
     config, camera = PlannerConfig(clearance_m=0.3), TOY_CAMERA
     for module in (traversal, segments, space, atsp, travel_time, view_history, gain_field, rejection_counts):

@@ -1,4 +1,7 @@
-"""Where a frontier may be looked at from: all of the sphere around it that the mount can look from (paper, section III-A)."""
+"""Sampling of view positions on a sphere around a frontier (paper, section III-A).
+
+All elevations from which the mount can see the frontier are sampled.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,20 @@ from uav_recon.types.frames import FloatArray, IntArray
 _AZIMUTHS = 16
 _ELEVATIONS = 5
 NEAREST_M = 0.5  # in tight rooms
-FARTHEST_M = 4.2  # a fixed mount sees high and low cells from afar only
+FARTHEST_M = 4.2  # a fixed mount sees high and low cells only from far away
 RANGE_MARGIN_M = 0.2
 _STEEPEST_RAD = np.radians(80.0)
-_OFFSETS = (2048, 1024, 512)  # of the shell itself, beyond it, within it
-_PLACES = (150, 50, 30)  # so many of them are looked from, at most
-# the generalised golden ratio of three dimensions: its powers make a sequence that fills a cube evenly, however many are taken
+_OFFSETS = (2048, 1024, 512)  # offsets in the shell itself, beyond it, and inside it
+_PLACES = (150, 50, 30)  # max. positions of each part that are evaluated
+# the generalised golden ratio of three dimensions: its powers give a sequence that fills a cube evenly for any length
 _RATIO = 1.2207440846057596
 
 
 def shell(camera: CameraGeometry, radii_m: tuple[float, ...], resolution_m: float) -> FloatArray:
-    """Offsets (K, 3) in voxels from a target to viewpoints: full circles, at all heights the mount can look from."""
+    """Return offsets (K, 3) in voxels from a target to viewpoints.
+
+    They form full circles at all elevations from which the mount can look at the target.
+    """
     half = camera.vfov_rad / 2 * 0.8
     low, high = max(camera.pitch_min_rad - half, -_STEEPEST_RAD), min(camera.pitch_max_rad + half, _STEEPEST_RAD)
     rows = [
@@ -37,8 +43,13 @@ def shell(camera: CameraGeometry, radii_m: tuple[float, ...], resolution_m: floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewShell:
-    """offsets (K, 3) in voxels from a frontier to places; ends, places (3,): where each of its parts ends, and how many places
-    of it are enough. The parts: [d_r, d_f] itself, what lies beyond it, what lies within it.
+    """Offsets of candidate view positions around a frontier, in three parts.
+
+    The parts are the shell [d_r, d_f] itself, the space beyond it, and the space inside it.
+
+    offsets: (K, 3) in voxels from the frontier to the positions, part after part.
+    ends: (3,) end of each part in ``offsets``.
+    places: (3,) number of reachable positions to evaluate in each part.
     """
 
     offsets: FloatArray
@@ -47,9 +58,9 @@ class ViewShell:
 
 
 def explore_shell(config: PlannerConfig, camera: CameraGeometry, resolution_m: float) -> ViewShell:
-    """Places at all heights from which the mount brings the middle of the frontier into the picture.
+    """Return positions from which the mount brings the middle of the frontier into the image.
 
-    Any first few offsets of a part are spread evenly over it: where most places are open, few need be asked.
+    The first offsets of each part are evenly spread over it: if most positions are reachable, few need to be tested.
     """
     near_m, far_m = config.shell_min_m, min(config.shell_max_m, camera.range_m - RANGE_MARGIN_M)
     spans_m = ((near_m, max(far_m, near_m)), (far_m, min(FARTHEST_M, camera.range_m - RANGE_MARGIN_M)), (NEAREST_M, near_m))
@@ -62,7 +73,7 @@ def explore_shell(config: PlannerConfig, camera: CameraGeometry, resolution_m: f
 
 
 def _part(camera: CameraGeometry, low: float, high: float, count: int) -> FloatArray:
-    half = camera.vfov_rad / 2 * 1.1  # it may show a part of the frontier without its middle
+    half = camera.vfov_rad / 2 * 1.1  # the view may show a part of the frontier without its middle
     lowest = np.sin(max(camera.pitch_min_rad - half, -_STEEPEST_RAD))
     highest = np.sin(min(camera.pitch_max_rad + half, _STEEPEST_RAD))
     spread = (0.5 + np.arange(1, count + 1)[:, None] / _RATIO ** np.arange(1, 4)) % 1.0

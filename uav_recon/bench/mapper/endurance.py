@@ -1,7 +1,7 @@
-"""`uav-recon bench endurance`: hours of keyframes without a flight; memory, disk and time per view must stay what they are.
+"""`uav-recon bench endurance`: memory, disk and time per view over hours of keyframes.
 
-The views of `bench mapper` are seen again and again, each time round in another order. Each goes the mapper's whole way: to
-the disk, into memory, steps, surface, and a checkpoint when one is due.
+They must not grow. No flight is simulated. The views of `bench mapper` are repeated, each round in another order. Each
+keyframe runs through the complete mapper: save to disk, add to memory, training steps, surface, and a checkpoint when due.
 """
 
 from __future__ import annotations
@@ -35,9 +35,11 @@ HOURS = (0.01, 10.0)
 
 @dataclass(frozen=True)
 class Part:
-    """A tenth of the run. Times are medians over its views, processor milliseconds of the mapper's thread.
+    """Results of a tenth of the run.
 
-    calibration_cpu: how much slower than the reference the machine was at its end; others may use it too.
+    Times are medians over its views, in processor milliseconds of the mapper's thread.
+
+    calibration_cpu: slowness of the machine relative to the reference at the end of the part; other programs may affect it.
     """
 
     views: int
@@ -46,7 +48,7 @@ class Part:
     add_ms: float
     step_ms: float
     surface_ms: float
-    checkpoint_ms: float  # the longest that a checkpoint held the mapper up
+    checkpoint_ms: float  # longest delay of the mapper by a checkpoint
     resident_mb: float
     checkpoint_mb: float
     slots: int
@@ -55,7 +57,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Endurance:
-    """What was measured; accuracy when memory was full for the first time (None: never) and at the end."""
+    """Results of the run.
+
+    when_full: accuracy when the keyframe memory was first full (None: never).
+    at_the_end: accuracy at the end.
+    """
 
     parts: list[Part]
     when_full: training_run.Accuracy | None
@@ -63,7 +69,7 @@ class Endurance:
 
 
 def bench_endurance(wanted: MapperBench, hours: float, period_s: float) -> int:
-    """Measure, print a table, write JSON. Raises Failure in one line for bad input."""
+    """Measure, print a table, write JSON. Raises UserError with one line for bad input."""
     if not HOURS[0] <= hours <= HOURS[1] or not 0.1 <= period_s <= 60.0:
         raise UsageError(f"--hours {hours:g} --period-s {period_s:g}: want {HOURS[0]:g} to {HOURS[1]:g} h, 0.1 to 60 s")
     options, console = wanted.checked(), Console(stderr=True)
@@ -94,7 +100,7 @@ def bench_endurance(wanted: MapperBench, hours: float, period_s: float) -> int:
 def endure(
     scene: seeded_views.MapperScene, count: int, steps_per_view: int, seed: int, tick: training_run.Tick = lambda: None
 ) -> Endurance:
-    """Give the mapper ``count`` keyframes."""
+    """Run the mapper on ``count`` keyframes."""
     random, trainer, order = (
         np.random.default_rng(seed),
         training_run.make_trainer(scene, steps_per_view, seed),

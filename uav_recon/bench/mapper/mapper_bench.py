@@ -1,4 +1,4 @@
-"""`uav-recon bench mapper`: how well, how fast and how honestly the mapper learns a scene from so many views of it."""
+"""`uav-recon bench mapper`: accuracy, speed and calibration of uncertainty on one scene."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run, ts
 from uav_recon.errors import EXIT_FAILURE, UserError
 from uav_recon.evaluation.triangle_surface import TriangleSurface
 
-PRINTED_WIDTH = 100  # where no terminal says
+PRINTED_WIDTH = 100  # if the output is not a terminal
 VIEWS, STEPS = (4, 2000), (1, 200)
-CENTIMETRES, DEGREES = 10.0, 5.0  # the most that told poses may err
+CENTIMETRES, DEGREES = 10.0, 5.0  # max. standard deviation of the pose noise
 MAX_EV = 2.0
-SIGMA_SEEDS = 3  # the median of the paper's sigma differs by a tenth from one beginning to the next
+SIGMA_SEEDS = 3  # the median of the paper's sigma varies by a tenth between seeds
 
 Result = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class MapperBench:
-    """The words of the command line."""
+    """The command-line options."""
 
     scene: str | None
     views: int
@@ -46,7 +46,7 @@ class MapperBench:
     exposure: float = 0.0
 
     def checked(self) -> seeded_views.SceneOptions:
-        """Raises Failure in one line."""
+        """Return the scene options. Raises UserError with one line for bad input."""
         require_writable_file("--json", self.json)
         if not VIEWS[0] <= self.views <= VIEWS[1]:
             raise UsageError(f"--views {self.views}: want {VIEWS[0]} to {VIEWS[1]}")
@@ -62,7 +62,7 @@ class MapperBench:
 
 
 def bench_mapper(wanted: MapperBench) -> int:
-    """Measure, print tables, write JSON. Raises Failure in one line for bad input."""
+    """Measure, print tables, write JSON. Raises UserError with one line for bad input."""
     options = wanted.checked()
     console = Console(stderr=True)
     with console.status("loading ...") as status:
@@ -86,7 +86,7 @@ def bench_mapper(wanted: MapperBench) -> int:
 
 
 def write_json(result: Result, path: Path) -> None:
-    """Raises Failure if the disk refuses."""
+    """Write a result as JSON. Raises UserError if the file cannot be written."""
     try:
         path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
@@ -94,7 +94,10 @@ def write_json(result: Result, path: Path) -> None:
 
 
 def ticking(progress: Progress, name: str, total: int) -> training_run.Tick:
-    """A bar that is drawn when it moves: a thread of its own would be in the way of what is timed."""
+    """Add a progress bar and return its tick function, which draws the bar.
+
+    A thread that draws it would disturb the measured times.
+    """
     task = progress.add_task(name, total=total)
 
     def tick() -> None:
@@ -105,10 +108,10 @@ def ticking(progress: Progress, name: str, total: int) -> training_run.Tick:
 
 
 def _measured(scene: seeded_views.MapperScene, wanted: MapperBench, factor_before: float, progress: Progress) -> Result:
-    """The fields of the bench as measured, times in this machine's processor milliseconds; beside them, in ``about``,
-    the same calibrated, by the clock, and the baseline.
+    """Return the fields of the result; times are processor milliseconds of this machine.
 
-    A machine that others use too is now faster, now slower: the factor is the mean of one before and one after.
+    The entry ``about`` has the same times calibrated and as wall-clock time, and the TSDF baseline. The speed of a shared
+    machine varies, so the calibration factor is the geometric mean of one measurement before and one after.
     """
     views = len(scene.keyframes)
     run = training_run.online(scene, wanted.steps_per_view, wanted.seed, ticking(progress, "view by view", views))
@@ -162,7 +165,10 @@ def _compared(
     wanted: MapperBench,
     progress: Progress,
 ) -> Result:
-    """What corrections are worth, where poses or exposures err: the same views without, and with the exposure that is right."""
+    """Measure the benefit of pose and exposure corrections, if poses or exposures have errors.
+
+    The same views are learned without corrections, and the colour sigmas with and without exposure errors.
+    """
     result: Result = {}
     views, steps, seed = len(plain.keyframes), wanted.steps_per_view, wanted.seed
     if options.pose_sigma != (0.0, 0.0) or wanted.exposure:
@@ -203,7 +209,7 @@ def _about(scene: seeded_views.MapperScene, wanted: MapperBench) -> Result:
 
 
 def _divided(tree: Result, factor: float) -> Result:
-    """Every time in a tree as the reference machine would have taken it."""
+    """Divide every time in a tree by the calibration factor."""
     return {
         name: _divided(value, factor) if isinstance(value, dict) else None if value is None else value / factor
         for name, value in tree.items()

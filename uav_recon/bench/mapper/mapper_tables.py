@@ -1,4 +1,4 @@
-"""The tables that `uav-recon bench mapper` and `uav-recon bench uncertainty` print."""
+"""Tables printed by `uav-recon bench mapper` and `uav-recon bench uncertainty`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Result = dict[str, Any]
 
 
 def show(console: Console, result: Result) -> None:
-    """Print what `bench mapper` measured, and what it was measured with."""
+    """Print the results of `bench mapper` and the conditions of the measurement."""
     about = result["about"]
     console.print(header(about), highlight=False)
     console.print(_times(result))
@@ -35,7 +35,7 @@ def show(console: Console, result: Result) -> None:
 
 
 def show_uncertainties(console: Console, result: Result) -> None:
-    """Print what `bench uncertainty` measured."""
+    """Print the results of `bench uncertainty`."""
     console.print(header(result["about"]), highlight=False)
     title = "AUSE (0 = a perfect ranking of errors) and Spearman's rank correlation (1 = perfect) against true error"
     table = narrow_table(title, "map after", "uncertainty", "AUSE all", "observed", "Spearman all", "observed")
@@ -58,7 +58,7 @@ def show_uncertainties(console: Console, result: Result) -> None:
 
 
 def header(about: Result) -> str:
-    """What was measured with what."""
+    """Return the conditions of the measurement as text."""
     return (
         f"{about['scene']}: {about['views']} views, camera {about['camera']}, noise {about['depth_noise']}, "
         f"mount {about['mount']}, pose noise {about['pose_noise']} (cm, deg), {about['steps_per_view']} steps a view, "
@@ -68,12 +68,12 @@ def header(about: Result) -> str:
 
 
 def figure(value: float | None, digits: int) -> str:
-    """A number, or a dash for what could not be measured."""
+    """Format a number, or '-' if it was not measured."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 
 def percent(share: float | None) -> str:
-    """A share of one."""
+    """Format a share of one as a percentage, or '-' if it was not measured."""
     return "-" if share is None else f"{share:.2%}"
 
 

@@ -1,6 +1,6 @@
-"""What the mapper is measured on: views of a scene by the simulated camera, and the truth that they could see.
+"""Input of the mapper benchmark: views of the simulated camera, and visible ground truth.
 
-A composition root: it asks the outside world for pictures and truth, and turns them into the product's own values.
+This is a composition root: it requests images and ground truth from the simulator and converts them to the product's types.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sitl.camera.d435i import Model, Noise
 
 TRUTH_POINTS, TRUTH_SEED = 300_000, 20240319
-HELD_OUT, HELD_OUT_STRIDE = 20, 4  # pictures, and pixels between those that are compared
+HELD_OUT, HELD_OUT_STRIDE = 20, 4  # images, and pixel spacing in the comparison
 CAMERAS = ("d435i", "wide")
 DEPTH_RANGE_M = (0.3, 6.0)
 VIEW_PERIOD_S = 0.5
@@ -31,7 +31,10 @@ VIEW_PERIOD_S = 0.5
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """What the user asked for, as `uav-recon sim` has it. pose_sigma: of the poses that are told, each axis, m and rad."""
+    """The user's options, with the values of `uav-recon sim`.
+
+    pose_sigma: standard deviation of the pose noise on each axis, m and rad.
+    """
 
     scene: str | None
     views: int
@@ -44,9 +47,12 @@ class SceneOptions:
 
 @dataclass(frozen=True, eq=False)
 class ImageRays:
-    """Held-out pixels whose surface some view saw in depth and colour: rays (N, 3) in world, true rgb (N, 3), and the
-    number of the picture (N,), ascending, to which each belongs.
-    """  # fmt: skip
+    """Held-out pixels whose surface some view saw in depth and colour.
+
+    origin, direction: (N, 3) rays in world.
+    rgb: (N, 3) true colour.
+    picture: (N,) number of the image of each pixel, ascending.
+    """
 
     origin: Float32Array
     direction: Float32Array
@@ -56,10 +62,13 @@ class ImageRays:
 
 @dataclass(frozen=True, eq=False)
 class MapperScene:
-    """keyframes in the order in which they are taken, with the poses that are told. surface: all of the scene, world.
+    """A scene with its keyframes and ground truth.
 
-    points (N, 3): drawn on the surface by area, those that some view got a depth return from. coloured (N,): whether a
-    colour picture shows them too. pictures: what a model is to look like.
+    keyframes: in order of capture, with noisy poses.
+    surface: the whole scene, in world.
+    points: (N, 3) drawn on the surface by area; those that some view got a depth return from.
+    coloured: (N,) True if a colour image shows the point too.
+    pictures: held-out pixels for the comparison of colours.
     """
 
     name: str
@@ -74,9 +83,9 @@ class MapperScene:
 
 
 def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> MapperScene:
-    """Take the views; half a minute, of which the truth's cut is kept in the cache. Raises Failure in one line.
+    """Capture the views. Raises UserError with one line for bad input.
 
-    say(what) is called as the work goes on.
+    Takes half a minute; the visible ground truth is cached. say(what) is called at each step.
     """
     from sitl.apps import scene_captures as outside
     from sitl.apps.flight_judge import visible_truth
@@ -122,14 +131,15 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
 
 
 def exposures(scene: MapperScene, max_ev: float, seed: int) -> FloatArray:
-    """An exposure (V,) for each view, uniform in ± max_ev."""
+    """Return a random exposure (V,) in EV for each view, uniform in ± max_ev."""
     return np.random.default_rng([seed, 2]).uniform(-max_ev, max_ev, len(scene.keyframes))
 
 
 def exposed(scene: MapperScene, ev: FloatArray) -> MapperScene:
-    """The same views, each with an exposure (V,) of its own, and the pictures held out with the mean of these: what a map of
-    all views looks like, since none of them says which is right.
-    """  # fmt: skip
+    """Return the same views, each with its exposure (V,), and the held-out images with the mean.
+
+    The mean exposure is what a map of all views shows, because no view defines the correct one.
+    """
     keyframes = [
         replace(k, frame=replace(k.frame, rgb=_brighter(stops)[k.frame.rgb]))
         for k, stops in zip(scene.keyframes, ev, strict=True)
@@ -139,7 +149,7 @@ def exposed(scene: MapperScene, ev: FloatArray) -> MapperScene:
 
 
 def _brighter(ev: float) -> ByteArray:
-    """What becomes of each sRGB value (256,): linear light times 2**ev, clipped."""
+    """Return the new value of each sRGB value (256,): linear light times 2**ev, clipped."""
     value = np.arange(256) / 255.0
     light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
     light = np.clip(light * 2.0**ev, 0.0, 1.0)
@@ -149,7 +159,7 @@ def _brighter(ev: float) -> ByteArray:
 
 
 def _keyframes(taken: SceneCaptures, options: SceneOptions) -> tuple[PosedFrame, ...]:
-    """The product's own values, with the errors of the poses that the product would be told."""
+    """Convert the captures to keyframes and add the pose noise."""
     metres = depth_table(*DEPTH_RANGE_M)
     header, rng = taken.header, np.random.default_rng([options.seed, 1])
     depth, rgb = (Intrinsics(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in (header.depth, header.rgb))

@@ -1,7 +1,8 @@
-"""Whether an uncertainty ranks errors: the area under the sparsification error, and Spearman's rank correlation.
+"""Measures of an uncertainty's ranking of errors: AUSE and Spearman's rank correlation.
 
-Sparsification (Ilg et al. 2018, section 5): leave out the most uncertain points, ever more of them, and watch the mean error
-of those that remain; beside it the best that any ranking could do, by the error itself. Both over the mean error of all.
+AUSE is the area under the sparsification error (Ilg et al. 2018, section 5). Sparsification removes the most uncertain
+points, more and more of them, and computes the mean error of the rest. The best possible curve ranks by the error itself.
+Both curves are divided by the mean error of all points.
 """
 
 from __future__ import annotations
@@ -13,25 +14,32 @@ from uav_recon.types.frames import FloatArray
 
 
 def ause(error: FloatArray, uncertainty: FloatArray) -> float | None:
-    """Area between the two curves, 0 = a perfect ranking; a random one gives 1 less the best curve's area. None if there is
-    no error at all. error (N,) not negative, uncertainty (N,) higher = worse known.
-    """  # fmt: skip
+    """Return the area between the two curves; 0 = a perfect ranking.
+
+    None if there is no error at all. A random ranking has 1 minus the area under the best curve.
+
+    error: (N,) not negative.
+    uncertainty: (N,) higher = less certain.
+    """
     if len(error) == 0 or not error.sum() > 0.0:
         return None
     return float((remaining(error, uncertainty) - remaining(error, error)).mean() / error.mean())
 
 
 def remaining(error: FloatArray, rank: FloatArray) -> FloatArray:
-    """Mean error (N,) of what is left after leaving out the 0, 1, ... N - 1 points of highest rank; ties share alike."""
+    """Return the mean error (N,) after removing the 0, 1, ... N - 1 points of highest rank.
+
+    Points of equal rank are removed in equal shares.
+    """
     order = np.argsort(rank, kind="stable")
     level = np.unique(rank[order], return_inverse=True)[1]
-    shared = (np.bincount(level, error[order]) / np.bincount(level))[level]  # equal ranks say nothing of who goes first
+    shared = (np.bincount(level, error[order]) / np.bincount(level))[level]  # equal ranks define no order among themselves
     kept: FloatArray = np.cumsum(shared)[::-1] / np.arange(len(error), 0, -1)
     return kept
 
 
 def spearman(error: FloatArray, uncertainty: FloatArray) -> float | None:
-    """Rank correlation, 1 = the same order; None where either is constant."""
+    """Return the rank correlation; 1 = the same order. None if either input is constant."""
     if len(error) < 2:
         return None
     a, b = rankdata(error), rankdata(uncertainty)

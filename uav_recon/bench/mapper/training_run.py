@@ -1,6 +1,6 @@
-"""The mapper at work on a scene's views, timed: one view after the other as in flight, or all of them at once.
+"""Timed training of the mapper on a scene's views: one by one as in flight, or all at once.
 
-Times are processor seconds of the calling thread, which a busy machine does not lengthen.
+Times are processor seconds of the calling thread, which are not lengthened by other load.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import Float32Array
 
 RECALLS = (0.90, 0.95, 0.99)
-RECALL_EVERY, RECALL_STEPS = 10, 1000  # steps between two looks at the recall, and when to give up
+RECALL_EVERY, RECALL_STEPS = 10, 1000  # steps between two evaluations of the recall, and max. steps
 SAMPLES = 300_000
-FAR_M = 0.10  # surface farther than this from truth is hallucinated
+FAR_M = 0.10  # surface farther than this from ground truth is hallucinated
 WITHIN_M = 0.05
-PARTIAL_SHARE = 0.375  # of the views, after which the uncertainty is asked
+PARTIAL_SHARE = 0.375  # share of the views after which the uncertainty is evaluated
 MESH_VOXEL_M, WHOLE_VOXEL_M = 0.02, 0.05
 ROOM_RUNS = 7
 COLOUR_SIGMAS: tuple[UncertaintyName, ...] = ("colour", "paper")
@@ -39,7 +39,12 @@ Tick = Callable[[], None]
 
 @dataclass(frozen=True)
 class Accuracy:
-    """A mesh against what could be seen. cm are means; hallucinated: share of its area."""
+    """Accuracy of a mesh against the visible ground truth.
+
+    The cm values are means.
+
+    hallucinated_fraction: share of the mesh's area.
+    """
 
     accuracy_cm: float | None
     completion_cm: float | None
@@ -49,7 +54,10 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class Online:
-    """One view after the other. The first two and the last are spreads over views; *_wall_ms beside them by the clock."""
+    """Results of training view by view.
+
+    step, view_update and extraction_view summarize processor times over the views; *_wall are the wall-clock times.
+    """
 
     trainer: NeuralMapper
     step: TimingSummary
@@ -63,13 +71,13 @@ class Online:
 
 
 def make_trainer(scene: MapperScene, steps_per_view: int, seed: int) -> NeuralMapper:
-    """A mapper of the scene's box."""
+    """Return a mapper of the scene's box."""
     config = MapperConfig(seed=seed, steps_per_view=steps_per_view)
     return NeuralMapper(config, scene.low_m, scene.high_m, scene.depth_noise_px, 0.05)
 
 
 def online(scene: MapperScene, steps_per_view: int, seed: int, tick: Tick = lambda: None) -> Online:
-    """Take the views one by one, with steps_per_view steps after each."""
+    """Add the views one by one, with steps_per_view training steps after each."""
     resident_mb = host_info.resident_mb()
     trainer = make_trainer(scene, steps_per_view, seed)
     steps, updates, extractions = [], [], []
@@ -96,7 +104,10 @@ def online(scene: MapperScene, steps_per_view: int, seed: int, tick: Tick = lamb
 
 
 def learned(scene: MapperScene, steps_per_view: int, seed: int, correct: bool, tick: Tick = lambda: None) -> NeuralMapper:
-    """The same views one by one, untimed; without ``correct`` poses and exposures are taken as they are told."""
+    """Train on the views one by one, without timing.
+
+    correct: if False, poses and exposures are not corrected.
+    """
     trainer = make_trainer(scene, steps_per_view, seed)
     trainer.align_views = trainer.learn_gains = correct
     for keyframe in scene.keyframes:
@@ -107,7 +118,7 @@ def learned(scene: MapperScene, steps_per_view: int, seed: int, correct: bool, t
 
 
 def colour_sigmas(scene: MapperScene, steps_per_view: int, seeds: Iterable[int], tick: Tick = lambda: None) -> dict[str, float]:
-    """Median of each colour sigma over the surface, 0..1; of that the geometric mean over seeds."""
+    """Return the median of each colour sigma on the surface, 0..1; geometric mean over seeds."""
     logs = []
     for seed in seeds:
         trainer = learned(scene, steps_per_view, seed, True, tick)
@@ -118,7 +129,7 @@ def colour_sigmas(scene: MapperScene, steps_per_view: int, seeds: Iterable[int],
 
 
 def uncertainty_scores(trainer: NeuralMapper, truth: TriangleSurface) -> tuple[float | None, float | None]:
-    """AUSE of the mapper's uncertainty over every vertex of the field's surface, and over those that were observed."""
+    """Return the AUSE of the mapper's uncertainty over all vertices and over observed vertices."""
     whole = trainer.whole_surface(WHOLE_VOXEL_M)
     error = truth.distance_m(whole.vertices.astype(np.float64))
     uncertainty = trainer.uncertainty.at(whole.vertices).astype(np.float64)
@@ -126,7 +137,7 @@ def uncertainty_scores(trainer: NeuralMapper, truth: TriangleSurface) -> tuple[f
 
 
 def room_extraction(trainer: NeuralMapper) -> TimingSummary:
-    """Elements of the whole room from nothing, some times over."""
+    """Time the extraction of all elements of the room, ROOM_RUNS times."""
     took = []
     for _ in range(ROOM_RUNS):
         began = _clocks()
@@ -136,7 +147,10 @@ def room_extraction(trainer: NeuralMapper) -> TimingSummary:
 
 
 def time_to_recall(scene: MapperScene, seed: int, tick: Tick = lambda: None) -> dict[str, float | None]:
-    """Seconds of training on all views at once until elements recall so much of what was seen; intake is not counted."""
+    """Return the seconds of training on all views at once until each recall is reached.
+
+    Adding the views is not counted.
+    """
     trainer = make_trainer(scene, 1, seed)
     for keyframe in scene.keyframes:
         trainer.add(keyframe)
@@ -159,7 +173,10 @@ def time_to_recall(scene: MapperScene, seed: int, tick: Tick = lambda: None) -> 
 
 
 def against_truth(model: TriangleSurface, scene: MapperScene, seed: int = 0) -> Accuracy:
-    """Point to surface both ways, 300,000 points drawn on the model by area."""
+    """Compare a model with the ground truth: point-to-surface distances in both directions.
+
+    300,000 points are drawn on the model by area.
+    """
     to_truth_m = scene.surface.distance_m(model.sample(SAMPLES, seed))
     to_model_m = model.distance_m(scene.points)
     empty = not len(to_truth_m)
@@ -172,7 +189,10 @@ def against_truth(model: TriangleSurface, scene: MapperScene, seed: int = 0) -> 
 
 
 def picture_psnr_db(trainer: NeuralMapper, field: SdfField, pictures: ImageRays) -> float | None:
-    """Mean over held-out pictures, drawn through a trainer's field, painted or not; a pixel that meets no surface is black."""
+    """Return the mean PSNR over the held-out images, rendered from a field.
+
+    field: the trainer's field, with or without fused colours. A pixel without surface is black.
+    """
     if not len(pictures.rgb):
         return None
     rgb = trainer.look(field, pictures.origin, pictures.direction)
@@ -197,7 +217,7 @@ def warm_up(keyframe: PosedFrame) -> None:
 
 
 def _clocks() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Milliseconds of this thread's processor and of the wall."""
+    """Return the processor time of this thread and the wall-clock time, in milliseconds."""
     return np.array([time.thread_time() * 1e3, time.perf_counter() * 1e3])
 
 

@@ -1,4 +1,7 @@
-"""The classical map beside the neural one: a truncated signed distance volume (Curless and Levoy 1996) on the same frames."""
+"""The baseline: a truncated signed distance volume of the same frames.
+
+Method: Curless and Levoy 1996.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,10 @@ DEPTH_MAX_M = 6.0
 
 
 def tsdf_surface(keyframes: tuple[PosedFrame, ...], tick: Callable[[], None] = lambda: None) -> TriangleSurface:
-    """Fuse depth with the poses that are told; surface wherever any view measured one. By Open3D, on the CPU.
+    """Fuse depth with the given poses by Open3D on the CPU. Geometry only, about 0.1 s per view.
 
-    About 0.1 s a view. Geometry only. Open3D's own habit, surface where three views agree, costs it a tenth of the recall
-    on views as sparse as a flight's.
+    Surface is extracted where at least one view measured it. Open3D's default, three views, reduces the recall by a tenth
+    for views as sparse as in a flight.
     """
     import open3d
 

@@ -1,4 +1,4 @@
-"""`uav-recon bench uncertainty`: which measure of uncertainty ranks true errors, on maps that are not finished."""
+"""`uav-recon bench uncertainty`: how each uncertainty ranks true errors, on partial maps."""
 
 from __future__ import annotations
 
@@ -18,14 +18,17 @@ from uav_recon.bench.mapper.mapper_bench import VIEWS, MapperBench, ticking, wri
 from uav_recon.bench.mapper.sparsification import ause, spearman
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 
-PRINTED_WIDTH = 100  # where no terminal says
+PRINTED_WIDTH = 100  # if the output is not a terminal
 RANDOM_SEED = 20240320
 
 Result = dict[str, Any]
 
 
 def views_of(words: str) -> tuple[int, ...]:
-    """Views after which a map is asked, ascending. Raises Failure in one line."""
+    """Parse the numbers of views after which a map is evaluated, ascending.
+
+    Raises UserError with one line for bad input.
+    """
     try:
         views = tuple(sorted({int(word) for word in words.split(",")}))
     except ValueError:
@@ -36,7 +39,7 @@ def views_of(words: str) -> tuple[int, ...]:
 
 
 def bench_uncertainty(wanted: MapperBench, after: tuple[int, ...]) -> int:
-    """Measure, print a table, write JSON. Raises Failure in one line for bad input."""
+    """Measure, print a table, write JSON. Raises UserError with one line for bad input."""
     options = wanted.checked()
     console = Console(stderr=True)
     with console.status("loading ...") as status:
@@ -66,7 +69,7 @@ _TOLD = ("views", "camera", "depth_noise", "mount", "pose_noise", "steps_per_vie
 def partial_maps(
     scene: seeded_views.MapperScene, wanted: MapperBench, after: tuple[int, ...], tick: Callable[[], None]
 ) -> list[Result]:
-    """Scores of every measure after each of the wanted numbers of views."""
+    """Return the scores of every measure after each of the given numbers of views."""
     trainer = training_run.make_trainer(scene, wanted.steps_per_view, wanted.seed)
     maps = []
     for n, keyframe in enumerate(scene.keyframes):

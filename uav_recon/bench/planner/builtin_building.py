@@ -1,6 +1,7 @@
-"""A built-in building and a flight through it, for whoever has no recorded stream at hand: two furnished rooms and a door.
+"""A built-in building and a flight through it: two furnished rooms and a door.
 
-The picture of a camera in a room of boxes is exact: each ray ends where it leaves the room or enters the first box.
+It is used if no recorded stream is given. The depth image of a room of boxes is exact: each ray ends where it leaves the
+room or enters the first box.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from uav_recon.types.pose import Pose
 
 LOW_M, HIGH_M = np.array([-5.0, -3.0, 0.0]), np.array([5.0, 3.0, 3.0])
 MAX_RANGE_M = 4.5
-STEP_M = 0.15  # between two pictures
+STEP_M = 0.15  # between two images
 LENS = Intrinsics.from_fov(320, 240, np.radians(87.0), np.radians(71.0))
 _BOXES = np.array(
     [  # x0, y0, z0, x1, y1, z1: the wall with its door, then furniture
@@ -51,7 +52,10 @@ _WAY_M = np.array(
 
 
 def fly_through() -> Recording:
-    """Every picture of the flight, looking down up to 15° and left and right of the way; about a second to render."""
+    """Render all images of the flight. Takes about a second.
+
+    The camera looks up to 15° down, and left and right of the path.
+    """
     legs_m = np.linalg.norm(np.diff(_WAY_M, axis=0), axis=1)
     along_m = np.concatenate(([0.0], np.cumsum(legs_m)))
     at_m = np.arange(0.0, along_m[-1], STEP_M)
@@ -77,7 +81,10 @@ def _picture(pose: Pose) -> Float32Array:
 def _depth(
     rays: FloatArray, eye: FloatArray, low: FloatArray, high: FloatArray, boxes: FloatArray, range_m: float, far_m: float
 ) -> Float32Array:
-    """Slab method; rays (H, W, 3) have length 1 along the optical axis, so that the parameter is the depth."""
+    """Compute a depth image by the slab method.
+
+    rays: (H, W, 3), of length 1 along the optical axis, so that the line parameter is the depth.
+    """
     height, width, _ = rays.shape
     out = np.empty((height, width), dtype=np.float32)
     for v in range(height):

@@ -1,4 +1,4 @@
-"""How well a map agrees with a reference map."""
+"""Agreement of a map with a reference map."""
 
 from __future__ import annotations
 
@@ -15,14 +15,21 @@ _ONE_VOXEL = np.ones((3, 3, 3), dtype=bool)
 
 @dataclass(frozen=True, slots=True)
 class MapAgreement:
-    """share: voxels whose state the reference has in that voxel or in one of its 26 neighbours; occupied_freed: a count."""
+    """The result of a comparison.
+
+    share: share of voxels whose state occurs in the reference in that voxel or in one of its 26 neighbours.
+    occupied_freed: number of free voxels that are occupied in the reference.
+    """
 
     share: float
     occupied_freed: int
 
 
 def agreement(state: ByteArray, reference: ByteArray) -> MapAgreement:
-    """Compare two maps (nx, ny, nz) uint8; walls that lie on voxel borders fall to either side, hence the one voxel."""
+    """Compare two maps (nx, ny, nz) uint8.
+
+    One voxel of tolerance, because a wall on a voxel border may be in either voxel.
+    """
     near = [ndimage.binary_dilation(reference == value, _ONE_VOXEL) for value in (UNKNOWN, FREE, OCCUPIED)]
     freed = np.count_nonzero((state == FREE) & (reference == OCCUPIED))
     return MapAgreement(float(np.choose(state, near).mean()), int(freed))

@@ -1,4 +1,4 @@
-"""Lengths of the planner's ways against an independent oracle, between seeded pairs of places."""
+"""Lengths of the planner's paths against an independent oracle, for seeded random pairs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ SEED = 20240410
 
 @dataclass(frozen=True, slots=True)
 class PathLengths:
-    """Means over the pairs in metres, and by which share the planner's ways are longer: mean, 95th percentile, largest."""
+    """Mean lengths over the pairs in metres, and the relative excess of the planner's paths.
+
+    The excess is the mean, the 95th percentile and the maximum.
+    """
 
     pairs: int
     mean_m: float
@@ -33,9 +36,9 @@ class PathLengths:
 def compare(
     state: ByteArray, grid: GridSpec, fence_m: tuple[FloatArray, FloatArray], clearance_m: float, pairs: int = PAIRS
 ) -> PathLengths | None:
-    """Ways on a finished map (nx, ny, nz); None where there is no room to fly in.
+    """Compare path lengths on a finished map (nx, ny, nz); None if there is no room to fly in.
 
-    fence_m: lower and upper corner (3,); the body keeps ``clearance_m`` from it too.
+    fence_m: lower and upper corner (3,). The body keeps ``clearance_m`` from the fence too.
     """
     reach = min(int(np.ceil(clearance_m / grid.resolution_m)) + 2, LARGEST_DISTANCE_VOXELS)
     voxels = VoxelMap.whole(grid, state, distance2_to_not_free(state, reach), 1)
@@ -62,14 +65,14 @@ def compare(
 
 
 def space_of(voxels: VoxelMap, clearance_m: float, box: tuple[IntArray, IntArray]) -> FlyableSpace:
-    """Where the planner says that the body may be."""
+    """Return the planner's flyable space."""
     space = FlyableSpace(voxels.grid, clearance_m, *box)
     space.update(voxels)
     return space
 
 
 def _planned_m(space: FlyableSpace, ways: PathCache, start: IntArray, goal: IntArray) -> float:
-    """Length between two voxels (3,) that can reach each other."""
+    """Return the planner's path length between two connected voxels (3,)."""
     start_m = space.grid.centre(start)
     exit_cells = space.stand(start_m)
     if exit_cells is None:

@@ -1,6 +1,7 @@
-"""Shortest paths by other means than the planner's: scikit-image's MCP on the 26-grid, pulled straight by dynamic programming.
+"""Shortest paths independent of the planner, by scikit-image's MCP and dynamic programming.
 
-A mask is (nx, ny, nz) bool, True = the body's centre may be there. Cells are its indices, lengths are in voxels.
+MCP searches on the 26-connected grid; dynamic programming shortens its path. A mask is (nx, ny, nz) bool, True = the body's
+centre may be there. Cells are its indices, lengths are in voxels.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ _AROUND = np.ones((3, 3, 3), dtype=bool)
 
 
 def flyable(voxels: VoxelMap, clearance_m: float, low: IntArray, high: IntArray) -> BoolArray:
-    """Free voxels in [low, high) that are clear of all that is not free, by scipy's exact transform.
+    """Return the free voxels in [low, high) that have the clearance, by scipy's exact transform.
 
-    The distance to the centre of such a voxel must be the clearance and half a voxel: an obstacle may reach to its near face.
+    The distance to the centre of a voxel that is not free must be the clearance plus half a voxel, because an obstacle may
+    extend to its near face.
     """
     free = np.pad(voxels.state == FREE, 1)
     away_m = ndimage.distance_transform_edt(free)[1:-1, 1:-1, 1:-1] * voxels.grid.resolution_m
@@ -33,7 +35,10 @@ def flyable(voxels: VoxelMap, clearance_m: float, low: IntArray, high: IntArray)
 
 
 def connected_pairs(mask: BoolArray, count: int, seed: int) -> IntArray:
-    """Seeded pairs (count, 2, 3) of different cells of the largest 26-connected part; (0, 2, 3) if it has one cell."""
+    """Return seeded random pairs of different cells of the largest component.
+
+    The component is 26-connected. The shape is (count, 2, 3), or (0, 2, 3) if the component has only one cell.
+    """
     labels, parts = ndimage.label(mask, structure=_AROUND)
     cells = (
         np.argwhere(labels == 1 + int(np.argmax(np.bincount(labels[mask])[1:]))) if parts else np.zeros((0, 3), dtype=np.int64)
@@ -45,9 +50,10 @@ def connected_pairs(mask: BoolArray, count: int, seed: int) -> IntArray:
 
 
 def shortest_path(mask: BoolArray, start: IntArray, goal: IntArray) -> FloatArray:
-    """Points (M, 3) in voxels, cell centres, from ``start`` to ``goal``: an exact 26-grid path and its tightest pulling.
+    """Return the points (M, 3) of a shortest path from ``start`` to ``goal``, in voxels.
 
-    Of all subsequences of the path's cells whose lines stay in the mask, the shortest. Raises ValueError if there is no path.
+    The points are cell centres. The path is an exact 26-grid path, shortened: of all subsequences of its cells whose lines
+    stay in the mask, the shortest. Raises ValueError if there is no path.
     """
     search = MCP_Geometric(np.where(mask, 1.0, -1.0), fully_connected=True)
     search.find_costs([tuple(start)], [tuple(goal)])
@@ -56,7 +62,7 @@ def shortest_path(mask: BoolArray, start: IntArray, goal: IntArray) -> FloatArra
 
 @kernel
 def length_of(points: FloatArray) -> float:
-    """Length of a polyline (M, 3)."""
+    """Return the length of a polyline (M, 3)."""
     total = 0.0
     for n in range(1, len(points)):
         total += math.sqrt(((points[n] - points[n - 1]) ** 2).sum())

@@ -1,4 +1,4 @@
-"""`uav-recon bench planner`: what a frame costs from fusion to tour, and how good the answers are."""
+"""`uav-recon bench planner`: time per frame from fusion to tour, and quality of the results."""
 
 from __future__ import annotations
 
@@ -26,15 +26,18 @@ from uav_recon.errors import EXIT_FAILURE, UserError
 from uav_recon.planning.tour import atsp
 from uav_recon.types.maps import UNKNOWN
 
-PRINTED_WIDTH = 110  # where no terminal says
-GOOD_VIEW = 0.95  # of what the best random view sees
+PRINTED_WIDTH = 110  # if the output is not a terminal
+GOOD_VIEW = 0.95  # share of the cells seen by the best random view
 
 Result = dict[str, Any]
 T = TypeVar("T")
 
 
 def bench_planner(stream: Path | None, size: str | None, stride: int | None, scale: bool, json_path: Path | None) -> int:
-    """Measure, print tables, write JSON. size and stride are a stream's. Raises Failure in one line for bad input."""
+    """Measure, print tables, write JSON. Raises UserError with one line for bad input.
+
+    size and stride apply only to a stream.
+    """
     require_writable_file("--json", json_path)
     for option, value in (("--size", size), ("--stride", stride)):
         if stream is None and value is not None:
@@ -74,7 +77,7 @@ def _write(result: Result, path: Path) -> None:
 
 
 def _without_nan(value: Any) -> Any:
-    """What was not measured is null: JSON has no nan."""
+    """Replace NaN (not measured) by None, because JSON has no NaN."""
     if isinstance(value, dict):
         return {key: _without_nan(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -111,7 +114,10 @@ def _ratio_summary(ratios: list[float]) -> Result:
 
 
 def _map_quality(recording: Recording, clearance_m: float, progress: Progress) -> Result:
-    """Agreement of what the frames alone say (no take-off cylinder) with the reference; lengths of ways in it."""
+    """Return the agreement of the map with the reference, and path lengths in the reference.
+
+    The map is made from the frames only, without the declared take-off cylinder.
+    """
     alone = mapped_of(recording)
     for posed in _tracked(progress, recording.frames, "map"):
         alone.voxels.integrate(posed)
@@ -166,7 +172,10 @@ def _growth(recording: Recording, progress: Progress) -> Result:
 
 
 def _tracked(progress: Progress, items: Sequence[T], name: str) -> Iterator[T]:
-    """The items, with a bar that is drawn between them: a thread of its own would be in the way of what is timed."""
+    """Yield the items with a progress bar that is drawn between them.
+
+    A thread that draws it would disturb the measured times.
+    """
     task = progress.add_task(name, total=len(items))
     for item in items:
         yield item

@@ -1,4 +1,4 @@
-"""The tables that `uav-recon bench planner` prints."""
+"""Tables printed by `uav-recon bench planner`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Result = dict[str, Any]
 
 
 def show(console: Console, result: Result) -> None:
-    """Print what was measured, and what it was measured with."""
+    """Print the results and the conditions of the measurement."""
     console.print(
         f"{result['stream']}: {result['frames']} frames of {result['image']} at stride {result['stride']}, one thread; "
         f"commit {result['commit']}, {result['machine']}, {result['calibration']:.2f} times as slow as the reference machine "
@@ -98,7 +98,7 @@ def _scale(sizes: list[Result]) -> Table:
 
 
 def narrow_table(title: str, first: str, *columns: str) -> Table:
-    """Narrow enough for eighty columns."""
+    """Return an empty table that fits into eighty columns."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     table.add_column(first, no_wrap=True)
     for column in columns:

@@ -1,8 +1,12 @@
-"""A recorded depth stream: what the benchmark of the planner replays.
+"""A recorded depth stream, the input of the planner benchmark.
 
-A folder holds meta.json ({room [[x0,y0,z0],[x1,y1,z1]], max_range_m, "WxH" {fx, fy, cx, cy}}), poses.npy ((N, 4, 4)
-T_world_camera, optical axes), depth_WxH.npz (depth_mm (N, H, W) uint16) and, where there is one, occupancy_reference.i8 (0.1 m
-voxels from the room's lower corner, C order, 0 unknown, 1 free, 2 occupied) and atsp/ (cost matrices with known tours).
+A folder holds:
+
+- meta.json: {room [[x0,y0,z0],[x1,y1,z1]], max_range_m, "WxH" {fx, fy, cx, cy}}
+- poses.npy: (N, 4, 4) T_world_camera, optical axes
+- depth_WxH.npz: depth_mm (N, H, W) uint16
+- occupancy_reference.i8 (optional): 0.1 m voxels from the room's lower corner, C order, 0 unknown, 1 free, 2 occupied
+- atsp/ (optional): cost matrices with known tours
 """
 
 from __future__ import annotations
@@ -23,19 +27,20 @@ from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
 
 RESOLUTION_M = 0.1
-# In such a stream a zero is "no return within the range": the recording says that space is free up to it. From a real camera
-# a zero is a hole, and unknown. A depth this many ranges away frees up to the range and marks nothing.
+# In such a stream a zero means "no return within the range", so space is free up to the range. From a real camera a zero is
+# a hole, and the space is unknown. A depth of this many ranges frees up to the range and marks nothing occupied.
 FAR_RANGES = 4.0
-SIZE, STRIDE = "640x480", 2  # where nothing else is asked for
+SIZE, STRIDE = "640x480", 2  # defaults
 MAX_STRIDE = 8
 _NO_COLOUR = np.zeros((1, 1, 3), dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """Frames with their poses in a room whose box (3,), (3,) in metres is known; the reference map where there is one.
+    """Frames with their poses in a room with a known box (3,), (3,) in metres.
 
-    stride: every so many-th row and column of a picture is to be looked at.
+    stride: every stride-th row and column of an image is used.
+    reference: reference map, or None.
     """
 
     name: str
@@ -50,18 +55,18 @@ class Recording:
 
     @property
     def grid(self) -> GridSpec:
-        """Voxels that cover the room exactly."""
+        """Return the grid that covers the room exactly."""
         return GridSpec.covering(self.low_m, self.high_m, RESOLUTION_M)
 
 
 def recorded(depth_m: AnyArray, world_from_camera: Pose, lens: Intrinsics, sequence: int) -> PosedFrame:
-    """One frame; depth_m (H, W) float32, NaN = no return."""
+    """Return one frame; depth_m (H, W) float32, NaN = no return."""
     stamp_s = sequence * 0.1
     return PosedFrame(Frame(stamp_s, sequence, depth_m, lens, _NO_COLOUR, lens, Pose.identity()), world_from_camera)
 
 
 def load(folder: Path, size: str = SIZE, stride: int = STRIDE) -> Recording:
-    """Read a stream at one of its sizes. Raises UsageError in one line for what is wrong."""
+    """Read a stream at one of its sizes. Raises UsageError with one line for bad input."""
     with readable(f"--stream {folder}"):
         there = folder.is_dir()
     if not there:

@@ -1,6 +1,6 @@
-"""Replays of a recording: every frame fused and planned; timed stage by stage, timed as a whole, and judged by brute force.
+"""Replays of a recording: timed by stage, timed as a whole, or compared with brute force.
 
-Each has a replay of its own, so that none warms or washes out another one's caches.
+Each kind has a separate replay, so that none affects the caches of another.
 """
 
 from __future__ import annotations
@@ -14,29 +14,29 @@ from uav_recon.bench.planner.stages import Mapped, Mount, PlannerStages, oracle_
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.camera import PosedFrame
 
-JUDGED_EVERY = 5  # frames: brute force takes a while
-SHELL_M = (0.5, 4.3)  # how far from a frontier the brute force looks for views
+JUDGED_EVERY = 5  # frames; brute force is slow
+SHELL_M = (0.5, 4.3)  # distances from a frontier at which brute force samples views
 
 
 def mapped_of(recording: Recording, mount: Mount = "gimbal") -> Mapped:
-    """The map of the recording's room before its first frame."""
+    """Return the empty map of the recording's room."""
     return Mapped(recording, recording.grid, (recording.low_m, recording.high_m), mount)
 
 
 class Timed:
-    """Laps of a replay, by the wall's clock and of the processor."""
+    """Lap times of a replay, as wall-clock and processor time."""
 
     def __init__(self) -> None:
         self.wall, self.cpu = StageTimings(), StageTimings()
 
     def add(self, watch: Stopwatch) -> None:
-        """Keep a frame."""
+        """Add the laps of a frame."""
         self.wall.add(watch.ms)
         self.cpu.add(watch.cpu_ms)
 
 
 def timed_stages(recording: Recording, frames: Iterable[PosedFrame]) -> Timed:
-    """The laps of STAGES."""
+    """Return the lap times of STAGES."""
     mapped, timed = mapped_of(recording), Timed()
     stages = PlannerStages(mapped)
     mapped.start(recording.frames[0])
@@ -48,7 +48,7 @@ def timed_stages(recording: Recording, frames: Iterable[PosedFrame]) -> Timed:
 
 
 def timed_plans(mapped: Mapped, planner: ViewPlanner, frames: Iterable[PosedFrame]) -> Timed:
-    """The laps of WHOLE, in a map that may hold something already."""
+    """Return the lap times of WHOLE. The map may already contain data."""
     timed = Timed()
     for posed in frames:
         watch = Stopwatch()
@@ -61,7 +61,10 @@ def timed_plans(mapped: Mapped, planner: ViewPlanner, frames: Iterable[PosedFram
 
 
 def judged_views(recording: Recording, frames: Iterable[PosedFrame], mount: Mount) -> list[float]:
-    """What each chosen view sees of its frontier, over what the best of 1,000 random views sees of it; every few frames."""
+    """Return, for each chosen view, the cells it sees over those seen by the best random view.
+
+    The best of 1,000 random views is used. Only every JUDGED_EVERY-th frame is evaluated.
+    """
     mapped = mapped_of(recording, mount)
     stages, lens = PlannerStages(mapped), oracle_lens(mapped.camera, RESOLUTION_M)
     shell = (SHELL_M[0] / RESOLUTION_M, SHELL_M[1] / RESOLUTION_M)

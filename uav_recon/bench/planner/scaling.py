@@ -1,8 +1,8 @@
-"""What a frame costs when the building is ten and a hundred times as large.
+"""Time per frame for a building that is ten and a hundred times as large.
 
-The building of the recording stands there many times, wall to wall. Every copy but one is filled beforehand by the whole
-recording, frame by frame as a flight would have done it, so that it is in the map with its walls, its rooms and the frontiers
-that are left; then the recording is replayed in the last one, the middle of the map, and each frame is fused and planned.
+Copies of the recording's building are placed wall to wall. All copies but one are first filled with the whole recording,
+frame by frame as in a flight, so that the map has their walls, rooms and remaining frontiers. Then the recording is
+replayed in the remaining copy, in the middle of the map, and each frame is fused and planned.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
 
 COPIES = (1, 10, 100)
-WALL_M = 0.2  # of map beyond the room on each side: its walls
-FILLING_STEP = 2  # every second frame of the recording fills the other copies: each place is still seen often enough
+WALL_M = 0.2  # map beyond the room on each side, for its walls
+FILLING_STEP = 2  # every second frame of the recording fills the other copies: each surface is still seen often enough
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """One size of map. stages: processor time, which a busy machine does not lengthen.
+    """Results for one map size.
 
-    memory_mb: what map and planner hold after the last frame.
+    stages: processor times, which are not lengthened by other load.
+    memory_mb: memory of map and planner after the last frame.
     """
 
     copies: int
@@ -44,13 +45,16 @@ class Size:
 
 
 def layout(copies: int) -> tuple[int, int]:
-    """Columns and rows of copies, as square as they divide."""
+    """Return columns and rows of the copies, as square as the number divides."""
     rows = next(n for n in range(math.isqrt(copies), 0, -1) if copies % n == 0)
     return copies // rows, rows
 
 
 def measure(recording: Recording, copies: int, tick: Callable[[int], None]) -> Size:
-    """Replay the recording in a map of so many copies; ``tick`` is told of every frame (see ticks)."""
+    """Replay the recording in a map of ``copies`` copies.
+
+    Calls ``tick`` for each frame (see ticks).
+    """
     columns, rows = layout(copies)
     wall_m = np.array([WALL_M, WALL_M, 0.0])
     pitch_m = recording.high_m - recording.low_m + 2 * wall_m
@@ -68,7 +72,7 @@ def measure(recording: Recording, copies: int, tick: Callable[[int], None]) -> S
                 tick(1)
     frames = [_moved(posed, pitch_m * [*live, 0]) for posed in recording.frames]
     mapped.start(frames[0])
-    # what lies in the map already is looked at by the planner once, unmeasured: a flight would have seen it grow
+    # the planner processes the filled map once, unmeasured: in a flight it would have seen the map grow
     planner.plan(request_of(mapped.fuse(frames[0], Stopwatch()), frames[0]))
     laps = timed_plans(mapped, planner, _told(frames, tick)).cpu
     gc.collect()
@@ -88,7 +92,7 @@ def _told(frames: list[PosedFrame], tick: Callable[[int], None]) -> Iterator[Pos
 
 
 def ticks(recording: Recording, copies: int) -> int:
-    """How many frames measure() goes through."""
+    """Return the number of frames that measure() processes."""
     return len(recording.frames) + (copies - 1) * len(recording.frames[::FILLING_STEP])
 
 

@@ -1,7 +1,7 @@
-"""The stages from a depth frame to a tour, driven one by one with a clock between them, once per recorded frame.
+"""The stages from a depth frame to a tour, run one by one with lap times, once per frame.
 
-The same objects in the same order as ViewPlanner.plan(), which has no clock inside; and plan() itself, as a whole. The drone
-follows the recorded poses; nothing that is planned is flown, so that every frame asks for a whole decision.
+The objects and their order are those of ViewPlanner.plan(), which has no stopwatch; plan() itself is also timed as a whole.
+The vehicle follows the recorded poses and never flies a plan, so every frame needs a complete decision.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.maps import GridSpec, VoxelMap
 from uav_recon.types.tasks import PlanRequest
 
-# the recordings are free of noise but for their millimetres
+# the only noise of the recordings is their millimetre quantization
 SENSOR = DepthSensor(depth_min_m=0.1, noise_px=0.001, baseline_m=0.05)
 Mount = Literal["gimbal", "fixed"]
-# how far down each can look
+# pitch range of each mount, positive looks down
 MOUNTS_RAD: dict[Mount, tuple[float, float]] = {
     "gimbal": (float(np.radians(-60.0)), float(np.radians(60.0))),
     "fixed": (float(np.radians(15.0)), float(np.radians(15.0))),
 }
 VIEWS_LEFT = 1000
 WARM_FRAMES = 20
-# laps of a frame, and the stages that they add up to
+# laps of a frame, and the stages that are sums of laps
 SEARCH, VIEWPOINTS, TOUR = ("frontiers", "space"), ("views",), ("ways", "order")
 STAGES: dict[str, tuple[str, ...]] = {
     "fusion": ("fusion",),
@@ -65,7 +65,10 @@ WHOLE: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChosenView:
-    """A view that the planner chose for a frontier: (x, y, z, yaw, pitch down), lengths in voxels."""
+    """A view that the planner chose for a frontier.
+
+    view: (x, y, z, yaw, pitch down), lengths in voxels.
+    """
 
     view: FloatArray
     frontier: OracleFrontier
@@ -73,7 +76,10 @@ class ChosenView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BenchDecision:
-    """What one frame came to: tasks, and the order (M,) in which a tour visits those that cannot wait, of ``tasks``."""
+    """The decision of one frame.
+
+    order: (M,) indices into ``tasks`` of the tour through the tasks that are not deferred.
+    """
 
     voxels: VoxelMap
     tasks: tuple[CandidateView, ...]
@@ -84,7 +90,10 @@ NOTHING = np.zeros(0, dtype=np.int64)
 
 
 def camera_of(lens: Intrinsics, range_m: float, mount: Mount = "gimbal") -> CameraGeometry:
-    """The recording camera as the planner sees it: at the body's centre, on a gimbal or tilted down for good."""
+    """Return the recording camera for the planner, on a gimbal or with a fixed tilt.
+
+    The camera is at the body's centre.
+    """
     low_rad, high_rad = MOUNTS_RAD[mount]
     return CameraGeometry(
         hfov_rad=2 * float(np.arctan(lens.width / 2 / lens.fx)),
@@ -98,7 +107,7 @@ def camera_of(lens: Intrinsics, range_m: float, mount: Mount = "gimbal") -> Came
 
 
 def oracle_lens(camera: CameraGeometry, resolution_m: float) -> Lens:
-    """The same camera for the brute force, with the same margin at the picture's edge."""
+    """Return the same camera for brute force, with the same margin at the edge of the image."""
     return Lens(
         tan_h=float(np.tan(camera.hfov_rad / 2)) * EDGE_MARGIN,
         tan_v=float(np.tan(camera.vfov_rad / 2)) * EDGE_MARGIN,
@@ -124,12 +133,12 @@ class Mapped:
         )
 
     def start(self, posed: PosedFrame) -> None:
-        """The operator's word, as before any take-off: the cylinder over the pad is free."""
+        """Declare the cylinder over the pad free, as before each take-off."""
         place = posed.world_from_depth.translation_m
         self.voxels.declare_free(place, VoxelConfig().takeoff_radius_m, 0.0, float(place[2]) + 0.3)
 
     def fuse(self, posed: PosedFrame, watch: Stopwatch) -> VoxelMap:
-        """Fuse a frame; laps fusion and distance."""
+        """Fuse a frame. Laps: fusion, distance."""
         watch.restart()
         self.voxels.integrate(posed)
         watch.lap("fusion")
@@ -138,14 +147,14 @@ class Mapped:
         return voxels
 
     def planner(self) -> ViewPlanner:
-        """A planner for this map's fence and camera."""
+        """Return a planner for this map's fence and camera."""
         motion = MotionConfig()
         price = YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
         return ViewPlanner(self.config, *self.fence_m, self.camera, price)
 
 
 class PlannerStages:
-    """The planner's stages over a map."""
+    """The stages of the planner on a map."""
 
     def __init__(self, mapped: Mapped) -> None:
         grid, self._mapped, motion = mapped.voxels.grid, mapped, MotionConfig()
@@ -158,7 +167,7 @@ class PlannerStages:
         self._price = YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
 
     def decide(self, voxels: VoxelMap, posed: PosedFrame, watch: Stopwatch) -> BenchDecision:
-        """Plan from the pose of a frame; the laps are those of STAGES."""
+        """Plan from the pose of a frame. The laps are those of STAGES."""
         place = posed.world_from_depth.translation_m
         watch.restart()
         self._frontiers.update(voxels, *self._mapped.fence, self._none_ignored)
@@ -175,7 +184,7 @@ class PlannerStages:
         return BenchDecision(voxels, tuple(tasks), self._tour(exit_cells, posed, tasks, watch))
 
     def reachable(self) -> BoolArray:
-        """Voxels (nx, ny, nz) that the vehicle could fly to when the last decision was made."""
+        """Return the voxels (nx, ny, nz) reachable at the last decision."""
         mask: BoolArray = self._space.reachable[1:-1, 1:-1, 1:-1] > 0
         return mask
 
@@ -190,7 +199,7 @@ class PlannerStages:
         return order - 1
 
     def chosen(self, decision: BenchDecision) -> tuple[ChosenView, ...]:
-        """The views of a decision's tasks, each with the frontier that it was chosen for; only of the last decision."""
+        """Return the views of the last decision's tasks, each with its frontier."""
         return tuple(self._chosen(decision.voxels.grid, task) for task in decision.tasks)
 
     def _chosen(self, grid: GridSpec, proposal: CandidateView) -> ChosenView:
@@ -204,18 +213,18 @@ class PlannerStages:
 
 
 def request_of(voxels: VoxelMap, posed: PosedFrame) -> PlanRequest:
-    """What a mission that hovers at the frame's pose would ask of the planner."""
+    """Return the request of a mission that hovers at the frame's pose."""
     return PlanRequest(voxels, None, posed.world_from_depth.translation_m, heading_rad(posed), VIEWS_LEFT)
 
 
 def heading_rad(posed: PosedFrame) -> float:
-    """Where the optical axis points, seen from above."""
+    """Return the heading of the optical axis."""
     axis = posed.world_from_depth.rotation()[:, 2]
     return float(np.arctan2(axis[1], axis[0]))
 
 
 def warm_up(recording: Recording) -> None:
-    """Compile every kernel that a replay runs; then the first frames on a flight of their own."""
+    """Compile every kernel of a replay, then run the first frames on separate objects."""
     mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
     mapped.voxels.warm_up()
     view_planner.warm_up(mapped.config.variant)

@@ -1,8 +1,8 @@
-"""`uav-recon bench tasks`: what it costs to find views of the learned surface, along a flight that was flown.
+"""`uav-recon bench tasks`: time to find views of the learned surface of a recorded flight.
 
-The map is the flight's last one; the surface is the mapper's, as it was known at each state that the flight kept, and the
-vehicle is where it took the keyframe before. How uncertain an element is was not kept: random numbers stand for it, so that
-surface everywhere asks to be looked at, and every plan looks for as many tasks as it may have.
+The map is the flight's last one. The surface is the mapper's at each recorded state, and the vehicle is at the pose of the
+keyframe before that state. The uncertainty of the elements is not recorded. Random values replace it, so that surface
+everywhere is uncertain and every plan searches for the maximum number of tasks.
 """
 
 from __future__ import annotations
@@ -36,15 +36,18 @@ from uav_recon.recording.timelapse import load_states
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements
 
-PRINTED_WIDTH = 100  # where no terminal says
+PRINTED_WIDTH = 100  # if the output is not a terminal
 SEED = 20240321
-PHASES = ("merged", "end phase")  # within R_loc, and within alpha times that
+PHASES = ("merged", "end phase")  # within R_loc, and within alpha times R_loc
 
 Result = dict[str, Any]
 
 
 def bench_tasks(flight: Path, json_path: Path | None) -> int:
-    """Measure, print a table, write JSON. Raises Failure in one line for a folder that is no whole flight."""
+    """Measure, print a table, write JSON.
+
+    Raises UserError with one line for a folder that is not a complete flight.
+    """
     require_writable_file("--json", json_path)
     with readable(str(flight)):
         folder, flown = flight.is_dir(), (flight / "config.toml").is_file()
@@ -77,7 +80,7 @@ def bench_tasks(flight: Path, json_path: Path | None) -> int:
 
 
 def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]], int]:
-    """Milliseconds and number of tasks of each plan, by phase, and how many elements the last surface has."""
+    """Return milliseconds and number of tasks of each plan by phase, and the last element count."""
     config, voxels = factory.load_config(flight / "config.toml"), load_map(flight)
     if voxels is None:
         raise UsageError(f"{flight}: has no voxels.npz: not a flight that ended")
@@ -91,7 +94,7 @@ def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]]
     times: dict[str, list[float]] = {phase: [] for phase in PHASES}
     tasks: dict[str, list[int]] = {phase: [] for phase in PHASES}
     console = Console(stderr=True)
-    for lap in range(2):  # the first compiles, and is forgotten
+    for lap in range(2):  # the first lap compiles and is discarded
         for n, (surface, position) in enumerate(track(moments, "plans", console=console, transient=True)):
             exit_cells = space.stand(position)
             if exit_cells is None:
@@ -111,7 +114,7 @@ def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]]
 
 
 def _moments(flight: Path) -> Iterator[tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]]:
-    """Positions, normals and uncertainty of each state of the surface, and where the vehicle was."""
+    """Yield positions, normals and uncertainty of each surface state, and the vehicle position."""
     try:
         keyframes = KeyframeFolder(flight / "keyframes")
     except KeyframeError as error:

@@ -1,8 +1,9 @@
-"""Tours against known ones: how long they take to find, and how much longer they are.
+"""Tours against known tours: search time and excess cost.
 
-A file atsp_N.txt holds costs (N+1, N+1), row 0 = from the vehicle, column 0 = the way back, which costs nothing; atsp_N_lkh.txt
-the order of the tasks 0..N-1 that LKH found. Names of tasks mean nothing, so each matrix is asked in many seeded orders of
-its tasks, whose best tour is equally long: a search that is lucky with one order does not pass for exact.
+A file atsp_N.txt holds costs (N+1, N+1): row 0 = from the vehicle, column 0 = the return, which costs nothing.
+atsp_N_lkh.txt holds the order of the tasks 0..N-1 found by LKH. The numbering of tasks is arbitrary, so each matrix is
+solved for many seeded random permutations of its tasks with the same best cost. A search that succeeds by chance for one
+numbering does not pass as exact.
 """
 
 from __future__ import annotations
@@ -18,12 +19,17 @@ from uav_recon.errors import UserError
 from uav_recon.planning.tour.atsp import best_tour
 from uav_recon.types.frames import FloatArray, IntArray
 
-ORDERS = 20  # seeded orders of the tasks of each matrix
+ORDERS = 20  # seeded random permutations of the tasks of each matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TourCase:
-    """tasks: N. costs: (N+1, N+1). known_cost: of the best tour that is known."""
+    """A cost matrix and its best known tour cost.
+
+    tasks: N.
+    costs: (N+1, N+1).
+    known_cost: cost of the best known tour.
+    """
 
     tasks: int
     costs: FloatArray
@@ -32,7 +38,11 @@ class TourCase:
 
 @dataclass(frozen=True, slots=True)
 class TourScore:
-    """median_ms of the processor over the orders; gap and worst_gap: mean and largest excess over the known tour, a share."""
+    """Results of one case over the permutations.
+
+    median_ms: processor time.
+    gap, worst_gap: mean and largest relative excess over the known tour.
+    """
 
     tasks: int
     median_ms: float
@@ -41,7 +51,10 @@ class TourScore:
 
 
 def load_cases(folder: Path) -> tuple[TourCase, ...]:
-    """Every matrix of a folder that has a tour, smallest first. Raises Failure for a file that is not one."""
+    """Read every matrix of a folder that has a known tour, smallest first.
+
+    Raises UserError for an invalid file.
+    """
     found = []
     for path in folder.glob("atsp_*.txt"):
         number = re.fullmatch(r"atsp_(\d+)\.txt", path.name)
@@ -63,16 +76,16 @@ def _case(path: Path, tour: Path, tasks: int) -> TourCase:
 
 
 def cost_of(costs: FloatArray, order: IntArray) -> float:
-    """Sum from node 0 along ``order`` (N,) of nodes 1..N."""
+    """Return the sum of the costs from node 0 along ``order`` (N,) of nodes 1..N."""
     nodes = np.concatenate(([0], order))
     return float(costs[nodes[:-1], nodes[1:]].sum())
 
 
 def score(case: TourCase) -> TourScore:
-    """Time and judge best_tour on every order of the case's tasks."""
+    """Time and score best_tour on every permutation of the case's tasks."""
     took_ms, gaps = [], []
     rng = np.random.default_rng(case.tasks)
-    best_tour(case.costs)  # not the first of its size
+    best_tour(case.costs)  # warm-up for this size
     for _ in range(ORDERS):
         names = np.concatenate(([0], rng.permutation(case.tasks) + 1))
         costs = np.ascontiguousarray(case.costs[np.ix_(names, names)])

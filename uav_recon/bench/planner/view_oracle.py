@@ -1,9 +1,9 @@
-"""The best view of a frontier by brute force, and what a view sees by other means than the planner's.
+"""The best view of a frontier by brute force, with an independent visibility test.
 
-A cell is seen when an UNKNOWN face neighbour of it, inside the fence, has its centre in the picture and in range, and every
-voxel that the line from the eye to it runs through, but that neighbour itself, is known free; to run along an edge or through a
-corner is not to run through. The line is cut into slabs, these into rows, and these into voxels, so that no stepping from voxel
-to voxel is involved, as in the planner's rays. All lengths are in voxels: voxel (i, j, k) spans [(i,j,k), (i,j,k)+1].
+A cell is seen if an UNKNOWN face neighbour of it, inside the fence, has its centre in the image and in range, and if every
+voxel that the line from the eye to it crosses, except that neighbour itself, is known free. Touching an edge or a corner is
+not crossing. The line is cut into slabs, these into rows, and these into voxels, so that there is no stepping from voxel to
+voxel as in the planner's rays. All lengths are in voxels: voxel (i, j, k) spans [(i,j,k), (i,j,k)+1].
 """
 
 from __future__ import annotations
@@ -19,13 +19,18 @@ from uav_recon.types.maps import FREE, UNKNOWN
 
 CANDIDATES = 1000
 TRIES_PER_CANDIDATE = 20
-LEAST = 1e-9  # share of the line inside a voxel, to run through it
+LEAST = 1e-9  # min. share of the line inside a voxel that counts as crossing
 _FACES = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]], dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """tan_h, tan_v: of the half angles. near, reach: range in voxels. pitch_min_rad, pitch_max_rad: down, of the mount."""
+    """Camera parameters of the oracle.
+
+    tan_h, tan_v: tangents of the half angles.
+    near, reach: range in voxels.
+    pitch_min_rad, pitch_max_rad: pitch range of the mount, positive looks down.
+    """
 
     tan_h: float
     tan_v: float
@@ -35,20 +40,24 @@ class Lens:
     pitch_max_rad: float
 
     def numbers(self) -> FloatArray:
-        """For the kernels, in the order of the fields."""
+        """Return the fields in order, as an array for the kernels."""
         return np.array([self.tan_h, self.tan_v, self.near, self.reach, self.pitch_min_rad, self.pitch_max_rad])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OracleFrontier:
-    """cells (N, 3): free voxels beside unknown ones. low, high (3,): the fence, [low, high)."""
+    """A frontier of the oracle.
+
+    cells: (N, 3) free voxels beside unknown ones.
+    low, high: (3,) the fence, [low, high).
+    """
 
     cells: IntArray
     low: IntArray
     high: IntArray
 
     def targets(self, state: ByteArray) -> IntArray:
-        """Unknown neighbours (M, 4): the number of the cell, then the voxel."""
+        """Return the unknown neighbours (M, 4): cell number, then voxel."""
         around = self.cells[:, None, :] + _FACES
         inside: BoolArray = np.all((around >= self.low) & (around < self.high), axis=-1)
         at = np.where(inside[..., None], around, 0)
@@ -58,17 +67,22 @@ class OracleFrontier:
 
 
 def cells_seen(state: ByteArray, lens: Lens, view: FloatArray, frontier: OracleFrontier) -> int:
-    """How many of the frontier's cells a view (x, y, z, yaw, pitch down) sees; the eye is at x, y, z."""
+    """Return how many cells of the frontier a view (x, y, z, yaw, pitch down) sees.
+
+    The eye is at x, y, z.
+    """
     return _count(state, lens.numbers(), view, frontier.targets(state), len(frontier.cells), 0)
 
 
 def best_seen(
     state: ByteArray, lens: Lens, reachable: BoolArray, frontier: OracleFrontier, shell: tuple[float, float], seed: int
 ) -> int:
-    """Most cells that any of 1,000 seeded random views sees: 0 if there is no place for one.
+    """Return the most cells seen by any of 1,000 seeded random views.
 
-    Places are in reachable voxels (nx, ny, nz) at a distance inside ``shell`` from the middle of the cells; half of them look
-    at that middle, half at a random cell.
+    Returns 0 if no position is possible.
+
+    The positions are in reachable voxels (nx, ny, nz), at a distance inside ``shell`` from the middle of the cells. Half of
+    the views look at that middle, half at a random cell.
     """
     targets = frontier.targets(state)
     views = _random_views(lens, reachable, frontier.cells, shell, np.random.default_rng(seed))
@@ -96,7 +110,7 @@ def _random_views(
 
 @kernel
 def _inside(start: float, change: float, low: float, a: float, b: float) -> tuple[float, float]:
-    """Part of [a, b] in which start + t * change lies between low and low + 1."""
+    """Return the part of [a, b] in which start + t * change is between low and low + 1."""
     if change == 0.0:
         return (a, b) if low <= start < low + 1.0 else (a, a)
     t0, t1 = (low - start) / change, (low + 1.0 - start) / change
@@ -105,7 +119,7 @@ def _inside(start: float, change: float, low: float, a: float, b: float) -> tupl
 
 @kernel
 def _span(start: float, change: float, a: float, b: float) -> tuple[int, int]:
-    """First and last voxel of one axis between two points of the line."""
+    """Return the first and last voxel of one axis between two points of the line."""
     u, v = start + a * change, start + b * change
     return math.floor(min(u, v)), math.floor(max(u, v))
 
@@ -137,7 +151,7 @@ def _is_lit(state: ByteArray, view: FloatArray, i: int, j: int, k: int) -> bool:
 
 @kernel
 def _count(state: ByteArray, lens: FloatArray, view: FloatArray, targets: IntArray, cells: int, beat: int) -> int:
-    """Count the cells seen; give up (and return less than ``beat``) once it cannot be reached."""
+    """Count the cells seen; stop and return less than ``beat`` if it cannot be reached."""
     cos_y, sin_y, cos_p, sin_p = math.cos(view[3]), math.sin(view[3]), math.cos(view[4]), math.sin(view[4])
     seen, passed, last_seen = 0, 0, -1
     for n in range(len(targets)):

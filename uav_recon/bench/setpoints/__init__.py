@@ -1,1 +1,1 @@
-"""The setpoint benchmark: gaps of the stream at the receiver, under load."""
+"""The setpoint benchmark: gaps in the setpoint stream at the receiver, under load."""

@@ -1,8 +1,8 @@
-"""The load beside which setpoints must stay steady: `python -m uav_recon.bench.setpoints.load CONFIG FOLDER [pilot]`.
+"""Load generator: `python -m uav_recon.bench.setpoints.load CONFIG FOLDER [pilot]`.
 
-What the mission's and the mapper's processes do to their machine, all in this one: the field learns, four threads of plain
-Python never rest, a disk is written and flushed, and frames are published for the recorder. With the word ``pilot`` the pilot's
-loop runs in here too, as one thread among them. Runs until it is killed.
+One process with the load of the mission and mapper processes: the neural field trains, four threads run plain Python
+without pause, a file is written and flushed to disk, and frames are published for the recorder. With the word ``pilot`` the
+pilot's loop also runs in this process, as one of its threads. Runs until it is killed.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from uav_recon.app import processes
 from uav_recon.app.flight_channels import file_channels
 from uav_recon.bench.mapper import seeded_views, training_run
 
-LEARNING = "learning"  # a file of this name tells that all of it runs
+LEARNING = "learning"  # a file of this name shows that the whole load is running
 BUSY_THREADS, VIEWS, STEPS_PER_VIEW = 4, 8, 20
-_BLOCK, _BLOCKS = os.urandom(1 << 22), 16  # 4 MiB, so often into one file
+_BLOCK, _BLOCKS = os.urandom(1 << 22), 16  # 4 MiB blocks, and their number in one file
 _FRAMES_S = 0.1
 
 
 def load_machine(config_path: Path, folder: Path, with_pilot: bool) -> None:
-    """Begin all of it, and then be the pilot, or wait."""
+    """Start all loads; then run the pilot, or wait."""
     options = seeded_views.SceneOptions(None, VIEWS, "d435i", "d435i", "fixed:15", (0.0, 0.0), 0)
     scene = seeded_views.load(options)
     training_run.warm_up(scene.keyframes[0])

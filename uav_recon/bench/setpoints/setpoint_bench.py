@@ -1,7 +1,7 @@
-"""`uav-recon bench setpoints`: how steadily setpoints arrive while the machine is loaded, stamped at the receiver.
+"""`uav-recon bench setpoints`: regularity of setpoints under load, timed at the receiver.
 
-The pilot is the process that flies, a simulated autopilot in a process of its own is the receiver, the load is a third and the
-recorder a fourth. The negative control runs the same pilot as a thread of the load: it must miss the bar, or the bar is blind.
+Four processes run: the pilot as in flight, a simulated autopilot as the receiver, the load, and the recorder. The negative
+control runs the same pilot as a thread of the load. It must exceed the limits; otherwise the limits detect nothing.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ MINUTES = (0.1, 120.0)
 BARS_MS = {"p99": 50.0, "p99.9": 75.0, "max": 250.0}
 AUTOPILOTS = ("px4", "ardupilot")
 _LOADED_S = 300.0  # compiling may take long
-_MARGIN_S = 240.0  # over the time that is measured: boot, parameters, take-off
-_PILOT_NICE, _RECEIVER_NICE, _RECORDER_NICE = -10, -5, 10  # as their services have it, where it is allowed
+_MARGIN_S = 240.0  # added to the measured time: boot, parameters, take-off
+_PILOT_NICE, _RECEIVER_NICE, _RECORDER_NICE = -10, -5, 10  # as in the systemd units, if permitted
 _PILOT_FIFO = 50  # CPUSchedulingPriority of its unit
 
 
 @dataclass(frozen=True)
 class SetpointRegularity:
-    """Milliseconds between setpoints as they arrived; the last one ends with the time that was measured."""
+    """Milliseconds between arriving setpoints. The last gap ends with the measured time."""
 
     setpoints: int
     rate_hz: float
@@ -54,17 +54,20 @@ class SetpointRegularity:
 
     @property
     def kept(self) -> bool:
-        """Whether all three bars hold."""
+        """Return True if all three limits are met."""
         return all(told <= bar for told, bar in zip(self.told_ms, BARS_MS.values(), strict=True))
 
     @property
     def told_ms(self) -> tuple[float, float, float]:
-        """What the bars are for, in their order."""
+        """Return the values with a limit, in the order of BARS_MS."""
         return self.p99_ms, self.p999_ms, self.max_ms
 
 
 def setpoint_regularity(arrivals_s: FloatArray, begin_s: float, end_s: float) -> SetpointRegularity:
-    """Of the arrivals (N,) from begin_s to end_s. A stream that stops, or never came, is a gap to the end."""
+    """Compute the regularity of the arrivals (N,) from begin_s to end_s.
+
+    A stream that stops, or never starts, counts as a gap until the end.
+    """
     inside = arrivals_s[(arrivals_s >= begin_s) & (arrivals_s <= end_s)]
     gaps_ms = np.diff(np.concatenate([[begin_s], inside, [end_s]])) * 1e3
     median, p99, p999 = (float(np.percentile(gaps_ms, q, method="higher")) for q in (50, 99, 99.9))
@@ -72,7 +75,10 @@ def setpoint_regularity(arrivals_s: FloatArray, begin_s: float, end_s: float) ->
 
 
 def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path | None) -> int:
-    """Measure, print, write JSON; returns 1 if a bar is missed, or if the control keeps them all. Raises Failure."""
+    """Measure, print and write JSON. Raises UserError.
+
+    Returns 1 if a limit is exceeded, or if the negative control meets all limits; else 0.
+    """
     if not MINUTES[0] <= minutes <= MINUTES[1]:
         raise UsageError(f"--minutes {minutes:g}: want {MINUTES[0]:g} to {MINUTES[1]:g}")
     if autopilot not in AUTOPILOTS:
@@ -93,7 +99,7 @@ def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path |
 
 
 def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str], None] = lambda _: None) -> SetpointRegularity:
-    """Start everything, fly for so long, end everything. Raises Failure."""
+    """Start all processes, fly for ``seconds``, and stop all processes. Raises UserError."""
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as name, contextlib.ExitStack() as ends:
         folder = Path(name)
         config, path, log = _config(folder, autopilot), folder / "config.toml", folder / "log"
@@ -116,14 +122,14 @@ def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str],
             flown = False
         if not flown and not negative:
             raise UserError(f"the vehicle did not fly: {_last_words(log)}")
-        if not flown:  # the control kept it from the air: no setpoint came
+        if not flown:  # the negative control prevented the take-off: no setpoint arrived
             return setpoint_regularity(np.zeros(0), 0.0, seconds)
         with np.load(out) as told:
             return setpoint_regularity(told["arrivals_s"], float(told["begin_s"]), float(told["end_s"]))
 
 
 def _config(folder: Path, autopilot: str) -> Config:
-    """An empty hall, and a port that nobody uses."""
+    """Make a config with an empty hall and an unused port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -146,7 +152,10 @@ def _config(folder: Path, autopilot: str) -> Config:
 
 @contextlib.contextmanager
 def _child(module: list[str], log: Path, niceness: int, fifo: int = 0) -> Iterator[subprocess.Popen[bytes]]:
-    """A Python program of ours, as its unit runs it where we may; it ends with us, however we go, or with the block."""
+    """Run a Python module of this project with the scheduling of its systemd unit, if permitted.
+
+    The process ends with this process, for any reason, or with the block.
+    """
     from sitl.runtime.die_with_parent import die_with_parent_command
 
     command = die_with_parent_command([sys.executable, "-m", *module])
@@ -158,7 +167,7 @@ def _child(module: list[str], log: Path, niceness: int, fifo: int = 0) -> Iterat
         os.setpriority(os.PRIO_PROCESS, process.pid, niceness)
         if fifo:
             os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(fifo))
-    with contextlib.suppress(OSError):  # where the kernel weighs whole sessions and not processes: sched(7), autogroup
+    with contextlib.suppress(OSError):  # for kernels that schedule by session instead of by process: sched(7), autogroup
         Path(f"/proc/{process.pid}/autogroup").write_text(str(niceness), encoding="ascii")
     try:
         yield process

@@ -1,4 +1,4 @@
-"""The way out for a vehicle that stands where it may not fly."""
+"""Path to the nearest flyable cell for a vehicle whose own cell is not flyable."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ STEPS = np.array(
     [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)], dtype=np.int64
 )
 STEP_LENGTHS = np.sqrt((STEPS**2).sum(axis=1).astype(np.float64))
-ESCAPE_LIMIT_M = 2.0  # a way out longer than this is no way out
+ESCAPE_LIMIT_M = 2.0  # max. length of such a path
 
 
 class EscapePath:
-    """Finds the nearest flyable cell through known-free ones, in a window as large as the limit; its memory is kept."""
+    """Finds the nearest flyable cell through known-free cells, within ESCAPE_LIMIT_M.
+
+    The search window and its work arrays are allocated once.
+    """
 
     def __init__(self, resolution_m: float) -> None:
         self._limit = ESCAPE_LIMIT_M / resolution_m
@@ -27,7 +30,12 @@ class EscapePath:
         self._now = 0
 
     def way(self, mask: ByteArray, free: ByteArray, cell: IntArray) -> IntArray | None:
-        """Flat cells (N,) of padded arrays from ``cell`` (3,) to the nearest flyable one, both included; None without a way."""
+        """Return the flat cells (N,) from ``cell`` to the nearest flyable cell, or None.
+
+        Both ends are included. Indices refer to the padded arrays. None if there is no path within the limit.
+
+        cell: (3,) padded index.
+        """
         self._now += 1
         way = _way_out(
             mask,
@@ -59,7 +67,7 @@ def _way_out(
     now: int,
     buckets: IntArray,
 ) -> IntArray:
-    # Dijkstra with buckets one voxel wide (Dinitz): no edge is shorter than a bucket, so the order inside one is free
+    # Dijkstra with buckets one voxel wide (Dinitz): no edge is shorter than a bucket, so the order within a bucket is free
     reach = int(limit) + 1
     edge = 2 * reach + 1
     start = (reach * edge + reach) * edge + reach
@@ -74,7 +82,7 @@ def _way_out(
             at = buckets[slot, m]
             here = distance[at]
             if here < level:
-                continue  # settled in an earlier bucket
+                continue  # already settled in an earlier bucket
             a, b, c = at // (edge * edge), at // edge % edge, at % edge
             i, j, k = cell[0] + a - reach, cell[1] + b - reach, cell[2] + c - reach
             if mask[i, j, k]:

@@ -1,4 +1,4 @@
-"""Where the body may be: kept from map to map, changed only where the map changed."""
+"""Positions where the body may be, updated only where the map changed."""
 
 from __future__ import annotations
 
@@ -14,38 +14,39 @@ from uav_recon.planning.free_space.voxel_blocks import EDGE
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
 
-NEVER = 256  # a squared distance that no byte holds
+NEVER = 256  # larger than any squared distance stored in a byte
 MAX_LEAPS = 12
 
 
 class FlyableSpace:
     """Voxels in which the body's centre may be; one object per flight.
 
-    mask: (nx+2, ny+2, nz+2) uint8, 1 = flyable: known free, far enough from all that is not, with indices in [low, high).
-    The border of zeros spares a search the question of bounds. free: the same for known-free voxels. reachable: the same for
-    flyable voxels that are 26-connected to where the vehicle last stood. Arrays are rewritten in place.
-    Positions in kernels are in PADDED voxel units: (p - origin) / resolution + 1.
+    The arrays are updated in place. Positions in kernels are in PADDED voxel units: (p - origin) / resolution + 1.
 
-    leap: the same for lines through the mask, see ``segment_is_open``: 0 where the mask is 0, else 1 + how many samples on are
-    open whatever the line's direction, by the distance field. (Lines begin and end in the mask: they never leave the box.)
-
-    berth: (7,) what a place off its voxel's centre must keep, see ``clearance_box``.
-
-    revision: grows with each change of mask or reachable. mask_revision, reachable_revision: (tiles along x, along y), the
-    revision at which anything in a tile of TILE x TILE columns last changed; block_revision: the same for the mask in the
-    blocks of ``regions``.
+    mask: (nx+2, ny+2, nz+2) uint8, 1 = flyable: known free, far enough from all voxels that are not known free, and with
+        indices in [low, high). The border of zeros removes the bounds checks from searches.
+    free: the same shape, 1 = known free.
+    reachable: the same shape, 1 = flyable and 26-connected to the vehicle's last position given to stand().
+    leap: the same shape, for lines through the mask, see ``segment_is_open``. 0 where the mask is 0, else 1 + the number of
+        following samples that the distance field shows to be open for every direction of the line. Lines begin and end in
+        the mask, so they never leave the box.
+    berth: (7,) clearance box for positions off a voxel centre, see ``clearance_box``.
+    revision: increases with each change of mask or reachable.
+    mask_revision, reachable_revision: (tiles along x, along y), the revision at which a tile of TILE x TILE columns last
+        changed.
+    block_revision: the same for the mask in the blocks of ``regions``.
     """
 
     def __init__(self, grid: GridSpec, clearance_m: float, low: IntArray, high: IntArray) -> None:
-        """Nothing is known yet.
+        """Create an empty space: no voxel is known free.
 
-        Half a voxel is added to the clearance: the field measures to a voxel's centre, and an obstacle may reach to its
-        near face.
+        Half a voxel is added to the clearance, because the distance field measures to a voxel's centre and an obstacle may
+        extend to its near face.
         """
         self.grid = grid
         needed2 = (clearance_m / grid.resolution_m + 0.5 - 1e-3) ** 2
         self._needed2 = int(min(np.ceil(needed2), NEVER))
-        needed = math.sqrt(self._needed2) + math.sqrt(3.0)  # twice from a point to its voxel's centre
+        needed = math.sqrt(self._needed2) + math.sqrt(3.0)  # twice the distance from a point to its voxel's centre
         self._leaps2 = np.array([min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MAX_LEAPS)], dtype=np.int64)
         self._box = np.array([np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)], dtype=np.int64)
         self.berth = clearance_box(grid.shape, self._box[0], self._box[1], self._needed2)
@@ -66,9 +67,9 @@ class FlyableSpace:
         self._seen: tuple[int, int] = (0, -1)  # map epoch and revision
 
     def update(self, voxels: VoxelMap) -> None:
-        """Take over what changed in the map since the last call; a new map epoch begins from nothing.
+        """Apply the changes of the map since the last call.
 
-        Raises ValueError for a map of another grid.
+        A new map epoch starts from an empty space. Raises ValueError if the shape of the map differs.
         """
         if voxels.grid.shape != self.grid.shape:
             raise ValueError(f"map of shape {voxels.grid.shape} given to a space of shape {self.grid.shape}")
@@ -90,11 +91,12 @@ class FlyableSpace:
             self.regions.update(self.mask, self._changed[:count], self.revision)
 
     def stand(self, position_world: FloatArray) -> IntArray | None:
-        """Flat cells from the vehicle's own to the nearest flyable one, both included; one cell where it may fly already.
+        """Return the flat cells from the vehicle's cell to the nearest flyable one, both included.
 
-        Just after take-off, or when the map has changed, the vehicle may stand where it may not fly: it leaves through
-        known-free cells alone (its own is exempt). None if there is no such way within ESCAPE_LIMIT_M, and then ``reachable``
-        stays as it was; else ``reachable`` is what can be flown to from the last cell.
+        The result is one cell if the vehicle's cell is flyable. Just after take-off, or after a change of the map, the
+        vehicle may be in a cell that is not flyable. It then leaves through known-free cells only; its own cell is exempt.
+        None if there is no such path within ESCAPE_LIMIT_M; ``reachable`` is then unchanged. Otherwise ``reachable``
+        becomes the set of cells reachable from the last cell.
         """
         cell = np.floor(self.padded(position_world)).astype(np.int64)
         if np.any(cell < 1) or np.any(cell >= np.array(self.mask.shape) - 1):
@@ -109,22 +111,22 @@ class FlyableSpace:
         return cells
 
     def padded(self, points_world: FloatArray) -> FloatArray:
-        """World (3,) or (N, 3) to padded voxel units."""
+        """Convert world points (3,) or (N, 3) to padded voxel units."""
         out: FloatArray = (points_world - self.grid.origin_world_m) / self.grid.resolution_m + 1.0
         return out
 
     def world(self, points_padded: FloatArray) -> FloatArray:
-        """Padded voxel units to world."""
+        """Convert padded voxel units to world points."""
         out: FloatArray = (points_padded - 1.0) * self.grid.resolution_m + self.grid.origin_world_m
         return out
 
     def flat(self, cell_padded: IntArray) -> int:
-        """Flat index of a padded cell (3,), clipped to the border when it lies outside."""
+        """Return the flat index of a padded cell (3,), clipped to the border if it lies outside."""
         cell = np.clip(cell_padded, 0, np.array(self.mask.shape) - 1)
         return int(np.ravel_multi_index((int(cell[0]), int(cell[1]), int(cell[2])), self.mask.shape))
 
     def centre(self, flat: IntArray) -> FloatArray:
-        """Centres in padded voxel units of flat indices: (N,) to (N, 3)."""
+        """Return the centres (N, 3) in padded voxel units of flat indices (N,)."""
         centre: FloatArray = np.stack(np.unravel_index(flat, self.mask.shape), axis=-1) + np.float64(0.5)
         return centre
 
@@ -147,7 +149,10 @@ def _renew(
     changed: IntArray,
     revision: int,
 ) -> int:
-    """Bring mask and free up to date in the tiles that changed; how many blocks changed (each listed once)."""
+    """Update mask, free and leap in the changed tiles and return the number of changed blocks.
+
+    changed: filled with the changed blocks, each once.
+    """
     nx, ny, nz = state.shape
     count = 0
     column = np.zeros(nz, dtype=np.uint8)
@@ -187,7 +192,7 @@ def _renew(
 
 
 def warm_up() -> None:
-    """Compile everything that a space uses, for the read-only arrays of a VoxelMap."""
+    """Compile all kernels of a space for the read-only arrays of a VoxelMap."""
     grid = GridSpec(np.zeros(3), 0.1, (12, 12, 12))
     state = np.zeros(grid.shape, dtype=np.uint8)
     state[2:, 2:, 2:] = FREE

@@ -1,7 +1,8 @@
-"""The parts of flyable space that hang together with the vehicle.
+"""The parts of flyable space that are connected to the vehicle.
 
-They are kept as a tree of parents. When blocks change, only what hung on them looks for another parent (the adoption of
-Boykov and Kolmogorov, 2004), so the cost follows the change, not the map, and the answer is exact.
+They are kept as a tree of parent links. When blocks change, only the descendants of the changed parts look for another
+parent (adoption, Boykov and Kolmogorov, 2004). The cost thus depends on the size of the change, not of the map, and the
+result is exact.
 """
 
 from __future__ import annotations
@@ -30,18 +31,19 @@ from uav_recon.types.maps import TILE
 
 PartArray = NDArray[np.int32]
 
-DETACHED, ORPHAN = 0, -1  # values of parent; otherwise the parent's number + 1, the root is its own parent
+DETACHED, ORPHAN = 0, -1  # values of parent; otherwise the parent's number + 1; the root is its own parent
 
 
 class ReachableSpace:
-    """Blocks of a padded mask, and which of their parts hang together with the root.
+    """The blocks of a padded mask, and which of their parts are connected to the root.
 
-    parent: (8 * blocks,) int32, DETACHED, or a part's number + 1. reachable: padded uint8 like the mask, 1 = hangs together
-    with the root. tile_revision: (tiles along x, along y) int64, the revision at which ``reachable`` last changed in a tile.
+    parent: (8 * blocks,) int32, DETACHED, ORPHAN, or a part's number + 1.
+    reachable: padded uint8 like the mask, 1 = connected to the root.
+    tile_revision: (tiles along x, along y) int64, the revision at which ``reachable`` last changed in a tile.
     """
 
     def __init__(self, grid_shape: tuple[int, int, int]) -> None:
-        """Nothing is flyable yet."""
+        """Create a space without flyable voxels."""
         nx, ny, nz = grid_shape
         self.blocks = blocks_of(grid_shape)
         number = len(self.blocks.counts)
@@ -56,7 +58,10 @@ class ReachableSpace:
         self._root = -1
 
     def update(self, mask: ByteArray, changed: IntArray, revision: int) -> None:
-        """Read changed blocks (N,) of a padded mask anew; each once. The time follows their number."""
+        """Read the changed blocks (N,) from a padded mask and update ``reachable``.
+
+        Each block is listed once. The time is proportional to the number of changed blocks.
+        """
         self._now += 1
         self._root, orphans, queued = _reshape(self.blocks, mask, changed, self.parent, self._root, self._orphans, self._queue)
         queued = _adopt(self.blocks, self.parent, self._checked, self._now, self._orphans, orphans, self._queue, queued)
@@ -64,10 +69,10 @@ class ReachableSpace:
         _show(changed, self.blocks, self.parent, self._shown, self.reachable, self.tile_revision, revision)
 
     def hang_on(self, i: int, j: int, k: int, revision: int) -> None:
-        """Make ``reachable`` what hangs together with a PADDED flyable voxel.
+        """Set the root to a PADDED flyable voxel, so that ``reachable`` is what is connected to it.
 
-        Costs nothing if it is reachable already, else as much as what is lost and what is won. Raises ValueError if it is
-        not flyable.
+        Returns at once if the voxel is reachable already. Otherwise the cost is proportional to the parts detached and
+        attached. Raises ValueError if the voxel is not flyable.
         """
         part = int(part_at(self.blocks, i, j, k))
         if part < 0:
@@ -91,13 +96,16 @@ class ReachableSpace:
 def _reshape(
     blocks: VoxelBlocks, mask: ByteArray, changed: IntArray, parent: PartArray, root: int, orphans: PartArray, queue: PartArray
 ) -> tuple[int, int, int]:
-    """Read the changed blocks anew; the root (-1: lost), how many orphans there are and how many parts are queued."""
+    """Read the changed blocks and split them into parts.
+
+    Returns the root (-1: lost) and the numbers of orphans and of queued parts.
+    """
     number = len(blocks.counts)
     size, queued = 0, 0
     for block in changed:
         word, before = word_of(blocks, block, mask), blocks.words[block]
         if blocks.counts[block] == 1 and before & ~word == 0 and part_around(before, word) == word:
-            blocks.words[block] = word  # it only grew: whatever it hung on, it still does
+            blocks.words[block] = word  # the part only grew, so its connection remains valid
             queue[queued] = block
             queued += 1
             continue
@@ -143,7 +151,7 @@ def _orphan_children(blocks: VoxelBlocks, parent: PartArray, part: int, orphans:
 
 @kernel
 def _hangs_on_root(parent: PartArray, checked: PartArray, now: int, part: int) -> bool:
-    """Follow the parents; the way is marked where it leads to the root."""
+    """Return True if the parent links of a part lead to the root; mark the path if they do."""
     at = part
     while checked[at] != now:
         above = parent[at]
@@ -169,7 +177,10 @@ def _adopt(
     queue: PartArray,
     queued: int,
 ) -> int:
-    """Find each orphan another parent; who finds none is detached, queued, and makes orphans of its children."""
+    """Find another parent for each orphan.
+
+    An orphan without a parent is detached and queued, and its children become orphans. Returns the number of queued parts.
+    """
     number = len(blocks.counts)
     first = 0
     while first < size:
@@ -195,7 +206,10 @@ def _adopt(
 
 @kernel
 def _grow(blocks: VoxelBlocks, parent: PartArray, queue: PartArray, queued: int) -> int:
-    """Attach the queued parts that touch the tree, then whatever touches them, and so on; how many are queued in the end."""
+    """Attach the queued parts that touch the tree, then the parts that touch those, and so on.
+
+    Returns the number of queued parts at the end.
+    """
     number = len(blocks.counts)
     first = 0
     while first < queued:
@@ -225,7 +239,7 @@ def _grow(blocks: VoxelBlocks, parent: PartArray, queue: PartArray, queued: int)
 
 @kernel
 def _detach(blocks: VoxelBlocks, parent: PartArray, queue: PartArray, root: int) -> int:
-    """Detach the whole tree; how many parts it had, all in the queue."""
+    """Detach the whole tree and return the number of its parts, which are all in the queue."""
     number = len(blocks.counts)
     queue[0] = root
     parent[root] = DETACHED
@@ -254,7 +268,7 @@ def _show(
     tile_revision: IntArray,
     revision: int,
 ) -> None:
-    """Write the voxels of blocks that came to hang on the root, or no longer do, into the padded mask ``reachable``."""
+    """Update the padded mask ``reachable`` in blocks whose connection to the root changed."""
     for block in changed:
         word = np.uint64(0)
         for c in range(blocks.counts[block]):

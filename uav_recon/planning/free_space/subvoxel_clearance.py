@@ -1,7 +1,8 @@
-"""Where off its voxel's centre a body may stand: no nearer to anything than it may be at a centre.
+"""Clearance of positions off a voxel centre: not less than the clearance at a centre.
 
-The mask asks for a distance between centres of voxels. From a centre that may be flown to, sides of voxels are nearer than
-that, by no more than the lattice allows; so far every place off a centre must be from them. Positions are in voxel units.
+The mask requires a distance between voxel centres. From a flyable centre, the sides of the blocking voxels are closer than
+that distance, by an amount bounded by the grid. Every position off a centre must keep this smaller distance from the sides.
+Positions are in voxel units.
 """
 
 from __future__ import annotations
@@ -13,28 +14,33 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
-LOW, HIGH, SIDES2 = 0, 3, 6  # in a berth (7,): where the corners of the box begin, and the squared distance
+LOW, HIGH, SIDES2 = 0, 3, 6  # indices in a clearance box (7,): lower corner, upper corner, squared distance to voxel sides
 CLEAR, OUTSIDE = -1, -2
 
 
 def clearance_box(shape: tuple[int, int, int], low: IntArray, high: IntArray, needed2: int) -> FloatArray:
-    """What a place off its voxel's centre must keep: a box around centres [low, high), and a distance to sides, squared.
+    """Return the clearance box (7,): bounds of a position and squared distance to voxel sides.
 
-    needed2: what centres keep from the centres of all voxels that are not known free.
+    The bounds are a box around the centres [low, high).
+
+    needed2: squared distance in voxels that a centre must keep from the centres of all voxels that are not known free.
     """
     steps2 = np.arange(math.isqrt(needed2) + 2) ** 2
     sides2 = np.maximum(np.arange(len(steps2)) - 0.5, 0.0) ** 2
     far = np.add.outer(np.add.outer(steps2, steps2), steps2) >= needed2
     least2 = float(np.add.outer(np.add.outer(sides2, sides2), sides2)[far].min())
-    border = math.sqrt(least2)  # beyond the map nothing is known
+    border = math.sqrt(least2)  # space outside the map is unknown
     return np.concatenate([np.maximum(low + 0.5, border), np.minimum(high - 0.5, np.array(shape) - border), [least2]])
 
 
 @kernel
 def blocking_voxel(distance2: ByteArray, shape: tuple[int, int, int], berth: FloatArray, x: float, y: float, z: float) -> int:
-    """Flat index of a voxel that is not known free and has a side nearer to a place than its berth allows.
+    """Return the flat index of a voxel, not known free, with a side too close to a position.
 
-    CLEAR if there is none, OUTSIDE if the place is not in its box. distance2: raveled, as in VoxelMap.
+    CLEAR if there is none, OUTSIDE if the position is outside the clearance box.
+
+    distance2: raveled, as in VoxelMap.
+    berth: (7,), see clearance_box().
     """
     nx, ny, nz = shape
     if not (
@@ -44,7 +50,7 @@ def blocking_voxel(distance2: ByteArray, shape: tuple[int, int, int], berth: Flo
     least2 = berth[SIDES2]
     least = math.sqrt(least2)
     own = distance2[np.uint64((int(x) * ny + int(y)) * nz + int(z))]
-    if own >= (least + math.sqrt(3.0)) ** 2:  # from the place to its voxel's centre, and from a voxel's corner to its centre
+    if own >= (least + math.sqrt(3.0)) ** 2:  # from the position to its voxel's centre, and from a voxel's corner to its centre
         return CLEAR
     for i in range(int(x - least), min(int(x + least), nx - 1) + 1):
         across = max(i - x, x - i - 1.0, 0.0)

@@ -1,8 +1,8 @@
-"""Voxels in blocks of 4 x 4 x 4, each block one 64-bit word, and the parts into which walls divide them.
+"""Blocks of 4 x 4 x 4 voxels, one 64-bit word each, and the connected parts of each block.
 
-Bit (i * 4 + j) * 4 + k of a word is the block's voxel (i, j, k). A block's voxels fall into at most eight parts (26-connected
-inside the block). An array of blocks has a border of empty ones all round. Part c of block b has the number c * blocks + b:
-numbers with c > 0 are rare, so their memory is hardly ever touched.
+Bit (i * 4 + j) * 4 + k of a word is voxel (i, j, k) of the block. The voxels of a block form at most eight parts
+(26-connected within the block). An array of blocks has a border of empty blocks on all sides. Part c of block b has the
+number c * blocks + b. Numbers with c > 0 are rare, so that memory is hardly ever touched.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 WordArray = NDArray[np.uint64]
 LinkArray = NDArray[np.uint32]
 
-EDGE = 4  # voxels along a block's edge
+EDGE = 4  # voxels along the edge of a block
 MAX_PARTS = 8
 
 ONE, _FOUR, _SIXTEEN = np.uint64(1), np.uint64(4), np.uint64(16)
@@ -33,7 +33,7 @@ SIDES = np.array(
     [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)], dtype=np.int64
 )
 _FROM_MIDDLE_2 = [(bit // 16 - 1.5) ** 2 + (bit // 4 % 4 - 1.5) ** 2 + (bit % 4 - 1.5) ** 2 for bit in range(64)]
-FROM_MIDDLE = np.argsort(_FROM_MIDDLE_2, kind="stable")  # a block's voxels, those nearest to its middle first
+FROM_MIDDLE = np.argsort(_FROM_MIDDLE_2, kind="stable")  # bit numbers of a block's voxels, those nearest to its middle first
 _SLICES = {
     1: (0xFFFF000000000000, 0xF000F000F000F000, 0x8888888888888888),
     -1: (0xFFFF, 0x000F000F000F000F, 0x1111111111111111),
@@ -41,7 +41,11 @@ _SLICES = {
 
 
 def _side_words() -> tuple[WordArray, WordArray, WordArray]:
-    """For each side: which voxels of a block lie on it, and by how much right, then left, to move them onto the neighbour's."""
+    """Return, for each side, the mask of its voxels and two shifts.
+
+    Shifting right by the second array and left by the third one moves a side's voxels to their positions in the word of the
+    neighbouring block.
+    """
     keep, right, left = [], [], []
     for side in SIDES:
         word, moves = int(ALL), 0
@@ -60,7 +64,10 @@ _KEEP, _RIGHT, _LEFT = _side_words()
 
 @kernel
 def touches(a: np.uint64, b: np.uint64, side: int) -> bool:
-    """Tell whether voxels ``a`` of a block and voxels ``b`` of its neighbour on ``side`` are 26-connected somewhere."""
+    """Return True if voxels ``a`` of a block touch voxels ``b`` of its neighbour on ``side``.
+
+    Voxels touch if they are 26-connected.
+    """
     word = a
     if SIDES[side, 0] == 0:
         word |= (word << _SIXTEEN) | (word >> _SIXTEEN)
@@ -74,7 +81,7 @@ def touches(a: np.uint64, b: np.uint64, side: int) -> bool:
 
 @kernel
 def part_around(seed: np.uint64, word: np.uint64) -> np.uint64:
-    """Voxels of ``word`` that are 26-connected to those of ``seed``."""
+    """Return the voxels of ``word`` that are 26-connected to those of ``seed``."""
     grown = seed
     while True:
         wide = grown | ((grown & _NOT_K3) << ONE) | ((grown & _NOT_K0) >> ONE)
@@ -87,12 +94,15 @@ def part_around(seed: np.uint64, word: np.uint64) -> np.uint64:
 
 
 class VoxelBlocks(NamedTuple):
-    """The blocks of a grid, for kernels; rewritten in place.
+    """The blocks of a grid as arrays for kernels; updated in place.
 
-    shape: (3,) blocks along each axis, the border included. steps: (26,) what to add to a block's number to get to its
-    neighbour on SIDES. counts: (blocks,) uint8 parts of each block. words: (8 * blocks,) uint64, voxels of each part. links:
-    (8 * blocks,) uint32, bit n = touches a part of the block on SIDES[n]. centre: (8 * blocks, 3), padded voxel units,
-    the middle of the voxel that a part stands for, the one nearest to its block's middle.
+    shape: (3,) blocks along each axis, the border included.
+    steps: (26,) difference of the block numbers to the neighbour on SIDES.
+    counts: (blocks,) uint8 number of parts of each block.
+    words: (8 * blocks,) uint64 voxels of each part.
+    links: (8 * blocks,) uint32, bit n = touches a part of the block on SIDES[n].
+    centre: (8 * blocks, 3) in padded voxel units, centre of the voxel that represents a part: the one nearest to the middle
+        of its block.
     """
 
     shape: IntArray
@@ -104,7 +114,10 @@ class VoxelBlocks(NamedTuple):
 
 
 def blocks_of(grid_shape: tuple[int, int, int]) -> VoxelBlocks:
-    """Empty blocks for a grid of voxels. The system commits their memory only where something is."""
+    """Return empty blocks for a grid of voxels.
+
+    The system commits memory only where it is written.
+    """
     shape = np.array([-(-n // EDGE) + 2 for n in grid_shape], dtype=np.int64)
     number = int(np.prod(shape))
     return VoxelBlocks(
@@ -140,7 +153,7 @@ def part_at(blocks: VoxelBlocks, i: int, j: int, k: int) -> int:
 
 @kernel
 def word_of(blocks: VoxelBlocks, block: int, mask: ByteArray) -> np.uint64:
-    """Read a block's voxels from a padded mask."""
+    """Read the voxels of a block from a padded mask."""
     i0, j0, k0 = corner_of(blocks, block)
     word, bit = np.uint64(0), np.uint64(0)
     for i in range(i0, i0 + EDGE):
@@ -154,7 +167,10 @@ def word_of(blocks: VoxelBlocks, block: int, mask: ByteArray) -> np.uint64:
 
 @kernel
 def split(blocks: VoxelBlocks, block: int, word: np.uint64) -> None:
-    """Write a block's parts, in the order of their lowest voxels. Links and centres are to be renewed after that."""
+    """Write the parts of a block, ordered by their lowest voxels.
+
+    Links and centres must be updated afterwards, see link().
+    """
     count = 0
     while word != 0:
         part = part_around(word & (~word + ONE), word)
@@ -168,7 +184,10 @@ def split(blocks: VoxelBlocks, block: int, word: np.uint64) -> None:
 
 @kernel
 def link(blocks: VoxelBlocks, block: int) -> None:
-    """Note which sides of a block's parts touch others, on both ends, and let each part stand for a voxel."""
+    """Update the links of a block's parts to the neighbours, and the centres of the parts.
+
+    The links are updated at both ends.
+    """
     number = len(blocks.counts)
     i0, j0, k0 = corner_of(blocks, block)
     for c in range(blocks.counts[block]):
@@ -195,6 +214,9 @@ def link(blocks: VoxelBlocks, block: int) -> None:
 
 @kernel
 def meets(blocks: VoxelBlocks, part: int, side: int, other: int) -> bool:
-    """Tell whether a part touches a certain part on a side on which it touches something."""
+    """Return True if a part touches a given part of the neighbour on a side.
+
+    The caller has checked that it touches at least one part of that neighbour.
+    """
     beside = part % len(blocks.counts) + blocks.steps[side]
     return blocks.counts[beside] == 1 or touches(blocks.words[part], blocks.words[other], side)

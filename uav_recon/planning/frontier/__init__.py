@@ -1,1 +1,1 @@
-"""Frontiers, and the best view of each."""
+"""Frontiers and the best view of each."""

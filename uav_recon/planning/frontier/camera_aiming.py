@@ -1,4 +1,4 @@
-"""Where to turn a camera so that it shows most of what can be seen from a place."""
+"""Camera aiming: the yaw and pitch that show most of the visible directions from a position."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera_frustum import PITCH_MAX, PITCH_MIN, TAN_H, TAN_V
 from uav_recon.types.frames import Float32Array, FloatArray
 
-TURNS = 24  # headings tried, all round ...
-FINE_TURNS = 4  # ... and so many to either side of the best
-NODS = 3  # pitches tried to either side ...
-NOD_RAD = np.radians(10.0)  # ... so far apart
+TURNS = 24  # headings tried over the full circle ...
+FINE_TURNS = 4  # ... and on each side of the best one
+NODS = 3  # pitches tried on each side ...
+NOD_RAD = np.radians(10.0)  # ... and their spacing
 
 
 @kernel
 def framed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: float) -> int:
-    """How many of the first ``count`` directions (3, N) lie inside the frustum."""
+    """Return how many of the first ``count`` directions (3, N) lie inside the frustum."""
     cy, sy, cp, sp = np.float32(np.cos(yaw)), np.float32(np.sin(yaw)), np.float32(np.cos(pitch)), np.float32(np.sin(pitch))
     tan_h, tan_v, zero = np.float32(lens[TAN_H]), np.float32(lens[TAN_V]), np.float32(0.0)
     xs, ys, zs = ways[0], ways[1], ways[2]
-    shown = np.int32(0)  # as wide as the rest of the sum: the processor then does many at once
+    shown = np.int32(0)  # as wide as the other operands, so that the loop is vectorized
     for n in range(count):
         along, left = cy * xs[n] + sy * ys[n], cy * ys[n] - sy * xs[n]
         forward, up = cp * along - sp * zs[n], sp * along + cp * zs[n]
@@ -30,10 +30,11 @@ def framed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: 
 
 @kernel
 def aimed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: float) -> tuple[int, float, float]:
-    """Most of the first ``count`` directions (3, N) that a heading shows, and its yaw and pitch.
+    """Return the max. number of directions in one view, and yaw and pitch of that view.
 
-    The given angles if these show all; else towards their mean; else the best of the headings all round and of the pitches
-    that the mount has, each tried coarsely and then finely.
+    The directions are the first ``count`` of ``ways`` (3, N). The given angles are used if they show all. Otherwise the
+    mean direction is tried, then headings over the full circle and pitches within the range of the mount, first coarse and
+    then fine.
     """
     most = framed(lens, ways, count, yaw, pitch)
     if most == count:

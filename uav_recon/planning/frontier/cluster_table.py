@@ -1,4 +1,7 @@
-"""The table of frontier clusters: a row each, found by block, given back when the block is cut anew."""
+"""The table of frontier clusters: one row each, indexed by block.
+
+The rows of a block are released when the block is clustered again.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +15,23 @@ from uav_recon.planning.frontier.unknown_volume import weigh
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 _FIRST_ROWS = 256
-_AROUND = 5  # blocks along each side of the square that is looked at first
-OPENING = 150  # voxels: less unknown space beyond a cluster is a gap in front of a wall ...
-FARTHER = 100.0  # ... and waits for the openings so many voxels around
-POOL, SPARE = 0, 1  # places in ClusterTable.fill
+_AROUND = 5  # blocks along each side of the square that is searched first
+OPENING = 150  # voxels; a cluster with less unknown space beyond it is a gap in front of a wall ...
+FARTHER = 100.0  # ... and its distance counts this many voxels more
+POOL, SPARE = 0, 1  # indices of ClusterTable.fill
 
 
 class ClusterTable:
-    """Rows of one grid.
+    """The frontier clusters of one grid, one row per cluster.
 
-    head: (blocks) a block's first row + 1, or 0; after: (M,) the same for the next row of the block. count: (M,) cells, 0 = the
-    row is unused. speck: (M,) 1 = too few connected cells to be worth a view. key: (M,) a hash of the cells and their unknown
-    faces. start: (M,) where its flat indices begin in ``pool``. centre: (M, 3) mean of the cells' centres, voxels. beyond: (M,)
-    unknown voxels behind it, see beyond.py.
+    head: (blocks) first row of a block + 1, or 0.
+    after: (M,) next row of the block + 1, or 0.
+    count: (M,) number of cells; 0 = the row is unused.
+    speck: (M,) 1 = too few connected cells to be worth a view.
+    key: (M,) hash of the cells and their unknown faces.
+    start: (M,) start of the cells' flat indices in ``pool``.
+    centre: (M, 3) mean of the cells' centres, voxels.
+    beyond: (M,) unknown voxels behind the cluster, see unknown_volume.py.
     """
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
@@ -36,8 +43,8 @@ class ClusterTable:
         self.start = np.zeros(0, dtype=np.int64)
         self.centre = np.zeros((0, 3))
         self.beyond = np.zeros(0, dtype=np.int64)
-        self.spare = np.zeros(0, dtype=np.int64)  # unused rows, a stack
-        self.fill = np.zeros(2, dtype=np.int64)  # how much of pool is used, how many rows are spare
+        self.spare = np.zeros(0, dtype=np.int64)  # stack of unused rows
+        self.fill = np.zeros(2, dtype=np.int64)  # used length of pool, number of unused rows
         self.pool = np.zeros(0, dtype=np.int64)
         self._more_rows()
         self._more_pool(0)
@@ -59,19 +66,23 @@ class ClusterTable:
         _mark_specks(faces, ignored, blocks, self.head, self.after, self.count, self.speck, self.start, self.pool)
 
     def weigh(self, state: ByteArray, faces: ByteArray, low: IntArray, high: IntArray, asked: ByteArray) -> None:
-        """Reckon anew what is beyond the clusters of the blocks that ``asked`` (blocks) marks; see beyond.py."""
+        """Update ``beyond`` for the clusters of the marked blocks; see unknown_volume.py.
+
+        asked: (blocks) 1 = marked.
+        """
         weigh(state, faces, low, high, asked, self.head, self.after, self.count, self.start, self.pool, self.beyond)
 
     def nearest(self, place: FloatArray, most: int) -> IntArray:
-        """Rows of the ``most`` clusters nearest to a place (3,), voxels; ties by key, so that the order is the map's own.
+        """Return the rows of the ``most`` clusters nearest to a position (3,), voxels.
 
-        A cluster with less than OPENING beyond it counts as if it were FARTHER away.
+        Ties are ordered by key, so that the order depends on the map only. A cluster with less than OPENING voxels beyond
+        it counts as FARTHER voxels farther away.
         """
         return _nearest(self.head, self.after, self.count, self.speck, self.key, self.centre, self.beyond, place, most)
 
     @property
     def size(self) -> int:
-        """How many clusters there are, specks not counted."""
+        """Return the number of clusters without specks."""
         return int(np.count_nonzero((self.count > 0) & (self.speck == 0)))
 
     def _more_rows(self) -> None:
@@ -89,7 +100,7 @@ class ClusterTable:
         self.spare, self.fill[SPARE] = spare, left + new - old
 
     def _more_pool(self, wanted: int) -> None:
-        """Pack the pool, with room for as much again and for what is wanted."""
+        """Compact the pool; leave room for the same amount again and for ``wanted`` entries."""
         live = int(self.count.sum())
         pool = np.zeros(2 * live + wanted + 4096, dtype=np.int64)
         self.fill[POOL] = _pack(self.count, self.start, self.pool, pool)
@@ -114,7 +125,10 @@ def _cut_blocks(
     fill: IntArray,
     pool: IntArray,
 ) -> tuple[int, int, int]:
-    """Cut blocks[done:]; returns where it stopped, and how many cells and rows the next one needs if it lacked room."""
+    """Cluster blocks[done:]; return the index where it stopped, and the missing room.
+
+    The missing room is the number of cells and rows of the next block, 0 if all blocks are done.
+    """
     _, ny, nz = faces.shape
     cells = np.empty(BLOCK * BLOCK * nz, dtype=np.int64)
     starts = np.empty(BLOCK * BLOCK * nz + 1, dtype=np.int64)
@@ -147,7 +161,7 @@ def _cut_blocks(
                 sx += i
                 sy += j
                 sz += k
-                digest = (digest ^ (flat * 64 + faces[i, j, k])) * 1099511628211  # FNV-1a, a cell at a time
+                digest = (digest ^ (flat * 64 + faces[i, j, k])) * 1099511628211  # FNV-1a, one cell at a time
                 digest ^= digest >> 29
             key[row] = digest
             centre[row, 0], centre[row, 1], centre[row, 2] = sx / (b - a) + 0.5, sy / (b - a) + 0.5, sz / (b - a) + 0.5
@@ -166,7 +180,7 @@ def _mark_specks(
     start: IntArray,
     pool: IntArray,
 ) -> None:
-    """Ask again of the small clusters in and around ``blocks`` what they hang together with."""
+    """Update ``speck`` of the small clusters in and around ``blocks``."""
     asked = np.zeros(head.shape, dtype=np.bool_)
     for n in range(len(blocks)):
         for bi in range(max(blocks[n, 0] - 1, 0), min(blocks[n, 0] + 2, head.shape[0])):
@@ -197,7 +211,7 @@ def _nearest(
     far2 = np.empty(most)
     found = 0
     here_i, here_j = int(place[0]) // BLOCK, int(place[1]) // BLOCK
-    # the blocks around the place first: then nearly all others are too far at a glance, however many there are
+    # the blocks around the position first; then nearly all others are rejected by their distance alone
     for block in range(_AROUND * _AROUND + head.size):
         if block < _AROUND * _AROUND:
             bi, bj = here_i + block // _AROUND - _AROUND // 2, here_j + block % _AROUND - _AROUND // 2

@@ -1,7 +1,8 @@
-"""Cutting frontier cells into clusters, a block of columns at a time, so that a change is felt in its own block alone.
+"""Clustering of frontier cells, one block of columns at a time.
 
-A block's clusters depend on the block's own cells: its 26-connected pieces, each halved along its first principal component
-(3-D) until one view holds it. Only whether a very small cluster is a speck looks farther, MIN_CELLS voxels at most.
+A change thus affects only the clusters of the changed block. The clusters of a block depend on the cells of the block: its
+26-connected components, each halved along its first principal component (3-D) until one view covers it. Only the test
+whether a small cluster is a speck extends farther, by at most MIN_CELLS voxels.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from uav_recon.types.maps import FREE, TILE, UNKNOWN
 Int32Array = NDArray[np.int32]
 
 BLOCK = 2 * TILE  # columns along x and y
-MIN_CELLS = 20  # fewer connected cells (0.2 m² at 0.1 m) are a speck on a surface or a sampling gap: not worth a flight
-MAX_EXTENT_M = 1.2  # along the first principal component: then one view from the shell holds a cluster
-_STACK = 64  # halves waiting at once; a block's piece never needs so many
-_I, _J, _K = 25, 20, (1 << 20) - 1  # places of a cell's packed indices in its block
+MIN_CELLS = 20  # fewer connected cells (0.2 m² at 0.1 m) are a speck on a surface or a sampling gap, not worth a flight
+MAX_EXTENT_M = 1.2  # along the first principal component: up to this extent one view from the shell covers a cluster
+_STACK = 64  # max. pending halves; a component of a block never needs as many
+_I, _J, _K = 25, 20, (1 << 20) - 1  # bit positions and mask of a cell's packed indices in its block
 
 
 @kernel
@@ -34,10 +35,13 @@ def scan(
     closed: IntArray,
     dirty: ByteArray,
 ) -> None:
-    """Bring ``known`` (the last state, flat, with room for a slice of constant i before and after) and ``faces`` up to date.
+    """Update ``known`` and ``faces`` in the changed tiles and one column around them.
 
-    Looks at ``tiles`` (N, 2) and one column around them. closed: (tiles) the revision at which a voxel there last ceased to be
-    free. dirty: (blocks) set where a face changed.
+    known: the last state, flat, padded by one slice of constant i before and after.
+    faces: (nx, ny, nz) bits of the unknown face neighbours, see frontiers.Frontier.
+    tiles: (N, 2) tiles to compare.
+    closed: (tiles) revision at which a voxel of the tile last stopped being free.
+    dirty: (blocks) set to 1 where a face changed.
     """
     nx, ny, nz = state.shape
     slab = ny * nz
@@ -47,7 +51,7 @@ def scan(
         lost = np.uint8(0)
         j0, j1 = tiles[n, 1] * TILE, min(tiles[n, 1] * TILE + TILE, ny)
         for i in range(tiles[n, 0] * TILE, min(tiles[n, 0] * TILE + TILE, nx)):
-            # the columns of a tile with the same i lie side by side
+            # the columns of a tile with the same i are contiguous
             a, b = (i * ny + j0) * nz, (i * ny + j1) * nz
             now, before = flat[a:b], known[slab + a : slab + b]
             if _differ(now, before):
@@ -58,7 +62,7 @@ def scan(
                     before[m] = now[m]
         if lost:
             closed[tiles[n, 0], tiles[n, 1]] = revision
-    # which faces may count, by height, for as many columns as are looked at together
+    # the permitted faces by height, for the max. number of columns processed together
     allowed = np.zeros((TILE + 2, nz), dtype=np.uint8)
     allowed[:, low[2] : high[2]] = 63
     if high[2] > low[2]:
@@ -122,8 +126,8 @@ def _faces(
     allowed: ByteArray,
     out: ByteArray,
 ) -> None:
-    """Bits of the unknown neighbours of each free voxel, in the order of FACES."""
-    for n in range(len(out)):  # branch-free, and each result cast back to a byte: this runs 32 voxels at a time
+    """Write the bits of the unknown neighbours of each free voxel, in the order of FACES."""
+    for n in range(len(out)):  # branch-free, with each result cast back to a byte: the loop is vectorized over 32 voxels
         bits = np.uint8(1) if west[n] == UNKNOWN else np.uint8(0)
         bits = np.uint8(bits | (np.uint8(2) if east[n] == UNKNOWN else np.uint8(0)))
         bits = np.uint8(bits | (np.uint8(4) if south[n] == UNKNOWN else np.uint8(0)))
@@ -138,21 +142,21 @@ def _faces(
 def cut(
     faces: ByteArray, ignored: ByteArray, block_i: int, block_j: int, max_extent: float, cells: IntArray, starts: IntArray
 ) -> int:
-    """Cut one block into clusters; returns how many.
+    """Divide one block into clusters and return their number.
 
-    cells: filled with flat indices, cluster after cluster, ascending in each; room for every voxel of the block. starts:
-    filled with where each begins, and the end after the last; room for one more than the voxels. ``ignored`` voxels are no
-    frontier.
+    cells: filled with flat indices, cluster after cluster, ascending within each; length at least the voxels of the block.
+    starts: filled with the start of each cluster and the end of the last; length at least the voxels of the block + 1.
+    ignored: voxels with 1 are not frontier cells.
     """
     nx, ny, nz = faces.shape
     i0, j0 = block_i * BLOCK, block_j * BLOCK
     i1, j1 = min(i0 + BLOCK, nx), min(j0 + BLOCK, ny)
     tall, wide = nz + 2, (BLOCK + 2) * (nz + 2)
-    run_of = np.zeros((BLOCK + 2) * wide, dtype=np.int32)  # with a border, so that nobody asks for bounds
+    run_of = np.zeros((BLOCK + 2) * wide, dtype=np.int32)  # with a border, so that no bounds check is needed
     parent = np.zeros(BLOCK * BLOCK * (nz // 2 + 1) + 1, dtype=np.int32)
     found = np.empty((i1 - i0) * (j1 - j0) * nz, dtype=np.int32)  # packed: 5 bits i, 5 bits j, the rest k
     found_run = np.empty(len(found), dtype=np.int32)
-    # columns that are scanned before; flat throughout, as a slice of an array costs more than a look at a column
+    # offsets of the neighbour columns scanned earlier; flat, because slicing an array costs more than reading a column
     before = (-wide - tall, -wide, -wide + tall, -tall)
     face, skip = faces.reshape(-1), ignored.reshape(-1)
     runs, total = 0, 0
@@ -177,15 +181,16 @@ def cut(
                 root = runs
                 for side in range(4):
                     joined = 0
-                    for c in range(own + before[side] + first - 1, own + before[side] + k + 1):  # corners touch too
+                    # 26-connectivity: corners touch too
+                    for c in range(own + before[side] + first - 1, own + before[side] + k + 1):
                         if run_of[c] != joined and run_of[c] != 0:
                             joined = run_of[c]
                             root = _join(parent, root, joined)
-    # pieces in the order of their first cells; cells stay in scan order within each
+    # components in the order of their first cells; cells keep the scan order within each
     piece_of = np.zeros(runs + 1, dtype=np.int32)
     pieces = 0
     for run in range(1, runs + 1):
-        root = _root(parent, run)  # the lowest number of its piece
+        root = _root(parent, run)  # the lowest run number of its component
         if root == run:
             piece_of[run] = pieces
             pieces += 1
@@ -222,7 +227,7 @@ def _root(parent: Int32Array, run: int) -> int:
 
 @kernel
 def _join(parent: Int32Array, root: int, other: int) -> int:
-    """Make one tree of a root's and another run's; its root is the lower number."""
+    """Merge the trees of a root and of another run; return the new root, the lower number."""
     other = _root(parent, other)
     if root < other:
         parent[other] = root
@@ -242,7 +247,10 @@ def _split(
     starts: IntArray,
     clusters: int,
 ) -> int:
-    """Halve packed[first:end] in place until each part fits; writes the parts' starts, returns the clusters so far."""
+    """Halve packed[first:end] in place until each part fits in one view.
+
+    Writes the starts of the parts and returns the new number of clusters.
+    """
     todo = np.empty((_STACK, 2), dtype=np.int64)
     todo[0, 0], todo[0, 1] = first, end
     depth = 1
@@ -253,7 +261,7 @@ def _split(
             starts[clusters] = a
             clusters += 1
             continue
-        # an axis has no sign of its own: the half that holds the first cell comes first
+        # the sign of an axis is arbitrary: the half with the first cell comes first
         positive = along[0] > 0.0
         kept, moved = a, 0
         for n in range(a, b):
@@ -273,7 +281,10 @@ def _split(
 
 @kernel
 def _extent(packed: Int32Array, a: int, b: int, along: FloatArray) -> float:
-    """Length along the first principal component of packed[a:b], whose coordinates along it go to ``along``."""
+    """Return the length of packed[a:b] along its first principal component.
+
+    The coordinates along the component are written to ``along``.
+    """
     count = b - a
     sx, sy, sz, xx, yy, zz, xy, xz, yz = 0, 0, 0, 0, 0, 0, 0, 0, 0
     for n in range(a, b):
@@ -287,7 +298,7 @@ def _extent(packed: Int32Array, a: int, b: int, along: FloatArray) -> float:
         xy += x * y
         xz += x * z
         yz += y * z
-    # integers until here: the moments are exact
+    # integers up to here, so the moments are exact
     ux, uy, uz = main_axis(
         float(count * xx - sx * sx),
         float(count * yy - sy * sy),
@@ -307,9 +318,10 @@ def _extent(packed: Int32Array, a: int, b: int, along: FloatArray) -> float:
 
 @kernel
 def main_axis(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> tuple[float, float, float]:
-    """Unit eigenvector of the largest eigenvalue of a symmetric 3x3 matrix; of equal ones, any.
+    """Return the unit eigenvector of the largest eigenvalue of a symmetric 3x3 matrix.
 
-    The eigenvalue in closed form: Smith, "Eigenvalues of a symmetric 3x3 matrix" (1961).
+    For equal eigenvalues, one of them is chosen. The eigenvalue is in closed form: Smith, "Eigenvalues of a symmetric 3x3
+    matrix" (1961).
     """
     mean = (xx + yy + zz) / 3.0
     a, b, c = xx - mean, yy - mean, zz - mean
@@ -319,7 +331,7 @@ def main_axis(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) 
     half_det = (a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)) / (2.0 * p * p * p)
     largest = 2.0 * p * np.cos(np.arccos(min(max(half_det, -1.0), 1.0)) / 3.0)
     a, b, c = a - largest, b - largest, c - largest
-    # rows (a xy xz), (xy b yz), (xz yz c) are all square to the eigenvector: the longest of their cross products
+    # the rows (a xy xz), (xy b yz), (xz yz c) are all orthogonal to the eigenvector: take their longest cross product
     best, ux, uy, uz = 0.0, 0.0, 0.0, 0.0
     for pair in range(3):
         if pair == 0:
@@ -332,7 +344,7 @@ def main_axis(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) 
         if length2 > best:
             best, ux, uy, uz = length2, x, y, z
     if best <= 1e-20 * p * p * p * p:
-        # the two largest are equal: anything square to the longest row
+        # the two largest eigenvalues are equal: take any vector orthogonal to the longest row
         if abs(a) >= abs(b) and abs(a) >= abs(c):
             ux, uy, uz = (-xy, a, 0.0)
         elif abs(b) >= abs(c):
@@ -346,7 +358,10 @@ def main_axis(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) 
 
 @kernel
 def is_speck(faces: ByteArray, ignored: ByteArray, start: int) -> bool:
-    """Tell whether fewer than MIN_CELLS cells are connected with the cell at a flat index (itself one)."""
+    """Return True if fewer than MIN_CELLS cells are connected with the cell at a flat index.
+
+    The cell itself counts.
+    """
     nx, ny, nz = faces.shape
     seen = np.empty(MIN_CELLS, dtype=np.int64)
     seen[0] = start

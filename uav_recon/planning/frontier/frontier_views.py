@@ -1,4 +1,4 @@
-"""The best view of each frontier cluster, kept until something that it hangs on changes."""
+"""The best view of each frontier cluster, cached until its dependencies change."""
 
 from __future__ import annotations
 
@@ -19,27 +19,31 @@ from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, GridSpec, VoxelMap
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
-COVERED_SHARE = 0.7  # of what its own view sees: a frontier that another view shows so well needs no stop of its own
-BATCH = 32  # clusters looked at, the nearest first; as many again, and again, as long as there is no view at all
-MAX_MORE = 256  # ... but so many at most: what is found in one go has room in the table
-SEARCHES = 2  # for each revision of the map since the last plan, or until there is a view: the rest is left for later
+COVERED_SHARE = 0.7  # a cluster is dropped if another view shows this share of what its own view shows
+BATCH = 32  # clusters evaluated, nearest first; the number is doubled until there is a view
+MAX_MORE = 256  # ... by at most this number: the results of one round must fit into the table
+SEARCHES = 2  # searches per map revision since the last plan; if exceeded and a view exists, the rest is left for later plans
 
 
 class Flyable(Reach, Protocol):
-    """What of the flyable space is asked; see FlyableSpace."""
+    """The part of the flyable space used here; see FlyableSpace."""
 
     @property
     def mask(self) -> ByteArray:
-        """(nx + 2, ny + 2, nz + 2) uint8, padded by zeros: 1 = flyable."""
+        """Return the mask (nx + 2, ny + 2, nz + 2) uint8, padded by zeros: 1 = flyable."""
 
     @property
     def berth(self) -> FloatArray:
-        """(7,) what a place off its voxel's centre must keep; see berth.berth_of()."""
+        """Return the clearance box (7,); see subvoxel_clearance.clearance_box()."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrontierProposals:
-    """Tasks for frontiers, the nearest cluster first; how many clusters have no view, and how many were left for later."""
+    """Tasks for frontiers, nearest cluster first.
+
+    without_view: number of clusters without a view.
+    later: number of clusters left for later plans.
+    """
 
     proposals: list[CandidateView]
     without_view: int
@@ -47,7 +51,7 @@ class FrontierProposals:
 
 
 class FrontierViews:
-    """Finds the best view of each cluster for one vehicle and camera. A view does not depend on where the vehicle is."""
+    """Finds the best view of each cluster. A view does not depend on the vehicle's position."""
 
     table: ViewCache
     _revision: int
@@ -62,11 +66,11 @@ class FrontierViews:
         self._start(np.zeros((0, 0, 0), dtype=np.uint8), 1.0)
 
     def update(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, position_world: FloatArray) -> FrontierProposals:
-        """Find views of the BATCH clusters nearest to a position, or of the more the longer there is none. Tasks that another
-        one's view covers are left out; that view promises theirs too.
+        """Find views of the BATCH clusters nearest to a position, or of more while there is none.
 
-        ``frontiers`` is to have seen ``voxels``. The tour executes only the first few metres: far clusters can wait. One with
-        nothing in its reach that can be flown to is not searched for: that has no view.
+        A task is dropped if another task's view covers it; that view then promises its cells too. ``frontiers`` must be up
+        to date with ``voxels``. The tour executes only the first few metres, so distant clusters can wait. A cluster
+        without a reachable voxel in range of a view has no view and is not searched.
         """
         grid = voxels.grid
         self._keep_map(frontiers, grid.resolution_m)
@@ -104,7 +108,10 @@ class FrontierViews:
         return FrontierProposals(self._proposals(voxels, space, found, lens), without, total - asked + later)
 
     def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[str]:
-        """Why clusters have no view: how many, by reason. For the end: it looks at every cluster anew."""
+        """Count the clusters without a view, by reason.
+
+        Evaluates every cluster again; meant for the end of a flight.
+        """
         self._keep_map(frontiers, voxels.grid.resolution_m)
         counts: Counter[str] = Counter()
         lens = self._camera.lens(voxels.grid.resolution_m, self._camera.range_m)
@@ -115,7 +122,10 @@ class FrontierViews:
         return counts
 
     def _held(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, clusters: IntArray) -> list[int]:
-        """Rows of what is known of these clusters, -1 = nothing. Those with a view are not given up in this plan."""
+        """Return the rows of the valid cached results of these clusters, -1 for none.
+
+        Rows with a view are protected from replacement in this plan.
+        """
         keys = frontiers.table.key[clusters].tolist()
         held = self.table.holding(keys, voxels.distance2, space.reachable, frontiers.closed, space.reachable_revision)
         self.table.used[[row for row in held if row >= 0 and self.table.shown[row] >= MIN_SEEN]] = self._plans
@@ -137,7 +147,10 @@ class FrontierViews:
         return bool(self.table.shown[row] >= MIN_SEEN)
 
     def _proposals(self, voxels: VoxelMap, space: Flyable, found: list[int], lens: FloatArray) -> list[CandidateView]:
-        """Tasks for the rows, without those that a better view shows as well; that view then promises their cells too."""
+        """Return tasks for the rows, without those that a better view covers.
+
+        The covering view then promises their cells too.
+        """
         if not found:
             return []
         best_first = sorted(range(len(found)), key=lambda n: (-int(self.table.shown[found[n]]), self.table.key[found[n]]))
@@ -148,7 +161,10 @@ class FrontierViews:
         return [self._proposal(voxels.grid, space, tuple(groups[n])) for _, n in sorted((best_first[n], n) for n in groups)]
 
     def _proposal(self, grid: GridSpec, space: Flyable, rows: tuple[int, ...]) -> CandidateView:
-        """The first row's task, which promises what all promise; the very same object as long as they all are."""
+        """Return the task of the first row, which promises the cells of all rows.
+
+        The same object is returned while the rows are unchanged.
+        """
         promised = tuple(self.table.promised[row] for row in rows)
         kept = self._tasks.get(rows[0])
         if kept is not None and len(kept[0]) == len(promised) and all(a is b for a, b in zip(kept[0], promised, strict=True)):
@@ -182,17 +198,18 @@ class FrontierViews:
             self._start(frontiers.faces, resolution_m)
 
     def _start(self, faces: ByteArray, resolution_m: float) -> None:
-        """Forget all: it is another map."""
+        """Clear all caches for another map."""
         self._faces = faces
-        self._revision = -BATCH  # for the first plan all of a batch
+        self._revision = -BATCH  # the first plan may search a whole batch
         self.table = ViewCache(explore_shell(self._config, self._camera, resolution_m))
-        self._reach = float(np.abs(self.table.shell.offsets).max(initial=0.0))  # of a place from its frontier, along an axis
-        self._centre = np.zeros((len(self.table.shown), 3))  # of the clusters, by row, voxels
+        # max. distance of a view from its frontier along an axis
+        self._reach = float(np.abs(self.table.shell.offsets).max(initial=0.0))
+        self._centre = np.zeros((len(self.table.shown), 3))  # cluster centres by row, voxels
         self._tasks = {}  # by row
 
 
 def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
-    """Compile every kernel of frontiers and their views on a toy map: read-only, as those of the mapping are."""
+    """Compile every kernel of frontiers and their views on a small read-only map."""
     grid = GridSpec(np.zeros(3), 0.1, (40, 30, 20))
     state = np.full(grid.shape, FREE, dtype=np.uint8)
     state[28:, :20] = UNKNOWN
@@ -216,7 +233,7 @@ def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Anywhere:
-    """A space to warm up with."""
+    """A flyable space for warm_up()."""
 
     mask: ByteArray
     reachable: ByteArray

@@ -1,4 +1,7 @@
-"""Frontiers: known-free voxels beside unknown ones, in clusters small enough for one view (paper, section III-A; FUEL)."""
+"""Frontiers: free voxels beside unknown ones, in clusters that fit in one view.
+
+Paper, section III-A; FUEL.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +21,21 @@ FACES = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frontier:
-    """One cluster. cells (N, 3) int64 voxel indices; faces (N,) uint8, bit f set = the voxel at cells + FACES[f] is unknown."""
+    """One frontier cluster.
+
+    cells: (N, 3) int64 voxel indices.
+    faces: (N,) uint8, bit f set = the voxel at cells + FACES[f] is unknown.
+    """
 
     cells: IntArray
     faces: ByteArray
 
 
 def fence_box(grid: GridSpec, fence_min_m: FloatArray, fence_max_m: FloatArray) -> tuple[IntArray, IntArray]:
-    """First and one-past-last voxel index (3,) whose centres lie inside a box in world, clipped to the grid."""
+    """Return the first and one-past-last voxel index (3,) with centres inside a box in world.
+
+    The indices are clipped to the grid.
+    """
     low = np.ceil((fence_min_m - grid.origin_world_m) / grid.resolution_m - 0.5 - 1e-6).astype(np.int64)
     high = np.floor((fence_max_m - grid.origin_world_m) / grid.resolution_m - 0.5 + 1e-6).astype(np.int64) + 1
     shape = np.array(grid.shape, dtype=np.int64)
@@ -33,10 +43,11 @@ def fence_box(grid: GridSpec, fence_min_m: FloatArray, fence_max_m: FloatArray) 
 
 
 class Frontiers:
-    """The frontier clusters of a map as it grows; only what changed is looked at again.
+    """The frontier clusters of a growing map, updated only where the map changed.
 
-    They equal those of a fresh object given the same map, box and ignored voxels. A cluster is a row of ``table``; its key is
-    the same as long as its cells and their unknown neighbours are. A map of another epoch, grid or box starts afresh.
+    The clusters equal those of a new object with the same map, box and ignored voxels. A cluster is a row of ``table``; its
+    key is the same while its cells and their unknown neighbours are the same. A map of another epoch, grid or box clears
+    everything.
     """
 
     def __init__(self) -> None:
@@ -45,9 +56,11 @@ class Frontiers:
         self._start(np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.int64), (0, 0, 0))
 
     def update(self, voxels: VoxelMap, low: IntArray, high: IntArray, ignored: ByteArray) -> None:
-        """Follow the map. Frontier cells and their unknown neighbours lie in voxels [low, high).
+        """Update the clusters to a newer map.
 
-        ignored: (nx, ny, nz) uint8, 1 = looked at in vain, no frontier; what changes in it is told by ``touch``.
+        Only frontier cells and unknown neighbours in voxels [low, high) count.
+
+        ignored: (nx, ny, nz) uint8, 1 = exhausted, not a frontier. Changes of it must be reported through ``touch``.
         """
         grid = voxels.grid
         frame = (voxels.map_epoch, grid.shape, grid.resolution_m, *grid.origin_world_m.tolist(), *low.tolist(), *high.tolist())
@@ -65,7 +78,7 @@ class Frontiers:
         self.table.weigh(voxels.state, self.faces, self._low, self._high, asked)
 
     def touch(self, flat: IntArray) -> None:
-        """Tell which voxels (N,) of ``ignored`` have changed: they count from the next update on."""
+        """Report voxels (N,) of ``ignored`` that changed. They take effect in the next update."""
         _, ny, nz = self.faces.shape
         self._dirty[flat // (ny * nz) // BLOCK, flat // nz % ny // BLOCK] = 1
 
@@ -73,33 +86,41 @@ class Frontiers:
         return int(self.table.size)
 
     def rows(self) -> IntArray:
-        """Rows of the table that hold a cluster, in no order of their own."""
+        """Return the rows of the table that hold a cluster, in no particular order."""
         return np.flatnonzero((self.table.count > 0) & (self.table.speck == 0))
 
     def clusters(self) -> list[Frontier]:
-        """All of them, in no order of their own."""
+        """Return all clusters, in no particular order."""
         return [self.cluster(int(row)) for row in self.rows()]
 
     def cluster(self, row: int) -> Frontier:
-        """The cells of one row of the table."""
+        """Return the cluster in one row of the table."""
         flat = self.flat(row)
         cells = np.stack(np.unravel_index(flat, self.faces.shape), axis=-1).astype(np.int64)
         return Frontier(cells, self.faces.reshape(-1)[flat])
 
     def flat(self, row: int) -> IntArray:
-        """Flat indices (N,) of the cells of one row of the table, ascending; a copy."""
+        """Return a copy of the flat cell indices (N,) of one row of the table, ascending."""
         start = self.table.start[row]
         return self.table.pool[start : start + self.table.count[row]].copy()
 
     def beyond(self, voxels: VoxelMap, promised: Sequence[IntArray]) -> IntArray:
-        """Unknown voxels (N,) behind each of N sets of frontier cells, flat indices; see beyond.py."""
+        """Return the number of unknown voxels (N,) behind each of N sets of frontier cells.
+
+        See unknown_volume.py.
+
+        promised: flat indices of the cells of each set.
+        """
         ends = np.cumsum([0, *(len(cells) for cells in promised)])
         cells = np.concatenate([np.zeros(0, dtype=np.int64), *promised])
         counts: IntArray = unknown_volume_of_each(voxels.state, self.faces, cells, ends, self._low, self._high)
         return counts
 
     def _start(self, low: IntArray, high: IntArray, shape: tuple[int, int, int]) -> None:
-        """Forget all; faces: (nx, ny, nz) uint8 as Frontier.faces; closed: (tiles), see clusters.scan()."""
+        """Clear everything.
+
+        Sets faces, (nx, ny, nz) uint8 as Frontier.faces, and closed, (tiles), see clustering.scan().
+        """
         self._low, self._high = np.array(low, dtype=np.int64), np.array(high, dtype=np.int64)
         self._revision = -1
         self._known = np.zeros((shape[0] + 2) * shape[1] * shape[2], dtype=np.uint8)

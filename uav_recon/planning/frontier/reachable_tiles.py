@@ -1,4 +1,4 @@
-"""Where anything can be reached at all: for a cluster far from that, no place of the shell need be asked."""
+"""Tiles with a reachable voxel: a cluster far from all of them needs no view search."""
 
 from __future__ import annotations
 
@@ -12,23 +12,26 @@ from uav_recon.types.maps import TILE
 
 
 class Reach(Protocol):
-    """What of the flyable space is asked; see FlyableSpace."""
+    """The part of the flyable space used here; see FlyableSpace."""
 
     @property
     def reachable(self) -> ByteArray:
-        """(nx + 2, ny + 2, nz + 2) uint8, padded by zeros: 1 = can be reached."""
+        """Return the mask (nx + 2, ny + 2, nz + 2) uint8, padded by zeros: 1 = reachable."""
 
     @property
     def revision(self) -> int:
-        """Grows with each change of ``reachable``."""
+        """Return a number that increases with each change of ``reachable``."""
 
     @property
     def reachable_revision(self) -> IntArray:
-        """(tiles) the revision at which ``reachable`` last changed in a tile of TILE x TILE columns."""
+        """Return the revision (tiles) at which ``reachable`` last changed in a tile.
+
+        A tile is TILE x TILE columns.
+        """
 
 
 class ReachableTiles:
-    """Tiles of columns in which a place can be reached; only what changed is looked at again."""
+    """Tiles of columns that contain a reachable voxel, updated only where the space changed."""
 
     def __init__(self) -> None:
         self._space: Reach | None = None
@@ -36,7 +39,7 @@ class ReachableTiles:
         self._tiles: BoolArray = np.zeros((0, 0), dtype=np.bool_)
 
     def update(self, space: Reach) -> None:
-        """Follow a space; another one is looked at from the beginning."""
+        """Update the tiles to a space; a different space is read from the beginning."""
         if space is not self._space or space.revision < self._seen:
             self._space, self._seen = space, -1
             self._tiles = np.zeros(space.reachable_revision.shape, dtype=np.bool_)
@@ -44,7 +47,10 @@ class ReachableTiles:
         self._seen = space.revision
 
     def near(self, centres: FloatArray, radius: float) -> BoolArray:
-        """For places (N, 3), voxels: whether a tile within a radius along both axes holds anything that can be reached."""
+        """Return a mask (N,) of the positions (N, 3), in voxels, with a reachable tile nearby.
+
+        Nearby means within ``radius`` along both horizontal axes.
+        """
         near: BoolArray = _near(self._tiles, centres, radius)
         return near
 

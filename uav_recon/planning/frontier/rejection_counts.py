@@ -1,4 +1,7 @@
-"""How many frontiers were left out, and why: for the reason that ends a survey. It scans the whole map, once."""
+"""Counts of rejected frontiers by reason, for the report at the end of a survey.
+
+One scan over the whole map.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,13 @@ _AROUND = np.ones((3, 3, 3), dtype=np.uint8)
 
 
 def count_rejected_frontiers(state: ByteArray, faces: ByteArray, exhausted: ByteArray) -> dict[str, int]:
-    """Counts of 26-connected frontiers by reason: too small, looked at in vain, outside the fence.
+    """Count the rejected 26-connected frontiers by reason.
 
-    state, faces, exhausted: (nx, ny, nz) uint8: voxels, unknown neighbours of frontier voxels inside the fence, 1 = in vain.
+    Reasons: too small, exhausted, or outside the fence.
+
+    state: (nx, ny, nz) uint8 voxel states.
+    faces: (nx, ny, nz) uint8 unknown neighbours of frontier voxels inside the fence.
+    exhausted: (nx, ny, nz) uint8, 1 = exhausted by unsuccessful views.
     """
     inside, in_vain = faces > 0, exhausted > 0
     sizes = _sizes(inside & ~in_vain)
@@ -32,14 +39,14 @@ def _worth_a_view(mask: BoolArray) -> int:
 
 
 def _sizes(mask: BoolArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """Voxels of each component."""
+    """Return the number of voxels of each component."""
     labels, count = ndimage.label(mask, structure=_AROUND)
     return np.bincount(labels.ravel(), minlength=count + 1)[1:].astype(np.int64)
 
 
 @kernel
 def _beside_unknown(state: ByteArray) -> BoolArray:
-    """Which voxels are free beside an unknown one, (nx, ny, nz)."""
+    """Return a mask (nx, ny, nz) of the free voxels with an unknown face neighbour."""
     nx, ny, nz = state.shape
     out = np.zeros(state.shape, dtype=np.bool_)
     for i in range(nx):
@@ -57,7 +64,7 @@ def _beside_unknown(state: ByteArray) -> BoolArray:
 
 
 def warm_up() -> None:
-    """Compile for the read-only array of a VoxelMap."""
+    """Compile the kernel for the read-only array of a VoxelMap."""
     state = np.zeros((2, 2, 2), dtype=np.uint8)
     state.setflags(write=False)
     _beside_unknown(state)

@@ -1,9 +1,9 @@
-"""How much unknown space lies behind a frontier: an opening into a room, or a gap in front of a wall.
+"""Unknown volume behind a frontier: distinguishes openings from gaps in front of a wall.
 
-A cluster of few cells may be either, and a tour that takes both for the same spends a flight on gaps. What is beyond is
-reckoned in voxels: from each unknown face of each cell straight on, through unknown voxels, up to DEPTH of them and no
-farther than the fence. The first few do not count: there the wall itself is what is not known, and the model closes so
-small a gap. Volume as the gain of exploring: Connolly, "The determination of next best views" (1985).
+A small cluster may be either, and a tour that does not distinguish them wastes flight time on gaps. The volume is counted
+in voxels: from each unknown face of each cell straight on through unknown voxels, up to DEPTH of them and not beyond the
+fence. The first SHALLOW voxels do not count: there the wall itself is unknown, and the surface model closes so small a gap.
+Volume as the gain of exploration: Connolly, "The determination of next best views" (1985).
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import TILE, UNKNOWN
 
-DEPTH = TILE  # voxels: what lies beyond hangs on the tiles around a cell's own, and on no others
+DEPTH = TILE  # voxels; the count depends only on the tiles around a cell's own tile
 SHALLOW = 2  # voxels that do not count
 
 
 @kernel
 def unknown_volume(state: ByteArray, faces: ByteArray, cells: IntArray, low: IntArray, high: IntArray) -> int:
-    """Unknown voxels met straight on from the unknown faces of frontier cells (N,), flat indices; inside [low, high) alone.
+    """Count the unknown voxels straight on from the unknown faces of frontier cells (N,).
 
-    The first SHALLOW of each face do not count.
+    cells: flat indices. Only voxels in [low, high) count, and not the first SHALLOW of each face.
     """
     _, ny, nz = state.shape
     flat, flat_faces = state.reshape(-1), faces.reshape(-1)
@@ -49,7 +49,10 @@ def unknown_volume(state: ByteArray, faces: ByteArray, cells: IntArray, low: Int
 
 @kernel
 def _run(flat: ByteArray, at: int, stride: int, room: int) -> int:
-    """Unknown voxels in a row from one beside ``at`` on, at most ``room``, without the first SHALLOW."""
+    """Count consecutive unknown voxels from ``at`` in one direction, at most ``room``.
+
+    The first SHALLOW are subtracted.
+    """
     most = min(room, DEPTH)
     run = 0
     while run < most and flat[at + (run + 1) * stride] == UNKNOWN:
@@ -61,7 +64,7 @@ def _run(flat: ByteArray, at: int, stride: int, room: int) -> int:
 def unknown_volume_of_each(
     state: ByteArray, faces: ByteArray, cells: IntArray, ends: IntArray, low: IntArray, high: IntArray
 ) -> IntArray:
-    """The same for N sets of cells in a row: set n is cells[ends[n] : ends[n + 1]]."""
+    """Return unknown_volume() of N sets of cells; set n is cells[ends[n] : ends[n + 1]]."""
     out = np.zeros(len(ends) - 1, dtype=np.int64)
     for n in range(len(out)):
         out[n] = unknown_volume(state, faces, cells[ends[n] : ends[n + 1]], low, high)
@@ -82,7 +85,10 @@ def weigh(
     pool: IntArray,
     out: IntArray,
 ) -> None:
-    """Reckon anew what is beyond the clusters of the blocks that ``asked`` marks; a ClusterTable's columns, ``out`` by row."""
+    """Compute unknown_volume() of the clusters in the marked blocks, into ``out`` by row.
+
+    asked: (blocks) 1 = marked. The other arrays are columns of a ClusterTable.
+    """
     for i in range(asked.shape[0]):
         for j in range(asked.shape[1]):
             row = head[i, j] - 1 if asked[i, j] else -1
@@ -93,7 +99,10 @@ def weigh(
 
 @kernel
 def around(blocks: ByteArray, tiles: IntArray, tiles_a_block: int) -> ByteArray:
-    """Mark, beside the marked blocks, those that hold a tile of ``tiles`` (M, 2) or border on one: so far does DEPTH reach."""
+    """Add to the marked blocks those that hold or border on a tile of ``tiles`` (M, 2).
+
+    This covers the range of DEPTH.
+    """
     out = blocks.copy()
     for n in range(len(tiles)):
         for a in (tiles[n, 0] - 1, tiles[n, 0] + 1):

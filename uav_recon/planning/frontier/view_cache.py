@@ -1,4 +1,4 @@
-"""The table of answers about frontier clusters: the best view of each, and what that answer hangs on."""
+"""Cache of view searches: the best view of each frontier cluster and its dependencies."""
 
 from __future__ import annotations
 
@@ -12,19 +12,23 @@ from uav_recon.planning.frontier.visibility_bound import Int32Array
 from uav_recon.planning.view_sampling import ViewShell
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
-ROWS = 512  # answers kept; the oldest go first
+ROWS = 512  # cached results; the oldest are replaced first
 MAX_BLOCKERS = 2048
-SAMPLE_CELLS = 40  # of what a view shows: so many stand for all when another view is asked whether it shows them as well
+SAMPLE_CELLS = 40  # sample of the cells of a view, tested to find out if another view covers them
 SAMPLE_POINTS = 6 * SAMPLE_CELLS
 
 
 class ViewCache:
-    """Rows of one map and shell.
+    """Search results by row, for one map and shell.
 
-    row_of: by the cluster's key. shown: (R,) cells that the view shows, 0 = none. view: (R, 5), see glimpses.best_view(), as
-    for asked, blockers, box. counts: (R, 4) how many of asked and of blockers are filled, and the revisions of map and space
-    for which the answer was given. points, first: (R, ...) targets() of a sample of the cells shown; samples: (R,).
-    promised: by row, flat indices of the cells shown. used: (R,) the plan that last wanted the row.
+    row_of: row by the key of a cluster.
+    shown: (R,) number of cells that the view shows, 0 = none.
+    view: (R, 5), see view_search.best_view(); also for asked, blockers and box.
+    counts: (R, 4) filled lengths of asked and blockers, and the revisions of map and space at the search.
+    points, first: (R, ...) targets() of a sample of the cells shown.
+    samples: (R,) number of sampled cells.
+    promised: by row, flat indices of the cells shown.
+    used: (R,) number of the plan that last used the row.
     """
 
     def __init__(self, shell: ViewShell) -> None:
@@ -57,9 +61,15 @@ class ViewCache:
         revisions: tuple[int, int],
         plan: int,
     ) -> int:
-        """Find the best view of a cluster of cells ``flat`` (N,) around a centre, voxels; its row. Those ``plan`` used stay.
+        """Find the best view of a cluster and return its row.
 
-        distance2, faces: of the map; reachable (padded), berth: of the space. revisions: of the map and of the space.
+        Rows used by ``plan`` are not replaced.
+
+        distance2, faces: of the map.
+        reachable, berth: of the flyable space; reachable is padded.
+        flat: (N,) cells of the cluster.
+        centre: (3,) centre of the cluster, voxels.
+        revisions: of the map and of the space.
         """
         while self.used[self._next] == plan:
             self._next = (self._next + 1) % ROWS
@@ -76,20 +86,20 @@ class ViewCache:
         return row
 
     def is_about(self, row: int, key: int) -> bool:
-        """Tell whether a row holds the answer about a cluster: another may have taken its place."""
+        """Return True if a row holds the result of a cluster, and was not reused for another."""
         return row >= 0 and self.key[row] == key
 
     def forget(self, row: int) -> None:
-        """Drop an answer."""
+        """Remove a result from the index."""
         self.row_of.pop(self.key[row], None)
 
     def holding(
         self, keys: list[int], distance2: ByteArray, reachable: ByteArray, closed: IntArray, moved: IntArray
     ) -> list[int]:
-        """Rows of the answers about these clusters that are what they would be now; -1 for the others.
+        """Return the rows of the results of these clusters that are still valid; -1 for the others.
 
-        closed, moved: (tiles) the revision of the map at which a voxel there last ceased to be free, and that of the space at
-        which ``reachable`` last changed there.
+        closed: (tiles) revision of the map at which a voxel of the tile last stopped being free.
+        moved: (tiles) revision of the space at which ``reachable`` last changed in the tile.
         """
         rows = np.array([self.row_of.get(key, -1) for key in keys], dtype=np.int64)
         _still_hold(
@@ -101,7 +111,10 @@ class ViewCache:
     def covered_by(
         self, rows: list[int], distance2: ByteArray, shape: tuple[int, int, int], lens: FloatArray, share: float
     ) -> list[int]:
-        """For each row the number, in ``rows``, of the first one whose view shows a share of its cells; else its own."""
+        """Return, for each row, the first row whose view shows a share of its cells; else itself.
+
+        Rows are given by their index in ``rows``.
+        """
         by: list[int] = _covered(
             np.array(rows, dtype=np.int64), distance2.reshape(-1), shape, lens, self.view, self.points, self.first,
             self.samples, share,
@@ -111,7 +124,10 @@ class ViewCache:
 
 @kernel
 def targets(faces: ByteArray, flat: IntArray) -> tuple[FloatArray, IntArray]:
-    """Centres (M, 3), voxels, of the unknown neighbours of cells (N,) given by flat index; where each cell's begin (N + 1,)."""
+    """Return the centres (M, 3), voxels, of the unknown neighbours of cells (N,), flat indices.
+
+    The second result (N + 1,) is the start of each cell's neighbours.
+    """
     _, ny, nz = faces.shape
     points = np.empty((6 * len(flat), 3))
     first = np.zeros(len(flat) + 1, dtype=np.int64)
@@ -153,7 +169,7 @@ def _answer(
     first: IntArray,
     samples: IntArray,
 ) -> IntArray:
-    """Fill a row; returns the flat indices of the cells that the view shows."""
+    """Fill a row and return the flat indices of the cells that the view shows."""
     own_points, own_first = targets(faces, flat)
     best, seen, asks, hidden, tiles = best_view(
         distance2, faces.shape, reachable, berth, lens, offsets, ends, quotas, centre, own_points, own_first,
@@ -187,10 +203,10 @@ def _still_hold(
     box: IntArray,
     counts: IntArray,
 ) -> None:
-    """Set to -1 the rows whose answer is not what best_view() would answer now.
+    """Set to -1 the rows whose result would differ from a new call of best_view().
 
-    Lines that were hidden are hidden while the first voxel that hid them is not free; lines that were clear are clear while no
-    voxel of their box has ceased to be free since.
+    A blocked line stays blocked while the first voxel that blocked it is not free. A clear line stays clear while no voxel
+    in its box has stopped being free.
     """
     for m in range(len(rows)):
         row = rows[m]
@@ -241,7 +257,7 @@ def _covered(
                 continue
             row = rows[other]
             may_miss = int((1.0 - share) * samples[row])
-            # ends before the middle, so that a cluster at the edge of the picture is soon given up
+            # the ends before the middle, so that a cluster at the edge of the image is rejected early
             for step in range(samples[row]):
                 cell = step // 2 if step % 2 == 0 else samples[row] - 1 - step // 2
                 if not _shows(distance2, shape, lens, line, points[row], first[row, cell], first[row, cell + 1]):

@@ -1,7 +1,8 @@
-"""The best view of one frontier cluster, and what that answer hangs on, so that it can be kept until that changes.
+"""Search for the best view of one frontier cluster; records the dependencies of the result.
 
-Many places are asked what they promise (outlook); rays are cast from those that promise most, and given up as soon as they
-cannot show more than the best so far; then the best few are moved step by step to where they show more.
+Many positions are ranked by an upper bound (visibility_bound). Rays are cast from the best of them, and aborted when they
+cannot show more than the best view found. Then the best few are moved step by step to positions that show more. The
+dependencies allow the result to be cached until one of them changes.
 """
 
 from __future__ import annotations
@@ -28,29 +29,30 @@ from uav_recon.planning.frontier.visibility_rays import (
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
-ENOUGH = 0.97  # of the cells: a view that shows so many is taken
-AT_ONCE = 8  # places that promise as much and are cast from before the others are asked
-CASTS = 64  # places that rays are cast from, those that promise most first
-PEAKS = 4  # of these the best, APART voxels from each other, are moved ...
+ENOUGH = 0.97  # share of the cells; a view that shows it ends the search
+AT_ONCE = 8  # positions with a bound of ENOUGH cells from which rays are cast at once
+CASTS = 64  # max. positions from which rays are cast, highest bound first
+PEAKS = 4  # number of best positions, APART voxels from each other, that are moved ...
 APART = 7.0
-WORTH_MOVING = 0.6  # ... if they show such a share of what the best one shows ...
-HOPS = (4.0, 2.0, 1.0, 0.2)  # ... to places so many voxels away along an axis or a diagonal of space ...
-FROM_CENTRE_TO_CENTRE = 1.0  # ... a shorter hop ends off a centre, where it must be clear itself ...
-STEPS = 40  # ... until rays have been cast from so many
+WORTH_MOVING = 0.6  # ... if they show this share of the best view ...
+HOPS = (4.0, 2.0, 1.0, 0.2)  # ... by these distances in voxels, along an axis or a space diagonal ...
+FROM_CENTRE_TO_CENTRE = 1.0  # ... a shorter hop ends off a voxel centre, where the clearance is tested ...
+STEPS = 40  # ... until rays have been cast from this number of positions
 SAME_EYE = 1e-6  # voxels
-ROOM = 512  # places asked on these ways, at most
+ROOM = 512  # max. positions tested while moving
 _WAYS = np.array(
     [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if abs(i) + abs(j) + abs(k) in (1, 3)],
     dtype=np.int64,
 )
-Cluster = tuple[FloatArray, IntArray, Targets, FloatArray]  # points, first, see view_table.targets(); targets; centre
-Desk = tuple[Int32Array, ByteArray, IntArray, Float32Array]  # room for facing, found (U,), order (N,) and directions (3, N)
-Record = tuple[Int32Array, FloatArray, Notes]  # asked, extents and notes: what the answer hangs on
+Cluster = tuple[FloatArray, IntArray, Targets, FloatArray]  # points, first: see view_cache.targets(); targets; centre
+# work arrays for facing, found (U,), order (N,) and directions (3, N)
+Desk = tuple[Int32Array, ByteArray, IntArray, Float32Array]
+Record = tuple[Int32Array, FloatArray, Notes]  # asked, extents and notes: the dependencies of the result
 
 
 @kernel
 def _widen(extent: FloatArray, x: float, y: float) -> None:
-    """Make a box (low x, low y, high x, high y) hold a point."""
+    """Extend a box (low x, low y, high x, high y) to a point."""
     extent[0], extent[1] = min(extent[0], x), min(extent[1], y)
     extent[2], extent[3] = max(extent[2], x), max(extent[3], y)
 
@@ -59,7 +61,10 @@ def _widen(extent: FloatArray, x: float, y: float) -> None:
 def _ask(
     reachable: ByteArray, shape: tuple[int, int, int], x: float, y: float, z: float, record: Record, asks: int
 ) -> tuple[bool, int]:
-    """Whether a place lies inside the map in a voxel that can be reached; how many were asked then."""
+    """Return whether a position is in the map and reachable, and the number of positions tested.
+
+    The position is recorded as a dependency.
+    """
     asked, extents, _ = record
     if x < 0.0 or y < 0.0 or z < 0.0 or x >= shape[0] or y >= shape[1] or z >= shape[2]:
         return False, asks
@@ -82,10 +87,11 @@ def _look(
     view: FloatArray,
     count: int,
 ) -> tuple[int, int, int]:
-    """Cast rays from a place. Cells shown by the best heading there, which becomes the view; 0 if not more than ``beat``.
+    """Cast rays from a position to the cells of a cluster.
 
-    None are cast if it could not show more than ``best`` even if nothing were in between. Then how many blockers there are,
-    and whether rays were cast at all.
+    Returns the cells shown, the number of blockers, and 1 if rays were cast, else 0. The heading that shows most becomes
+    the view. The number of cells is 0 if it does not exceed ``beat``. No ray is cast if the position could not show more
+    than ``best`` even without obstacles.
     """
     _, shape, lens = scene
     _, _, targets, centre = cluster
@@ -113,7 +119,7 @@ def _look(
         return 0, count, 1
     turned = sight(lens, place, yaw, pitch)
     if (turned[0] - line[0]) ** 2 + (turned[1] - line[1]) ** 2 > SAME_EYE * SAME_EYE:
-        # the camera stands off the body's middle, and has moved with the heading
+        # the camera is off the body's axis, so it moved with the heading
         if not inside(shape, turned):
             return 0, count, 1
         visibility_bound(targets, lens, turned, facing)
@@ -129,7 +135,7 @@ def _look(
 
 @kernel
 def _tiles(extent: FloatArray, beside: float, shape: tuple[int, int, int], box: IntArray) -> None:
-    """First and last tile (i, j, i, j) that a box touches, with so much room to all sides."""
+    """Write the first and last tile (i, j, i, j) of a box with a margin ``beside`` on all sides."""
     box[0], box[1] = int(max(extent[0] - beside, 0.0)) // TILE, int(max(extent[1] - beside, 0.0)) // TILE
     box[2], box[3] = int(min(extent[2] + beside, shape[0] - 1.0)) // TILE, int(min(extent[3] + beside, shape[1] - 1.0)) // TILE
 
@@ -148,9 +154,10 @@ def _survey(
     promises: IntArray,
     view: FloatArray,
 ) -> tuple[int, int, int, int, int]:
-    """Ask places of the shell what they promise, until one shows enough: that is the view.
+    """Rank the positions of the shell by their upper bound, until one shows ENOUGH cells.
 
-    Fills places (P, 3) and promises (P,). How many of them; cells shown; how many were asked, how many blockers, how many cast.
+    Fills places (P, 3) and promises (P,). Returns their number, the cells shown, and the numbers of positions tested, of
+    blockers and of positions with rays cast.
     """
     _, shape, lens = scene
     _, first, targets, centre = cluster
@@ -185,7 +192,10 @@ def _survey(
 
 @kernel
 def _ranked(promises: IntArray, most: int) -> IntArray:
-    """Numbers of the places, those that promise most first, those that promise as much in their order; 0 to ``most`` each."""
+    """Return the indices of the positions, highest bound first, equal ones in their order.
+
+    promises: bounds, 0 to ``most`` each.
+    """
     starts = np.zeros(most + 2, dtype=np.int64)
     for promise in promises:
         starts[most - promise + 1] += 1
@@ -201,7 +211,10 @@ def _ranked(promises: IntArray, most: int) -> IntArray:
 
 @kernel
 def _enter(view: FloatArray, total: int, peaks: FloatArray, totals: IntArray) -> None:
-    """Keep a view among the peaks (P, 5), best first: in place of the one near it, or of the last, if it shows more."""
+    """Insert a view into the peaks (P, 5), best first, if it shows more than another peak.
+
+    The other peak is one within APART, else the last one; the view replaces it.
+    """
     at = len(totals) - 1
     for q in range(len(totals)):
         x, y, z = peaks[q, 0] - view[0], peaks[q, 1] - view[1], peaks[q, 2] - view[2]
@@ -229,7 +242,10 @@ def _climb(
     asks: int,
     count: int,
 ) -> tuple[int, int, int]:
-    """Move a view that shows ``total`` cells to places around it as long as one shows more; how many then, asks, blockers."""
+    """Move a view to positions around it while one shows more.
+
+    total: cells shown by the view. Returns the cells shown, positions tested and blockers at the end.
+    """
     distance2, shape, _ = scene
     asked, extents, notes = record
     cells, beside = len(cluster[1]) - 1, math.sqrt(berth[SIDES2])
@@ -275,14 +291,22 @@ def best_view(
     asked: Int32Array,
     blockers: Int32Array,
 ) -> tuple[FloatArray, BoolArray, int, int, IntArray]:
-    """Find the view that shows most cells; the first in the shell's order that shows ENOUGH of them is taken at once.
+    """Find the view that shows most cells.
 
-    distance2: raveled, as in VoxelMap; reachable: raveled, padded by one voxel all round; berth: of the space. points, first:
-    as of view_table.targets(), fewer points than BOOK. asked (K + ROOM,) for K offsets, blockers (fewer than BOOK): room.
-    Returns the view (x, y, z, yaw, pitch down), voxels and radians, and which cells it shows: none = no view. Then what the
-    answer hangs on: how many of ``asked`` (padded flat index of a place, or its complement if it was not reachable) and of
-    ``blockers`` (voxels that hid something, or were too near to a place; more than there is room for: too many to tell) were
-    filled, and the first and last tile, i and j of each, of the boxes (2, 4) that all lines and all places asked lie in.
+    The first view in the order of the shell that shows ENOUGH of the cells is returned at once.
+
+    distance2: raveled, as in VoxelMap.
+    reachable: raveled, padded by one voxel on all sides.
+    berth: clearance box of the space.
+    points, first: see view_cache.targets(); fewer points than BOOK.
+    asked: output, (K + ROOM,) for K offsets. Padded flat index of a tested position, or its complement if it was not
+        reachable.
+    blockers: output, fewer than BOOK. Voxels that blocked a ray, or were too near to a position.
+
+    Returns the view (x, y, z, yaw, pitch down) in voxels and radians, and a mask of the cells it shows: none = no view.
+    Then the dependencies of the result: the filled lengths of ``asked`` and ``blockers`` (a larger length than the array
+    means too many blockers), and boxes (2, 4) with the first and last tile, i and j of each, of all lines and of all tested
+    positions.
     """
     cells = len(first) - 1
     scene, notes = (distance2, shape, lens), (np.zeros(BOOK, dtype=np.int32), blockers)
@@ -292,7 +316,7 @@ def best_view(
     desk = (
         np.zeros(many, dtype=np.int32), np.zeros(many, dtype=np.uint8), np.arange(cells), np.empty((3, cells), dtype=np.float32)
     )  # fmt: skip
-    extents = np.empty((2, 4))  # of all ends of lines, and of all places asked: low x, y, high x, y
+    extents = np.empty((2, 4))  # of all line ends, and of all tested positions: low x, y, high x, y
     extents[:, :2], extents[:, 2:] = points[0, :2], points[0, :2]
     for n in range(len(points)):
         _widen(extents[0], points[n, 0], points[n, 1])
@@ -324,6 +348,6 @@ def best_view(
     if totals.max() > 0:
         seen, count = confirm_visible(scene, best, points, first, notes, count)
     boxes = np.empty((2, 4), dtype=np.int64)
-    _tiles(extents[0], abs(lens[CAM_X]) + abs(lens[CAM_Y]) + 1.0, shape, boxes[0])  # from a place to its lines' ends
+    _tiles(extents[0], abs(lens[CAM_X]) + abs(lens[CAM_Y]) + 1.0, shape, boxes[0])  # from a position to the ends of its lines
     _tiles(extents[1], 0.0, shape, boxes[1])
     return best, seen, asks, count, boxes

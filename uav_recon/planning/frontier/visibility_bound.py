@@ -1,8 +1,9 @@
-"""What a place promises of a frontier before a ray is cast: the unknown voxels that turn an open side to it.
+"""Upper bound on the visible frontier from a position, before rays are cast.
 
-A ray to the middle of a voxel comes in through the side that faces the eye most squarely. If what lies before that side is not
-known free, the ray is blocked: so much is found without following it, for all voxels of a cluster at once. Little else hides a
-frontier: one place in nine promises more than the best view shows.
+It counts the unknown voxels that have an open side towards the eye. A ray to the centre of a voxel enters through the side
+that faces the eye most directly. If the voxel in front of that side is not known free, the ray is blocked. This test covers
+all voxels of a cluster at once without following a ray. Other obstacles are rare: one position in nine has a higher bound
+than the cells shown by the best view.
 """
 
 from __future__ import annotations
@@ -15,18 +16,21 @@ from uav_recon.planning.camera_frustum import NEAR, PITCH_MAX, PITCH_MIN, RANGE,
 from uav_recon.types.frames import ByteArray, Float32Array, FloatArray, IntArray
 
 Int32Array = NDArray[np.int32]
-# centres (3, U) of the distinct unknown neighbours, voxels; sides (U,), bit f set = known free towards FACES[f]; then which of
-# them each cell has: links (L,), and where those of each cell begin (N + 1,)
+# centres (3, U) of the distinct unknown neighbours, voxels; sides (U,), bit f set = known free towards FACES[f]; then the
+# neighbours of each cell: links (L,), and the start of each cell's links (N + 1,)
 Targets = tuple[Float32Array, Int32Array, IntArray, IntArray]
-# bits of what a target may be to an eye. TURNED to it with an open side, and in range; FITTING: and some heading may show it;
-# FRAMED: and it is in the picture
+# bits of a target as seen from an eye. TURNED: an open side faces the eye, in range. FITTING: also visible at some heading.
+# FRAMED: also in the image
 FITTING, FRAMED, TURNED = 1, 2, 4
-BOOK = 4096  # places in a hash table, a power of two
+BOOK = 4096  # size of a hash table, a power of two
 
 
 @kernel
 def distinct(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArray, first: IntArray) -> Targets:
-    """Each unknown neighbour once. distance2: raveled. points, first: as of view_table.targets(), fewer than BOOK."""
+    """Return each unknown neighbour once.
+
+    distance2: raveled. points, first: see view_cache.targets(); fewer points than BOOK.
+    """
     nx, ny, nz = shape
     book = np.zeros(BOOK, dtype=np.int32)
     links = np.empty(len(points), dtype=np.int64)
@@ -61,10 +65,10 @@ def distinct(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArr
 
 @kernel
 def visibility_bound(targets: Targets, lens: FloatArray, line: Sight, facing: Int32Array) -> tuple[int, int]:
-    """Fill facing (U,) with what each target is to an eye (bits); how many are TURNED, and how many FRAMED.
+    """Fill facing (U,) with the bits of each target; return how many are TURNED and FRAMED.
 
-    FITTING is exact for a mount that does not tilt by more than half the picture; where the pitch is free it is TURNED. All in
-    single precision and without branches, so that the processor does many at once.
+    FITTING is exact for a mount that tilts by at most half the image. With a free pitch it equals TURNED. The loop is in
+    single precision and without branches, so that it is vectorized.
     """
     centres, sides, _, _ = targets
     xs, ys, zs = centres[0], centres[1], centres[2]
@@ -90,7 +94,7 @@ def visibility_bound(targets: Targets, lens: FloatArray, line: Sight, facing: In
         along, left = cy * dx + sy * dy, cy * dy - sy * dx
         forward, up = cp * along - sp * dz, sp * along + cp * dz
         framed = turned & np.int32((abs(left) <= forward * tan_h) & (abs(up) <= forward * tan_v) & (forward > zero))
-        facing[u] = fitting | (framed << np.int32(1)) | (turned << np.int32(2))  # the bits in their order
+        facing[u] = fitting | (framed << np.int32(1)) | (turned << np.int32(2))  # bits in the order FITTING, FRAMED, TURNED
         all_turned += turned
         all_framed += framed
     return int(all_turned), int(all_framed)
@@ -98,7 +102,7 @@ def visibility_bound(targets: Targets, lens: FloatArray, line: Sight, facing: In
 
 @kernel
 def cells_with(targets: Targets, facing: Int32Array) -> tuple[int, int]:
-    """How many cells have a FITTING target, and how many a FRAMED one."""
+    """Return how many cells have a FITTING target, and how many a FRAMED one."""
     _, _, links, first = targets
     fitting, framed = 0, 0
     for n in range(len(first) - 1):

@@ -1,7 +1,8 @@
-"""What of a frontier can be seen from a place, by rays; and which voxels hide the rest.
+"""Ray casting from a position to frontier cells, and the voxels that block the rays.
 
-A cell counts as seen when one of its UNKNOWN neighbours is in the frustum, in range, and reached through known-free voxels
-alone: that neighbour is what a look from there decides. Rays start there: most that are blocked are blocked at once.
+A cell counts as seen if one of its UNKNOWN neighbours is in the frustum, in range, and reached through known-free voxels
+only: a view from there makes that neighbour known. Rays start at the neighbour, because most blocked rays are blocked close
+to it.
 """
 
 from __future__ import annotations
@@ -15,13 +16,16 @@ from uav_recon.planning.frontier.visibility_bound import BOOK, FITTING, Int32Arr
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 Scene = tuple[ByteArray, tuple[int, int, int], FloatArray]  # distance2 raveled, its shape, the lens
-Notes = tuple[Int32Array, Int32Array]  # blockers: a hash table of them, and themselves in order
-UNASKED, CLEAR, HIDDEN = 0, 1, 2  # what a ray to a target found
+Notes = tuple[Int32Array, Int32Array]  # blockers: a hash table of them, and the list in order
+UNASKED, CLEAR, HIDDEN = 0, 1, 2  # result of the ray to a target
 
 
 @kernel
 def record_blocker(voxel: int, notes: Notes, count: int) -> int:
-    """Append a voxel to ``blockers`` unless it is there; ``book`` is a hash table of them. How many there are now."""
+    """Append a voxel to ``blockers`` if it is not in the list; return the number of blockers.
+
+    ``book`` is a hash table of the list.
+    """
     book, blockers = notes
     at = (voxel * 2654435761 >> 16) & (BOOK - 1)
     while book[np.uint64(at)] != 0:
@@ -36,7 +40,7 @@ def record_blocker(voxel: int, notes: Notes, count: int) -> int:
 
 @kernel
 def note_sides(shape: tuple[int, int, int], targets: Targets, notes: Notes, count: int) -> int:
-    """Append what closes the targets' sides; how many blockers there are now."""
+    """Append the voxels that close the sides of the targets; return the number of blockers."""
     nx, ny, nz = shape
     centres, sides, _, _ = targets
     for u in range(len(sides)):
@@ -60,13 +64,16 @@ def note_sides(shape: tuple[int, int, int], targets: Targets, notes: Notes, coun
 
 @kernel
 def inside(shape: tuple[int, int, int], line: Sight) -> bool:
-    """Tell whether an eye is inside the map."""
+    """Return True if an eye is inside the map."""
     return 0.0 <= line[0] < shape[0] and 0.0 <= line[1] < shape[1] and 0.0 <= line[2] < shape[2]
 
 
 @kernel
 def candidate_rays(targets: Targets, line: Sight, facing: Int32Array, ways: Float32Array) -> int:
-    """Fill ways (3, N) with the directions to the first FITTING target of each cell that has one; how many."""
+    """Fill ways (3, N) with the direction to the first FITTING target of each cell; return N.
+
+    Cells without such a target are skipped.
+    """
     centres, _, links, first = targets
     count = 0
     for n in range(len(first) - 1):
@@ -94,10 +101,14 @@ def visible_cells(
     notes: Notes,
     count: int,
 ) -> tuple[int, int]:
-    """Fill ways (3, N) with the directions to what an eye sees of each cell, whatever its heading; how many, and blockers.
+    """Fill ways (3, N) with a direction to each cell visible at any heading.
 
-    facing: of outlook(); hoped: cells with a FITTING target. Gives up, 0, once there cannot be more than ``beat``. order (N,)
-    of the cells is changed: those that were hidden lately are asked first. found (U,): room.
+    Returns N and the number of blockers. N is 0 if it cannot exceed ``beat``.
+
+    facing: see visibility_bound().
+    hoped: number of cells with a FITTING target.
+    order: (N,) order of the cells, changed: recently hidden cells are tested first.
+    found: (U,) work array.
     """
     distance2, shape, _ = scene
     centres, _, links, first = targets
@@ -135,8 +146,9 @@ def visible_cells(
 def confirm_visible(
     scene: Scene, view: FloatArray, points: FloatArray, first: IntArray, notes: Notes, count: int
 ) -> tuple[BoolArray, int]:
-    """Which cells a view shows, and blockers. Asked in both directions: a line through an edge or a corner of voxels may pass
-    in one of them alone.
+    """Return a mask of the cells that a view shows, and the number of blockers.
+
+    Rays are cast in both directions, because a line through an edge or corner of voxels may be clear in only one of them.
     """
     distance2, shape, lens = scene
     line = sight(lens, view[:3], view[3], view[4])

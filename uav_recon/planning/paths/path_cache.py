@@ -1,4 +1,4 @@
-"""Shortest ways between the vehicle and the tasks, kept from plan to plan where no change of the map can have touched them."""
+"""Shortest paths between vehicle and tasks, cached until a map change may affect them."""
 
 from __future__ import annotations
 
@@ -15,17 +15,24 @@ from uav_recon.planning.paths.theta_star import Memory, find_bends, memory_for
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
-PLACES = 32  # tasks whose ways are remembered
-MAX_POINTS = 24  # of a way that is remembered; a longer one is found again when it is asked for
-_ROOM = 1024  # points of a way before it is pulled taut
+PLACES = 32  # number of tasks whose paths are cached
+MAX_POINTS = 24  # max. points of a cached path; a longer one is searched again when it is requested
+_ROOM = 1024  # max. points of a path before string pulling
 
 
 class CachedPaths(NamedTuple):
-    """Ways between remembered places, for kernels. Entry [a, b] is the way from place a to b, where a comes first.
+    """Paths between cached positions, as arrays for kernels.
 
-    place: (P, 3), NaN = nobody's; used: (P,) the plan that last asked for it. kept: (P, P); length: (P, P) in
-    voxels; span: (P, P), see ``find_bends``; number: (P, P) of points; points: (P, P, MAX_POINTS, 3); leaves: (P, P, 2, 3)
-    unit directions in which it leaves a, and b.
+    Entry [a, b] is the path from position a to position b, where a comes first in the order of _comes_first().
+
+    place: (P, 3), NaN = unused entry.
+    used: (P,) number of the plan that last requested the position.
+    kept: (P, P) True = the entry is valid.
+    length: (P, P) in voxels.
+    span: (P, P), see ``find_bends``.
+    number: (P, P) number of points.
+    points: (P, P, MAX_POINTS, 3).
+    leaves: (P, P, 2, 3) unit directions in which the path leaves a, and leaves b.
     """
 
     place: FloatArray
@@ -39,11 +46,13 @@ class CachedPaths(NamedTuple):
 
 
 class PathCache:
-    """Ways between node 0 (the vehicle) and nodes 1..N (tasks); one object per flight.
+    """Paths between node 0 (the vehicle) and nodes 1..N (the tasks); one object per flight.
 
-    lengths_m: (N+1, N+1), symmetric, inf where there is no way. departures: (N+1, N+1, 3), unit directions in which the way
-    from i to j leaves i, zero where it does not move. A straight line that is open is the way; else a way through flyable
-    parts, pulled taut. What is remembered is what would be found anew, to the last bit.
+    A path is the straight line if it is open, else a path through flyable parts after string pulling. A cached path is
+    bit-identical to the result of a new search.
+
+    lengths_m: (N+1, N+1), symmetric, inf where there is no path.
+    departures: (N+1, N+1, 3) unit directions in which the path from i to j leaves i; zero if it does not move.
     """
 
     def __init__(self, space: FlyableSpace) -> None:
@@ -69,10 +78,10 @@ class PathCache:
         )
 
     def update(self, exit_cells: IntArray, position_world: FloatArray, places: FloatArray) -> None:
-        """Find the ways for the present map.
+        """Find the paths for the current map.
 
-        exit_cells: what ``FlyableSpace.stand`` answered for position_world; places: (N, 3) of the tasks' views, padded
-        voxel units, each in a flyable voxel.
+        exit_cells: result of ``FlyableSpace.stand`` for position_world.
+        places: (N, 3) positions of the tasks' views, padded voxel units, each in a flyable voxel.
         """
         if self._space.regions is not self._regions or len(places) > len(self._known.place):
             self._start(max(len(places), PLACES))
@@ -91,7 +100,10 @@ class PathCache:
         self.lengths_m = lengths * space.grid.resolution_m
 
     def way_world(self, i: int, j: int) -> FloatArray:
-        """Polyline (M, 3) in world from node i to node j, both ends included; one point if they are the same place."""
+        """Return the polyline (M, 3) in world from node i to node j, both ends included.
+
+        It is one point if both nodes have the same position.
+        """
         way = self._way(i, j)
         moved = np.concatenate(([True], np.any(np.abs(np.diff(way, axis=0)) > 1e-9, axis=1)))
         return np.ascontiguousarray(self._space.world(way[moved]))
@@ -123,7 +135,7 @@ class PathCache:
 def _forget(
     known: CachedPaths, leap: ByteArray, blocks: VoxelBlocks, mask_revision: IntArray, block_revision: IntArray, seen: int
 ) -> None:
-    """Forget each way whose span a change of the mask since ``seen`` meets."""
+    """Invalidate each path whose span contains a change of the mask since revision ``seen``."""
     away = np.empty(len(known.place))
     for tile in np.argwhere(mask_revision > seen):
         low, high = _changed_box(blocks, block_revision, tile[0], tile[1], seen)
@@ -142,7 +154,10 @@ def _forget(
 def _changed_box(
     blocks: VoxelBlocks, block_revision: IntArray, across: int, along: int, seen: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Box (3,), (3,) in padded voxel units around the blocks of a tile that changed since ``seen``."""
+    """Return the box around the blocks of a tile that changed since revision ``seen``.
+
+    The corners (3,), (3,) are in padded voxel units.
+    """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     per_tile = TILE // EDGE
     for bx in range(across * per_tile + 1, min(across * per_tile + per_tile, blocks.shape[0] - 2) + 1):
@@ -159,7 +174,10 @@ def _changed_box(
 
 @kernel
 def _comes_first(places: FloatArray, a: int, b: int) -> bool:
-    """Whether place a (of P, 3) comes before place b: by x, then y, then z. False if they are the same, or nobody's."""
+    """Return True if position a (of P, 3) comes before position b: by x, then y, then z.
+
+    False if they are equal or if either is unused.
+    """
     for axis in range(3):
         if places[a, axis] != places[b, axis]:
             return bool(places[a, axis] < places[b, axis])
@@ -168,7 +186,7 @@ def _comes_first(places: FloatArray, a: int, b: int) -> bool:
 
 @kernel
 def _seat_of(known: CachedPaths, place: FloatArray) -> int:
-    """The seat of a remembered place (3,), else -1."""
+    """Return the entry of a cached position (3,), or -1."""
     for a in range(len(known.place)):
         if known.place[a, 0] == place[0] and known.place[a, 1] == place[1] and known.place[a, 2] == place[2]:
             return a
@@ -177,7 +195,10 @@ def _seat_of(known: CachedPaths, place: FloatArray) -> int:
 
 @kernel
 def _seat(known: CachedPaths, places: FloatArray, plan: int) -> IntArray:
-    """Give each place (N, 3) a seat (N,): its own if it is remembered, else the one that was not asked for for longest."""
+    """Assign an entry (N,) to each position (N, 3).
+
+    A cached position keeps its entry. A new one takes the entry that was unused for the longest time.
+    """
     seats = np.full(len(places), -1)
     for n in range(len(places)):
         seats[n] = _seat_of(known, places[n])
@@ -185,7 +206,7 @@ def _seat(known: CachedPaths, places: FloatArray, plan: int) -> IntArray:
             known.used[seats[n]] = plan
     for n in range(len(places)):
         if seats[n] < 0:
-            seats[n] = _seat_of(known, places[n])  # the same place may stand twice in the list
+            seats[n] = _seat_of(known, places[n])  # the same position may be in the list twice
         if seats[n] < 0:
             a = int(np.argmin(known.used))
             seats[n], known.place[a], known.used[a] = a, places[n], plan
@@ -198,7 +219,10 @@ def _seat(known: CachedPaths, places: FloatArray, plan: int) -> IntArray:
 def _way_between(
     blocks: VoxelBlocks, leap: ByteArray, memory: Memory, start: FloatArray, goal: FloatArray, points: FloatArray
 ) -> tuple[int, float, float]:
-    """Write the way into ``points``; how many points it has (0: none), its length in voxels and its span."""
+    """Write the path into ``points``; return its number of points (0: none), length and span.
+
+    Length and span are in voxels.
+    """
     if segment_is_open(leap, start[0], start[1], start[2], goal[0], goal[1], goal[2]):
         points[0], points[1] = start, goal
         length = distance(start[0], start[1], start[2], goal[0], goal[1], goal[2])
@@ -226,9 +250,11 @@ def _connect(
     head: FloatArray,
     points: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Lengths (N+1, N+1) in voxels and departures (N+1, N+1, 3); finds what is not remembered.
+    """Return the lengths and departures of all paths, after searching the missing ones.
 
-    head: (M, 3) from where the vehicle stands to where it may fly.
+    Lengths are (N+1, N+1) in voxels, departures (N+1, N+1, 3).
+
+    head: (M, 3) from the vehicle's position to the nearest flyable cell.
     """
     nodes = len(seats) + 1
     lengths, departures = np.full((nodes, nodes), np.inf), np.zeros((nodes, nodes, 3))

@@ -1,4 +1,7 @@
-"""Straight lines and polylines through a padded voxel mask. Lengths are in voxels, positions in padded voxel units."""
+"""Line segments and polylines in a padded voxel mask. Lengths are in voxels.
+
+Positions are in padded voxel units.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +15,21 @@ from uav_recon.types.frames import ByteArray, FloatArray
 
 @kernel
 def distance(x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> float:
-    """Return how far apart two points are."""
+    """Return the distance between two points."""
     return math.sqrt((x0 - x1) ** 2 + (y0 - y1) ** 2 + (z0 - z1) ** 2)
 
 
 @kernel
 def segment_is_open(leap: ByteArray, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> bool:
-    """Tell whether every sample of a straight segment, at most half a voxel apart, lies in a mask that holds both ends.
+    """Return True if every sample of a segment lies in a mask; both ends must lie in it.
 
-    leap: a mask, or in place of its ones how many samples to go on by, all but the last of them known to be open.
+    Samples are at most half a voxel apart.
+
+    leap: a mask, or, in place of its ones, the number of samples to advance. All samples skipped by the advance are known
+        to be open.
     """
     if x0 > x1 or (x0 == x1 and (y0 > y1 or (y0 == y1 and z0 > z1))):
-        x0, y0, z0, x1, y1, z1 = x1, y1, z1, x0, y0, z0  # the same both ways, to the last bit
+        x0, y0, z0, x1, y1, z1 = x1, y1, z1, x0, y0, z0  # the result is the same in both directions, to the last bit
     dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
     # mid-interval samples of an even number of intervals: never exactly on the corner that a diagonal step passes
     count = 2 * math.ceil(math.sqrt(dx * dx + dy * dy + dz * dz)) + 2
@@ -32,7 +38,7 @@ def segment_is_open(leap: ByteArray, x0: float, y0: float, z0: float, x1: float,
     flat, across, along = leap.ravel(), np.int64(leap.shape[1] * leap.shape[2]), np.int64(leap.shape[2])
     n = 0
     while n < count:
-        # unsigned: an index that needs no test for being negative
+        # unsigned: avoids the test for a negative index
         ahead = flat[np.uint64(int(x + n * dx) * across + int(y + n * dy) * along + int(z + n * dz))]
         if ahead == 0:
             return False
@@ -42,7 +48,7 @@ def segment_is_open(leap: ByteArray, x0: float, y0: float, z0: float, x1: float,
 
 @kernel
 def length_of(points: FloatArray) -> float:
-    """Length of a polyline (N, 3), in its own unit."""
+    """Return the length of a polyline (N, 3), in its own unit."""
     total = 0.0
     for n in range(1, len(points)):
         dx, dy, dz = points[n, 0] - points[n - 1, 0], points[n, 1] - points[n - 1, 1], points[n, 2] - points[n - 1, 2]
@@ -52,7 +58,10 @@ def length_of(points: FloatArray) -> float:
 
 @kernel
 def departure(points: FloatArray) -> FloatArray:
-    """Unit direction (3,) in which a polyline (N, 3) leaves its first point; zero where it does not move."""
+    """Return the unit direction (3,) in which a polyline (N, 3) leaves its first point.
+
+    Zero if it does not move.
+    """
     for n in range(1, len(points)):
         step = points[n] - points[0]
         length = math.sqrt((step * step).sum())
@@ -68,6 +77,6 @@ def warm_up() -> None:
     segment_is_open(leap, 1.5, 1.5, 1.5, 2.5, 2.5, 2.5)
     distance(0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
     way = np.array([[1.5, 1.5, 1.5], [1.5, 2.5, 1.5], [2.5, 2.5, 2.5]])
-    for polyline in (way, way[::-1]):  # both memory layouts that ways use
+    for polyline in (way, way[::-1]):  # both memory layouts of paths
         length_of(polyline)
         departure(polyline)

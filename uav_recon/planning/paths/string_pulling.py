@@ -1,7 +1,7 @@
-"""Polylines pulled taut through a padded voxel mask. Positions are in padded voxel units, lengths in voxels.
+"""String pulling: shortens polylines in a padded voxel mask.
 
-A polyline is open when each of its segments is (see ``segment_is_open``, also for ``leap``). Pulling keeps the ends, keeps it
-open and never makes it longer.
+A polyline is open if each of its segments is (see ``segment_is_open``, also for ``leap``). String pulling keeps the ends,
+keeps the polyline open and never makes it longer. Positions are in padded voxel units, lengths in voxels.
 """
 
 from __future__ import annotations
@@ -13,16 +13,19 @@ from uav_recon.planning.paths.segments import distance, segment_is_open
 from uav_recon.types.frames import ByteArray, FloatArray
 
 ROUNDS = 2
-WORTH = 0.05  # voxels: a gain below it is not looked for any further
+WORTH = 0.05  # voxels; smaller gains end the search
 HALVINGS = 4
-SLOPES = (0.17, 0.7)  # how much of a sideways step goes straight inwards
+SLOPES = (0.17, 0.7)  # inward share of a sideways step
 
 
 @kernel
 def pull_taut(leap: ByteArray, points: FloatArray, count: int) -> int:
-    """Pull the open polyline points[:count] of points (M, 3) taut in place; how many points it has then, at most M.
+    """Shorten the open polyline points[:count] in place; return the new point count.
 
-    Corners are left out, slid sideways, cut from both sides, and rounded off into two where the way bends round a thick thing.
+    Corners are removed, slid sideways, cut from both sides, and rounded off into two corners where the path bends around a
+    thick obstacle.
+
+    points: (M, 3); the new count is at most M.
     """
     count = _settle(leap, points, count)
     x = 1
@@ -59,7 +62,7 @@ def _apart(points: FloatArray, a: int, x: float, y: float, z: float) -> float:
 
 @kernel
 def _straighten(leap: ByteArray, points: FloatArray, count: int) -> int:
-    """Leave out corners whose neighbours see each other; how many points are left."""
+    """Remove corners whose neighbours see each other; return the new point count."""
     x = 1
     while x < count - 1:
         if _open(leap, points, x - 1, points[x + 1, 0], points[x + 1, 1], points[x + 1, 2]):
@@ -74,7 +77,10 @@ def _straighten(leap: ByteArray, points: FloatArray, count: int) -> int:
 
 @kernel
 def _cut(leap: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
-    """Move corner ``x`` along its segment towards ``b`` as far as ``a`` sees it; how much shorter the way became."""
+    """Move corner ``x`` along its segment towards ``b`` while ``a`` sees it.
+
+    Returns the length saved.
+    """
     px, py, pz = points[x, 0], points[x, 1], points[x, 2]
     dx, dy, dz = points[b, 0] - px, points[b, 1] - py, points[b, 2] - pz
     seen, step = 0.0, 1.0
@@ -82,7 +88,7 @@ def _cut(leap: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
         step /= 2
         t = seen + step
         qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
-        # a corner lies in the mask itself; and a piece of an open segment has samples of its own
+        # a corner must lie in the mask itself, and a piece of an open segment has its own samples to test
         stands = leap[int(qx), int(qy), int(qz)] > 0 and _open(leap, points, a, qx, qy, qz)
         if stands and _open(leap, points, b, qx, qy, qz):
             seen = t
@@ -95,10 +101,10 @@ def _cut(leap: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
 
 @kernel
 def _slide(leap: ByteArray, points: FloatArray, first: int, last: int) -> float:
-    """Move corners [first, last] together, sideways and inwards, while that makes the way shorter; by how much.
+    """Move corners [first, last] together, sideways and inwards, while the path gets shorter.
 
-    What keeps a corner from moving straight inwards is a surface; along it there may still be a shorter way. Two corners of one
-    edge hold each other back unless they move together.
+    Returns the length saved. A surface stops a corner from moving straight inwards, but along the surface there may be a
+    shorter path. Two corners at one edge block each other unless they move together.
     """
     ax, ay, az = points[first, 0], points[first, 1], points[first, 2]
     bx, by, bz = points[last, 0], points[last, 1], points[last, 2]
@@ -148,7 +154,7 @@ def _may_move(leap: ByteArray, points: FloatArray, first: int, last: int, sx: fl
 
 @kernel
 def _round_off(leap: ByteArray, points: FloatArray, count: int, x: int) -> int:
-    """Make two corners of corner ``x`` where that is shorter; how many points there are then."""
+    """Replace corner ``x`` by two corners where that is shorter; return the new point count."""
     px, py, pz = points[x, 0], points[x, 1], points[x, 2]
     back, on = _apart(points, x - 1, px, py, pz), _apart(points, x + 1, px, py, pz)
     if count >= len(points) or back < 1.0 or on < 1.0:

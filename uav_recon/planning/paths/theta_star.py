@@ -1,7 +1,8 @@
-"""Ways from part to part of flyable space: weighted lazy Theta* (Nash, Koenig and Tovey, 2010) on blocks of 4 x 4 x 4 voxels.
+"""Weighted lazy Theta* path search (Nash, Koenig and Tovey, 2010) on voxel blocks.
 
-Each part stands for one of its voxels, the two ends for themselves. What is found is a polyline whose bends lie near the
-corners that it has to pass; pulled taut it is as long as the shortest way. Positions are in padded voxel units.
+The nodes are the connected parts of blocks of 4 x 4 x 4 voxels, each represented by one of its voxels; start and goal
+represent themselves. The result is a polyline with bends near the corners that it passes. After string pulling it is about
+as long as the shortest path. Positions are in padded voxel units.
 """
 
 from __future__ import annotations
@@ -16,16 +17,21 @@ from uav_recon.planning.free_space.voxel_blocks import MAX_PARTS, ONE, VoxelBloc
 from uav_recon.planning.paths.segments import distance, length_of, segment_is_open
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
-EAGERNESS = 1.1  # towards the goal: half as many parts are looked at, for ways that differ by less than what pulling evens out
-DETOUR = 6.0  # voxels: a bend between neighbouring parts that do not see each other costs at most so much
-_PUSHES = 32  # room for so many entries of the heap for each block; a part is entered again whenever a shorter way leads to it
+# weight of the heuristic: about half as many parts are expanded, and string pulling removes the difference in length
+EAGERNESS = 1.1
+DETOUR = 6.0  # voxels; max. extra length of a bend between neighbouring parts without a line of sight
+_PUSHES = 32  # heap capacity per block; a part is pushed again whenever a shorter path leads to it
 
 
 class Memory(NamedTuple):
-    """Work arrays of the search, kept between searches: what an earlier one left is known by its stamp.
+    """Work arrays of the search, reused between searches.
 
-    now: (1,) the last stamp. opened, closed: (8 * blocks,) stamps. length, before: shortest known way to a part, and the part
-    where its last segment begins. heap_cost, heap_part: a heap.
+    Stamps mark entries of earlier searches.
+
+    now: (1,) the last stamp.
+    opened, closed: (8 * blocks,) stamps.
+    length, before: length of the shortest known path to a part, and the part where its last segment begins.
+    heap_cost, heap_part: a binary heap.
     """
 
     now: IntArray
@@ -38,7 +44,7 @@ class Memory(NamedTuple):
 
 
 def memory_for(blocks: VoxelBlocks) -> Memory:
-    """Return fresh work arrays; the system commits only what searches touch."""
+    """Return new work arrays; the system commits only the memory that searches touch."""
     number = len(blocks.counts)
     return Memory(
         now=np.zeros(1, dtype=np.int64),
@@ -68,7 +74,10 @@ def _push(heap_cost: FloatArray, heap_part: PartArray, size: int, cost: float, p
 
 @kernel
 def _pop(heap_cost: FloatArray, heap_part: PartArray, size: int) -> int:
-    """Take away the first (the least cost, of equal ones the least number); how many are left."""
+    """Remove the first entry of the heap and return the number of remaining entries.
+
+    The first entry has the least cost and, among equal costs, the least part number.
+    """
     size -= 1
     cost, part = heap_cost[size], heap_part[size]
     at = 0
@@ -90,8 +99,11 @@ def _pop(heap_cost: FloatArray, heap_part: PartArray, size: int) -> int:
 
 @kernel
 def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray) -> tuple[bool, float]:
-    """Find the parts' ``before`` from the goal back to the start; whether there is a way, and the greatest cost looked at."""
-    # unpacked once: to hand on such a tuple in the inner loops costs more than what they do
+    """Search from start to goal; return whether there is a path, and the largest cost expanded.
+
+    Fills ``memory.before``, which leads from the goal back to the start.
+    """
+    # unpacked once: passing the tuple on in the inner loops costs more than the loops themselves
     steps, counts, words, links, stands = blocks.steps, blocks.counts, blocks.words, blocks.links, blocks.centre
     opened, closed, before, length = memory.opened, memory.closed, memory.before, memory.length
     heap_cost, heap_part = memory.heap_cost, memory.heap_part
@@ -99,7 +111,7 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
     memory.now[0] += 1
     now = memory.now[0]
     start, goal = ends[0], ends[1]
-    # the ends stand for themselves while this search runs
+    # start and goal represent their parts during this search
     start_stood, goal_stood = stands[start].copy(), stands[goal].copy()
     stands[start], stands[goal] = places[0], places[1]
     gx, gy, gz = places[1, 0], places[1, 1], places[1, 2]
@@ -117,7 +129,7 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
         ox, oy, oz = stands[origin, 0], stands[origin, 1], stands[origin, 2]
         block = part % number
         if part != start and not segment_is_open(leap, ox, oy, oz, x, y, z):
-            # hoped for in vain: the best way through a neighbour that is settled already
+            # the assumed line of sight does not exist: take the shortest path through a closed neighbour (lazy Theta*)
             length[part] = np.inf
             for side in range(26):
                 beside = block + steps[side]
@@ -152,9 +164,10 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
 def _bend(
     blocks: VoxelBlocks, leap: ByteArray, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray
 ) -> int:
-    """Write points ``found`` (M, 3) that lead from a to b through their touching parts; how many.
+    """Write points ``found`` (M, 3) that lead from a to b through their two parts; return M.
 
-    One voxel that sees both, the one with the least detour; where there is none, voxel by voxel.
+    The points are the one voxel that sees both ends with the least detour or, without such a voxel, a path from voxel to
+    voxel.
     """
     best = distance(a[0], a[1], a[2], b[0], b[1], b[2]) + DETOUR
     count = 0
@@ -173,7 +186,10 @@ def _bend(
 
 @kernel
 def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray) -> int:
-    """Shortest way (in steps) from a to b inside two touching parts: centres of voxels, but for ends that are centres."""
+    """Write the path with the fewest steps from a to b inside two touching parts.
+
+    Returns the number of points. The points are voxel centres, without the ends if these are centres themselves.
+    """
     cells = np.empty((128, 3))
     count, goal, start = 0, -1, -1
     for part in (part_a, part_b):
@@ -188,7 +204,7 @@ def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArr
                 if np.all(np.floor(b) == cells[count]):
                     goal = count
                 count += 1
-    after = np.full(count, -1)  # found from the goal back, so that following it leads from the start on
+    after = np.full(count, -1)  # searched from the goal, so that following the links leads from the start to the goal
     after[goal] = goal
     queue = np.empty(count, dtype=np.int64)
     queue[0] = goal
@@ -201,7 +217,7 @@ def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArr
                 after[n] = at
                 queue[queued] = n
                 queued += 1
-    # from an end off its voxel's centre a line to another voxel may clip a third one: it is left and reached by the centre
+    # from an end off its voxel's centre, a line to another voxel may clip a third one; so the path goes through the centre
     number, at = 0, start
     while True:
         if (at != start or np.any(a != cells[at] + 0.5)) and (at != goal or np.any(b != cells[at] + 0.5)):
@@ -216,11 +232,15 @@ def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArr
 def find_bends(
     blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray, points: FloatArray
 ) -> tuple[int, float]:
-    """Write an open polyline into ``points`` (M, 3); how many points it has (0: no way, or no room), and its span.
+    """Write an open polyline into ``points`` (M, 3); return its number of points and its span.
 
-    ends: (2,) parts of start and goal; places: (2, 3) start and goal, in a voxel of these parts. leap: see segment_is_open.
-    span: voxels with |start - x| + |x - goal| greater than it were not asked and could not have changed the answer, whatever
-    they were; neither can they change what is made of the polyline by pulling it taut.
+    The number is 0 if there is no path or ``points`` is too short.
+
+    ends: (2,) parts of start and goal.
+    places: (2, 3) positions of start and goal, in a voxel of these parts.
+    leap: see segment_is_open.
+    span: only voxels x with |start - x| + |x - goal| <= span were read. No other voxel can change the polyline, before or
+        after string pulling.
     """
     found, span = True, 0.0
     if ends[0] == ends[1]:
@@ -229,7 +249,7 @@ def find_bends(
         found, span = _search(blocks, leap, memory, ends, places)
     if not found:
         return 0, np.inf
-    # from the goal back, then turned round
+    # collected from the goal back, then reversed
     bends = np.empty((128, 3))
     count, part, reached = 1, ends[1], 0.0
     points[0] = places[1]

@@ -1,8 +1,8 @@
-"""Views of the information-gain field: what a place would show, unknown space and uncertain surface in one sum (EVPP).
+"""Information-gain field (EVPP): unknown space and uncertain surface seen from a position.
 
-After Zeng et al., "Efficient view path planning for autonomous implicit reconstruction" (ICRA 2023): views are sampled near the
-vehicle and the best is taken, without clusters and without a tour. There a network is fitted to the gain; here the mapper's
-uncertainty is gathered in patches, and so are frontier cells, which stand for the unknown space behind them.
+After Zeng et al., "Efficient view path planning for autonomous implicit reconstruction" (ICRA 2023): views are sampled near
+the vehicle and the best is taken, without clusters and without a tour. The paper fits a network to the gain. Here, the
+mapper's uncertainty is summed in patches, and so are frontier cells, which represent the unknown space behind them.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArra
 from uav_recon.types.maps import FREE, SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
-UNKNOWN_WEIGHT = 2.0  # of a frontier cell, where the most uncertain element of surface has 1
-SPACING = 4  # voxels between sampled places
-RADII_M = (3.0, 9.0, 1000.0)  # around the vehicle; a wider one if there is nothing worth a view in the one before
+UNKNOWN_WEIGHT = 2.0  # weight of a frontier cell; the most uncertain surface element has 1
+SPACING = 4  # voxels between sampled positions
+RADII_M = (3.0, 9.0, 1000.0)  # sampling radii around the vehicle; the next one is used if no view is found
 MAX_PLACES = 1500  # the nearest ones
 HEADINGS = 12
-PITCHES = 3  # over the mount's range
-BEST_VIEWS = 12  # handed on, for the way to each to be measured
+PITCHES = 3  # over the range of the mount
+BEST_VIEWS = 12  # max. views for which path lengths are computed
 
 
 class FieldViews:
@@ -44,10 +44,13 @@ class FieldViews:
     def propose(
         self, situation: PlanningContext, frontiers: Sequence[Frontier], surface: SurfaceElements | None, looks: Float32Array
     ) -> list[CandidateView]:
-        """Return the views (at most BEST_VIEWS) that promise most, for the metres to them; the order of ``frontiers`` is free.
+        """Return the views (at most BEST_VIEWS) with the most gain per metre of distance.
 
-        looks: (nx, ny, nz), sum of the cosines under which views have looked at the surface in a voxel. A view's kind says
-        whether unknown space or surface makes up most of its gain.
+        The order of ``frontiers`` does not matter.
+
+        looks: (nx, ny, nz) sum of the cosines under which views have seen the surface in a voxel.
+
+        The kind of a view is the larger part of its gain: unknown space or surface.
         """
         grid = situation.voxels.grid
         here = situation.space.centre(situation.exit_cells[-1:])[0] - 1.0
@@ -105,7 +108,7 @@ class FieldViews:
         around: IntArray,
         weight: FloatArray,
     ) -> CandidateView | None:
-        """A view as a task of the kind that it gains most by; None if that is too little for a stop."""
+        """Return a view as a task of the kind with the larger gain; None if the gain is too small."""
         grid, state = situation.voxels.grid, situation.voxels.state
         cells, groups = frontier
         unknown = field[: len(groups) - 1]
@@ -129,10 +132,13 @@ class FieldViews:
 
 
 def sampled_places(situation: PlanningContext, here: FloatArray, radius: float) -> FloatArray:
-    """Centres (P, 3) of every SPACING-th reachable voxel along each axis within a radius of ``here``, which comes first."""
+    """Return the centres (P, 3) of every SPACING-th reachable voxel within a radius of ``here``.
+
+    ``here`` comes first.
+    """
     reachable = situation.space.reachable[1:-1, 1:-1, 1:-1]
     low = np.maximum(np.floor(here - radius).astype(np.int64), 0)
-    low += -low % SPACING  # the same voxels wherever the vehicle is
+    low += -low % SPACING  # the same voxels for every vehicle position
     high = np.minimum(np.ceil(here + radius).astype(np.int64) + 1, reachable.shape)
     box = tuple(slice(int(a), int(max(a, b)), SPACING) for a, b in zip(low, high, strict=True))
     places = np.argwhere(reachable[box]) * SPACING + low + 0.5
@@ -143,9 +149,12 @@ def sampled_places(situation: PlanningContext, here: FloatArray, radius: float) 
 
 
 def frontier_patches(frontiers: Sequence[Frontier], shape: tuple[int, int, int]) -> tuple[IntArray, FloatArray, IntArray]:
-    """Frontier cells gathered by cubes: flat voxels (F,), rows (G, 7) as of patches_near, and where each row's cells begin.
+    """Group frontier cells by cubes.
 
-    A row's normal points out of the unknown; its weight counts its cells. groups: (G + 1,) into the flat voxels.
+    Returns flat voxels (F,), rows (G, 7) and the groups (G + 1,). A row is as in patches_near. Its normal points out of the
+    unknown space; its weight is proportional to the number of cells.
+
+    groups: start of each row's cells in the flat voxels.
     """
     if not frontiers:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 7)), np.zeros(1, dtype=np.int64)
@@ -161,7 +170,7 @@ def frontier_patches(frontiers: Sequence[Frontier], shape: tuple[int, int, int])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     count = np.diff(groups)
     middle = np.add.reduceat(cells + 0.5, groups[:-1], axis=0) / count[:, None]
-    # unknown on all sides of a cube: it can be looked at from anywhere, and a zero normal would hide it
+    # unknown on all sides of a cube: visible from every direction, so the normal is zero and _cosine() returns 1
     rows = np.column_stack([middle, np.where(length > 1e-9, normal / np.maximum(length, 1e-9), 0.0), UNKNOWN_WEIGHT * count])
     return flat, rows, groups
 
@@ -179,9 +188,10 @@ def _cosine(row: FloatArray, x: float, y: float, z: float) -> float:
 def field_gains(
     state: ByteArray, lens: FloatArray, places: FloatArray, rows: FloatArray, unknown: int, well: float, pitches: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Best gain of each place (P, 3), over HEADINGS and pitches, and that heading and pitch: three of (P,).
+    """Return the best gain, heading and pitch of each position (P, 3): three arrays (P,).
 
-    rows: (M, 7) as of patches_near, the first ``unknown`` of them frontier cells; the others count up to ``well`` voxels away.
+    rows: (M, 7) as in patches_near; the first ``unknown`` rows are frontier cells.
+    well: range in voxels up to which the other rows count.
     """
     best, yaws, tilts = np.zeros(len(places)), np.zeros(len(places)), np.zeros(len(places))
     visible = np.empty(len(rows), dtype=np.int64)
@@ -214,7 +224,7 @@ def field_gains(
 
 @kernel
 def rows_in_view(state: ByteArray, lens: FloatArray, line: Sight, rows: FloatArray) -> BoolArray:
-    """Which rows (M,) a line of sight shows."""
+    """Return a mask (M,) of the rows that are visible along a line of sight."""
     out = np.zeros(len(rows), dtype=np.bool_)
     for m in range(len(rows)):
         x, y, z = rows[m, 0], rows[m, 1], rows[m, 2]
@@ -224,7 +234,7 @@ def rows_in_view(state: ByteArray, lens: FloatArray, line: Sight, rows: FloatArr
 
 
 def warm_up() -> None:
-    """Compile what FieldViews asks for itself; the rest is SurfaceViews' too."""
+    """Compile the kernels of FieldViews that are not also compiled for SurfaceViews."""
     state = np.full((4, 4, 4), FREE, dtype=np.uint8)
     state.setflags(write=False)
     lens = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5).lens(1.0, 4.5)

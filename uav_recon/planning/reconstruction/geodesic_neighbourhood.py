@@ -1,7 +1,9 @@
-"""What is near by the way through free space, so that a radius does not reach through walls.
+"""Geodesic neighbourhood: a radius measured along paths through free space.
 
-A wave runs from the vehicle over every third voxel along each axis; a step is open if the voxels that it passes are all known
-free. A wall of one voxel stops it, an opening that the vehicle fits through never does, and few nodes are asked.
+Thus it does not extend through walls.
+
+A wave runs from the vehicle over every third voxel along each axis. A step is open if all voxels that it passes are known
+free. A wall of one voxel stops the wave; an opening wide enough for the vehicle never does. Few nodes are needed.
 """
 
 from __future__ import annotations
@@ -17,15 +19,15 @@ from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE
 
 STRIDE = 3  # voxels between nodes of the wave
-AROUND = 2  # nodes each way that may see an element and so make it near
+AROUND = 2  # nodes in each direction that are tested for a line of sight to an element
 
 
 @kernel
 def wave(state: ByteArray, start: IntArray, limit: float) -> tuple[FloatArray, IntArray]:
-    """Path lengths in voxels from a voxel, over nodes STRIDE apart, up to ``limit``; inf = farther, or no way.
+    """Return path lengths in voxels from a voxel to nodes STRIDE apart, up to ``limit``.
 
-    Returns (na, nb, nc) float64 for a box of nodes, and the voxel (3,) of its first node: node (a, b, c) is the voxel
-    first + STRIDE * (a, b, c). Only that box is allocated, whatever the map's size.
+    Returns (na, nb, nc) float64 for a box of nodes, inf = farther or no path, and the voxel (3,) of the first node: node
+    (a, b, c) is the voxel first + STRIDE * (a, b, c). Only that box is allocated, for any map size.
     """
     most = int(limit) // STRIDE
     low = np.empty(3, dtype=np.int64)
@@ -36,7 +38,7 @@ def wave(state: ByteArray, start: IntArray, limit: float) -> tuple[FloatArray, I
         low[axis] = start[axis] - STRIDE * below
         size[axis] = below + above + 1
     reach = np.full((size[0], size[1], size[2]), np.inf)
-    # nodes wait in turn and come back when a shorter way to them is found: the last answer is exact, in whatever order
+    # nodes are queued again when a shorter path to them is found, so the final result is exact in any order
     count = size[0] * size[1] * size[2]
     queue = np.empty(count, dtype=np.int64)
     waiting = np.zeros(count, dtype=np.bool_)
@@ -79,14 +81,16 @@ def wave(state: ByteArray, start: IntArray, limit: float) -> tuple[FloatArray, I
 def seen_from_near(
     state: ByteArray, reach: FloatArray, low: IntArray, limit: float, position: FloatArray, normal: FloatArray
 ) -> BoolArray:
-    """Which surface points (N, 3), voxels, with outward normals (N, 3), are within ``limit``: (N,) bool.
+    """Return a mask (N,) of the surface points within ``limit``.
 
-    Their distance is the way to a node close by that sees them, and the sight line from there.
+    The distance of a point is the path to a nearby node that sees it, plus the line of sight.
+
+    position, normal: (N, 3) points and outward normals, in voxels.
     """
     out = np.zeros(len(position), dtype=np.bool_)
     for n in range(len(position)):
         x, y, z = position[n, 0], position[n, 1], position[n, 2]
-        # the middle of the search lies a step before the surface
+        # the search is centred one step in front of the surface
         a = int(np.floor((x + STRIDE * normal[n, 0] - low[0]) / STRIDE))
         b = int(np.floor((y + STRIDE * normal[n, 1] - low[1]) / STRIDE))
         c = int(np.floor((z + STRIDE * normal[n, 2] - low[2]) / STRIDE))

@@ -1,4 +1,4 @@
-"""The mapper's surface as tasks use it: thinned, its uncertainty ranked, and gathered in cells for what need not be exact."""
+"""Surface elements for planning: thinned, with scaled uncertainty, grouped in cells."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import GridSpec, SurfaceElements
 
-CELL = 3.0  # voxels: elements in one cube of this, facing the same main direction, are a cell
-BARE_SIGMA = 2.0  # of surface that no kept picture shows
-RANKED_AT = 90  # percentile of the uncertainty that counts as 1
-_FAR = 1 << 17  # voxels from the map's corner: what is farther is no task of this map, and its cube's number would not fit
+CELL = 3.0  # voxels; elements in one cube of this edge with the same main normal direction form a cell
+BARE_SIGMA = 2.0  # uncertainty of surface that no keyframe shows
+RANKED_AT = 90  # percentile of the uncertainty that is scaled to 1
+_FAR = 1 << 17  # voxels from the map's corner; elements farther away are ignored, and the number of their cube would overflow
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Elements:
-    """Thinned elements in voxel units, those of a cell in a row.
+    """Thinned elements in voxel units, sorted by cell.
 
-    position (N, 3), outward unit normal (N, 3), sigma (N,) in 0..1, voxel (N,) flat index or -1 outside the grid.
-    cells: (C, 3) int64, one row for each cell: its first element, one past its last, and the one nearest to their mean.
-    modelled: (M, 3) the voxels of all elements before thinning, in the grid or not.
+    position: (N, 3).
+    normal: (N, 3) outward unit normals.
+    sigma: (N,) uncertainty in 0..1.
+    voxel: (N,) flat index, or -1 outside the grid.
+    cells: (C, 3) int64, one row per cell: its first element, one past its last, and the one nearest to their mean.
+    modelled: (M, 3) voxels of all elements before thinning, inside or outside the grid.
     """
 
     position: FloatArray
@@ -35,9 +38,10 @@ class Elements:
 
     @staticmethod
     def of(surface: SurfaceElements, grid: GridSpec, every: int) -> Elements:
-        """Every N_down-th element; uncertainty divided by its 90th percentile, clipped to 1.
+        """Make elements of every N_down-th element; uncertainty is divided by its 90th percentile.
 
-        The scale of the uncertainty is the mapper's own and drifts as it learns: only its ranking within this map is used.
+        The result is clipped to 1. The scale of the uncertainty is specific to the mapper and drifts during training, so
+        only its ranking within this map is used.
         """
         shape = np.array(grid.shape, dtype=np.int64)
         everywhere = (surface.position_world - grid.origin_world_m) / grid.resolution_m
@@ -45,7 +49,7 @@ class Elements:
         normal = np.asarray(surface.normal_world[::every], dtype=np.float64)
         sigma = np.asarray(surface.uncertainty[::every], dtype=np.float64)
         extent = np.abs(position[:, 0]) + np.abs(position[:, 1]) + np.abs(position[:, 2])
-        # a comparison with what is not a number is false
+        # a comparison with NaN is false
         usable = (extent < _FAR) & np.isfinite(normal[:, 0] + normal[:, 1] + normal[:, 2] + sigma)
         if not usable.all():
             position, normal, sigma = position[usable], normal[usable], sigma[usable]
@@ -65,7 +69,10 @@ class Elements:
         )
 
     def with_bare(self, position: FloatArray, normal: FloatArray, grid: GridSpec) -> Elements:
-        """And surface that the model does not hold: centres (N, 3) and normals (N, 3), voxels. Nothing is less certain."""
+        """Add surface that the model does not contain, with the largest uncertainty.
+
+        position, normal: (N, 3) centres and normals, in voxels.
+        """
         if not len(position):
             return self
         order, cells = _gathered(position, normal)
@@ -81,15 +88,15 @@ class Elements:
 
 
 class KeptElements:
-    """The elements of the last surface asked for: it is sorted once."""
+    """Caches the elements of the last surface, so that it is sorted once."""
 
     def __init__(self, every: int) -> None:
-        """every: N_down."""
+        """Create an empty cache. every: N_down."""
         self._every = every
         self._kept: tuple[SurfaceElements, tuple[object, ...], Elements] | None = None
 
     def of(self, surface: SurfaceElements, grid: GridSpec) -> Elements:
-        """Thinned and in cells, in voxels of a grid."""
+        """Return the thinned elements in cells, in voxels of a grid."""
         frame = (grid.shape, grid.resolution_m, *grid.origin_world_m.tolist())
         if self._kept is None or self._kept[0] is not surface or self._kept[1] != frame:
             self._kept = surface, frame, Elements.of(surface, grid, self._every)
@@ -97,14 +104,14 @@ class KeptElements:
 
 
 def within(elements: Elements, centre: FloatArray, radius: float) -> IntArray:
-    """The cells (C, 3) whose middle lies within a radius of a point, voxels."""
+    """Return the cells (C, 3) with a middle element within a radius of a point, in voxels."""
     away = elements.position[elements.cells[:, 2]] - centre
     inside: IntArray = elements.cells[(away**2).sum(axis=1) <= radius**2]
     return inside
 
 
 def squarest(voxel: IntArray, cosine: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Each voxel (>= 0) once, and the largest cosine of its elements."""
+    """Return each voxel (>= 0) once, with the largest cosine of its elements."""
     order = np.lexsort((-cosine, voxel))
     order = order[voxel[order] >= 0]
     once = order[np.flatnonzero(np.diff(voxel[order], prepend=-1))]
@@ -112,7 +119,7 @@ def squarest(voxel: IntArray, cosine: FloatArray) -> tuple[IntArray, FloatArray]
 
 
 def _gathered(position: FloatArray, normal: FloatArray) -> tuple[IntArray, IntArray]:
-    """Order (N,) of the elements by cell, and the cells (C, 3) in that order."""
+    """Return the order (N,) of the elements by cell, and the cells (C, 3) in that order."""
     if not len(position):
         return np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int64)
     axis = np.argmax(np.abs(normal), axis=1)
@@ -143,7 +150,10 @@ def _cells(position: FloatArray, borders: IntArray) -> IntArray:
 
 @kernel
 def _floors(position: FloatArray) -> IntArray:
-    """Voxels (N, 3) of positions (N, 3); what is no number or very far is put beside every grid."""
+    """Return the voxels (N, 3) of positions (N, 3).
+
+    A coordinate that is NaN or very far becomes -_FAR, which is outside every grid.
+    """
     out = np.full(position.shape, -_FAR, dtype=np.int64)
     for n in range(len(position)):
         for axis in range(3):
@@ -164,9 +174,11 @@ def _voxel_of(position: FloatArray, shape: IntArray) -> IntArray:
 
 @kernel
 def weigh(cells: IntArray, sigma: FloatArray, voxel: IntArray, looks: Float32Array, discount: float) -> FloatArray:
-    """Weights (N,) of the elements of some cells: sigma, times ``discount`` for each square look at their voxel; else 0.
+    """Return weights (N,) of the elements of some cells; 0 for other elements.
 
-    looks: (voxels,) flat, the sum of the cosines under which a voxel's surface was looked at.
+    A weight is sigma times ``discount`` to the power of the sum of cosines of earlier views.
+
+    looks: (voxels,) flat, the sum of the cosines under which the surface of a voxel was seen.
     """
     out = np.zeros(len(sigma))
     for c in range(len(cells)):

@@ -1,7 +1,7 @@
-"""Reconstruction tasks: views of the uncertain surface near the vehicle (paper, Algorithm 1).
+"""Reconstruction tasks: views of uncertain surface near the vehicle (paper, Algorithm 1).
 
-What the released code left out stands here: visibility by ray casting, |n.v| in the gain, the whole shell, and "near" by the
-way through free space, so that a radius does not reach through walls.
+Added to the released code: visibility by ray casting, |n.v| in the gain, the whole shell, and nearness by paths through
+free space, so that a radius does not extend through walls.
 """
 
 from __future__ import annotations
@@ -23,16 +23,19 @@ from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
-LOOK_DISCOUNT = 0.35  # of an element's uncertainty, for each task that has looked squarely at it: so that tasks run out
-WORTH_SHARE = 1.0  # of min_visible: a view that gains less than so many most uncertain elements is noise
-HOPEFUL_VIEWS = 12  # of all candidates for a task: those counted by element ...
-FULL_VIEWS = 3  # ... and of these: those counted in full
-_TIGHT_RADII_M = (0.5, 0.65)  # tight rooms
-_NEGLIGIBLE = 1e-6  # an element of less weight is no seed of a cluster
+LOOK_DISCOUNT = 0.35  # factor on an element's uncertainty for each task that saw it at a right angle, so that tasks end
+WORTH_SHARE = 1.0  # min. gain of a view as a share of min_visible; one most uncertain element has gain 1
+HOPEFUL_VIEWS = 12  # candidates per task evaluated by element ...
+FULL_VIEWS = 3  # ... and of these, the number evaluated in full
+_TIGHT_RADII_M = (0.5, 0.65)  # for tight rooms
+_NEGLIGIBLE = 1e-6  # elements with less weight do not seed a cluster
 
 
 class SurfaceViews:
-    """Finds views of uncertain surface for one vehicle and camera; keeps the last surface sorted, and nothing else."""
+    """Finds views of uncertain surface for one vehicle and camera. Its only state is a cache.
+
+    The cache holds the last surface, sorted by cell.
+    """
 
     def __init__(self, config: PlannerConfig, camera: CameraGeometry) -> None:
         self._config = config
@@ -44,10 +47,10 @@ class SurfaceViews:
     def propose(
         self, situation: PlanningContext, surface: SurfaceElements | None, looks: Float32Array, factor: float
     ) -> list[CandidateView]:
-        """Return at most N_rec tasks; ``factor`` multiplies R_loc, R_clu and N_rec (alpha once no frontier is left).
+        """Return at most N_rec tasks. Each gain is what the task adds to the ones before it.
 
-        looks: (nx, ny, nz), sum of the cosines under which tasks have looked at the surface in a voxel. Gains are what a task
-        adds to the ones before it.
+        looks: (nx, ny, nz) sum of the cosines under which tasks have seen the surface in a voxel.
+        factor: multiplies R_loc, R_clu and N_rec (alpha once no frontier is left).
         """
         if surface is None or not len(surface.position_world):
             return []
@@ -57,7 +60,7 @@ class SurfaceViews:
         limit = config.local_radius_m * factor / resolution_m
         radius = config.cluster_radius_m / resolution_m
         lens = self._camera.lens(resolution_m, min(self._camera.surface_range_m, self._camera.range_m))
-        # a view stands at most d_f from its cluster, and sees as far as the camera does
+        # a view is at most d_f from its cluster, and sees up to the range of the camera
         elements = _and_bare(elements, situation, start, limit + radius)
         around = within(elements, start + 0.5, limit + config.shell_max_m / resolution_m + lens[RANGE])
         weight = weigh(around, elements.sigma, elements.voxel, looks.ravel(), LOOK_DISCOUNT)
@@ -71,7 +74,7 @@ class SurfaceViews:
             found = self._propose_one(situation, elements, around, weight, elements.position[aim], lens)
             if found is not None:
                 proposals.append(found)
-            # where a cluster cannot be seen, what lies beyond R_clu may well be
+            # if a cluster cannot be seen, surface beyond R_clu may still be visible
             left = beyond(elements.position, left, seed, radius if found is None else radius * factor)
         return proposals
 
@@ -84,7 +87,10 @@ class SurfaceViews:
         centre: FloatArray,
         lens: FloatArray,
     ) -> CandidateView | None:
-        """The best view of one cluster; what it will show is worth less afterwards (``weight`` is changed)."""
+        """Return the best view of one cluster, or None.
+
+        ``weight`` is changed: the surface that the view shows has less weight afterwards.
+        """
         state, min_visible = situation.voxels.state, self._config.min_visible
         surface = (elements.position, elements.normal, weight, cells)
         places = np.floor(centre + self._offsets_m / situation.voxels.grid.resolution_m) + 0.5
@@ -103,7 +109,10 @@ class SurfaceViews:
 
 
 def _and_bare(elements: Elements, situation: PlanningContext, start: IntArray, reach: float) -> Elements:
-    """And what the map alone knows, at most ``reach`` voxels along each axis from ``start`` (3,)."""
+    """Add the surface that is only in the map.
+
+    Only voxels within ``reach`` voxels of ``start`` (3,) along each axis are searched.
+    """
     voxels = situation.voxels
     low = np.maximum(start - math.ceil(reach), 0)
     high = np.minimum(start + math.ceil(reach) + 1, np.array(voxels.grid.shape, dtype=np.int64))
@@ -112,7 +121,7 @@ def _and_bare(elements: Elements, situation: PlanningContext, start: IntArray, r
 
 
 def local(elements: Elements, cells: IntArray, situation: PlanningContext, start: IntArray, limit: float) -> IntArray:
-    """Of some cells (C, 3), those that the vehicle is at most ``limit`` voxels away from, through free space."""
+    """Return those of some cells (C, 3) within ``limit`` voxels of path through free space."""
     state = situation.voxels.state
     reach, low = wave(state, start, limit)
     middle = cells[:, 2]
@@ -122,7 +131,7 @@ def local(elements: Elements, cells: IntArray, situation: PlanningContext, start
 
 @kernel
 def weighty(cells: IntArray, weight: FloatArray) -> IntArray:
-    """Those elements (M,) of some cells (C, 3) whose weight can make a cluster."""
+    """Return the elements (M,) of some cells (C, 3) with enough weight for a cluster."""
     out = np.empty(len(weight), dtype=np.int64)
     count = 0
     for c in range(len(cells)):
@@ -135,9 +144,9 @@ def weighty(cells: IntArray, weight: FloatArray) -> IntArray:
 
 @kernel
 def cluster(position: FloatArray, weight: FloatArray, left: IntArray, radius: float) -> tuple[int, int]:
-    """The most uncertain of the elements ``left`` (M,), and the one to aim at for it.
+    """Return the most uncertain of the elements ``left`` (M,), and the element to aim at.
 
-    That is the element nearest to the weighted mean of those within ``radius`` voxels of the first.
+    The element to aim at is the nearest to the weighted mean of those within ``radius`` voxels of the most uncertain one.
     """
     seed = left[0]
     for n in left:
@@ -163,7 +172,7 @@ def cluster(position: FloatArray, weight: FloatArray, left: IntArray, radius: fl
 
 @kernel
 def beyond(position: FloatArray, left: IntArray, seed: int, radius: float) -> IntArray:
-    """Those of ``left`` that are farther than ``radius`` voxels from an element."""
+    """Return those of ``left`` that are farther than ``radius`` voxels from an element."""
     out = np.empty(len(left), dtype=np.int64)
     count = 0
     for n in left:

@@ -1,7 +1,8 @@
-"""Surface that the map knows and the model does not: no kept picture shows it, or none well enough (not in the paper).
+"""Surface that is in the map but not in the model (not in the paper).
 
-Occupied space beside free space is surface, whoever saw it: the map takes every frame, the model only the views in its
-budget. A stretch that no element of the model lies near is neither a frontier nor uncertain, so nobody would look at it.
+No keyframe shows it, or none well enough. Occupied space beside free space is surface. The map uses every frame, the model
+only the views in its budget. A region without a model element nearby is neither a frontier nor uncertain, so without this
+module it would get no task.
 """
 
 from __future__ import annotations
@@ -14,12 +15,15 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED
 
-BESIDE = 1  # voxels each way: an element so near is this surface's
+BESIDE = 1  # voxels in each direction; an element this near belongs to the surface
 
 
 @kernel
 def _any(held: BoolArray, i: int, j: int, k: int) -> bool:
-    """Whether a voxel or one BESIDE it is held; (i, j, k) is the first corner of that cube."""
+    """Return True if a voxel or one of its neighbours within BESIDE is held.
+
+    (i, j, k) is the first corner of that cube.
+    """
     for a in range(i, i + 2 * BESIDE + 1):
         for b in range(j, j + 2 * BESIDE + 1):
             for c in range(k, k + 2 * BESIDE + 1):
@@ -30,13 +34,16 @@ def _any(held: BoolArray, i: int, j: int, k: int) -> bool:
 
 @kernel
 def unmodelled_surface(state: ByteArray, low: IntArray, high: IntArray, modelled: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Centres (N, 3) and outward unit normals (N, 3) of bare surface in voxels [low, high) of the map, in voxel units.
+    """Return centres (N, 3) and outward unit normals (N, 3) of unmodelled surface.
 
-    state: (nx, ny, nz) uint8. modelled: (M, 3) voxels that hold an element of the model, in the map or not.
-    The normal is the mean direction to the free ones of the 26 voxels around.
+    Units are voxels. Only voxels in [low, high) of the map are searched. The normal is the mean direction to the free ones
+    of the 26 surrounding voxels.
+
+    state: (nx, ny, nz) uint8.
+    modelled: (M, 3) voxels with an element of the model, inside or outside the map.
     """
     nx, ny, nz = state.shape
-    # with a border: what lies beside the box counts too
+    # with a border, because elements beside the box count too
     first = (low[0] - BESIDE, low[1] - BESIDE, low[2] - BESIDE)
     held = np.zeros((high[0] - first[0] + BESIDE, high[1] - first[1] + BESIDE, high[2] - first[2] + BESIDE), dtype=np.bool_)
     for m in range(len(modelled)):
@@ -62,7 +69,7 @@ def unmodelled_surface(state: ByteArray, low: IntArray, high: IntArray, modelled
                 if not beside or _any(held, i - low[0], j - low[1], k - low[2]):
                     continue
                 length = math.sqrt(x * x + y * y + z * z)
-                if length < 1.0:  # free on both sides: thinner than a voxel, and no side of it is the outer one
+                if length < 1.0:  # free on both sides: thinner than a voxel, so no side is the outer one
                     continue
                 position[count, 0], position[count, 1], position[count, 2] = i + 0.5, j + 0.5, k + 0.5
                 normal[count, 0], normal[count, 1], normal[count, 2] = x / length, y / length, z / length

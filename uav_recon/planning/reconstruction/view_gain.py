@@ -1,7 +1,7 @@
-"""What a view is worth: the sum of |n.v| sigma over the surface that it sees (paper, Algorithm 1), and the best of many views.
+"""View gain: the sum of |n.v| sigma over the visible surface, and the best-view search.
 
-All candidates are sorted by patches, which stand for the elements of a cell; the best few of them by the elements themselves,
-with one sight line to each cell; and the best of those are counted in full. Positions are in voxel units.
+Paper, Algorithm 1. All candidates are ranked by patches, which represent the elements of a cell. The best few are ranked by
+the elements, with one line of sight per cell. The best of those are evaluated in full. Positions are in voxel units.
 """
 
 from __future__ import annotations
@@ -15,14 +15,17 @@ from uav_recon.geometry.traversal import is_visible
 from uav_recon.planning.camera_frustum import RANGE, TAN_H, TAN_V, Sight, aim, in_view, sight
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
-TAIL = 1.5  # voxels before an element that may be occupied or unknown: the element's own wall
-PATCH_SHARE = 0.95  # of the weight in reach: the many cells that make up the rest are not asked
-_CELL_WIDTH = 5.2  # voxels: the diagonal of a cell, so that no element is farther from its middle one
+TAIL = 1.5  # voxels in front of an element that may be occupied or unknown, because they belong to the element's own wall
+PATCH_SHARE = 0.95  # share of the weight in reach; the many cells of the rest are ignored
+_CELL_WIDTH = 5.2  # voxels; the diagonal of a cell, the max. distance of an element from its middle element
 
 
 @kernel
 def _facing(line: Sight, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
-    """n.v: cosine of the angle between an outward normal and the direction to the eye; an element seen from behind is < 0."""
+    """Return n.v, the cosine between an outward normal and the direction to the eye.
+
+    It is negative for an element seen from behind.
+    """
     dx, dy, dz = line[0] - x, line[1] - y, line[2] - z
     return (nx * dx + ny * dy + nz * dz) / math.sqrt(dx * dx + dy * dy + dz * dz)
 
@@ -36,9 +39,10 @@ def patches_near(
     weight: FloatArray,
     cells: IntArray,
 ) -> FloatArray:
-    """One row for each cell that lies within ``radius``, heaviest first, until they hold PATCH_SHARE of the weight there.
+    """Return one row per cell within ``radius``, heaviest first.
 
-    (M, 7): position and normal of the cell's middle element, and the weight of all its elements.
+    Rows are added until they have PATCH_SHARE of the weight. (M, 7): position and normal of the cell's middle element, and
+    the weight of all its elements.
     """
     rows = np.empty((len(cells), 7))
     count = 0
@@ -72,10 +76,10 @@ def promising(
     patches: FloatArray,
     wanted: int,
 ) -> IntArray:
-    """The (at most) ``wanted`` best of the reachable places (P, 3), judged by patches (M, 7), best first.
+    """Return the (at most) ``wanted`` best of the reachable positions (P, 3), best first.
 
-    First without asking whether anything is hidden, which no view can beat; then with sight lines, from the best of these on,
-    until the rest cannot come among the wanted any more.
+    Positions are ranked by patches (M, 7): first without occlusion, which gives an upper bound, then with lines of sight in
+    the order of that bound, until the rest cannot be among the best.
     """
     bound = np.zeros(len(places))
     yaw, pitch = np.zeros(len(places)), np.zeros(len(places))
@@ -138,13 +142,14 @@ def seen(
     in_full: bool,
     cosine: FloatArray,
 ) -> tuple[float, int]:
-    """Sum of (n.v) weight over visible elements, and their number. ``cosine`` (N,) takes n.v of each, 0 = not seen.
+    """Return the sum of (n.v) weight over the visible elements, and their number.
 
-    ``in_full``: a sight line to every element; else one to the middle of each cell.
+    cosine: (N,) output, n.v of each element, 0 = not seen.
+    in_full: one line of sight per element; otherwise one to the middle element of each cell.
     """
     ex, ey, ez, cy, sy, cp, sp = line
     reach2 = (lens[RANGE] + _CELL_WIDTH) ** 2
-    # how far from a side plane of the frustum a cell's middle may lie while its rim is still inside
+    # max. distance of a cell's middle element from a side plane of the frustum while its rim is still inside
     beside = _CELL_WIDTH * math.sqrt(1.0 + lens[TAN_H] ** 2)
     above = _CELL_WIDTH * math.sqrt(1.0 + lens[TAN_V] ** 2)
     total, count = 0.0, 0
@@ -190,9 +195,12 @@ def best_view(
     full: int,
     cosine: FloatArray,
 ) -> tuple[int, float, float, float]:
-    """The place (of P, 3) whose view of the centre gains most: index (-1: none), yaw, pitch and gain, counted in full.
+    """Return index, yaw, pitch and gain of the position (of P, 3) whose view gains most.
 
-    Only the ``full`` most promising are counted so. ``cosine`` (N,) takes n.v of what is seen from the best, 0 = not seen.
+    All views look at ``centre``. The index is -1 if there is none. Only the ``full`` most promising positions are evaluated
+    in full.
+
+    cosine: (N,) output, n.v of the elements seen in the best view, 0 = not seen.
     """
     hoped = np.zeros(len(places))
     for p in range(len(places)):

@@ -1,1 +1,1 @@
-"""Which tasks are flown to, and in which order."""
+"""Selection and order of the tasks to fly."""

@@ -1,7 +1,8 @@
-"""Open asymmetric travelling salesman: in which order to visit the tasks (paper, section III-C).
+"""Open asymmetric travelling salesman problem: the order of the tasks.
 
-A tour starts at node 0 (the vehicle), visits nodes 1..N once each and ends anywhere. Exact for N <= EXACT_LIMIT (Held and
-Karp, 1962); beyond that a local search that is bounded by a count, never by a clock: the same costs give the same tour.
+Paper, section III-C. A tour starts at node 0 (the vehicle), visits nodes 1..N once each and ends anywhere. The solution is
+exact for N <= EXACT_LIMIT (Held and Karp, 1962). Beyond that it is a local search limited by a count and not by a clock, so
+the same costs give the same tour.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ SEED = 20240410
 
 
 def best_tour(costs: FloatArray) -> IntArray:
-    """Order of the nodes 1..N (N,) int64 for costs (N+1, N+1), costs[i, j] = from i to j; column 0 is not read."""
+    """Return the order (N,) int64 of the nodes 1..N for costs (N+1, N+1).
+
+    costs[i, j] is the cost from i to j; column 0 is not read.
+    """
     costs = np.ascontiguousarray(costs, dtype=np.float64)
     count = len(costs) - 1
     if count <= EXACT_LIMIT:
@@ -27,13 +31,16 @@ def best_tour(costs: FloatArray) -> IntArray:
 
 
 def rounds_for(count: int) -> int:
-    """Kicks that bring a tour of ``count`` tasks to within 0.2 % of the best one on average: 48 for 20, 239 for 50."""
+    """Return the number of kicks for ``count`` tasks: 48 for 20 tasks, 239 for 50.
+
+    With it a tour is, on average, within 0.2 % of the best one.
+    """
     return 12 + count * count // 11
 
 
 @kernel
 def tour_cost(costs: FloatArray, order: IntArray) -> float:
-    """Sum of the costs from node 0 along ``order``."""
+    """Return the sum of the costs from node 0 along ``order``."""
     total = 0.0
     at = 0
     for n in range(len(order)):
@@ -44,13 +51,13 @@ def tour_cost(costs: FloatArray, order: IntArray) -> float:
 
 @kernel
 def exact_tour(costs: FloatArray) -> IntArray:
-    """Return the cheapest order; time and memory double with each node."""
+    """Return the cheapest order. Time and memory double with each node."""
     count = costs.shape[0] - 1
     order = np.zeros(count, dtype=np.int64)
     if count == 0:
         return order
     size = 1 << count
-    best = np.full((size, count), np.inf)  # best[visited, last]; stays infinite for a last one that is not in visited
+    best = np.full((size, count), np.inf)  # best[visited, last]; infinite if last is not in visited
     into = costs[1:, 1:].T.copy()  # into[b, a]: from a to b
     for last in range(count):
         best[1 << last, last] = costs[0, last + 1]

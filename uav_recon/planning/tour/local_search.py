@@ -1,10 +1,12 @@
-"""Iterated local search for open asymmetric tours: a fixed number of kicks from a fixed seed, so the same answer everywhere.
+"""Iterated local search for open asymmetric tours, with a fixed seed and kick count.
 
-Moves: exchange of two stretches (or-3opt, which turns nothing round; Kanellakis and Papadimitriou, 1980) and 2-opt with the
-true cost of the stretch that it turns round; neighbour lists and don't-look bits after Bentley (1992). Kicks: double bridges
-(Martin, Otto and Felten, 1991) of short stretches, so that a tour is spoilt in one place only.
+Thus the result is the same on every machine.
 
-A tour in here is a circle (n+1,): order[0] = order[n] = node 0, and going back to node 0 costs nothing.
+Moves: or-3opt, the exchange of two stretches without reversal (Kanellakis and Papadimitriou, 1980), and 2-opt with the true
+cost of the reversed stretch; neighbour lists and don't-look bits after Bentley (1992). Kicks: double bridges (Martin, Otto
+and Felten, 1991) of short stretches, so that a tour is disturbed in one region only.
+
+A tour in this module is a circle (n+1,): order[0] = order[n] = node 0, and the return to node 0 costs nothing.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 
-NodeArray = NDArray[np.uint32]  # unsigned: such an index needs no test for being negative; + 0 makes it int64
+NodeArray = NDArray[np.uint32]  # unsigned: avoids the test for a negative index; + 0 converts to int64
 NEIGHBOURS = 10
 KICK_REACH = 8  # longest stretch that a kick moves
 MIN_GAIN = 1e-9
@@ -23,7 +25,7 @@ MIN_GAIN = 1e-9
 
 @kernel
 def _nearest(costs: FloatArray, count: int) -> NodeArray:
-    """For each node the ``count`` others that are cheapest to go on to, cheapest first."""
+    """Return, for each node, the ``count`` cheapest successors, cheapest first."""
     n = len(costs)
     near = np.empty((n, count), dtype=np.uint32)
     for a in range(n):
@@ -43,7 +45,7 @@ def _nearest(costs: FloatArray, count: int) -> NodeArray:
 
 @kernel
 def _nearest_first(costs: FloatArray) -> NodeArray:
-    """Greedy tour (n+1,) from 0 back to 0."""
+    """Return the greedy tour (n+1,) from 0 back to 0."""
     n = len(costs)
     order = np.zeros(n + 1, dtype=np.uint32)
     used = np.zeros(n, dtype=np.bool_)
@@ -61,7 +63,7 @@ def _nearest_first(costs: FloatArray) -> NodeArray:
 
 @kernel
 def _exchange(order: NodeArray, spare: NodeArray, first: int, middle: int, last: int) -> None:
-    """Let the stretches [first, middle) and [middle, last) change places."""
+    """Exchange the stretches [first, middle) and [middle, last)."""
     m = 0
     for k in range(middle, last):
         spare[m] = order[k]
@@ -75,7 +77,12 @@ def _exchange(order: NodeArray, spare: NodeArray, first: int, middle: int, last:
 
 @kernel
 def _note(costs: FloatArray, order: NodeArray, place: NodeArray, ahead: FloatArray, back: FloatArray, first: int) -> None:
-    """Bring up to date from place ``first`` > 0 on: each node's place, and the tour's cost up to it, ahead and turned round."""
+    """Update node positions and cumulative costs from position ``first`` > 0 on.
+
+    place: position of each node in the tour.
+    ahead: cost of the tour up to each position.
+    back: the same in the reverse direction.
+    """
     before = order[first - 1]
     for m in range(first, len(order) - 1):
         node = order[m]
@@ -83,7 +90,7 @@ def _note(costs: FloatArray, order: NodeArray, place: NodeArray, ahead: FloatArr
         ahead[m] = ahead[m - 1] + costs[before, node]
         back[m] = back[m - 1] + costs[node, before]
         before = node
-    ahead[len(order) - 1] = ahead[len(order) - 2]  # the way back is free
+    ahead[len(order) - 1] = ahead[len(order) - 2]  # the return is free
 
 
 @kernel
@@ -96,9 +103,9 @@ def _better_exchange(
     near_before: NodeArray,
     node: int,
 ) -> tuple[int, int, int]:
-    """Cut after ``node`` and after two more places so that the exchange gains; sorted cuts, or (-1, -1, -1).
+    """Find an exchange with a gain: a cut after ``node`` and two more cuts.
 
-    Each cut's tail goes on to the head of the next cut in the circle.
+    Returns the sorted cuts, or (-1, -1, -1). Each cut's tail is joined to the head of the next cut in the circle.
     """
     n = len(order) - 1
     p = place[node] + 0
@@ -138,7 +145,10 @@ def _better_turn(
     near_before: NodeArray,
     node: int,
 ) -> tuple[int, int]:
-    """A stretch [first, last] that begins after, or ends before, ``node`` and gains by being turned round; or (-1, -1)."""
+    """Find a stretch [first, last] beside ``node`` whose reversal has a gain.
+
+    Returns (-1, -1) if there is none. The stretch begins after the node or ends before it.
+    """
     p = place[node] + 0
     first = p + 1
     leaving = ahead[first] - ahead[p]
@@ -183,7 +193,7 @@ def _settle(
     size: int,
     spare: NodeArray,
 ) -> None:
-    """Improve around the queued nodes until none of them gains any more."""
+    """Improve around the queued nodes until none of them has a move with a gain."""
     while size > 0:
         size -= 1
         node = queue[size]
@@ -211,10 +221,13 @@ def _settle(
 
 @kernel
 def search_tour(given: FloatArray, rounds: int, seed: int) -> IntArray:
-    """Return a good order of 1..N for N >= 4, the better the more rounds; the same for the same arguments."""
+    """Return a good order of 1..N for N >= 4, better with more rounds.
+
+    The result is the same for the same arguments.
+    """
     n = len(given)
     costs = given.copy()
-    costs[:, 0] = 0.0  # the tour is open: going back costs nothing
+    costs[:, 0] = 0.0  # the tour is open: the return costs nothing
     near, near_before = _nearest(costs, min(NEIGHBOURS, n - 1)), _nearest(costs.T.copy(), min(NEIGHBOURS, n - 1))
     order = _nearest_first(costs)
     place, queue, spare = np.zeros(n, dtype=np.uint32), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint32)
@@ -229,7 +242,7 @@ def search_tour(given: FloatArray, rounds: int, seed: int) -> IntArray:
     state = seed
     reach = min(KICK_REACH, (n - 1) // 3)
     for _ in range(rounds):
-        # double bridge of four neighbouring cuts: three short stretches in the opposite order, none of them turned round
+        # double bridge of four neighbouring cuts: three short stretches in the opposite order, none of them reversed
         state = state * 6364136223846793005 + 1442695040888963407  # Knuth's MMIX generator; its low bits are the weak ones
         draw = (state >> 20) & 0x7FFFFFFFFFF
         length1, draw = 1 + draw % reach, draw // reach
@@ -255,5 +268,5 @@ def search_tour(given: FloatArray, rounds: int, seed: int) -> IntArray:
 
 
 def warm_up() -> None:
-    """Compile."""
+    """Compile the kernels."""
     search_tour(np.arange(289.0).reshape(17, 17), 3, 1)

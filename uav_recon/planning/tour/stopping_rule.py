@@ -1,9 +1,9 @@
-"""When to stop looking: a stretch of surface tasks must gain enough for the flight that it takes (no counterpart in the paper).
+"""Stopping rule: drops surface tasks that gain too little for their flight time.
 
-The rule is the marginal value theorem's (Charnov, 1976): go on as long as a second of flight gains more than a fixed share of
-what a second gained in the best tour of this flight so far. Both sides are in the same unit, whatever that is, so the rule
-holds for any scale of the uncertainty and any size of room; and since surface that was looked at counts for less, it ends.
-Exploration is not weighed: space that is not known may hold anything.
+It is not in the paper. The rule is the marginal value theorem (Charnov, 1976): continue while a second of flight gains more
+than a fixed share of the gain per second of the best tour of this flight. Both sides have the same unit, so the rule holds
+for any scale of the uncertainty and any room size. Viewed surface counts less and less, so the reconstruction ends.
+Exploration is not weighed, because unknown space may contain anything.
 """
 
 from __future__ import annotations
@@ -16,24 +16,30 @@ import numpy as np
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.tasks import Task, TaskKind
 
-NOT_WORTH = "not worth their flight"  # the reason, beside a count of surface tasks
-VIEW_S = 0.5  # at a view: braking, the picture, and off again
-SHORTEST_TOUR_S = 10.0  # a shorter one is reckoned as this long: one good view next to the vehicle sets no standard
+NOT_WORTH = "not worth their flight"  # the reason text after a count of surface tasks
+VIEW_S = 0.5  # time at a view: braking, image capture, acceleration
+SHORTEST_TOUR_S = 10.0  # min. duration of a tour in the rule: one good view next to the vehicle must not set the standard
 _NONE = (0, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptTour:
-    """order: (K,) nodes of the tour that is left, in its order; dropped: how many surface tasks were not worth their flight."""
+    """A tour after the stopping rule.
+
+    order: (K,) remaining nodes in tour order.
+    dropped: number of surface tasks not worth their flight.
+    """
 
     order: IntArray
     dropped: int
 
 
 class StoppingRule:
-    """Memory of one flight: the best that a tour has gained per second. keep() is to be called once for each plan.
+    """Drops stretches of surface tasks that are not worth their flight time.
 
-    share: of that best, which a stretch of surface tasks must gain per second.
+    It holds the state of one flight: the best gain per second of all tours. keep() must be called once per plan.
+
+    share: min. gain per second of a stretch of surface tasks, as a share of that best value.
     """
 
     def __init__(self, share: float) -> None:
@@ -41,10 +47,10 @@ class StoppingRule:
         self._best_per_s = 0.0
 
     def keep(self, tasks: Sequence[Task], costs_s: FloatArray, order: IntArray) -> KeptTour:
-        """Leave out of a tour the stretches of surface tasks that are not worth the seconds that they add to it.
+        """Remove the stretches of surface tasks that are not worth the seconds they add to the tour.
 
-        costs_s: (N + 1, N + 1) seconds from node to node, node 0 the vehicle, node n the place of tasks[n - 1]. order: (N,)
-        nodes 1..N of an open tour.
+        costs_s: (N + 1, N + 1) seconds from node to node; node 0 is the vehicle, node n is tasks[n - 1].
+        order: (N,) nodes 1..N of an open tour.
         """
         nodes = [int(node) for node in order]
         gain = np.array([0.0, *(task.gain for task in tasks)])
@@ -58,7 +64,7 @@ class StoppingRule:
 
 
 def _per_second(nodes: list[int], gain: FloatArray, surface: BoolArray, costs_s: FloatArray) -> float:
-    """What the surface tasks of a tour gain in a second of the flight to them."""
+    """Return the gain of the surface tasks of a tour per second of the flight to them."""
     legs_s = sum(costs_s[a, b] + VIEW_S for a, b in zip([0, *nodes], nodes, strict=False) if surface[b])
     return float(sum(gain[node] for node in nodes if surface[node]) / max(legs_s, SHORTEST_TOUR_S))
 
@@ -66,7 +72,10 @@ def _per_second(nodes: list[int], gain: FloatArray, surface: BoolArray, costs_s:
 def _worst_stretch(
     nodes: list[int], gain: FloatArray, surface: BoolArray, costs_s: FloatArray, min_per_s: float
 ) -> tuple[int, int]:
-    """First and one past last index of the consecutive surface tasks whose removal saves most; _NONE if none does."""
+    """Return the stretch of consecutive surface tasks whose removal saves most, or _NONE.
+
+    A stretch is its first index and one past its last index.
+    """
     worst, least = _NONE, -1e-9
     for first in range(len(nodes)):
         before = nodes[first - 1] if first else 0

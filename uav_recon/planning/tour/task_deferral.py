@@ -1,7 +1,8 @@
-"""Which tasks can wait: a tour that takes every near trifle first reaches the next room late (no counterpart in the paper).
+"""Deferral of small tasks, so that a tour reaches the next room early (not in the paper).
 
-A frontier gains the unknown voxels beyond it, surface the sum of |n.v| sigma over its elements: about one for each voxel of
-uncertain surface, so both are weighed alike. What waits is asked again by the next plan, and comes last.
+The gain of a frontier is the number of unknown voxels beyond it. The gain of surface is the sum of |n.v| sigma over its
+elements, about one per voxel of uncertain surface. So both are compared directly. A deferred task is evaluated again by the
+next plan, and comes last.
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ from uav_recon.planning.tour.stopping_rule import VIEW_S
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.tasks import Task
 
-NOW_SHARE = 0.2  # of the best task's gain per second: less can wait
+NOW_SHARE = 0.2  # tasks below this share of the best task's gain per second are deferred
 
 
 def not_deferred(tasks: Sequence[Task], costs_s: FloatArray) -> BoolArray:
-    """Tell which tasks (N,) are not to wait. costs_s: (N + 1, N + 1) seconds, node 0 the vehicle, node n tasks[n - 1]'s place.
+    """Return a mask (N,) of the tasks that are not deferred.
 
-    The best task gains most per second of the way to it; of a task beside that way only the detour counts.
+    The best task has the most gain per second of the path to it. For a task beside that path only the detour counts.
+
+    costs_s: (N + 1, N + 1) seconds; node 0 is the vehicle, node n is tasks[n - 1].
     """
     if not tasks:
         return np.zeros(0, dtype=np.bool_)

@@ -1,6 +1,6 @@
-"""Which tasks are flown to, and in which order: the paper's tour, and what its baselines do instead.
+"""Ordering and selection of the tasks to fly: the paper's tour, and those of its baselines.
 
-A choice has the memory of one flight (see Worth): make a new one for each planner.
+An ordering holds the state of one flight (see StoppingRule): make a new one for each planner.
 """
 
 from __future__ import annotations
@@ -16,32 +16,38 @@ from uav_recon.planning.tour.task_deferral import not_deferred
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.tasks import Task, TaskKind
 
-DETOUR_SHARE = 0.5  # of the seconds to the next frontier that may be spent on surface beside the way ...
-DETOUR_S = 3.0  # ... or so many, if that is more
+DETOUR_SHARE = 0.5  # share of the time to the next frontier that may be spent on surface beside the path ...
+DETOUR_S = 3.0  # ... or this time, if it is longer
 
 
 class TaskOrdering(Protocol):
-    """Orders the tasks of one plan; to be asked once a plan. Never blocks."""
+    """Orders the tasks of one plan. Call it once per plan. Never blocks."""
 
     def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
-        """Nodes to fly to, in order. costs_s: (N + 1, N + 1) seconds, node 0 the vehicle, node n the place of tasks[n - 1]."""
+        """Return the nodes to fly to, in order.
+
+        costs_s: (N + 1, N + 1) seconds; node 0 is the vehicle, node n is tasks[n - 1].
+        """
         ...
 
 
 class Tour:
-    """The paper's: the shortest open tour through all tasks, less what can wait and what is not worth its flight."""
+    """The paper's ordering: the shortest open tour.
+
+    Beyond the paper, it leaves out deferred tasks and tasks that are not worth their flight.
+    """
 
     def __init__(self, worth: StoppingRule) -> None:
         self._worth = worth
 
     def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
-        """See Choice."""
+        """See TaskOrdering."""
         now = not_deferred(tasks, costs_s)
         kept = self._of(now, tasks, costs_s)
         return kept if len(kept.order) or now.all() else self._of(~now, tasks, costs_s)
 
     def _of(self, which: BoolArray, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
-        """The tour of some tasks (N,)."""
+        """Return the tour of the tasks selected by a mask (N,)."""
         if which.all():
             return self._worth.keep(tasks, costs_s, best_tour(costs_s))
         nodes = np.flatnonzero(np.concatenate(([True], which)))
@@ -51,29 +57,29 @@ class Tour:
 
 
 class Greedy:
-    """EVPP's: the one view that gains most per second of flight; then plan anew."""
+    """EVPP's ordering: only the view with the most gain per second of flight; then plan again."""
 
     def __init__(self, worth: StoppingRule) -> None:
         self._worth = worth
 
     def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
-        """See Choice."""
+        """See TaskOrdering."""
         gain = np.array([task.gain for task in tasks])
         best = np.argmax(gain / (costs_s[0, 1:] + VIEW_S)) + 1 if len(tasks) else np.zeros(0)
         return self._worth.keep(tasks, costs_s, np.atleast_1d(best).astype(np.int64))
 
 
 class ByTheWay:
-    """VPP's: the nearest frontier is next, and uncertain surface is looked at on the way to it.
+    """VPP's ordering: the nearest frontier, with views of uncertain surface on the path to it.
 
-    Without a frontier, surface is looked at nearest first.
+    Without a frontier, surface is viewed nearest first.
     """
 
     def __init__(self, worth: StoppingRule) -> None:
         self._worth = worth
 
     def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
-        """See Choice."""
+        """See TaskOrdering."""
         frontiers = [n for n, task in enumerate(tasks, 1) if task.kind is TaskKind.EXPLORE]
         surface = [n for n, task in enumerate(tasks, 1) if task.kind is TaskKind.RECONSTRUCT]
         if not frontiers:
@@ -92,11 +98,14 @@ def _nearest_first(nodes: list[int], costs_s: FloatArray) -> list[int]:
 
 
 def _with_detours(goal: int, surface: list[int], tasks: Sequence[Task], costs_s: FloatArray) -> list[int]:
-    """The way to ``goal`` with views put in where they cost least: what gains most per second first, within the allowance."""
+    """Return the nodes up to ``goal``, with surface tasks inserted where they cost least.
+
+    Tasks with the most gain per second are inserted first, until the detour allowance is used.
+    """
     allowance_s = max(DETOUR_SHARE * costs_s[0, goal], DETOUR_S)
     way, left = [goal], list(surface)
     while left:
-        # (gain per second, which, where, seconds) of the cheapest place in the way for each task that still fits
+        # (gain per second, task, insertion index, seconds) of the cheapest insertion of each task that still fits
         fits = []
         for node in left:
             befores = [0, *way[:-1]]

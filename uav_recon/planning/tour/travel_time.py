@@ -1,4 +1,7 @@
-"""What a way costs in time: flying, turning, braking (paper, section III-C, with turning added)."""
+"""Travel time of a path: flying, turning, braking.
+
+Paper, section III-C, with turning added.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +16,33 @@ from uav_recon.planning.candidate_view import CandidateView
 from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.types.frames import FloatArray
 
-LEAVING_TURN_SHARE = 0.25  # of the time to turn from a view's heading into the direction of flight: the camera should lead
-BRAKING_MPS2 = 0.8  # changing the present velocity costs time too
-LEVEL = 0.1  # of a direction's length: less is straight up or down, and has no heading
+# share of the time to turn from a view's heading to the flight direction, because the camera should look ahead
+LEAVING_TURN_SHARE = 0.25
+BRAKING_MPS2 = 0.8  # changing the present velocity takes time too
+LEVEL = 0.1  # a direction with a smaller horizontal part is vertical and has no heading
 
 
 class TravelTimeModel(Protocol):
-    """What legs are reckoned to take, by the way in which motion flies them."""
+    """Predicts the travel time of paths, matching the yaw policy of motion planning."""
 
     def seconds(
         self, lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
     ) -> FloatArray:
-        """Seconds (N, N) from node to node, at rest in both. lengths_m: (N, N); departures: (N, N, 3) unit directions in which
-        the way from i to j leaves i; yaw_rad, pitch_down_rad: (N,) where the camera looks at each node.
+        """Return the seconds (N, N) from node to node, at rest in both.
+
+        lengths_m: (N, N) path lengths.
+        departures: (N, N, 3) unit directions in which the path from i to j leaves i.
+        yaw_rad, pitch_down_rad: (N,) viewing direction of the camera at each node.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class YawWhileFlying:
-    """The longer of flying and turning; leaving a view against its heading costs a share of that turn."""
+    """The longer of flight time and turning time.
+
+    A share of the turn from a view's heading to the flight direction is added.
+    """
 
     speed_mps: float
     rate_radps: float
@@ -40,17 +50,20 @@ class YawWhileFlying:
     def seconds(
         self, lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
     ) -> FloatArray:
-        """See Price."""
+        """See TravelTimeModel."""
         costs: FloatArray = yaw_while_flying(lengths_m, departures, yaw_rad, self.speed_mps, self.rate_radps)
         return costs
 
 
 @dataclass(frozen=True, slots=True)
 class YawThenFly:
-    """Turned so far that the camera sees the way, flown, and turned to the view; or slowly, and turned on the way, if that is
-    faster.
+    """Turn until the camera sees the path, fly, turn to the view; or fly slowly while turning.
 
-    off_rad: so far the nose may point beside the way; upright: tangent of half the camera's upright angle that is used.
+    The faster of the two is used.
+
+    blind_mps: speed outside the camera's view.
+    off_rad: max. angle between heading and path.
+    upright: tangent of the used part of half the vertical angle of view.
     """
 
     speed_mps: float
@@ -62,7 +75,7 @@ class YawThenFly:
     def seconds(
         self, lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
     ) -> FloatArray:
-        """See Price."""
+        """See TravelTimeModel."""
         costs: FloatArray = yaw_then_fly(
             lengths_m, departures, yaw_rad, pitch_down_rad, self.speed_mps, self.rate_radps, self.blind_mps, self.off_rad,
             self.upright,
@@ -73,10 +86,13 @@ class YawThenFly:
 def time_costs(
     ways: PathCache, proposals: list[CandidateView], yaw_rad: float, velocity_world_mps: FloatArray, price: TravelTimeModel
 ) -> FloatArray:
-    """Seconds (N+1, N+1) from node to node, asymmetric; leaving the vehicle's place costs the change of velocity too."""
+    """Return the seconds (N+1, N+1) from node to node, asymmetric.
+
+    Leaving the vehicle's position also costs the change of velocity.
+    """
     views = [proposal.task.viewpoint for proposal in proposals]
     yaws = np.array([yaw_rad, *(view.yaw_rad for view in views)], dtype=np.float64)
-    pitches = np.array([0.0, *(view.pitch_down_rad for view in views)], dtype=np.float64)  # none looks on its way to node 0
+    pitches = np.array([0.0, *(view.pitch_down_rad for view in views)], dtype=np.float64)  # no view is taken at node 0
     costs = price.seconds(ways.lengths_m, ways.departures, yaws, pitches)
     leave(costs, ways.departures, np.ascontiguousarray(velocity_world_mps, dtype=np.float64))
     return costs
@@ -84,7 +100,7 @@ def time_costs(
 
 @kernel
 def leave(costs: FloatArray, departures: FloatArray, velocity_world_mps: FloatArray) -> None:
-    """Add to the costs from node 0 (N, N) what it takes to change the velocity (3,) there."""
+    """Add the time to change the velocity (3,) to the costs (N, N) from node 0."""
     speed_now = math.sqrt((velocity_world_mps * velocity_world_mps).sum())
     for j in range(len(costs)):
         x, y, z = departures[0, j, 0], departures[0, j, 1], departures[0, j, 2]
@@ -96,7 +112,7 @@ def leave(costs: FloatArray, departures: FloatArray, velocity_world_mps: FloatAr
 def yaw_while_flying(
     lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, speed_mps: float, rate_radps: float
 ) -> FloatArray:
-    """YawWhileFlying."""
+    """Compute YawWhileFlying.seconds."""
     nodes = len(yaw_rad)
     costs = np.zeros((nodes, nodes))
     for i in range(nodes):
@@ -113,7 +129,10 @@ def yaw_then_fly(
     lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray, speed_mps: float,
     rate_radps: float, blind_mps: float, off_rad: float, upright: float,
 ) -> FloatArray:  # fmt: skip
-    """YawThenFly. Of a way with bends its first and last direction are looked at."""
+    """Compute YawThenFly.seconds.
+
+    Of a path with bends, only the first and last directions count.
+    """
     nodes = len(yaw_rad)
     costs = np.zeros((nodes, nodes))
     for i in range(nodes):
@@ -122,7 +141,7 @@ def yaw_then_fly(
                 continue
             slowly = max(lengths_m[i, j] / blind_mps, abs(_wrapped(yaw_rad[j] - yaw_rad[i])) / rate_radps)
             costs[i, j] = slowly
-            first, last = departures[i, j], departures[j, i]  # the last points back
+            first, last = departures[i, j], departures[j, i]  # the last direction points back
             if not (_seen(first, 1.0, pitch_down_rad[j], upright) and _seen(last, -1.0, pitch_down_rad[j], upright)):
                 continue
             there = _turned(yaw_rad[i], math.atan2(first[1], first[0]), off_rad)
@@ -134,7 +153,12 @@ def yaw_then_fly(
 
 @kernel
 def _seen(direction: FloatArray, sign: float, pitch_down_rad: float, upright: float) -> bool:
-    """Whether a way in this direction (3,), or back, is neither too steep nor without heading for a camera over it."""
+    """Return True if the camera sees along a path direction (3,).
+
+    The direction must have a heading and must not be too steep.
+
+    sign: 1.0 for the direction itself, -1.0 for its reverse.
+    """
     ahead, up = math.sqrt(direction[0] ** 2 + direction[1] ** 2), sign * direction[2]
     depth = math.cos(pitch_down_rad) * ahead - math.sin(pitch_down_rad) * up
     below = -math.sin(pitch_down_rad) * ahead - math.cos(pitch_down_rad) * up
@@ -143,7 +167,7 @@ def _seen(direction: FloatArray, sign: float, pitch_down_rad: float, upright: fl
 
 @kernel
 def _turned(yaw_rad: float, bearing_rad: float, off_rad: float) -> float:
-    """From a heading no farther towards a bearing than until it is within off_rad."""
+    """Return the heading after turning towards a bearing until it is within off_rad."""
     off = _wrapped(bearing_rad - yaw_rad)
     return float(yaw_rad + math.copysign(max(abs(off) - off_rad, 0.0), off))
 
@@ -154,7 +178,7 @@ def _wrapped(angle_rad: float) -> float:
 
 
 def warm_up() -> None:
-    """Compile."""
+    """Compile all kernels."""
     none = np.zeros((2, 2)), np.zeros((2, 2, 3)), np.zeros(2), np.zeros(2)
     leave(none[0], none[1], np.zeros(3))
     YawWhileFlying(1.0, 1.0).seconds(*none)
