@@ -95,7 +95,7 @@ def test_a_hole_frees_nothing_behind_it(nothing: float) -> None:
     assert (state[25:50, 30, 14] != FREE).all() and (state[45, 37:42, 14] == FREE).all()
 
 
-def test_beyond_the_range_is_free_up_to_it_and_marks_nothing() -> None:
+def test_a_return_beyond_the_range_frees_space_up_to_it_and_marks_nothing() -> None:
     room = voxels()
     for _ in range(4):
         room.integrate(posed(np.full((120, 212), 9.0, dtype=np.float32), looking(0.05, 0.05, 1.45)))
