@@ -1,6 +1,8 @@
-"""For all tests: a core for each process where they run side by side, and a vehicle in the air, flown up once for a module.
+"""Shared set-up of all tests: one core per process, and vehicles in the air.
 
-A shell's background job is started with SIGINT ignored, and so are its children: Ctrl-C would not reach those of the tests.
+In parallel runs, each process computes on one core. The vehicles take off once per module or session; tests copy them.
+A background job of a shell starts with SIGINT ignored, and its children inherit that; the default handler is restored, so that
+Ctrl-C reaches the children of the tests.
 """
 
 from __future__ import annotations
@@ -19,11 +21,11 @@ if TYPE_CHECKING:
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 if "PYTEST_XDIST_WORKER" in os.environ:
-    one_thread()  # two that compute on both cores would get in each other's way
+    one_thread()  # two processes that compute on both cores would slow each other down
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with slow tests first: one of them that came last would be waited for alone."""
+    """Run files with slow tests first, so that none of them is left alone at the end."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
 
@@ -39,7 +41,7 @@ def flown_up() -> Rig:
 
 @pytest.fixture(scope="session")
 def both_flown_up() -> dict[str, Rig]:
-    """Hovering with each firmware: to be copied, not flown."""
+    """Return a hovering vehicle of each firmware; tests copy it and do not fly it."""
     from flight_rig import Rig
     from test_pilot_flight_ardupilot import CopterRig
 

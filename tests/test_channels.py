@@ -96,12 +96,12 @@ def _same(a: Any, b: Any) -> None:
 
 
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: type(value).__name__)
-def test_every_value_comes_back_as_it_was(value: Any) -> None:
+def test_every_value_is_decoded_unchanged(value: Any) -> None:
     _same(value, decode(encode(value), type(value)))
 
 
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: type(value).__name__)
-def test_both_forms_of_a_channel_give_the_same(value: Any, tmp_path: Path) -> None:
+def test_memory_and_file_channels_behave_the_same(value: Any, tmp_path: Path) -> None:
     memory, file = MemoryChannel(type(value)), FileChannel(tmp_path / "x.channel", type(value))
     for channel in (memory, file):
         assert channel.latest() is None
@@ -133,7 +133,7 @@ def test_a_reader_sees_the_newest_value_of_another_process(path: Path) -> None:
     assert reader.sequence() == 5
 
 
-def test_a_restarted_writer_goes_on_counting(path: Path) -> None:
+def test_a_restarted_writer_continues_the_sequence(path: Path) -> None:
     FileChannel(path, Intent).publish(_intent(1.0))
     reader = FileChannel(path, Intent)
     assert _stamp(reader) == 1.0
@@ -159,12 +159,12 @@ def _overwrite(path: Path, offset: int, data: bytes) -> None:
 HEAD = struct.Struct("<8sqIIq")
 
 
-def test_a_torn_record_gives_the_value_before_it(path: Path) -> None:
+def test_a_torn_record_gives_the_previous_value(path: Path) -> None:
     writer, reader = FileChannel(path, Intent), FileChannel(path, Intent)
     writer.publish(_intent(1.0))
     assert _stamp(reader) == 1.0
     writer.publish(_intent(2.0))
-    _overwrite(path, HEAD.size - 8, struct.pack("<q", -1))  # as a writer that died half way leaves it
+    _overwrite(path, HEAD.size - 8, struct.pack("<q", -1))  # as left by a writer that died during the write
     assert _stamp(reader) == 1.0
     assert _stamp(FileChannel(path, Intent)) is None
     writer.publish(_intent(3.0))
@@ -181,7 +181,7 @@ def test_a_torn_record_gives_the_value_before_it(path: Path) -> None:
     ],
     ids=["payload", "magic", "length", "crc"],
 )
-def test_a_spoiled_record_gives_the_value_before_it(path: Path, spoil: Callable[[Path], None]) -> None:
+def test_a_damaged_record_gives_the_previous_value(path: Path, spoil: Callable[[Path], None]) -> None:
     writer, reader = FileChannel(path, Intent), FileChannel(path, Intent)
     writer.publish(_intent(1.0))
     assert _stamp(reader) == 1.0
@@ -190,7 +190,7 @@ def test_a_spoiled_record_gives_the_value_before_it(path: Path, spoil: Callable[
     assert _stamp(reader) == 1.0
 
 
-def test_a_link_in_the_runtime_folder_is_not_followed(path: Path, tmp_path: Path) -> None:
+def test_a_symlink_in_the_runtime_folder_is_not_followed(path: Path, tmp_path: Path) -> None:
     (tmp_path / "elsewhere").write_bytes(b"precious")
     path.symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OSError, match="symbolic link"):
@@ -212,7 +212,7 @@ def test_no_bytes_crash_a_reader(kind: type[Any], data: bytes) -> None:
 
 
 @pytest.mark.parametrize("at", [0, 1, 2, 3, 4, 5, 6, 7, 9])
-def test_nothing_is_no_number_and_no_array(at: int) -> None:
+def test_null_is_not_accepted_for_a_number_or_an_array(at: int) -> None:
     tree = [5.0, [0, 1], 2, 3, 100, 0, 0, "good", "", [[4, 5], 0]]
     tree[at] = None
     with pytest.raises(ValueError, match="not a"):
@@ -235,7 +235,7 @@ def test_deep_nesting_is_refused() -> None:
 
 @settings(max_examples=500, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.sampled_from(KINDS), st.sampled_from(GENUINE), st.data())
-def test_no_bent_record_crashes_a_reader(kind: type[Any], genuine: bytes, data: st.DataObject) -> None:
+def test_no_altered_record_crashes_a_reader(kind: type[Any], genuine: bytes, data: st.DataObject) -> None:
     bent = bytearray(genuine[: data.draw(st.integers(0, len(genuine)))] if data.draw(st.booleans()) else genuine)
     for _ in range(data.draw(st.integers(0, 4))):
         if bent:
@@ -251,7 +251,7 @@ def test_no_bent_record_crashes_a_reader(kind: type[Any], genuine: bytes, data: 
 def test_no_hostile_writer_crashes_a_reader(
     tmp_path_factory: pytest.TempPathFactory, kind: type[Any], data: bytes, sequence: int
 ) -> None:
-    """A record with the right checksum and nonsense in it: the reader's answer is None, not an exception."""
+    """A record with a valid checksum and invalid content is read as None, without an exception."""
     path = tmp_path_factory.getbasetemp() / "hostile.channel"
     reader = FileChannel(path, kind)
     _overwrite(path, 0, HEAD.pack(b"UAVCHAN1", sequence, len(data), zlib.crc32(data), sequence) + data)

@@ -17,7 +17,9 @@ starts = st.floats(0.0, 1e6)
 
 
 @given(rates, starts, st.lists(st.floats(0.0, 0.2), min_size=1, max_size=60))
-def test_a_job_is_done_at_most_once_a_period_and_never_caught_up(rate_hz: float, start_s: float, gaps_s: list[float]) -> None:
+def test_a_job_runs_at_most_once_per_period_and_missed_ones_are_skipped(
+    rate_hz: float, start_s: float, gaps_s: list[float]
+) -> None:
     keeper = RateKeeper(rate_hz, start_s)
     now_s, done = start_s, []
     for gap_s in gaps_s:
@@ -32,7 +34,7 @@ def test_a_job_is_done_at_most_once_a_period_and_never_caught_up(rate_hz: float,
 
 
 @given(st.integers(1, 200), starts)
-def test_it_does_not_drift(rate_hz: int, start_s: float) -> None:
+def test_a_rate_keeper_does_not_drift(rate_hz: int, start_s: float) -> None:
     keeper = RateKeeper(float(rate_hz), start_s)
     done = sum(keeper.due(start_s + k / (4 * rate_hz)) for k in range(4 * rate_hz))
     assert done == rate_hz
@@ -40,7 +42,7 @@ def test_it_does_not_drift(rate_hz: int, start_s: float) -> None:
 
 
 @given(rates, starts, st.floats(0.0, 10.0))
-def test_the_next_instant_is_ahead_and_is_when_it_is_due(rate_hz: float, start_s: float, late_s: float) -> None:
+def test_the_next_time_is_in_the_future_and_is_when_the_job_is_due(rate_hz: float, start_s: float, late_s: float) -> None:
     keeper = RateKeeper(rate_hz, start_s)
     assert keeper.due(start_s + late_s)
     assert start_s + late_s - 1e-5 < keeper.next_s() <= start_s + late_s + 1.0 / rate_hz + 1e-6
@@ -58,7 +60,7 @@ def test_a_manual_clock_moves_only_forward_and_only_by_its_owner() -> None:
         clock.advance_to(5.999)
 
 
-def test_the_monotonic_clock_is_the_machines_and_waits() -> None:
+def test_the_monotonic_clock_is_that_of_the_machine_and_sleeps() -> None:
     clock = MonotonicClock()
     start_s = clock.now_s()
     assert abs(start_s - time.clock_gettime(time.CLOCK_MONOTONIC)) < 0.5
@@ -67,7 +69,7 @@ def test_the_monotonic_clock_is_the_machines_and_waits() -> None:
     assert clock.now_s() >= start_s + 0.01
 
 
-def test_inline_work_is_seen_after_its_declared_cost() -> None:
+def test_inline_work_is_done_after_its_declared_cost() -> None:
     clock = ManualClock(1.0)
     executor = InlineExecutor(clock)
     pending = executor.submit(lambda: 42, cost_s=0.25)
@@ -108,7 +110,7 @@ def test_threaded_work_never_overlaps_and_raises_at_its_result() -> None:
     executor.close()
 
 
-def test_work_that_does_not_return_keeps_nobody_from_ending() -> None:
+def test_closing_does_not_wait_for_work_that_does_not_return() -> None:
     executor = ThreadExecutor("plan", patience_s=0.05)
     begun, gate = threading.Event(), threading.Event()
 
@@ -142,7 +144,7 @@ def test_a_process_ends_beside_work_that_does_not_return() -> None:
     assert subprocess.run([sys.executable, "-c", PROGRAM], timeout=60.0, check=False).returncode == 0
 
 
-def test_what_runs_is_waited_for() -> None:
+def test_closing_waits_for_running_work() -> None:
     executor = ThreadExecutor("write")
     begun, gate, done = threading.Event(), threading.Event(), []
 

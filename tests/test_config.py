@@ -72,7 +72,7 @@ def _refused(tree: dict[str, Any]) -> str:
         ("safety", "fence_max_m", [3.5, 3.5, 0.2], "fence_max_m.z 0.2 must exceed fence_min_m.z -0.3 by twice the inset"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_flown_is_one_line_that_names_it(
+def test_an_invalid_value_is_a_one_line_error_that_names_it(
     tree: dict[str, Any], section: str, key: str, value: Any, wanted: str
 ) -> None:
     tree.setdefault(section, {})[key] = value
@@ -98,7 +98,7 @@ def test_an_unknown_section_is_refused(tree: dict[str, Any]) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.dictionaries(st.text(max_size=8), st.recursive(st.none() | st.floats() | st.text(max_size=5), st.lists), max_size=4))
-def test_no_tree_crashes(extra: dict[str, Any]) -> None:
+def test_no_input_crashes_the_parser(extra: dict[str, Any]) -> None:
     with pytest.raises(ConfigError) as error:
         parse({"safety": {}, **extra}, "x")
     assert len(str(error.value).splitlines()) == 1
@@ -108,7 +108,7 @@ def test_no_tree_crashes(extra: dict[str, Any]) -> None:
     ("content", "wanted"),
     [(b"[safety", "not TOML"), (b"a = 1\na = 2\n", "not TOML"), (b"\xff\xfe\x00", "not TOML"), (b"", "safety: field required")],
 )
-def test_a_file_that_is_no_config_is_one_line(tmp_path: Path, content: bytes, wanted: str) -> None:
+def test_an_invalid_config_file_is_a_one_line_error(tmp_path: Path, content: bytes, wanted: str) -> None:
     path = tmp_path / "config.toml"
     path.write_bytes(content)
     with pytest.raises(ConfigError, match=wanted) as error:
@@ -117,7 +117,7 @@ def test_a_file_that_is_no_config_is_one_line(tmp_path: Path, content: bytes, wa
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_file_is_a_one_line_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"absent\.toml: cannot be read \(No such file or directory\)"):
         load(tmp_path / "absent.toml")
 

@@ -1,4 +1,7 @@
-"""Numbers that are allowed one by one and not together: at the border they pass, beyond it they are one line."""
+"""Constraints between config values.
+
+Each constraint passes at its limit and is a one-line error beyond it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from uav_recon.config_constraints import CONSTRAINTS, WRITTEN_RELATIONS
 
 FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
 EDGE = "the edge of 30 million voxels from safety.fence_min_m to safety.fence_max_m with voxels.margin_m around"
-BORDERS: tuple[tuple[str, str, float, float, str], ...] = (  # section, key, last that passes, first that does not, of what
+BORDERS: tuple[tuple[str, str, float, float, str], ...] = (  # section, key, last valid value, first invalid value, limit
     ("motion", "speed_mps", 1.0, 1.01, "at most safety.max_speed_mps, which is 1"),
     ("motion", "tight_speed_mps", 1.0, 1.01, "at most safety.max_speed_mps, which is 1"),
     ("motion", "climb_mps", 1.0, 1.01, "at most safety.max_speed_mps, which is 1"),
@@ -36,7 +39,7 @@ BORDERS: tuple[tuple[str, str, float, float, str], ...] = (  # section, key, las
 AROUND: dict[str, dict[str, dict[str, Any]]] = {
     "at least safety.vehicle_radius_m + safety.stop_clearance_m, which is 0.35": {
         "safety": {"stop_clearance_m": 0.15}
-    },  # what else must change for the border to be the one that is meant
+    },  # other values that must change so that this constraint is the one that fails
     "vehicle_radius_m": {"planner": {"clearance_m": 0.5}},
     "less than camera.depth_max_m, which is 6": {"voxels": {"max_range_m": 9.0}},
     "at least safety.fence_min_m.2 + safety.fence_inset_m, which is 0.9": {"safety": {"fence_min_m": [-3.5, -3.5, 0.6]}},
@@ -58,7 +61,7 @@ def tree(*around: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("section", "key", "last", "first", "limit"), BORDERS)
-def test_each_relation_at_its_border(section: str, key: str, last: float, first: float, limit: str) -> None:
+def test_each_constraint_at_its_limit(section: str, key: str, last: float, first: float, limit: str) -> None:
     made = tree(key, limit)
     made[section][key] = last
     parse(made, "c")
@@ -68,12 +71,12 @@ def test_each_relation_at_its_border(section: str, key: str, last: float, first:
     assert str(caught.value) == f"c: {section}.{key} {first:g} must be {limit}"
 
 
-def test_every_relation_has_its_border_here() -> None:
+def test_every_constraint_is_tested_here() -> None:
     told = {(f"{section}.{key}", limit.partition(", which")[0]) for section, key, _, _, limit in BORDERS}
     assert told == {(one.key, f"{one.must_be} {one.limit}") for one in (*CONSTRAINTS, *WRITTEN_RELATIONS)}
 
 
-def test_a_shell_of_which_the_preset_gives_one_end_is_the_presets_business() -> None:
+def test_a_shell_with_one_end_from_the_preset_is_not_checked() -> None:
     made = {"safety": tree()["safety"], "planner": {"shell_max_m": 0.7, "clearance_m": 0.4}}
     assert math.isclose(parse(made, "c").planner.shell_max_m, 0.7)
 
@@ -87,7 +90,7 @@ def test_a_shell_of_which_the_preset_gives_one_end_is_the_presets_business() -> 
         ("recording", "live", True, "recording.live: true wants recording.rerun true"),
     ],
 )
-def test_what_one_setting_asks_of_another(section: str, key: str, value: Any, words: str) -> None:
+def test_a_setting_that_requires_another_is_refused_without_it(section: str, key: str, value: Any, words: str) -> None:
     made = tree()
     made["recording"]["rerun"] = False
     made[section][key] = value

@@ -1,4 +1,4 @@
-"""Check who may import whom, over every import of the tree. There is no exception list."""
+"""Check the import rules over every import of the tree. There is no exception list."""
 
 from __future__ import annotations
 
@@ -49,7 +49,10 @@ def modules(*folders: str) -> list[str]:
 
 @cache
 def imports(module: str) -> frozenset[str]:
-    """The dotted names that a module imports, `package.name` for `from package import name`."""
+    """Return the dotted names that a module imports.
+
+    For `from package import name` it is `package.name`.
+    """
     found: set[str] = set()
     for node in ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -60,7 +63,7 @@ def imports(module: str) -> frozenset[str]:
 
 
 def reached_from(*start: str) -> set[str]:
-    """Every module of the project that these import, directly or not."""
+    """Return every module of the project that these modules import, directly or not."""
     seen: set[str] = set()
     todo = list(start)
     while todo:
@@ -119,6 +122,6 @@ def test_heavy_packages_stay_where_they_belong() -> None:
         assert "torch" not in packages_of(imports(module)), module
 
 
-def test_each_module_has_a_name_that_says_something() -> None:
+def test_no_module_has_a_meaningless_name() -> None:
     stems = [Path(module).stem for module in modules("uav_recon", "sitl")]
     assert not set(stems) & SAYS_NOTHING

@@ -1,1 +1,1 @@
-"""The fault campaign's part of the outside world: what goes wrong, when, and whether the flight bore it."""
+"""Fault campaign: fault injectors, onset conditions and checks of the flights."""

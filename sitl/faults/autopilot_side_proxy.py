@@ -1,4 +1,7 @@
-"""The MAVLink proxy at the autopilot's end of the link, where a flight in real time has its outside world."""
+"""MAVLink proxy at the autopilot's end of the link.
+
+Real-time flights use it: there, only that end of the link is in the simulator's process.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,10 @@ from sitl.faults.mavlink_proxy import Fate, Queue, frames
 
 
 class AutopilotSideProxy:
-    """As link.Proxy, from the other side: sent has the instants at which datagrams came, before the troubles."""
+    """Proxy of the MAVLink link at the autopilot's end.
+
+    It does the same as mavlink_proxy.Proxy. `sent` holds the datagrams with their arrival times, before the faults act on them.
+    """
 
     def __init__(self, end: ByteEnd, now_s: Callable[[], float], up: Fate, down: Fate) -> None:
         self._end, self._now_s, self._up, self._down = end, now_s, up, down
@@ -20,11 +26,11 @@ class AutopilotSideProxy:
 
     @property
     def arrival_s(self) -> float | None:
-        """Of the last datagram."""
+        """Arrival time of the last datagram, in seconds; None where the link does not report it."""
         return self._end.arrival_s
 
     def read(self) -> bytes:
-        """What the product said and the troubles let through."""
+        """Return the bytes of the product that pass the faults and are due."""
         now_s = self._now_s()
         if data := self._end.read():
             self.sent.append((self._end.arrival_s or now_s, data))
@@ -35,19 +41,19 @@ class AutopilotSideProxy:
         return b"".join(ready)
 
     def write(self, data: bytes) -> None:
-        """What the autopilot says, as far as the troubles leave it."""
+        """Send what the autopilot writes, altered or delayed by the faults."""
         for frame in frames(data):
             self._falling.put(self._now_s(), self._down(frame))
         self.forward()
 
     def forward(self) -> None:
-        """Let late frames arrive; once a turn."""
+        """Deliver the delayed frames that are due. Call it once per turn."""
         now_s = self._now_s()
         for frame in self._falling.take(now_s):
             self.heard.append((now_s, frame))
             self._end.write(frame)
 
     def forge(self, data: bytes) -> None:
-        """Slip bytes into what the product reads next."""
+        """Insert bytes into what the product reads next."""
         self.heard.append((self._now_s(), data))
         self._end.write(data)

@@ -1,4 +1,4 @@
-"""What goes wrong in a flight, and when: what a row of the table amounts to once its flight has a number."""
+"""The fault of one flight and its onset condition, made from a scenario and a flight number."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ STANDS_S = 2.0
 
 @dataclass(frozen=True)
 class Onset:
-    """When a trouble begins: at a random instant between these seconds after the climb is over, and then as soon as the
-    vehicle is flown at speed_mps or more. at_boot: at once. after_s counts from the boot where at_boot is set. seeing: where
-    the camera looks, which sees what stands in the hull's way only if that way leads ahead. view_m: only where nothing stands
-    before the camera, level, for so far. away_m: only so far from the pad.
+    """Condition under which a fault begins.
+
+    after_s: the fault begins at a random time in this interval, counted from the end of the climb; from boot if at_boot is set.
+    speed_mps: from that time on it begins once the vehicle flies at this speed or faster, unless at_boot is set.
+    seeing: only while the camera looks in the direction of travel, so that it can see an obstacle ahead.
+    view_m: only while nothing is nearer than this before the camera, along its level axis.
+    away_m: only at this horizontal distance from the pad or farther.
     """
 
     after_s: tuple[float, float] = (2.0, 8.0)
@@ -26,15 +29,23 @@ class Onset:
     away_m: float = 0.0
 
     def wait_s(self, share: float) -> float:
-        """Of the instants between, the one that the dice chose: share, 0 to 1."""
+        """Return the delay chosen within after_s.
+
+        share: random number from 0 to 1; it selects the point in the interval.
+        """
         early_s, late_s = self.after_s
         return early_s + (late_s - early_s) * share
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What goes wrong in a flight of a row, when it begins, how long the flight is watched from then on, and how long (s) once
-    the motors stand.
+    """The fault of one flight of a scenario.
+
+    row: identifier of the scenario.
+    injectors: what the fault consists of.
+    onset: when it begins.
+    longest_s: the flight is observed for this many seconds after the onset at most.
+    stands_s: the flight is observed for this many seconds after the motors have stopped.
     """
 
     row: str

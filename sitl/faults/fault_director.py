@@ -1,4 +1,7 @@
-"""Takes part in a flight: begins the troubles at their moment, stands in every stream, and keeps the referee's ledger."""
+"""Fault director of a flight.
+
+It starts the faults, applies them to every stream, and records the true state at each turn.
+"""
 
 from __future__ import annotations
 
@@ -29,15 +32,15 @@ from sitl.world.pose_tracker import PoseRecord
 T = TypeVar("T")
 OURS = ("OFFBOARD", "GUIDED")
 AIRBORNE_M = 0.9
-LONGEST_WAIT_S = 240.0  # for a trouble's moment
-_SEEN_RAD = math.radians(25.0)  # off the nose, 1 m away a person still is in a picture that is 43 degrees wide each way
+LONGEST_WAIT_S = 240.0  # a flight ends after this time if no fault has begun
+_SEEN_RAD = math.radians(25.0)  # from the heading: a person 1 m away is still in an image of 43 degrees half width
 
 _PEEK = pinhole(16, 6, 24.0, 8.0)
 
 
 @dataclass(frozen=True, slots=True)
 class TruthSample:
-    """One line of the ledger: the truth at the end of a turn."""
+    """True state of the vehicle at the end of one turn."""
 
     stamp_s: float
     position_m: tuple[float, float, float]
@@ -45,18 +48,21 @@ class TruthSample:
     yaw_rad: float
     armed: bool
     mode: str
-    charge: float  # share of the battery
+    charge: float  # state of charge, 0 to 1
 
 
 def alone(row: str) -> bool:
-    """There is no flight but this one: a trouble that comes is met in it."""
+    """Return True: the flight is not split, so every fault that begins is flown in it."""
     return True
 
 
 class FaultDirector:
-    """troubles: one, or several that lie ahead of the same flight. Each at its moment, split() says whether this is the flight
-    that meets it; the last one always is met. longest_wait_s: the flight is ended so long after its beginning, if no moment
-    comes.
+    """Hook of a flight that starts the faults and applies them.
+
+    troubles: one fault, or several that share the flight until their onsets. At each onset split(row) returns whether this
+    flight is the one with that fault; if not, the flight continues with the remaining faults. The last remaining fault is flown
+    without a split.
+    longest_wait_s: the flight ends after this time if no fault has begun.
     """
 
     def __init__(
@@ -67,7 +73,7 @@ class FaultDirector:
         self._injectors: Sequence[Injector] = ()
         self._longest_s, self._stands_s, self._longest_wait_s = math.inf, STANDS_S, longest_wait_s
         self._dice = random.Random(seed * 7919 + 17)
-        self._share = self._dice.random()  # of the time in which a trouble may begin
+        self._share = self._dice.random()  # position within the interval in which a fault may begin
         self._airborne_s, self._flown, self._disarmed_s = math.inf, False, math.inf
         self._begun_s = math.inf
         self.onset_s = math.inf
@@ -75,28 +81,34 @@ class FaultDirector:
         self.ledger: list[TruthSample] = []
         self.proxy: Tap | None = None
 
-    # -- what the flight asks -----------------------------------------------------------------------------------------
+    # -- hooks of the flight ------------------------------------------------------------------------------------------
 
     def enter(self, world: OutsideWorld, channels: object, now_s: float) -> None:
-        """The world is made: step in between it and the product."""
+        """Take the finished world and insert the fault stream before its camera stream."""
         self.theatre = InjectionContext(world, self._dice, channels, self.proxy, now_s)
         self._begun_s = now_s
         self._stream = world.stream = FaultyStream(world.stream, self)
 
     def link(self, end: Bytes) -> Proxy:
-        """The product's end of the MAVLink link, through the proxy."""
+        """Return the product's end of the MAVLink link, behind a proxy."""
         proxy = Proxy(end, lambda: self.theatre.now_s, self._fate("to_autopilot"), self._fate("to_product"))
         self.proxy = self.theatre.proxy = proxy
         return proxy
 
     def far_link(self, end: ByteEnd) -> AutopilotSideProxy:
-        """The autopilot's end, where that is the one at hand; before the world is made."""
+        """Return the autopilot's end of the link, behind a proxy.
+
+        For flights in which only that end is in this process. Call it before the world is made.
+        """
         proxy = AutopilotSideProxy(end, time.monotonic, self._fate("to_autopilot"), self._fate("to_product"))
         self.proxy = proxy
         return proxy
 
     def turn(self, now_s: float) -> None:
-        """Before anything else moves in a turn."""
+        """Record the truth, start a fault that is due, and run the injectors.
+
+        Call it in each turn before anything else moves.
+        """
         at, flyer = self.theatre, self.theatre.world.flyer
         at.now_s, truth = now_s, flyer.truth()
         yaw_rad, charge = yaw_of(truth.quat_wxyz), flyer.battery_fraction
@@ -109,31 +121,34 @@ class FaultDirector:
         self._stream.release(now_s)
 
     def runs(self, stage: str) -> bool:
-        """Whether a stage's loop makes its turn."""
+        """Return whether the loop of a stage runs in this turn."""
         since_s = self.theatre.now_s - self.onset_s
         return not any(injector.stalls(since_s, stage) for injector in self._injectors)
 
     def restarts(self, stage: str) -> bool:
-        """Whether a stage is to be built anew before its turn."""
+        """Return whether a stage must be rebuilt before this turn."""
         since_s = self.theatre.now_s - self.onset_s
         return any(injector.restarts(since_s, stage) for injector in self._injectors)
 
     def holds(self) -> bool:
-        """Whether the operator wants the vehicle to stay where it is."""
+        """Return whether the operator commands the vehicle to hold its position."""
         return self.theatre.hold
 
     def attends(self) -> bool:
-        """Whether the operator asks how it stands, now."""
+        """Return whether the operator queries the status now, and note the time if so."""
         if self.theatre.attends:
             self.theatre.notes[ATTENDED] = self.theatre.now_s
         return self.theatre.attends
 
     def lands(self) -> bool:
-        """Whether the operator wants to land."""
+        """Return whether the operator commands a landing."""
         return self.theatre.abort
 
     def over(self, finished: bool) -> bool:
-        """Whether there is nothing left to see."""
+        """Return whether the flight has ended; at the end, run end() of the injectors.
+
+        finished: the mission reports that it is done.
+        """
         now_s = self.theatre.now_s
         late = now_s - self.onset_s > self._longest_s or (
             self.onset_s == math.inf and now_s - self._begun_s > self._longest_wait_s
@@ -146,7 +161,7 @@ class FaultDirector:
                 injector.end(self.theatre)
         return ended
 
-    # -- the moment -----------------------------------------------------------------------------------------------------
+    # -- onset ----------------------------------------------------------------------------------------------------------
 
     def _watch(self, now: TruthSample) -> None:
         self._flown = self._flown or (now.armed and now.position_m[2] > 0.3)
@@ -162,7 +177,7 @@ class FaultDirector:
             self._troubles.remove(trouble)
 
     def _comes(self, onset: Onset, now: TruthSample) -> bool:
-        """Whether this is the moment for it."""
+        """Return whether the onset condition is met."""
         since_s = self._begun_s if onset.at_boot else self._airborne_s
         flown = now.armed and now.mode in OURS
         fast = onset.at_boot or (flown and math.hypot(*now.velocity_mps[:2]) >= onset.speed_mps)
@@ -171,19 +186,19 @@ class FaultDirector:
         return due and away and (not onset.seeing or self._looks_ahead()) and self._views(onset.view_m)
 
     def _looks_ahead(self) -> bool:
-        """Whether the camera sees where the vehicle is going."""
+        """Return whether the camera looks in the direction of travel."""
         truth = self.theatre.world.flyer.truth()
         return off_nose_rad(truth.velocity, truth.quat_wxyz) <= _SEEN_RAD
 
     def _meet(self, trouble: Fault, now_s: float) -> None:
-        """From here on this flight is its own."""
+        """Begin this fault and drop all others."""
         self._troubles, self.onset_s, self._longest_s = [trouble], now_s, trouble.longest_s
         self._injectors, self._stands_s = trouble.injectors, trouble.stands_s
         for injector in self._injectors:
             injector.begin(self.theatre)
 
     def _views(self, clear_m: float) -> bool:
-        """Whether the level way before the camera is so clear."""
+        """Return whether nothing is nearer than clear_m on the level axis before the camera."""
         if clear_m <= 0.0:
             return True
         world = self.theatre.world
@@ -192,10 +207,13 @@ class FaultDirector:
         seen = world.camera.renderer.render(eye, _PEEK, colour=False).depth_m
         return bool(np.all((seen <= 0.0) | (seen >= clear_m)))
 
-    # -- in the streams -------------------------------------------------------------------------------------------------
+    # -- streams --------------------------------------------------------------------------------------------------------
 
     def fate(self, kind: str, item: T) -> Late[T]:
-        """What all injectors together make of an item: delays add up."""
+        """Return the results of passing an item through all injectors: (delay in seconds, item).
+
+        Delays add up. kind: name of the injector method, such as "pose" or "depth".
+        """
         since_s = self.theatre.now_s - self.onset_s
         late: Late[T] = [(0.0, item)]
         for injector in self._injectors:
@@ -208,16 +226,16 @@ class FaultDirector:
 
 
 class FaultyStream:
-    """Stands before the writer of the camera stream."""
+    """Camera stream that applies the faults before the real writer."""
 
     def __init__(self, writer: Outlet, meddler: FaultDirector) -> None:
         self._writer, self._meddler = writer, meddler
         self._waiting: list[tuple[float, int, PoseRecord | Depth]] = []
         self._numbers = itertools.count()
-        self._lock = threading.Lock()  # pictures are developed beside the world's own turn
+        self._lock = threading.Lock()  # images are rendered in a thread of their own
 
     def write_imu(self, stamp_s: float, gyro: NDArray[np.float64], force: NDArray[np.float64]) -> None:
-        """Inertial samples go through."""
+        """Pass an inertial sample through unchanged."""
         self._writer.write_imu(stamp_s, gyro, force)
 
     def write_pose(
@@ -229,12 +247,12 @@ class FaultyStream:
         quality: int = 100,
         reset_counter: int = 0,
     ) -> None:
-        """A pose is delivered: perhaps later, otherwise, or never."""
+        """Write a pose, which the faults may delay, change or drop."""
         record = PoseRecord(stamp_s, position_m, quat_wxyz, variance, quality, reset_counter)
         self._queue(self._meddler.fate("pose", record))
 
     def write_frame(self, stamp_s: float, depth_mm: NDArray[np.uint16], rgb: NDArray[np.uint8]) -> None:
-        """A frame likewise."""
+        """Write a frame, which the faults may delay, change or drop."""
         self._queue(self._meddler.fate("depth", Depth(stamp_s, depth_mm, rgb)))
 
     def _queue(self, late: Late[PoseRecord] | Late[Depth]) -> None:
@@ -245,7 +263,7 @@ class FaultyStream:
         self.release(now_s)
 
     def release(self, now_s: float) -> None:
-        """Write what is due."""
+        """Write every queued item that is due."""
         while (item := self._due(now_s)) is not None:
             if isinstance(item, Depth):
                 self._writer.write_frame(item.stamp_s, item.depth_mm, item.rgb)
@@ -262,5 +280,5 @@ class FaultyStream:
 
 
 def off_nose_rad(velocity: tuple[float, float, float], quat_wxyz: tuple[float, float, float, float]) -> float:
-    """Angle, 0 to pi, between the level course of a vehicle and its heading."""
+    """Return the angle, 0 to pi, between a vehicle's horizontal velocity and its heading."""
     return abs(math.remainder(math.atan2(velocity[1], velocity[0]) - yaw_of(quat_wxyz), math.tau))

@@ -1,4 +1,7 @@
-"""All that a flight's judges may look at: the simulator's truth and the wire. What the product says proves nothing."""
+"""Evidence that the checks may use: the simulator's ground truth and the captured MAVLink.
+
+What the product claims is not evidence.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +22,17 @@ from sitl.truth.hull_clearance import HullClearance
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-LOW_M = PAD_HEIGHT_M - BODY_ABOVE_FLOOR_M  # over what it stands on, as over the pad
-BLIND_S = 0.15  # without ODOMETRY: the product knows of no pose
-HANDED_S = 0.3  # after the pilot's switch the last setpoint has been sent, row E1
+LOW_M = PAD_HEIGHT_M - BODY_ABOVE_FLOOR_M  # height above the surface below; the same as over the pad
+BLIND_S = 0.15  # no ODOMETRY for this long: the product has no pose
+HANDED_S = 0.3  # the last setpoint is sent within this time after the pilot's switch (scenario E1)
 
 
 @dataclass(frozen=True)
 class GuardLimits:
-    """What the product was told it may do: fence corners (m), inset (m), speed (m/s), acceleration (m/s²), yaw (rad/s)."""
+    """Limits that the product was configured with.
+
+    Fence corners (m), inset from the fence (m), speed (m/s), acceleration (m/s²) and yaw rate (rad/s).
+    """
 
     fence_min_m: tuple[float, float, float]
     fence_max_m: tuple[float, float, float]
@@ -38,15 +44,20 @@ class GuardLimits:
 
 @dataclass(frozen=True)
 class FlightEvidence:
-    """One flight. Instants on the world's clock; onset_s: when the trouble began, inf if it never came to that.
+    """Evidence of one flight; times are in seconds on the world's clock.
 
-    stamp_s (K,), position_m and velocity_mps (K, 3), yaw_rad (K,), armed (K,), mode (K,), charge (K,; share of the battery)
-    of each turn; hull_s (H,) and hull_m (H,): true clearance where it counts. arrived_s (A,): of setpoints at the
-    autopilot, behind the troubles. heard: (instant, custom mode, armed) of heartbeats that reached the product. boxes_m
-    (K,): how near the hull is to the obstacles of the trouble, inf without one and on the ground. standing_m (K,): where the
-    body would stand on what is straight below it, while it lands and after; 0 is the floor. notes: what the injectors
-    measured themselves, by its name. firmware: version of a real one, "" for none. stop_reason: why the product says that
-    it ended, for a judge that asks whether it said so; "" for nothing.
+    onset_s: when the fault began; inf if it never began.
+    stamp_s (K,), position_m and velocity_mps (K, 3), yaw_rad (K,), armed (K,), mode (K,) and charge (K,; state of charge, 0 to
+    1): true state at each turn.
+    hull_s (H,) and hull_m (H,): times and true clearance, where clearance is measured.
+    boxes_m (K,): distance from the hull to the obstacles of the fault; inf without an obstacle and on the ground.
+    standing_m (K,): height at which the body would stand on the surface straight below it, from the beginning of a landing; 0
+    is the floor.
+    arrived_s (A,): arrival times of setpoints at the autopilot, after the faults.
+    heard: (time, custom mode, armed) of each heartbeat that reached the product.
+    notes: values that the injectors measured, by name.
+    firmware: version of a real firmware, "" for a simulated autopilot.
+    stop_reason: the product's reason for the end of the flight, for checks of that report; "" for none.
     """
 
     onset_s: float
@@ -80,21 +91,26 @@ class FlightEvidence:
 
     @cached_property
     def answered_for(self) -> Bools:
-        """Whether the product has to answer for where the vehicle is (K,). It may say no word to one that a pilot took, whose
-        sticks nobody touches here: without a position it drifts for as long as it is watched.
+        """Mask (K,) of the turns in which the product is responsible for the vehicle's position.
+
+        From HANDED_S after a pilot has taken control it is not responsible, unless the vehicle follows its setpoints again: the
+        product must not interfere then. That pilot's sticks are never moved in the simulation, so without a position the
+        vehicle drifts for as long as it is observed.
         """
         return (self.stamp_s < self.notes.get(TAKEN_OVER, math.inf) + HANDED_S) | self.ours
 
     @cached_property
     def clearance_m(self) -> float:
-        """Least true clearance to the scene, inf for none."""
+        """Least true clearance to the scene, inf if none was measured."""
         counts = np.interp(self.hull_s, self.stamp_s, self.answered_for & ~self.set_down) > 0.5
         return float(self.hull_m[counts].min(initial=math.inf))
 
     @cached_property
     def set_down(self) -> Bools:
-        """Whether it comes down on what stands below it, as on a pad, with nobody who could have chosen the place: when the
-        landing began the product fed no pose (K,).
+        """Mask (K,) of the turns in which the vehicle comes down blindly on a surface below it.
+
+        That is the case when the product sent no pose as the landing began, so that the landing position could not be chosen.
+        Contact is then no fault, as on a pad.
         """
         begun = np.flatnonzero(self.landing & self.armed)
         if not len(begun):
@@ -107,21 +123,24 @@ class FlightEvidence:
 
     @cached_property
     def box_m(self) -> float:
-        """The nearest that the hull came to an obstacle of the trouble, inf without one."""
+        """Least distance from the hull to an obstacle of the fault, inf without an obstacle."""
         return float(self.boxes_m[self.answered_for].min(initial=math.inf))
 
     @cached_property
     def ours(self) -> Bools:
-        """Whether the vehicle followed our setpoints (K,)."""
+        """Mask (K,) of the turns in which the vehicle followed the product's setpoints."""
         return np.array([mode in OURS for mode in self.mode], dtype=np.bool_) & self.armed
 
     @cached_property
     def landing(self) -> Bools:
-        """Whether the autopilot was landing (K,)."""
+        """Mask (K,) of the turns in which the autopilot was in a landing mode."""
         return np.array(["LAND" in mode for mode in self.mode], dtype=np.bool_)
 
     def since(self, mask: Bools, from_s: float) -> float:
-        """Seconds from an instant to the first turn after it in which mask (K,) holds; inf for never."""
+        """Return the seconds from from_s to the first turn after it where mask (K,) holds.
+
+        It returns inf if there is none.
+        """
         found = np.flatnonzero(mask & (self.stamp_s >= from_s))
         return float(self.stamp_s[found[0]] - from_s) if len(found) else math.inf
 
@@ -129,7 +148,10 @@ class FlightEvidence:
 def gather(
     meddler: FaultDirector, limits: GuardLimits, hull_s: F64, hull_m: F64, radius_m: float, stop_reason: str
 ) -> FlightEvidence:
-    """Of a flight that is over. hull_m: against the scene; obstacles of the trouble are added here."""
+    """Return the evidence of a finished flight.
+
+    hull_m: clearance to the scene. Distances to the obstacles of the fault are added here.
+    """
     world, ledger, tap = meddler.theatre.world, meddler.ledger, meddler.proxy
     assert tap is not None
     stamps = np.array([m.stamp_s for m in ledger])
@@ -166,6 +188,6 @@ def gather(
 
 
 def _standing(room: HullClearance, ledger: Sequence[TruthSample]) -> F64:
-    """Of each turn (K,), from the first of a landing on."""
+    """Return standing_m (K,); 0 before the landing begins."""
     begun = next((k for k, m in enumerate(ledger) if m.armed and "LAND" in m.mode), len(ledger))
     return np.array([0.0] * begun + [max(room.standing_m(m.position_m), 0.0) for m in ledger[begun:]])

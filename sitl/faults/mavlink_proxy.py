@@ -1,4 +1,7 @@
-"""The MAVLink proxy on the byte pipe: it keeps what the product sent, and hands frames to the injectors."""
+"""MAVLink proxy on the byte pipe.
+
+It records what the product sends and passes frames to the injectors.
+"""
 
 from __future__ import annotations
 
@@ -6,32 +9,35 @@ from collections.abc import Callable
 from typing import Protocol, TypeVar
 
 T = TypeVar("T")
-Late = list[tuple[float, T]]  # what becomes of an item: (seconds late, the item); an empty list is a loss
+Late = list[tuple[float, T]]  # result of an injector: (delay in seconds, item) each; empty if the item is lost
 _START, _HEADER, _CHECK, _SIGNATURE = 0xFD, 10, 2, 13
 
 
 class Bytes(Protocol):
-    """The product's end of the link, as the flight made it."""
+    """The product's end of the link, as the flight makes it."""
 
     def read(self) -> bytes:
-        """Waiting bytes."""
+        """Return the waiting bytes."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send."""
+        """Send bytes."""
         ...
 
     def wait(self, timeout_s: float) -> None:
-        """Block until bytes come or the time is over."""
+        """Block until bytes arrive or the timeout has passed."""
         ...
 
     def close(self) -> None:
-        """End it."""
+        """Close the link."""
         ...
 
 
 def frames(data: bytes) -> list[bytes]:
-    """Whole MAVLink 2 frames of a clean stream; whatever is none stays one piece."""
+    """Split a clean stream into whole MAVLink 2 frames.
+
+    From the first byte that begins no such frame, the rest is one piece.
+    """
     out: list[bytes] = []
     at = 0
     while at < len(data):
@@ -44,7 +50,7 @@ def frames(data: bytes) -> list[bytes]:
 
 
 def message_id(frame: bytes) -> int:
-    """Of a whole frame; -1 for anything else."""
+    """Return the message id of a whole frame, -1 for anything else."""
     return int.from_bytes(frame[7:10], "little") if len(frame) >= _HEADER and frame[0] == _START else -1
 
 
@@ -52,8 +58,11 @@ Fate = Callable[[bytes], Late[bytes]]
 
 
 class Tap(Protocol):
-    """A proxy, at either end. sent and heard: (instant, bytes) of what the product wrote and was given to read; arrived: of the
-    frames of it that the troubles left to the autopilot, when it could read them.
+    """Proxy at either end of the link.
+
+    sent: (time, bytes) that the product wrote.
+    arrived: (time, frame) of the product's frames that passed the faults, when the autopilot could read them.
+    heard: (time, bytes) that the product was given to read.
     """
 
     sent: list[tuple[float, bytes]]
@@ -61,29 +70,29 @@ class Tap(Protocol):
     heard: list[tuple[float, bytes]]
 
     def forward(self) -> None:
-        """Let late frames arrive; once a turn."""
+        """Deliver the delayed frames that are due. Call it once per turn."""
         ...
 
     def forge(self, data: bytes) -> None:
-        """Slip bytes into what the product reads next."""
+        """Insert bytes into what the product reads next."""
         ...
 
 
 class Queue:
-    """Frames under way, by the instant at which they arrive; equal instants keep their order."""
+    """Frames in transit, ordered by arrival time; frames with equal times keep their order."""
 
     def __init__(self) -> None:
         self._waiting: list[tuple[float, int, bytes]] = []
         self._count = 0
 
     def put(self, now_s: float, late: Late[bytes]) -> None:
-        """Send them off."""
+        """Queue frames with their delays."""
         for seconds, frame in late:
             self._count += 1
             self._waiting.append((now_s + seconds, self._count, frame))
 
     def take(self, now_s: float) -> list[bytes]:
-        """What has arrived by now."""
+        """Return the frames that have arrived by now_s."""
         if not self._waiting:
             return []
         ready = sorted(item for item in self._waiting if item[0] <= now_s + 1e-9)
@@ -93,7 +102,7 @@ class Queue:
 
 
 class Proxy:
-    """Stands at the product's end; see Tap."""
+    """Proxy at the product's end of the link; see Tap."""
 
     def __init__(self, end: Bytes, now_s: Callable[[], float], up: Fate, down: Fate) -> None:
         self._end, self._now_s, self._up, self._down = end, now_s, up, down
@@ -104,7 +113,7 @@ class Proxy:
         self.heard: list[tuple[float, bytes]] = []
 
     def read(self) -> bytes:
-        """What the autopilot said and the troubles let through."""
+        """Return the bytes of the autopilot that pass the faults and are due."""
         now_s = self._now_s()
         for frame in frames(self._end.read()):
             self._falling.put(now_s, self._down(frame))
@@ -115,7 +124,7 @@ class Proxy:
         return data
 
     def write(self, data: bytes) -> None:
-        """Keep what the product says, and pass on what the troubles leave of it."""
+        """Record what the product sends, and forward it, altered or delayed by the faults."""
         now_s = self._now_s()
         self.sent.append((now_s, data))
         for frame in frames(data):
@@ -123,20 +132,20 @@ class Proxy:
         self.forward()
 
     def forward(self) -> None:
-        """Let late frames arrive; once a turn."""
+        """Deliver the delayed frames that are due. Call it once per turn."""
         now_s = self._now_s()
         for frame in self._rising.take(now_s):
             self.arrived.append((now_s, frame))
             self._end.write(frame)
 
     def forge(self, data: bytes) -> None:
-        """Slip bytes into what the product reads next."""
+        """Insert bytes into what the product reads next."""
         self._forged.append(data)
 
     def wait(self, timeout_s: float) -> None:
-        """As the link itself."""
+        """Block until the link has bytes or the timeout has passed."""
         self._end.wait(timeout_s)
 
     def close(self) -> None:
-        """As the link itself."""
+        """Close the link."""
         self._end.close()

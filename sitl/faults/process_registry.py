@@ -1,6 +1,7 @@
-"""The processes of a flight in real time, by name: who runs, who ended how, and who is not to be started again.
+"""Registry of the processes of a real-time flight.
 
-One file each way in the flight's runtime folder: the supervisor writes the first, the troubles the second.
+It holds the running processes by name, the exits, and the processes that must not be restarted, in two files in the flight's
+runtime folder. The supervisor writes the first, the injectors write the second.
 """
 
 from __future__ import annotations
@@ -17,7 +18,11 @@ RUNNING, DOWN = "running.json", "down.json"
 
 @dataclass(frozen=True, slots=True)
 class Exit:
-    """A process that ended: its code as subprocess has it (minus a signal), and when, on time.monotonic()."""
+    """A process that ended.
+
+    code: as subprocess reports it; a signal is its negative number.
+    stamp_s: when it ended, on time.monotonic().
+    """
 
     name: str
     code: int
@@ -25,39 +30,42 @@ class Exit:
 
 
 class ProcessRegistry:
-    """folder: of the flight's runtime."""
+    """Registry of the processes of one flight.
+
+    folder: the runtime folder of the flight.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._running, self._down = folder / RUNNING, folder / DOWN
 
     def tell(self, pids: dict[str, int], exits: list[Exit]) -> None:
-        """Write down who runs and who ended; the supervisor's."""
+        """Write the running processes and the exits. Only the supervisor calls this."""
         _write(self._running, {"pids": pids, "exits": [[e.name, e.code, e.stamp_s] for e in exits]})
 
     def pid(self, name: str) -> int | None:
-        """Of a process that was last told to run."""
+        """Return the process id that was last registered for a name, None without one."""
         found = _read(self._running, {"pids": {}})["pids"].get(name)
         return None if found is None else int(found)
 
     def exits(self) -> list[Exit]:
-        """In the order in which they ended."""
+        """Return the exits in the order in which the processes ended."""
         return [Exit(*each) for each in _read(self._running, {"exits": []})["exits"]]
 
     def keep_down(self, names: tuple[str, ...]) -> None:
-        """These and no others are not to be started again."""
+        """Set the processes that must not be restarted; this replaces the previous set."""
         _write(self._down, list(names))
 
     def kept_down(self) -> frozenset[str]:
-        """What keep_down() said last."""
+        """Return the processes that must not be restarted."""
         return frozenset(_read(self._down, []))
 
     def send(self, name: str, number: signal.Signals) -> None:
-        """Signal a process, if it runs."""
+        """Send a signal to a process, if it runs."""
         send(self.pid(name), number)
 
 
 def send(pid: int | None, number: signal.Signals) -> None:
-    """Signal a process, if it is there."""
+    """Send a signal to a process, if it exists."""
     if pid is not None:
         try:
             os.kill(pid, number)
@@ -66,14 +74,14 @@ def send(pid: int | None, number: signal.Signals) -> None:
 
 
 def child_of(parent: int | None, word: str) -> int | None:
-    """The child of a process with a word in its command line; None without one."""
+    """Return the child of a process that has a word in its command line, None without one."""
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             its_parent = int(stat.read_text().rpartition(")")[2].split()[1])
             if its_parent == parent and word in stat.with_name("cmdline").read_text():
                 return int(stat.parent.name)
         except OSError:
-            continue  # it ended meanwhile
+            continue  # the process ended while it was read
     return None
 
 

@@ -1,4 +1,4 @@
-"""What processes keep hold of over hours: memory and descriptors once a second, and how fast they grow."""
+"""Memory and open descriptors of each process, sampled once a second, and their growth."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from sitl.faults.process_registry import ProcessRegistry, child_of
 from sitl.faults.report.resource_chart import Track, draw
 
 PROCESSES = ("pilot", "perception", "mission", "mapper", "recorder")
-CHILDREN = {"mapper": MAPPER, "recorder": RECORDER}  # of the mission, by words of their command lines
+CHILDREN = {"mapper": MAPPER, "recorder": RECORDER}  # children of the mission, found by words in their command lines
 PERIOD_S = 1.0
 _MEGABYTE = 1e6
 
 
 class ResourceUsage(Injector):
-    """Notes for each process "NAME MB/h" and "NAME descriptors", and how many "ended" within for_s; all samples go to
-    soak.json, and a chart of them to soak.svg, beside the flight's config. A soak that is cut short leaves them in soak.csv.
+    """Sampler of the memory and the open descriptors of every process.
+
+    It notes "NAME MB/h" and "NAME descriptors" for each process, and as "ended" the number of processes that ended within
+    for_s. At the end all samples are written to soak.json and a chart of them to soak.svg, beside the flight's config. During
+    the flight the samples are appended to soak.csv, which remains if the soak is cut short.
     """
 
     needs = Capabilities.PROCESSES
@@ -30,7 +33,7 @@ class ResourceUsage(Injector):
         self._ended = 0
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Look, once a second."""
+        """Sample every process once a second."""
         if not self._due_s <= since_s <= self._for_s:
             return
         self._due_s = since_s + PERIOD_S
@@ -40,7 +43,7 @@ class ResourceUsage(Injector):
         at.notes["ended"] = float(self._ended)
 
     def end(self, at: InjectionContext) -> None:
-        """Reckon, and write it down."""
+        """Compute the growth, and write the samples and the chart."""
         for name, track in self._tracks.items():
             at.notes[f"{name} MB/h"] = track.mb_per_h()
             at.notes[f"{name} descriptors"] = track.more_descriptors()
@@ -50,7 +53,7 @@ class ResourceUsage(Injector):
         at.config.with_name("soak.svg").write_text(draw(self._tracks), encoding="utf-8")
 
     def _keep(self, at: InjectionContext, since_s: float) -> None:
-        """One line a second."""
+        """Append one line to soak.csv."""
         assert at.config is not None
         tracks = [self._tracks.get(name) for name in PROCESSES]
         words = ",".join(f"{track.memory_mb[-1]:.3f},{track.descriptors[-1]}" if track else "," for track in tracks)
@@ -72,11 +75,11 @@ class ResourceUsage(Injector):
             track.descriptors.append(descriptors_of(track.pid))
         else:
             self._ended += 1
-            del self._tracks[name]  # whoever comes in its place begins anew
+            del self._tracks[name]  # its replacement starts a new track
 
 
 def descriptors_of(pid: int) -> int:
-    """How many files, sockets and pipes a process has open; 0 once it is gone."""
+    """Return the number of open files, sockets and pipes of a process; 0 once it has ended."""
     try:
         return len(list(Path(f"/proc/{pid}/fd").iterdir()))
     except OSError:

@@ -1,7 +1,7 @@
-"""Row G9: one flight for hours, in which memory and descriptors of all processes are to stay what they are.
+"""Scenario G9: flights of up to two hours without growth of memory or descriptors.
 
-A pilot flies one flight in its life, so the flight itself has to last: the operator holds the vehicle in the air, lets it go
-on now and then while there is something left to explore, and has it land in the end. Its battery stays full.
+A pilot process flies only one flight, so this one flight has to last. The operator holds the vehicle in the air, lets it
+continue for short periods while there is space left to explore, and lands it at the end. The battery stays full.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from sitl.faults.table.acceptance_limits import NO_FAILSAFE, STEADY, STREAMS, do
 from sitl.faults.table.scenario import Limit, Scenario
 from sitl.runtime.die_with_parent import die_with_parent_command
 
-EVERY_S, FOR_S, TIMES = 30.0, 5.0, 10  # so often, for so long and so many times it goes on
-BREATH_MB = 2.3  # between the least and the most that perception's heap has while frames come and go
-_DOWN_S = 60.0  # from the order to land until the motors stand
+EVERY_S, FOR_S, TIMES = 30.0, 5.0, 10  # the mission continues every EVERY_S, for FOR_S, TIMES times
+BREATH_MB = 2.3  # range of perception's heap size while frames are allocated and freed
+_DOWN_S = 60.0  # from the land command until the motors stop
 
 
 class Told(Injector):
-    """The operator's orders by the command line, each at its second, with a process of its own."""
+    """Operator commands on the command line, each at its time and in a separate process."""
 
     needs = Capabilities.PROCESSES
 
@@ -33,29 +33,31 @@ class Told(Injector):
         self._orders, self._told = list(orders), list[subprocess.Popen[bytes]]()
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Say what is due; nobody waits for an answer."""
+        """Give the commands that are due, without waiting for a reply."""
         while self._orders and since_s >= self._orders[0][0]:
             command = [sys.executable, "-m", "uav_recon", self._orders.pop(0)[1], "--config", str(at.config)]
             self._told.append(subprocess.Popen(die_with_parent_command(command), stdout=subprocess.DEVNULL))  # noqa: S603 - our own program
         self._told = [each for each in self._told if each.poll() is None]
 
     def end(self, at: InjectionContext) -> None:
-        """None is left."""
+        """Wait for the processes of all commands."""
         for each in self._told:
             each.wait()
 
 
 def orders(for_s: float) -> list[tuple[float, str]]:
-    """Of a soak that ends after for_s."""
+    """Return the operator commands of a soak that ends after for_s, as (seconds, command)."""
     goes_s = [EVERY_S * (k + 1) for k in range(TIMES) if EVERY_S * (k + 1) + FOR_S < for_s]
     pauses = [order for go_s in goes_s for order in ((go_s, "start"), (go_s + FOR_S, "hold"))]
     return [(0.0, "hold"), *pauses, (for_s, "land")]
 
 
 def soak(name: str, said: str, for_s: float, pilot_mb_per_h: float, perception_mb_per_h: float) -> Scenario:
-    """A row of that length, and by how much memory may grow. Over minutes no slope is seen that is less than what a process
-    takes and gives back all the time: BREATH_MB in perception. The steepest line is that of a first half with less and a second
-    with more, 1.5 BREATH_MB over the time that is looked at.
+    """Return a soak scenario of for_s seconds with limits on the growth of memory.
+
+    Over minutes, no slope can be detected that is smaller than what a process allocates and frees all the time, which is
+    BREATH_MB in perception. The steepest slope that this alone can cause is 1.5 BREATH_MB over the observed time: less memory
+    in the first half, more in the second.
     """
     return Scenario(
         name,

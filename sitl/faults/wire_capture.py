@@ -1,4 +1,7 @@
-"""The wire capture: what the product said, decoded with pymavlink and turned into the world's axes; nothing of the product."""
+"""Captured MAVLink of the product, decoded into the world's axes.
+
+pymavlink decodes it; no code of the product is used.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ _CHECKED = ("SET_POSITION_TARGET_LOCAL_NED", "ODOMETRY", "COMMAND_LONG", "COMMAN
 
 @dataclass(frozen=True)
 class CapturedCommand:
-    """A command of the product: when, which, and its first two parameters."""
+    """A command of the product: time, number, and its first two parameters."""
 
     stamp_s: float
     command: int
@@ -36,13 +39,16 @@ class CapturedCommand:
 
 @dataclass(frozen=True)
 class WireCapture:
-    """All in the world's ENU axes and clock.
+    """Decoded messages of the product, in the world's ENU axes and on its clock.
 
-    setpoint_s (N,), of its arrival; setpoint_stamp_ms (N,), as its sender dates it; position_m, velocity_mps,
-    acceleration_mps2 (N, 3); yaw_rate_radps (N,). odometry_s (M,), odometry_m (M, 3) and odometry_yaw_rad (M,), -pi to pi;
-    odometry_stamp_us (M,) on the autopilot's clock, reset_counter (M,). texts: (instant, STATUSTEXT).
-    not_finite: setpoints, poses and commands with a NaN or an infinity in them. yaw_rad (N,): of the setpoints, from the
-    world's x towards its y, NaN where one says none; empty where nobody looks at it.
+    setpoint_s (N,): arrival time of each setpoint. setpoint_stamp_ms (N,): the sender's timestamp. position_m, velocity_mps and
+    acceleration_mps2 (N, 3), yaw_rate_radps (N,).
+    odometry_s (M,), odometry_m (M, 3), odometry_yaw_rad (M,), -pi to pi; odometry_stamp_us (M,), on the autopilot's clock;
+    reset_counter (M,).
+    texts: (time, STATUSTEXT).
+    not_finite: number of setpoints, poses and commands that contain a NaN or an infinity.
+    yaw_rad (N,): yaw of the setpoints, from the world's x axis towards its y axis; NaN where a setpoint has none. It is empty
+    where no check needs it.
     """
 
     setpoint_s: F64
@@ -63,7 +69,10 @@ class WireCapture:
 
 
 def decode(sent: Sequence[tuple[float, bytes]]) -> WireCapture:
-    """Of all that the product wrote: (instant, bytes)."""
+    """Decode all that the product wrote.
+
+    sent: (time, bytes).
+    """
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     setpoints: list[tuple[float, ...]] = []
@@ -88,7 +97,7 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> WireCapture:
                 orders.append(CapturedCommand(stamp_s, mavlink.MAV_CMD_DO_SET_MODE, float(m.base_mode), float(m.custom_mode)))
             elif kind == "STATUSTEXT":
                 texts.append((stamp_s, str(m.text)))
-            not_finite += kind in _CHECKED and not math.isfinite(sum(_numbers(m)))  # one that is none spoils the sum
+            not_finite += kind in _CHECKED and not math.isfinite(sum(_numbers(m)))  # one NaN makes the sum NaN
     s = np.array(setpoints, dtype=np.float64).reshape(-1, 13)
     o = np.array(odometry, dtype=np.float64).reshape(-1, 7)
     return WireCapture(
@@ -99,7 +108,7 @@ def decode(sent: Sequence[tuple[float, bytes]]) -> WireCapture:
 
 
 def setpoints_in(arrived: Sequence[tuple[float, bytes]]) -> F64:
-    """Instants (N,) of the setpoints among whole frames, of those alone that are not spoilt."""
+    """Return the times (N,) of the intact setpoints among whole frames."""
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     kind = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
@@ -109,7 +118,10 @@ def setpoints_in(arrived: Sequence[tuple[float, bytes]]) -> F64:
 
 
 def modes_told(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tuple[float, int, bool]]:
-    """(instant, custom mode, armed) of each HEARTBEAT of the vehicle that reached the product."""
+    """Return (time, custom mode, armed) of each heartbeat that reached the product.
+
+    Only the HEARTBEAT messages of the given system count.
+    """
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     told = []
@@ -122,26 +134,35 @@ def modes_told(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tu
 
 
 def _heartbeats(data: bytes) -> bytes:
-    """Of whole frames those alone, since nobody needs to decode others; all of it where it is not whole frames and no more."""
-    *whole, rest = frames(data + b"\0")  # which stands alone behind whole frames
+    """Return the heartbeat frames, to save decoding the others.
+
+    Data that is not whole frames only is returned unchanged.
+    """
+    *whole, rest = frames(data + b"\0")  # it remains a separate piece only after whole frames
     if rest != b"\0":
         return data
     return b"".join(frame for frame in whole if message_id(frame) == mavlink.MAVLINK_MSG_ID_HEARTBEAT)
 
 
 def _numbers(m: mavlink.MAVLink_message) -> list[float]:
-    """All of them, arrays too."""
+    """Return all numbers of a message, those of arrays too."""
     values = [getattr(m, name) for name in m.get_fieldnames()]
     return [float(v) for value in values for v in (value if isinstance(value, (list, tuple)) else (value,))]
 
 
 def _enu(m: mavlink.MAVLink_odometry_message) -> tuple[float, float, float]:
-    """LOCAL_FRD of a product without a compass has north along the world's y, as LOCAL_NED has."""
+    """Return the position in ENU, NaN where a number is not finite.
+
+    A product without a compass sends LOCAL_FRD with north along the world's y axis, as in LOCAL_NED.
+    """
     return (m.y, m.x, -m.z) if all(map(math.isfinite, (m.x, m.y, m.z))) else (math.nan,) * 3
 
 
 def _yaw_rad(m: mavlink.MAVLink_odometry_message) -> float:
-    """From the world's x, towards its y; of a quaternion with north along that y. NaN where a number is none."""
+    """Return the yaw from the world's x axis towards its y axis, NaN if a number is not finite.
+
+    In the message's quaternion, north is along the world's y axis.
+    """
     w, x, y, z = m.q
     from_north = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return math.remainder(math.pi / 2.0 - from_north, math.tau) if math.isfinite(from_north) else math.nan

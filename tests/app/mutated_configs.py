@@ -1,8 +1,9 @@
-"""Start the pilot on N broken configs: `python tests/app/mutated_configs.py [N]`. Exit code 1: one ended the wrong way.
+"""Start the pilot on N broken configs: `python tests/app/mutated_configs.py [N]`.
 
-Each is the flown config with one thing wrong: a bound passed by the least that a float can tell, a number that is none, a word
-for a number and a number for a word, a key missing or misspelt, two numbers the wrong way round. The pilot's serial line ends
-here, so that what it sends is seen.
+Exit code 1: a pilot did not end as it must.
+Each config is the flown config with one error: a value just beyond a limit, a value that is not a number, a string for a number
+or a table for a string, a missing or misspelt key, or two values that contradict each other. The other end of the pilot's
+serial line is in this process, so that everything the pilot sends is seen.
 """
 
 from __future__ import annotations
@@ -33,32 +34,32 @@ LONGEST_S = 1.0
 
 @dataclass(frozen=True)
 class Mutant:
-    """A tree that must be refused, by words that name the key and what is allowed of it."""
+    """Config that must be refused with a message that names the key and its limit."""
 
     tree: dict[str, Any]
     words: tuple[str, ...]
 
 
 def mutants() -> list[Mutant]:
-    """All of them, always the same."""
+    """Return all mutants, always the same."""
     return [*wrong_numbers(), *wrong_kinds(), *missing_and_misspelt(), *contradictions()]
 
 
 def flown(section: str, key: str, value: Any) -> dict[str, Any]:
-    """The flown config with one value of it changed."""
+    """Return the flown config with one value changed."""
     tree = load(FLOWN).model_dump(mode="json", exclude_none=True)
     return {**tree, section: {**tree[section], key: value}}
 
 
 def fields() -> Iterator[tuple[str, str, Any]]:
-    """Section, key and field of everything that can be written."""
+    """Yield section, key and field of every config value."""
     for section, kind in Config.model_fields.items():
         for key, field in kind.annotation.model_fields.items():  # type: ignore[union-attr]
             yield section, key, field
 
 
 def wrong_numbers() -> Iterator[Mutant]:
-    """Past each bound by the least there is, far past it, and no number at all."""
+    """Yield values just beyond each limit, far beyond it, and not a number."""
     for section, key, field in fields():
         whole = field.annotation is int
         for bound in field.metadata:
@@ -79,7 +80,7 @@ def wrong_numbers() -> Iterator[Mutant]:
 
 
 def wrong_kinds() -> Iterator[Mutant]:
-    """A word for a number, a table for anything else."""
+    """Yield a string for each number and a table for each other value."""
     for section, key, field in fields():
         if field.annotation in (int, float):
             yield Mutant(
@@ -90,7 +91,10 @@ def wrong_kinds() -> Iterator[Mutant]:
 
 
 def missing_and_misspelt() -> Iterator[Mutant]:
-    """No protective number has a default, and no key is passed over."""
+    """Yield configs without a protective number and with an unknown key.
+
+    No protective number has a default, and no unknown key is ignored.
+    """
     tree = load(FLOWN).model_dump(mode="json", exclude_none=True)
     for key in tree["safety"]:
         less = {name: value for name, value in tree["safety"].items() if name != key}
@@ -100,7 +104,7 @@ def missing_and_misspelt() -> Iterator[Mutant]:
 
 
 def contradictions() -> Iterator[Mutant]:
-    """Numbers that are allowed one by one and not together."""
+    """Yield values that are valid one by one but not together."""
     for low, high in (
         ("intent_timeout_s", "retreat_timeout_s"),
         ("retreat_timeout_s", "land_timeout_s"),
@@ -157,7 +161,7 @@ def contradictions() -> Iterator[Mutant]:
 
 
 class SerialLine:
-    """A line whose other end this process holds; ``url`` is what a config calls it."""
+    """Serial line whose other end is in this process; ``url`` is its config value."""
 
     def __init__(self) -> None:
         self._here, self._there = pty.openpty()
@@ -165,7 +169,7 @@ class SerialLine:
         self.url = f"serial:{os.ttyname(self._there)}:921600"
 
     def heard(self, timeout_s: float = 0.0) -> bytes:
-        """What was sent to here, b'' if nothing is within so long."""
+        """Return the bytes received here within timeout_s, b'' for none."""
         return os.read(self._here, 4096) if select.select([self._here], [], [], timeout_s)[0] else b""
 
     def close(self) -> None:
@@ -175,7 +179,7 @@ class SerialLine:
 
 @dataclass(frozen=True)
 class End:
-    """What was wrong with how the pilot ended, '' for nothing, and what it took (s)."""
+    """Result of one start: fault in the way the pilot ended, '' for none, and its times (s)."""
 
     fault: str
     processor_s: float
@@ -183,7 +187,10 @@ class End:
 
 
 def command(tree: dict[str, Any], folder: Path, line: SerialLine) -> list[str]:
-    """The command that starts the pilot on this tree, the flown line's place taken by this one."""
+    """Return the command that starts the pilot on this config.
+
+    The line replaces the flown link.
+    """
     link = tree["link"]
     link = {**link, "url": line.url if link["url"] == load(FLOWN).link.url else link["url"]}
     path = folder / "config.toml"
@@ -192,7 +199,7 @@ def command(tree: dict[str, Any], folder: Path, line: SerialLine) -> list[str]:
 
 
 def end_of(mutant: Mutant, folder: Path, line: SerialLine) -> End:
-    """Start the pilot on it and see it end."""
+    """Start the pilot on the mutant's config and return how it ended."""
     words = command(mutant.tree, folder, line)
     before, began_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
@@ -210,7 +217,7 @@ def end_of(mutant: Mutant, folder: Path, line: SerialLine) -> End:
 
 
 def main(count: int) -> int:
-    """Try so many, spread over all of them, and print. Returns the exit code."""
+    """Try count mutants, spread over all of them, and print a summary. Return the exit code."""
     everything = mutants()
     tried = everything[:: max(len(everything) // count, 1)][:count]
     line = SerialLine()

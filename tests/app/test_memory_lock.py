@@ -30,8 +30,11 @@ print(json.dumps([may, locked, kilobytes, gc.get_freeze_count(), gc.isenabled()]
 """
 
 
-def test_memory_is_locked_and_what_start_up_made_is_no_garbage() -> None:
-    """In a process of its own, whose memory may be locked if this user may: as the pilot's unit lets it, or as root."""
+def test_memory_is_locked_and_objects_made_at_start_up_are_frozen_for_the_collector() -> None:
+    """Runs in a separate process.
+
+    The memory is locked if this user may lock it: with the limits of the pilot's unit, or as root.
+    """
     child = subprocess.run([sys.executable, "-c", SETTLED], capture_output=True, text=True, timeout=60, check=True)
     may, locked, kilobytes, frozen, collects = json.loads(child.stdout)
     assert locked == may
@@ -41,7 +44,7 @@ def test_memory_is_locked_and_what_start_up_made_is_no_garbage() -> None:
 
 
 class Libc:
-    """Says yes or no, and keeps what it was asked."""
+    """Stub of libc that accepts or refuses a lock and records the calls."""
 
     def __init__(self, refuses: bool = False) -> None:
         self.asked: list[tuple[Any, ...]] = []
@@ -64,7 +67,7 @@ def thawed() -> Iterator[None]:
 
 @pytest.mark.usefixtures("thawed")
 @pytest.mark.parametrize(("libc", "asked"), [(Libc(refuses=True), 1), (object(), 0)])
-def test_where_it_may_not_be_locked_it_stays_as_it_is(monkeypatch: pytest.MonkeyPatch, libc: object, asked: int) -> None:
+def test_without_permission_memory_is_not_locked(monkeypatch: pytest.MonkeyPatch, libc: object, asked: int) -> None:
     monkeypatch.setattr(ctypes, "CDLL", lambda name: libc)
     assert not memory_lock.lock_memory_and_freeze_gc()
     assert len(getattr(libc, "asked", [])) == asked
@@ -72,9 +75,7 @@ def test_where_it_may_not_be_locked_it_stays_as_it_is(monkeypatch: pytest.Monkey
 
 @pytest.mark.usefixtures("thawed")
 @pytest.mark.parametrize("limit_bytes", [1 << 30, (1 << 63) - 1])
-def test_under_a_limit_that_would_refuse_later_memory_nothing_stays_locked(
-    monkeypatch: pytest.MonkeyPatch, limit_bytes: int
-) -> None:
+def test_with_a_limit_that_refuses_later_memory_nothing_stays_locked(monkeypatch: pytest.MonkeyPatch, limit_bytes: int) -> None:
     def refuse(number: int, length: int) -> mmap.mmap:
         if length > sys.maxsize:
             raise OverflowError

@@ -1,4 +1,7 @@
-"""Broken configs are refused before anything begins. The script beside it starts a pilot on each of them."""
+"""Broken configs are refused before anything starts.
+
+mutated_configs.py starts a pilot on each of them.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from uav_recon.config import load
 ALL = mutants()
 
 
-def test_each_of_two_hundred_is_refused_by_one_line_that_names_key_and_range_before_anything_begins(
+def test_each_of_two_hundred_is_refused_at_start_by_one_line_that_names_key_and_limit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("uav_recon.app.processes.file_wires", lambda folder: pytest.fail("it began to run"))
@@ -42,11 +45,11 @@ def line() -> Iterator[SerialLine]:
     found.close()
 
 
-def test_a_process_of_its_own_ends_so_too(tmp_path: Path, line: SerialLine) -> None:
+def test_a_pilot_process_refuses_it_too(tmp_path: Path, line: SerialLine) -> None:
     assert end_of(ALL[len(ALL) // 2], tmp_path, line).fault == ""
 
 
-def test_what_is_broken_was_whole_and_is_heard_on_the_line(tmp_path: Path, line: SerialLine) -> None:
+def test_the_unbroken_config_starts_a_pilot_that_sends_on_the_line(tmp_path: Path, line: SerialLine) -> None:
     tree = load(FLOWN).model_dump(mode="json", exclude_none=True)
     assert tree["safety"]["max_speed_mps"] == 1.0
     with subprocess.Popen(command(tree, tmp_path, line), stderr=subprocess.DEVNULL) as pilot:

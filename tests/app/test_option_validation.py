@@ -1,4 +1,7 @@
-"""Paths that cannot be had: told in one line and with exit code 2 before any work, whichever command is given them."""
+"""Unusable paths are one-line errors with exit code 2, in every command.
+
+They are reported before any work is done.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typer.testing import CliRunner
 from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
 from uav_recon.cli.main import app
 
-UNREADABLE = "/tmp/" + "x" * 300  # no system looks into it, whoever asks: also not for root, whom no permission stops
+UNREADABLE = "/tmp/" + "x" * 300  # too long a name, which fails even for root
 
 
 def says(*words: str) -> tuple[int, str]:
@@ -42,7 +45,7 @@ def says(*words: str) -> tuple[int, str]:
         ("bench mapper --scene {}/x", 2),
     ],
 )
-def test_a_path_that_cannot_be_looked_at_is_one_line(words: str, code: int) -> None:
+def test_an_unreadable_path_is_a_one_line_error(words: str, code: int) -> None:
     told, said = says(*words.format(UNREADABLE).split())
     assert told == code, said
     assert "File name too long" in said
@@ -63,7 +66,7 @@ def test_a_path_that_cannot_be_looked_at_is_one_line(words: str, code: int) -> N
     ],
 )
 @pytest.mark.parametrize("where", ["nowhere/x.json", ".", "/proc/x.json"])
-def test_an_account_that_cannot_be_written_is_told_before_the_work(words: str, where: str, tmp_path: Path) -> None:
+def test_an_unwritable_json_file_is_reported_before_the_work(words: str, where: str, tmp_path: Path) -> None:
     told, said = says(*words.format(tmp_path / where).split())
     assert told == 2, said
     assert said.startswith(f"uav-recon: --json {tmp_path / where}: ")
@@ -71,14 +74,14 @@ def test_an_account_that_cannot_be_written_is_told_before_the_work(words: str, w
 
 
 @pytest.mark.parametrize("out", ["file/x", "file", "/proc/x"])
-def test_a_folder_that_cannot_be_written_is_told_before_the_work(out: str, tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported_before_the_work(out: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     told, said = says("faults", "--only", "A1", "--seeds", "1", "--autopilot", "px4", "--out", str(tmp_path / out))
     assert told == 2
     assert said.startswith(f"uav-recon: --out {tmp_path / out}: cannot be written (")
 
 
-def test_what_is_there_stays_as_it_is(tmp_path: Path) -> None:
+def test_checking_a_path_leaves_existing_files_unchanged(tmp_path: Path) -> None:
     held = tmp_path / "held.json"
     held.write_text("{}")
     require_writable_file("--json", held)

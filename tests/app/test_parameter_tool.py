@@ -1,4 +1,7 @@
-"""`uav-recon params` as a person meets it, against both simulated autopilots over a link in memory."""
+"""`uav-recon params` as a user runs it, against both simulated autopilots.
+
+The link is in memory.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ WRONG = {"px4": {"COM_OBL_RC_ACT": 0.0, "SYS_HAS_GPS": 1.0, "MPC_XY_VEL_MAX": 12
 
 
 class Bench:
-    """A vehicle on the ground; its time goes on while it is waited for. lost: the share of its datagrams that is."""
+    """Simulated vehicle on the ground, whose time advances while the tool waits.
+
+    lost: share of its datagrams that is lost.
+    """
 
     def __init__(self, name: str, lost: float = 0.0) -> None:
         self.clock = ManualClock(50.0)
@@ -72,7 +78,7 @@ class Bench:
 
 
 class Paper:
-    """What is printed."""
+    """Captured console output."""
 
     def __init__(self) -> None:
         self._out = io.StringIO()
@@ -92,7 +98,7 @@ def yes(question: str) -> bool:
 
 
 @pytest.mark.parametrize("name", FIRMWARES)
-def test_a_vehicle_as_it_should_be_is_equal(name: str) -> None:
+def test_a_vehicle_with_the_required_parameters_is_equal(name: str) -> None:
     bench, paper = Bench(name), Paper()
     assert show(bench.vehicle().compare(bench.wanted), True, paper.console) == 0
     assert paper.text.splitlines()[-1] == f"all {len(bench.wanted)} parameters are as wanted"
@@ -101,7 +107,7 @@ def test_a_vehicle_as_it_should_be_is_equal(name: str) -> None:
 
 @pytest.mark.parametrize("name", FIRMWARES)
 @pytest.mark.parametrize("lost", [0.0, 0.2])
-def test_what_differs_is_shown_with_its_reason(name: str, lost: float) -> None:
+def test_differing_parameters_are_shown_with_their_reason(name: str, lost: float) -> None:
     bench, paper = Bench(name, lost), Paper()
     bench.spoil(name)
     assert show(bench.vehicle().compare(bench.wanted), False, paper.console) == 1
@@ -115,7 +121,7 @@ def test_what_differs_is_shown_with_its_reason(name: str, lost: float) -> None:
 
 @pytest.mark.parametrize("name", FIRMWARES)
 @pytest.mark.parametrize("lost", [0.0, 0.2])
-def test_writing_mends_it_and_says_what_counts_from_the_next_start(name: str, lost: float) -> None:
+def test_writing_corrects_the_parameters_and_names_those_that_need_a_reboot(name: str, lost: float) -> None:
     bench, paper = Bench(name, lost), Paper()
     bench.spoil(name)
     assert write_to(bench.vehicle(), bench.wanted, yes, paper.console) == 0
@@ -126,7 +132,7 @@ def test_writing_mends_it_and_says_what_counts_from_the_next_start(name: str, lo
     assert paper.text.splitlines()[-1] == f"reboot the autopilot: only then it obeys {boot}"
 
 
-def test_nothing_is_written_without_a_yes() -> None:
+def test_nothing_is_written_without_confirmation() -> None:
     bench, paper = Bench("px4"), Paper()
     bench.spoil("px4")
     asked: list[str] = []
@@ -141,7 +147,7 @@ def test_nothing_is_written_without_a_yes() -> None:
     assert bench.value("COM_OBL_RC_ACT") == 0
 
 
-def test_nothing_is_asked_where_nothing_differs() -> None:
+def test_without_differences_no_confirmation_is_requested() -> None:
     bench, paper = Bench("px4"), Paper()
 
     def never(question: str) -> bool:
@@ -164,7 +170,7 @@ def test_nothing_is_written_while_the_motors_are_armed() -> None:
     assert bench.value("FS_GCS_ENABLE") == 0
 
 
-def test_a_parameter_that_the_vehicle_does_not_know_is_said_and_not_written() -> None:
+def test_a_parameter_unknown_to_the_vehicle_is_reported_and_not_written() -> None:
     bench, paper = Bench("px4"), Paper()
     unknown = RequiredParameter("NOT_OF_THIS_FW", 1.0, bench.wanted[0].reason)
     assert write_to(bench.vehicle(), (*bench.wanted, unknown), yes, paper.console) == 1
@@ -172,7 +178,7 @@ def test_a_parameter_that_the_vehicle_does_not_know_is_said_and_not_written() ->
     assert "nothing is written" in paper.text
 
 
-def test_a_fraction_does_not_go_where_the_vehicle_has_an_integer() -> None:
+def test_a_fraction_is_not_written_to_an_integer_parameter() -> None:
     bench, paper = Bench("px4"), Paper()
     half = RequiredParameter("COM_OBL_RC_ACT", 0.5, bench.wanted[0].reason)
     with pytest.raises(UserError, match=r"COM_OBL_RC_ACT: 0\.5 is not a whole number") as caught:
@@ -180,7 +186,7 @@ def test_a_fraction_does_not_go_where_the_vehicle_has_an_integer() -> None:
     assert caught.value.code == 78
 
 
-def test_silence_and_the_wrong_firmware_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_silence_and_the_wrong_firmware_are_one_line_errors(capsys: pytest.CaptureFixture[str]) -> None:
     silent = Bench("px4")
     silent.mute = True
     with pytest.raises(UserError, match="no autopilot heard within 10 s") as caught:
@@ -194,7 +200,7 @@ def test_silence_and_the_wrong_firmware_are_one_line(capsys: pytest.CaptureFixtu
     assert caught.value.code == 78
 
 
-def test_a_vehicle_that_falls_silent_is_not_written_to_on() -> None:
+def test_writing_stops_when_the_vehicle_falls_silent() -> None:
     bench, paper = Bench("px4"), Paper()
     bench.spoil("px4")
     vehicle = bench.vehicle()
@@ -218,7 +224,7 @@ def test_a_vehicle_that_falls_silent_is_not_written_to_on() -> None:
         (["--autopilot", "px4", "--config", "none.toml"], "give --autopilot and --link, or a --config"),
     ],
 )
-def test_bad_input_is_one_line_and_78(arguments: list[str], words: str) -> None:
+def test_invalid_options_are_a_one_line_error_with_exit_code_78(arguments: list[str], words: str) -> None:
     for command in ("check", "diff", "write"):
         ended = CliRunner().invoke(app, ["params", command, *arguments])
         assert ended.exit_code == 78, ended.stderr
@@ -226,7 +232,7 @@ def test_bad_input_is_one_line_and_78(arguments: list[str], words: str) -> None:
         assert len(ended.stderr.splitlines()) == 1
 
 
-def test_the_config_says_what_is_not_given(tmp_path: Path) -> None:
+def test_missing_options_are_taken_from_the_config(tmp_path: Path) -> None:
     flown = Path(__file__).parents[2] / "systemd" / "config.toml"
     options = ParamsOptions.of(None, None, None, flown)
     assert options == ParamsOptions("px4", "serial:/dev/fc:921600", None, load_config(flown).link)

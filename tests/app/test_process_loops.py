@@ -1,4 +1,7 @@
-"""When perception ends, and when the pilot has told of its landing: loops of the processes on a clock of their own."""
+"""Process loops: when perception ends, and when the pilot has reported its landing.
+
+The clock is simulated.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,10 @@ def vehicle(now_s: float, phase: FlightPhase, armed: bool) -> VehicleState:
 
 
 class Turns:
-    """Perception's step on a clock of its own: 100 Hz of a flight that lands after 20 s, told at each turn."""
+    """Perception's step on a simulated clock, at 100 Hz.
+
+    The flight lands after 20 s; its state is published at each step.
+    """
 
     def __init__(self, lands_s: float = 20.0, dies_s: float = math.inf) -> None:
         self.clock, self.channel, self.asked = ManualClock(), MemoryChannel(VehicleState), False
@@ -48,10 +54,13 @@ class Turns:
         return processes.perceive(self.step, self.channel, self.clock, lambda: self.asked)
 
 
-def test_perception_that_is_asked_to_end_goes_on_until_the_pilot_has_landed_by_its_poses(
+def test_perception_asked_to_end_continues_until_the_pilot_has_landed(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """As a stop of the target asks both; and systemd, which gives it 5 s, is told at each turn that it takes longer."""
+    """A stop of the target stops pilot and perception at once.
+
+    systemd, which allows 5 s, is notified at each step that perception takes longer.
+    """
     flight, fed, prolonged = Turns(), [0], list[float]()
     flight.asked_s = 15.0
     monkeypatch.setattr(systemd_notify, "watchdog", lambda: fed.append(flight.turns))
@@ -66,7 +75,7 @@ def test_perception_that_is_asked_to_end_goes_on_until_the_pilot_has_landed_by_i
     ]
 
 
-def test_perception_ends_at_once_where_nothing_flies(caplog: pytest.LogCaptureFixture) -> None:
+def test_perception_ends_at_once_on_the_ground(caplog: pytest.LogCaptureFixture) -> None:
     flight = Turns(lands_s=0.0)
     flight.asked_s = 5.0
     assert flight.run() == ""
@@ -81,7 +90,7 @@ def test_perception_ends_a_second_after_a_pilot_that_died_in_the_air() -> None:
     assert flight.clock.now_s() == pytest.approx(17.0, abs=0.03)
 
 
-def test_a_camera_that_is_gone_ends_perception_on_the_ground_at_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_lost_camera_ends_perception_at_once_on_the_ground(caplog: pytest.LogCaptureFixture) -> None:
     flight = Turns(lands_s=0.0)
     flight.gone_from_s = 5.0
     assert flight.run() == "gone at 5.0"
@@ -89,7 +98,7 @@ def test_a_camera_that_is_gone_ends_perception_on_the_ground_at_once(caplog: pyt
     assert not caplog.records, "told once: as the reason of its end"
 
 
-def test_a_camera_that_is_gone_in_flight_costs_no_pose_and_ends_perception_after_the_landing(
+def test_a_lost_camera_in_flight_costs_no_pose_and_ends_perception_after_the_landing(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     flight = Turns()
@@ -102,15 +111,18 @@ def test_a_camera_that_is_gone_in_flight_costs_no_pose_and_ends_perception_after
     ]
 
 
-def test_a_camera_that_comes_back_in_flight_is_not_ended_for() -> None:
+def test_a_camera_that_recovers_in_flight_does_not_end_perception() -> None:
     flight = Turns()
     flight.gone_from_s, flight.gone_to_s, flight.asked_s = 5.0, 8.0, 30.0
     assert flight.run() == ""
     assert flight.clock.now_s() == pytest.approx(30.0, abs=0.02)
 
 
-def test_a_pilot_has_told_only_once_the_others_can_read_its_phase() -> None:
-    """Between two turns of the publishing it lands: the mission, told of LANDING alone, would write no report."""
+def test_a_phase_counts_as_reported_only_once_it_is_published() -> None:
+    """The landing can fall between two publications.
+
+    If the mission read only LANDING, it would write no report.
+    """
     channel = MemoryChannel(VehicleState)
     assert not processes.has_told(FlightPhase.LANDED, channel)
     channel.publish(vehicle(1.0, FlightPhase.LANDING, armed=True))

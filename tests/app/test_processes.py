@@ -1,4 +1,7 @@
-"""The processes as a person or systemd meets them: one of each, a port of its own, an end on SIGTERM."""
+"""Processes as a user or systemd meets them: one of each, and an end on SIGTERM.
+
+Each test has its own port.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
 
 @pytest.fixture()
 def config(tmp_path: Path) -> Path:
-    """The flown config with folders and port of this test."""
+    """Return the flown config with folders and port of this test."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -41,14 +44,14 @@ def start(name: str, config: Path) -> subprocess.Popen[str]:
 @pytest.fixture()
 def pilot(config: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     process = start("pilot", config)
-    while not list((tmp_path / "flights").glob("*/flight.tlog")):  # its log is the last thing made before the loop
+    while not list((tmp_path / "flights").glob("*/flight.tlog")):  # the log is created last, just before the loop
         assert process.poll() is None, process.communicate()[1]
     yield process
     process.kill()
     process.communicate()
 
 
-def test_a_second_copy_ends_with_75_and_the_first_goes_on(pilot: subprocess.Popen[str], config: Path) -> None:
+def test_a_second_pilot_ends_with_exit_code_75_and_the_first_continues(pilot: subprocess.Popen[str], config: Path) -> None:
     second = start("pilot", config)
     _, said = second.communicate(timeout=30)
     assert second.returncode == 75
@@ -69,7 +72,7 @@ def test_the_pilot_loads_no_heavy_package(pilot: subprocess.Popen[str]) -> None:
         assert f"/{package}/" not in mapped, package
 
 
-def test_a_port_in_use_is_one_line(config: Path) -> None:
+def test_a_port_in_use_is_a_one_line_error(config: Path) -> None:
     port = int(configuration.load(config).link.url.rpartition(":")[2])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", port))
@@ -81,7 +84,10 @@ def test_a_port_in_use_is_one_line(config: Path) -> None:
 
 
 def signed(config: Path, mode: int) -> tuple[int, str, Path]:
-    """The pilot with a key of these permissions, ended as soon as it has opened its link: exit code, words, and its stamps."""
+    """Start a pilot with a key of these permissions and end it once its link is open.
+
+    Returns exit code, error output, and the file of its time stamps.
+    """
     key, stamps = config.parent / "signing.key", config.parent / "signing.json"
     key.write_text("correct horse battery\n")
     key.chmod(mode)
@@ -96,7 +102,7 @@ def signed(config: Path, mode: int) -> tuple[int, str, Path]:
     return process.returncode, said, stamps
 
 
-def test_a_pilot_with_a_key_keeps_its_stamps(config: Path) -> None:
+def test_a_pilot_with_a_key_saves_its_signing_time_stamps(config: Path) -> None:
     code, said, stamps = signed(config, 0o600)
     assert (code, said) == (0, "")
     assert json.loads(stamps.read_text())["own"] > 1e13
@@ -112,7 +118,7 @@ def test_a_key_that_others_can_read_ends_the_pilot_before_a_byte_is_sent(config:
     assert not stamps.exists()
 
 
-def test_the_recorder_ends_with_the_mission_that_started_it_even_if_that_was_before_it_looked(config: Path) -> None:
+def test_the_recorder_ends_with_its_mission_even_if_that_ended_first(config: Path) -> None:
     command = [
         sys.executable,
         "-m",
@@ -137,7 +143,7 @@ def say(word: str, config: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
-def test_an_operator_is_told_how_it_stands_and_what_is_missing(pilot: subprocess.Popen[str], config: Path) -> None:
+def test_an_operator_gets_the_status_and_the_missing_conditions(pilot: subprocess.Popen[str], config: Path) -> None:
     told = say("status", config)
     assert told.returncode == 0, told.stderr
     lines = told.stdout.splitlines()
@@ -152,7 +158,7 @@ def test_an_operator_is_told_how_it_stands_and_what_is_missing(pilot: subprocess
     assert pilot.poll() is None
 
 
-def test_an_operator_watches_until_he_interrupts_or_the_pilot_is_gone(pilot: subprocess.Popen[str], config: Path) -> None:
+def test_watching_the_status_ends_on_interrupt_or_with_the_pilot(pilot: subprocess.Popen[str], config: Path) -> None:
     while say("status", config).returncode != 0:
         assert pilot.poll() is None
     command = [sys.executable, "-m", "uav_recon", "status", "--watch", "--config", str(config)]
@@ -169,13 +175,13 @@ def test_an_operator_watches_until_he_interrupts_or_the_pilot_is_gone(pilot: sub
     assert last == f"uav-recon: {config.parent / 'run' / 'operator.socket'}: no pilot is running there"
 
 
-def test_without_a_pilot_an_operator_is_told_so(config: Path) -> None:
+def test_a_missing_pilot_is_reported_to_the_operator(config: Path) -> None:
     told = say("hold", config)
     assert told.returncode == 69
     assert told.stderr == f"uav-recon: {config.parent / 'run' / 'operator.socket'}: no pilot is running there\n"
 
 
-def test_readiness_and_then_the_turns_of_the_loop_are_told_to_systemd(config: Path, tmp_path: Path) -> None:
+def test_readiness_and_watchdog_are_reported_to_systemd(config: Path, tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))
         systemd.settimeout(60.0)
@@ -185,7 +191,7 @@ def test_readiness_and_then_the_turns_of_the_loop_are_told_to_systemd(config: Pa
         try:
             assert systemd.recv(100) == b"READY=1"
             assert [systemd.recv(100) for _ in range(20)] == [b"WATCHDOG=1"] * 20
-            process.send_signal(signal.SIGSTOP)  # a pilot that stalls is not reported alive by anything else
+            process.send_signal(signal.SIGSTOP)  # no other part reports a stalled pilot as alive
             systemd.settimeout(1.0)
             with pytest.raises(TimeoutError):
                 while systemd.recv(100) == b"WATCHDOG=1":
@@ -195,8 +201,8 @@ def test_readiness_and_then_the_turns_of_the_loop_are_told_to_systemd(config: Pa
             process.communicate()
 
 
-def test_a_pilot_that_is_ready_has_settled_and_is_small(config: Path, tmp_path: Path) -> None:
-    """As much as this user may: what settle() does is in test_steady.py."""
+def test_a_ready_pilot_has_locked_its_memory_and_is_small(config: Path, tmp_path: Path) -> None:
+    """The memory is locked if this user may lock it; test_memory_lock.py tests the lock."""
     settle = [sys.executable, "-c", "from uav_recon import steady; print(steady.settle())"]
     may = subprocess.run(settle, capture_output=True, text=True, timeout=60, check=True).stdout == "True\n"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
@@ -216,7 +222,7 @@ def test_a_pilot_that_is_ready_has_settled_and_is_small(config: Path, tmp_path: 
     assert kilobytes["VmRSS"] < 150e3
 
 
-def test_after_a_kill_the_next_pilot_finds_its_place_free(pilot: subprocess.Popen[str], config: Path) -> None:
+def test_after_a_kill_the_next_pilot_can_start(pilot: subprocess.Popen[str], config: Path) -> None:
     while say("status", config).returncode != 0:
         assert pilot.poll() is None
     pilot.kill()
@@ -238,7 +244,7 @@ def perception_of(source: str, config: Path) -> subprocess.Popen[str]:
     return start("perception", config)
 
 
-def test_perception_says_what_it_waits_for_and_ends_on_sigterm_meanwhile(config: Path) -> None:
+def test_waiting_perception_logs_why_and_ends_on_sigterm(config: Path) -> None:
     process = perception_of("stream", config)
     assert process.stderr is not None
     said = process.stderr.readline()
@@ -251,7 +257,7 @@ def test_perception_says_what_it_waits_for_and_ends_on_sigterm_meanwhile(config:
     assert "ended while waiting" in said
 
 
-def test_a_stream_file_of_another_kind_is_told_at_once(config: Path) -> None:
+def test_an_invalid_stream_file_is_reported_at_once(config: Path) -> None:
     (config.parent / "run").mkdir()
     (config.parent / "run" / "camera.stream").write_bytes(b"x" * 5000)
     process = perception_of("stream", config)
@@ -261,7 +267,7 @@ def test_a_stream_file_of_another_kind_is_told_at_once(config: Path) -> None:
     process.communicate(timeout=20)
 
 
-def test_a_missing_camera_is_told_before_anything_is_waited_for(config: Path) -> None:
+def test_a_missing_camera_is_reported_before_any_wait(config: Path) -> None:
     process = perception_of("realsense", config)
     _, said = process.communicate(timeout=20)
     assert process.returncode == 1
@@ -269,7 +275,7 @@ def test_a_missing_camera_is_told_before_anything_is_waited_for(config: Path) ->
     assert "is not connected" in said
 
 
-def test_a_lock_that_cannot_be_one_is_a_fault_of_the_place(config: Path) -> None:
+def test_a_lock_file_that_cannot_be_opened_is_a_configuration_error(config: Path) -> None:
     (config.parent / "run" / "pilot.lock").mkdir(parents=True)
     process = start("pilot", config)
     _, said = process.communicate(timeout=30)
@@ -290,9 +296,9 @@ def test_a_lock_that_cannot_be_one_is_a_fault_of_the_place(config: Path) -> None
         {"ok": True, "said": "", "status": [1]},
     ],
 )
-def test_a_socket_of_somebody_else_is_told(word: str, answer: dict[str, object], tmp_path: Path) -> None:
+def test_a_foreign_process_on_the_operator_socket_is_reported(word: str, answer: dict[str, object], tmp_path: Path) -> None:
     if word == "land" and "status" in answer:
-        return  # it asks for no status
+        return  # the land command reads no status
     path = tmp_path / "socket"
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as desk:
         desk.bind(str(path))

@@ -1,4 +1,4 @@
-"""`uav-recon refine` as a person meets it, on a flight through the box room that is made here."""
+"""`uav-recon refine` as a user runs it, on a flight through the box room that is made here."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     flight = tmp_path_factory.mktemp("flown")
     tree = configuration.load(FLOWN).model_dump(mode="json", exclude_none=True)
-    low, high = LOW - 0.3, HIGH + 0.3  # the corner of the room is where it took off, and the fence's inset is about it
+    low, high = LOW - 0.3, HIGH + 0.3  # the take-off position is a corner of the room, and the fence has its inset around it
     tree["safety"] |= {"fence_min_m": low.tolist(), "fence_max_m": high.tolist(), "fence_inset_m": 0.2}
     tree["camera"] |= {"depth_noise_px": NOISE_PX, "baseline_m": BASELINE_M}
     configuration.save(configuration.parse(tree, "test"), flight / "config.toml")
@@ -62,7 +62,7 @@ def call(flight: Path, *arguments: str) -> tuple[int, str]:
     return done.exit_code, done.stderr
 
 
-def test_writes_a_watertight_ply_a_textured_glb_and_pictures(flight: Path) -> None:
+def test_writes_a_watertight_ply_a_textured_glb_and_images(flight: Path) -> None:
     code, said = call(flight)
     assert code == 0, said
     folder = flight / "refined"
@@ -77,8 +77,11 @@ def test_writes_a_watertight_ply_a_textured_glb_and_pictures(flight: Path) -> No
     assert f"{folder / 'mesh.ply'}, mesh.glb:" in said.replace("\n", "")
 
 
-def test_what_pictures_saw_wears_the_colours_that_they_saw(flight: Path) -> None:
-    """A field learns colours for minutes; in the ply and in the texture they are right at once, where a ray met the wall."""
+def test_observed_surface_has_the_colours_of_the_images(flight: Path) -> None:
+    """A field needs minutes to learn colours.
+
+    In the PLY and in the texture they are correct at once, wherever a ray met the wall.
+    """
     assert call(flight)[0] == 0
     model = load_mesh(flight / "refined")
     assert model is not None
@@ -88,12 +91,12 @@ def test_what_pictures_saw_wears_the_colours_that_they_saw(flight: Path) -> None
 
 
 def share_in_wall_colours(rgb: ByteArray) -> float:
-    """Of pixels or vertices (..., 3), those that show a wall as it is."""
+    """Return the share of pixels or vertices (..., 3) that have the colour of a wall."""
     error = np.abs(rgb.reshape(-1, 1, 3).astype(int) - WALL_RGB).max(axis=2).min(axis=1)
     return float(np.mean(error < 10))
 
 
-def test_a_second_call_goes_on_and_a_changed_one_is_refused(flight: Path) -> None:
+def test_a_second_call_resumes_and_one_with_other_options_is_refused(flight: Path) -> None:
     assert call(flight)[0] == 0
     _, said = call(flight)
     assert "going on after 150 of 150 steps" in said
@@ -102,7 +105,7 @@ def test_a_second_call_goes_on_and_a_changed_one_is_refused(flight: Path) -> Non
     assert said.splitlines()[-1].endswith("steps 150 there, 151 here; move the folder away to begin anew")
 
 
-def test_damaged_checkpoints_are_named_and_learned_anew(flight: Path) -> None:
+def test_damaged_checkpoints_are_named_and_training_starts_again(flight: Path) -> None:
     (flight / "refined").mkdir()
     for name in (LAST, BEFORE):
         (flight / "refined" / name).write_bytes(b"broken")
@@ -113,7 +116,7 @@ def test_damaged_checkpoints_are_named_and_learned_anew(flight: Path) -> None:
     assert (flight / "refined" / "mesh.ply").exists()
 
 
-def test_a_damaged_view_is_one_view_less(flight: Path) -> None:
+def test_a_damaged_view_is_left_out(flight: Path) -> None:
     (flight / "keyframes" / "0003_depth.png").write_bytes(b"torn")
     code, said = call(flight)
     assert code == 0
@@ -130,7 +133,7 @@ def test_a_damaged_view_is_one_view_less(flight: Path) -> None:
         (("--device", "tpu"), "--device tpu: want auto, cpu, cuda"),
     ],
 )
-def test_a_wrong_word_is_one_line_with_the_range(flight: Path, arguments: tuple[str, ...], words: str) -> None:
+def test_an_invalid_option_is_a_one_line_error_with_the_range(flight: Path, arguments: tuple[str, ...], words: str) -> None:
     assert call(flight, *arguments) == (2, f"uav-recon: {words}\n")
 
 
@@ -140,14 +143,14 @@ def test_a_wrong_word_is_one_line_with_the_range(flight: Path, arguments: tuple[
     ("0", 128.0, "1 to 64"),
     ("65", 128.0, "1 to 64"),
 ])  # fmt: skip
-def test_more_processes_than_there_is_memory_for_are_refused(
+def test_more_processes_than_fit_in_memory_are_refused(
     flight: Path, monkeypatch: pytest.MonkeyPatch, asked: str, memory_gb: float, want: str
 ) -> None:
     monkeypatch.setattr("uav_recon.app.refine.memory_gb", lambda: memory_gb)
     assert call(flight, "--processes", asked) == (2, f"uav-recon: --processes {asked}: want {want}\n")
 
 
-def test_a_folder_that_is_no_flight_is_one_line(tmp_path: Path) -> None:
+def test_a_folder_without_a_flight_is_a_one_line_error(tmp_path: Path) -> None:
     assert call(tmp_path / "none") == (2, f"uav-recon: {tmp_path / 'none'}: no such flight folder\n")
     code, said = call(tmp_path)
     assert code == 2
@@ -155,7 +158,7 @@ def test_a_folder_that_is_no_flight_is_one_line(tmp_path: Path) -> None:
     assert len(said.splitlines()) == 1
 
 
-def test_keyframes_that_cannot_be_used_are_one_line(flight: Path) -> None:
+def test_unusable_keyframes_are_an_error(flight: Path) -> None:
     for path in (flight / "keyframes").glob("*_depth.png"):
         path.write_bytes(b"torn")
     code, said = call(flight)
@@ -163,7 +166,7 @@ def test_keyframes_that_cannot_be_used_are_one_line(flight: Path) -> None:
     assert "none of its 8 keyframes can be used" in said
 
 
-def test_a_second_copy_is_told_so(flight: Path) -> None:
+def test_a_second_refinement_of_a_flight_is_refused(flight: Path) -> None:
     (flight / "refined").mkdir()
     lock = claim_file(flight / "refined" / refine.LOCK_FILE, "held by this test")
     assert call(flight) == (75, f"uav-recon: a refinement of {flight} runs already\n")
@@ -194,7 +197,7 @@ def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str]) ->
 
 
 @pytest.mark.slow
-def test_a_kill_loses_little_and_ctrl_c_loses_nothing(flight: Path) -> None:
+def test_a_kill_loses_little_progress_and_ctrl_c_none(flight: Path) -> None:
     last, endless = flight / "refined" / LAST, ("--steps", "100000", "--save-every", "1")
     killed = start(flight, *endless)
     wait_until(last.exists, killed)
@@ -212,7 +215,7 @@ def test_a_kill_loses_little_and_ctrl_c_loses_nothing(flight: Path) -> None:
 
 @pytest.mark.slow
 def test_two_processes_learn_one_field(flight: Path) -> None:
-    """gloo between two processes stands in for nccl between GPUs; torchrun starts both."""
+    """gloo between two processes replaces nccl between GPUs; torchrun starts both."""
     process = start(flight, "--steps", "40", "--processes", "2")
     _, said = process.communicate(timeout=200)
     assert process.returncode == 0, said

@@ -11,6 +11,6 @@ def test_the_factor_is_the_geometric_mean_of_the_two_jobs() -> None:
     assert [slower.factor, slower.cpu_factor] == pytest.approx([2.0, 3.0])
 
 
-def test_the_processor_is_given_no_more_than_the_time_that_passes() -> None:
+def test_cpu_time_does_not_exceed_wall_time() -> None:
     here = calibrate(runs=1)
     assert 0.05 < here.cpu_factor <= 1.05 * here.factor

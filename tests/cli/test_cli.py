@@ -1,4 +1,4 @@
-"""The command line itself: what each option lets through, and how it says no."""
+"""Command line: values that each option accepts, and the errors for others."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ def callbacks(group: typer.Typer) -> Iterator[Callable[..., Any]]:
 
 
 @pytest.mark.parametrize("command", list(callbacks(app)), ids=lambda command: command.__qualname__)
-def test_a_path_is_judged_by_who_opens_it(command: Callable[..., Any]) -> None:
-    """Not by the parser, whose word is five lines and exit code 2: systemd would start the pilot again for ever."""
+def test_paths_are_checked_by_the_code_that_opens_them_and_not_by_the_parser(command: Callable[..., Any]) -> None:
+    """The parser would print five lines and exit with code 2.
+
+    systemd would then restart the pilot for ever.
+    """
     for name, hint in typing.get_type_hints(command, include_extras=True).items():
         if name != "return":
             kind, said = typing.get_args(hint)
@@ -33,7 +36,7 @@ def test_a_path_is_judged_by_who_opens_it(command: Callable[..., Any]) -> None:
             assert not (said.readable and Path in (kind, *typing.get_args(kind))), name
 
 
-def test_an_interrupt_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_interrupt_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     def work() -> int:
         raise KeyboardInterrupt
 
@@ -57,7 +60,7 @@ def test_an_interrupt_says_so(capsys: pytest.CaptureFixture[str]) -> None:
         ("fly", "no such command"),
     ],
 )
-def test_what_the_parser_refuses_is_one_line(
+def test_a_parser_error_is_one_line(
     words: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.argv", ["uav-recon", *words.split()])
@@ -71,7 +74,7 @@ def test_what_the_parser_refuses_is_one_line(
 
 
 @pytest.mark.parametrize(("words", "code"), [("--help", 0), ("sim --help", 0), ("", 2), ("review /nowhere", 2)])
-def test_everything_else_ends_as_it_did(
+def test_help_and_other_errors_keep_their_exit_codes(
     words: str, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.argv", ["uav-recon", *words.split()])

@@ -1,4 +1,7 @@
-"""A number that was mistyped on the command line ends in one line and exit code 2, before anything is loaded."""
+"""A mistyped number on the command line is a one-line error with exit code 2.
+
+It is reported before anything is loaded.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ from uav_recon.cli.main import app
         ),
     ],
 )
-def test_a_mistyped_number_is_one_line(words: str, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mistyped_number_is_a_one_line_error(words: str, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sitl.apps.sim_options.memory_gb", lambda: 16.0)
     ended = CliRunner().invoke(app, words.split())
     assert ended.exit_code == 2, ended.output

@@ -1,4 +1,4 @@
-"""Quality figures on shapes whose answer is known beforehand."""
+"""Quality metrics on shapes whose result is known beforehand."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def truth_of(surface: TriangleSurface) -> SurfaceTruth:
     return SurfaceTruth(surface, surface.sample(COUNT, 100), surface.sample(COUNT, 101))
 
 
-def test_a_perfect_model_has_no_error_but_the_point_figures_keep_their_floor() -> None:
+def test_a_perfect_model_has_no_error_but_point_metrics_keep_their_floor() -> None:
     box = trimesh.creation.box((1, 1, 1))
     cube = TriangleSurface(box.vertices, box.faces)
     quality = measure(cube, truth_of(cube), psnr=30.0, samples=COUNT)
@@ -133,7 +133,7 @@ def test_stream_with_one_gap() -> None:
     assert stream_statistics([1.0]).rate_hz is None
 
 
-def test_explored_fraction_counts_only_what_can_be_seen() -> None:
+def test_explored_fraction_counts_only_visible_space() -> None:
     seen = np.zeros((2, 2, 2), dtype=bool)
     seen[0] = True
     known = np.ones((2, 2, 2), dtype=bool)

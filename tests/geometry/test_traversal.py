@@ -11,7 +11,7 @@ from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
 
 def crossed_length(voxel: FloatArray, a: FloatArray, b: FloatArray) -> float:
-    """Oracle: length of a segment inside a unit cube, by slabs."""
+    """Return the length of a segment inside a unit cube by the slab method, as the oracle."""
     direction = b - a
     with np.errstate(divide="ignore", invalid="ignore"):
         t0, t1 = (voxel - a) / direction, (voxel + 1 - a) / direction
@@ -37,7 +37,7 @@ def test_agrees_with_slab_intersections_of_every_voxel(tail: float) -> None:
     assert min(decided.values()) > 50
 
 
-def test_the_targets_own_voxel_is_not_asked_but_unknown_and_outside_block() -> None:
+def test_the_targets_own_voxel_is_not_checked_but_unknown_and_outside_block() -> None:
     state = np.full((5, 1, 1), FREE, dtype=np.uint8)
     state[4] = OCCUPIED
     assert is_visible(state, 0.5, 0.5, 0.5, 4.5, 0.5, 0.5, 0.0)
@@ -47,7 +47,7 @@ def test_the_targets_own_voxel_is_not_asked_but_unknown_and_outside_block() -> N
     assert is_visible(state, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.0)
 
 
-def test_many_targets_are_answered_as_one_by_one() -> None:
+def test_many_targets_at_once_give_the_same_results_as_one_by_one() -> None:
     rng = np.random.default_rng(4)
     state = rng.choice([FREE, FREE, FREE, OCCUPIED], (6, 6, 6)).astype(np.uint8)
     targets = rng.uniform(-1, 7, (100, 3))
@@ -62,7 +62,7 @@ def rays(rng: np.random.Generator, state: NDArray[np.uint8], count: int) -> tupl
     return rng.uniform(0, shape, (count, 3)), rng.uniform(0, shape, (count, 3))
 
 
-def test_leaps_over_free_space_answer_as_a_walk_through_every_voxel() -> None:
+def test_leaps_over_free_space_equal_a_walk_through_every_voxel() -> None:
     rng = np.random.default_rng(5)
     answers = {True: 0, False: 0}
     for density in (0.0, 0.002, 0.01, 0.1):
@@ -72,7 +72,7 @@ def test_leaps_over_free_space_answer_as_a_walk_through_every_voxel() -> None:
         distance2 = np.round(np.minimum(distance, 11.0) ** 2).astype(np.uint8).ravel()
         for a, b in zip(*rays(rng, state, 800), strict=True):
             voxel = first_obstacle(distance2, 30, 25, a[0], a[1], a[2], b[0], b[1], b[2])
-            # is_visible asks its start's voxel, not its end's: so backwards
+            # is_visible checks the voxel of its start and not of its end, so the ends are swapped
             assert (voxel < 0) == is_visible(state, b[0], b[1], b[2], a[0], a[1], a[2], 0.0)
             answers[voxel < 0] += 1
             if voxel >= 0:
@@ -85,7 +85,7 @@ def test_leaps_over_free_space_answer_as_a_walk_through_every_voxel() -> None:
     assert min(answers.values()) > 500
 
 
-def test_lines_along_the_axes_and_through_edges_end() -> None:
+def test_lines_along_the_axes_and_through_edges_terminate() -> None:
     state = np.full((9, 9, 9), FREE, dtype=np.uint8)
     state[4, 4, 4] = OCCUPIED
     distance2 = (
@@ -98,5 +98,5 @@ def test_lines_along_the_axes_and_through_edges_end() -> None:
         assert first_obstacle(distance2, 9, 9, a[0], a[1], a[2], b[0], b[1], b[2]) == middle
         assert first_obstacle(distance2, 9, 9, b[0], b[1], b[2], a[0], a[1], a[2]) == middle
     assert first_obstacle(distance2, 9, 9, 0.5, 0.5, 0.5, 8.5, 8.5, 8.5) == middle
-    assert first_obstacle(distance2, 9, 9, 4.5, 4.5, 4.5, 8.5, 8.5, 8.5) == -1  # the start's own voxel is not asked
+    assert first_obstacle(distance2, 9, 9, 4.5, 4.5, 4.5, 8.5, 8.5, 8.5) == -1  # the start's own voxel is not checked
     assert first_obstacle(distance2, 9, 9, 2.2, 2.2, 2.2, 2.8, 2.8, 2.8) == -1

@@ -1,4 +1,4 @@
-"""The view budget goes to frames that show surface which no keyframe has shown well."""
+"""Selection of keyframes: views are spent on surface that no keyframe has shown well."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
 
 LENS = Intrinsics.from_fov(106, 60, np.radians(87.0), np.radians(58.0))
-MANY = 600  # views left: the share that one must bring is small
+MANY = 600  # views left: each one needs only a small gain
 LOW, HIGH = np.array([0.0, -2.0, 0.0]), np.array([4.0, 2.0, 2.5])
 
 
 def wall_seen(y: float, yaw_rad: float, depth_m: float = 2.0) -> PosedFrame:
-    """A frame that sees a wall square on at depth_m."""
+    """Return a frame that sees a wall at depth_m, perpendicular to the view direction."""
     depth = np.full((LENS.height, LENS.width), depth_m, np.float32)
     frame = Frame(0.0, 1, depth, LENS, np.zeros((60, 106, 3), np.uint8), LENS, Pose.identity())
     body = Pose.from_yaw(yaw_rad, np.array([2.0, y, 1.2]))
@@ -29,7 +29,7 @@ def coverage() -> KeyframeSelection:
     return KeyframeSelection(grid, LOW, HIGH, noise_px=0.01, baseline_m=0.05)
 
 
-def test_new_surface_is_worth_a_view_and_the_same_picture_is_not(coverage: KeyframeSelection) -> None:
+def test_new_surface_is_worth_a_view_and_a_repeated_image_is_not(coverage: KeyframeSelection) -> None:
     posed = wall_seen(0.0, 0.0)
     assert coverage.worth(posed, views_left=MANY)
     coverage.keep(posed)
@@ -37,15 +37,15 @@ def test_new_surface_is_worth_a_view_and_the_same_picture_is_not(coverage: Keyfr
     assert not coverage.worth(wall_seen(0.05, 0.0), views_left=MANY)  # moved less than the baseline
 
 
-def test_surface_wants_several_looks_and_then_no_more(coverage: KeyframeSelection) -> None:
+def test_surface_needs_several_views_and_then_no_more(coverage: KeyframeSelection) -> None:
     for i in range(int(SIGHTINGS) + 4):
         posed = wall_seen(0.3 * (i % 2), 0.0)
         coverage.keep(posed)
-    assert not coverage.worth(wall_seen(0.3, 0.0), views_left=10_000)  # nothing is missing where this one looks
+    assert not coverage.worth(wall_seen(0.3, 0.0), views_left=10_000)  # the surface in this view has been seen well
     assert coverage.worth(wall_seen(0.0, np.pi), views_left=MANY)
 
 
-def test_the_sum_of_looks_is_kept_and_a_mere_glance_leaves_nothing(coverage: KeyframeSelection) -> None:
+def test_the_sum_of_views_is_kept_and_a_query_changes_nothing(coverage: KeyframeSelection) -> None:
     rng = np.random.default_rng(4)
     for step in range(40):
         posed = wall_seen(float(rng.uniform(-1, 1)), float(rng.uniform(-0.3, 0.3)), float(rng.uniform(0.5, 1.9)))
@@ -58,7 +58,7 @@ def test_the_sum_of_looks_is_kept_and_a_mere_glance_leaves_nothing(coverage: Key
     assert coverage.looks_given() > 500 and coverage._looks.max() == SIGHTINGS * UNIT
 
 
-def test_vague_depth_counts_for_less() -> None:
+def test_noisy_depth_counts_for_less() -> None:
     grid = GridSpec.covering(LOW - 6.0, HIGH + 6.0, 0.1)
     gains = []
     for noise_px in (0.01, 0.2):
@@ -73,8 +73,8 @@ def test_no_budget_and_no_depth_are_worth_nothing(coverage: KeyframeSelection) -
     assert not coverage.worth(wall_seen(0.0, 0.0, depth_m=float("nan")), views_left=60)
 
 
-def test_a_smaller_budget_is_harder_to_please(coverage: KeyframeSelection) -> None:
-    """The share each remaining view must bring grows as the budget shrinks."""
-    posed = wall_seen(0.0, 0.0, depth_m=1.0)  # sees little
+def test_a_smaller_budget_needs_a_larger_gain(coverage: KeyframeSelection) -> None:
+    """The gain that each view must bring grows as the budget shrinks."""
+    posed = wall_seen(0.0, 0.0, depth_m=1.0)  # a small area is in view
     assert coverage.worth(posed, views_left=2000)
     assert not coverage.worth(posed, views_left=5)

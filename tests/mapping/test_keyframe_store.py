@@ -23,7 +23,7 @@ def _view(seed: int) -> PosedFrame:
     return PosedFrame(frame, Pose.from_yaw(0.3 * seed, np.array([1.0, 2.0, seed])), map_epoch=seed % 2)
 
 
-def test_a_keyframe_comes_back_as_it_went(tmp_path: Path) -> None:
+def test_a_keyframe_is_loaded_as_it_was_saved(tmp_path: Path) -> None:
     writer = KeyframeFolder(tmp_path / "keyframes")
     views = [_view(n) for n in range(3)]
     assert [writer.save(view) for view in views] == [0, 1, 2]
@@ -41,7 +41,7 @@ def test_a_keyframe_comes_back_as_it_went(tmp_path: Path) -> None:
         np.testing.assert_allclose(back.frame.rgb_from_depth.matrix(), view.frame.rgb_from_depth.matrix(), atol=1e-12)
 
 
-def test_a_reader_sees_what_was_written_later_and_nothing_half(tmp_path: Path) -> None:
+def test_a_reader_sees_later_keyframes_and_no_partial_ones(tmp_path: Path) -> None:
     writer = KeyframeFolder(tmp_path)
     reader = KeyframeFolder(tmp_path)
     assert len(reader) == 0
@@ -51,7 +51,7 @@ def test_a_reader_sees_what_was_written_later_and_nothing_half(tmp_path: Path) -
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_poses_read_piece_by_piece_are_those_read_at_once(tmp_path: Path) -> None:
+def test_poses_read_incrementally_equal_those_read_at_once(tmp_path: Path) -> None:
     writer, reader = KeyframeFolder(tmp_path), KeyframeFolder(tmp_path)
     for n in range(5):
         writer.save(_view(n))
@@ -60,7 +60,7 @@ def test_poses_read_piece_by_piece_are_those_read_at_once(tmp_path: Path) -> Non
     whole = json.loads((tmp_path / "poses.json").read_text())
     assert whole["keyframes"] == reader._entries == KeyframeFolder(tmp_path)._entries
     assert [entry["sequence"] for entry in whole["keyframes"]] == list(range(5))
-    (tmp_path / "poses.json").write_text(json.dumps(whole, indent=1))  # by another hand
+    (tmp_path / "poses.json").write_text(json.dumps(whole, indent=1))  # written by another program
     reader.refresh()
     assert reader._entries == whole["keyframes"]
     other = KeyframeFolder(tmp_path)
@@ -87,7 +87,7 @@ def test_damage_is_named(tmp_path: Path) -> None:
         KeyframeFolder(tmp_path)
 
 
-def test_a_new_map_epoch_moves_keyframes_or_leaves_them_without_a_place(tmp_path: Path) -> None:
+def test_a_new_map_epoch_moves_keyframes_or_leaves_them_without_a_pose(tmp_path: Path) -> None:
     writer = KeyframeFolder(tmp_path)
     for n in range(3):
         writer.save(_view(2 * n))

@@ -1,6 +1,6 @@
-"""A tiny outside world for the planner's tests: rooms of boxes, a perfect depth camera, a map that it fills.
+"""Small simulator for planner tests: box rooms, a perfect depth camera, an occupancy map.
 
-Rays are sampled, not traversed, so that a mistake in the planner's own traversal cannot hide here.
+Rays are sampled instead of traversed, so that an error in the planner's own traversal cannot go unnoticed here.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ Solid = NDArray[np.bool_]
 
 
 def room(size_m: tuple[float, float, float], boxes: list[tuple[float, ...]]) -> Solid:
-    """Solid voxels (nx, ny, nz) of a closed room with boxes (x0, y0, z0, x1, y1, z1); a wall of one voxel all round."""
+    """Return the solid voxels (nx, ny, nz) of a closed room with boxes (x0, y0, z0, x1, y1, z1).
+
+    The wall is one voxel thick on all sides.
+    """
     shape = tuple(round(s / RESOLUTION_M) + 2 for s in size_m)
     solid = np.ones(shape, dtype=np.bool_)
     solid[1:-1, 1:-1, 1:-1] = False
@@ -40,13 +43,13 @@ TWO_ROOMS = room((8.0, 4.0, 2.5), [(3.9, 0, 0, 4.0, 1.4, 2.5), (3.9, 2.6, 0, 4.0
 
 
 def grid_of(solid: Solid) -> GridSpec:
-    """The room's inner lower corner is the world's origin."""
+    """Return the grid of a room; the inner lower corner of the room is the world's origin."""
     nx, ny, nz = solid.shape
     return GridSpec(np.full(3, -RESOLUTION_M), RESOLUTION_M, (nx, ny, nz))
 
 
 def voxel_map(state: NDArray[np.uint8], revision: int = 0, epoch: int = 0) -> VoxelMap:
-    """A map with its distance field."""
+    """Return a map with its distance field."""
     nx, ny, nz = state.shape
     distance = ndimage.distance_transform_edt(np.pad(state == FREE, 1))[1:-1, 1:-1, 1:-1]
     grid = GridSpec(np.full(3, -RESOLUTION_M), RESOLUTION_M, (nx, ny, nz))
@@ -73,7 +76,10 @@ def _look(solid, state, eye, yaw, pitch, tan_h, tan_v, reach):  # type: ignore[n
 
 @dataclass
 class BoxWorld:
-    """Flies whatever path it is given, looking as it goes. length_m and flown: what it did."""
+    """Vehicle that flies every path it is given and maps on the way.
+
+    length_m, views and track record what it did.
+    """
 
     solid: Solid
     camera: CameraGeometry
@@ -88,7 +94,7 @@ class BoxWorld:
         self.state = np.zeros(self.solid.shape, dtype=np.uint8)
         cell = np.floor(self.position / RESOLUTION_M).astype(int) + 1
         around = tuple(slice(max(c - 6, 0), c + 7) for c in cell)
-        self.state[around] = np.where(self.solid[around], 0, FREE)  # the operator's word
+        self.state[around] = np.where(self.solid[around], 0, FREE)  # declared free by the operator
         self.track.append(self.position)
 
     def look(self, pitch_rad: float) -> None:
@@ -101,7 +107,7 @@ class BoxWorld:
             self.look(float(np.clip(0.0, self.camera.pitch_min_rad, self.camera.pitch_max_rad)))
 
     def fly(self, path: ViewPath) -> None:
-        """Along every leg, turning evenly, a look each 0.3 m and at each view."""
+        """Fly along every segment with an even turn; map every 0.3 m and at each view."""
         for view, way in zip(path.viewpoints, path.waypoints_world, strict=True):
             lengths = np.linalg.norm(np.diff(way, axis=0), axis=1)
             total = float(lengths.sum())
@@ -130,7 +136,7 @@ def look_from(
     yaw_rad: float,
     pitch_rad: float,
 ) -> None:
-    """Fill ``state`` with what a camera on a body there sees."""
+    """Fill ``state`` with what a camera on a body at this pose sees."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     mount = camera.position_body_m
     eye = position + np.array([c * mount[0] - s * mount[1], s * mount[0] + c * mount[1], mount[2]])
@@ -141,7 +147,10 @@ def look_from(
 def visible_from_anywhere(
     solid: Solid, camera: CameraGeometry, start: NDArray[np.float64], poses: int = 250
 ) -> NDArray[np.bool_]:
-    """Free voxels that the camera sees from some pose the vehicle can reach: what can be explored at all."""
+    """Return the free voxels that the camera sees from any pose that the vehicle can reach.
+
+    This is the space that can be explored at all.
+    """
     distance = ndimage.distance_transform_edt(~solid) * RESOLUTION_M
     labels, _ = ndimage.label(distance >= 0.4, structure=np.ones((3, 3, 3)))
     home = labels[tuple(np.floor(start / RESOLUTION_M).astype(int) + 1)]

@@ -1,4 +1,4 @@
-"""A map that a camera fills and that a test paints over, with the revisions of its tiles."""
+"""Map that a camera fills and that a test overwrites, with tile revisions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from uav_recon.types.maps import TILE, VoxelMap
 
 
 class GrowingMap:
-    """state (nx, ny, nz) may be rewritten at will; ``picture`` finds out what changed."""
+    """Map whose state (nx, ny, nz) may be overwritten; ``picture`` finds the changes."""
 
     def __init__(self, solid: Solid) -> None:
         self.grid = grid_of(solid)

@@ -46,7 +46,7 @@ def test_a_gimbal_centres_its_target_and_a_fixed_mount_keeps_its_tilt() -> None:
             assert pitch == FIXED.pitch_min_rad
 
 
-def test_looking_at_a_target_is_aiming_and_then_looking() -> None:
+def test_look_at_equals_aim_followed_by_sight() -> None:
     rng = np.random.default_rng(1)
     for camera in (FIXED, GIMBAL):
         lens = camera.lens(0.1, 4.5)
@@ -55,6 +55,6 @@ def test_looking_at_a_target_is_aiming_and_then_looking() -> None:
             np.testing.assert_allclose(look_at(lens, *place, *target), sight(lens, place, yaw, pitch), atol=1e-9)
 
 
-def test_an_empty_pitch_range_is_a_bug() -> None:
+def test_an_empty_pitch_range_raises_value_error() -> None:
     with pytest.raises(ValueError, match="pitch range"):
         CameraGeometry(1.0, 1.0, np.zeros(3), 0.2, 0.1, 4.5)

@@ -1,4 +1,4 @@
-"""Whole explorations in a box world: they end, they see what can be seen, they do not wander."""
+"""Complete explorations of a box world: they end, see all that is visible, and are short."""
 
 from __future__ import annotations
 

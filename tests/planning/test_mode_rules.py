@@ -32,7 +32,7 @@ def test_refines_only_when_no_frontier_is_left() -> None:
     assert chosen(ExploreThenRefine()) is PlanMode.MERGED
 
 
-def test_the_simple_rules_ask_nothing() -> None:
+def test_the_simple_rules_ignore_the_frontiers() -> None:
     for distances in ((), (1.0,) * 50):
         assert chosen(ExploreOnly(), *distances) is PlanMode.EXPLORE
         assert chosen(AlwaysMerged(), *distances) is PlanMode.MERGED

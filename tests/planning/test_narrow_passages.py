@@ -1,4 +1,7 @@
-"""A passage of 0.90 m: too narrow for a vehicle that plans with 0.50 m, and passed with 0.45 m, once nothing else is left."""
+"""Passage of 0.90 m between two rooms, planned with 0.50 m and 0.45 m clearance.
+
+It is too narrow for 0.50 m. The planner passes it with 0.45 m once no task is left on this side.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,14 @@ from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 USUAL_M, NARROW_M, HOMEWARD_M = 0.5, 0.45, 0.35
 pytestmark = pytest.mark.slow
 SIZE_M = (8.0, 5.0, 2.2)
-WALL_M = 3.2  # its far side
+WALL_M = 3.2  # far side of the wall
 START = np.array([1.5, 2.0, 1.2])
 HOME = Viewpoint(START, 0.0, 0.0)
 MOVING = np.array([0.4, 0.0, 0.0])
 
 
 def rooms_with_a_passage(width_m: float) -> Solid:
-    """A small room and a large one, and a passage between them at the end of a wall of 0.2 m."""
+    """Return a small and a large room, joined by a passage at the end of a 0.2 m thick wall."""
     return room(SIZE_M, [(3.0, 0, 0, WALL_M, 0.2, 2.2), (3.0, 0.2 + width_m, 0, WALL_M, 5.0, 2.2)])
 
 
@@ -43,7 +46,10 @@ def through_narrows(variant: VariantName = "explore") -> NarrowPassagePlanner:
 
 
 def explore(world: BoxWorld, planner: ViewPlanner | NarrowPassagePlanner) -> tuple[list[ViewPath], str]:
-    """Fly until nothing is left, each way held to what it says that it keeps; the paths, and why it ended."""
+    """Fly until no task is left and check the clearance of each path.
+
+    Returns the paths and the reason for the end.
+    """
     flown: list[ViewPath] = []
     for _ in range(60):
         request = world.request()
@@ -58,16 +64,20 @@ def explore(world: BoxWorld, planner: ViewPlanner | NarrowPassagePlanner) -> tup
 
 
 def assert_keeps(path: ViewPath, request: PlanRequest) -> None:
-    """Every waypoint is known free, and as far as the path says from all that is not; a view has the usual room."""
+    """Assert that every waypoint is known free and has the clearance that the path states.
+
+    A view must have the usual clearance.
+    """
     for way in path.waypoints_world:
         assert room_m(way, request.voxels).min() >= (path.clearance_m or USUAL_M) - 1e-3
     assert room_m(np.array([view.position_world for view in path.viewpoints]), request.voxels).min() >= USUAL_M - 1e-3
 
 
 def room_m(points: FloatArray, voxels: VoxelMap) -> FloatArray:
-    """From the centre of each point's voxel (N,) to the near face of the nearest one that is not free, by brute force.
+    """Return the clearance (N,) at the centre of each point's voxel, by brute force.
 
-    A point on the border of voxels is in any of them: a way may bend there.
+    It is the distance to the near face of the nearest voxel that is not free. A point on the border of voxels counts as in all
+    of them, because a path may bend there.
     """
     grid, corners = voxels.grid, np.array(list(itertools.product((-1e-7, 1e-7), repeat=3)))
     not_free = cKDTree(grid.centre(np.argwhere(voxels.state != FREE)))
@@ -86,7 +96,7 @@ def explored(world: BoxWorld) -> float:
     return float(np.mean(world.state[seeable] == FREE))
 
 
-def test_a_narrow_passage_is_passed_with_less_room_and_not_with_the_usual() -> None:
+def test_a_narrow_passage_is_passed_with_less_clearance_and_not_with_the_usual() -> None:
     alone, both = looked_round(0.9), looked_round(0.9)
     _, reason = explore(alone, usual_planner())
     flown, _ = explore(both, through_narrows())
@@ -100,7 +110,7 @@ def test_a_narrow_passage_is_passed_with_less_room_and_not_with_the_usual() -> N
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_in_rooms_at_random_every_way_keeps_what_it_says(seed: int) -> None:
+def test_in_random_rooms_every_path_keeps_its_stated_clearance(seed: int) -> None:
     rng = np.random.default_rng(seed)
     wall_m, gap_m = rng.integers(26, 34) * 0.1, rng.integers(0, 36) * 0.1
     boxes: list[tuple[float, ...]] = [
@@ -116,7 +126,7 @@ def test_in_rooms_at_random_every_way_keeps_what_it_says(seed: int) -> None:
     assert any(path.clearance_m == NARROW_M for path in flown)
 
 
-def test_the_way_home_leads_through_the_same_passage() -> None:
+def test_the_path_home_leads_through_the_same_passage() -> None:
     world, planner = looked_round(0.9), through_narrows()
     explore(world, planner)
     world.position = np.array([6.5, 2.0, 1.2])
@@ -130,8 +140,11 @@ def test_the_way_home_leads_through_the_same_passage() -> None:
     assert np.linalg.norm(home.waypoints_world[0][-1] - START) < 0.1
 
 
-def test_a_passage_that_specks_narrowed_since_still_leads_home() -> None:
-    """Not to anything else: what is seen through it from here is no place to go to."""
+def test_a_passage_narrowed_by_specks_still_leads_home() -> None:
+    """The passage is used for the path home only.
+
+    A view that is seen through it from here is not a goal.
+    """
     world, planner = looked_round(0.8), through_narrows()
     explore(world, planner)
     assert max(point[0] for point in world.track) < 3.0
@@ -143,7 +156,7 @@ def test_a_passage_that_specks_narrowed_since_still_leads_home() -> None:
 
 
 @pytest.mark.parametrize("width_m", [0.6, 0.1])
-def test_what_is_narrower_still_is_not_passed(width_m: float) -> None:
+def test_an_even_narrower_passage_is_not_passed(width_m: float) -> None:
     world, planner = looked_round(width_m), through_narrows()
     _, reason = explore(world, planner)
     assert "left" in reason
@@ -152,7 +165,7 @@ def test_what_is_narrower_still_is_not_passed(width_m: float) -> None:
     assert isinstance(answer, NothingLeft)
 
 
-def test_where_nothing_is_narrow_the_flight_is_the_usual_one() -> None:
+def test_without_a_narrow_passage_the_flight_is_the_usual_one() -> None:
     alone, both = looked_round(1.3), looked_round(1.3)
     expected, reason = explore(alone, usual_planner())
     flown, reason_too = explore(both, through_narrows())
@@ -161,7 +174,7 @@ def test_where_nothing_is_narrow_the_flight_is_the_usual_one() -> None:
 
 
 def stuck(planner: NarrowPassagePlanner) -> tuple[BoxWorld, PlanRequest, ViewPath]:
-    """On this side nothing is left: the request whose answer is a narrow way, and that."""
+    """Fly until no usual task is left; return world, request, and the narrow path found."""
     world = looked_round(0.9)
     for _ in range(60):
         request = world.request()
@@ -182,18 +195,18 @@ REFUSED: dict[str, Callable[[PlanRequest], PlanRequest]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_no_narrow_way_is_proposed(name: str) -> None:
+def test_no_narrow_path_is_proposed(name: str) -> None:
     planner = through_narrows()
     _, request, _ = stuck(planner)
     assert isinstance(planner.plan(REFUSED[name](request)), NothingLeft)
 
 
-def test_a_variant_that_never_explores_asks_for_no_narrow_way() -> None:
+def test_a_variant_that_never_explores_proposes_no_narrow_path() -> None:
     _, request, _ = stuck(through_narrows())
     assert isinstance(through_narrows("reconstruct").plan(request), NothingLeft)
 
 
-def test_on_a_narrow_way_nothing_else_is_begun_until_it_is_flown() -> None:
+def test_no_other_plan_is_made_until_a_narrow_path_is_flown() -> None:
     planner = through_narrows()
     world, request, path = stuck(planner)
     planner.accept(path)
@@ -203,14 +216,14 @@ def test_on_a_narrow_way_nothing_else_is_begun_until_it_is_flown() -> None:
     assert isinstance(answer, NothingLeft) and answer.reason == ON_A_NARROW_WAY
     world.fly(path)
     following = planner.plan(world.request())
-    assert isinstance(following, ViewPath) and following.clearance_m is None  # the other room is flown as usual
+    assert isinstance(following, ViewPath) and following.clearance_m is None  # the other room is flown with the usual clearance
     planner.accept(following)
     assert isinstance(planner.plan(dataclasses.replace(world.request(), velocity_world_mps=MOVING)), ViewPath)
 
 
 @pytest.mark.parametrize(("edge", "squeezes"), [(5, False), (9, True)], ids=["a gap", "an opening"])
-def test_only_for_an_opening(edge: int, squeezes: bool) -> None:
-    """Everything is known but a cube of so many voxels in the other room."""
+def test_a_narrow_path_is_proposed_only_for_an_opening(edge: int, squeezes: bool) -> None:
+    """The whole map is known except a cube of edge³ voxels in the other room."""
     state = np.where(rooms_with_a_passage(0.9), OCCUPIED, FREE).astype(np.uint8)
     state[60 : 60 + edge, 20 : 20 + edge, 8 : 8 + edge] = UNKNOWN
     request = PlanRequest(voxel_map(state), None, START, 0.0, 50)
@@ -219,7 +232,7 @@ def test_only_for_an_opening(edge: int, squeezes: bool) -> None:
     assert isinstance(both, ViewPath) == squeezes
 
 
-def test_a_look_in_vain_through_a_narrow_way_is_remembered() -> None:
+def test_a_view_beyond_a_narrow_path_without_new_space_is_remembered() -> None:
     usual = usual_planner()
     planner = NarrowPassagePlanner(usual, NARROW_M, HOMEWARD_M, NARROW_M, timer=lambda: 0.0)
     _, request, path = stuck(planner)
@@ -227,13 +240,13 @@ def test_a_look_in_vain_through_a_narrow_way_is_remembered() -> None:
     view, voxels = path.viewpoints[0], request.voxels
     before = int(usual.visited.looks_in_vain.sum())
     arrived = dataclasses.replace(request, position_world=view.position_world, yaw_rad=view.yaw_rad)
-    for revision in (1, 2):  # the camera shows nothing new
+    for revision in (1, 2):  # the camera sees nothing new
         newer = dataclasses.replace(voxels, revision=voxels.revision + revision)
         planner.plan(dataclasses.replace(arrived, voxels=newer))
     assert usual.visited.looks_in_vain.sum() > before
 
 
-def test_the_same_requests_give_the_same_narrow_way() -> None:
+def test_the_same_requests_give_the_same_narrow_path() -> None:
     (_, _, first), (_, _, second) = stuck(through_narrows()), stuck(through_narrows())
     np.testing.assert_array_equal(first.waypoints_world[0], second.waypoints_world[0])
     assert first.viewpoints[0].yaw_rad == second.viewpoints[0].yaw_rad

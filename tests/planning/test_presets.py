@@ -19,14 +19,14 @@ def auto(size_m: FloatArray, camera: CameraGeometry = FIXED, **written: float) -
     return derived(PlannerConfig.model_validate(written), ZERO, size_m, camera)
 
 
-def test_rooms_of_30_square_metres_get_what_has_flown_well_there() -> None:
+def test_rooms_of_30_square_metres_get_the_proven_parameters() -> None:
     found = auto(MEETING)
     for key, flown in {
         "shell_min_m": 0.8, "shell_max_m": 2.5, "local_radius_m": 2.0, "cluster_radius_m": 1.1, "max_reconstruct_tasks": 10,
         "min_visible": 20, "near_distance_m": 1.5, "horizon_m": 5.0, "end_factor": 3.0,
     }.items():  # fmt: skip
         assert getattr(found, key) == pytest.approx(flown, rel=0.05), key
-    assert found.shell_max_m > 2.0  # ceilings, from a camera that is fixed 15 degrees down
+    assert found.shell_max_m > 2.0  # far enough to see ceilings with a camera fixed 15 degrees down
     assert found.clearance_m == PlannerConfig().clearance_m
 
 
@@ -49,15 +49,15 @@ def test_the_parameters_follow_the_camera() -> None:
 
 @pytest.mark.parametrize("side_m", [0.8, 1.5, 3.0, 5.0, 9.0, 40.0, 200.0])
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL, dataclasses.replace(FIXED, surface_range_m=0.6, range_m=0.5)])
-def test_whatever_the_box_the_parameters_can_be_flown(side_m: float, camera: CameraGeometry) -> None:
+def test_for_every_box_the_parameters_are_valid(side_m: float, camera: CameraGeometry) -> None:
     for size_m in ([side_m, side_m, 2.0], [side_m, 1.0, 2.0], [side_m, 30.0, 6.0]):
         found = auto(np.array(size_m), camera)
-        again = PlannerConfig.model_validate(found.model_dump(exclude_none=True))  # every range of the config holds
+        again = PlannerConfig.model_validate(found.model_dump(exclude_none=True))  # all limits of the config are kept
         assert again == found
         assert found.shell_min_m < found.shell_max_m
 
 
-def test_what_was_written_down_wins_and_doing_it_twice_changes_nothing() -> None:
+def test_configured_values_win_and_a_second_derivation_changes_nothing() -> None:
     found = auto(MEETING, horizon_m=9.0, min_visible=3)
     assert (found.horizon_m, found.min_visible) == (9.0, 3)
     assert found.shell_max_m != PlannerConfig().shell_max_m

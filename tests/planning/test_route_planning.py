@@ -1,4 +1,4 @@
-"""The way home ends at the flyable place nearest to the pad, or says that there is none."""
+"""The path home ends at the flyable position nearest to the pad, or its absence is reported."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def request(wall: bool) -> PlanRequest:
     return PlanRequest(voxels, None, np.array([4.0, 1.5, 1.0]), 0.3, views_left=0)
 
 
-def test_the_way_home_ends_at_home_even_with_no_view_left() -> None:
+def test_the_path_home_ends_at_home_even_without_views_left() -> None:
     home = Viewpoint(np.array([1.02, 1.49, 1.1]), 0.7, 0.26)
     path = planner().route(request(wall=False), home)
     assert isinstance(path, ViewPath)
@@ -39,20 +39,20 @@ def test_the_way_home_ends_at_home_even_with_no_view_left() -> None:
     np.testing.assert_allclose(path.waypoints_world[0][-1], path.viewpoints[0].position_world)
 
 
-def test_a_closed_way_home_is_said() -> None:
+def test_a_blocked_path_home_is_reported() -> None:
     answer = planner().route(request(wall=True), Viewpoint(np.array([1.0, 1.5, 1.1]), 0.0, 0.26))
     assert isinstance(answer, NothingLeft)
     assert "no known-free way" in answer.reason
 
 
-def test_going_home_promises_nothing_to_the_memory() -> None:
+def test_the_path_home_leaves_the_visited_surface_unchanged() -> None:
     the_planner = planner()
     the_planner.route(request(wall=False), Viewpoint(np.array([1.0, 1.5, 1.1]), 0.0, 0.26))
     assert the_planner.visited.surface_looks.sum() == 0.0
 
 
-def test_a_goal_that_may_not_be_flown_is_reached_beside_it_and_a_far_one_not_at_all() -> None:
-    low = Viewpoint(np.array([1.0, 1.5, 0.1]), 0.0, 0.26)  # nearer to the floor than the planner flies
+def test_a_goal_outside_flyable_space_is_approached_and_a_far_one_refused() -> None:
+    low = Viewpoint(np.array([1.0, 1.5, 0.1]), 0.0, 0.26)  # lower than the planner flies
     path = planner().route(request(wall=False), low)
     assert isinstance(path, ViewPath)
     np.testing.assert_allclose(path.viewpoints[0].position_world[2], 0.35)

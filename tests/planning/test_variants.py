@@ -21,7 +21,7 @@ def test_every_name_makes_its_own_objects(name: VariantName) -> None:
     one, other = variant(name, config), variant(name, config)
     assert one.name == name
     assert one.kinds
-    assert one.choice is not other.choice  # it remembers one flight
+    assert one.choice is not other.choice  # it has the state of one flight
     assert isinstance(one.mode.choose(np.ones(5), np.ones(5, dtype=np.bool_)), PlanMode)
 
 
@@ -38,7 +38,9 @@ def test_every_name_makes_its_own_objects(name: VariantName) -> None:
         ("vpp", {EXPLORE, SURFACE}, AlwaysMerged, ByTheWay, "clusters"),
     ],
 )
-def test_what_the_variants_are(name: VariantName, kinds: set[TaskKind], mode: type, choice: type, views: str) -> None:
+def test_each_variant_has_its_kinds_mode_choice_and_views(
+    name: VariantName, kinds: set[TaskKind], mode: type, choice: type, views: str
+) -> None:
     found = variant(name, PlannerConfig())
     assert found.kinds == kinds
     assert isinstance(found.mode, mode)
@@ -51,7 +53,7 @@ def test_thresholds_come_from_the_config() -> None:
     assert mode == Adaptive(2.5, 7, 0.3)
 
 
-def test_only_yaw_means_level_or_the_mounts_own_angle() -> None:
+def test_yaw_only_means_level_or_the_fixed_angle_of_the_mount() -> None:
     limit = variant("explore-yaw", PlannerConfig()).camera
     assert (limit(GIMBAL).pitch_min_rad, limit(GIMBAL).pitch_max_rad) == (0.0, 0.0)
     assert (limit(FIXED).pitch_min_rad, limit(FIXED).pitch_max_rad) == (FIXED.pitch_min_rad, FIXED.pitch_max_rad)

@@ -30,7 +30,10 @@ def looked_round(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], camera:
 
 
 def surface_of(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], per_face: int = 6) -> SurfaceElements:
-    """Elements on every face between air and solid, normals into the air, uncertainty growing with x."""
+    """Return elements on every face between air and solid.
+
+    Normals point into the air; uncertainty grows with x.
+    """
     rng = np.random.default_rng(0)
     positions, normals = [], []
     for axis, sign in itertools.product(range(3), (-1, 1)):
@@ -50,7 +53,7 @@ def surface_of(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], per_face:
 def harvest_of(
     planner: ViewPlanner, request: PlanRequest, surface: SurfaceElements, views_left: int
 ) -> dict[TaskKind, list[Task]]:
-    """All tasks of one plan, those that its tour leaves out too."""
+    """Return all tasks of one plan, including those that its tour leaves out."""
     propose, found = planner._source.propose, []
 
     def remember(question: TaskQuery) -> GeneratedTasks:
@@ -65,7 +68,7 @@ def harvest_of(
 
 
 def assert_flyable(path: ViewPath, request: PlanRequest, start_is_flyable: bool = True) -> None:
-    """Oracle for a path: sampled densely, it stays where the distance field allows, and legs join up."""
+    """Assert that densely sampled positions of a path keep the clearance and that segments join."""
     grid = request.voxels.grid
     assert len(path.viewpoints) == len(path.waypoints_world) == len(path.tasks) >= 1
     at = request.position_world
@@ -80,13 +83,16 @@ def assert_flyable(path: ViewPath, request: PlanRequest, start_is_flyable: bool 
             for a, b in itertools.pairwise(way):
                 samples = a + np.linspace(0.01, 0.99, 200)[:, None] * (b - a)
                 index = grid.index(samples)
-                # between two flyable samples a line may clip a corner, by less than a quarter of a voxel
+                # a line between two flyable points may cut a corner by less than a quarter of a voxel
                 assert (request.voxels.distance_m(index) >= 0.3 - 1e-3).all()
         at = way[-1]
 
 
 def random_case(seed: int) -> tuple[VoxelMap, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
-    """Clutter, half-seen rooms, closed doors, nothing free, a start anywhere, outside the grid included."""
+    """Return a random map and start: clutter, half-seen rooms, closed doors or no free space.
+
+    The start may be anywhere, even outside the grid.
+    """
     rng = np.random.default_rng(seed)
     shape = tuple(rng.integers(4, [50, 40, 28]))
     state = np.full(shape, FREE, dtype=np.uint8)
@@ -144,7 +150,7 @@ def test_the_same_request_gives_the_same_plan() -> None:
     assert [v.yaw_rad for v in first.viewpoints] == [v.yaw_rad for v in second.viewpoints]
 
 
-def test_a_view_of_a_frontier_shows_the_camera_what_it_promises() -> None:
+def test_a_view_of_a_frontier_reveals_unknown_space() -> None:
     world = looked_round(MEETING_ROOM)
     path = planner_for(world.state).plan(world.request())
     assert isinstance(path, ViewPath)
@@ -169,7 +175,7 @@ def test_a_start_in_forbidden_space_leaves_through_free_cells() -> None:
     assert (request.voxels.state[index[:, 0], index[:, 1], index[:, 2]] == FREE).all()
 
 
-def test_reasons_are_counted_in_words() -> None:
+def test_the_reasons_for_an_empty_plan_are_reported() -> None:
     known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
     planner = planner_for(known)
     position = np.array([3.0, 1.0, 1.2])
@@ -177,7 +183,7 @@ def test_reasons_are_counted_in_words() -> None:
     assert isinstance(done, NothingLeft)
     assert done.reason == "no frontiers left"
     hidden = known.copy()
-    hidden[24:36, 21:29, 1:5] = 0  # the far end of a slot under the table that no body fits under
+    hidden[24:36, 21:29, 1:5] = 0  # the far end of a slot under the table, too low for the vehicle
     hidden[24:36, 29, 1:5] = OCCUPIED
     boxed = planner_for(known).plan(PlanRequest(voxel_map(hidden), None, position, 0.0, 0))
     assert isinstance(boxed, NothingLeft)
@@ -211,7 +217,7 @@ def test_surface_tasks_look_at_uncertain_surface_that_is_in_sight() -> None:
 
 
 @pytest.mark.parametrize(("over", "left_to_surface"), [(-1, 0), (0, 0), (2, 2), (400, 10)])
-def test_surface_gets_the_views_that_frontiers_leave_over(over: int, left_to_surface: int) -> None:
+def test_surface_gets_the_views_that_frontiers_do_not_need(over: int, left_to_surface: int) -> None:
     world = looked_round(TWO_ROOMS)
     surface = surface_of(TWO_ROOMS)
     planner = planner_for(world.state, variant="merged")
@@ -240,9 +246,9 @@ def test_surface_tasks_run_out() -> None:
     assert 10 < world.views < 150
 
 
-def test_what_a_camera_cannot_settle_is_given_up_after_two_looks() -> None:
+def test_a_frontier_that_no_view_can_resolve_is_given_up_after_two_views() -> None:
     known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
-    known[28:42, 6:18, -2:] = 0  # a hole in the ceiling's plane that stays unknown, whatever looks at it
+    known[28:42, 6:18, -2:] = 0  # a hole in the plane of the ceiling that stays unknown from every view
     planner = planner_for(known)
     position, yaw = np.array([1.0, 1.0, 1.2]), 0.0
     views = 0
@@ -258,7 +264,7 @@ def test_what_a_camera_cannot_settle_is_given_up_after_two_looks() -> None:
     assert 1 < views <= 12
 
 
-def test_whoever_refuses_to_fly_does_not_get_the_same_view_for_ever() -> None:
+def test_a_vehicle_that_does_not_fly_does_not_get_the_same_view_for_ever() -> None:
     known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
     known[-12:-1, 30:, 1:-1] = 0
     planner = planner_for(known)
@@ -272,7 +278,7 @@ def test_whoever_refuses_to_fly_does_not_get_the_same_view_for_ever() -> None:
     assert isinstance(answers[-1], NothingLeft)
 
 
-def test_a_new_epoch_forgets_what_was_looked_at() -> None:
+def test_a_new_epoch_forgets_the_views_of_the_old_one() -> None:
     known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
     known[28:42, 6:18, -2:] = 0
     planner = planner_for(known)
@@ -288,8 +294,8 @@ def test_a_new_epoch_forgets_what_was_looked_at() -> None:
     assert isinstance(planner.plan(PlanRequest(voxel_map(known, 9, epoch=1), None, position, yaw, 9)), ViewPath)
 
 
-def test_in_motion_the_view_that_is_flown_to_stays_the_next_one() -> None:
-    """Else a drone between two tasks turns round at every plan, and comes to neither."""
+def test_in_motion_the_current_goal_stays_the_next_view() -> None:
+    """Otherwise a vehicle between two tasks would turn around at every plan and reach neither."""
     world = looked_round(MEETING_ROOM)
     planner = planner_for(world.state)
     path = planner.plan(world.request())
@@ -310,7 +316,9 @@ def test_in_motion_the_view_that_is_flown_to_stays_the_next_one() -> None:
 
 
 @pytest.mark.parametrize("beside", [False, True])
-def test_a_view_off_its_voxels_centre_is_kept_while_it_is_clear_itself(beside: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_view_off_its_voxel_centre_is_kept_while_its_own_position_is_clear(
+    beside: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     world = looked_round(MEETING_ROOM)
     planner = planner_for(world.state)
     path = planner.plan(world.request())
@@ -322,7 +330,7 @@ def test_a_view_off_its_voxels_centre_is_kept_while_it_is_clear_itself(beside: b
     moved = dataclasses.replace(promised, place=centre + np.array([0.0, 0.0, 0.45]))
     monkeypatch.setattr(planner.visited, "next_promised", lambda *_: moved)
     state = world.state.copy()
-    if beside:  # as near above it as the centre may have something: the voxel stays one that can be flown to
+    if beside:  # an obstacle so near above that the voxel's centre is still flyable
         state[tuple((np.floor(promised.place) - 1.0 + np.array([0.0, 0.0, 4.0])).astype(int))] = OCCUPIED
     request = PlanRequest(voxel_map(state, 99), None, path.waypoints_world[0][0], world.yaw_rad, 50, np.array([0.3, 0.0, 0.0]))
     onward = planner.plan(request)
@@ -330,7 +338,7 @@ def test_a_view_off_its_voxels_centre_is_kept_while_it_is_clear_itself(beside: b
     assert (onward.tasks[0] is promised.task) is not beside
 
 
-def test_a_view_that_has_nothing_left_to_show_is_not_kept() -> None:
+def test_a_view_without_remaining_gain_is_not_kept() -> None:
     world = looked_round(MEETING_ROOM)
     planner = planner_for(world.state)
     path = planner.plan(world.request())

@@ -1,4 +1,4 @@
-"""A kernel compiled in mid-flight costs a second and more: warm_up() leaves nothing to compile."""
+"""warm_up() compiles every kernel, because a compilation in flight costs a second or more."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ assert before == after, {key: (before[key], after[key]) for key in before if bef
 
 @pytest.mark.parametrize("clearance_m", [0.3, 0.6])
 def test_nothing_is_compiled_after_warm_up(clearance_m: float) -> None:
-    # a fresh process: here, earlier tests have compiled whatever they needed
+    # a fresh process, because earlier tests have compiled kernels in this one
     probe = subprocess.run(
         [sys.executable, "-c", PROBE, str(Path(__file__).parent), str(clearance_m)],
         capture_output=True,

@@ -1,4 +1,7 @@
-"""A room whose surface has elements, as the mapper gives them: dense, most of them certain, a few patches far from it."""
+"""Room with surface elements as the mapper gives them.
+
+The elements are dense and mostly certain, with a few uncertain patches.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
 
 
 def elements_of(solid: Solid, per_face: int = 4, seed: int = 0) -> SurfaceElements:
-    """Elements on every face between air and solid, normals into the air; uncertainty in patches over a low floor."""
+    """Return elements on every face between air and solid.
+
+    Normals point into the air. The uncertainty is low, with high patches.
+    """
     rng = np.random.default_rng(seed)
     positions, normals = [], []
     for axis, sign in itertools.product(range(3), (-1, 1)):
@@ -35,7 +41,7 @@ def elements_of(solid: Solid, per_face: int = 4, seed: int = 0) -> SurfaceElemen
 
 
 def seen_room(solid: Solid = MEETING_ROOM) -> VoxelMap:
-    """A map that knows the whole room."""
+    """Return a map in which the whole room is known."""
     return voxel_map(np.where(solid, OCCUPIED, FREE).astype(np.uint8), 1)
 
 

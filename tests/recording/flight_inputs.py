@@ -1,4 +1,4 @@
-"""Small made-up inputs: a flight through a box-shaped room."""
+"""Small synthetic inputs: a flight through a box-shaped room."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ INSIDE = np.array([1.0, 0.5, 1.2])
 
 
 def position(t_s: float) -> FloatArray:
-    """A circle of 0.8 m at 0.4 m/s or so."""
+    """Return a position on a circle of 0.8 m radius, flown at about 0.4 m/s."""
     return np.array([1.0 + 0.8 * np.cos(t_s / 2), 0.5 + 0.8 * np.sin(t_s / 2), 1.2])
 
 
@@ -47,7 +47,10 @@ def frame(t_s: float) -> PosedFrame:
 
 
 def voxel_map() -> VoxelMap:
-    """Free inside [-1, 3] x [-1, 2] x [0, 2.4], a shell of occupied voxels round it, unknown beyond."""
+    """Return a map that is free inside [-1, 3] x [-1, 2] x [0, 2.4].
+
+    A shell of occupied voxels surrounds it; beyond that, all is unknown.
+    """
     grid = GridSpec.covering(np.array([-1.3, -1.3, -0.3]), np.array([3.3, 2.3, 2.7]), 0.1)
     centres = grid.centre(np.stack(np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij"), axis=-1))
     lower, upper = np.array([-1.0, -1.0, 0.0]), np.array([3.0, 2.0, 2.4])
@@ -95,7 +98,7 @@ def progress(t_s: float, phase: str = "EXPLORE") -> MissionProgress:
 
 
 def mesh() -> TriangleMesh:
-    """The inside of the room as twelve triangles, subdivided, facing OUTWARDS as trimesh makes it."""
+    """Return the room's walls as subdivided triangles that face outwards, as trimesh makes them."""
     import trimesh
 
     box = trimesh.creation.box((4.0, 3.0, 2.4))

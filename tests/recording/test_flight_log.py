@@ -1,4 +1,4 @@
-"""The mission's own account survives what a flight may do to it."""
+"""The mission's log survives crashes, damage and a full disk."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_each_line_is_on_disk_before_the_log_is_closed(tmp_path: Path) -> None:
     log.close()
 
 
-def test_a_torn_last_line_costs_that_line_only(tmp_path: Path) -> None:
+def test_a_torn_last_line_loses_only_that_line(tmp_path: Path) -> None:
     write_timeline(tmp_path)
     path = tmp_path / TIMELINE
     path.write_bytes(path.read_bytes()[:-9])
@@ -44,7 +44,7 @@ def test_a_torn_last_line_costs_that_line_only(tmp_path: Path) -> None:
     assert len(timeline.refusals) == 0 and len(timeline.progress) == 60
 
 
-def test_a_mission_restarted_after_a_crash_appends_behind_the_torn_line(tmp_path: Path) -> None:
+def test_a_mission_restarted_after_a_crash_appends_after_the_torn_line(tmp_path: Path) -> None:
     (tmp_path / TIMELINE).write_text('{"event": "refusal", "stamp_s": 1.0, "rea')
     log = FlightLog(tmp_path)
     log.refusal(2.0, "after")
@@ -60,7 +60,7 @@ def test_garbage_is_counted_and_skipped(tmp_path: Path) -> None:
     assert read_timeline(tmp_path).torn_lines == 5
 
 
-def test_the_file_is_strict_json_even_for_numbers_that_are_not(tmp_path: Path) -> None:
+def test_the_file_is_strict_json_even_for_numbers_that_are_not_finite(tmp_path: Path) -> None:
     log = FlightLog(tmp_path)
     log.plan(1.0, "explore", np.float64(np.nan), np.float32(0.5), 1, 2, 3, np.inf)  # type: ignore[arg-type]
     log.close()
@@ -89,7 +89,7 @@ def test_a_full_disk_never_stops_the_flight(tmp_path: Path, caplog: pytest.LogCa
     ]
 
 
-def test_no_timeline_is_an_empty_one(tmp_path: Path) -> None:
+def test_a_missing_timeline_is_read_as_empty(tmp_path: Path) -> None:
     timeline = read_timeline(tmp_path)
     assert timeline.progress == () and timeline.start_s() == 0.0
     assert timeline.path_world()[1].shape == (0, 3)

@@ -1,4 +1,4 @@
-"""A flight without a simulator gets its report too, and says what was not measured."""
+"""Report of a flight without a simulator: it names the values that were not measured."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def flight(folder: Path) -> None:
     log.close()
 
 
-def test_a_real_flight_is_accounted_for(tmp_path: Path) -> None:
+def test_a_real_flight_gets_a_report(tmp_path: Path) -> None:
     flight(tmp_path)
     publish(build_report(tmp_path, CARD, wall_s=55.0), tmp_path)
     report = Report.load(tmp_path / "report.json")
@@ -58,8 +58,8 @@ def test_a_real_flight_is_accounted_for(tmp_path: Path) -> None:
 def test_waiting_counts_from_take_off_to_the_last_view(tmp_path: Path) -> None:
     log = FlightLog(tmp_path)
     log.phase(10.0, "take-off", "")
-    for stamp_s, waited_s in ((10.5, 2.0), (20.0, 1.0), (30.4, 0.5), (40.0, 3.0)):  # half a second of the first and 0.1 of the
-        log.plan(stamp_s, "explore", 0.0, 0.0, 1, 1, 1, waited_s)  # third lie within, nothing of the last
+    for stamp_s, waited_s in ((10.5, 2.0), (20.0, 1.0), (30.4, 0.5), (40.0, 3.0)):  # 0.5 s of the first and 0.1 s of the
+        log.plan(stamp_s, "explore", 0.0, 0.0, 1, 1, 1, waited_s)  # third are within; nothing of the last is
     log.view(30.0, 1, Pose.identity())
     log.close()
     report = build_report(tmp_path, CARD, 1.0)
@@ -67,14 +67,14 @@ def test_waiting_counts_from_take_off_to_the_last_view(tmp_path: Path) -> None:
     assert report.waiting_share == pytest.approx((0.5 + 1.0 + 0.1) / 20.0)
 
 
-def test_without_take_off_or_view_nothing_is_shared(tmp_path: Path) -> None:
+def test_without_a_view_there_is_no_waiting_share(tmp_path: Path) -> None:
     log = FlightLog(tmp_path)
     log.phase(10.0, "take-off", "")
     log.close()
     assert build_report(tmp_path, CARD, 1.0).waiting_share is None
 
 
-def test_a_mission_that_left_no_word_is_aborted(tmp_path: Path) -> None:
+def test_a_mission_without_an_outcome_is_reported_as_aborted(tmp_path: Path) -> None:
     report = build_report(tmp_path, CARD, wall_s=1.0)
     assert report.outcome == "aborted: the mission left no word"
     assert report.flight_time_s == 0.0

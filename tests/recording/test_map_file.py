@@ -1,4 +1,4 @@
-"""What a flight leaves behind reads back as it was."""
+"""Maps and meshes that a flight saves are read back unchanged."""
 
 from __future__ import annotations
 

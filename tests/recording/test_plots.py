@@ -1,4 +1,7 @@
-"""Pictures come out whole for every flight, an empty one included; what they show was looked at."""
+"""Plots are complete for every flight, an empty one included.
+
+Their appearance was checked by eye.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ def timeline(tmp_path: Path) -> Timeline:
     return read_timeline(tmp_path)
 
 
-def test_flight_pictures_have_content(tmp_path: Path, timeline: Timeline) -> None:
+def test_flight_plots_have_content(tmp_path: Path, timeline: Timeline) -> None:
     path_over_plan(tmp_path / "p" / "path.png", timeline, voxel_map())
     coverage_over_time(tmp_path / "p" / "coverage.png", timeline)
     coverage_over_time(tmp_path / "p" / "share.png", timeline, free_volume_m3=25.0)
@@ -41,7 +44,7 @@ def test_flight_pictures_have_content(tmp_path: Path, timeline: Timeline) -> Non
         assert 0.01 < np.mean(image < 250) < 0.9
 
 
-def test_an_empty_flight_still_has_its_pictures(tmp_path: Path) -> None:
+def test_an_empty_flight_still_has_its_plots(tmp_path: Path) -> None:
     path_over_plan(tmp_path / "path.png", EMPTY, None)
     path_over_plan(tmp_path / "plan.png", EMPTY, voxel_map())
     coverage_over_time(tmp_path / "coverage.png", EMPTY)
@@ -54,15 +57,15 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return mesh_pictures(tmp_path_factory.mktemp("mesh"), mesh(), INSIDE)
 
 
-def test_the_room_is_seen_from_outside_through_its_near_walls_and_ceiling(written: list[Path]) -> None:
+def test_the_near_walls_and_the_ceiling_are_left_out_of_the_views_from_outside(written: list[Path]) -> None:
     assert [path.name for path in written] == ["mesh_colour.png", "mesh_uncertainty.png", "mesh_top.png"]
     for path in written:
         image = loaded(path)
         assert image.shape == (800, 1200, 3)
-        assert (image[:2, :2] == 255).all()  # white round the model
+        assert (image[:2, :2] == 255).all()  # white around the model
     blue, green, red = (loaded(written[0])[..., k].astype(int) for k in range(3))
     assert np.mean((green > red + 30) & (green > blue + 30)) > 0.1  # the floor
-    assert np.mean((red > green + 60) & (red > blue + 60)) < 0.01  # no ceiling but the rim of the walls
+    assert np.mean((red > green + 60) & (red > blue + 60)) < 0.01  # no ceiling except the rim of the walls
     top = loaded(written[2])[400, 600].astype(int)
     assert top[1] > top[0] + 30 and top[1] > top[2] + 30
 
@@ -73,6 +76,6 @@ def test_uncertainty_goes_from_blue_to_red(written: list[Path]) -> None:
     assert np.mean(blue > red + 60) > 0.01 and np.mean(red > blue + 60) > 0.01
 
 
-def test_no_mesh_gives_no_pictures(tmp_path: Path) -> None:
+def test_an_empty_mesh_gives_no_images(tmp_path: Path) -> None:
     nothing = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3), np.uint8), np.zeros(0, np.float32))
     assert mesh_pictures(tmp_path, nothing, INSIDE) == []

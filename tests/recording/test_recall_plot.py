@@ -1,4 +1,7 @@
-"""The picture of recall over flight time comes out whole for every flight; what it shows was looked at."""
+"""Plot of recall over flight time, complete for every flight.
+
+Its appearance was checked by eye.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,7 @@ def test_recall_views_and_modes_are_drawn(tmp_path: Path) -> None:
         assert words in text, words
 
 
-def test_a_flight_without_plans_or_views_has_its_picture_too(tmp_path: Path) -> None:
+def test_a_flight_without_plans_or_views_also_has_a_plot(tmp_path: Path) -> None:
     log = FlightLog(tmp_path)
     log.phase(START_S, "take-off", "")
     log.close()
@@ -50,7 +53,7 @@ def test_a_flight_without_plans_or_views_has_its_picture_too(tmp_path: Path) -> 
     assert content(tmp_path / "bare.png") < content(tmp_path / "recall.png")
 
 
-def test_without_truth_there_is_no_such_picture(tmp_path: Path) -> None:
+def test_without_ground_truth_there_is_no_recall_plot(tmp_path: Path) -> None:
     write_timeline(tmp_path)
     publish(build_report(tmp_path, CARD, 30.0), tmp_path)
     assert not (tmp_path / "pictures" / "recall.png").exists()

@@ -1,4 +1,4 @@
-"""report.json is strict and stable; report.html stands alone."""
+"""report.json is strict and stable; report.html needs no other file."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def refuse(name: str) -> Any:
     raise AssertionError(f"{name} is not JSON")
 
 
-def test_the_agreed_report_comes_back_unchanged(tmp_path: Path) -> None:
+def test_a_report_is_read_back_unchanged(tmp_path: Path) -> None:
     path = save_report(Report.from_tree(tree()), tmp_path)
     assert json.loads(path.read_text(), parse_constant=refuse) == tree()
     assert list(json.loads(path.read_text())) == list(tree())
@@ -97,14 +97,14 @@ def test_a_curve_or_a_table_of_the_wrong_shape_is_named(key: str, value: Any, sa
         Report.from_tree(tree() | {key: value})
 
 
-def test_times_of_the_oracle_are_known_where_both_times_are() -> None:
+def test_the_ratio_to_the_oracle_needs_both_times() -> None:
     report = Report.from_tree(tree())
     assert report.times_oracle("0.90") == pytest.approx(96.4 / 33.0)
     assert report.times_oracle("0.95") is None
     assert dataclasses.replace(report, oracle_s=None).times_oracle("0.90") is None
 
 
-def test_a_file_that_is_no_report_is_one_line(tmp_path: Path) -> None:
+def test_an_invalid_report_file_is_a_one_line_error(tmp_path: Path) -> None:
     with pytest.raises(ReportError, match="cannot be read"):
         Report.load(tmp_path / "report.json")
     (tmp_path / "report.json").write_text("{")
@@ -112,26 +112,26 @@ def test_a_file_that_is_no_report_is_one_line(tmp_path: Path) -> None:
         Report.load(tmp_path / "report.json")
 
 
-def test_numbers_that_are_none_become_null() -> None:
+def test_numbers_that_are_not_finite_become_null() -> None:
     report = Report.from_tree(tree())
     spoilt = dataclasses.replace(report, explored_fraction=float("nan"), path_length_m=np.float64("inf"))
     back = json.loads(spoilt.to_json(), parse_constant=refuse)
     assert back["explored_fraction"] is None and back["path_length_m"] is None
 
 
-def test_evaluation_and_report_speak_the_same_names() -> None:
+def test_evaluation_and_report_use_the_same_names() -> None:
     assert [f.name for f in dataclasses.fields(Quality)] == [f.name for f in dataclasses.fields(ReportQuality)]
     assert [f.name for f in dataclasses.fields(StreamStatistics)] == [f.name for f in dataclasses.fields(ReportStream)]
 
 
-def test_the_page_stands_alone(tmp_path: Path) -> None:
+def test_the_page_needs_no_other_file(tmp_path: Path) -> None:
     (tmp_path / "mesh.png").write_bytes(PIXEL)
     pictures = [Picture(tmp_path / "mesh.png", "The <model>"), Picture(tmp_path / "missing.png", "not there")]
     _, page = write_report(tmp_path, Report.from_tree(tree()), pictures, ["a note & more"])
     text = page.read_text()
     assert "data:image/png;base64," in text and "not there" not in text
     assert "The &lt;model&gt;" in text and "a note &amp; more" in text
-    assert "http" not in text  # nothing from a network
+    assert "http" not in text  # nothing is loaded from a network
     for figure in (
         "Completed without contact",
         "14 frontiers left",
@@ -149,7 +149,7 @@ def test_the_page_stands_alone(tmp_path: Path) -> None:
         assert figure in text, figure
 
 
-def test_a_flight_without_truth_says_so(tmp_path: Path) -> None:
+def test_the_page_states_that_ground_truth_is_missing(tmp_path: Path) -> None:
     safety = tree()["safety"] | {"min_clearance_m": None, "fence_overshoot_m": None, "contacts": None}
     real = tree() | {"recall_over_time": None, "time_to_recall_s": {"0.90": None, "0.95": None}, "oracle_s": None}
     real |= {"quality": None, "explored_fraction": None, "seed": None, "depth_noise": None, "safety": safety}
@@ -171,6 +171,8 @@ def test_a_flight_without_truth_says_so(tmp_path: Path) -> None:
         ("aborted: pose lost", 0, 0, "Aborted: pose lost", "bad"),
     ],
 )
-def test_verdict(outcome: str, contacts: int | None, failsafes: int, headline: str, mood: str) -> None:
+def test_the_headline_states_outcome_contacts_and_failsafes(
+    outcome: str, contacts: int | None, failsafes: int, headline: str, mood: str
+) -> None:
     safety = tree()["safety"] | {"contacts": contacts, "failsafes": failsafes}
     assert verdict(Report.from_tree(tree() | {"outcome": outcome, "safety": safety})) == (headline, mood)

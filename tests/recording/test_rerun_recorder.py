@@ -1,4 +1,4 @@
-"""The recorder writes what it is told, reads each value once, and takes no harm."""
+"""The recorder writes every channel, reads each value once, and survives faults."""
 
 from __future__ import annotations
 
@@ -67,12 +67,12 @@ def fly(folder: Path, duration_s: float = 6.0, **options: Any) -> tuple[Recorder
 
 
 def counts(folder: Path, by_chunk: bool = False) -> dict[str, int]:
-    """Rows, or chunks, per entity of the temporal data."""
+    """Return the number of rows, or of chunks, per entity of the temporal data."""
     from rerun.chunk import RrdReader
 
     found: dict[str, int] = {}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # no footer in a file of a killed recorder
+        warnings.simplefilter("ignore")  # a killed recorder leaves a file without a footer
         for chunk in RrdReader(folder / names.RECORDING).stream().to_chunks():
             entity = str(chunk.entity_path).lstrip("/")
             found[entity] = found.get(entity, 0) + (1 if by_chunk else chunk.num_rows)
@@ -80,11 +80,11 @@ def counts(folder: Path, by_chunk: bool = False) -> dict[str, int]:
 
 
 def rows(folder: Path) -> dict[str, int]:
-    """Rows per entity of the temporal data."""
+    """Return the number of rows per entity of the temporal data."""
     return counts(folder)
 
 
-def test_a_flight_is_recorded_whole(tmp_path: Path) -> None:
+def test_a_flight_is_recorded_completely(tmp_path: Path) -> None:
     recorder, _ = fly(tmp_path)
     recorder.close(mesh())
     found = rows(tmp_path)
@@ -97,15 +97,15 @@ def test_a_flight_is_recorded_whole(tmp_path: Path) -> None:
     assert found[names.SPEED] == 60
 
 
-def test_images_come_at_a_reduced_rate_and_a_trajectory_once(tmp_path: Path) -> None:
+def test_images_are_recorded_at_a_reduced_rate_and_a_trajectory_once(tmp_path: Path) -> None:
     recorder, _ = fly(tmp_path, duration_s=6.0)
     recorder.close()
     found = rows(tmp_path)
     assert found[f"{names.DEPTH}/image"] == 12
     assert found[names.VOXELS] == found[names.CEILING] == 3
     assert found[names.TRAJECTORY] == 1
-    assert found[f"{names.LOG}/mission"] == 1  # said when it changes only
-    assert recorder.skipped()["frames"] == 44  # 56 until the last look, 12 looks
+    assert found[f"{names.LOG}/mission"] == 1  # logged only when it changes
+    assert recorder.skipped()["frames"] == 44  # 56 until the last image, 12 images
     assert recorder.skipped()["odom"] == 0
 
 
@@ -129,7 +129,10 @@ def test_a_killed_recorder_leaves_a_readable_file(tmp_path: Path) -> None:
 
 
 def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
-    """In half an hour, at two looks a second; a list of chunks for a footer took 12 MB in that time."""
+    """Covers half an hour at two steps a second.
+
+    A list of chunks for a footer would take 12 MB in that time.
+    """
     clock, wires = ManualClock(START_S), channels()
     recorder = Recorder(tmp_path, wires, clock, FENCE)
     memory_mb = []
@@ -148,7 +151,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
 
 
 def test_a_recording_is_written_in_few_chunks(tmp_path: Path) -> None:
-    """Of what comes ten times a second one chunk every two, or two where what is drawn has two parts."""
+    """Values that arrive ten times a second are written as about one chunk per second."""
     recorder, _ = fly(tmp_path, duration_s=20.0)
     recorder.close()
     assert rows(tmp_path)[names.SPEED] == 200
@@ -171,13 +174,13 @@ def test_the_mesh_file_is_drawn_and_a_broken_one_is_only_logged(tmp_path: Path, 
     assert "cannot be read as a mesh" in caplog.text
 
 
-def test_without_a_viewer_the_flight_is_recorded_all_the_same(tmp_path: Path) -> None:
+def test_without_a_viewer_the_flight_is_still_recorded(tmp_path: Path) -> None:
     recorder, _ = fly(tmp_path, duration_s=1.0, live=True, find_viewer=lambda: None)
     recorder.close()
     assert rows(tmp_path)[names.SPEED] == 10
 
 
-def test_silent_channels_are_no_trouble(tmp_path: Path) -> None:
+def test_channels_without_values_are_accepted(tmp_path: Path) -> None:
     clock = ManualClock(5.0)
     recorder = Recorder(tmp_path, channels(), clock, FENCE)
     clock.advance_to(6.0)
@@ -191,7 +194,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         Recorder(tmp_path / "missing", channels(), ManualClock(), FENCE)
 
 
-def test_an_inbox_hands_out_once_and_counts_what_it_missed() -> None:
+def test_an_inbox_returns_a_value_once_and_counts_skipped_ones() -> None:
     wire = MemoryChannel(Setpoint)
     inbox: Inbox[Setpoint] = Inbox(wire)
     assert inbox.new() is None
@@ -203,15 +206,15 @@ def test_an_inbox_hands_out_once_and_counts_what_it_missed() -> None:
     assert inbox.new() is None
 
 
-def test_depth_survives_as_whole_millimetres() -> None:
+def test_depth_is_stored_in_whole_millimetres() -> None:
     taken = frame(0.0).frame
     image = cv2.imdecode(np.frombuffer(depth_png(taken), np.uint8), cv2.IMREAD_UNCHANGED)
     assert image is not None and image.dtype == np.uint16
     assert (image[:, :5] == 0).all() and (image[:, 5:] == 2000).all()
 
 
-def test_the_surface_is_kept_as_it_grows(tmp_path: Path) -> None:
+def test_the_growing_surface_is_saved_periodically(tmp_path: Path) -> None:
     recorder, wires = fly(tmp_path, duration_s=6.0)
-    wires.surface.publish(surface())  # a moment before the end
+    wires.surface.publish(surface())  # just before the end
     recorder.close()
     assert [round(state.stamp_s - START_S, 3) for state in load_states(tmp_path)] == [0.0, 2.0, 5.9]

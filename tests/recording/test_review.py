@@ -1,4 +1,4 @@
-"""Review says in one line what is wrong with a flight folder."""
+"""Review of a flight folder: faults are reported in one line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def one_line(error: pytest.ExceptionInfo[ReviewError]) -> bool:
     return "\n" not in str(error.value)
 
 
-def test_missing_things_are_named(tmp_path: Path) -> None:
+def test_a_missing_folder_or_recording_is_named(tmp_path: Path) -> None:
     with pytest.raises(ReviewError, match="no such flight folder") as error:
         review(tmp_path / "nowhere")
     assert one_line(error)
@@ -28,14 +28,14 @@ def test_missing_things_are_named(tmp_path: Path) -> None:
         recording_path(tmp_path)
 
 
-def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
+def test_an_invalid_recording_is_refused(tmp_path: Path) -> None:
     (tmp_path / RECORDING).write_bytes(b"this is not a recording at all")
     with pytest.raises(ReviewError, match="not a recording") as error:
         check_recording(tmp_path)
     assert one_line(error)
 
 
-def test_a_viewer_that_fails_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_viewer_is_a_one_line_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / RECORDING).write_bytes(b"x")
     script = "import sys; sys.stderr.write('first\\nno display\\n'); sys.exit(3)"
     monkeypatch.setattr(module, "viewer_command", lambda *_: [sys.executable, "-c", script])
@@ -44,7 +44,7 @@ def test_a_viewer_that_fails_is_one_line(tmp_path: Path, monkeypatch: pytest.Mon
     assert one_line(error)
 
 
-def test_a_viewer_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_viewer_is_a_one_line_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / RECORDING).write_bytes(b"x")
     monkeypatch.setattr(module, "viewer_command", lambda *_: ["/nowhere/viewer"])
     with pytest.raises(ReviewError, match="cannot be started") as error:
@@ -55,11 +55,11 @@ def test_a_viewer_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pyt
 def test_the_viewer_never_listens_beyond_this_machine() -> None:
     command = viewer_command("--port", "1")
     assert command[command.index("--bind") + 1] == "127.0.0.1"
-    assert Path(command[0]).is_file()  # the program itself, which a kill reaches
+    assert Path(command[0]).is_file()  # the program itself and no wrapper, so that a kill reaches it
     assert Viewer(9).address == "rerun+http://127.0.0.1:9/proxy"
 
 
-def test_a_viewer_that_ends_at_once_costs_the_live_view_only(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_viewer_that_ends_at_once_only_loses_the_live_view(caplog: pytest.LogCaptureFixture) -> None:
     assert open_viewer(port=1, command=[sys.executable, "-c", "raise SystemExit(4)"]) is None
     assert "ended at once with status 4" in caplog.text
     assert open_viewer(port=1, command=["/nowhere/viewer"]) is None

@@ -1,4 +1,4 @@
-"""The rasteriser against numbers worked out by hand."""
+"""Rasteriser against values computed by hand."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_top_view_is_to_scale() -> None:
     view = top_view(np.zeros(3), np.array([4.0, 2.0, 2.5]), 1200, 800)
     corners = view.project(np.array([[0.0, 0, 0], [4, 0, 0], [0, 2, 0]]))
     assert corners[1, 0] - corners[0, 0] == pytest.approx(4 * view.scale_px)
-    assert corners[0, 1] - corners[2, 1] == pytest.approx(2 * view.scale_px)  # y up on the picture
+    assert corners[0, 1] - corners[2, 1] == pytest.approx(2 * view.scale_px)  # y points up in the image
     assert corners[0, 2] == pytest.approx(3.5)
 
 
@@ -40,7 +40,7 @@ def test_only_the_front_is_drawn() -> None:
     assert (render(FLOOR, UP[:, ::-1], grey, view) == 255).all()
 
 
-def test_the_nearer_surface_hides_the_farther() -> None:
+def test_the_nearer_surface_hides_the_farther_one() -> None:
     view = top_view(np.zeros(3), np.array([2.0, 1.0, 1.0]), 120, 80)
     vertices = np.concatenate([FLOOR, FLOOR * [0.5, 1, 1] + [0, 0, 0.5]])
     rgb = np.array([[200, 0, 0]] * 4 + [[0, 0, 200]] * 4, dtype=np.uint8)
@@ -49,7 +49,10 @@ def test_the_nearer_surface_hides_the_farther() -> None:
 
 
 def test_depth_is_perspective_correct() -> None:
-    """A plane seen at a slant: depth at a pixel is where its ray meets the plane, not the mean over the screen."""
+    """On a slanted plane, the depth of a pixel is where its ray meets the plane.
+
+    It is not interpolated linearly over the screen.
+    """
     corners: FloatArray = np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 5.0], [-1.0, 1.0, 5.0]])  # y = 1, RDF
     focal, centre = 50.0, 60.0
     screen = np.column_stack([corners[:, :2] / corners[:, 2:] * focal + centre, corners[:, 2]])
@@ -62,7 +65,7 @@ def test_depth_is_perspective_correct() -> None:
 
 
 def test_a_room_turned_inside_out_is_turned_back() -> None:
-    box = trimesh.creation.box((2.0, 2.0, 2.0))  # faces look outwards
+    box = trimesh.creation.box((2.0, 2.0, 2.0))  # faces point outwards
     turned = facing_inwards(box.vertices, box.faces, np.zeros(3))
     assert np.array_equal(turned, np.asarray(box.faces)[:, ::-1])
     assert np.array_equal(facing_inwards(box.vertices, turned, np.zeros(3)), turned)

@@ -61,15 +61,15 @@ def _image(pixels: Any, profile: Any, number: int) -> Any:
 def _depth_pixels(number: int) -> Any:
     pixels = np.full((DEPTH[1], DEPTH[0]), 2000 + 2 * number, np.uint16)
     pixels[:, :10] = 0
-    pixels[:, 10:20] = 100  # 5 cm: nearer than believed
-    pixels[:, 20:30] = 60000  # 30 m: farther
+    pixels[:, 10:20] = 100  # 5 cm: nearer than the valid range
+    pixels[:, 20:30] = 60000  # 30 m: farther than the valid range
     pixels[100, 200] = 3333
     return pixels
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a depth camera with colour and IMU would have recorded."""
+    """Return a recording like that of a depth camera with colour and IMU."""
     path = tmp_path_factory.mktemp("realsense") / "flight.db3"
     device = rs.software_device()
     device.create_matcher(rs.matchers.dlr_c)
@@ -93,7 +93,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     clock = MonotonicClock()
     start_s = clock.now_s()
     for number in range(FRAMES):
-        clock.sleep_until(start_s + number / 30)  # librealsense notes the arrival itself, and plays back at that pace
+        clock.sleep_until(start_s + number / 30)  # librealsense records arrival times and plays back at that rate
         stereo.on_video_frame(_image(_depth_pixels(number), depth, number))
         colour.on_video_frame(_image(np.full((RGB[1], RGB[0], 3), 20 * number, np.uint8), rgb, number))
         for profile, data in ((accel, (0.0, -9.81, 0.1)), (gyro, (0.1, 0.2, 0.3))):
@@ -119,7 +119,7 @@ def camera(recording: Path) -> Iterator[RealSenseCamera]:
 
 
 def _play(camera: RealSenseCamera, want_samples: int = 0) -> tuple[list[Frame], list[ImuSample]]:
-    """Poll in real time until the recording (a quarter of a second) is over."""
+    """Poll in real time until the recording, a quarter of a second long, is over."""
     clock = MonotonicClock()
     end_s = clock.now_s() + 3.0
     frames: list[Frame] = []
@@ -131,15 +131,15 @@ def _play(camera: RealSenseCamera, want_samples: int = 0) -> tuple[list[Frame], 
     return frames, samples
 
 
-def test_a_recording_plays_back_as_it_was_made(camera: RealSenseCamera) -> None:
+def test_a_recording_plays_back_as_it_was_recorded(camera: RealSenseCamera) -> None:
     frames, samples = _play(camera, want_samples=FRAMES - 2)
-    assert len(frames) >= 3  # a busy machine may miss some: poll() gives the newest
+    assert len(frames) >= 3  # a busy machine may miss frames, because poll() returns the newest
     for frame in frames:
         number = frame.sequence - 1
         pixels = _depth_pixels(number)
         np.testing.assert_allclose(frame.depth_m[:, 30:], pixels[:, 30:] * SCALE, rtol=1e-6)
         assert np.isnan(frame.depth_m[:, :30]).all()
-        np.testing.assert_array_equal(frame.rgb, 20 * number)  # the colour of the same instant
+        np.testing.assert_array_equal(frame.rgb, 20 * number)  # the colour image of the same time
     assert frames[0].rgb.shape == (180, 320, 3)
     assert (np.diff([frame.stamp_s for frame in frames]) > 0).all()
     assert abs(frames[-1].stamp_s - MonotonicClock().now_s()) < 3.0
@@ -148,7 +148,7 @@ def test_a_recording_plays_back_as_it_was_made(camera: RealSenseCamera) -> None:
     np.testing.assert_allclose(samples[0].gyro_radps, [0.3, -0.1, -0.2], atol=1e-6)
 
 
-def test_optics_are_those_of_the_device(camera: RealSenseCamera) -> None:
+def test_intrinsics_and_extrinsics_are_those_of_the_device(camera: RealSenseCamera) -> None:
     (frame, *_), _samples = _play(camera)
     for ours, theirs in ((frame.depth_intrinsics, DEPTH), (frame.rgb_intrinsics, RGB)):
         np.testing.assert_allclose((ours.width, ours.height, ours.fx, ours.fy, ours.cx, ours.cy), theirs)
@@ -157,7 +157,7 @@ def test_optics_are_those_of_the_device(camera: RealSenseCamera) -> None:
 
 
 def test_pixel_zero_is_the_centre_of_the_first_pixel(camera: RealSenseCamera) -> None:
-    """librealsense's own deprojection of integer pixels gives our bearings."""
+    """librealsense's deprojection of integer pixels equals our bearings."""
     (frame, *_), _samples = _play(camera)
     intrinsics = rs.intrinsics()
     intrinsics.width, intrinsics.height = int(DEPTH[0]), int(DEPTH[1])
@@ -168,13 +168,13 @@ def test_pixel_zero_is_the_centre_of_the_first_pixel(camera: RealSenseCamera) ->
         np.testing.assert_allclose(ours[v, u], rs.rs2_deproject_pixel_to_point(intrinsics, [u, v], 1.0), atol=1e-6)
 
 
-def test_a_missing_recording_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_recording_is_a_one_line_error(tmp_path: Path) -> None:
     with pytest.raises(RealSenseError, match=r"absent\.db3: no such recording") as error:
         RealSenseCamera(MonotonicClock(), playback=tmp_path / "absent.db3")
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_camera_is_one_line() -> None:
+def test_a_missing_camera_is_a_one_line_error() -> None:
     with pytest.raises(RealSenseError, match=r"RealSense camera 000000000000 is not connected \(seen: none\)") as error:
         RealSenseCamera(MonotonicClock(), serial="000000000000")
     assert "\n" not in str(error.value)
@@ -200,7 +200,7 @@ def test_the_clock_offset_is_the_shortest_delay_and_survives_a_reset() -> None:
     errors = []
     for k in range(3000):
         t = 50.0 + k / 30
-        device_s = (t - 40.0) * (1 + 20e-6) if k < 2000 else t - 100.0  # 20 ppm fast, then its clock starts anew
+        device_s = (t - 40.0) * (1 + 20e-6) if k < 2000 else t - 100.0  # 20 ppm fast, then its clock is reset
         stamp_s = offset.monotonic_s(device_s, t + 0.004 + rng.exponential(0.005))
         if k % 2000 > 300:
             errors.append(stamp_s - t)
@@ -208,7 +208,10 @@ def test_the_clock_offset_is_the_shortest_delay_and_survives_a_reset() -> None:
 
 
 class _Live:
-    """A camera that never was: frames stamped by the device's clock or by the machine's, 5 ms old when they are polled."""
+    """Mock camera with frames stamped by the device's clock or the machine's.
+
+    A frame is 5 ms old when it is polled.
+    """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.clock, self.wall_from_clock_s, self.late_by_s = ManualClock(100.0), 1.7e9, 0.005
@@ -243,7 +246,7 @@ class _Live:
         return SimpleNamespace(get_depth_frame=lambda: frame, get_color_frame=lambda: None if self.colourless else frame)
 
     def poll(self, seconds: float) -> list[tuple[float, float]]:
-        """When frames came, and how old their stamps said that they were."""
+        """Return the arrival time of each frame, and its age by its time stamp."""
         out = []
         for _ in range(round(30 * seconds)):
             self.clock.advance_to(self.clock.now_s() + 1 / 30)
@@ -253,7 +256,7 @@ class _Live:
         return out
 
 
-def test_stamps_that_go_over_to_another_clock_are_waited_with_for_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_change_of_the_stamps_clock_frames_pause_for_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     live = _Live(monkeypatch)
     assert len(live.poll(1.0)) == 30
     for system in (True, False):
@@ -264,20 +267,18 @@ def test_stamps_that_go_over_to_another_clock_are_waited_with_for_half_a_second(
         assert all(-1e-6 <= age_s <= 0.006 for _, age_s in came), "on our clock whichever the camera goes by"
 
 
-def test_a_wall_clock_that_is_set_back_costs_two_frames_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wall_clock_set_back_loses_at_most_two_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     live = _Live(monkeypatch)
     live.system = True
     assert len(live.poll(1.0)) == 30
-    live.late_by_s = -3600.0  # taken before the machine's clock was set back by an hour, polled after it
+    live.late_by_s = -3600.0  # taken before the machine's clock was set back by an hour, polled afterwards
     assert live.poll(1 / 30)[0][1] == pytest.approx(-3600.0, abs=1e-3)
     live.late_by_s = 0.005
     assert len(live.poll(1.0)) == 29
 
 
 @pytest.mark.parametrize("falls", ["silent", "colourless"])
-def test_a_camera_that_is_open_and_tells_nothing_is_gone_after_a_second_and_a_half(
-    monkeypatch: pytest.MonkeyPatch, falls: str
-) -> None:
+def test_an_open_camera_without_frames_is_lost_after_a_second_and_a_half(monkeypatch: pytest.MonkeyPatch, falls: str) -> None:
     live = _Live(monkeypatch)
     assert len(live.poll(1.0)) == 30
     setattr(live, falls, True)
@@ -287,10 +288,10 @@ def test_a_camera_that_is_open_and_tells_nothing_is_gone_after_a_second_and_a_ha
     with pytest.raises(RealSenseError, match=r"no frame for 1\.6 s"):
         live.poll(1 / 30)
     setattr(live, falls, False)
-    assert len(live.poll(1.0)) == 30  # whoever could not end for it goes on
+    assert len(live.poll(1.0)) == 30  # a caller that ignored the error can continue
 
 
-def test_a_camera_has_five_seconds_for_its_first_frame_however_long_kernels_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_has_five_seconds_for_its_first_frame_after_the_first_poll(monkeypatch: pytest.MonkeyPatch) -> None:
     live = _Live(monkeypatch)
     live.silent = True
     live.clock.advance_to(live.clock.now_s() + 60.0)
@@ -299,11 +300,11 @@ def test_a_camera_has_five_seconds_for_its_first_frame_however_long_kernels_comp
         live.poll(0.2)
 
 
-def test_a_recording_that_is_over_is_no_camera_that_fell_silent(recording: Path) -> None:
+def test_the_end_of_a_recording_is_not_a_lost_camera(recording: Path) -> None:
     clock = ManualClock(100.0)
     camera = RealSenseCamera(clock, playback=recording)
     _play(camera)
     for _ in range(100):
         clock.advance_to(clock.now_s() + 1.0)
-        camera.poll()  # raises nothing
+        camera.poll()  # no exception
     camera.close()

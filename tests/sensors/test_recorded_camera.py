@@ -20,7 +20,7 @@ def _flown(k: int) -> Pose:
 
 @pytest.fixture
 def flight(tmp_path: Path) -> Path:
-    """Three keyframes a second apart, written as a flight writes them."""
+    """Return a flight folder with three keyframes, one second apart."""
     keyframes = KeyframeFolder(tmp_path / "keyframes")
     depth_optics, rgb_optics = Intrinsics(20.0, 21.0, 15.5, 11.5, 32, 24), Intrinsics(10.0, 11.0, 7.5, 3.5, 16, 8)
     rgb_from_depth = Pose.from_yaw(0.0, np.array([0.015, 0.0, 0.0]))
@@ -33,7 +33,7 @@ def flight(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_keyframes_play_back_at_the_pace_they_were_flown(flight: Path) -> None:
+def test_keyframes_play_back_at_their_recorded_rate(flight: Path) -> None:
     clock = ManualClock(50.0)
     camera = RecordedCamera(flight, clock)
     frames: list[Frame] = []
@@ -44,13 +44,13 @@ def test_keyframes_play_back_at_the_pace_they_were_flown(flight: Path) -> None:
     assert [(frame.sequence, frame.stamp_s) for frame in frames] == [(40, 50.0), (41, 51.0), (42, 52.0)]
     assert np.isnan(frames[1].depth_m[0, 0])
     np.testing.assert_allclose(frames[1].depth_m[1:], 1.001, rtol=1e-6)
-    np.testing.assert_allclose(frames[1].rgb[4, 8], [200, 100, 10], atol=4)  # RGB, and JPEG's rounding
+    np.testing.assert_allclose(frames[1].rgb[4, 8], [200, 100, 10], atol=4)  # RGB order, with JPEG rounding
     assert frames[1].depth_intrinsics.fy == 21.0
     np.testing.assert_allclose(frames[1].rgb_from_depth.translation_m, [0.015, 0, 0])
     assert camera.imu() == []
 
 
-def test_every_keyframe_has_its_own_pose_and_the_way_between_is_filled(flight: Path) -> None:
+def test_every_keyframe_has_its_pose_and_poses_between_are_interpolated(flight: Path) -> None:
     clock = ManualClock(50.0)
     source = RecordedPoses(flight, clock, MOUNT)
     clock.advance_to(53.0)
@@ -66,7 +66,7 @@ def test_every_keyframe_has_its_own_pose_and_the_way_between_is_filled(flight: P
     assert (np.diff(yaws) > 0).all()
 
 
-def test_a_missing_picture_is_left_out_and_counted(flight: Path) -> None:
+def test_a_missing_image_is_left_out_and_counted(flight: Path) -> None:
     (flight / "keyframes" / "0000_rgb.jpg").unlink()
     clock = ManualClock(0.0)
     camera = RecordedCamera(flight, clock)
@@ -77,20 +77,20 @@ def test_a_missing_picture_is_left_out_and_counted(flight: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"keyframes": 3}', '{"keyframes": [{"sequence": 1}]}'])
-def test_a_folder_that_is_no_flight_is_one_line(flight: Path, text: str) -> None:
+def test_a_folder_that_is_not_a_flight_is_a_one_line_error(flight: Path, text: str) -> None:
     (flight / "keyframes" / "poses.json").write_text(text)
     with pytest.raises(RecordingError, match=r"poses\.json: not a keyframe list") as error:
         RecordedCamera(flight, ManualClock())
     assert "\n" not in str(error.value)
 
 
-def test_a_flight_without_keyframes_is_one_line(flight: Path) -> None:
+def test_a_flight_without_keyframes_is_a_one_line_error(flight: Path) -> None:
     (flight / "keyframes" / "poses.json").write_text('{"keyframes": []}')
     with pytest.raises(RecordingError, match="wants at least one keyframe"):
         RecordedCamera(flight, ManualClock())
 
 
-def test_pictures_outside_the_folder_are_not_read(flight: Path) -> None:
+def test_images_outside_the_folder_are_not_read(flight: Path) -> None:
     path = flight / "keyframes" / "poses.json"
     (flight / "keyframes" / "0000_rgb.jpg").rename(flight / "0000_rgb.jpg")
     path.write_text(path.read_text().replace('"0000_rgb.jpg"', '"../0000_rgb.jpg"'))
@@ -99,6 +99,6 @@ def test_pictures_outside_the_folder_are_not_read(flight: Path) -> None:
     assert camera.missing_images == 1
 
 
-def test_an_absent_folder_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_folder_is_a_one_line_error(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"cannot be read \(No such file"):
         RecordedCamera(tmp_path / "absent", ManualClock())

@@ -69,7 +69,7 @@ def test_wrong_stamps_are_dropped_and_counted(path: Path, writer: StreamWriter, 
     assert camera.poll() is not None
 
 
-def test_a_stamp_of_the_future_costs_two_frames_and_no_more(path: Path, writer: StreamWriter) -> None:
+def test_a_time_stamp_in_the_future_loses_at_most_two_frames(path: Path, writer: StreamWriter) -> None:
     camera, got = StreamCamera(path), []
     for k in range(30):
         writer.write_frame(100.0 + k / 15 if k != 10 else 1e6, _depth(1000), RGB)
@@ -112,7 +112,7 @@ def test_poses_keep_stamp_variance_and_counters(path: Path, writer: StreamWriter
         ([0, 0, 0], [1, 0, 0, 0], np.nan),
     ],
 )
-def test_what_is_no_pose_is_refused(
+def test_invalid_poses_are_refused(
     path: Path, writer: StreamWriter, position: list[float], quat: list[float], variance: float
 ) -> None:
     source = StreamPoses(path)
@@ -139,7 +139,7 @@ def test_a_restarted_camera_is_followed(path: Path, writer: StreamWriter) -> Non
     fresh = StreamWriter(path, StreamHeader(CameraSpec(20, 10, 9.0, 9.0, 9.5, 4.5), HEADER_OF.rgb, HEADER_OF.rgb_from_depth))
     fresh.write_frame(9.0, np.full((10, 20), 1500, np.uint16), RGB)
     fresh.write_pose(9.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 1e-4))
-    frames = [camera.poll() for _ in range(10)]  # at 100 Hz a tenth of a second
+    frames = [camera.poll() for _ in range(10)]  # 0.1 s at 100 Hz
     (frame,) = [frame for frame in frames if frame is not None]
     assert frames[0] is None
     assert frame.depth_m.shape == (10, 20)
@@ -148,7 +148,7 @@ def test_a_restarted_camera_is_followed(path: Path, writer: StreamWriter) -> Non
 
 
 class _Appears(ManualClock):
-    """A clock on which the camera comes up at an instant."""
+    """Clock on which the camera stream appears at a given time."""
 
     def __init__(self, path: Path, appears_s: float) -> None:
         super().__init__(10.0)
@@ -167,7 +167,7 @@ def test_opening_waits_for_the_camera(path: Path) -> None:
 
 
 @pytest.mark.parametrize("clock", [ManualClock(), _Appears(Path("/nonexistent"), 1e9)])
-def test_opening_gives_up_in_one_line(path: Path, clock: ManualClock) -> None:
+def test_opening_gives_up_with_a_one_line_error(path: Path, clock: ManualClock) -> None:
     with pytest.raises(
         StreamError, match=r"camera\.stream: cannot be read \(No such file or directory\); waited 0\.5 s"
     ) as error:
@@ -175,7 +175,7 @@ def test_opening_gives_up_in_one_line(path: Path, clock: ManualClock) -> None:
     assert "\n" not in str(error.value)
 
 
-def test_opening_says_once_why_it_waits_and_ends_when_asked(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_opening_logs_once_why_it_waits_and_stops_on_request(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path.write_bytes(b"x" * 5000)
     clock = _Appears(path, 1e9)
     with pytest.raises(StreamError, match=r"camera\.stream: ended while waiting for it"):
@@ -186,7 +186,7 @@ def test_opening_says_once_why_it_waits_and_ends_when_asked(path: Path, caplog: 
     ]
 
 
-def test_a_stream_behind_a_link_is_one_line(path: Path, writer: StreamWriter) -> None:
+def test_a_stream_behind_a_symlink_is_a_one_line_error(path: Path, writer: StreamWriter) -> None:
     path.with_name("link").symlink_to(path)
     with pytest.raises(StreamError, match="link: cannot be mapped"):
         StreamCamera(path.with_name("link"))
@@ -204,7 +204,7 @@ def test_a_stream_behind_a_link_is_one_line(path: Path, writer: StreamWriter) ->
         ("rgb_from_depth", np.zeros(7).tobytes(), "rgb_from_depth"),
     ],
 )
-def test_a_file_that_is_no_stream_is_one_line(
+def test_an_invalid_stream_file_is_a_one_line_error(
     path: Path, writer: StreamWriter, offset: str, value: bytes, message: str
 ) -> None:
     assert HEADER.fields is not None
@@ -216,10 +216,10 @@ def test_a_file_that_is_no_stream_is_one_line(
     assert "\n" not in str(error.value)
 
 
-def test_the_depth_table_is_metres_where_it_is_believed() -> None:
+def test_the_depth_table_is_in_metres_within_the_valid_range() -> None:
     table = depth_table(0.3, 6.0, 0.001)
     counts = np.arange(65536)
     believed = (counts >= 300) & (counts <= 6000)
     np.testing.assert_allclose(table[believed], counts[believed] / 1000, rtol=1e-6)
     assert np.isnan(table[~believed]).all()
-    assert np.isnan(depth_table(0.0, 100.0)[0])  # zero is unknown, never near
+    assert np.isnan(depth_table(0.0, 100.0)[0])  # zero means unknown, never near

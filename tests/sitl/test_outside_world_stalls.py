@@ -1,4 +1,4 @@
-"""What the sensors say while the computer that simulates them stalls."""
+"""Sensor output of the outside world while the simulating computer stalls."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sitl.outside_world import OutsideWorld
 
 
 class Turning:
-    """An autopilot whose vehicle turns faster and faster: its gyro reads the time."""
+    """Autopilot whose vehicle turns ever faster, so that its gyro reading is the time."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -35,10 +35,10 @@ class Tape:
         self.samples.append((stamp_s, float(gyro_radps[0])))
 
 
-def test_inertial_samples_are_of_their_own_instants_however_late_the_step() -> None:
+def test_inertial_samples_are_of_their_own_time_even_if_the_step_is_late() -> None:
     tape, poses = Tape(), SimpleNamespace(due=lambda _: False)
     world = OutsideWorld(*cast(Any, (Turning(), None, poses, None, tape, 10.0, 0.0)))
-    for now_s in (10.0, 10.01, 10.15):  # 0.14 s of silence
+    for now_s in (10.0, 10.01, 10.15):  # a stall of 0.14 s
         world.step(now_s)
     stamps, gyros = np.array(tape.samples).T
     assert len(stamps) == pytest.approx(0.15 * 200 + 1, abs=1)

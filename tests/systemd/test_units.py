@@ -26,7 +26,7 @@ def _options(service: str) -> dict[str, list[str]]:
 
 @pytest.fixture
 def installed(tmp_path: Path) -> list[Path]:
-    """The units with an executable that exists, where systemd-analyze can check them."""
+    """Return copies of the units with an existing executable, for systemd-analyze."""
     units = []
     for unit in [*FOLDER.glob("*.service"), *FOLDER.glob("*.target")]:
         text = unit.read_text().replace("/opt/uav_recon/bin/uav-recon", shutil.which("true") or "/bin/true")
@@ -47,8 +47,8 @@ def test_units_are_clean(installed: list[Path]) -> None:
     assert (answer.returncode, answer.stdout + answer.stderr) == (0, "")
 
 
-def test_a_fault_in_a_unit_is_seen(installed: list[Path]) -> None:
-    """The check above can fail."""
+def test_a_fault_in_a_unit_is_detected(installed: list[Path]) -> None:
+    """Negative control of the check above."""
     unit = next(unit for unit in installed if "pilot" in unit.name)
     unit.write_text(unit.read_text().replace("WatchdogSec=", "WatchdogSecs="))
     assert "WatchdogSecs" in _analyze("verify", "--man=no", str(unit)).stderr
@@ -71,14 +71,14 @@ def test_each_service_starts_its_own_command(service: str) -> None:
     assert float(options["WatchdogSec"][0]) <= {"pilot": 1, "perception": 3, "mission": 5}[service]
 
 
-def test_the_pilot_is_never_locked_out() -> None:
+def test_the_pilot_is_always_restarted_and_has_no_memory_limit() -> None:
     options = _options("pilot")
     assert options["Restart"] == ["always"]
     assert options["StartLimitIntervalSec"] == ["0"]
     assert float(options["RestartSec"][0].removesuffix("ms")) <= 200
     assert "MemoryMax" not in options
     assert "RestrictRealtime" not in options  # it needs SCHED_FIFO
-    assert options["LimitMEMLOCK"] == ["infinity"]  # under any other limit steady.py locks nothing
+    assert options["LimitMEMLOCK"] == ["infinity"]  # with any other limit memory_lock.py does not lock
 
 
 def test_perception_and_mission_are_restarted_three_times() -> None:
@@ -88,21 +88,27 @@ def test_perception_and_mission_are_restarted_three_times() -> None:
         assert any("NUMBA_CACHE_DIR" in value and "NUMBA_THREADING_LAYER" in value for value in options["Environment"])
 
 
-def test_no_service_drags_another_down() -> None:
+def test_no_service_stops_with_another() -> None:
     for service in SERVICES:
         assert not {"Requires", "BindsTo", "Requisite"} & set(_options(service))
 
 
 def test_no_service_waits_for_another_at_boot() -> None:
-    """A pilot that waited for perception, which is READY with camera and poses, could not say what is missing."""
+    """A waiting pilot could not report what is missing.
+
+    Perception is READY only once camera and poses are available.
+    """
     for service in SERVICES:
         options = _options(service)
         assert options["After"] == ["local-fs.target"]
         assert not {"Wants", "Before", "Upholds"} & set(options)
 
 
-def test_the_end_of_perception_may_be_prolonged_until_the_pilot_has_landed() -> None:
-    """A stop of the target asks both at once. perceive() goes on meanwhile, and systemd hears so from the main process."""
+def test_the_stop_of_perception_may_be_extended_until_the_pilot_has_landed() -> None:
+    """A stop of the target stops both services at once.
+
+    perceive() continues meanwhile, and its main process extends the timeout of systemd.
+    """
     options = _options("perception")
     assert options["NotifyAccess"] == ["main"]
     assert options["KillMode"] == ["mixed"]
@@ -110,12 +116,12 @@ def test_the_end_of_perception_may_be_prolonged_until_the_pilot_has_landed() -> 
     assert float(options["TimeoutStopSec"][0]) < float(_options("pilot")["TimeoutStopSec"][0])  # librealsense may hang
 
 
-def test_out_of_memory_takes_one_process_of_the_mission_and_not_all() -> None:
+def test_out_of_memory_kills_one_process_of_the_mission_and_not_all() -> None:
     assert _options("mission")["OOMPolicy"] == ["continue"]
 
 
 def test_comments_do_not_share_a_line_with_a_value() -> None:
-    """systemd would take them for part of the value."""
+    """systemd would read such a comment as part of the value."""
     for unit in FOLDER.glob("*.service"):
         assert not re.search(r"^[A-Za-z]+=.*[ \t]#", unit.read_text(), flags=re.MULTILINE)
         parser = configparser.ConfigParser(strict=False, interpolation=None)
@@ -124,7 +130,7 @@ def test_comments_do_not_share_a_line_with_a_value() -> None:
         assert parser.sections() == ["Unit", "Service", "Install"]
 
 
-def test_the_flown_config_loads_and_says_every_protective_number() -> None:
+def test_the_flown_config_loads_and_explains_every_protective_number() -> None:
     path = FOLDER / "config.toml"
     flown = config.load(path)
     assert not flown.mission.autostart
@@ -143,8 +149,8 @@ def test_installation_names_every_unit_and_group() -> None:
             assert group in text
 
 
-def test_the_pilot_goes_before_perception_and_both_before_the_mission() -> None:
-    """Each service is a control group of its own, and between groups a nice value does not count."""
+def test_cpu_and_memory_priority_fall_from_pilot_to_perception_to_mission() -> None:
+    """Each service is a separate control group, and nice values do not count between groups."""
     weights = [int(_options(service)["CPUWeight"][0]) for service in SERVICES]
     assert weights == sorted(weights, reverse=True)
     assert weights[1] >= 10 * weights[2]
@@ -161,7 +167,10 @@ def test_each_service_has_its_limits(service: str) -> None:
 
 
 def test_an_operator_of_the_group_reaches_the_pilots_socket() -> None:
-    """It lies in the runtime directory, which the group may enter; and the pilot sees users as they are (SO_PEERCRED)."""
+    """The socket is in the runtime directory, which the group may enter.
+
+    The pilot must see the real user ids (SO_PEERCRED).
+    """
     options = _options("pilot")
     runtime = config.load(FOLDER / "config.toml").runtime
     assert str(runtime.folder / runtime.operator) == f"/run/{options['RuntimeDirectory'][0]}/operator.socket"
@@ -171,6 +180,6 @@ def test_an_operator_of_the_group_reaches_the_pilots_socket() -> None:
     assert options["Group"] == ["uav"]
 
 
-def test_the_bench_of_setpoints_runs_the_pilot_as_its_unit_does() -> None:
+def test_the_setpoint_bench_runs_the_pilot_with_the_priority_of_its_unit() -> None:
     assert _options("pilot")["CPUSchedulingPriority"] == [str(setpoint_bench._PILOT_FIFO)]
     assert _options("pilot")["CPUSchedulingPolicy"] == ["fifo"]

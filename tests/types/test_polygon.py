@@ -1,4 +1,4 @@
-"""A polygon on the floor plan: what is none, and distances against a brute force over its border."""
+"""Polygons on the floor plan: invalid ones, and distances against a brute force."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ ELL = Polygon(((-2.0, -2.0), (4.0, -2.0), (4.0, 1.0), (1.0, 1.0), (1.0, 5.0), (-
         (((0, 0), (math.nan, 0), (3, 3)), "finite"),
     ],
 )
-def test_what_is_no_polygon_is_one_line(corners: tuple[Vec2, ...], words: str) -> None:
+def test_an_invalid_polygon_is_a_one_line_error(corners: tuple[Vec2, ...], words: str) -> None:
     with pytest.raises(ValueError, match=words) as error:
         Polygon(corners)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("polygon", [ELL, Polygon(ELL.corners_m[::-1]), Polygon.box((-2.0, -2.0), (3.0, 4.0))])
-def test_room_is_the_distance_to_the_border_and_none_outside(polygon: Polygon) -> None:
+def test_room_is_the_distance_to_the_border_and_zero_outside(polygon: Polygon) -> None:
     rng = np.random.default_rng(1)
     border = np.concatenate(
         [np.array(a) + np.linspace(0.0, 1.0, 2001)[:, None] * (np.array(b) - np.array(a)) for a, b in polygon.sides()]
@@ -53,7 +53,7 @@ def test_room_is_the_distance_to_the_border_and_none_outside(polygon: Polygon) -
             assert nearest < 0.1, "it leaves and comes back"
 
 
-def test_the_nearest_place_with_room_lies_inside_with_that_room() -> None:
+def test_the_nearest_position_with_room_is_inside_and_has_that_room() -> None:
     rng = np.random.default_rng(2)
     for _ in range(60):
         x, y = rng.uniform(-4.0, 7.0, 2).tolist()

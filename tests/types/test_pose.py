@@ -14,7 +14,7 @@ rotation_vectors = st.tuples(*[st.floats(-4.0, 4.0)] * 3).map(np.array)
 
 
 def _pose(rotation_rad: np.ndarray, translation_m: np.ndarray) -> tuple[Pose, np.ndarray]:
-    """Ours, and the homogeneous matrix made by scipy."""
+    """Return our pose, and the homogeneous matrix made by scipy."""
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_rotvec(rotation_rad).as_matrix()
     matrix[:3, 3] = translation_m
@@ -25,7 +25,7 @@ poses = st.builds(_pose, rotation_vectors, metres)
 
 
 @given(poses, poses, metres)
-def test_algebra_is_that_of_matrices(a: tuple[Pose, np.ndarray], b: tuple[Pose, np.ndarray], point: np.ndarray) -> None:
+def test_pose_algebra_equals_matrix_algebra(a: tuple[Pose, np.ndarray], b: tuple[Pose, np.ndarray], point: np.ndarray) -> None:
     np.testing.assert_allclose(a[0].matrix(), a[1], atol=1e-9)
     np.testing.assert_allclose((a[0] @ b[0]).matrix(), a[1] @ b[1], atol=1e-9)
     np.testing.assert_allclose(a[0].inverse().matrix(), np.linalg.inv(a[1]), atol=1e-9)
@@ -34,7 +34,7 @@ def test_algebra_is_that_of_matrices(a: tuple[Pose, np.ndarray], b: tuple[Pose, 
 
 
 @given(poses)
-def test_from_matrix_undoes_matrix(a: tuple[Pose, np.ndarray]) -> None:
+def test_from_matrix_inverts_matrix(a: tuple[Pose, np.ndarray]) -> None:
     again = Pose.from_matrix(a[1])
     np.testing.assert_allclose(again.matrix(), a[1], atol=1e-9)
 
@@ -56,7 +56,7 @@ def test_yaw_is_the_heading_of_the_x_axis(a: tuple[Pose, np.ndarray]) -> None:
 
 
 @given(st.floats(-3.14, 3.14))
-def test_a_level_pose_has_the_yaw_it_was_made_of(yaw_rad: float) -> None:
+def test_a_level_pose_has_the_yaw_it_was_made_from(yaw_rad: float) -> None:
     assert Pose.from_yaw(yaw_rad, np.zeros(3)).yaw_rad() == pytest.approx(yaw_rad, abs=1e-12)
 
 
@@ -64,7 +64,7 @@ def test_a_quaternion_is_normalised_and_frozen() -> None:
     quat = np.array([2.0, 0.0, 0.0, 0.0])
     pose = Pose(quat, np.zeros(3))
     np.testing.assert_array_equal(pose.quat_wxyz, [1.0, 0.0, 0.0, 0.0])
-    quat[0] = 7.0  # the caller's array stays the caller's
+    quat[0] = 7.0  # the pose does not keep the caller's array
     np.testing.assert_array_equal(pose.quat_wxyz, [1.0, 0.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="read-only"):
         pose.translation_m[0] = 1.0
@@ -82,7 +82,7 @@ def test_a_quaternion_is_normalised_and_frozen() -> None:
         ([1, 0, 0, 0], [0, 0]),
     ],
 )
-def test_what_is_no_pose_cannot_be_made(quat: list[float], translation: list[float]) -> None:
+def test_an_invalid_pose_cannot_be_made(quat: list[float], translation: list[float]) -> None:
     with pytest.raises(ValueError, match="pose"):
         Pose(np.array(quat, dtype=float), np.array(translation, dtype=float))
 
@@ -91,4 +91,4 @@ def test_an_optical_camera_on_a_level_body_looks_along_x() -> None:
     np.testing.assert_array_equal(body_from_camera(np.zeros(3), 0.0).matrix(), BODY_FROM_OPTICAL)
     down = body_from_camera(np.array([0.1, 0.0, 0.0]), np.pi / 2)
     np.testing.assert_allclose(down.apply(np.array([0.0, 0.0, 1.0])), [0.1, 0.0, -1.0], atol=1e-12)
-    np.testing.assert_allclose(down.apply(np.array([1.0, 0.0, 0.0])), [0.1, -1.0, 0.0], atol=1e-12)  # right stays right
+    np.testing.assert_allclose(down.apply(np.array([1.0, 0.0, 0.0])), [0.1, -1.0, 0.0], atol=1e-12)  # optical x is body right

@@ -1,1 +1,1 @@
-"""Fault injectors: what is made to fail, and when."""
+"""Fault injectors, one module for each part of the system that fails."""

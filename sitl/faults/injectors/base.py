@@ -1,4 +1,4 @@
-"""What can be made to go wrong: one small object a trouble, and what it may lay hands on."""
+"""Base class of the fault injectors, and the context that they may act on."""
 
 from __future__ import annotations
 
@@ -15,26 +15,30 @@ from sitl.outside_world import OutsideWorld
 from sitl.runtime.serial_line import SerialLine
 from sitl.world.pose_tracker import PoseRecord
 
-TAKEN_OVER = "taken over"  # note: the instant of the pilot's switch
-ATTENDED = "attended"  # note: the instant of the operator's last sign of life
+TAKEN_OVER = "taken over"  # key in notes: time of the pilot's switch
+ATTENDED = "attended"  # key in notes: time of the operator's last status query
 
 
 class Capabilities(Flag):
-    """What a trouble wants of the flight that it is in, or a flight has to give."""
+    """Requirements of a fault for its flight, or features that a flight offers."""
 
     NOTHING = 0
-    STAGES = auto()  # the product's stages in this process: lockstep
-    PROCESSES = auto()  # or each in its own: real time
-    INSIDES = auto()  # of the simulated autopilot and its physics
+    STAGES = auto()  # lockstep: the product's stages run in this process
+    PROCESSES = auto()  # real time: each stage runs in a separate process
+    INSIDES = auto()  # access to the simulated autopilot and its physics
     STICKS = auto()  # a pilot's transmitter
     LINE = auto()  # a serial line to the product
 
 
 @dataclass
 class InjectionContext:
-    """What an injector may lay hands on. dice: of the flight's seed. channels: the product's own, for hostile stages in
-    lockstep. roster, config: the processes of a flight in real time, and the file that they read. line: what the link is, where
-    a trouble needs it. notes: what an injector measured itself.
+    """Objects of the flight that an injector may act on.
+
+    dice: seeded by the flight's seed.
+    channels: the product's own channels, for hostile stages in lockstep.
+    roster, config: the processes of a real-time flight, and the configuration file that they read.
+    line: the serial line of the link, for a fault that needs one.
+    notes: values that injectors measured.
     """
 
     world: OutsideWorld
@@ -43,8 +47,8 @@ class InjectionContext:
     proxy: Tap | None = None
     now_s: float = 0.0
     hold: bool = False
-    abort: bool = False  # the operator has pressed
-    attends: bool = True  # the operator asks how it stands, once a second
+    abort: bool = False  # the operator has commanded a landing
+    attends: bool = True  # the operator queries the status once a second
     obstacles: list[Obstacle] = field(default_factory=list)
     roster: ProcessRegistry | None = None
     line: SerialLine | None = None
@@ -53,49 +57,51 @@ class InjectionContext:
 
 
 class Injector:
-    """A trouble that does nothing; each kind overrides what it touches. since_s counts from the trouble's beginning, and
-    nothing is asked before it. Frames are whole MAVLink frames; an item given back later than now overtakes nothing before.
+    """Fault without an effect; each kind of fault overrides the methods that it needs.
+
+    since_s counts from the beginning of the fault; no method is called before it. Frames are whole MAVLink frames. An item that
+    is returned with a delay does not overtake an earlier one.
     """
 
     needs: Capabilities = Capabilities.NOTHING
 
     def begin(self, at: InjectionContext) -> None:
-        """The trouble begins."""
+        """Begin the fault."""
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Once in each turn of the flight."""
+        """Act once in each turn of the flight."""
 
     def end(self, at: InjectionContext) -> None:
-        """The flight is over: leave nothing behind."""
+        """Undo the fault at the end of the flight."""
 
     def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
-        """What becomes of a pose that the tracker delivers now."""
+        """Return the result for a pose that the tracker delivers now."""
         return [(0.0, record)]
 
     def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
-        """What becomes of a depth frame."""
+        """Return the result for a depth frame."""
         return [(0.0, frame)]
 
     def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """What becomes of a frame of the product."""
+        """Return the result for a MAVLink frame of the product."""
         return [(0.0, frame)]
 
     def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """What becomes of a frame of the autopilot."""
+        """Return the result for a MAVLink frame of the autopilot."""
         return [(0.0, frame)]
 
     def stalls(self, since_s: float, stage: str) -> bool:
-        """Whether a stage's loop stands still: mission, perception or pilot."""
+        """Return whether the loop of a stage does not run: mission, perception, pilot or planner."""
         return False
 
     def restarts(self, since_s: float, stage: str) -> bool:
-        """Whether a stage is built anew now; asked once a turn."""
+        """Return whether a stage is rebuilt now. Called once per turn."""
         return False
 
 
 @dataclass(frozen=True)
 class Depth:
-    """A depth frame on its way: depth_mm (H, W) uint16, 0 = no return; rgb (h, w, 3) uint8."""
+    """Depth frame in transit: depth_mm (H, W) uint16, 0 = no return; rgb (h, w, 3) uint8."""
 
     stamp_s: float
     depth_mm: Any

@@ -1,4 +1,4 @@
-"""Troubles of the companion itself: stages that stand still or die, an operator's key, a disk that takes no more."""
+"""Faults of the companion computer: hung or dead stages, an operator's abort, a full disk."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 
 
 class Stall(Injector):
-    """Stages stand still for a while, as under SIGSTOP; for ever by default, as under SIGKILL. The stage planner is a call
-    that does not return, in a mission that runs.
+    """Stages that do not run for for_s, as under SIGSTOP; by default for ever, as under SIGKILL.
+
+    The stage "planner" is a planner call that does not return, in a mission that runs.
     """
 
     needs = Capabilities.STAGES
@@ -18,12 +19,12 @@ class Stall(Injector):
         self._stages, self._for_s = stages, for_s
 
     def stalls(self, since_s: float, stage: str) -> bool:
-        """Within the time."""
+        """Return True for the given stages until for_s."""
         return stage in self._stages and since_s < self._for_s
 
 
 class Crash(Injector):
-    """A stage dies and is built anew by its supervisor after back_s."""
+    """A stage that dies and is rebuilt by its supervisor after back_s."""
 
     needs = Capabilities.STAGES
 
@@ -31,11 +32,11 @@ class Crash(Injector):
         self._stage, self._back_s, self._restarted = stage, back_s, False
 
     def stalls(self, since_s: float, stage: str) -> bool:
-        """Until it is back."""
+        """Return True for the stage until back_s."""
         return stage == self._stage and since_s < self._back_s
 
     def restarts(self, since_s: float, stage: str) -> bool:
-        """Once."""
+        """Return True once, at back_s."""
         if stage != self._stage or since_s < self._back_s or self._restarted:
             return False
         self._restarted = True
@@ -43,23 +44,29 @@ class Crash(Injector):
 
 
 class Abort(Injector):
-    """The operator's one key."""
+    """The operator commands a landing with the abort key."""
 
     needs = Capabilities.STAGES
 
     def begin(self, at: InjectionContext) -> None:
-        """Pressed."""
+        """Press the key."""
         at.abort = True
 
 
 class Madness(Injector):
-    """The planner itself: whoever flies the row puts a hostile one in its place."""
+    """A hostile planner.
+
+    This class only marks it: the code that flies the scenario adds the hostile planner.
+    """
 
     needs = Capabilities.STAGES
 
 
 class DiskFull(Injector):
-    """No file grows beyond so many bytes any more: what a full disk says too (an OSError on write), without root."""
+    """Limit on the size of every file that this process writes, in bytes.
+
+    Writes fail with an OSError, as on a full disk. Root is not needed.
+    """
 
     needs = Capabilities.STAGES
 
@@ -67,15 +74,18 @@ class DiskFull(Injector):
         self._max_bytes, self._for_s, self._before = max_bytes, for_s, (-1, -1)
 
     def begin(self, at: InjectionContext) -> None:
-        """Of this process alone."""
+        """Set the limit, for this process only."""
         self._before = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (self._max_bytes, self._before[1]))
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Space again after the time, or when the motors have stopped: the referee must write too."""
+        """Remove the limit after for_s, or once the motors have stopped.
+
+        Then the simulator must be able to write its own files.
+        """
         if since_s > self._for_s or (since_s > 1.0 and not at.world.flyer.truth().armed):
             self.end(at)
 
     def end(self, at: InjectionContext) -> None:
-        """As it was."""
+        """Restore the previous limit."""
         resource.setrlimit(resource.RLIMIT_FSIZE, self._before)

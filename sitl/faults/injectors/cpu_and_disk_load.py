@@ -1,4 +1,7 @@
-"""Troubles of a computer that has too much to do, and what they cost the pilot's process. They need a flight in real time."""
+"""Faults of an overloaded computer, and the load that the pilot causes.
+
+They need a real-time flight.
+"""
 
 from __future__ import annotations
 
@@ -27,32 +30,35 @@ _MEGABYTE = 1e6
 
 
 class BusyProcesses(Injector):
-    """Programs that do nothing but work, at the priority that everybody has, for a while."""
+    """Programs that keep the CPU or the disk busy for a while, at the default priority."""
 
     needs = Capabilities.PROCESSES
 
     def __init__(self, program: str, count: int, for_s: float) -> None:
-        """program: Python, which is given the name of a file in the flight's folder."""
+        """Set up the load without starting it.
+
+        program: Python source; its argument is the path of a file in the flight's folder.
+        """
         self._program, self._count, self._for_s = program, count, for_s
         self._toiling: list[subprocess.Popen[bytes]] = []
 
     def begin(self, at: InjectionContext) -> None:
-        """Start them."""
+        """Start the programs."""
         assert at.config is not None
         for k in range(self._count):
             command = [sys.executable, "-c", self._program, str(at.config.with_name(f"toil-{k}"))]
             process = subprocess.Popen(die_with_parent_command(command))  # noqa: S603 - our own programs
             self._toiling.append(process)
-            with contextlib.suppress(PermissionError):  # the world, which starts them, may have a better one
+            with contextlib.suppress(PermissionError):  # the world starts them and may itself have a higher priority
                 os.setpriority(os.PRIO_PROCESS, process.pid, 0)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Until the time is over."""
+        """End the programs after for_s."""
         if self._toiling and since_s >= self._for_s:
             self.end(at)
 
     def end(self, at: InjectionContext) -> None:
-        """None is left, nor its file."""
+        """Kill the programs and remove their files."""
         for process in self._toiling:
             process.kill()
             process.wait()
@@ -63,7 +69,10 @@ class BusyProcesses(Injector):
 
 
 class MemoryPressure(Injector):
-    """What a process takes is noted: its "memory" in MB at most, and how many "writes" its main thread makes in all."""
+    """Monitor of one process.
+
+    It notes the greatest "memory" in MB, and as "writes" the number of writes by the main thread.
+    """
 
     needs = Capabilities.PROCESSES
 
@@ -71,11 +80,11 @@ class MemoryPressure(Injector):
         self._name, self._before = name, 0
 
     def begin(self, at: InjectionContext) -> None:
-        """Begin to count."""
+        """Record the number of writes before the fault."""
         self._before = self._writes(at)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Ten times a second."""
+        """Sample ten times a second."""
         if int(since_s * 60.0) % 6 == 0 and (pid := roster_of(at).pid(self._name)) is not None:
             at.notes["memory"] = max(at.notes.get("memory", 0.0), resident_bytes(pid) / _MEGABYTE)
             at.notes["writes"] = float(self._writes(at) - self._before)
@@ -86,7 +95,10 @@ class MemoryPressure(Injector):
 
 
 class NoSpace(Injector):
-    """No file that the product writes grows beyond so many bytes: what a full disk says too (an OSError), without root."""
+    """Limit on the size of every file that the product writes, in bytes.
+
+    Writes fail with an OSError, as on a full disk. Root is not needed.
+    """
 
     needs = Capabilities.PROCESSES
 
@@ -94,7 +106,10 @@ class NoSpace(Injector):
         self._max_bytes = max_bytes
 
     def begin(self, at: InjectionContext) -> None:
-        """Mission, pilot and the mission's children; what the processes say to one another lies in memory."""
+        """Limit mission, pilot and the mission's children.
+
+        The channels between the processes are in memory and are not affected.
+        """
         roster = roster_of(at)
         mission = roster.pid("mission")
         for pid in (mission, roster.pid("pilot"), child_of(mission, MAPPER), child_of(mission, RECORDER)):
@@ -104,7 +119,7 @@ class NoSpace(Injector):
 
 
 def resident_bytes(pid: int) -> int:
-    """Memory of a process, of its own and shared; 0 once it is gone."""
+    """Return the resident memory of a process, its own and shared; 0 once it has ended."""
     try:
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * resource.getpagesize()
     except (OSError, IndexError):
@@ -112,7 +127,10 @@ def resident_bytes(pid: int) -> int:
 
 
 def writes_of(pid: int) -> int:
-    """write(2) and its kin by a process's main thread so far; a datagram that is sent is none. 0 once it is gone."""
+    """Return the number of write calls by a process's main thread until now.
+
+    write(2) and its variants count; a datagram that is sent does not. 0 once the process has ended.
+    """
     try:
         lines = Path(f"/proc/{pid}/task/{pid}/io").read_text().splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""A trouble that begins a little later than the moment of its flight, and says when that was."""
+"""Fault that begins some time after the onset of its flight, and notes when."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from sitl.world.pose_tracker import PoseRecord
 
 
 class Delayed(Injector):
-    """wait_s after the moment the trouble has its own, which is noted under a name; until then there is none."""
+    """Wrapper that begins a fault wait_s after the onset and notes the time under a name.
+
+    Until then it has no effect.
+    """
 
     def __init__(self, trouble: Injector, wait_s: float, name: str) -> None:
         self.needs = trouble.needs
@@ -16,36 +19,36 @@ class Delayed(Injector):
         self._acts, self._begun_s = Injector(), 0.0
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Begin, once it is time."""
+        """Begin the fault when it is due, and run its turn."""
         if self._acts is not self._trouble and since_s >= self._wait_s:
             self._acts, self._begun_s, at.notes[self._name] = self._trouble, since_s, at.now_s
             self._trouble.begin(at)
         self._acts.turn(at, since_s - self._begun_s)
 
     def end(self, at: InjectionContext) -> None:
-        """What never began leaves nothing behind."""
+        """Undo the fault, if it has begun."""
         self._acts.end(at)
 
     def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
-        """As the trouble has it."""
+        """Return the fault's result for a pose."""
         return self._acts.pose(since_s - self._begun_s, record)
 
     def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
-        """As the trouble has it."""
+        """Return the fault's result for a depth frame."""
         return self._acts.depth(since_s - self._begun_s, frame)
 
     def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """As the trouble has it."""
+        """Return the fault's result for a MAVLink frame of the product."""
         return self._acts.to_autopilot(since_s - self._begun_s, frame)
 
     def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """As the trouble has it."""
+        """Return the fault's result for a MAVLink frame of the autopilot."""
         return self._acts.to_product(since_s - self._begun_s, frame)
 
     def stalls(self, since_s: float, stage: str) -> bool:
-        """As the trouble has it."""
+        """Return whether the fault stalls the stage."""
         return self._acts.stalls(since_s - self._begun_s, stage)
 
     def restarts(self, since_s: float, stage: str) -> bool:
-        """As the trouble has it."""
+        """Return whether the fault restarts the stage."""
         return self._acts.restarts(since_s - self._begun_s, stage)

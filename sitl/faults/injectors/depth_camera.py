@@ -1,4 +1,4 @@
-"""Troubles of the depth camera: frames that are lost, late, repeated or wrong, and things that were not there before."""
+"""Faults of the depth camera: lost, late, repeated or wrong frames, and new obstacles."""
 
 from __future__ import annotations
 
@@ -19,113 +19,116 @@ HULL_M = 0.20
 
 
 class Dark(Injector):
-    """No frame for a while."""
+    """No depth frame for a while."""
 
     def __init__(self, for_s: float = 1e9) -> None:
         self._for_s = for_s
 
     def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
-        """Lost."""
+        """Drop the frame until for_s."""
         return [] if since_s < self._for_s else [(0.0, frame)]
 
 
 class AlteredDepth(Injector):
-    """The picture itself is wrong for a while."""
+    """Wrong depth values for a while."""
 
     def __init__(self, change: Change, for_s: float = 1e9) -> None:
         self._change, self._for_s, self._rng = change, for_s, np.random.default_rng(5)
 
     def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
-        """Stamp and order are right."""
+        """Change the depth values; time stamp and order stay correct."""
         if since_s >= self._for_s:
             return [(0.0, frame)]
         return [(0.0, dataclasses.replace(frame, depth_mm=self._change(frame.depth_mm, self._rng)))]
 
 
 class LateFrames(Injector):
-    """Frames arrive late, their stamps right."""
+    """Frames that arrive late, with correct time stamps."""
 
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
 
     def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
-        """All of them."""
+        """Delay every frame."""
         return [(self._delay_s, frame)]
 
 
 class Shuffled(Injector):
-    """Every frame twice, and every third one behind its successor."""
+    """Every frame twice, and every third one after its successor."""
 
     def __init__(self) -> None:
         self._count = 0
 
     def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
-        """Again after a turn or two."""
+        """Return the frame again 0.05 s later; delay the first copy of every third one."""
         self._count += 1
         return [(0.35 if self._count % 3 == 0 else 0.0, frame), (0.05, frame)]
 
 
 class Redated(Injector):
-    """Stamps go by another clock for a while: the picture is right, and so is when it comes."""
+    """Time stamps of another clock for a while; images and arrival times are correct."""
 
     def __init__(self, off_s: float, for_s: float = 1e9) -> None:
         self._off_s, self._for_s = off_s, for_s
 
     def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
-        """As many seconds off."""
+        """Shift the time stamp by off_s."""
         off_s = self._off_s if since_s < self._for_s else 0.0
         return [(0.0, dataclasses.replace(frame, stamp_s=frame.stamp_s + off_s))]
 
 
 class FrozenImage(Injector):
-    """The same picture again and again under new stamps, as a hung sensor gives it."""
+    """One image repeated under new time stamps, as a hung sensor sends it."""
 
     def __init__(self) -> None:
         self._kept: Depth | None = None
 
     def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
-        """The first one of the trouble."""
+        """Return the first image of the fault with this frame's time stamp."""
         self._kept = self._kept or frame
         return [(0.0, dataclasses.replace(self._kept, stamp_s=frame.stamp_s))]
 
 
 def constant(value: int) -> Change:
-    """Every pixel says so many millimetres; 0 is no return."""
+    """Return a change that sets every pixel to a value in millimetres; 0 is no return."""
     return lambda depth, _: np.full_like(depth, value)
 
 
 def salted(share: float) -> Change:
-    """So many pixels are random."""
+    """Return a change that sets this share of the pixels to random values."""
     return lambda depth, rng: np.where(rng.random(depth.shape) < share, rng.integers(300, 6000, depth.shape), depth).astype(
         np.uint16
     )
 
 
 def shifted(pixels: int) -> Change:
-    """The picture is rolled sideways."""
+    """Return a change that rolls the image sideways by some pixels."""
     return lambda depth, _: np.roll(depth, pixels, axis=1)
 
 
 def bit_errors() -> Change:
-    """One bit in each pixel of a third of them."""
+    """Return a change that flips one bit in each of a third of the pixels."""
     return lambda depth, rng: np.where(
         rng.random(depth.shape) < 0.33, depth ^ (1 << rng.integers(0, 13, depth.shape)), depth
     ).astype(np.uint16)
 
 
 def scaled(factor: float) -> Change:
-    """A wrong unit or calibration."""
+    """Return a change that scales the depth, as a wrong unit or calibration does."""
     return lambda depth, _: np.clip(depth * factor, 0, 65535).astype(np.uint16)
 
 
 class Appears(Injector):
-    """A box as big as a person stands ahead_m before the hull's nose, on the way it flies; it stays."""
+    """A box of a person's size that appears before the hull and stays.
+
+    It stands ahead_m from the hull in the direction of travel.
+    """
 
     def __init__(self, ahead_m: float, half_m: tuple[float, float, float] = (0.25, 0.35, 1.0)) -> None:
         self._ahead_m, self._half_m = ahead_m, half_m
 
     def begin(self, at: InjectionContext) -> None:
-        """Where the vehicle is heading now."""
+        """Add the box where the vehicle is heading now."""
         truth = at.world.flyer.truth()
         speed = math.hypot(*truth.velocity[:2]) or 1.0
         away = HULL_M + self._ahead_m + self._half_m[0]
@@ -134,8 +137,10 @@ class Appears(Injector):
 
 
 class Approaches(Injector):
-    """The vehicle is told to stay; then a box comes from ahead_m before the camera at speed_mps, to where the vehicle
-    hovers, and stops there.
+    """A box that comes towards the hovering vehicle.
+
+    The vehicle is commanded to hold. Then the box moves from ahead_m before the camera at speed_mps to the vehicle's position,
+    and stops there.
     """
 
     needs = Capabilities.STAGES
@@ -144,11 +149,11 @@ class Approaches(Injector):
         self._speed_mps, self._ahead_m, self._after_s, self._come = speed_mps, ahead_m, after_s, False
 
     def begin(self, at: InjectionContext) -> None:
-        """Stay."""
+        """Command a hold."""
         at.hold = True
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Along the camera's axis, once it hovers."""
+        """Start the box along the camera's axis, once the vehicle hovers."""
         if self._come or since_s < self._after_s:
             return
         self._come = True
@@ -163,18 +168,18 @@ class Approaches(Injector):
 
 
 class Stands(Injector):
-    """A box stands at a place of the world."""
+    """A box at a fixed position of the world."""
 
     def __init__(self, place: tuple[float, float, float], half_m: tuple[float, float, float]) -> None:
         self._place, self._half_m = place, half_m
 
     def begin(self, at: InjectionContext) -> None:
-        """From now on."""
+        """Add the box."""
         put(at, Obstacle(at.now_s, self._half_m, lambda _: self._place))
 
 
 def put(at: InjectionContext, obstacle: Obstacle) -> None:
-    """Into the camera's view and the referee's book."""
+    """Add the obstacle to the camera's view and to the obstacles that the checks measure."""
     camera = at.world.camera
     camera.renderer = Furnished(camera.renderer, obstacle, lambda: at.now_s)
     at.obstacles.append(obstacle)

@@ -1,4 +1,4 @@
-"""Troubles of the MAVLink link: loss, delay, repetition, disorder, garbage and forgery."""
+"""Faults of the MAVLink link: loss, delay, duplication, reordering, garbage and forgery."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ _COMMAND_LONG, SYS_STATUS = 76, 1
 
 
 class PacketLoss(Injector):
-    """Frames are lost for a while, all of them or a share, up (to the autopilot), down or both ways."""
+    """Frames that are lost for a while, all or a share.
+
+    way: "up" (to the autopilot), "down" or "both".
+    """
 
     def __init__(self, way: str, for_s: float = 1e9, share: float = 1.0, seed: int = 0, only: tuple[int, ...] = ()) -> None:
         self._way, self._for_s, self._share, self._only, self._dice = way, for_s, share, only, random.Random(seed)
@@ -26,16 +29,16 @@ class PacketLoss(Injector):
         return [] if hit and self._dice.random() < self._share else [(0.0, frame)]
 
     def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """Lost with this probability."""
+        """Drop the frame with probability share."""
         return self._fate("up", since_s, frame)
 
     def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """Lost with this probability."""
+        """Drop the frame with probability share."""
         return self._fate("down", since_s, frame)
 
 
 class Unplugged(Injector):
-    """The plug of a serial line is out for a while."""
+    """A serial line that is unplugged for a while."""
 
     needs = Capabilities.LINE
 
@@ -43,13 +46,13 @@ class Unplugged(Injector):
         self._for_s, self._out = for_s, False
 
     def begin(self, at: InjectionContext) -> None:
-        """Out."""
+        """Unplug the line."""
         assert at.line is not None
         at.line.unplug()
         self._out = True
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """In again, once."""
+        """Plug the line in again, once."""
         assert at.line is not None
         if self._out and since_s >= self._for_s:
             at.line.plug()
@@ -57,51 +60,54 @@ class Unplugged(Injector):
 
 
 class Refused(Injector):
-    """The autopilot never carries out one kind of command: it is lost on its way."""
+    """One kind of command that the autopilot never carries out: it is lost on the link."""
 
     def __init__(self, command: int) -> None:
         self._command = command
 
     def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """COMMAND_LONG carries its number behind seven floats."""
+        """Drop the command.
+
+        COMMAND_LONG carries the command number after seven floats.
+        """
         hit = message_id(frame) == _COMMAND_LONG and int.from_bytes(frame[38:40], "little") == self._command
         return [] if hit else [(0.0, frame)]
 
 
 class Jitter(Injector):
-    """For a while every frame is late by a random time, so that some overtake others."""
+    """A random delay of every frame for a while, so that some overtake others."""
 
     def __init__(self, max_s: float, for_s: float = 1e9, seed: int = 0) -> None:
         self._max_s, self._for_s, self._dice = max_s, for_s, random.Random(seed)
 
     def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """Uniform."""
+        """Delay the frame by a uniform random time."""
         return [(self._dice.uniform(0.0, self._max_s) if since_s < self._for_s else 0.0, frame)]
 
     to_product = to_autopilot
 
 
 class Repeated(Injector):
-    """Every frame comes three times, the copies late and among later ones."""
+    """Every frame three times; the copies arrive late, among later frames."""
 
     def __init__(self, late_s: float = 0.5) -> None:
         self._late_s = late_s
 
     def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """Once in time."""
+        """Return the frame now and twice later."""
         return [(0.0, frame), (0.3 * self._late_s, frame), (self._late_s, frame)]
 
     to_autopilot = to_product
 
 
 class Corrupted(Injector):
-    """One byte in a share of the frames is another."""
+    """One wrong byte in a share of the frames."""
 
     def __init__(self, share: float, seed: int = 0) -> None:
         self._share, self._dice = share, random.Random(seed)
 
     def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """Anywhere, the start byte too."""
+        """Change one byte at any position, the start byte included."""
         if self._dice.random() >= self._share:
             return [(0.0, frame)]
         spoilt = bytearray(frame)
@@ -112,13 +118,13 @@ class Corrupted(Injector):
 
 
 class Garbage(Injector):
-    """Random bytes poured into what the product reads."""
+    """Random bytes inserted into what the product reads."""
 
     def __init__(self, bytes_per_s: int, for_s: float) -> None:
         self._per_s, self._for_s, self._before_s = bytes_per_s, for_s, 0.0
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """A turn's share."""
+        """Insert the bytes of this turn."""
         if since_s < self._for_s:
             count = int(self._per_s * (since_s - self._before_s))
             proxy_of(at).forge(at.dice.randbytes(count))
@@ -126,14 +132,17 @@ class Garbage(Injector):
 
 
 class Forger(Injector):
-    """Somebody on the link speaks as system: heartbeats in other modes, disarmed, false poses, commands to the product."""
+    """A sender on the link that pretends to be a system.
+
+    It sends heartbeats in other modes and disarmed, false poses, and commands to the product.
+    """
 
     def __init__(self, system: int, component: int = 1, for_s: float = 10.0, version_1: bool = False) -> None:
         self._for_s, self._voice = for_s, mavlink.MAVLink(None, system, component)
         self._version_1 = version_1
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """All kinds, each turn."""
+        """Send a message of every kind in each turn."""
         if since_s >= self._for_s:
             return
         boot_ms = int(since_s * 1000)
@@ -150,9 +159,11 @@ class Forger(Injector):
 
 
 class SecondAutopilot(Injector):
-    """Another autopilot on the link with the vehicle's own name: it counts its frames and its time itself, stands elsewhere,
-    and says that it is in a mode, ten times a second; or briefly, and nothing else, with the numbers that are due. modes:
-    HEARTBEAT's on PX4 and on ArduPilot.
+    """Another autopilot on the link with the vehicle's own system id.
+
+    It has its own sequence numbers and boot time, is elsewhere, and reports a mode ten times a second. briefly: it only sends
+    one heartbeat per turn for 0.1 s, with sequence numbers that follow the vehicle's. modes: mode numbers of its HEARTBEAT on
+    PX4 and on ArduPilot.
     """
 
     OURS, PILOTS, LANDING = (6 << 16, 4), (3 << 16, 5), (6 << 24 | 4 << 16, 9)
@@ -163,13 +174,13 @@ class SecondAutopilot(Injector):
         self._heartbeat: mavlink.MAVLink_message | None = None
 
     def begin(self, at: InjectionContext) -> None:
-        """Of the vehicle's kind."""
+        """Build a heartbeat of the vehicle's firmware."""
         px4 = at.world.flyer.truth().mode == "OFFBOARD"
         family, mode, base = 12 if px4 else 3, self._modes[0 if px4 else 1], 1 | 128 * self._armed
         self._heartbeat = mavlink.MAVLink_heartbeat_message(2, family, base, mode, 4, 3)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Booted a quarter of an hour ago."""
+        """Send its messages; it booted a quarter of an hour before the fault."""
         if self._briefly and since_s < 0.1:
             self._voice.seq = (frames(proxy_of(at).heard[-1][1])[-1][4] + 16) % 256
             self._say(at, self._heartbeat)
@@ -190,24 +201,30 @@ class SecondAutopilot(Injector):
 
 
 class Rewritten(Injector):
-    """Frames of one kind from the autopilot are replaced by what a function makes of them."""
+    """Frames of one kind from the autopilot that a function rewrites."""
 
     def __init__(self, kind: int, change: Callable[[bytes], bytes]) -> None:
         self._kind, self._change = kind, change
 
     def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """The others go through."""
+        """Rewrite frames of this kind; return the others unchanged."""
         return [(0.0, self._change(frame) if message_id(frame) == self._kind else frame)]
 
 
 class Gauge(Injector):
-    """SYS_STATUS tells another share of the battery in some spells: from and until (s) and the share, NaN for unknown."""
+    """False battery charge in SYS_STATUS during some intervals.
+
+    spells: from and until (s) and the charge, 0 to 1; NaN for unknown.
+    """
 
     def __init__(self, *spells: tuple[float, float, float]) -> None:
         self._spells = spells
 
     def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
-        """The frame keeps its number, or it would be taken for one that comes late."""
+        """Change the charge, and keep the sequence number of the frame.
+
+        With another number, the frame would be taken for a late one.
+        """
         told = [share for from_s, until_s, share in self._spells if from_s <= since_s < until_s]
         if not told or message_id(frame) != SYS_STATUS:
             return [(0.0, frame)]
@@ -217,7 +234,7 @@ class Gauge(Injector):
 
 
 def version(major: int, minor: int, patch: int) -> Callable[[bytes], bytes]:
-    """AUTOPILOT_VERSION of another firmware."""
+    """Return a change of AUTOPILOT_VERSION to another firmware version."""
     voice = mavlink.MAVLink(None, 1, 1)
 
     def change(frame: bytes) -> bytes:
@@ -229,6 +246,6 @@ def version(major: int, minor: int, patch: int) -> Callable[[bytes], bytes]:
 
 
 def proxy_of(at: InjectionContext) -> Tap:
-    """The link's proxy, which the meddler keeps in the theatre."""
+    """Return the link's proxy, which the fault director keeps in the injection context."""
     assert at.proxy is not None
     return at.proxy

@@ -1,4 +1,4 @@
-"""A box that was not there before: seen by the camera, and counted by the referee."""
+"""Box added to the scene in flight, rendered by the camera and measured by the checks."""
 
 from __future__ import annotations
 
@@ -22,14 +22,20 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Obstacle:
-    """An upright box of half_m from since_s on; place(t) is its centre in the world, metres."""
+    """Upright box with half extents half_m, from since_s on.
+
+    place(t) is its centre in the world, in metres.
+    """
 
     since_s: float
     half_m: tuple[float, float, float]
     place: Callable[[float], tuple[float, float, float]]
 
     def hull_m(self, stamps_s: F64, positions_m: F64, radius_m: float) -> F64:
-        """Distance (M,) from an upright cylinder around each position (M, 3) to the box; inf before it is there."""
+        """Return the distance (M,) from the hull at each position (M, 3) to the box.
+
+        The hull is an upright cylinder of radius_m. The distance is inf before since_s.
+        """
         centre = np.array([self.place(float(t)) for t in stamps_s]).reshape(-1, 3)
         wide, deep, high = self.half_m
         half = np.array([wide, deep, high + 0.5 * HULL_HEIGHT_M])
@@ -39,7 +45,7 @@ class Obstacle:
 
 
 class Furnished:
-    """A renderer of a scene with an obstacle in it; takes the place of the scene's own."""
+    """Renderer of a scene with an obstacle added; it replaces the scene's own renderer."""
 
     def __init__(self, scene: CameraView, obstacle: Obstacle, now_s: Callable[[], float]) -> None:
         low, high = tuple(-h for h in obstacle.half_m), obstacle.half_m
@@ -50,7 +56,10 @@ class Furnished:
     def render(
         self, world_from_camera: F64, spec: CameraSpec, near_m: float = 0.05, far_m: float = math.inf, colour: bool = True
     ) -> Rendering:
-        """As Renderer.render: whatever is nearer is seen."""
+        """Render scene and obstacle; the nearer surface is visible.
+
+        Arguments as for Renderer.render.
+        """
         room = self._scene.render(world_from_camera, spec, near_m, far_m, colour)
         box_from_world = inverse(rigid(np.eye(3), self._obstacle.place(self._now_s())))
         box = self._box.render(box_from_world @ world_from_camera, spec, near_m, far_m, colour)

@@ -1,4 +1,4 @@
-"""The operator of a flight goes, or is heard now and then; and what a judge sees of the answer to it (row D8)."""
+"""Faults of the operator, who is silent or queries rarely, and measures of the reaction (D8)."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from sitl.faults.injectors.base import ATTENDED, Capabilities, InjectionContext,
 from sitl.faults.injectors.mavlink_link import proxy_of
 from sitl.faults.judges.reaction_metrics import Measure
 
-TIMEOUT_S = 30.0  # of the campaign's flights, all of which have an operator
+TIMEOUT_S = 30.0  # operator timeout of the campaign's flights, which all have an operator
 _MISSED, _RETURNING = "no operator", "returning"
-_TURNED_S = 1.0  # from word of it to the way home
+_TURNED_S = 1.0  # from the message to the flight home
 
 
 class OperatorSilent(Injector):
-    """The operator asks no more."""
+    """The operator stops querying the status."""
 
     needs = Capabilities.STAGES
 
     def begin(self, at: InjectionContext) -> None:
-        """For good."""
+        """Stop for the rest of the flight."""
         at.attends = False
 
 
 class OperatorIntermittent(Injector):
-    """The operator asks once in so many seconds, beginning now."""
+    """The operator queries the status once every every_s, beginning now."""
 
     needs = Capabilities.STAGES
 
@@ -36,18 +36,21 @@ class OperatorIntermittent(Injector):
         self._every_s = every_s
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """One question falls into a second."""
+        """Attend during the first second of each period, in which one query falls."""
         at.attends = since_s % self._every_s < 1.0
 
 
 class GroundStation(Injector):
-    """Heartbeats of a ground station reach the product once a second, as anybody can send them."""
+    """Heartbeats of a ground station that reach the product once a second.
+
+    Anybody on the link can send them.
+    """
 
     def __init__(self, system: int = 255) -> None:
         self._voice, self._next_s = mavlink.MAVLink(None, system, 190), 0.0
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """From a system that ground stations have."""
+        """Send one heartbeat a second, by default from the usual system id of ground stations."""
         if since_s >= self._next_s:
             self._next_s += 1.0
             beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
@@ -55,25 +58,29 @@ class GroundStation(Injector):
 
 
 def acts_after(e: FlightEvidence) -> float:
-    """Seconds from the operator's last sign of life to word on the wire that it returns, or to a landing."""
+    """Return the seconds from the operator's last query to the return message or to a landing."""
     last_s = e.notes.get(ATTENDED, math.inf)
     said = [stamp_s for stamp_s, text in e.wire.texts if stamp_s >= last_s and _RETURNING in text]
     return min([stamp_s - last_s for stamp_s in said] + [e.since(e.landing & e.armed, last_s)])
 
 
 def warns_after(e: FlightEvidence) -> float:
-    """Seconds from the operator's last sign of life to the first word of it; inf for none."""
+    """Return the seconds from the operator's last query to the first warning; inf for none."""
     last_s = e.notes.get(ATTENDED, math.inf)
     return min((stamp_s - last_s for stamp_s, text in e.wire.texts if stamp_s >= last_s and _MISSED in text), default=math.inf)
 
 
 def warnings(e: FlightEvidence) -> float:
-    """How often people were told that nobody attends."""
+    """Return the number of warnings that no operator is present."""
     return float(sum(_MISSED in text for _, text in e.wire.texts))
 
 
 def astray(after_s: float) -> Measure:
-    """Metres flown, level, from so long after the operator's last sign of life on, beyond the straight way to the pad."""
+    """Return a measure of the detour on the way home.
+
+    It is the horizontal distance flown (m) beyond the straight line to the pad, from after_s after the operator's last query
+    on; _TURNED_S is added for the turn.
+    """
 
     def measure(e: FlightEvidence) -> float:
         from_s = e.notes.get(ATTENDED, math.inf) + after_s + _TURNED_S

@@ -1,4 +1,4 @@
-"""Troubles of the pose stream, at the place where a tracking system would have them."""
+"""Faults of the pose stream, as a tracking system would cause them."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ class PoseSilence(Injector):
         self._for_s = for_s
 
     def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
-        """Lost."""
+        """Drop the pose until for_s."""
         return [] if since_s < self._for_s else [(0.0, record)]
 
 
 class AlteredPoses(Injector):
-    """Poses between two instants are changed; count: so many of them at most."""
+    """Wrong poses between two times, up to count of them."""
 
     def __init__(self, change: Change, from_s: float = 0.0, for_s: float = 1e9, count: int = 1 << 30) -> None:
         self._change, self._from_s, self._until_s, self._left = change, from_s, from_s + for_s, count
 
     def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
-        """Changed while it lasts."""
+        """Change the pose while the fault lasts."""
         if not self._from_s <= since_s < self._until_s or self._left <= 0:
             return [(0.0, record)]
         self._left -= 1
@@ -48,7 +48,7 @@ class ThinnedPoses(Injector):
         self._period_s, self._next_s = 1.0 / rate_hz, 0.0
 
     def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
-        """The rest is lost."""
+        """Drop the poses in between."""
         if since_s < self._next_s:
             return []
         self._next_s = since_s + self._period_s
@@ -56,23 +56,23 @@ class ThinnedPoses(Injector):
 
 
 class LatePoses(Injector):
-    """Poses arrive so much later than they would."""
+    """Poses that arrive delay_s later."""
 
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
 
     def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
-        """Their stamps are right."""
+        """Delay the pose; its time stamp is correct."""
         return [(self._delay_s, record)]
 
 
 def moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
-    """Shifted in odom, metres."""
+    """Return a change that shifts the position in odom, in metres."""
     return lambda record, _: dataclasses.replace(record, position_m=record.position_m + np.array([x, y, z]))
 
 
 def drifting(x: float, y: float, max_m: float = 3.0) -> Change:
-    """Shifted more and more, m/s, up to a distance."""
+    """Return a change that shifts the position by a growing distance, in m/s, up to max_m."""
 
     def change(record: PoseRecord, since_s: float) -> PoseRecord:
         drift_s = min(since_s, max_m / math.hypot(x, y))
@@ -82,7 +82,7 @@ def drifting(x: float, y: float, max_m: float = 3.0) -> Change:
 
 
 def turned(degrees: float) -> Change:
-    """The heading is off."""
+    """Return a change that rotates the heading."""
     turn = from_yaw(math.radians(degrees))
 
     def change(record: PoseRecord, _: float) -> PoseRecord:
@@ -93,7 +93,10 @@ def turned(degrees: float) -> Change:
 
 
 def map_turned(degrees: float) -> Change:
-    """The whole of odom is turned about its origin: what a loop closure does to a tracker without a map frame."""
+    """Return a change that rotates all of odom about its origin.
+
+    A loop closure does that to a tracker without a map frame.
+    """
     turn, angle = turned(degrees), math.radians(degrees)
     c, s = math.cos(angle), math.sin(angle)
     spin = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -101,24 +104,27 @@ def map_turned(degrees: float) -> Change:
 
 
 def stamped(shift_s: float) -> Change:
-    """A stamp of another clock."""
+    """Return a change that shifts the time stamp, as another clock does."""
     return lambda record, _: dataclasses.replace(record, stamp_s=record.stamp_s + shift_s)
 
 
 class FrozenPose(Injector):
-    """Every pose carries the stamp of the first one."""
+    """Every pose with the time stamp of the first one."""
 
     def __init__(self) -> None:
         self._stamp_s = math.nan
 
     def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
-        """Its place is right."""
+        """Replace the time stamp; the position is correct."""
         self._stamp_s = record.stamp_s if math.isnan(self._stamp_s) else self._stamp_s
         return [(0.0, dataclasses.replace(record, stamp_s=self._stamp_s))]
 
 
 def spoilt(kind: str) -> Change:
-    """A field that makes no sense: nan place, inf place, nan turn, zero turn, long turn, nan variance, nan stamp."""
+    """Return a change that makes a field invalid.
+
+    kind: "nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance" or "nan stamp".
+    """
     bad = {"nan": math.nan, "inf": math.inf, "zero": 0.0, "long": 1.7}
     word, field = kind.split()
 

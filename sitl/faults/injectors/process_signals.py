@@ -1,4 +1,7 @@
-"""Troubles of real processes: stopped, killed, asked to end, started twice. They need a flight in real time."""
+"""Faults of real processes: stopped, killed, terminated, started twice.
+
+They need a real-time flight.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from typing import cast
 from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 from sitl.faults.process_registry import ProcessRegistry, child_of, send
 
-MAPPER, RECORDER = "mapping.neural.worker.mapper_process", "uav_recon\0record"  # words of their command lines
+MAPPER, RECORDER = "mapping.neural.worker.mapper_process", "uav_recon\0record"  # words in their command lines
 
 
 class ProcessStopped(Injector):
@@ -23,24 +26,24 @@ class ProcessStopped(Injector):
         self._name, self._for_s, self._stopped = name, for_s, False
 
     def begin(self, at: InjectionContext) -> None:
-        """Stop it."""
+        """Stop the process."""
         roster_of(at).send(self._name, signal.SIGSTOP)
         self._stopped = True
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Let it go on, once."""
+        """Continue the process, once."""
         if self._stopped and since_s >= self._for_s:
             self.end(at)
 
     def end(self, at: InjectionContext) -> None:
-        """Nothing stays stopped."""
+        """Continue the process, if it is still stopped."""
         if self._stopped:
             roster_of(at).send(self._name, signal.SIGCONT)
             self._stopped = False
 
 
 class ProcessKilled(Injector):
-    """Processes get SIGKILL, and are started again not before for_s."""
+    """Processes get SIGKILL, and are not restarted before for_s."""
 
     needs = Capabilities.PROCESSES
 
@@ -48,21 +51,24 @@ class ProcessKilled(Injector):
         self._names, self._for_s, self._down = names, for_s, False
 
     def begin(self, at: InjectionContext) -> None:
-        """Kill them, all at once."""
+        """Kill all of them at once."""
         roster_of(at).keep_down(self._names)
         self._down = True
         for name in self._names:
             roster_of(at).send(name, signal.SIGKILL)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Their supervisor may start them again."""
+        """Allow the supervisor to restart them after for_s."""
         if self._down and since_s >= self._for_s:
             roster_of(at).keep_down(())
             self._down = False
 
 
 class ProcessTerminated(Injector):
-    """A process gets SIGTERM, as from its supervisor; its "exit code" is noted, and whether it "ended armed"."""
+    """A process gets SIGTERM, as from its supervisor.
+
+    It notes the "exit code", and as "ended armed" whether the vehicle was armed then.
+    """
 
     needs = Capabilities.PROCESSES
 
@@ -70,12 +76,12 @@ class ProcessTerminated(Injector):
         self._name = name
 
     def begin(self, at: InjectionContext) -> None:
-        """Ask."""
+        """Send SIGTERM and prevent a restart."""
         roster_of(at).keep_down((self._name,))
         roster_of(at).send(self._name, signal.SIGTERM)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Look whether it has ended."""
+        """Note the exit code, once the process has ended."""
         for ended in roster_of(at).exits():
             if ended.name == self._name and "exit code" not in at.notes:
                 at.notes["exit code"] = float(ended.code)
@@ -83,7 +89,10 @@ class ProcessTerminated(Injector):
 
 
 class SecondPilot(Injector):
-    """Somebody starts another pilot by hand; its exit code and how long it lived are noted."""
+    """A second pilot process, started by hand.
+
+    It notes "second's exit code" and, as "second lived", its lifetime in seconds.
+    """
 
     needs = Capabilities.PROCESSES
 
@@ -92,34 +101,40 @@ class SecondPilot(Injector):
         self._began_s = 0.0
 
     def begin(self, at: InjectionContext) -> None:
-        """With the flight's own config."""
+        """Start it with the flight's own config."""
         command = [sys.executable, "-m", "uav_recon", "pilot", "--config", str(at.config)]
         self._began_s = time.monotonic()
         self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)  # noqa: S603 - our own program
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Look whether it has ended."""
+        """Note its exit code and lifetime, once it has ended."""
         if self._process is not None and "second's exit code" not in at.notes and self._process.poll() is not None:
             at.notes["second's exit code"] = float(self._process.returncode)
             at.notes["second lived"] = time.monotonic() - self._began_s
 
 
 class ChildProcessSignalled(Injector):
-    """A child of the mission gets a signal; when another one runs in its place is noted as "replaced"."""
+    """A child of the mission gets a signal.
+
+    It notes as "replaced" when another child has taken its role.
+    """
 
     needs = Capabilities.PROCESSES
 
     def __init__(self, word: str, number: signal.Signals) -> None:
-        """word: of its command line."""
+        """Set up the fault without sending the signal.
+
+        word: word in the child's command line.
+        """
         self._word, self._number, self._pid = word, number, cast("int | None", None)
 
     def begin(self, at: InjectionContext) -> None:
-        """Strike."""
+        """Send the signal."""
         self._pid = child_of(roster_of(at).pid("mission"), self._word)
         send(self._pid, self._number)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Look for another, ten times a second."""
+        """Look for a replacement ten times a second."""
         if self._pid is None or "replaced" in at.notes or int(since_s * 60.0) % 6:
             return
         other = child_of(roster_of(at).pid("mission"), self._word)
@@ -127,11 +142,11 @@ class ChildProcessSignalled(Injector):
             at.notes["replaced"] = since_s
 
     def end(self, at: InjectionContext) -> None:
-        """One that was stopped hears that its mission is gone."""
+        """Continue a stopped child, so that it notices the end of its mission."""
         send(self._pid, signal.SIGCONT)
 
 
 def roster_of(at: InjectionContext) -> ProcessRegistry:
-    """The flight's processes; these troubles are flown in real time alone."""
+    """Return the processes of the flight. Only a real-time flight has them."""
     assert at.roster is not None
     return at.roster

@@ -1,4 +1,4 @@
-"""Troubles of vehicle and autopilot: pushes, motors, battery, transmitter, the pilot's own switch."""
+"""Faults of vehicle and autopilot: pushes, motors, battery, transmitter, mode switch."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from sitl.faults.injectors.base import TAKEN_OVER, Capabilities, InjectionContex
 
 
 class Push(Injector):
-    """A steady force for a while along the way that it flies, as an acceleration in m/s²; its accelerometer feels it."""
+    """A steady push along the direction of flight for a while, as an acceleration in m/s².
+
+    The accelerometer measures it.
+    """
 
     needs = Capabilities.INSIDES
 
@@ -17,19 +20,22 @@ class Push(Injector):
         self._along = (0.0, 0.0)
 
     def begin(self, at: InjectionContext) -> None:
-        """On along the way that it flies."""
+        """Take the direction of flight."""
         vx, vy, _ = at.world.flyer.truth().velocity
         speed = math.hypot(vx, vy) or 1.0
         self._along = (vx / speed, vy / speed)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """While it lasts."""
+        """Apply the force until for_s."""
         force = self._force if since_s <= self._for_s else 0.0
         at.world.autopilot.vehicle.outside_mps2 = (self._along[0] * force, self._along[1] * force, 0.0)
 
 
 class Dragged(Injector):
-    """To a place beside its way and kept there until it is down, by whatever force that takes: y in the world (m)."""
+    """A force that moves the vehicle sideways and keeps it there until it is down.
+
+    y_m: the y coordinate in the world to which it is moved. The force is as strong as needed, up to _MAX_MPS2 per unit of mass.
+    """
 
     needs = Capabilities.INSIDES
     _PER_S, _FASTEST_MPS, _STIFF_PER_S, _MAX_MPS2, _DOWN_M = 2.0, 0.8, 25.0, 15.0, 0.2
@@ -38,7 +44,7 @@ class Dragged(Injector):
         self._y_m = y_m
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """While it is in the air."""
+        """Apply the force while the vehicle is in the air."""
         (_, y_m, z_m), (_, vy_mps, _) = (truth := at.world.flyer.truth()).position, truth.velocity
         wanted_mps = min(max(self._PER_S * (self._y_m - y_m), -self._FASTEST_MPS), self._FASTEST_MPS)
         force = min(max(self._STIFF_PER_S * (wanted_mps - vy_mps), -self._MAX_MPS2), self._MAX_MPS2)
@@ -47,17 +53,20 @@ class Dragged(Injector):
 
 
 class HeldDown(Injector):
-    """The rotors cannot lift it: three times too heavy."""
+    """Rotors that cannot lift the vehicle: it is three times too heavy."""
 
     needs = Capabilities.INSIDES
 
     def begin(self, at: InjectionContext) -> None:
-        """For good."""
+        """Weaken the rotors for the rest of the flight."""
         at.world.autopilot.vehicle.weaken(1.0 / 3.0)
 
 
 class Takeover(Injector):
-    """The pilot's switch, later_s after the moment. modes: the same thing as each firmware calls it."""
+    """The pilot's mode switch, later_s after the onset.
+
+    modes: the name of the same mode in each firmware.
+    """
 
     needs = Capabilities.STICKS
 
@@ -65,44 +74,44 @@ class Takeover(Injector):
         self._modes, self._later_s, self._done = modes, later_s, False
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Once."""
+        """Switch once."""
         if not self._done and since_s >= self._later_s:
             self._done, at.notes[TAKEN_OVER] = True, at.now_s
             switch(at, self._modes)
 
 
 class Reboot(Injector):
-    """The autopilot starts anew in the air."""
+    """A reboot of the autopilot in the air."""
 
     needs = Capabilities.INSIDES
 
     def begin(self, at: InjectionContext) -> None:
-        """Once."""
+        """Reboot once."""
         at.world.autopilot.reboot()
 
 
 class Unnoticed(Injector):
-    """The landing is not noticed: a slope, a rug, a land detector that fails."""
+    """A landing that is not detected: a slope, a rug, a failed land detector."""
 
     needs = Capabilities.INSIDES
 
     def begin(self, at: InjectionContext) -> None:
-        """For good."""
+        """Disable the land detector for the rest of the flight."""
         at.world.autopilot.lose_land_detector()
 
 
 class TransmitterLost(Injector):
-    """The pilot's transmitter is no longer heard."""
+    """Loss of the pilot's transmitter signal."""
 
     needs = Capabilities.INSIDES
 
     def begin(self, at: InjectionContext) -> None:
-        """For good."""
+        """Disable the signal for the rest of the flight."""
         at.world.autopilot.transmitter(heard=False)
 
 
 class BatteryDrain(Injector):
-    """The charge falls to a fraction at once, and then by so much each second."""
+    """A charge that falls to a fraction at once, and then by per_s each second."""
 
     needs = Capabilities.INSIDES
 
@@ -110,12 +119,15 @@ class BatteryDrain(Injector):
         self._fraction, self._per_s = fraction, per_s
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Linear."""
+        """Set the charge."""
         at.world.autopilot.set_battery(max(self._fraction - self._per_s * since_s, 0.0))
 
 
 class Parameter(Injector):
-    """A parameter of the autopilot is another than the product counts on. values: its name and value on each firmware."""
+    """A parameter of the autopilot with another value than the product requires.
+
+    values: name and value in each firmware.
+    """
 
     needs = Capabilities.INSIDES
 
@@ -123,7 +135,10 @@ class Parameter(Injector):
         self._values = values
 
     def begin(self, at: InjectionContext) -> None:
-        """Raises KeyError where the personality has none of them."""
+        """Write the parameter.
+
+        Raises KeyError if the firmware has none of these parameters.
+        """
         autopilot = at.world.autopilot
         known = [(name, value) for name, value in self._values if name in autopilot.parameters]
         if not known:
@@ -132,7 +147,7 @@ class Parameter(Injector):
 
 
 def switch(at: InjectionContext, modes: tuple[str, ...]) -> None:
-    """The first of these modes that the personality has. Raises KeyError for none."""
+    """Select the first of these modes that the firmware has. Raises KeyError for none."""
     for mode in modes:
         try:
             at.world.flyer.pilot_takes_over(mode)

@@ -1,4 +1,4 @@
-"""A stand-in for the cut of truth, which takes a quarter of a minute to make."""
+"""Stub for the computation of visible ground truth, which takes a quarter of a minute."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sitl.scene.scene import Scene
 
 
 def quick_cut(options: SimOptions, scene: Scene) -> types.SimpleNamespace:
-    """Three places above the start instead of the cut of six hundred poses."""
+    """Return three positions above the start instead of the six hundred of the real computation."""
     positions = np.array([[0.0, 0.0, 1.0], [0.3, 0.0, 1.1], [0.0, 0.3, 1.2]], np.float32)
     views = [world_from_body(positions[0], yaw) @ body_from_camera(MOUNT_M, 0.26) for yaw in (0.0, 1.5)]
     return types.SimpleNamespace(positions=positions, views=np.array(views), view_spec=stream_header("d435i").rgb)

@@ -42,7 +42,7 @@ def test_memory_disk_and_views_stay_bounded(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("arguments", [("--hours", "0"), ("--hours", "1000"), ("--period-s", "0"), ("--views", "1")])
-def test_bad_words_are_an_error_in_one_line(arguments: tuple[str, str]) -> None:
+def test_invalid_options_are_a_one_line_error(arguments: tuple[str, str]) -> None:
     code, _, errors = bench(*arguments)
     assert code != 0
     assert len(errors.strip().splitlines()) == 1

@@ -73,7 +73,7 @@ def test_measures_every_field_and_writes_json(tmp_path: Path) -> None:
         (("--json", "/nowhere/x.json"), ("/nowhere/x.json",)),
     ],
 )
-def test_bad_input_to_bench_mapper_is_one_line(arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+def test_invalid_options_of_bench_mapper_are_a_one_line_error(arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
     code, out, errors = bench(*arguments)
     assert code != 0
     assert out == ""
@@ -83,7 +83,7 @@ def test_bad_input_to_bench_mapper_is_one_line(arguments: tuple[str, ...], words
         assert word in errors
 
 
-def test_told_poses_err_as_much_as_they_are_told_to() -> None:
+def test_noisy_poses_have_the_requested_errors() -> None:
     def load(sigma: tuple[float, float]) -> seeded_views.MapperScene:
         return seeded_views.load(seeded_views.SceneOptions(None, 40, "d435i", "none", "fixed:15", sigma, 0))
 
@@ -98,7 +98,7 @@ def test_told_poses_err_as_much_as_they_are_told_to() -> None:
     assert np.sqrt(np.mean(np.square(turn)) / 3) == pytest.approx(0.01, rel=0.25)
 
 
-def test_says_what_corrections_are_worth(tmp_path: Path) -> None:
+def test_reports_the_effect_of_the_corrections(tmp_path: Path) -> None:
     written = tmp_path / "result.json"
     wild = ("--pose-noise", "2,1", "--exposure", "1", "--steps-per-view", "8")
     code, out, errors = bench("--views", "6", *wild, "--json", str(written))

@@ -11,11 +11,11 @@ def test_the_remaining_error_by_hand() -> None:
     error = np.array([4.0, 1.0, 1.0])
     assert remaining(error, error) == pytest.approx([2.0, 1.0, 1.0])
     assert remaining(error, -error) == pytest.approx([2.0, 2.5, 4.0])
-    # the wrong way round: (0 + 1.5 + 3) / 3 over a mean error of 2
+    # the reversed ranking: (0 + 1.5 + 3) / 3 over a mean error of 2
     assert ause(error, -error) == pytest.approx(0.75)
 
 
-def test_a_perfect_ranking_scores_nothing_and_a_random_one_all_but_the_best_curve() -> None:
+def test_a_perfect_ranking_scores_zero_and_a_random_one_1_minus_the_best_curve() -> None:
     rng = np.random.default_rng(0)
     error = rng.exponential(size=20_000)
     assert ause(error, np.exp(error)) == pytest.approx(0.0)
@@ -23,7 +23,7 @@ def test_a_perfect_ranking_scores_nothing_and_a_random_one_all_but_the_best_curv
     assert ause(error, rng.random(20_000)) == pytest.approx(1.0 - best, abs=0.02)
 
 
-def test_an_uncertainty_that_says_nothing_is_worth_a_random_one_in_whatever_order() -> None:
+def test_a_constant_uncertainty_scores_as_a_random_one_in_any_order() -> None:
     error = np.sort(np.random.default_rng(1).exponential(size=1000))
     same = np.ones(1000)
     assert ause(error, same) == pytest.approx(ause(error[::-1], same))

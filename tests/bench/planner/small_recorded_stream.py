@@ -1,4 +1,4 @@
-"""A tiny recorded stream on disk: a camera that looks round in a box room of 2 x 2 x 2 m."""
+"""Small recorded stream on disk: a camera turns around in a box room of 2 x 2 x 2 m."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIZE = "32x24"
 
 
 def write_stream(folder: Path, frames: int = 6) -> Path:
-    """meta.json, poses.npy and depth_32x24.npz; the last row of each image has no return."""
+    """Write meta.json, poses.npy and depth_32x24.npz; the last row of each image has no return."""
     folder.mkdir()
     room = [[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]
     focal = {"fx": LENS.fx, "fy": LENS.fy, "cx": LENS.cx, "cy": LENS.cy}

@@ -6,23 +6,23 @@ from uav_recon.bench.planner import path_oracle
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 
 
-def test_straight_where_the_line_is_open() -> None:
+def test_an_open_line_gives_a_straight_path() -> None:
     mask = np.ones((20, 20, 8), dtype=bool)
     way = path_oracle.shortest_path(mask, np.array([1, 2, 3]), np.array([17, 9, 6]))
     np.testing.assert_allclose(way, [[1.5, 2.5, 3.5], [17.5, 9.5, 6.5]])
     np.testing.assert_allclose(path_oracle.length_of(way), np.sqrt(16**2 + 7**2 + 3**2))
 
 
-def test_round_a_wall_it_touches_the_edge() -> None:
+def test_a_path_around_a_wall_touches_the_edge() -> None:
     mask = np.ones((21, 20, 3), dtype=bool)
     mask[10, :15] = False
     way = path_oracle.shortest_path(mask, np.array([5, 2, 1]), np.array([15, 2, 1]))
-    # from cell centre to cell centre: up to (9, 14), by a diagonal step over the wall's end (10, 15), and down from (11, 14)
+    # between cell centres: up to (9, 14), by a diagonal step around the wall's end (10, 15), and down from (11, 14)
     np.testing.assert_allclose(path_oracle.length_of(way), 2 * np.hypot(4.0, 12.0) + 2 * np.sqrt(2.0))
     assert mask[tuple(np.floor(way).astype(int).T)].all()
 
 
-def test_the_grid_path_below_it_is_exact() -> None:
+def test_the_path_is_at_most_as_long_as_the_exact_grid_path() -> None:
     rng = np.random.default_rng(4)
     mask = rng.random((7, 6, 5)) > 0.35
     cells = np.argwhere(mask)
@@ -35,12 +35,12 @@ def test_the_grid_path_below_it_is_exact() -> None:
         assert np.linalg.norm(goal - start) - 1e-9 <= pulled <= exact[a, b] + 1e-9
 
 
-def test_flyable_is_what_clears_everything_that_is_not_free() -> None:
+def test_flyable_voxels_keep_the_clearance_to_all_that_is_not_free() -> None:
     state = np.full((15, 15, 15), FREE, dtype=np.uint8)
     state[7, 7, 7] = OCCUPIED
     voxels = VoxelMap.whole(GridSpec(np.zeros(3), 0.1, state.shape), state, np.zeros_like(state), 1)
     mask = path_oracle.flyable(voxels, 0.25, np.zeros(3, dtype=np.int64), np.array([15, 15, 15]))
     assert not mask[7, 7, 9]
     assert mask[7, 7, 10]  # 0.3 m from centre to centre
-    assert not mask[1, 7, 7]  # beyond the map nothing is free
+    assert not mask[1, 7, 7]  # no space beyond the map is free
     assert not path_oracle.flyable(voxels, 0.25, np.array([11, 0, 0]), np.array([15, 15, 15]))[10].any()

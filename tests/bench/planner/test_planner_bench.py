@@ -31,7 +31,7 @@ def test_prints_tables_and_writes_json(tmp_path: Path) -> None:
     fusion = result["stages"]["fusion"]["median_ms"]
     assert result["stages_calibrated"]["fusion"]["median_ms"] == pytest.approx(fusion / result["calibration"])
     assert result["frames"] == 6
-    assert result["agreement"] is None  # no reference here
+    assert result["agreement"] is None  # this stream has no reference
     assert result["tour"] == {}
     assert result["compile_s"] > 0
     for word in ("fusion", "total", "calibrated", "Compiled in", result["commit"]):
@@ -47,7 +47,7 @@ def test_prints_tables_and_writes_json(tmp_path: Path) -> None:
         (("--json", "/nowhere/x.json"), ("/nowhere/x.json",)),
     ],
 )
-def test_bad_input_is_one_line(tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+def test_invalid_options_are_a_one_line_error(tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
     stream = () if "--stream" in arguments else ("--stream", str(write_stream(tmp_path / "s")))
     size = () if "--size" in arguments else ("--size", SIZE)
     code, out, err = bench(*stream, *size, *arguments)
@@ -59,7 +59,7 @@ def test_bad_input_is_one_line(tmp_path: Path, arguments: tuple[str, ...], words
 
 
 @pytest.mark.shared
-def test_the_shared_stream_meets_what_does_not_depend_on_the_machine(tmp_path: Path) -> None:
+def test_the_shared_stream_meets_the_limits_that_do_not_depend_on_the_machine(tmp_path: Path) -> None:
     written = tmp_path / "result.json"
     code, out, _ = bench("--stream", str(STREAM), "--json", str(written))
     assert code == 0, out
@@ -75,7 +75,7 @@ def test_the_shared_stream_meets_what_does_not_depend_on_the_machine(tmp_path: P
 
 
 @pytest.mark.parametrize(("option", "value"), [("--size", "foo"), ("--stride", "0"), ("--stride", "99")])
-def test_what_is_of_a_stream_is_refused_without_one(option: str, value: str) -> None:
+def test_stream_options_are_refused_without_a_stream(option: str, value: str) -> None:
     code, out, err = bench(option, value)
     assert (code, out) == (2, "")
     assert err == f"uav-recon: {option} {value}: is of a --stream, and none is given\n"

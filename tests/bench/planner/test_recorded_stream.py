@@ -46,7 +46,7 @@ def test_a_missing_file_is_named(tmp_path: Path, lost: str) -> None:
         load(folder, SIZE, 1)
 
 
-def test_a_missing_folder_a_wrong_size_and_a_wrong_stride_say_what_is_allowed(tmp_path: Path) -> None:
+def test_a_missing_folder_a_wrong_size_and_a_wrong_stride_state_the_allowed_values(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="nowhere: no such folder; want"):
         load(tmp_path / "nowhere", SIZE, 1)
     folder = write_stream(tmp_path / "s")
@@ -56,7 +56,7 @@ def test_a_missing_folder_a_wrong_size_and_a_wrong_stride_say_what_is_allowed(tm
         load(folder, SIZE, 0)
 
 
-def test_broken_files_are_one_line(tmp_path: Path) -> None:
+def test_damaged_files_are_a_one_line_error(tmp_path: Path) -> None:
     folder = write_stream(tmp_path / "s")
     for name, content in (("poses.npy", b"no"), (f"depth_{SIZE}.npz", b"PK\x03\x04no"), ("occupancy_reference.i8", b"123")):
         kept = (folder / name).read_bytes() if (folder / name).exists() else None
@@ -79,7 +79,7 @@ def test_meta_without_a_room_is_named(tmp_path: Path) -> None:
         load(folder, SIZE, 1)
 
 
-def test_meta_without_a_size_is_told(tmp_path: Path) -> None:
+def test_meta_without_an_image_size_is_an_error(tmp_path: Path) -> None:
     folder = write_stream(tmp_path / "s")
     (folder / "meta.json").write_text("{}")
     with pytest.raises(UserError, match=r"meta\.json: names no image size") as raised:

@@ -9,11 +9,11 @@ from uav_recon.bench.planner import builtin_building, scaling
 from uav_recon.bench.planner.stages import WHOLE
 
 
-def test_copies_stand_in_a_block() -> None:
+def test_copies_are_arranged_in_a_block() -> None:
     assert [scaling.layout(copies) for copies in (1, 10, 100)] == [(1, 1), (5, 2), (10, 10)]
 
 
-def test_the_building_stands_there_as_often_as_asked_and_every_frame_is_planned() -> None:
+def test_the_building_is_copied_as_requested_and_every_frame_is_planned() -> None:
     whole = builtin_building.fly_through()
     recording = replace(whole, frames=whole.frames[:24])
     ticks: list[int] = []

@@ -5,7 +5,7 @@ import numpy as np
 from uav_recon.bench.planner.stage_timing import StageTimings, Stopwatch, TimingSummary
 
 
-def test_spreads() -> None:
+def test_a_timing_summary_has_median_p95_and_maximum() -> None:
     spread = TimingSummary.of([1.0, 2.0, 3.0, 4.0, 100.0])
     assert (spread.median_ms, spread.max_ms) == (3.0, 100.0)
     np.testing.assert_allclose(spread.p95_ms, 80.8)
@@ -13,7 +13,7 @@ def test_spreads() -> None:
     assert np.isnan(TimingSummary.of([]).median_ms)
 
 
-def test_laps_of_a_stage_add_up_and_restart_forgets() -> None:
+def test_laps_of_a_stage_add_up_and_restart_discards_the_time_before() -> None:
     watch = Stopwatch()
     watch.lap("a")
     watch.restart()
@@ -24,7 +24,7 @@ def test_laps_of_a_stage_add_up_and_restart_forgets() -> None:
     assert set(watch.ms) == set(watch.cpu_ms) == {"a", "b"}
 
 
-def test_waiting_is_no_processor_time() -> None:
+def test_waiting_is_not_cpu_time() -> None:
     watch = Stopwatch()
     threading.Event().wait(0.02)
     watch.lap("waiting")

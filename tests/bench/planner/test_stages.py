@@ -8,7 +8,7 @@ from uav_recon.bench.planner.stages import STAGES, WHOLE, Mapped, PlannerStages,
 from uav_recon.types.tasks import ViewPath
 
 
-def test_the_stages_that_are_timed_are_those_of_plan() -> None:
+def test_the_timed_stages_give_the_same_result_as_plan() -> None:
     recording = builtin_building.fly_through()
     mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
     stages, planner = PlannerStages(mapped), mapped.planner()
@@ -32,13 +32,13 @@ def test_the_stages_that_are_timed_are_those_of_plan() -> None:
     assert compared > 50
 
 
-def test_the_total_is_everything_once() -> None:
+def test_the_total_contains_every_lap_once() -> None:
     for table in (STAGES, WHOLE):
         laps = [lap for name, parts in table.items() if name not in ("decision", "total") for lap in parts]
         assert sorted(laps) == sorted(table["total"])
 
 
-def test_the_camera_is_the_recordings() -> None:
+def test_the_camera_is_that_of_the_recording() -> None:
     recording = builtin_building.fly_through()
     camera = camera_of(recording.lens, recording.max_range_m)
     np.testing.assert_allclose([camera.hfov_rad, camera.vfov_rad], np.radians([87.0, 71.0]))

@@ -23,7 +23,7 @@ LENS = Intrinsics.from_fov(32, 24, 1.5, 1.0)
 
 
 def _room() -> VoxelMap:
-    """A box of air with solid walls."""
+    """Return a map of a box of air with solid walls."""
     from scipy.ndimage import distance_transform_edt
 
     grid = GridSpec(np.array([-3.2, -3.2, -0.4]), 0.1, (64, 64, 32))
@@ -57,7 +57,7 @@ def flight(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_tells_how_many_tasks_and_how_long(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_reports_the_number_of_tasks_and_the_time(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert bench_tasks(flight, flight / "tasks.json") == 0
     told = json.loads((flight / "tasks.json").read_text())
     assert told["elements"] == len(_wall()[0])
@@ -69,7 +69,7 @@ def test_tells_how_many_tasks_and_how_long(flight: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(("missing", "said"), [("voxels.npz", "has no voxels.npz"), ("surfaces", "no states of the surface")])
-def test_what_is_no_whole_flight_is_named(flight: Path, missing: str, said: str) -> None:
+def test_missing_parts_of_a_flight_are_named(flight: Path, missing: str, said: str) -> None:
     path = flight / missing
     if path.is_dir():
         for file in path.iterdir():
@@ -80,6 +80,6 @@ def test_what_is_no_whole_flight_is_named(flight: Path, missing: str, said: str)
         bench_tasks(flight, None)
 
 
-def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no such flight folder"):
         bench_tasks(tmp_path / "nowhere", None)

@@ -21,14 +21,14 @@ def write_case(folder: Path, tasks: int, seed: int = 0) -> float:
 
 def test_cases_are_read_with_the_cost_of_their_known_tour(tmp_path: Path) -> None:
     costs = {tasks: write_case(tmp_path, tasks) for tasks in (6, 4)}
-    np.savetxt(tmp_path / "atsp_3.txt", np.ones((4, 4)))  # without a tour: left out
+    np.savetxt(tmp_path / "atsp_3.txt", np.ones((4, 4)))  # without a known tour: left out
     cases = tours.load_cases(tmp_path)
     assert [case.tasks for case in cases] == [4, 6]
     for case in cases:
         assert case.known_cost == pytest.approx(costs[case.tasks], abs=1e-6)
 
 
-def test_a_tour_that_is_best_has_no_gap_in_any_order_of_the_tasks(tmp_path: Path) -> None:
+def test_the_best_tour_has_no_gap_in_any_order_of_the_tasks(tmp_path: Path) -> None:
     write_case(tmp_path, 6)
     score = tours.score(tours.load_cases(tmp_path)[0])
     assert score.gap == pytest.approx(0.0, abs=1e-12)

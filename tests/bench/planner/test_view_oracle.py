@@ -9,7 +9,10 @@ SHAPE = np.array([30, 20, 15])
 
 
 def half_known() -> tuple[NDArray[np.uint8], OracleFrontier]:
-    """Free up to x = 20, unknown beyond; the frontier is the free side of a patch of the border."""
+    """Return a map that is free up to x = 20 and unknown beyond, and its frontier.
+
+    The frontier is the free side of a part of the border.
+    """
     state = np.full(SHAPE, FREE, dtype=np.uint8)
     state[20:] = 0
     cells = np.array([[19, j, k] for j in range(6, 13) for k in range(4, 9)])
@@ -28,14 +31,14 @@ def test_sees_all_from_in_front_none_from_behind_or_too_far() -> None:
     assert cells_seen(state, near_sighted, view(9.5, 9.5, 6.5), frontier) == 0
 
 
-def test_the_picture_has_edges() -> None:
+def test_the_field_of_view_is_limited() -> None:
     state, frontier = half_known()
     narrow = Lens(0.25, 0.15, 1.0, 30.0, -1.0, 1.0)
-    # the unknown voxels lie 11 in front: 2.75 to each side, 1.65 up and down
+    # the unknown voxels are 11 ahead: the view covers 2.75 to each side, 1.65 up and down
     assert cells_seen(state, narrow, view(9.5, 9.5, 6.5), frontier) == 5 * 3
 
 
-def test_a_post_hides_what_is_behind_it_and_so_does_the_unknown() -> None:
+def test_a_post_hides_cells_behind_it_and_so_does_unknown_space() -> None:
     for value in (OCCUPIED, 0):
         state, frontier = half_known()
         state[14, 9, 4:9] = value
@@ -43,13 +46,13 @@ def test_a_post_hides_what_is_behind_it_and_so_does_the_unknown() -> None:
         assert 35 - 2 * 5 - 5 <= seen <= 35 - 5
 
 
-def test_the_slightest_corner_hides_but_an_edge_that_is_touched_does_not() -> None:
+def test_a_cut_corner_hides_a_cell_but_a_touched_edge_does_not() -> None:
     state, frontier = half_known()
     cells = np.array([[19, 9, 6]])
     one = OracleFrontier(cells, frontier.low, frontier.high)
     state[20:, :] = FREE
     state[20, 9, 6] = 0
-    # the line to the middle of voxel (20, 9, 6) climbs past the edge of (15, 9, 5): touches it, or cuts 0.006 of a voxel off
+    # the line to the centre of voxel (20, 9, 6) passes the edge of (15, 9, 5): it touches it, or cuts 0.006 voxel off
     state[15, 9, 5] = OCCUPIED
     at_edge = view(11.5, 9.5, 6.5 - 9.0 / 11.0)
     assert cells_seen(state, LENS, at_edge, one) == 1
@@ -73,7 +76,7 @@ def test_brute_force_finds_a_view_of_everything_and_is_repeatable() -> None:
     assert best_seen(state, LENS, np.zeros_like(reachable), frontier, (4.0, 20.0), 1) == 0
 
 
-def test_brute_force_knows_the_walls() -> None:
+def test_brute_force_respects_the_walls() -> None:
     state, frontier = half_known()
     state[16, :, :] = OCCUPIED
     state[16, 8:11, 5:8] = FREE

@@ -1,4 +1,4 @@
-"""How gaps between setpoints are judged, and what is refused."""
+"""Evaluation of gaps between setpoints, and rejection of invalid options."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STEADY = 100.0 + np.arange(1, 3000) / 30.0  # (2999,) to 200 s
 
 
 def late(*gaps_ms: float) -> FloatArray:
-    """The steady stream with one setpoint each so late that a gap of this length ends with it."""
+    """Return the steady stream with delayed setpoints, so that it has gaps of these lengths."""
     arrivals = STEADY.copy()
     for k, gap_ms in enumerate(gaps_ms):
         arrivals[100 + 20 * k] += gap_ms / 1e3 - 1 / 30.0
@@ -24,7 +24,7 @@ def late(*gaps_ms: float) -> FloatArray:
     return arrivals
 
 
-def test_a_steady_stream_keeps_the_bars() -> None:
+def test_a_steady_stream_keeps_the_limits() -> None:
     told = setpoint_regularity(STEADY, 100.0, 200.0)
     assert told.kept
     assert told.setpoints == 2999
@@ -37,7 +37,7 @@ def test_a_steady_stream_keeps_the_bars() -> None:
     ((49.0,) * 60, True), ((51.0,) * 60, False),
     ((51.0,) * 29, True), ((51.0,) * 30, False),
 ])  # fmt: skip
-def test_each_bar_at_its_border(gaps_ms: tuple[float, ...], kept: bool) -> None:
+def test_each_limit_at_its_border(gaps_ms: tuple[float, ...], kept: bool) -> None:
     assert setpoint_regularity(late(*gaps_ms), 100.0, 200.0).kept is kept
 
 
@@ -49,7 +49,7 @@ def test_silence_at_either_end_is_a_gap(arrivals: FloatArray) -> None:
 
 
 @pytest.mark.parametrize(("kept", "negative", "code"), [(True, False, 0), (False, False, 1), (True, True, 1), (False, True, 0)])
-def test_the_control_must_miss_what_the_pilot_must_keep(
+def test_the_negative_control_must_miss_the_limits_that_the_pilot_must_keep(
     kept: bool, negative: bool, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     told = setpoint_regularity(STEADY if kept else STEADY[:9], 100.0, 200.0)
@@ -69,6 +69,6 @@ def test_the_control_must_miss_what_the_pilot_must_keep(
         (1.0, "px4", Path("/no/such/folder/x.json"), "--json /no/such/folder/x.json: no such folder"),
     ],
 )
-def test_bad_words_are_one_line(minutes: float, autopilot: str, json: Path | None, says: str) -> None:
+def test_invalid_options_are_a_one_line_error(minutes: float, autopilot: str, json: Path | None, says: str) -> None:
     with pytest.raises(UserError, match=f"^{says}"):
         bench_setpoints(minutes, False, autopilot, json)

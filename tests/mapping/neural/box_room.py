@@ -1,4 +1,4 @@
-"""An analytic room: views of the inside of a box, with the colour of each wall known."""
+"""Analytic box room: simulated views of the inside of a box whose walls have known colours."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOISE_PX, BASELINE_M = 0.02, 0.05
 
 
 def look(position: tuple[float, float, float], yaw_deg: float, sequence: int = 0, sigma_px: float = 0.0) -> PosedFrame:
-    """A view from a place in the room, tilted 15° down."""
+    """Return a view from a position in the room, pitched 15° down."""
     world_from_depth = Pose.from_yaw(np.deg2rad(yaw_deg), np.array(position)) @ body_from_camera(np.zeros(3), np.deg2rad(15))
     depth, _ = _cast(world_from_depth, DEPTH_LENS)
     if sigma_px:
@@ -33,7 +33,7 @@ def look(position: tuple[float, float, float], yaw_deg: float, sequence: int = 0
 
 
 def tour(count: int, sigma_px: float = 0.0) -> list[PosedFrame]:
-    """Views on a circle round the middle, looking outwards and across."""
+    """Return views from a circle around the centre of the room, looking outwards and across."""
     views = []
     for n in range(count):
         angle = 2 * np.pi * n / count
@@ -43,18 +43,21 @@ def tour(count: int, sigma_px: float = 0.0) -> list[PosedFrame]:
 
 
 def bent(views: list[PosedFrame]) -> list[PosedFrame]:
-    """As a drifting heading would place them."""
+    """Return the views at the poses that a drifting heading would give them."""
     turns = [Pose.from_yaw(np.deg2rad(2.0) * n / len(views), np.zeros(3)) for n in range(len(views))]
     return [dataclasses.replace(v, world_from_depth=turn @ v.world_from_depth) for v, turn in zip(views, turns, strict=True)]
 
 
 def correction(views: list[PosedFrame], epoch: int) -> MapCorrection:
-    """A map whose frame is turned about the room's middle: right again where it was, bent, before."""
+    """Return a map correction that gives each view the pose in world_from_depth.
+
+    It undoes bent() when the views are the original ones.
+    """
     return MapCorrection(epoch, np.array([v.frame.stamp_s for v in views]), tuple(v.world_from_depth for v in views))
 
 
 def distance_to_walls(points: FloatArray) -> FloatArray:
-    """Unsigned distance (N,) of points to the nearest wall plane of the box's surface."""
+    """Return the unsigned distance (N,) of points to the surface of the box."""
     outside = np.maximum(np.maximum(LOW - points, points - HIGH), 0.0)
     inside = np.minimum(points - LOW, HIGH - points).min(axis=1)
     distance: FloatArray = np.where(inside >= 0, inside, np.linalg.norm(outside, axis=1))

@@ -16,11 +16,11 @@ from uav_recon.types.pose import Pose
 
 VIEWS = tour(14, sigma_px=NOISE_PX)
 RIGHT = [view.world_from_depth for view in VIEWS]
-BEND_RAD = np.deg2rad(4.0)  # a view that does not fit at all would be refused
+BEND_RAD = np.deg2rad(4.0)  # small, because a view that does not fit the map at all would be refused
 
 
 def _bent(n: int) -> Pose:
-    """A pose of a map whose heading drifts as the flight goes on."""
+    """Return the pose of a view in a map whose heading drifts during the flight."""
     turn = Pose.from_yaw(BEND_RAD * n / len(VIEWS), np.zeros(3))
     return turn @ RIGHT[n]
 
@@ -37,7 +37,7 @@ def _error_m(trainer: NeuralMapper) -> float:
     return float(distance_to_walls(trainer.mesh(0.04).vertices_world).mean())
 
 
-def test_a_bent_map_is_as_good_after_a_repose_as_one_learned_with_the_right_poses() -> None:
+def test_after_a_repose_a_bent_map_is_as_accurate_as_one_learned_with_correct_poses() -> None:
     trainer = _learn([_bent(n) for n in range(len(VIEWS))])
     bent, right = _error_m(trainer), _learn(RIGHT)
     trainer.repose(dict(enumerate(RIGHT)), map_epoch=3)
@@ -57,7 +57,7 @@ def test_a_bent_map_is_as_good_after_a_repose_as_one_learned_with_the_right_pose
     assert np.median(np.abs(trainer.uncertainty.at(points) / reference - 1.0)) < 0.1
 
 
-def test_a_view_that_comes_while_others_wait_is_learned_after_them() -> None:
+def test_a_view_added_while_others_wait_is_learned_after_them() -> None:
     trainer = _learn([_bent(n) for n in range(len(VIEWS))])
     trainer.repose(dict(enumerate(RIGHT)), map_epoch=1)
     trainer.relearn(3)
@@ -67,7 +67,7 @@ def test_a_view_that_comes_while_others_wait_is_learned_after_them() -> None:
     assert trainer.views == len(VIEWS) + 1
 
 
-def test_views_without_a_place_in_the_new_map_are_dropped_and_counted() -> None:
+def test_views_without_a_pose_in_the_new_map_are_dropped_and_counted() -> None:
     trainer = _learn([_bent(n) for n in range(len(VIEWS))])
     outside = Pose.from_yaw(0.0, np.array([30.0, 0.0, 1.0]))
     given = {n: RIGHT[n] for n in range(len(VIEWS)) if n not in (0, 5)} | {7: outside, 99: RIGHT[0]}
@@ -79,7 +79,7 @@ def test_views_without_a_place_in_the_new_map_are_dropped_and_counted() -> None:
     assert distance_to_walls(trainer.surface().position_world).mean() < 0.012
 
 
-def test_no_place_for_any_view_is_an_empty_map_that_learns_on() -> None:
+def test_without_a_pose_for_any_view_the_map_is_empty_and_learning_continues() -> None:
     trainer = _learn(RIGHT)
     trainer.repose({}, map_epoch=2)
     assert trainer.refusals.counts == {RejectReason.UNPLACED: len(VIEWS)}
@@ -100,7 +100,7 @@ def test_a_view_of_another_map_epoch_is_refused() -> None:
 
 
 @pytest.mark.parametrize("place", ["rays", "room"])
-def test_a_full_memory_refuses_the_view_and_leaves_the_map_as_it_was(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_when_memory_is_full_the_view_is_refused_and_the_map_is_unchanged(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = _learn(RIGHT[:6])
     held, taken = trainer.positions(), trainer.views
     full = {"rays": (keyframe_buffer, "ray_records"), "room": (adam, "make_gradient")}[place]
@@ -111,14 +111,14 @@ def test_a_full_memory_refuses_the_view_and_leaves_the_map_as_it_was(place: str,
 
     with monkeypatch.context() as patched:
         patched.setattr(*full, refused)
-        patched.setattr(type(trainer.field), "cover", lambda *_: False)  # every view wants the grid to grow
+        patched.setattr(type(trainer.field), "cover", lambda *_: False)  # every view makes the grid grow
         for view in VIEWS[6:9]:
             assert not trainer.add(view)
     assert trainer.refusals.counts == {RejectReason.MEMORY: 3}
     assert (trainer.views, trainer.waiting, trainer.field.capacity) == (taken, 0, slots)
     assert trainer.positions().shape == held.shape
     assert len(trainer.corrections()) == len(trainer.log_gains()) == taken
-    assert trainer.add(VIEWS[6])  # there is memory again
+    assert trainer.add(VIEWS[6])  # memory is available again
     assert trainer.kept == list(range(7))
     assert np.isfinite(trainer.train(30))
     surface = trainer.surface()
@@ -127,8 +127,11 @@ def test_a_full_memory_refuses_the_view_and_leaves_the_map_as_it_was(place: str,
     assert distance_to_walls(surface.position_world).mean() < 0.015
 
 
-def test_a_grid_that_grew_half_way_when_memory_was_full_grows_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The optimiser has room for slots that the field has not: no step may meet a slot without moments."""
+def test_a_grid_that_grew_only_in_part_when_memory_was_full_grows_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The optimiser has slots that the field lacks.
+
+    A training step must not use a slot without moments.
+    """
     trainer = _learn(RIGHT[:3])
     grow, capacity = NumbaSdfField.grow, trainer.field.capacity
     covers = iter([False])
@@ -148,7 +151,7 @@ def test_a_grid_that_grew_half_way_when_memory_was_full_grows_later(monkeypatch:
     assert np.isfinite(trainer.train(10))
 
 
-def test_memory_that_is_full_while_the_map_is_learned_anew_costs_that_view(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_when_memory_is_full_during_relearning_only_that_view_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = _learn(RIGHT[:5])
     trainer.repose(dict(enumerate(RIGHT)), map_epoch=1)
     trainer.relearn(2)

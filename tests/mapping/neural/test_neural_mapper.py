@@ -12,7 +12,7 @@ from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.pose import Pose
 
-SEEN_M2 = 17.5  # of the room's 36 m², by the twelve views of the tour
+SEEN_M2 = 17.5  # seen by the twelve views of the tour, of the room's 36 m²
 
 
 def _trainer(seed: int = 0) -> NeuralMapper:
@@ -21,7 +21,7 @@ def _trainer(seed: int = 0) -> NeuralMapper:
 
 @pytest.fixture(scope="module")
 def room() -> NeuralMapper:
-    """The box room after twelve noisy views."""
+    """Return a mapper of the box room after twelve noisy views."""
     trainer = _trainer()
     for view in tour(12, sigma_px=NOISE_PX):
         assert trainer.add(view)
@@ -55,7 +55,7 @@ def test_colours_are_those_of_the_walls(room: NeuralMapper) -> None:
     inner = np.sort(np.abs(gaps), axis=1)[:, 1] > 0.15
     error = np.abs(mesh.rgb[inner].astype(float) - WALL_RGB[wall[inner]]).mean(axis=1)
     assert np.median(error) < 10
-    assert np.quantile(error, 0.6) < 25  # the rest never was in the colour picture
+    assert np.quantile(error, 0.6) < 25  # the rest is outside the colour images
 
 
 def test_surface_elements_face_the_air_and_carry_positive_uncertainty(room: NeuralMapper) -> None:
@@ -68,7 +68,7 @@ def test_surface_elements_face_the_air_and_carry_positive_uncertainty(room: Neur
     assert (surface.uncertainty > 0).all()
 
 
-def test_a_wall_seen_once_from_afar_is_less_certain_than_one_seen_often() -> None:
+def test_a_wall_seen_once_from_far_away_is_less_certain_than_one_seen_often() -> None:
     trainer = _trainer()
     trainer.add(look((0.6, 1.2, 1.0), 0.0))
     for n in range(4):
@@ -79,7 +79,7 @@ def test_a_wall_seen_once_from_afar_is_less_certain_than_one_seen_often() -> Non
     assert np.median(surface.uncertainty[x > 2.9]) > 2.0 * np.median(surface.uncertainty[x < 0.1])
 
 
-def test_no_surface_is_imagined_where_no_view_looked() -> None:
+def test_no_surface_is_invented_where_no_view_looked() -> None:
     trainer = _trainer()
     for n in range(3):
         trainer.add(look((1.2, 1.2, 1.0), 0.0, n))  # towards +x only
@@ -91,7 +91,7 @@ def test_no_surface_is_imagined_where_no_view_looked() -> None:
     assert trainer.surface().position_world[:, 0].min() > 1.2
 
 
-def test_elements_carry_the_uncertainty_that_the_configuration_names() -> None:
+def test_elements_have_the_uncertainty_that_the_configuration_names() -> None:
     trainer = NeuralMapper(MapperConfig(uncertainty="information"), LOW, HIGH, NOISE_PX, BASELINE_M)
     trainer.add(look((0.6, 1.2, 1.0), 0.0))
     trainer.train(20)
@@ -101,7 +101,7 @@ def test_elements_carry_the_uncertainty_that_the_configuration_names() -> None:
     assert MapperConfig().uncertainty == "agreement"
 
 
-def test_before_the_first_view_there_is_nothing() -> None:
+def test_before_the_first_view_surface_and_mesh_are_empty() -> None:
     trainer = _trainer()
     assert trainer.train(5) == 0.0
     assert len(trainer.surface().position_world) == 0
@@ -157,6 +157,6 @@ def test_the_same_seed_learns_the_same_and_another_does_not() -> None:
     assert not np.array_equal(meshes[0].rgb, meshes[2].rgb)
 
 
-def test_a_box_that_is_none_is_an_error() -> None:
+def test_an_invalid_box_is_an_error() -> None:
     with pytest.raises(ValueError, match="not a box"):
         NeuralMapper(MapperConfig(), HIGH, LOW, NOISE_PX, BASELINE_M)

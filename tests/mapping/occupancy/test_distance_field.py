@@ -38,7 +38,7 @@ def test_is_the_exact_transform_of_scipy(shape: tuple[int, int, int], blocked: f
     reach=st.sampled_from([1, 2, 11, 15]),
     seed=st.integers(0, 2**31),
 )
-def test_follows_changes_exactly_and_dates_the_tiles(
+def test_incremental_updates_are_exact_and_set_the_tile_revisions(
     shape: tuple[int, int, int], blocked: float, reach: int, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -63,7 +63,7 @@ def test_follows_changes_exactly_and_dates_the_tiles(
         np.testing.assert_array_equal(dated == revision, changed)
 
 
-def test_refuses_a_reach_whose_square_is_no_byte() -> None:
+def test_refuses_a_reach_whose_square_exceeds_a_byte() -> None:
     with pytest.raises(ValueError, match="reach 16"):
         DistanceField((2, 2, 2), 16)
 
@@ -75,11 +75,11 @@ def test_empty_grid_is_limited_by_its_own_border() -> None:
 
 
 @pytest.mark.parametrize("state", [UNKNOWN, OCCUPIED])
-def test_whatever_is_not_free_has_no_distance(state: int) -> None:
+def test_space_that_is_not_free_has_distance_zero(state: int) -> None:
     assert not distance2_to_not_free(np.full((4, 5, 6), state, dtype=np.uint8), 11).any()
 
 
-def test_is_quick_enough_to_be_recomputed_in_full() -> None:
+def test_is_fast_enough_to_be_recomputed_in_full() -> None:
     warm_up()
     state = np.full((90, 45, 30), FREE, dtype=np.uint8)
     state[40:50, 20:30, :10] = OCCUPIED

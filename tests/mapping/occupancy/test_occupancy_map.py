@@ -35,7 +35,10 @@ def looking(x: float, y: float, z: float, yaw_rad: float = 0.0) -> Pose:
 
 
 def depth_of_box(pose: Pose, low: FloatArray, high: FloatArray) -> Float32Array:
-    """Depth seen from inside a box room: the exit of each ray by the slab method."""
+    """Return the depth image of a box room from inside.
+
+    It is the exit of each ray, by the slab method.
+    """
     rays = LENS.bearings() @ pose.rotation().T
     with np.errstate(divide="ignore", invalid="ignore"):
         walls = np.stack([(low - pose.translation_m) / rays, (high - pose.translation_m) / rays])
@@ -51,7 +54,7 @@ def by_scipy(state: ByteArray, reach: int) -> FloatArray:
 
 
 def noisy(depth_m: Float32Array, rng: np.random.Generator) -> Float32Array:
-    """Correlated disparity error of 15 mm at 2 m."""
+    """Add a correlated disparity error of 15 mm at 2 m."""
     error = ndimage.gaussian_filter(rng.normal(size=depth_m.shape), 2.0)
     return np.asarray(depth_m + error / error.std() * 0.00375 * depth_m**2, dtype=np.float32)
 
@@ -65,8 +68,8 @@ def test_frees_in_front_marks_the_end_and_leaves_the_rest_unknown() -> None:
     wall = posed(np.full((120, 212), 2.0, dtype=np.float32), looking(0.05, 0.05, 1.45))
     room.integrate(wall)
     once = room.snapshot().state
-    assert not (once == FREE).any()  # one look does not free
-    assert once[40, 30, 14] == OCCUPIED  # a solid return near by occupies
+    assert not (once == FREE).any()  # one frame does not free a voxel
+    assert once[40, 30, 14] == OCCUPIED  # one close return marks a voxel occupied
     room.integrate(wall)
     state = room.snapshot().state
     assert (state[24:39, 30, 14] == FREE).all()
@@ -74,7 +77,7 @@ def test_frees_in_front_marks_the_end_and_leaves_the_rest_unknown() -> None:
     assert (state[42:] == UNKNOWN).all() and (state[:20] == UNKNOWN).all()
 
 
-def test_no_return_says_nothing_at_all() -> None:
+def test_pixels_without_a_return_change_nothing() -> None:
     room = voxels()
     for nothing in (np.nan, np.inf, 0.0, 0.1):
         assert room.integrate(posed(np.full((120, 212), nothing, dtype=np.float32), looking(0, 0, 1.5))) == 0
@@ -92,7 +95,7 @@ def test_a_hole_frees_nothing_behind_it(nothing: float) -> None:
     assert (state[25:50, 30, 14] != FREE).all() and (state[45, 37:42, 14] == FREE).all()
 
 
-def test_beyond_the_range_is_free_up_to_it_and_marks_nothing() -> None:
+def test_a_return_beyond_the_range_frees_space_up_to_it_and_marks_nothing() -> None:
     room = voxels()
     for _ in range(4):
         room.integrate(posed(np.full((120, 212), 9.0, dtype=np.float32), looking(0.05, 0.05, 1.45)))
@@ -101,7 +104,7 @@ def test_beyond_the_range_is_free_up_to_it_and_marks_nothing() -> None:
     assert not (state == OCCUPIED).any()
 
 
-def test_a_far_wall_leaves_what_its_noise_could_reach_unknown() -> None:
+def test_space_within_the_depth_noise_of_a_far_wall_stays_unknown() -> None:
     room, sharp = voxels(), OccupancyMap(GRID, DepthSensor(0.3, 0.001, 0.05), 5.0, (-2, -3, 0), (6, 3, 3), 1.1)
     for _ in range(8):
         for one in (room, sharp):
@@ -124,21 +127,21 @@ def test_outside_the_fence_nothing_is_free_but_may_be_occupied() -> None:
 def test_grazing_rays_and_noise_do_not_carve_the_walls() -> None:
     rng = np.random.default_rng(3)
     room = voxels()
-    for step in range(120):  # along the wall y = -1.52, 0.4 m from it, looking now along it, now at it
+    for step in range(120):  # along the wall y = -1.52, 0.4 m from it, looking along it and at it in turn
         true = looking(-1.0 + step * 0.02, -1.1, 1.2, float(rng.uniform(-1.2, 0.6)))
         room.integrate(posed(noisy(depth_of_box(true, *ROOM), rng), shaken(true, rng)))
     state = room.snapshot().state
     i, j, k = np.indices(state.shape)
     centre = GRID.centre(np.stack([i, j, k], axis=-1))
     behind_m = np.max(np.maximum(ROOM[0] - centre, centre - ROOM[1]), axis=-1)
-    assert not (state[behind_m > 0.05] == FREE).any()  # nothing is free whose centre is behind a wall by half a voxel
+    assert not (state[behind_m > 0.05] == FREE).any()  # no voxel is free whose centre is half a voxel or more behind a wall
     well_inside = (behind_m < -0.2) & (centre[..., 0] > -0.2) & (centre[..., 0] < 2.5) & (np.abs(centre[..., 2] - 1.2) < 0.4)
     well_inside &= centre[..., 1] < -0.3
     assert (state[well_inside] == FREE).mean() > 0.99
     assert not (state[behind_m < -0.3] == OCCUPIED).any()
 
 
-def test_a_phantom_is_cleared_by_later_looks_and_a_speckle_does_not_stay() -> None:
+def test_a_false_obstacle_is_cleared_by_later_frames_and_a_speckle_does_not_stay() -> None:
     room, pose = voxels(), looking(0.05, 0.05, 1.45)
     clear = np.full((120, 212), 3.0, dtype=np.float32)
     phantom = clear.copy()
@@ -164,8 +167,8 @@ def test_something_new_in_free_space_is_seen_within_half_a_second() -> None:
     assert room.snapshot().state[35, 30, 14] == OCCUPIED
 
 
-def test_what_has_come_hides_what_was_free_behind_it() -> None:
-    """Its inside is not seen, and was free a moment ago."""
+def test_a_new_obstacle_makes_free_space_behind_it_unknown() -> None:
+    """The inside of the new obstacle is not seen, and was free before."""
     room, pose = voxels(), looking(0.05, 0.05, 1.45)
     for _ in range(20):
         room.integrate(posed(np.full((120, 212), 3.0, dtype=np.float32), pose))
@@ -185,7 +188,7 @@ def test_what_has_come_hides_what_was_free_behind_it() -> None:
     assert (room.snapshot().state[36:48, 30, 14] == FREE).all(), "gone again"
 
 
-def test_noise_before_a_wall_hides_nothing_of_the_room_behind_it() -> None:
+def test_noise_in_front_of_a_wall_keeps_the_room_behind_it_free() -> None:
     room, pose = voxels(), looking(0.05, 0.05, 1.45)
     for _ in range(20):
         room.integrate(posed(np.full((120, 212), 3.0, dtype=np.float32), pose))
@@ -199,7 +202,7 @@ def test_noise_before_a_wall_hides_nothing_of_the_room_behind_it() -> None:
     np.testing.assert_array_equal(room.snapshot().state[53:58, 30, 13:17], beyond)
 
 
-def test_declared_space_is_free_until_returns_say_otherwise() -> None:
+def test_declared_space_is_free_until_returns_contradict() -> None:
     room = voxels()
     room.declare_free(np.zeros(3), 0.6, 0.0, 1.2)
     state = room.snapshot().state
@@ -220,7 +223,7 @@ def test_snapshots_are_frozen_and_counted() -> None:
     np.testing.assert_allclose(room.explored_m3(), np.count_nonzero(second.state) * 1e-3)
 
 
-def test_every_snapshot_is_as_if_from_scratch_and_dates_what_changed() -> None:
+def test_every_snapshot_equals_one_from_scratch_and_marks_changed_tiles() -> None:
     rng = np.random.default_rng(5)
     room, last, held = voxels(fence_min=(-1.2, -1.4, 0.1)), None, []
     for step in range(40):
@@ -233,10 +236,10 @@ def test_every_snapshot_is_as_if_from_scratch_and_dates_what_changed() -> None:
             pose = looking(float(rng.uniform(-1, 2)), float(rng.uniform(-1, 1)), 1.2, float(rng.uniform(-3, 3)))
             depth_m = depth_of_box(pose, *ROOM)
             depth_m[rng.random(depth_m.shape) < 0.02] = np.nan
-            room.integrate(posed(depth_m if step % 5 else 0.6 * depth_m, pose))  # at times everything has come nearer
+            room.integrate(posed(depth_m if step % 5 else 0.6 * depth_m, pose))  # sometimes all surfaces are nearer
         picture = room.snapshot()
         np.testing.assert_array_equal(picture.distance2, by_scipy(picture.state, 11))
-        assert not room._scratch.hits.any()  # nothing of a frame is left for the next
+        assert not room._scratch.hits.any()  # a frame leaves no data for the next one
         known = np.count_nonzero((picture.state != UNKNOWN)[8:, 16:, 1:])
         np.testing.assert_allclose(room.explored_m3(), known * 1e-3)
         if last is not None and last.revision < picture.revision:
@@ -250,13 +253,13 @@ def test_every_snapshot_is_as_if_from_scratch_and_dates_what_changed() -> None:
             held.append((picture, picture.state.copy(), picture.distance2.copy(), picture.tile_revision.copy()))
         if len(held) > 3:
             held.pop(int(rng.integers(3)))
-        for kept, state, distance2, dated in held:  # nobody paints over what is held
+        for kept, state, distance2, dated in held:  # snapshots that are held do not change
             np.testing.assert_array_equal(kept.state, state)
             np.testing.assert_array_equal(kept.distance2, distance2)
             np.testing.assert_array_equal(kept.tile_revision, dated)
 
 
-def test_a_stride_looks_at_every_other_pixel() -> None:
+def test_a_stride_of_two_uses_every_other_pixel() -> None:
     pose, rng = looking(0.05, 0.05, 1.45), np.random.default_rng(1)
     depth_m = noisy(depth_of_box(pose, *ROOM), rng)
     half = Intrinsics(LENS.fx / 2, LENS.fy / 2, LENS.cx / 2, LENS.cy / 2, 106, 60)
@@ -270,13 +273,13 @@ def test_a_stride_looks_at_every_other_pixel() -> None:
 
 
 @pytest.mark.parametrize("pixels", [(120, 212), (61, 107)])
-def test_frees_what_the_rules_say_and_nothing_else(pixels: tuple[int, int]) -> None:
-    """One look of an image with holes and steps, against the rules written out one voxel at a time."""
+def test_frees_exactly_the_voxels_that_the_rules_allow(pixels: tuple[int, int]) -> None:
+    """One frame with holes and steps, against the rules evaluated voxel by voxel."""
     height, width = pixels
     lens = Intrinsics.from_fov(width, height, np.radians(87), np.radians(58))
     rng = np.random.default_rng(height)
     depth_m = np.kron(rng.uniform(0.6, 6.0, (9, 16)), np.ones((14, 14)))[:height, :width].astype(np.float32)
-    depth_m = np.minimum(depth_m, np.linspace(0.5, 6.0, width, dtype=np.float32))  # in part a wall that runs along the view
+    depth_m = np.minimum(depth_m, np.linspace(0.5, 6.0, width, dtype=np.float32))  # with a wall along the view direction
     depth_m[rng.random(pixels) < 0.1] = np.nan
     depth_m[: height // 3, : width // 3] = np.nan
     pose = looking(0.03, 0.02, 1.43, 0.4) @ Pose.from_rotation_vector(np.array([-0.3, 0.1, 0.2]), np.zeros(3))
@@ -304,14 +307,14 @@ def test_frees_what_the_rules_say_and_nothing_else(pixels: tuple[int, int]) -> N
     assert np.count_nonzero(free) > 0.5 * np.count_nonzero(allowed)
 
 
-def test_a_return_in_a_corner_wins_over_the_clear_view_of_the_rest() -> None:
-    """Seen across its diagonal a voxel reaches beyond its footprint; a return there is still in it."""
+def test_a_return_in_the_corner_of_a_voxel_outweighs_the_clear_rest() -> None:
+    """A return beyond the footprint can lie in the voxel, along its diagonal."""
     lens = Intrinsics.from_fov(424, 240, np.radians(87), np.radians(58))
     index = GRID.index(np.array([1.45, 1.45, 1.45]))
     pose = looking(0.05, 0.05, 1.45, np.radians(45))  # the voxel's centre is 1.98 m straight ahead
     clear = np.full((240, 424), 3.0, dtype=np.float32)
     corner = clear.copy()
-    beyond_px = 0.065 / 1.98 * lens.fx  # of the half diagonal's 0.071
+    beyond_px = 0.065 / 1.98 * lens.fx  # 0.065 m; half the diagonal is 0.071 m
     corner[116:124, round(lens.cx + beyond_px)] = 1.98
     for depth_m, expected in ((clear, FREE), (corner, OCCUPIED)):
         room = voxels()
@@ -351,7 +354,7 @@ def test_agrees_with_the_reference_stream() -> None:
     agreed = np.choose(state, near)
     assert agreed.mean() >= 0.992
     assert np.count_nonzero((state == FREE) & (reference == OCCUPIED)) == 0
-    # against the scene itself, which the reference misses in places (thin legs carved away)
+    # against the scene itself, because the reference lacks thin legs, which it carved away
     i, j, k = np.indices(grid.shape)
     centre = grid.centre(np.stack([i, j, k], axis=-1))
     inside, beside = (

@@ -11,7 +11,7 @@ TILES = (3, 3)
 
 
 class Painter:
-    """Paints one voxel after the other and remembers what every picture must show."""
+    """Writer that changes one voxel at a time and remembers what every snapshot must contain."""
 
     def __init__(self) -> None:
         self.pictures = SnapshotPool(GRID, 1)
@@ -31,7 +31,7 @@ class Painter:
         return self.pictures.show(self.dated, self.revision, 0)
 
 
-def test_pictures_show_what_was_painted_for_as_long_as_they_are_held() -> None:
+def test_snapshots_keep_their_content_while_they_are_held() -> None:
     rng = np.random.default_rng(2)
     painter, held = Painter(), []
     for _ in range(300):
@@ -47,7 +47,7 @@ def test_pictures_show_what_was_painted_for_as_long_as_they_are_held() -> None:
             np.testing.assert_array_equal(one.distance2, truth[1])
 
 
-def test_a_dropped_picture_is_painted_over_and_a_held_one_is_not() -> None:
+def test_the_memory_of_a_dropped_snapshot_is_reused_and_of_a_held_one_is_not() -> None:
     painter = Painter()
     painter.paint(0, 0, 0, FREE)
     first = painter.show()
@@ -60,7 +60,7 @@ def test_a_dropped_picture_is_painted_over_and_a_held_one_is_not() -> None:
     assert painter.show().state.ctypes.data == address
 
 
-def test_a_slice_of_a_picture_holds_it() -> None:
+def test_a_slice_of_a_snapshot_holds_it() -> None:
     painter = Painter()
     painter.paint(3, 0, 0, FREE)
     row = painter.show().state[2:5, 0][1:]
@@ -70,7 +70,7 @@ def test_a_slice_of_a_picture_holds_it() -> None:
     assert row[0, 0] == FREE
 
 
-def test_pictures_are_read_only_and_nothing_is_copied_to_make_one() -> None:
+def test_snapshots_are_read_only_and_made_without_a_copy() -> None:
     painter = Painter()
     painter.paint(0, 0, 0, FREE)
     canvas, picture = painter.pictures.canvas, painter.show()
@@ -80,7 +80,7 @@ def test_pictures_are_read_only_and_nothing_is_copied_to_make_one() -> None:
     assert picture.distance2.ctypes.data == canvas.distance2.ctypes.data
 
 
-def test_a_picture_may_be_dropped_in_another_thread() -> None:
+def test_a_snapshot_may_be_dropped_in_another_thread() -> None:
     painter = Painter()
     painter.paint(0, 0, 0, FREE)
     held = [painter.show()]

@@ -1,4 +1,4 @@
-"""Where one may fly, kept up to date in pieces, is what it would be from scratch."""
+"""Flyable space that is updated incrementally equals flyable space computed from scratch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ RESOLUTION_M = 0.1
 
 
 class ChangingMap:
-    """A map whose boxes are overwritten; its distance field and tile revisions are made from scratch."""
+    """Map whose boxes are overwritten.
+
+    Distance field and tile revisions are computed from scratch.
+    """
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
         self.grid = GridSpec(np.array([-1.0, 2.0, 0.0]), RESOLUTION_M, shape)
@@ -60,7 +63,7 @@ def connected(mask: ByteArray, cell: int) -> ByteArray:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_kept_up_to_date_in_pieces_it_is_what_it_would_be_from_scratch(seed: int) -> None:
+def test_incremental_updates_equal_a_computation_from_scratch(seed: int) -> None:
     rng = np.random.default_rng(seed)
     shape = tuple(int(n) for n in rng.integers(5, 45, 3))
     world = ChangingMap((shape[0], shape[1], shape[2]))
@@ -74,7 +77,7 @@ def test_kept_up_to_date_in_pieces_it_is_what_it_would_be_from_scratch(seed: int
         if rng.random() < 0.05:
             world.epoch += 1
         if rng.random() < 0.3:
-            continue  # not every map is looked at
+            continue  # some maps are skipped
         before_mask, before_reachable, before = space.mask.copy(), space.reachable.copy(), space.revision
         space.update(world.voxels())
         mask = flyable(world.voxels(), clearance_m, low, high)
@@ -96,7 +99,7 @@ def test_kept_up_to_date_in_pieces_it_is_what_it_would_be_from_scratch(seed: int
     assert stood > 3
 
 
-def test_lines_that_leap_over_open_space_answer_as_those_that_do_not() -> None:
+def test_line_checks_with_leaps_over_open_space_equal_plain_checks() -> None:
     rng = np.random.default_rng(4)
     answers = []
     for _ in range(6):
@@ -124,7 +127,7 @@ def rooms(door: bool) -> ChangingMap:
     return world
 
 
-def test_a_door_that_closes_and_opens_cuts_and_joins() -> None:
+def test_a_door_that_closes_and_opens_separates_and_joins_two_rooms() -> None:
     world = rooms(door=True)
     space = FlyableSpace(world.grid, 0.2, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
     position = world.grid.centre(np.array([8, 15, 10]))
@@ -139,13 +142,13 @@ def test_a_door_that_closes_and_opens_cuts_and_joins() -> None:
     assert not space.reachable[9, 16, 11]
 
 
-def test_nothing_changes_while_the_map_does_not() -> None:
+def test_revisions_stay_while_the_flyable_space_stays() -> None:
     world = rooms(door=True)
     space = FlyableSpace(world.grid, 0.2, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
     space.update(world.voxels())
     space.stand(world.grid.centre(np.array([8, 15, 10])))
     revision = space.revision
-    world.paint(np.array([0, 0, 0]), np.array([2, 2, 2]), OCCUPIED)  # changes what is known, not where one may fly
+    world.paint(np.array([0, 0, 0]), np.array([2, 2, 2]), OCCUPIED)  # changes the map, but not the flyable space
     space.update(world.voxels())
     space.stand(world.grid.centre(np.array([40, 15, 10])))
     assert space.revision == revision
@@ -158,13 +161,13 @@ def test_the_fence_and_the_clearance_are_kept() -> None:
     space.update(world.voxels())
     open_cells = np.argwhere(space.mask) - 1
     assert len(open_cells)
-    # the distance field reaches to centres: 0.35 m from any face is at least 4 voxels between centres
+    # distances are between centres: 0.35 m from any face is at least 4 voxels
     assert open_cells[:, 0].min() == 4
     assert open_cells[:, 1].min() == 5
     assert open_cells[:, 2].max() == 15
 
 
-def test_a_vehicle_that_stands_where_it_may_not_fly_leaves_through_free_space() -> None:
+def test_a_vehicle_outside_flyable_space_leaves_through_free_space() -> None:
     world = rooms(door=True)
     space = FlyableSpace(world.grid, 0.35, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
     space.update(world.voxels())
@@ -177,7 +180,7 @@ def test_a_vehicle_that_stands_where_it_may_not_fly_leaves_through_free_space() 
     assert all(space.free.ravel()[cell] for cell in cells[1:])
 
 
-def test_one_free_voxel_nothing_free_and_outside_are_no_place_to_stand() -> None:
+def test_a_single_free_voxel_no_free_space_and_positions_outside_have_no_exit() -> None:
     world = ChangingMap((20, 20, 20))
     space = FlyableSpace(world.grid, 0.35, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
     space.update(world.voxels())

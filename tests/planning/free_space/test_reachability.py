@@ -1,4 +1,4 @@
-"""What hangs together, block by block, is what a labelling of all voxels says."""
+"""Reachability by blocks of voxels, against a labelling of all voxels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def word(voxels: AnyArray) -> np.uint64:
     return np.uint64(sum(1 << int(bit) for bit in np.flatnonzero(voxels)))
 
 
-def test_two_blocks_touch_where_any_of_their_voxels_are_neighbours() -> None:
+def test_two_blocks_touch_if_any_of_their_voxels_are_neighbours() -> None:
     rng = np.random.default_rng(0)
     seen = set()
     for side, step in enumerate(SIDES):
@@ -29,7 +29,7 @@ def test_two_blocks_touch_where_any_of_their_voxels_are_neighbours() -> None:
     assert len(seen) == 2 * 26
 
 
-def test_a_part_of_a_block_is_what_its_voxels_hang_on() -> None:
+def test_a_part_of_a_block_is_the_connected_component_of_its_voxels() -> None:
     rng = np.random.default_rng(1)
     for _ in range(200):
         voxels = rng.random((4, 4, 4)) < rng.uniform(0.05, 0.5)
@@ -50,10 +50,10 @@ def connected(mask: ByteArray, cell: IntArray) -> ByteArray:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_random_changes_cut_and_join_as_a_labelling_from_scratch_does(seed: int) -> None:
+def test_random_changes_give_the_components_of_a_labelling_from_scratch(seed: int) -> None:
     rng = np.random.default_rng(seed)
     shape = tuple(int(n) for n in rng.integers(3, 26, 3))
-    share = rng.uniform(0.08, 0.3)  # around where random voxels begin to hang together
+    share = rng.uniform(0.08, 0.3)  # around the share at which random voxels become connected
     mask = np.pad((rng.random(shape) < share).astype(np.uint8), 1)
     regions = ReachableSpace((shape[0], shape[1], shape[2]))
     regions.update(mask, changed_blocks(regions, mask > 0), 1)
@@ -66,7 +66,7 @@ def test_random_changes_cut_and_join_as_a_labelling_from_scratch_does(seed: int)
             regions.hang_on(i, j, k, revision)
             np.testing.assert_array_equal(regions.reachable, connected(mask, cell))
         flips = rng.random(shape) < rng.choice([0.001, 0.01, 0.1])
-        if rng.random() < 0.2:  # a wall, or what it hid
+        if rng.random() < 0.2:  # add or remove a wall
             flips = np.zeros(shape, dtype=bool)
             axis = int(rng.integers(3))
             np.moveaxis(flips, axis, 0)[int(rng.integers(shape[axis]))] = rng.random() < 0.9
@@ -77,7 +77,7 @@ def test_random_changes_cut_and_join_as_a_labelling_from_scratch_does(seed: int)
         regions.update(mask, changed, revision)
 
 
-def test_a_block_that_only_grows_costs_nobody_a_parent() -> None:
+def test_a_block_that_only_grows_keeps_all_parents() -> None:
     mask = np.zeros((14, 6, 6), dtype=np.uint8)
     mask[1:13, 2, 2] = 1
     regions = ReachableSpace((12, 4, 4))

@@ -1,4 +1,4 @@
-"""Where off a centre one may stand: measured against every voxel there is."""
+"""Clearance of positions that are not voxel centres, against all voxels by brute force."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ LOWEST, HIGHEST = np.array([5, 0, 0]), np.array([20, 18, 22])
 
 
 def cluttered(rng: np.random.Generator) -> tuple[PlanningContext, NDArray[np.float64]]:
-    """A situation, and the centres (N, 3) of all voxels that are not known free, those around the map too; voxel units."""
+    """Return a planning context, and the centres (N, 3) of all voxels that are not known free.
+
+    The voxels around the map are included. Centres are in voxel units.
+    """
     shape = (26, 24, 22)
     state = np.full(shape, FREE, dtype=np.uint8)
     for point in rng.integers(0, shape, (5, 3)):
@@ -41,14 +44,14 @@ def to_sides(closed: NDArray[np.float64], place: NDArray[np.float64]) -> float:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_place_that_is_held_is_as_far_from_all_sides_as_a_centre_is_at_least(seed: int) -> None:
+def test_an_accepted_position_has_at_least_the_clearance_of_a_voxel_centre(seed: int) -> None:
     rng = np.random.default_rng(seed)
     situation, closed = cluttered(rng)
     reachable = situation.space.reachable
     centres = np.argwhere(reachable) - 0.5
     least = min(to_sides(closed, place) for place in centres)
     promised = np.sqrt(situation.space.berth[SIDES2])
-    assert promised * 0.1 >= 0.3  # d_s
+    assert promised * 0.1 >= 0.3  # d_s of the paper
     assert promised <= least
     held = refused = 0
     for cell in rng.permutation(np.argwhere(reachable))[:400]:
@@ -61,7 +64,7 @@ def test_a_place_that_is_held_is_as_far_from_all_sides_as_a_centre_is_at_least(s
     assert refused > 20
 
 
-def test_a_centre_that_can_be_flown_to_is_held_and_one_that_cannot_is_not() -> None:
+def test_reachable_voxel_centres_are_accepted_and_others_are_not() -> None:
     rng = np.random.default_rng(0)
     situation, _ = cluttered(rng)
     reachable = situation.space.reachable
@@ -70,7 +73,7 @@ def test_a_centre_that_can_be_flown_to_is_held_and_one_that_cannot_is_not() -> N
 
 
 @pytest.mark.parametrize("needed2", [1, 6, 9, 13, 16, 24, 57, 256])
-def test_a_berth_is_what_the_nearest_voxel_of_the_lattice_leaves(needed2: int) -> None:
+def test_the_clearance_box_follows_from_the_nearest_allowed_voxel(needed2: int) -> None:
     most = int(np.sqrt(needed2)) + 1
     steps = [s for s in itertools.product(range(-most, most + 1), repeat=3) if np.dot(s, s) >= needed2]
     sides2 = (np.maximum(np.abs(np.array(steps)) - 0.5, 0.0) ** 2).sum(axis=1)
@@ -80,7 +83,7 @@ def test_a_berth_is_what_the_nearest_voxel_of_the_lattice_leaves(needed2: int) -
     np.testing.assert_allclose(berth[LOW:SIDES2], [border, max(9.5, border), 40.5, 90 - border, 59.5, 70 - border])
 
 
-def test_the_voxel_that_is_named_is_closed_and_near() -> None:
+def test_the_blocking_voxel_is_not_free_and_too_near() -> None:
     rng = np.random.default_rng(3)
     situation, _ = cluttered(rng)
     voxels, berth = situation.voxels, situation.space.berth
@@ -96,7 +99,7 @@ def test_the_voxel_that_is_named_is_closed_and_near() -> None:
 
 
 @pytest.mark.parametrize("place", [(np.nan, 9.0, 9.0), (9.0, np.inf, 9.0), (9.0, 9.0, -np.inf), (1e30, 9.0, 9.0)])
-def test_nobody_stands_nowhere(place: tuple[float, float, float]) -> None:
+def test_positions_that_are_not_finite_or_far_away_are_outside(place: tuple[float, float, float]) -> None:
     situation, _ = cluttered(np.random.default_rng(1))
     voxels = situation.voxels
     assert blocking_voxel(voxels.distance2.reshape(-1), voxels.grid.shape, situation.space.berth, *place) == OUTSIDE

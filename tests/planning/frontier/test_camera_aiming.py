@@ -1,4 +1,4 @@
-"""The best heading of a camera for given directions, against a fine search of all headings."""
+"""Best heading of a camera for given directions, against a fine search of all headings."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def test_as_good_as_a_fine_search(camera: CameraGeometry) -> None:
     assert min(np.array(mine) / np.array(best)) > 0.8
 
 
-def test_all_in_the_picture_leaves_the_heading_as_it_is() -> None:
+def test_the_heading_is_unchanged_when_all_directions_are_in_the_image() -> None:
     lens = GIMBAL.lens(0.1, 4.5)
     ways = np.array([[10.0, 12.0], [0.5, -0.5], [0.2, 0.1]], dtype=np.float32)
     assert aimed(lens, ways, 2, 0.05, 0.0) == (2, 0.05, 0.0)
 
 
-def test_the_picture_is_that_of_the_camera() -> None:
+def test_the_image_limits_equal_those_of_the_camera() -> None:
     lens = GIMBAL.lens(0.1, 4.5)
     rng = np.random.default_rng(1)
     line = sight(lens, np.array([5.0, 6.0, 7.0]), 0.7, 0.2)

@@ -1,4 +1,4 @@
-"""Frontier clusters: what they are, against scipy, and that following a map gives what a fresh look at it gives."""
+"""Frontier clusters, against scipy; incremental updates against a computation from scratch."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def map_of(state: State, revision: int = 0, changed: NDArray[np.int64] | None = 
 
 
 def random_state(rng: np.random.Generator, shape: tuple[int, int, int]) -> State:
-    """Blobs of free and occupied space in the unknown, so that frontiers have some size."""
+    """Return blobs of free and occupied space in the unknown, so that frontiers have some size."""
     noise = ndimage.uniform_filter(rng.normal(size=shape), 5)
     return np.where(noise > 0.02, FREE, np.where(noise > -0.02, UNKNOWN, OCCUPIED)).astype(np.uint8)
 
@@ -47,7 +47,7 @@ def brute_faces(state: State, low: NDArray[np.int64], high: NDArray[np.int64]) -
     return faces
 
 
-def test_clusters_are_the_pieces_of_each_block_cut_to_what_one_view_holds() -> None:
+def test_clusters_are_the_components_of_each_block_split_to_the_size_of_a_view() -> None:
     rng = np.random.default_rng(0)
     for shape in ((40, 37, 23), (33, 16, 70), (9, 50, 8)):
         state = random_state(rng, shape)
@@ -69,7 +69,7 @@ def test_clusters_are_the_pieces_of_each_block_cut_to_what_one_view_holds() -> N
         left = cells & (sizes[whole] >= MIN_CELLS)
         for cluster in frontiers.clusters():
             at = tuple(cluster.cells.T)
-            assert left[at].all()  # each cell in one cluster only, none of a speck
+            assert left[at].all()  # each cell is in one cluster only, and specks are in none
             left[at] = False
             assert len(np.unique(pieces[at])) == 1
             np.testing.assert_array_equal(cluster.faces, faces[at])
@@ -82,7 +82,7 @@ def test_clusters_are_the_pieces_of_each_block_cut_to_what_one_view_holds() -> N
         assert not left.any()
 
 
-def test_following_changes_gives_what_a_fresh_look_gives() -> None:
+def test_incremental_updates_equal_a_computation_from_scratch() -> None:
     rng = np.random.default_rng(1)
     shape = (53, 44, 21)
     low, high = np.array([1, 0, 2]), np.array([52, 44, 20])
@@ -103,7 +103,7 @@ def test_following_changes_gives_what_a_fresh_look_gives() -> None:
             ignored.ravel()[touched] ^= 1
             frontiers.touch(touched)
         if revision % 3 == 0:
-            continue  # a map that nobody looked at
+            continue  # this map is skipped
         frontiers.update(map_of(state, revision, tiles), low, high, ignored)
         fresh = Frontiers()
         fresh.update(map_of(state, revision), low, high, ignored)
@@ -138,7 +138,7 @@ def test_a_cluster_far_from_a_change_keeps_its_row_and_key() -> None:
     assert all(int(frontiers.table.key[row]) == key for key, row in far.items())
 
 
-def test_a_few_cells_are_a_frontier_as_long_as_they_hang_together_with_more_in_the_next_block() -> None:
+def test_a_few_cells_are_a_frontier_while_connected_to_more_in_the_next_block() -> None:
     state = np.full((2 * BLOCK, BLOCK, 12), OCCUPIED, dtype=np.uint8)
     state[BLOCK - 3 : BLOCK + 9, 5:7, 4] = FREE
     state[BLOCK - 3 : BLOCK + 9, 5:7, 5] = UNKNOWN
@@ -146,7 +146,7 @@ def test_a_few_cells_are_a_frontier_as_long_as_they_hang_together_with_more_in_t
     frontiers = Frontiers()
     frontiers.update(map_of(state, 1), low, high, ignored)
     assert sorted(len(cluster.cells) for cluster in frontiers.clusters()) == [6, 18]
-    state[BLOCK + 2, 5:7, 4] = OCCUPIED  # of the second block's cells the first one's now touch two
+    state[BLOCK + 2, 5:7, 4] = OCCUPIED  # the cells of the first block now touch only two of the second block
     frontiers.update(map_of(state, 2), low, high, ignored)
     assert len(frontiers) == len(frontiers.clusters()) == 0
     state[BLOCK + 2, 5:7, 4] = FREE
@@ -154,7 +154,7 @@ def test_a_few_cells_are_a_frontier_as_long_as_they_hang_together_with_more_in_t
     assert sorted(len(cluster.cells) for cluster in frontiers.clusters()) == [6, 18]
 
 
-def test_the_nearest_are_the_nearest_in_order() -> None:
+def test_the_nearest_clusters_are_returned_in_order() -> None:
     rng = np.random.default_rng(3)
     state = random_state(rng, (80, 64, 20))
     frontiers = Frontiers()
@@ -169,7 +169,7 @@ def test_the_nearest_are_the_nearest_in_order() -> None:
 
 
 @pytest.mark.parametrize("what", ["epoch", "box", "an older map"])
-def test_another_map_is_begun_afresh(what: str) -> None:
+def test_another_map_starts_from_scratch(what: str) -> None:
     rng = np.random.default_rng(4)
     first, second = (random_state(rng, (30, 30, 15)) for _ in range(2))
     low, high, ignored = np.zeros(3, dtype=np.int64), np.array(first.shape), np.zeros_like(first)
@@ -183,7 +183,7 @@ def test_another_map_is_begun_afresh(what: str) -> None:
     assert contents(frontiers) == contents(fresh)
 
 
-def test_a_tile_remembers_when_it_last_lost_free_space() -> None:
+def test_a_tile_records_when_it_last_lost_free_space() -> None:
     state = np.full((24, 24, 8), FREE, dtype=np.uint8)
     low, high, ignored = np.zeros(3, dtype=np.int64), np.array(state.shape), np.zeros_like(state)
     frontiers = Frontiers()

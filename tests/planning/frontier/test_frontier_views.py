@@ -1,4 +1,4 @@
-"""The best view of each frontier: what it shows, that keeping it changes nothing, and how good it is against brute force."""
+"""Best view of each frontier: coverage, incremental updates, and quality by brute force."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
 STREAM = Path(__file__).parents[4] / "shared" / "streams" / "two_room"
 START = np.array([1.0, 1.0, 1.1])
 SHELL = (5.0, 42.0)  # voxels
-SENSOR = DepthSensor(depth_min_m=0.1, noise_px=0.03, baseline_m=0.05)  # the recording is free of noise
+SENSOR = DepthSensor(depth_min_m=0.1, noise_px=0.03, baseline_m=0.05)  # the recording has no noise
 
 
 @dataclass
 class Follower:
-    """What the planner holds of a flight, up to the views."""
+    """State that the planner keeps during a flight, up to the views."""
 
     grid: GridSpec
     camera: CameraGeometry = GIMBAL
@@ -51,11 +51,11 @@ class Follower:
         return self.views.update(voxels, self.space, self.frontiers, position)
 
     def row_of(self, cluster: int) -> int:
-        """Of the table of views; -1: nothing known."""
+        """Return the cluster's row in the table of views, -1 for none."""
         return self.views.table.row_of.get(int(self.frontiers.table.key[cluster]), -1)
 
     def rows(self) -> list[int]:
-        """Those of the table of views that hold a task."""
+        """Return the rows in the table of views that hold a task."""
         shown = self.views.table.shown
         return [row for row in self.views.table.row_of.values() if shown[row] >= MIN_SEEN]
 
@@ -80,7 +80,7 @@ def oracle_lens(camera: CameraGeometry) -> view_oracle.Lens:
 
 
 def oracle_view(view: FloatArray, camera: CameraGeometry) -> FloatArray:
-    """The eye's own view, of the body's."""
+    """Return the view of the camera for a view of the body."""
     eye, (x, y, z) = view.copy(), camera.position_body_m * 10
     eye[:3] += np.cos(view[3]) * x - np.sin(view[3]) * y, np.sin(view[3]) * x + np.cos(view[3]) * y, z
     return eye
@@ -96,7 +96,7 @@ def explored(solid: Solid, camera: CameraGeometry, looks: int) -> GrowingMap:
 
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL], ids=["fixed", "gimbal"])
 @pytest.mark.parametrize("solid", [MEETING_ROOM, TWO_ROOMS], ids=["meeting_room", "two_rooms"])
-def test_a_view_shows_what_it_promises_from_where_one_may_fly(solid: Solid, camera: CameraGeometry) -> None:
+def test_a_view_is_reachable_and_shows_the_promised_cells(solid: Solid, camera: CameraGeometry) -> None:
     world = explored(solid, camera, 5)
     follower = Follower(world.grid, camera)
     voxels = world.picture()
@@ -118,7 +118,7 @@ def test_a_view_shows_what_it_promises_from_where_one_may_fly(solid: Solid, came
         assert camera.pitch_min_rad <= proposal.task.viewpoint.pitch_down_rad <= camera.pitch_max_rad
 
 
-def test_following_a_map_gives_what_a_fresh_look_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_incremental_updates_equal_a_computation_from_scratch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(views_module, "SEARCHES", 1000)
     rng = np.random.default_rng(0)
     kept = searched = 0
@@ -148,7 +148,7 @@ def test_following_a_map_gives_what_a_fresh_look_gives(monkeypatch: pytest.Monke
     assert searched > 100
 
 
-def test_what_hid_a_frontier_and_is_gone_hides_it_no_more() -> None:
+def test_a_removed_obstacle_no_longer_hides_a_frontier() -> None:
     solid = room((6.0, 4.0, 2.4), [])
     follower = Follower(GrowingMap(solid).grid)
     state = np.where(solid, OCCUPIED, FREE).astype(np.uint8)
@@ -156,7 +156,7 @@ def test_what_hid_a_frontier_and_is_gone_hides_it_no_more() -> None:
     screened = state.copy()
     screened[48, 12:30, 6:20] = OCCUPIED
     follower.follow(voxel_map(state, 1), START)
-    # nowhere to go but the near half of the room, whatever the map says
+    # only the near half of the room is reachable, regardless of the map
     follower.space.reachable[30:] = 0
     follower.frontiers, follower.views = Frontiers(), FrontierViews(PlannerConfig(), GIMBAL)
     gains = []
@@ -168,7 +168,7 @@ def test_what_hid_a_frontier_and_is_gone_hides_it_no_more() -> None:
     assert gains[0] < 0.5 * gains[1]
 
 
-def test_a_view_does_not_depend_on_where_the_vehicle_is() -> None:
+def test_a_view_does_not_depend_on_the_position_of_the_vehicle() -> None:
     world = explored(TWO_ROOMS, GIMBAL, 6)
     voxels = world.picture()
     seen = []
@@ -182,7 +182,7 @@ def test_a_view_does_not_depend_on_where_the_vehicle_is() -> None:
     assert all(seen[0][key] == seen[1][key] for key in common)
 
 
-def test_what_is_not_known_yet_is_left_for_later_and_found_in_the_plans_to_come() -> None:
+def test_postponed_searches_are_completed_in_later_plans() -> None:
     world = explored(TWO_ROOMS, GIMBAL, 4)
     follower = Follower(world.grid)
     follower.follow(world.picture(), START)
@@ -197,7 +197,7 @@ def test_what_is_not_known_yet_is_left_for_later_and_found_in_the_plans_to_come(
     assert described(fresh.follow(voxels, START)) == described(rounds[-1])
 
 
-def test_a_task_that_another_view_covers_is_left_out_and_its_cells_are_promised_there() -> None:
+def test_a_task_covered_by_another_view_is_merged_into_it() -> None:
     world = explored(MEETING_ROOM, GIMBAL, 5)
     follower = Follower(world.grid)
     voxels = world.picture()
@@ -232,10 +232,10 @@ def test_every_frontier_without_a_view_has_a_reason() -> None:
     # a slot behind a wall, too narrow to fly in; a second room without a door; a pocket behind a pillar
     solid = room((6.0, 4.0, 2.4), [(4.0, 0, 0, 4.1, 4.0, 2.4)])
     state = np.where(solid, OCCUPIED, FREE).astype(np.uint8)
-    state[50:55, 10:20, 8:16] = UNKNOWN  # in the second room: one could see it from there
+    state[50:55, 10:20, 8:16] = UNKNOWN  # in the second room, visible from inside that room only
     state[3:9, 30:38, 1:9] = OCCUPIED
     state[4:8, 31:37, 2:8] = FREE
-    state[4:8, 31:34, 2:8] = UNKNOWN  # in a box: nobody gets in or sees in
+    state[4:8, 31:34, 2:8] = UNKNOWN  # in a box: neither reachable nor visible
     follower = Follower(GrowingMap(solid).grid)
     voxels = voxel_map(state)
     assert not follower.follow(voxels, START).proposals
@@ -243,7 +243,7 @@ def test_every_frontier_without_a_view_has_a_reason() -> None:
     assert reasons["not reachable"] >= 1
     assert reasons["out of the camera's sight"] >= 1
     assert reasons.total() == len(follower.frontiers)
-    # nothing flyable within the shell
+    # no flyable space within the shell
     state = np.full(solid.shape, OCCUPIED, dtype=np.uint8)
     state[4:20, 4:20, 4:20] = FREE
     state[40:58, 28:33, 4:9] = FREE
@@ -254,8 +254,8 @@ def test_every_frontier_without_a_view_has_a_reason() -> None:
     assert follower.views.reasons(voxels, follower.space, follower.frontiers).keys() == {"too narrow"}
 
 
-def test_clusters_far_from_all_that_can_be_reached_are_not_searched_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    # a room to stand in without a frontier, and many specks of unknown in a large one behind a wall
+def test_clusters_far_from_reachable_space_are_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    # a reachable room without a frontier, and many unknown specks in a large room behind a wall
     solid = room((16.0, 12.0, 2.4), [(2.0, 0, 0, 2.1, 12.0, 2.4)])
     state = np.where(solid, OCCUPIED, FREE).astype(np.uint8)
     for i in range(75, 160, 9):
@@ -277,10 +277,13 @@ def test_clusters_far_from_all_that_can_be_reached_are_not_searched_for(monkeypa
 
 @pytest.mark.shared
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL], ids=["fixed", "gimbal"])
-def test_on_the_stream_a_view_shows_nearly_what_the_best_of_a_thousand_shows(
+def test_on_the_stream_a_view_is_nearly_as_good_as_the_best_of_a_thousand(
     camera: CameraGeometry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every cell of the cluster counts, not only those promised; the thousand may stand and look anywhere."""
+    """Every cell of the cluster counts, not only the promised ones.
+
+    The thousand candidates may have any position and heading.
+    """
     monkeypatch.setattr(views_module, "SEARCHES", 1000)
     stream = recorded_stream.load(STREAM, "320x240", 1)
     low, high = (tuple(float(v) for v in corner) for corner in (stream.low_m, stream.high_m))

@@ -36,11 +36,11 @@ def test_a_frontier_is_a_free_voxel_with_an_unknown_face_neighbour_inside_the_fe
                 assert bool(faces[cell] & (1 << bit)) == expected
 
 
-def test_the_census_counts_what_it_leaves_out() -> None:
+def test_rejected_frontiers_are_counted_by_reason() -> None:
     state = np.full((40, 20, 20), FREE, dtype=np.uint8)
     state[0, 2:6, 2:6] = UNKNOWN  # 16 cells: a frontier
     state[39, 2, 2] = UNKNOWN  # too small (one cell with three neighbours, two beside it)
-    state[20, 19, 2:14] = UNKNOWN  # looked at in vain
+    state[20, 19, 2:14] = UNKNOWN  # looked at without success
     exhausted = np.zeros(state.shape, dtype=np.uint8)
     exhausted[18:23, 17:] = 1
     found = frontiers_of(state, WHOLE, np.array(state.shape), exhausted)
@@ -57,7 +57,7 @@ def test_space_beyond_the_fence_is_counted_not_explored() -> None:
     assert count_rejected_frontiers(state, found.faces, np.zeros_like(state))["outside the fence"] == 1
 
 
-def test_the_fence_holds_the_voxels_whose_centres_it_holds() -> None:
+def test_the_fence_contains_the_voxels_whose_centres_it_contains() -> None:
     grid = GridSpec(np.array([-0.3, -0.3, -0.3]), 0.1, (30, 30, 30))
     low, high = fence_box(grid, np.array([0.0, 0.04, -9.0]), np.array([1.0, 1.06, 9.0]))
     assert low.tolist() == [3, 3, 0]

@@ -26,7 +26,7 @@ class Space:
         self.reachable_revision[i // TILE, j // TILE] = self.revision
 
 
-def test_says_no_only_where_nothing_is_within_the_radius() -> None:
+def test_rejects_only_if_no_reachable_voxel_is_within_the_radius() -> None:
     rng = np.random.default_rng(0)
     space, tiles = Space(), ReachableTiles()
     said = []
@@ -37,7 +37,7 @@ def test_says_no_only_where_nothing_is_within_the_radius() -> None:
         voxels = np.argwhere(space.reachable[1:-1, 1:-1, 1:-1])
         for _ in range(20):
             centre, radius = rng.uniform(-3.0, np.array(SHAPE) + 3.0), rng.uniform(1.0, 12.0)
-            # a voxel is in reach if any of it is
+            # a voxel is within the radius if any part of it is
             near = ((voxels[:, :2] + 1 >= centre[:2] - radius) & (voxels[:, :2] <= centre[:2] + radius)).all(axis=1).any()
             said.append((bool(near), bool(tiles.near(centre[None], radius)[0])))
     assert not [near for near, answer in said if near and not answer]
@@ -47,7 +47,7 @@ def test_says_no_only_where_nothing_is_within_the_radius() -> None:
     np.testing.assert_array_equal(fresh.near(places, 2.0), tiles.near(places, 2.0))
 
 
-def test_another_space_is_looked_at_from_the_beginning() -> None:
+def test_another_space_starts_from_scratch() -> None:
     one, other, tiles = Space(), Space(), ReachableTiles()
     one.put((3, 3, 3), 1)
     tiles.update(one)

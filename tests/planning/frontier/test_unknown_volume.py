@@ -1,4 +1,4 @@
-"""What is beyond a frontier: against a count face by face, and openings before gaps."""
+"""Unknown volume beyond a frontier, against a count face by face; openings rank before gaps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
 
 def counted(state: ByteArray, cells: IntArray, low: IntArray, high: IntArray) -> int:
-    """Cells (N, 3)."""
+    """Count the unknown voxels beyond the cells (N, 3)."""
     total = 0
     for cell in cells:
         for step in FACES:
@@ -25,7 +25,7 @@ def counted(state: ByteArray, cells: IntArray, low: IntArray, high: IntArray) ->
     return total
 
 
-def test_unknown_voxels_straight_on_from_each_unknown_face_are_counted() -> None:
+def test_unknown_voxels_straight_behind_each_unknown_face_are_counted() -> None:
     rng = np.random.default_rng(0)
     for _ in range(10):
         shape = tuple(rng.integers(6, 24, 3))
@@ -38,7 +38,7 @@ def test_unknown_voxels_straight_on_from_each_unknown_face_are_counted() -> None
             assert unknown_volume(state, frontiers.faces, flat, low, high) == counted(state, cluster.cells, low, high)
 
 
-def test_a_gap_in_front_of_a_wall_waits_for_the_openings_around() -> None:
+def test_a_gap_in_front_of_a_wall_ranks_after_nearby_openings() -> None:
     state = np.full((260, 24, 9), OCCUPIED, dtype=np.uint8)
     state[1:-1, 10:14, 1:8] = FREE  # a corridor along x
     gap_x, near_x, far_x = 20, 66, 162

@@ -1,4 +1,7 @@
-"""The best view of a cluster against every place there is; and that its answer tells what it hangs on."""
+"""Best view of a cluster, against all positions by brute force.
+
+The voxels on which the result depends are reported.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +27,10 @@ START = np.array([1.0, 1.0, 1.1])
 
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL], ids=["fixed", "gimbal"])
 @pytest.mark.parametrize("solid", [MEETING_ROOM, TWO_ROOMS], ids=["meeting_room", "two_rooms"])
-def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: CameraGeometry) -> None:
+def test_a_view_is_nearly_as_good_as_the_best_of_a_thousand(solid: Solid, camera: CameraGeometry) -> None:
     world = GrowingMap(solid)
     world.state[4:17, 4:17, 1:18] = np.where(solid[4:17, 4:17, 1:18], 0, FREE)
-    # an eye in the body's middle: then the brute force looks from where the planner does
+    # camera at the body's centre, so that the brute force uses the planner's positions
     camera = CameraGeometry(camera.hfov_rad, camera.vfov_rad, np.zeros(3), camera.pitch_min_rad, camera.pitch_max_rad, 4.5)
     for n in range(4):
         world.look(camera, START, n * np.pi / 3)
@@ -62,7 +65,7 @@ def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: Ca
             shares.append(view_oracle.cells_seen(voxels.state, oracle, view, target) / best)
             assert reachable[tuple(view[:3].astype(int))]
             off_centre += bool((view[:3] % 1.0 != 0.5).any())
-            # no nearer to anything than a centre may be, measured to the nearest side
+            # clearance to the nearest side is at least that of a voxel centre
             assert ((np.maximum(np.abs(closed - view[:3]) - 0.5, 0.0) ** 2).sum(axis=1) >= space.berth[SIDES2]).all()
             assert ((view[:3] >= low + 2.5) & (view[:3] <= high - 2.5)).all()
             assert seen.sum() <= view_oracle.cells_seen(voxels.state, oracle, view, target)
@@ -76,10 +79,10 @@ def test_shows_nearly_what_the_best_of_a_thousand_shows(solid: Solid, camera: Ca
     assert min(shares) >= 0.8
 
 
-def test_places_that_promise_most_come_first_and_equal_ones_in_their_order() -> None:
+def test_positions_are_ranked_by_their_bound_and_ties_keep_their_order() -> None:
     promises = np.random.default_rng(0).integers(0, 30, 400)
     np.testing.assert_array_equal(_ranked(promises, 60), np.argsort(-promises, kind="stable"))
 
 
-def test_the_table_of_blockers_has_room_for_all_that_are_kept() -> None:
+def test_the_table_of_blocking_voxels_has_room_for_all_that_are_kept() -> None:
     assert MAX_BLOCKERS < BOOK

@@ -1,4 +1,4 @@
-"""What a place promises is never less than what can be seen from there."""
+"""The visibility bound of a position is never less than what is visible from it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHAPE = (30, 24, 20)
 
 
 def random_world(seed: int) -> tuple[ByteArray, ByteArray, IntArray]:
-    """State, bits of unknown neighbours, and flat indices of some free cells that have any."""
+    """Return a state, bits of unknown neighbours, and flat indices of some frontier cells."""
     rng = np.random.default_rng(seed)
     state = np.full(SHAPE, FREE, dtype=np.uint8)
     for value in (OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN):
@@ -35,7 +35,7 @@ def random_world(seed: int) -> tuple[ByteArray, ByteArray, IntArray]:
 
 
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL], ids=["fixed", "gimbal"])
-def test_whatever_can_be_seen_turns_an_open_side_and_fits_the_picture(camera: CameraGeometry) -> None:
+def test_every_visible_cell_faces_the_camera_and_is_within_the_bound(camera: CameraGeometry) -> None:
     lens = camera.lens(0.1, 2.5)
     rng = np.random.default_rng(3)
     seen = promised = 0

@@ -1,4 +1,4 @@
-"""Ways are as short as an independent exact search makes them, and what is remembered is what would be found anew."""
+"""Path cache: paths are as short as an exact search finds, and cached paths equal new ones."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RESOLUTION_M = 0.1
 
 
 class World:
-    """A map of boxes; its field and revisions are made from scratch."""
+    """Map of boxes; distance field and tile revisions are computed from scratch."""
 
     def __init__(self, state: ByteArray) -> None:
         self.grid = GridSpec(np.array([-2.0, 1.0, 0.0]), RESOLUTION_M, (state.shape[0], state.shape[1], state.shape[2]))
@@ -64,7 +64,10 @@ def cluttered(rng: np.random.Generator, shape: tuple[int, int, int], boxes: int)
 
 
 def straight(mask: ByteArray, a: FloatArray, b: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether lines from a (3,) to each of b (N, 3) stay in the mask, by samples 0.2 voxel apart."""
+    """Return whether lines from a (3,) to each of b (N, 3) stay in the mask.
+
+    The lines are sampled every 0.2 voxel.
+    """
     count = int(np.linalg.norm(b - a, axis=1).max() * 5) + 2
     t = (np.arange(count) + 0.5) / count
     cells = np.floor(a + t[None, :, None] * (b - a)[:, None]).astype(int)
@@ -72,7 +75,10 @@ def straight(mask: ByteArray, a: FloatArray, b: NDArray[np.float64]) -> NDArray[
 
 
 def oracle(mask: ByteArray, a: IntArray, b: IntArray) -> tuple[float, float]:
-    """Length of an exact 26-connected path, and of the shortest polyline through some of its cells."""
+    """Return the lengths of an exact 26-connected path and of the polyline pulled from it.
+
+    The polyline is the shortest one through some of the path's cells.
+    """
     search = MCP_Geometric(np.where(mask > 0, 1.0, -1.0), fully_connected=True)
     costs, _ = search.find_costs([tuple(a)], [tuple(b)])
     path = np.array(search.traceback(tuple(b))) + 0.5
@@ -93,7 +99,7 @@ def centres(cells: IntArray) -> FloatArray:
 
 def check_polyline(space: FlyableSpace, ways: PathCache, i: int, j: int) -> None:
     way = space.padded(ways.way_world(i, j))
-    # to the world and back moves a point by a rounding error: a sample on the border of two voxels may be in either
+    # conversion to world coordinates and back has a rounding error, so a sample on a border may be in either voxel
     nudges = [np.array(nudge) * 1e-9 for nudge in itertools.product((-1, 1), repeat=3)]
     for a, b in itertools.pairwise(way):
         assert any(segment_is_open(space.mask, *(a + nudge), *(b + nudge)) for nudge in nudges)
@@ -113,7 +119,7 @@ def largest_component(mask: ByteArray) -> IntArray:
     return np.argwhere(labels == 1 + int(np.argmax(np.bincount(labels[mask > 0])[1:])))
 
 
-def test_ways_in_clutter_are_open_and_as_short_as_an_exact_search() -> None:
+def test_paths_in_clutter_are_open_and_as_short_as_an_exact_search() -> None:
     rng = np.random.default_rng(0)
     excess, over_grid = [], []
     for _ in range(5):
@@ -137,11 +143,11 @@ def test_ways_in_clutter_are_open_and_as_short_as_an_exact_search() -> None:
             check_polyline(space, ways, i, j)
     assert np.mean(excess) < 0.005
     assert np.percentile(excess, 95) < 0.03
-    assert np.mean(over_grid) < -0.03  # straight lines beat steps
+    assert np.mean(over_grid) < -0.03  # straight lines are shorter than grid steps
 
 
 @pytest.mark.shared
-def test_ways_of_the_reference_map_are_as_short_as_an_exact_search() -> None:
+def test_paths_in_the_reference_map_are_as_short_as_an_exact_search() -> None:
     reference = np.fromfile(STREAM / "occupancy_reference.i8", dtype=np.int8).reshape(100, 60, 30)
     world = World(reference.astype(np.uint8))
     space = world.space(0.35)
@@ -161,7 +167,7 @@ def test_ways_of_the_reference_map_are_as_short_as_an_exact_search() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_what_is_remembered_is_what_would_be_found_anew(seed: int) -> None:
+def test_cached_paths_equal_a_new_search(seed: int) -> None:
     rng = np.random.default_rng(seed)
     world = cluttered(rng, (60, 45, 18), 45)
     space = world.space(0.14)
@@ -193,8 +199,11 @@ def test_what_is_remembered_is_what_would_be_found_anew(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_way_ends_in_its_view_wherever_in_a_voxel_that_stands(seed: int) -> None:
-    """Among single voxels, where ways squeeze through diagonally: an end off its voxel's centre is left and reached by it."""
+def test_a_path_ends_exactly_at_its_view_anywhere_in_a_voxel(seed: int) -> None:
+    """Paths squeeze diagonally between single voxels.
+
+    Each path starts and ends exactly at its point, also if that is not a voxel centre.
+    """
     rng = np.random.default_rng(seed)
     state = np.where(rng.random((24, 20, 12)) < 0.35, OCCUPIED, FREE).astype(np.uint8)
     space = World(state).space(0.04)
@@ -216,7 +225,7 @@ def test_a_way_ends_in_its_view_wherever_in_a_voxel_that_stands(seed: int) -> No
             off = sum(float(np.linalg.norm(places[n - 1] - chosen[n - 1] - 0.5)) for n in (i, j) if n)
             excess.append(ways.lengths_m[i, j] / RESOLUTION_M - centred.lengths_m[i, j] / RESOLUTION_M - off)
     assert bends > 100
-    # voxels: by the centre it is no farther, but for what the search leaves to chance in such a maze
+    # in voxels: no longer than via the centre, apart from random differences of the search
     assert np.mean(excess) <= 0.0
     assert np.percentile(excess, 95) <= 2.0
 
@@ -246,7 +255,7 @@ def test_a_door_that_opens_is_used_and_one_that_closes_is_not() -> None:
     assert lengths_m[1] == pytest.approx(2.2)
 
 
-def test_nodes_at_one_place_are_no_way_apart() -> None:
+def test_nodes_at_the_same_position_have_distance_zero() -> None:
     world = walled()
     space = world.space(0.14)
     start = world.grid.centre(np.array([6, 6, 6]))
@@ -261,7 +270,7 @@ def test_nodes_at_one_place_are_no_way_apart() -> None:
     assert ways.lengths_m[1, 2] == ways.lengths_m[1, 3] == pytest.approx(ways.lengths_m[0, 2])
 
 
-def test_there_is_no_way_through_a_wall() -> None:
+def test_there_is_no_path_through_a_wall() -> None:
     world = walled()
     world.paint(np.array([19, 22, 1]), np.array([21, 29, 11]), OCCUPIED)
     space = world.space(0.14)
@@ -274,7 +283,7 @@ def test_there_is_no_way_through_a_wall() -> None:
     assert np.isfinite(ways.lengths_m[0, 2])
 
 
-def test_a_vehicle_that_may_not_fly_where_it_stands_goes_out_first() -> None:
+def test_a_vehicle_outside_flyable_space_leaves_by_its_exit_cells_first() -> None:
     world = walled()
     space = world.space(0.35)
     start = world.grid.centre(np.array([1, 8, 6]))
@@ -289,7 +298,7 @@ def test_a_vehicle_that_may_not_fly_where_it_stands_goes_out_first() -> None:
     assert ways.lengths_m[0, 1] == pytest.approx(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
-def test_a_map_of_a_new_epoch_is_begun_from_nothing() -> None:
+def test_a_map_of_a_new_epoch_starts_from_scratch() -> None:
     world = walled()
     space = world.space(0.14)
     ways = PathCache(space)
@@ -306,7 +315,7 @@ def test_a_map_of_a_new_epoch_is_begun_from_nothing() -> None:
         assert (ways.lengths_m[1, 2] < 2.3) == open_door
 
 
-def test_a_large_number_of_tasks_is_no_other_case() -> None:
+def test_any_number_of_tasks_is_accepted() -> None:
     world = walled()
     space = world.space(0.14)
     start = world.grid.centre(np.array([6, 6, 6]))

@@ -5,7 +5,7 @@ import numpy as np
 from uav_recon.planning.paths.segments import departure, length_of, segment_is_open
 
 
-def test_a_line_is_closed_by_a_single_voxel_in_its_way() -> None:
+def test_a_line_is_blocked_by_a_single_voxel() -> None:
     mask = np.ones((5, 5, 5), dtype=np.uint8)
     assert segment_is_open(mask, 0.5, 2.5, 2.5, 4.5, 2.5, 2.5)
     mask[2, 2, 2] = 0

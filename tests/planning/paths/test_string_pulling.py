@@ -1,4 +1,4 @@
-"""Pulled taut, a way keeps its ends, stays open, and is about as short as it can be."""
+"""String pulling: a path keeps its ends, stays open, and becomes nearly the shortest."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ def hall() -> ByteArray:
     return mask
 
 
-def test_an_open_hall_leaves_a_straight_line() -> None:
+def test_in_an_open_hall_the_path_is_a_straight_line() -> None:
     way = taut(hall(), [(3.5, 3.5, 3.5), (30.5, 5.5, 10.5), (8.5, 30.5, 15.5), (35.5, 35.5, 4.5)])
     np.testing.assert_array_equal(way, [(3.5, 3.5, 3.5), (35.5, 35.5, 4.5)])
 
 
-def test_a_way_round_a_wall_touches_its_edge_at_the_right_height() -> None:
+def test_a_path_around_a_wall_touches_its_edge_at_the_right_height() -> None:
     mask = hall()
     mask[20:22, :30] = 0
     way = taut(mask, [(5.5, 8.5, 4.5), (18.5, 32.5, 8.5), (24.5, 33.5, 7.5), (37.5, 8.5, 4.5)])
-    shortest = np.hypot(14.5, 21.5) + 2.0 + np.hypot(15.5, 21.5)  # along both edges of the wall's end
+    shortest = np.hypot(14.5, 21.5) + 2.0 + np.hypot(15.5, 21.5)  # around both edges of the wall's end
     assert all(segment_is_open(mask, *a, *b) for a, b in itertools.pairwise(way))
     assert length_of(way) == pytest.approx(shortest, rel=0.02)
     assert np.ptp(way[:, 2]) < 2.0
 
 
-def test_a_way_round_a_pillar_is_as_long_as_its_tangents_and_the_arc() -> None:
+def test_a_path_around_a_pillar_is_as_long_as_its_tangents_and_the_arc() -> None:
     mask = hall()
     i, j = np.meshgrid(np.arange(42) + 0.5, np.arange(42) + 0.5, indexing="ij")
     mask[np.hypot(i - 21, j - 21) < 10] = 0
@@ -50,7 +50,7 @@ def test_a_way_round_a_pillar_is_as_long_as_its_tangents_and_the_arc() -> None:
     assert length_of(way) == pytest.approx(shortest, rel=0.04)
 
 
-def test_ways_in_noise_stay_open_and_never_grow() -> None:
+def test_paths_among_random_voxels_stay_open_and_never_grow() -> None:
     rng = np.random.default_rng(0)
     shorter = 0
     for _ in range(60):
@@ -70,7 +70,7 @@ def test_ways_in_noise_stay_open_and_never_grow() -> None:
     assert shorter > 30
 
 
-def test_a_full_room_for_points_is_no_error() -> None:
+def test_a_full_point_buffer_is_no_error() -> None:
     mask = hall()
     mask[20:22, :30] = 0
     points = np.array([(5.5, 8.5, 4.5), (12.5, 36.5, 18.5), (28.5, 38.5, 18.5), (37.5, 8.5, 4.5)])

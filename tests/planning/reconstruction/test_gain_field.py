@@ -22,7 +22,7 @@ CONFIG = PlannerConfig()
 
 
 def half_seen(camera: CameraGeometry) -> tuple[PlanningContext, list[Frontier]]:
-    """After one look ahead."""
+    """Return the planning context and the frontiers after one look ahead."""
     world = BoxWorld(MEETING_ROOM, camera, HERE)
     for yaw in (-0.4, 0.0, 0.4):
         world.yaw_rad = yaw
@@ -39,7 +39,7 @@ def looks_of(situation: PlanningContext) -> np.ndarray[tuple[int, ...], np.dtype
 
 
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL])
-def test_where_much_is_unknown_views_show_frontiers(camera: CameraGeometry) -> None:
+def test_in_a_mostly_unknown_room_views_show_frontiers(camera: CameraGeometry) -> None:
     situation, frontiers = half_seen(camera)
     proposals = FieldViews(CONFIG, camera).propose(situation, frontiers, None, looks_of(situation))
     assert 3 <= len(proposals) <= BEST_VIEWS
@@ -83,7 +83,7 @@ def test_in_a_known_room_views_show_surface_until_it_was_looked_at() -> None:
     assert not proposals
 
 
-def test_nothing_to_gain_is_no_view() -> None:
+def test_without_gain_there_is_no_view() -> None:
     situation = situation_in(seen_room(), HERE)
     nothing = SurfaceElements(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 1)
     views = FieldViews(CONFIG, FIXED)
@@ -91,7 +91,7 @@ def test_nothing_to_gain_is_no_view() -> None:
     assert views.propose(situation, [], nothing, looks_of(situation)) == []
 
 
-def test_frontier_cells_are_gathered_once_each_and_face_out_of_the_unknown() -> None:
+def test_each_frontier_cell_is_gathered_once_and_faces_away_from_the_unknown() -> None:
     _, frontiers = half_seen(FIXED)
     shape = MEETING_ROOM.shape
     flat, rows, groups = frontier_patches(frontiers, (shape[0], shape[1], shape[2]))
@@ -100,7 +100,7 @@ def test_frontier_cells_are_gathered_once_each_and_face_out_of_the_unknown() -> 
     assert groups[0] == 0
     assert groups[-1] == len(flat)
     np.testing.assert_allclose(rows[:, 6], UNKNOWN_WEIGHT * np.diff(groups))
-    cell = Frontier(np.array([[9, 9, 9]]), np.array([2], dtype=np.uint8))  # the voxel at +x is unknown
+    cell = Frontier(np.array([[9, 9, 9]]), np.array([2], dtype=np.uint8))  # the neighbour at +x is unknown
     _, one, _ = frontier_patches([cell], (20, 20, 20))
     np.testing.assert_allclose(one, [[9.5, 9.5, 9.5, *-FACES[1], UNKNOWN_WEIGHT]])
 
@@ -130,7 +130,7 @@ assert before == after, {k: (before[k], after[k]) for k in before if before[k] !
 
 
 def test_nothing_is_compiled_after_warm_up() -> None:
-    # a fresh process: here, earlier tests have compiled whatever they needed
+    # a fresh process, because earlier tests have compiled kernels in this one
     here = Path(__file__).parent
     probe = subprocess.run(
         [sys.executable, "-c", PROBE, str(here), str(here.parent)], capture_output=True, text=True, check=False, timeout=240

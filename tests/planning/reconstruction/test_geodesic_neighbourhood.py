@@ -11,7 +11,7 @@ from uav_recon.types.maps import FREE, OCCUPIED
 
 
 def _by_graph(state: ByteArray, start: IntArray, limit: float) -> dict[tuple[int, int, int], float]:
-    """Oracle: scipy's Dijkstra over the same nodes."""
+    """Return the distances of scipy's Dijkstra over the same nodes, as the oracle."""
     steps = [np.array([i, j, k]) - 1 for i, j, k in np.ndindex(3, 3, 3) if (i, j, k) != (1, 1, 1)]
     nodes = [n for n in np.ndindex(*state.shape) if all((n[d] - start[d]) % STRIDE == 0 for d in range(3))]
     number = {n: m for m, n in enumerate(nodes)}
@@ -29,7 +29,7 @@ def _by_graph(state: ByteArray, start: IntArray, limit: float) -> dict[tuple[int
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_wave_finds_exact_ways(seed: int) -> None:
+def test_the_wave_finds_exact_distances(seed: int) -> None:
     rng = np.random.default_rng(seed)
     state = np.where(rng.random((26, 22, 14)) < 0.04 * seed, OCCUPIED, FREE).astype(np.uint8)
     start = rng.integers(0, state.shape)
@@ -57,13 +57,13 @@ def _near(state: ByteArray, start: tuple[int, int, int], limit: float, point: Fl
     return bool(seen_from_near(state, reach, low, limit, point[None], normal[None])[0])
 
 
-def test_a_wall_keeps_what_is_behind_it_away_and_a_door_lets_it_in_at_the_length_of_the_way() -> None:
+def test_surface_behind_a_wall_is_near_only_by_the_path_through_a_door() -> None:
     behind, towards_us = np.array([40.0, 5.0, 15.0]), np.array([-1.0, 0.0, 0.0])
     start = (15, 5, 15)
     assert not _near(_room(gap=False), start, 200.0, behind, towards_us)
-    assert not _near(_room(gap=True), start, 28.0, behind, towards_us)  # 25 voxels through the wall
+    assert not _near(_room(gap=True), start, 28.0, behind, towards_us)  # 25 voxels straight through the wall
     assert not _near(_room(gap=True), start, 35.0, behind, towards_us)
-    assert _near(_room(gap=True), start, 48.0, behind, towards_us)  # by the door about 41
+    assert _near(_room(gap=True), start, 48.0, behind, towards_us)  # about 41 through the door
     assert _near(_room(gap=True), start, 10.0, np.array([20.0, 5.0, 15.0]), towards_us)
 
 
@@ -72,7 +72,7 @@ def test_the_far_side_of_a_thin_wall_is_not_near() -> None:
     assert not _near(_room(gap=False), (15, 5, 15), 30.0, far_side, np.array([1.0, 0.0, 0.0]))
 
 
-def test_only_a_box_as_large_as_the_limit_is_made_whatever_the_map() -> None:
+def test_the_computed_box_depends_on_the_limit_and_not_on_the_map() -> None:
     state = np.full((700, 700, 32), FREE, dtype=np.uint8)
     reach, low = wave(state, np.array([350, 350, 16]), 20.0)
     assert reach.shape == (13, 13, 11)

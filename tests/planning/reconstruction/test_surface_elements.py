@@ -8,7 +8,7 @@ from uav_recon.planning.reconstruction.surface_elements import CELL, Elements, w
 from uav_recon.types.maps import SurfaceElements
 
 
-def test_every_element_is_in_one_cell_with_its_neighbours_of_the_same_direction() -> None:
+def test_every_element_is_in_one_cell_with_neighbours_of_the_same_direction() -> None:
     surface, grid = elements_of(MEETING_ROOM), seen_room().grid
     elements = Elements.of(surface, grid, 5)
     assert len(elements.sigma) == -(-len(surface.uncertainty) // 5)
@@ -39,7 +39,7 @@ def test_uncertainty_is_ranked_within_its_map() -> None:
     assert 0.05 < np.mean(one.sigma == 1.0) < 0.15
 
 
-def test_what_is_not_a_number_or_far_from_the_map_is_left_out() -> None:
+def test_elements_that_are_not_finite_or_far_from_the_map_are_left_out() -> None:
     grid = seen_room().grid
     position = np.array([[1.0, 1, 0], [np.nan, 1, 0], [1, np.inf, 0], [1e300, 0, 0], [2, 1, 0], [1, 2, 0], [-3.0, 1, 0]])
     normal = np.tile([0.0, 0.0, 1.0], (7, 1))
@@ -51,7 +51,7 @@ def test_what_is_not_a_number_or_far_from_the_map_is_left_out() -> None:
     assert len(empty.cells) == len(empty.sigma) == 0
 
 
-def test_looks_take_weight_away() -> None:
+def test_looks_reduce_the_weight() -> None:
     grid = seen_room().grid
     elements = Elements.of(elements_of(MEETING_ROOM), grid, 5)
     looks = np.zeros(grid.shape, dtype=np.float32)

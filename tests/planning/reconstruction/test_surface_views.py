@@ -20,7 +20,10 @@ CONFIG = PlannerConfig()
 
 
 def cosines(voxels: VoxelMap, elements: Elements, camera: CameraGeometry, view: Viewpoint) -> FloatArray:
-    """Oracle: what a view sees of all elements, in numpy, by its own frustum: cosine (N,), 0 = not seen."""
+    """Return the cosine (N,) at which a view sees each element, 0 = not seen, as the oracle.
+
+    It is computed in numpy with a separate frustum.
+    """
     c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
     mount = camera.position_body_m
     eye_m = view.position_world + np.array([c * mount[0] - s * mount[1], s * mount[0] + c * mount[1], mount[2]])
@@ -49,7 +52,7 @@ def aimed(camera: CameraGeometry, place_m: FloatArray, centre_m: FloatArray) -> 
 
 
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL])
-def test_gains_are_what_exact_rays_see_and_the_chosen_view_is_nearly_the_best_of_all(camera: CameraGeometry) -> None:
+def test_gains_equal_exact_rays_and_the_chosen_view_is_nearly_the_best(camera: CameraGeometry) -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
     situation = situation_in(voxels, HERE)
     elements = Elements.of(surface, voxels.grid, CONFIG.downsample)
@@ -86,7 +89,7 @@ def test_gains_are_what_exact_rays_see_and_the_chosen_view_is_nearly_the_best_of
     assert min(shares) >= 0.9
 
 
-def test_surface_behind_a_wall_is_no_task_and_comes_within_reach_by_the_door() -> None:
+def test_surface_behind_a_wall_is_a_task_only_if_the_path_through_the_door_is_short() -> None:
     solid = TWO_ROOMS.copy()
     voxels, here = seen_room(solid), np.array([3.2, 0.8, 1.2])
     surface = elements_of(solid)
@@ -99,7 +102,7 @@ def test_surface_behind_a_wall_is_no_task_and_comes_within_reach_by_the_door() -
     assert views.propose(situation_in(voxels, np.array([5.0, 0.8, 1.2])), only, looks, 1.0)
 
 
-def test_what_the_map_knows_and_the_model_does_not_is_looked_at_first() -> None:
+def test_surface_in_the_map_but_not_in_the_model_is_viewed_first() -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
     situation, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
     x, y = surface.position_world[:, 0], surface.position_world[:, 1]
@@ -112,7 +115,7 @@ def test_what_the_map_knows_and_the_model_does_not_is_looked_at_first() -> None:
     assert whole.task.gain < 0.7 * first.task.gain
 
 
-def test_tasks_run_out_as_they_are_looked_at() -> None:
+def test_tasks_run_out_as_they_are_viewed() -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
     situation, views = situation_in(voxels, HERE), SurfaceViews(CONFIG, GIMBAL)
     looks = np.zeros(voxels.grid.shape, dtype=np.float32)
@@ -140,6 +143,6 @@ def test_no_surface_makes_no_task_and_the_same_surface_the_same_tasks() -> None:
     for one, other in ((first, again), (first, fresh)):
         assert [p.task.gain for p in one] == [p.task.gain for p in other]
         assert [p.place.tolist() for p in one] == [p.place.tolist() for p in other]
-    # another surface with the same array sizes is not taken for the last one
+    # another surface with arrays of the same size is not taken for the last one
     moved = SurfaceElements(surface.position_world, surface.normal_world, surface.uncertainty[::-1].copy(), 2)
     assert [p.task.gain for p in views.propose(situation, moved, looks, 1.0)] != [p.task.gain for p in first]

@@ -1,4 +1,4 @@
-"""Surface that the map knows and the model does not, against scipy."""
+"""Surface that is in the map but not in the model, against scipy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 CROSS = ndimage.generate_binary_structure(3, 1)
 
 
-def test_it_is_the_occupied_voxels_beside_free_ones_that_no_element_lies_near() -> None:
+def test_unmodelled_surface_is_occupied_voxels_next_to_free_ones_without_an_element_nearby() -> None:
     rng = np.random.default_rng(0)
     for _ in range(10):
         shape = tuple(rng.integers(8, 20, 3))
@@ -31,7 +31,7 @@ def test_it_is_the_occupied_voxels_beside_free_ones_that_no_element_lies_near() 
         found[tuple(np.floor(position).astype(int).T)] = True
         assert not (found & ~expected).any()
         missing = np.argwhere(expected & ~found)
-        for i, j, k in missing:  # as much free on one side as on the other: no normal
+        for i, j, k in missing:  # equally much free space on opposite sides: no normal
             around = np.argwhere(np.pad(state, 1)[i : i + 3, j : j + 3, k : k + 3] == FREE) - 1
             assert np.linalg.norm(around.sum(axis=0)) < 1.0
         np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0)

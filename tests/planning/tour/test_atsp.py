@@ -20,7 +20,10 @@ def random_costs(rng: np.random.Generator, count: int) -> FloatArray:
 
 
 def flight_costs(rng: np.random.Generator, count: int) -> FloatArray:
-    """Seconds between views of two rooms joined by a door: the longer of flying and turning, and turning into the flight."""
+    """Return the seconds between views in two rooms joined by a door.
+
+    They are the longer of flight and turn, plus the turn into the direction of flight.
+    """
     points = rng.uniform(0, 1, (count + 1, 3)) * np.array([10.0, 6.0, 2.0])
     yaws = rng.uniform(-np.pi, np.pi, count + 1)
     far = points[:, 0] > 5.0
@@ -43,7 +46,7 @@ def test_small_tours_are_those_of_full_enumeration(count: int) -> None:
     assert tour_cost(costs, order) == pytest.approx(costs[walked[:, :-1], walked[:, 1:]].sum(axis=1).min())
 
 
-def test_going_back_to_the_vehicle_is_never_counted() -> None:
+def test_the_return_to_the_start_is_never_counted() -> None:
     rng = np.random.default_rng(3)
     for count in (6, 20):
         costs = random_costs(rng, count)
@@ -83,7 +86,7 @@ def test_searched_tours_are_near_the_best_that_a_far_longer_search_finds(count: 
     assert np.mean(gaps) <= 0.002
 
 
-def test_large_tours_repeat() -> None:
+def test_large_tours_are_repeatable() -> None:
     costs = random_costs(np.random.default_rng(5), 40)
     np.testing.assert_array_equal(best_tour(costs), best_tour(costs))
 
@@ -93,6 +96,6 @@ def test_large_tours_repeat() -> None:
 def test_tours_are_as_good_as_those_of_lkh(count: int) -> None:
     costs = np.loadtxt(ATSP / f"atsp_{count}.txt")
     order, cost = (ATSP / f"atsp_{count}_lkh.txt").read_text().strip().splitlines()
-    lkh = np.array([int(node) + 1 for node in order.split()])  # theirs counts tasks from 0
+    lkh = np.array([int(node) + 1 for node in order.split()])  # LKH counts tasks from 0
     assert tour_cost(costs, lkh) == pytest.approx(float(cost), rel=1e-4)
     assert tour_cost(costs, best_tour(costs)) <= 1.002 * tour_cost(costs, lkh)

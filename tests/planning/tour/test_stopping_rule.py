@@ -13,7 +13,10 @@ EXPLORE, SURFACE = TaskKind.EXPLORE, TaskKind.RECONSTRUCT
 
 
 def along_a_line(*at: tuple[TaskKind, float, float]) -> tuple[list[Task], FloatArray]:
-    """Tasks (kind, metres from the vehicle, gain) on a line, one metre a second; costs (N + 1, N + 1)."""
+    """Return tasks on a line, given as (kind, metres from the vehicle, gain), and their costs.
+
+    The costs (N + 1, N + 1) are at 1 m/s.
+    """
     x = np.array([0.0, *(metres for _, metres, _ in at)])
     places = [np.array([metres, 0.0, 1.0]) for metres in x[1:]]
     tasks = [Task(kind, p, Viewpoint(p, 0.0, 0.0), gain) for p, (kind, _, gain) in zip(places, at, strict=True)]
@@ -29,7 +32,10 @@ def kept(worth: StoppingRule, *at: tuple[TaskKind, float, float]) -> list[int]:
 
 
 def worth_after_10_per_second() -> StoppingRule:
-    """A rule that has seen a tour of 10 per second: so, with its share of a fifth, 2 per second are wanted."""
+    """Return a rule that has seen a tour with a gain of 10 per second.
+
+    With its share of a fifth it requires a gain of 2 per second.
+    """
     worth = StoppingRule(0.2)
     metres = SHORTEST_TOUR_S - 4 * VIEW_S
     tour = [(SURFACE, metres * n / 4, 10 * SHORTEST_TOUR_S / 4) for n in range(1, 5)]
@@ -43,27 +49,27 @@ def test_a_task_must_gain_its_share_of_the_best_rate_so_far() -> None:
     assert kept(worth_after_10_per_second(), (SURFACE, 4.0, 2 * seconds - 0.01)) == []
 
 
-def test_frontiers_are_always_worth_it() -> None:
+def test_frontiers_are_always_kept() -> None:
     assert kept(worth_after_10_per_second(), (EXPLORE, 100.0, 4.0), (SURFACE, 101.0, 0.1)) == [1]
 
 
-def test_a_detour_counts_and_not_the_way_that_is_flown_anyway() -> None:
+def test_only_the_detour_counts_and_not_the_path_that_is_flown_anyway() -> None:
     worth = worth_after_10_per_second()
-    assert kept(worth, (SURFACE, 50.0, 1.1), (EXPLORE, 60.0, 4.0)) == [1, 2]  # on the way: only the stop
+    assert kept(worth, (SURFACE, 50.0, 1.1), (EXPLORE, 60.0, 4.0)) == [1, 2]  # on the path: only the stop counts
     assert kept(worth, (SURFACE, -5.0, 15.0), (EXPLORE, 60.0, 4.0)) == [2]  # back and forth: 10.5 s
 
 
-def test_far_tasks_pay_for_the_way_together() -> None:
+def test_far_tasks_share_the_cost_of_the_path() -> None:
     far = [(SURFACE, 20.0 + n, 12.0) for n in range(6)]
-    assert kept(worth_after_10_per_second(), *far) == [1, 2, 3, 4, 5, 6]  # 72 for 28 s
-    assert kept(worth_after_10_per_second(), *far[:3]) == []  # 36 for 23.5 s
+    assert kept(worth_after_10_per_second(), *far) == [1, 2, 3, 4, 5, 6]  # a gain of 72 for 28 s
+    assert kept(worth_after_10_per_second(), *far[:3]) == []  # a gain of 36 for 23.5 s
     poor_end = [*far, (SURFACE, 45.0, 12.0)]
     assert kept(worth_after_10_per_second(), *poor_end) == [1, 2, 3, 4, 5, 6]
 
 
-def test_the_first_tour_sets_the_standard_and_one_view_nearby_does_not_set_it_high() -> None:
+def test_the_first_tour_sets_the_rate_and_one_nearby_view_does_not_set_it_high() -> None:
     worth = StoppingRule(0.2)
-    assert kept(worth, (SURFACE, 0.1, 30.0)) == [1]  # 50 per second if its 0.6 s were all
+    assert kept(worth, (SURFACE, 0.1, 30.0)) == [1]  # it would be 50 per second over its 0.6 s alone
     assert kept(worth, (SURFACE, 10.0, 10.0)) == [1]
     assert kept(worth, (SURFACE, 20.0, 10.0)) == []
 
@@ -77,7 +83,7 @@ def test_the_unit_of_the_gain_does_not_matter(scale: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_no_stretch_that_is_left_is_worth_less_than_its_flight(seed: int) -> None:
+def test_no_kept_part_of_a_tour_gains_less_than_its_flight_costs(seed: int) -> None:
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 10))
     place = rng.uniform(0, 20, (count + 1, 2))

@@ -6,7 +6,7 @@ from uav_recon.planning.tour.stopping_rule import VIEW_S
 from uav_recon.planning.tour.task_deferral import NOW_SHARE, not_deferred
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
-Place = tuple[TaskKind, float, float, float]  # kind, x, y, gain; the vehicle is at the origin, a metre takes a second
+Place = tuple[TaskKind, float, float, float]  # kind, x, y, gain; the vehicle is at the origin and flies at 1 m/s
 EXPLORE, SURFACE = TaskKind.EXPLORE, TaskKind.RECONSTRUCT
 
 
@@ -16,7 +16,7 @@ def now(*places: Place) -> list[bool]:
     return [bool(one) for one in not_deferred(tasks, np.linalg.norm(at[:, None] - at, axis=-1))]
 
 
-def test_what_gains_little_per_second_against_the_best_waits_whatever_its_kind() -> None:
+def test_a_task_with_a_low_gain_rate_against_the_best_is_deferred_for_every_kind() -> None:
     seconds, best = 10.0 - VIEW_S, (EXPLORE, 10.0 - VIEW_S, 0.0, 100.0)  # 10 per second
     for kind in TaskKind:
         enough = 10.0 * NOW_SHARE * (seconds + VIEW_S)
@@ -24,14 +24,14 @@ def test_what_gains_little_per_second_against_the_best_waits_whatever_its_kind()
         assert now(best, (kind, -seconds, 0.0, enough - 0.01)) == [True, False]
 
 
-def test_beside_the_way_to_the_best_only_the_detour_counts() -> None:
+def test_near_the_path_to_the_best_task_only_the_detour_counts() -> None:
     best = (EXPLORE, 20.0, 0.0, 2000.0)
     trifle = 2000.0 / (20.0 + VIEW_S) * NOW_SHARE * VIEW_S * 1.01
     assert now(best, (SURFACE, 10.0, 0.0, trifle)) == [True, True]
     assert now(best, (SURFACE, -10.0, 0.0, trifle)) == [True, False]
 
 
-def test_the_best_never_waits_and_what_is_left_at_last_is_done() -> None:
+def test_the_best_task_is_never_deferred_and_neither_is_the_last() -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
         places = [(SURFACE, float(x), float(y), float(g)) for x, y, g in rng.uniform((-9, -9, 0.1), (9, 9, 60), (7, 3))]

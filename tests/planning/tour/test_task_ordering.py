@@ -11,7 +11,7 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 EXPLORE, SURFACE = TaskKind.EXPLORE, TaskKind.RECONSTRUCT
-Place = tuple[TaskKind, float, float, float]  # kind, x, y, gain; the vehicle is at the origin, a metre takes a second
+Place = tuple[TaskKind, float, float, float]  # kind, x, y, gain; the vehicle is at the origin and flies at 1 m/s
 
 
 def case(places: list[Place]) -> tuple[list[Task], FloatArray]:
@@ -33,11 +33,11 @@ def test_the_tour_is_the_shortest_one() -> None:
     assert order(Tour(StoppingRule(0.15)), places) == list(best)
 
 
-def test_what_can_wait_is_flown_when_nothing_else_is_worth_its_flight() -> None:
+def test_a_deferred_task_is_flown_when_no_other_is_worth_its_flight() -> None:
     rich, gap = (SURFACE, 5.0, 0.0, 500.0), (EXPLORE, -3.0, 0.0, 0.0)
     tour = Tour(StoppingRule(0.15))
     assert order(tour, [rich, gap]) == [1]
-    assert order(tour, [(SURFACE, 5.0, 0.0, 1.0), gap]) == [2]  # poor against what this flight has seen: dropped
+    assert order(tour, [(SURFACE, 5.0, 0.0, 1.0), gap]) == [2]  # too low a gain for this flight: dropped
     assert order(tour, [gap, (EXPLORE, -4.0, 0.0, 0.0)]) == [1, 2]
     assert order(tour, []) == []
 
@@ -49,7 +49,7 @@ def test_greedy_takes_the_one_view_that_gains_most_per_second() -> None:
     assert order(Greedy(StoppingRule(0.0)), []) == []
 
 
-def test_the_nearest_frontier_is_next_and_surface_is_seen_on_the_way() -> None:
+def test_the_nearest_frontier_is_next_and_surface_is_viewed_on_the_path() -> None:
     far, near = (EXPLORE, 30.0, 0.0, 90.0), (EXPLORE, -10.0, 0.0, 9.0)
     beside_the_way, off_the_way = (SURFACE, -5.0, 1.0, 20.0), (SURFACE, 0.0, 8.0, 500.0)
     assert order(ByTheWay(StoppingRule(0.0)), [far, near, beside_the_way, off_the_way]) == [3, 2]
@@ -69,7 +69,7 @@ def test_detours_stay_within_their_allowance() -> None:
         assert len(set(way)) == len(way)
 
 
-def test_without_a_frontier_surface_is_seen_nearest_first() -> None:
+def test_without_a_frontier_surface_is_viewed_nearest_first() -> None:
     places = [(SURFACE, 5.0, 0.0, 50.0), (SURFACE, -1.0, 0.0, 50.0), (SURFACE, 2.0, 0.0, 50.0)]
     assert order(ByTheWay(StoppingRule(0.0)), places) == [2, 3, 1]
 

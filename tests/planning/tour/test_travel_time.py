@@ -1,4 +1,4 @@
-"""Seconds of a way are what the formula says, written a second time."""
+"""Travel times of paths, against a second implementation of the formula."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def turn(a_rad: float, b_rad: float) -> float:
 
 
 def straight(places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lengths (N, N) and unit directions (N, N, 3) between places (N, 3)."""
+    """Return lengths (N, N) and unit directions (N, N, 3) between positions (N, 3)."""
     away = places[None] - places[:, None]
     lengths_m = np.linalg.norm(away, axis=2)
     return lengths_m, away / np.maximum(lengths_m, 1e-12)[:, :, None]
 
 
-def test_the_costs_are_flying_or_turning_and_leaving_and_braking() -> None:
+def test_costs_are_the_longer_of_flight_and_turn_plus_the_first_turn_and_braking() -> None:
     rng = np.random.default_rng(0)
     lengths_m = rng.uniform(0, 6, (6, 6))
     departures = rng.normal(size=(6, 6, 3))
@@ -47,7 +47,7 @@ def test_the_costs_are_flying_or_turning_and_leaving_and_braking() -> None:
 
 
 @pytest.mark.parametrize("price", [ON_THE_WAY, NOSE_FIRST])
-def test_what_cannot_be_reached_costs_more_than_anything(price: YawWhileFlying | YawThenFly) -> None:
+def test_an_unreachable_task_has_infinite_cost(price: YawWhileFlying | YawThenFly) -> None:
     lengths_m = np.array([[0.0, np.inf], [np.inf, 0.0]])
     costs = price.seconds(lengths_m, np.zeros((2, 2, 3)), np.zeros(2), np.zeros(2))
     assert np.isinf(costs[0, 1])
@@ -64,7 +64,7 @@ def test_what_cannot_be_reached_costs_more_than_anything(price: YawWhileFlying |
         (-180.0, 180.0, 2 * (np.pi - OFF_RAD) / RATE_RADPS + 4.0 / SPEED_MPS),
     ],
 )
-def test_nose_first_turns_before_and_after_a_way(from_deg: float, to_deg: float, seconds: float) -> None:
+def test_nose_first_turns_before_and_after_a_path(from_deg: float, to_deg: float, seconds: float) -> None:
     lengths_m, departures = straight(np.array([[0.0, 0.0, 1.0], [4.0, 0.0, 1.0]]))
     costs = NOSE_FIRST.seconds(lengths_m, departures, np.radians([from_deg, to_deg]), np.full(2, TILT_RAD))
     assert costs[0, 1] == pytest.approx(seconds)
@@ -72,14 +72,14 @@ def test_nose_first_turns_before_and_after_a_way(from_deg: float, to_deg: float,
 
 
 @pytest.mark.parametrize("goal", [(0.3, 0.0, 1.0), (2.0, 0.0, 2.2), (0.0, 0.0, 0.5)])
-def test_what_is_short_or_steep_is_flown_slowly_instead(goal: tuple[float, float, float]) -> None:
+def test_short_or_steep_paths_are_flown_slowly_without_a_turn(goal: tuple[float, float, float]) -> None:
     lengths_m, departures = straight(np.array([[0.0, 0.0, 1.0], goal]))
     costs = NOSE_FIRST.seconds(lengths_m, departures, np.full(2, np.pi / 2), np.full(2, TILT_RAD))
     assert costs[0, 1] == pytest.approx(lengths_m[0, 1] / BLIND_MPS)
 
 
-def test_a_bend_is_turned_for_where_it_ends() -> None:
-    """North first, east at last: the nose turns from one to the other on the way."""
+def test_on_a_bend_the_vehicle_turns_to_the_final_direction_on_the_path() -> None:
+    """The path starts north and ends east: the vehicle yaws from one to the other on the way."""
     lengths_m = np.array([[0.0, 5.0], [5.0, 0.0]])
     departures = np.zeros((2, 2, 3))
     departures[0, 1], departures[1, 0] = (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)

@@ -1,7 +1,8 @@
-"""How fast lockstep is: `python tests/sitl/apps/lockstep_speed.py [SCENE [VIEWS [SEED]]]`, with the mapper's stand-in.
+"""Measure the speed of lockstep.
 
-A machine that others share is not equally fast for a minute. So it is calibrated every second between two turns of the flight,
-which does not count it, and the flight's time is divided by the mean of all of these.
+Usage: `python tests/sitl/apps/lockstep_speed.py [SCENE [VIEWS [SEED]]]`. It flies with the depth-only mapper.
+The speed of a shared machine changes within a minute. Therefore it is calibrated every two seconds between two turns of the
+flight. That time is not counted, and the flight's time is divided by the mean of all calibrations.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ EVERY_S = 2.0
 
 
 class Stopwatch(NoHook):
-    """Calibrates once a second; ``took_s`` for all of that, which was no flight."""
+    """Hook that calibrates the machine every EVERY_S; ``took_s`` is the time that this took."""
 
     def __init__(self) -> None:
         self.factors: list[float] = []
         self.took_s, self._next_s = 0.0, 0.0
 
     def turn(self, now_s: float) -> None:
-        """A turn begins."""
+        """Calibrate, if it is due."""
         began_s = time.perf_counter()
         if began_s >= self._next_s:
             self.factors.append(calibrate(5).factor)
@@ -41,7 +42,7 @@ class Stopwatch(NoHook):
 
 
 def main(scene_name: str | None, views: int, seed: int) -> None:
-    """Fly once, print one line."""
+    """Fly once and print one line."""
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
         options = SimOptions.parse(
             scene=scene_name, seed=seed, views=views, mount="fixed:15", camera="fast", mapper="stand-in", lockstep=True,

@@ -1,4 +1,7 @@
-"""Captures lie where their poses say, repeat for a seed, and know what they saw."""
+"""Captures of a scene: consistent with their poses and repeatable for a seed.
+
+The points that they saw are known.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ POSITIONS = np.array([[0.0, 0.0, 0.0], [0.2, -0.1, 0.1]], np.float32)
 
 
 def box() -> Scene:
-    """A closed cube whose walls have one colour each: the wall's number times 40."""
+    """Return a closed cube in which each wall has one colour: its number times 40."""
     vertices = np.concatenate([CORNERS[list(quad)] for quad in QUADS])
     faces = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * n for n in range(6)]).astype(np.int32)
     rgb = np.repeat(np.arange(6) * 40, 4).astype(np.uint8)[:, None].repeat(3, axis=1)
@@ -36,17 +39,17 @@ def test_depth_ends_on_the_walls() -> None:
         assert len(u) > 50_000
         assert np.abs(np.abs(world).max(axis=1) - HALF_M).max() < 2e-3
         away_m = np.linalg.norm(pose[:3, 3] - POSITIONS, axis=1).min()
-        assert away_m == pytest.approx(0.10)  # the camera sits in front of the body, which stands at a position
+        assert away_m == pytest.approx(0.10)  # the camera is 0.10 m in front of the body
 
 
-def test_one_seed_takes_the_same_pictures_and_another_does_not() -> None:
+def test_equal_seeds_give_equal_captures_and_others_do_not() -> None:
     first, again, other = (capture(box(), POSITIONS, None, "d435i", "d435i", 3, seed) for seed in (1, 1, 2))
     assert np.array_equal(first.depth_mm, again.depth_mm)
     assert np.array_equal(first.world_from_depth, again.world_from_depth)
     assert not np.array_equal(first.world_from_depth, other.world_from_depth)
 
 
-def test_a_gimbal_looks_at_many_tilts_and_a_fixed_mount_at_one() -> None:
+def test_a_gimbal_has_many_pitch_angles_and_a_fixed_mount_one() -> None:
     for pitch, spread in ((None, 0.1), (0.3, None)):
         poses = capture(box(), POSITIONS, pitch, "d435i", "none", 12, 0).world_from_depth
         down = np.arcsin(-poses[:, 2, 2])
@@ -56,7 +59,7 @@ def test_a_gimbal_looks_at_many_tilts_and_a_fixed_mount_at_one() -> None:
             assert down.std() > spread
 
 
-def test_what_lies_behind_the_camera_was_not_seen() -> None:
+def test_points_behind_the_camera_are_not_seen() -> None:
     taken = capture(box(), POSITIONS[:1], 0.0, "d435i", "none", 1, 0)
     ahead = taken.world_from_depth[0, :3, 2]
     wall = ahead * (HALF_M / np.abs(ahead).max())
@@ -81,7 +84,7 @@ def test_colour_is_narrower_than_depth() -> None:
     assert not coloured[0]
 
 
-def test_held_out_pixels_show_the_wall_that_their_rays_meet() -> None:
+def test_held_out_pixels_have_the_colour_of_the_wall_that_their_rays_meet() -> None:
     pose = np.eye(4)
     pose[:3, :3] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along x
     spec = stream_header("d435i").rgb

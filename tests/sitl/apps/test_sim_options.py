@@ -1,4 +1,4 @@
-"""The words of `uav-recon sim` become options, and a config that the product accepts."""
+"""Options of `uav-recon sim` and the config that they give, which the product accepts."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
         ({"fence": "0,0,0,1,1,0"}, "upper corner"),
     ],
 )
-def test_a_word_out_of_range_names_what_is_allowed(words: dict[str, str], named: str) -> None:
+def test_an_invalid_option_names_the_allowed_values(words: dict[str, str], named: str) -> None:
     with pytest.raises(UsageError, match=named) as failure:
         SimOptions.parse(**words)  # type: ignore[arg-type]
     assert failure.value.code == 2
     assert "\n" not in str(failure.value)
 
 
-def test_a_firmware_that_cannot_be_flown_is_said_so_in_one_line(tmp_path: Path) -> None:
+def test_an_unusable_firmware_is_a_one_line_error(tmp_path: Path) -> None:
     plain, program = tmp_path / "readme", tmp_path / "arducopter"
     plain.write_text("", encoding="ascii")
     program.write_text("", encoding="ascii")
@@ -70,7 +70,7 @@ def test_a_firmware_that_cannot_be_flown_is_said_so_in_one_line(tmp_path: Path) 
         assert "\n" not in str(failure.value)
 
 
-def test_a_firmware_goes_to_the_world_with_its_whole_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_world_gets_the_absolute_path_of_the_firmware(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("arducopter").write_text("", encoding="ascii")
     Path("arducopter").chmod(0o755)
@@ -79,7 +79,7 @@ def test_a_firmware_goes_to_the_world_with_its_whole_path(tmp_path: Path, monkey
     assert SimOptions.parse().world(tmp_path).firmware is None
 
 
-def test_the_fence_of_the_product_is_the_scenes_box(tmp_path: Path) -> None:
+def test_the_fence_of_the_product_is_the_box_of_the_scene(tmp_path: Path) -> None:
     config = SimOptions.parse(views=33, seed=5, variant="merged", port=15000, uncertainty="paper").config(SCENE, tmp_path)
     assert config.safety.fence_min_m == (-1.0, -1.5, -0.1)
     assert config.safety.fence_max_m == (7.0, 1.5, 2.4)
@@ -90,18 +90,18 @@ def test_the_fence_of_the_product_is_the_scenes_box(tmp_path: Path) -> None:
     assert config.runtime.folder == tmp_path
 
 
-def test_poses_that_stop_are_landed_on_within_the_bar(tmp_path: Path) -> None:
+def test_the_pose_timeouts_add_up_to_less_than_the_landing_limit(tmp_path: Path) -> None:
     called_lost_s, mode_is_known_s, bar_s = 0.25, 0.25, 1.2
     assert called_lost_s + SimOptions.parse().config(SCENE, tmp_path).safety.pose_land_s + mode_is_known_s <= bar_s
 
 
-def test_a_gimbal_reaches_world_and_product_alike(tmp_path: Path) -> None:
+def test_a_gimbal_is_set_in_world_and_product(tmp_path: Path) -> None:
     options = SimOptions.parse(mount="gimbal")
     assert options.world(tmp_path).mount_pitch_down_deg is None
     assert options.config(SCENE, tmp_path).camera.mount == "gimbal"
 
 
-def test_the_options_of_the_world_survive_their_file(tmp_path: Path) -> None:
+def test_the_world_options_are_read_back_unchanged(tmp_path: Path) -> None:
     world = SimOptions.parse(scene="x.ply", start="1,2,0,90", fence="0,0,0,4,4,3", depth_noise="kinect").world(tmp_path)
     world.save(tmp_path / "world.json")
     back = WorldOptions.load(tmp_path / "world.json")
@@ -110,7 +110,7 @@ def test_the_options_of_the_world_survive_their_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("radius_m", "clearance_m", "inset_m"), [(0.15, 0.35, 0.25), (0.20, 0.40, 0.30), (0.30, 0.50, 0.40)])
-def test_distances_follow_the_radius(tmp_path: Path, radius_m: float, clearance_m: float, inset_m: float) -> None:
+def test_clearance_and_inset_follow_the_radius(tmp_path: Path, radius_m: float, clearance_m: float, inset_m: float) -> None:
     options = SimOptions.parse(radius=radius_m)
     config = options.config(SCENE, tmp_path)
     assert config.planner.clearance_m == pytest.approx(clearance_m)
@@ -118,7 +118,7 @@ def test_distances_follow_the_radius(tmp_path: Path, radius_m: float, clearance_
     assert config.safety.vehicle_radius_m == options.world(tmp_path).radius_m == radius_m
 
 
-def test_a_stand_in_flies_with_the_fast_camera_unless_told() -> None:
+def test_the_depth_only_mapper_flies_with_the_fast_camera_by_default() -> None:
     quick = SimOptions.parse(mapper="stand-in", lockstep=True)
     assert quick.camera == "fast"
     assert SimOptions.parse(mapper="stand-in", lockstep=True, camera="d435i").camera == "d435i"
@@ -129,7 +129,7 @@ def test_a_stand_in_flies_with_the_fast_camera_unless_told() -> None:
     assert not quick.config(SCENE, Path("/tmp")).recording.rerun
 
 
-def test_a_blind_speed_below_the_greatest_turns_the_nose_ahead(tmp_path: Path) -> None:
+def test_a_blind_speed_below_the_maximum_yaws_into_the_direction_of_travel(tmp_path: Path) -> None:
     usual, careful = (SimOptions.parse(blind_speed=mps).config(SCENE, tmp_path) for mps in (1.2, 0.3))
     assert usual.safety.blind_speed_mps == usual.safety.max_speed_mps
     assert yaw_policy_of(usual) is AT_VIEWS
@@ -139,7 +139,7 @@ def test_a_blind_speed_below_the_greatest_turns_the_nose_ahead(tmp_path: Path) -
     assert np.degrees(np.arctan(gaze.half_tan)) == pytest.approx([43.5, 29.0])
 
 
-def test_the_vehicle_flies_by_the_rule_of_blind_directions_that_the_simulator_flew(tmp_path: Path) -> None:
+def test_vehicle_and_simulator_use_the_same_blind_speed(tmp_path: Path) -> None:
     vehicle = load(Path(__file__).parents[3] / "systemd" / "config.toml").safety
     flown = SimOptions.parse().config(SCENE, tmp_path).safety
     assert (vehicle.blind_speed_mps, vehicle.blind_memory_s) == (flown.blind_speed_mps, flown.blind_memory_s)

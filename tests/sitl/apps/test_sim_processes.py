@@ -1,4 +1,7 @@
-"""The launcher of a flight in real time, with short programs in place of world, pilot, perception and mission."""
+"""Launcher of a real-time flight, with short stub programs.
+
+They replace world, pilot, perception and mission.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 PATIENCE_S = 30.0
 
-# Says its pid and its child's, and minds neither SIGTERM nor SIGINT.
+# Reports its own and its child's process id, and ignores SIGTERM and SIGINT.
 STUBBORN = """
     import os, signal, subprocess, sys
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -30,7 +33,7 @@ STUBBORN = """
     child.wait()
 """
 
-# As the mission: SIGTERM ends it in order.
+# Like the mission, it ends in order on SIGTERM.
 ORDERLY = """
     import os, signal, sys
     def end(number, frame):
@@ -67,7 +70,7 @@ LAUNCHER = """
 
 
 class Flight:
-    """A launcher with its four children running."""
+    """Launcher with its four children running."""
 
     def __init__(self, folder: Path) -> None:
         fifo = folder / "words"
@@ -82,7 +85,7 @@ class Flight:
         assert len(self.pids) == 7
 
     def lines(self, count: int) -> list[str]:
-        """What the children have said, once it is so many lines."""
+        """Return the children's output, once it has count lines."""
         while self._heard.count("\n") < count:
             assert select.select([self._words], [], [], PATIENCE_S)[0], self._heard
             self._heard += os.read(self._words, 4096).decode()
@@ -92,7 +95,7 @@ class Flight:
         return self.process.communicate(timeout=PATIENCE_S)[0]
 
     def left(self) -> set[int]:
-        """The children that do not end."""
+        """Return the children that do not end."""
         return {pid for pid in self.pids if not _ends(pid)}
 
     def close(self) -> None:
@@ -135,7 +138,7 @@ def launch(tmp_path: Path) -> Iterator[Callable[[], Flight]]:
 
 
 def say(folder: Path, phase: FlightPhase) -> None:
-    """As the pilot does."""
+    """Publish a vehicle state as the pilot does."""
     state = VehicleState(1.0, Pose.identity(), np.zeros(3), True, "OFFBOARD", phase, 0.9, False, float("nan"), -1, 0, "")
     file_channels(folder).vehicle.publish(state)
 
@@ -163,7 +166,7 @@ def test_in_flight_a_signal_lands_and_then_ends_everything(
     assert flight.left() == set()
 
 
-def test_a_launcher_that_is_killed_leaves_nothing(launch: Callable[[], Flight], tmp_path: Path) -> None:
+def test_a_killed_launcher_leaves_no_process(launch: Callable[[], Flight], tmp_path: Path) -> None:
     say(tmp_path, FlightPhase.FLYING)
     flight = launch()
     flight.process.kill()
@@ -171,7 +174,7 @@ def test_a_launcher_that_is_killed_leaves_nothing(launch: Callable[[], Flight], 
     assert flight.left() == set()
 
 
-def test_a_program_whose_parent_is_gone_does_not_start() -> None:
+def test_a_program_without_its_parent_does_not_start() -> None:
     alone = subprocess.run(
         [sys.executable, "-m", "sitl.runtime.die_with_parent", "1", "echo", "here"], capture_output=True, check=False
     )

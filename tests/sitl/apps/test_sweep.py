@@ -1,4 +1,4 @@
-"""A sweep: which flights it is made of, what its account holds, and that nothing stops it."""
+"""Sweep: its flights, its records, and that no failure stops it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from uav_recon.errors import UserError
 BROKEN = Case("/nowhere", 0, 0.2, "adaptive", "fixed:15", "fast", 8)
 
 
-def test_more_jobs_than_there_is_memory_for_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_jobs_than_fit_in_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sitl.apps.sim_options.memory_gb", lambda: 4.1)
     assert SweepOptions.parse(jobs=5).jobs == 5
     for parse in (SweepOptions.parse, FaultOptions.parse):
@@ -25,7 +25,7 @@ def test_more_jobs_than_there_is_memory_for_are_refused(monkeypatch: pytest.Monk
         assert caught.value.code == 2
 
 
-def test_flights_go_through_everything_before_the_next_seed() -> None:
+def test_all_combinations_are_flown_before_the_next_seed() -> None:
     options = SweepOptions.parse(flights=9, seed0=4, scenes="random,built-in", radii="0.15,0.3", variants="adaptive,explore")
     cases = list(options.cases())
     assert len(cases) == len(set(cases)) == 9
@@ -51,12 +51,12 @@ def test_flights_go_through_everything_before_the_next_seed() -> None:
         ({"scenes": "random:-1"}, "--scenes random:-1: no such scene"),
     ],
 )
-def test_a_word_out_of_range_is_told(words: dict[str, str], named: str) -> None:
+def test_an_invalid_option_is_named(words: dict[str, str], named: str) -> None:
     with pytest.raises(UsageError, match=named):
         SweepOptions.parse(**words)  # type: ignore[arg-type]
 
 
-def test_what_breaks_is_recorded_with_its_seed() -> None:
+def test_a_failed_flight_is_recorded_with_its_seed() -> None:
     record = fly_case(BROKEN, truth=False)
     assert record.case == BROKEN
     assert record.bad
@@ -65,18 +65,18 @@ def test_what_breaks_is_recorded_with_its_seed() -> None:
     assert "--scene /nowhere --seed 0" in record.case.command()
 
 
-def test_a_record_survives_its_file() -> None:
+def test_a_record_is_read_back_unchanged() -> None:
     record = Record(BROKEN, "completed", "enough", flight_s=12.5, contacts=0)
     assert from_tree(json.loads(json.dumps(as_tree(record)))) == record
 
 
-def test_a_contact_is_bad_and_silence_is_not() -> None:
+def test_a_contact_is_bad_and_an_abort_is_not() -> None:
     assert Record(BROKEN, contacts=1).bad
     assert not Record(BROKEN, contacts=0).bad
     assert not Record(BROKEN, outcome="aborted: battery").bad
 
 
-def test_a_sweep_goes_on_where_its_account_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sweep_resumes_after_the_recorded_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     account = tmp_path / "sweep.json"
     (tmp_path / "empty").mkdir()
     options = SweepOptions.parse(flights=2, scenes=str(tmp_path / "empty"), jobs=1, json=account)
@@ -90,7 +90,7 @@ def test_a_sweep_goes_on_where_its_account_ends(tmp_path: Path, capsys: pytest.C
     assert sweep(options) == 0, "nothing is flown again"
 
 
-def test_an_account_of_something_else_is_told(tmp_path: Path) -> None:
+def test_a_foreign_json_file_is_refused(tmp_path: Path) -> None:
     account = tmp_path / "sweep.json"
     account.write_text('{"flights": [{"seed": 1}]}')
     with pytest.raises(UserError, match="not the account of a sweep"):

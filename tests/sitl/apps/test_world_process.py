@@ -1,4 +1,4 @@
-"""The world's process in real time: what it notes down for hours must not make it stand still."""
+"""World process in real time: its growing records must not stall it for hours of flight."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sitl.apps import world_process
 
 
 class NotesDown:
-    """As much as a world notes down in an hour, at each step a little."""
+    """Stub world that records as much in a few steps as a real one in an hour."""
 
     def __init__(self) -> None:
         self.notes: list[tuple[object, ...]] = []
@@ -33,7 +33,7 @@ class NoDarkroom:
 
 @pytest.fixture
 def collections() -> Iterator[list[int]]:
-    """The generation of each collection of garbage from here on."""
+    """Yield the list of the generations of garbage collections from here on."""
     seen, thresholds = list[int](), gc.get_threshold()
 
     def note(phase: str, about: dict[str, int]) -> None:
@@ -48,7 +48,7 @@ def collections() -> Iterator[list[int]]:
     gc.unfreeze()
 
 
-def test_a_long_flight_is_never_gone_through_as_a_whole(collections: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_flight_never_runs_a_full_garbage_collection(collections: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(world_process, "Darkroom", NoDarkroom)
     world = NotesDown()
     world_process.run(world, lambda _: len(world.notes) >= 400_000)  # type: ignore[arg-type]

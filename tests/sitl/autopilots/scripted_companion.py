@@ -1,4 +1,7 @@
-"""A scripted companion for tests of the simulated autopilots: pymavlink only, a perfect pose feed, injected time."""
+"""Scripted companion for tests of the simulated autopilots.
+
+It uses pymavlink only, a perfect pose feed, and injected time.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +21,14 @@ LOITER, LAND, OFFBOARD, POSCTL = 50593792, 100925440, 393216, 196608
 PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 POSITION_ONLY = 0b110111111000 & ~(1 << 10)
 TICK_S = 0.01
-CLOCK_AHEAD_S = 1000.0  # the companion's clock against the world's
+CLOCK_AHEAD_S = 1000.0  # companion clock minus world clock
 
 
 class Companion:
-    """Owns the world's clock. Each tick: physics, telemetry, pose at 50 Hz, setpoint at setpoint_hz, heartbeat."""
+    """Companion that owns the world's clock.
+
+    Each tick runs physics and telemetry, and sends a pose at 50 Hz, a setpoint at setpoint_hz and a heartbeat.
+    """
 
     system = 42
 
@@ -61,11 +67,11 @@ class Companion:
 
     @property
     def px4(self) -> Px4:
-        """The autopilot, where it is PX4."""
+        """The autopilot, which must be a PX4."""
         assert isinstance(self.autopilot, Px4)
         return self.autopilot
 
-    # -- speaking ---
+    # -- sending ---
 
     def send(self, message: Any) -> None:
         self._pipe.write(message.pack(self._codec))
@@ -97,7 +103,7 @@ class Companion:
     # -- time ---
 
     def run(self, seconds: float, until: Callable[[], bool] | None = None) -> bool:
-        """Let time pass; True as soon as `until` holds."""
+        """Let time pass; return True as soon as `until` holds."""
         for _ in range(round(seconds / TICK_S)):
             self._tick()
             if until is not None and until():
@@ -155,7 +161,7 @@ class Companion:
                 ours_ns = round((self.now_s + CLOCK_AHEAD_S) * 1e9)
                 self.send(mavlink.MAVLink_timesync_message(ours_ns, m.ts1))
 
-    # -- seeing ---
+    # -- state ---
 
     @property
     def mode(self) -> int:
@@ -184,16 +190,16 @@ class Companion:
         n = self.ned
         return math.dist(n, (x, y, z))
 
-    # -- flight cards ---
+    # -- sequences ---
 
     def ready(self) -> None:
-        """Pose fused, origin set, PREARM."""
+        """Wait until the pose is fused, send the origin, and wait for PREARM."""
         assert self.run(5.0, lambda: "ESTIMATOR_STATUS" in self.last and bool(self.flags & 8))
         self.send_origin()
         assert self.run(8.0, lambda: self.prearm)
 
     def take_off(self, height: float = 1.2) -> None:
-        """Handshake and climb by setpoint, to a hover above the pad."""
+        """Arm in OFFBOARD and climb by setpoint to a hover above the pad."""
         self.ready()
         self.go_to(0.0, 0.0, -height, math.pi / 2 - 0.3)
         self.run(1.2)

@@ -21,7 +21,7 @@ def test_bytes_come_out_of_a_pipe_once_and_in_order() -> None:
     a.wait(10.0)  # returns at once
 
 
-def test_a_closed_pipe_end_says_so() -> None:
+def test_a_closed_pipe_end_raises_an_error() -> None:
     a, _ = pipe()
     a.close()
     with pytest.raises(OSError, match="closed"):
@@ -30,7 +30,7 @@ def test_a_closed_pipe_end_says_so() -> None:
         a.write(b"x")
 
 
-def test_a_pipe_nobody_reads_drops_the_oldest() -> None:
+def test_a_pipe_without_a_reader_drops_the_oldest() -> None:
     a, b = pipe(depth=2)
     for data in (b"1", b"2", b"3"):
         a.write(data)
@@ -45,7 +45,7 @@ def companion() -> Iterator[socket.socket]:
         yield s
 
 
-def test_udp_speaks_first_and_hears_its_remote_with_the_kernels_arrival(companion: socket.socket) -> None:
+def test_udp_sends_first_and_receives_with_the_kernels_arrival_time(companion: socket.socket) -> None:
     peer = UdpPeer(remote=companion.getsockname())
     try:
         assert peer.read() == b""
@@ -66,7 +66,7 @@ def test_udp_speaks_first_and_hears_its_remote_with_the_kernels_arrival(companio
         peer.close()
 
 
-def test_udp_does_not_hear_strangers(companion: socket.socket) -> None:
+def test_udp_ignores_other_senders(companion: socket.socket) -> None:
     peer = UdpPeer(remote=companion.getsockname())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(b"evil", ("127.0.0.1", peer.local_port))
@@ -77,7 +77,7 @@ def test_udp_does_not_hear_strangers(companion: socket.socket) -> None:
     peer.close()
 
 
-def test_udp_survives_a_remote_that_is_not_there() -> None:
+def test_udp_survives_a_missing_remote() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         address = free.getsockname()
@@ -93,12 +93,12 @@ def test_udp_refuses_addresses_off_this_machine() -> None:
         UdpPeer(remote=("192.0.2.1", 14540))
 
 
-def test_udp_says_when_its_port_is_taken(companion: socket.socket) -> None:
+def test_udp_raises_an_error_if_its_port_is_in_use(companion: socket.socket) -> None:
     with pytest.raises(OSError, match="in use"):
         UdpPeer(local_port=companion.getsockname()[1])
 
 
-def test_a_peer_that_knows_no_remote_answers_whoever_spoke_first(companion: socket.socket) -> None:
+def test_a_peer_without_a_remote_adopts_the_first_sender(companion: socket.socket) -> None:
     peer = UdpPeer(remote=None)
     try:
         peer.write(b"to nobody")

@@ -28,7 +28,7 @@ LOOSE = {"EKF2_EV_CTRL": 11, "EKF2_EV_QMIN": 20, "EKF2_EVP_NOISE": 0.1, "EKF2_EV
 
 
 class Rig:
-    """A vehicle flying a lazy eight in the air, its IMU, and poses at 50 Hz of a chosen age."""
+    """Vehicle that flies a figure of eight, with its IMU and poses at 50 Hz of a given age."""
 
     def __init__(self, age_s: float = 0.04, parameters: Px4Parameters | None = None, move: float = 1.0) -> None:
         self.vehicle = Quadrotor(5, wind_mps=0.1, start=(0.0, 0.0, 0.0))
@@ -47,7 +47,7 @@ class Rig:
         self.steps = 0
 
     def run(self, seconds: float) -> float:
-        """Advance; returns the worst horizontal error met."""
+        """Advance, and return the greatest horizontal error."""
         worst = 0.0
         v, e = self.vehicle, self.estimator
         for _ in range(round(seconds / DT)):
@@ -94,7 +94,7 @@ class Rig:
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.06, 0.18])
-def test_late_poses_are_fused_at_their_own_instant(age_s: float) -> None:
+def test_late_poses_are_fused_at_their_own_time(age_s: float) -> None:
     rig = Rig(age_s)
     rig.run(6.0)
     assert rig.run(10.0) < 0.03
@@ -104,15 +104,15 @@ def test_late_poses_are_fused_at_their_own_instant(age_s: float) -> None:
     assert rig.estimator.ignored == {}
 
 
-def test_poses_taken_for_newer_than_they_are_hurt() -> None:
-    """The negative control: without their stamps late poses drag the estimate behind."""
+def test_late_poses_with_new_stamps_degrade_the_estimate() -> None:
+    """Negative control: without their stamps, late poses make the estimate lag."""
     rig = Rig(0.18)
     rig.change = lambda p: replace(p, stamp_s=rig.now_s)
     rig.run(6.0)
     assert rig.run(10.0) > 0.06
 
 
-def test_it_follows_only_after_half_a_second_of_poses() -> None:
+def test_the_estimate_is_valid_after_half_a_second_of_poses() -> None:
     rig = Rig(0.0)
     rig.run(0.4)
     assert not rig.follows()
@@ -125,7 +125,7 @@ def test_it_follows_only_after_half_a_second_of_poses() -> None:
     assert rig.estimator.flags & POS_HORIZ_ABS
 
 
-def test_with_vision_switched_off_it_never_follows() -> None:
+def test_with_vision_disabled_poses_are_never_fused() -> None:
     rig = Rig(0.0, Px4Parameters())  # EKF2_EV_CTRL 0 since v1.16
     rig.run(3.0)
     assert not rig.follows()
@@ -159,7 +159,7 @@ def test_dead_reckoning_drifts_about_a_metre_in_five_seconds() -> None:
     assert 0.05 < drift < 2.0
 
 
-def test_a_jump_is_rejected_silently_then_taken_after_a_second() -> None:
+def test_a_jump_is_rejected_silently_and_accepted_after_a_second() -> None:
     p = Px4Parameters.load()
     p.set("EKF2_NOAID_TOUT", 5_000_000)
     rig = Rig(0.0, p)
@@ -169,13 +169,13 @@ def test_a_jump_is_rejected_silently_then_taken_after_a_second() -> None:
     assert rig.estimator.ignored["position gate"] > 20
     assert rig.estimator.position_test_ratio > 1.0
     assert rig.estimator.flags & POS_HORIZ_REL
-    assert len(rig.resets) == 1  # only the start
+    assert len(rig.resets) == 1  # only the one at the start
     rig.run(0.3)
     assert rig.error() == pytest.approx(0.5, abs=0.1)
     assert rig.resets[-1][0][0] == pytest.approx(0.5, abs=0.1)
 
 
-def test_resets_in_the_air_are_five() -> None:
+def test_at_most_five_resets_happen_in_the_air() -> None:
     rig = Rig(0.0)
     rig.run(4.0)
     for jump in range(1, 8):
@@ -184,7 +184,7 @@ def test_resets_in_the_air_are_five() -> None:
     assert len(rig.resets) == 1 + 5
 
 
-def test_the_indoor_gate_refuses_what_the_default_gate_swallows() -> None:
+def test_the_indoor_gate_rejects_a_jump_that_the_default_gate_accepts() -> None:
     loose = Px4Parameters()
     for name, value in LOOSE.items():
         loose.set(name, value)
@@ -232,7 +232,7 @@ def test_stale_repeated_and_future_stamps_are_never_fused() -> None:
     assert set(late.estimator.ignored) == {"late"}
 
 
-def test_fields_that_are_not_numbers_are_left_out_alone() -> None:
+def test_only_the_fields_that_are_not_numbers_are_ignored() -> None:
     rig = Rig(0.0)
     rig.run(3.0)
     rig.change = lambda p: replace(p, quat_wxyz=(math.nan, 0.0, 0.0, 0.0))
@@ -246,7 +246,7 @@ def test_fields_that_are_not_numbers_are_left_out_alone() -> None:
     assert all(math.isfinite(c) for c in (*rig.estimator.position, *rig.estimator.quat_wxyz))
 
 
-def test_a_persistent_yaw_step_is_refused_then_taken() -> None:
+def test_a_persistent_yaw_step_is_rejected_and_accepted_later() -> None:
     rig = Rig(0.0)
     rig.run(4.0)
     turned = from_yaw(math.radians(30.0))
@@ -260,14 +260,14 @@ def test_a_persistent_yaw_step_is_refused_then_taken() -> None:
     assert rig.resets[-1][1] == pytest.approx(math.radians(30.0), abs=0.05)
 
 
-def test_an_origin_before_the_first_pose_leaves_its_altitude_in_the_height() -> None:
+def test_an_origin_before_the_first_pose_adds_its_altitude_to_the_height() -> None:
     rig = Rig(0.0)
     rig.estimator.offset_height(488.0)
     rig.run(3.0)
     assert rig.estimator.position[2] == pytest.approx(488.0 - rig.vehicle.position[2], abs=0.1)
 
 
-def test_height_is_carried_by_the_barometer_when_poses_stop() -> None:
+def test_the_barometer_gives_the_height_when_poses_stop() -> None:
     rig = Rig(0.0)
     rig.run(4.0)
     rig.pose_on = False

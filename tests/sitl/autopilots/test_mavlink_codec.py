@@ -1,4 +1,4 @@
-"""The simulated autopilot's frames against pymavlink's own encoder and decoder."""
+"""Frames of the simulated autopilot, against pymavlink's encoder and decoder."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ SAID: tuple[tuple[Any, tuple[Any, ...]], ...] = (
 
 
 @pytest.mark.parametrize(("kind", "fields"), SAID, ids=[kind.msgname for kind, _ in SAID])
-def test_a_frame_is_pymavlinks_to_the_byte(kind: Any, fields: tuple[Any, ...]) -> None:
+def test_a_frame_is_byte_identical_to_pymavlinks(kind: Any, fields: tuple[Any, ...]) -> None:
     assert MessageEncoder(1, 1).frame(packet(kind, *fields)) == bytes(kind(*fields).pack(mavlink.MAVLink(None, 1, 1)))
 
 
-def test_frames_are_numbered() -> None:
+def test_frames_have_consecutive_sequence_numbers() -> None:
     speaker, beat = MessageEncoder(1, 1), packet(mavlink.MAVLink_heartbeat_message, 2, 12, 128, 5, 4, 3)
     assert [speaker.frame(beat)[4] for _ in range(258)][-4:] == [254, 255, 0, 1]
 
 
-def test_what_pymavlink_says_is_heard_in_any_pieces_and_through_noise() -> None:
+def test_pymavlinks_frames_are_decoded_in_any_pieces_and_through_noise() -> None:
     source = mavlink.MAVLink(None, 245, 191)
     frames = [bytes(kind(*fields).pack(source)) for kind, fields in SAID]
     spoilt = bytearray(frames[0])

@@ -1,6 +1,7 @@
-"""An independent client sees both simulated autopilots arm, fly and land: MAVSDK, with poses, stamps and codec of its own.
+"""MAVSDK, an independent client, arms, flies and lands both simulated autopilots.
 
-In real time, for MAVSDK has no other; skipped, and reported so, where it is not installed.
+Poses, time stamps and codec are MAVSDK's own. The test runs in real time, because MAVSDK supports no other clock. It is
+skipped, and reported as skipped, if MAVSDK is not installed.
 """
 
 from __future__ import annotations
@@ -49,7 +50,10 @@ VARIANCE = 0.02**2
 
 
 class Flight:
-    """An autopilot that flies in a thread of this process, MAVSDK at the other end of a UDP link, and poses from the truth."""
+    """Autopilot that flies in a thread of this process, with MAVSDK at the other end.
+
+    The link is UDP, and the poses are the truth.
+    """
 
     def __init__(self, name: str) -> None:
         self._end = UdpPeer(remote=None)
@@ -79,7 +83,7 @@ class Flight:
         self._end.close()
 
     def ask_for(self, message: int, rate_hz: float) -> None:
-        """SET_MESSAGE_INTERVAL."""
+        """Send SET_MESSAGE_INTERVAL."""
         fields = {"command": 511, "confirmation": 0, "param1": message, "param2": 1e6 / rate_hz}
         fields |= {f"param{n}": 0.0 for n in range(3, 8)} | {"target_system": 1, "target_component": 1}
         MavlinkDirect(self.system).send_message(MavlinkMessage("COMMAND_LONG", 245, 191, 1, 1, json.dumps(fields)))
@@ -102,7 +106,7 @@ class Flight:
 
 
 def odometry(autopilot: Autopilot) -> Odometry:
-    """Where it truly is, on MAVSDK's own stamp of now."""
+    """Return the true odometry; MAVSDK stamps it with its own time."""
     t = autopilot.truth()
     velocity = frd_from_flu(rotate(conjugate(t.quat_wxyz), t.velocity))
     diagonal = [VARIANCE if row == column else 0.0 for row in range(6) for column in range(row, 6)]
@@ -122,12 +126,12 @@ def odometry(autopilot: Autopilot) -> Odometry:
 
 
 def height_m(flight: Flight) -> float:
-    """As MAVSDK was told."""
+    """Return the height that MAVSDK reports."""
     return float(-flight.telemetry.position_velocity_ned().position.down_m)
 
 
 def climb(flight: Flight) -> None:
-    """To 1.2 m above the pad, in OFFBOARD or GUIDED."""
+    """Command 1.2 m above the pad, in OFFBOARD or GUIDED."""
     flight.offboard.set_position_ned(PositionNedYaw(0.0, 0.0, -1.2, 0.0))
     flight.offboard.start()
 
@@ -143,21 +147,21 @@ def test_mavsdk_arms_flies_and_lands(flight: Flight) -> None:
     px4 = isinstance(flight.autopilot, Px4)
     assert flight.system.autopilot_type() == (Firmware.PX4 if px4 else Firmware.ARDUPILOT)
     told = flight.telemetry
-    flight.ask_for(SYS_STATUS, 5.0)  # ArduPilot says nothing unasked, and MAVSDK does not ask for this one
+    flight.ask_for(SYS_STATUS, 5.0)  # ArduPilot sends only requested messages, and MAVSDK does not request this one
     told.set_rate_in_air(5.0)
     told.set_rate_position_velocity_ned(10.0)
     flight.until("a camera that is healthy", lambda: told.health().is_local_position_ok, 40.0)
-    if not px4:  # an origin that comes before its filter follows is lost, and cannot be given twice
+    if not px4:  # an origin before the estimate is valid is lost, and it cannot be sent twice
         flight.until("all but an origin", lambda: "PreArm: Fence requires position" in flight.autopilot.texts, 60.0)
     flight.action.set_gps_global_origin(*ORIGIN)
-    if px4:  # its heading is none in LOCAL_FRD, which is all that MAVSDK has: no Hold, but OFFBOARD needs no north
+    if px4:  # MAVSDK sends LOCAL_FRD only, which gives PX4 no heading: no Hold, but OFFBOARD needs no north
         climb(flight)
     flight.until("ready to arm", lambda: told.health().is_armable, 40.0)
     assert (told.armed(), told.landed_state()) == (False, LandedState.ON_GROUND)
 
     flight.action.arm()
     flight.until("armed", told.armed, 5.0)
-    if not px4:  # GUIDED climbs by itself, and takes a target only in the air
+    if not px4:  # GUIDED climbs by a command, and accepts a setpoint only in the air
         flight.action.set_takeoff_altitude(1.2)
         flight.action.takeoff()
         flight.until("at its height", lambda: height_m(flight) > 1.1, 20.0)

@@ -1,4 +1,4 @@
-"""Troubles of vehicle and autopilot that the fault campaign counts on: HAZARDS D7, E7 and E9."""
+"""Faults of vehicle and autopilot that the fault campaign relies on: HAZARDS D7, E7 and E9."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scripted_companion import LAND, OFFBOARD
 
 
 @pytest.mark.parametrize(("flying", "ready_s"), [(px4_rig.flying, 2.0), (ardupilot_rig.flying, 12.0)])
-def test_after_a_restart_poses_are_looked_at_anew_and_the_vehicle_stays_where_it_is(flying: Any, ready_s: float) -> None:
+def test_after_a_reboot_poses_are_fused_again_and_the_vehicle_stays_in_place(flying: Any, ready_s: float) -> None:
     c = flying()
     before, place = c.autopilot.estimator, c.vehicle.position
     c.autopilot.reboot()
@@ -30,7 +30,7 @@ def test_after_a_restart_poses_are_looked_at_anew_and_the_vehicle_stays_where_it
 
 
 @pytest.mark.parametrize(("flying", "land"), [(px4_rig.flying, LAND), (ardupilot_rig.flying, ardupilot_rig.LAND)])
-def test_a_blind_land_detector_leaves_the_motors_on(flying: Any, land: int) -> None:
+def test_a_failed_land_detector_leaves_the_motors_on(flying: Any, land: int) -> None:
     c = flying()
     c.autopilot.lose_land_detector()
     c.set_mode(land)
@@ -40,7 +40,7 @@ def test_a_blind_land_detector_leaves_the_motors_on(flying: Any, land: int) -> N
 
 
 @pytest.mark.parametrize("share", [1.0, 1.0 / 3.0])
-def test_weak_rotors_do_not_lift_it_and_spoil_no_sensor(share: float) -> None:
+def test_weak_rotors_do_not_lift_the_vehicle_and_affect_no_sensor(share: float) -> None:
     c = px4_rig.companion()
     c.ready()
     c.vehicle.weaken(share)

@@ -30,7 +30,10 @@ def renderer(*quads: list[object]) -> Renderer:
 
 
 def wall(distance_m: float) -> Renderer:
-    """A wall across the whole picture, distance_m in front of the depth imager of a body at the origin."""
+    """Return a wall across the whole image, in front of the depth imager.
+
+    The body is at the origin, and the wall is distance_m from the imager.
+    """
     return renderer(quad(0.10 + distance_m, (-30, 30), (-30, 30), (50, 60, 70)))
 
 
@@ -51,7 +54,7 @@ def test_fields_of_view() -> None:
 
 @pytest.mark.parametrize("distance_m", [1.0, 2.0, 4.0])
 def test_stereo_error_grows_with_the_square_of_the_distance(distance_m: float) -> None:
-    """14 mm at 2 m: z² · 0.08 px / (f · 5 cm) with the focal length of the matched 848 pixel picture."""
+    """14 mm at 2 m: z² · 0.08 px / (f · 5 cm), with f of the matched 848 pixel wide image."""
     focal_px = pinhole(848, 480, 87.0, 58.0).fx
     expected = distance_m**2 * 0.08 / (focal_px * BASELINE_M)
     error = errors_m("d435i", distance_m)
@@ -59,7 +62,7 @@ def test_stereo_error_grows_with_the_square_of_the_distance(distance_m: float) -
     assert abs(np.nanmean(error)) < 0.05 * expected + 0.02 * distance_m * expected
 
 
-def test_stereo_error_is_smooth_in_the_picture_and_new_in_each_frame() -> None:
+def test_stereo_error_is_smooth_in_the_image_and_independent_between_frames() -> None:
     error = errors_m("d435i", 2.0)[:, :, 30:]
     error = np.nan_to_num(error / np.nanstd(error))
     beside = (error[:, :, 1:] * error[:, :, :-1]).mean()
@@ -93,8 +96,11 @@ def test_same_seed_and_frame_number_give_the_same_noise() -> None:
     assert (a[0] != c[0]).mean() > 0.5
 
 
-def test_what_only_one_imager_sees_is_a_hole_beside_the_near_object() -> None:
-    """A post at 1 m before a wall at 3 m hides f·b·(1/1 - 1/3) = 7.4 px of the wall at its left, none at its right."""
+def test_surface_seen_by_one_imager_only_is_a_hole_beside_the_near_object() -> None:
+    """A post at 1 m before a wall at 3 m hides f·b·(1/1 - 1/3) = 7.4 px of the wall.
+
+    They are on its left; none are hidden on its right.
+    """
     view = renderer(quad(1.1, (-0.2, 0.2), (-3, 3), (9, 9, 9)), quad(3.1, (-9, 9), (-9, 9), (9, 9, 9)))
     depth, _ = SimulatedD435i(view, "d435i", "d435i").capture(np.eye(4), 0.0)
     row = depth[120]
@@ -108,7 +114,7 @@ def test_what_only_one_imager_sees_is_a_hole_beside_the_near_object() -> None:
 
 
 def test_grazing_surfaces_give_no_depth() -> None:
-    """A floor seen at an incidence cosine of 0.1 is a hole, one at 0.3 is not."""
+    """At an incidence cosine of 0.1 a floor has no depth, at 0.3 it has."""
     floor = [np.array([[0, -9, -0.5], [9, -9, -0.5], [9, 9, -0.5], [0, 9, -0.5]], np.float32),
              np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.zeros((4, 3), np.uint8)]  # fmt: skip
     depth, _ = SimulatedD435i(renderer(floor), "d435i", "d435i").capture(np.eye(4), 0.0)
@@ -122,8 +128,11 @@ def test_grazing_surfaces_give_no_depth() -> None:
     assert 0.2 < (edge > 0).mean() < 0.8
 
 
-def test_colour_camera_sits_to_the_left_and_sees_less() -> None:
-    """A mark straight before the colour imager is in the middle of its picture, and left of the middle of depth."""
+def test_the_colour_camera_is_left_of_the_depth_camera_and_narrower() -> None:
+    """A mark straight before the colour imager is at the centre of the colour image.
+
+    In the depth image it is left of the centre.
+    """
     mark = renderer(quad(1.1, (-6e-3 + 0.015, 6e-3 + 0.015), (-3, 3), (255, 0, 0)), quad(3, (-9, 9), (-9, 9), (0, 0, 9)))
     depth_view = SimulatedD435i(mark, "wide", "none").capture(np.eye(4), 0.0)[1]
     colour_view = SimulatedD435i(mark, "d435i", "none").capture(np.eye(4), 0.0)[1]
@@ -133,8 +142,11 @@ def test_colour_camera_sits_to_the_left_and_sees_less() -> None:
     assert np.mean(wide_u) == pytest.approx(DEPTH_SPEC.cx - 0.015 * DEPTH_SPEC.fx, abs=1.0)
 
 
-def test_the_mount_looks_down_from_ten_centimetres_ahead() -> None:
-    """At the origin, 1 m over a floor and tilted straight down, the picture's middle is 1 m away and 0.1 m ahead."""
+def test_the_camera_is_mounted_ten_centimetres_ahead_of_the_body() -> None:
+    """The body is 1 m above a floor, and the camera is pitched straight down.
+
+    The image centre is then 1 m away and 0.1 m ahead.
+    """
     floor = [np.array([[-9, -9, -1], [9, -9, -1], [9, 9, -1], [-9, 9, -1]], np.float32),
              np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.zeros((4, 3), np.uint8)]  # fmt: skip
     spot = quad(0.0, (-0.02, 0.02), (-0.02, 0.02), (255, 255, 255))

@@ -1,4 +1,7 @@
-"""The stand-in for a learned surface: elements on the wall that was seen, facing the camera, better known with each look."""
+"""Depth-only mapper: surface elements on the observed wall, facing the camera.
+
+They become more certain with each view.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,11 @@ from sitl.camera.depth_surfels import PRIOR_SIGMA_M, DepthSurfels
 
 LENS = np.array([110.0, 110.0, 105.5, 59.5])
 NOISE = 0.0036  # 14 mm at 2 m
-LOOK_X = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # world_from_camera that looks along x
+LOOK_X = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # world_from_camera rotation, looking along x
 
 
 def wall(distance_m: float, slope: float = 0.0) -> NDArray[np.float32]:
-    """Depth of the plane z = distance + slope * x_right, (120, 212)."""
+    """Return the depth of the plane z = distance + slope * x_right, (120, 212)."""
     u = (np.arange(212) - LENS[2]) / LENS[0]
     return np.tile(distance_m / (1.0 - slope * u), (120, 1)).astype(np.float32)
 
@@ -33,7 +36,7 @@ def test_elements_lie_on_the_wall_and_face_the_camera() -> None:
     assert (sigma < 0.06).all()
 
 
-def test_there_is_one_element_in_a_cube() -> None:
+def test_there_is_one_element_per_cube() -> None:
     m = memory()
     m.look(wall(2.0), LENS, LOOK_X, np.zeros(3), NOISE)
     cubes = {tuple(c) for c in np.floor((m.elements()[0] - np.array([-1.0, -4.0, -4.0])) / 0.1 + 1e-6).astype(int)}
@@ -43,11 +46,11 @@ def test_there_is_one_element_in_a_cube() -> None:
 def test_a_slanted_wall_has_a_slanted_normal() -> None:
     m = memory()
     m.look(wall(2.0, slope=0.5), LENS, LOOK_X, np.zeros(3), NOISE)
-    expected = np.array([-1.0, -0.5, 0.0]) / np.hypot(1.0, 0.5)  # depth grows to the right: the wall faces left and back
+    expected = np.array([-1.0, -0.5, 0.0]) / np.hypot(1.0, 0.5)  # depth grows to the right, so the wall faces left and back
     assert np.abs(m.elements()[1] @ expected) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_doubt_falls_with_each_look_and_faster_from_near_and_square() -> None:
+def test_uncertainty_falls_with_each_view_and_faster_for_near_perpendicular_ones() -> None:
     def after(*looks: tuple[float, float]) -> float:
         m = memory()
         for distance_m, slope in looks:

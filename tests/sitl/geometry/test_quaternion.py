@@ -49,7 +49,7 @@ def test_small_rotations_round_trip() -> None:
     assert quaternion.small_rotation(q) == pytest.approx(turn, abs=1e-5)
 
 
-def test_wrapped_stays_in_half_a_turn() -> None:
+def test_wrapped_angles_are_between_minus_pi_and_pi() -> None:
     for angle in np.linspace(-20.0, 20.0, 401):
         w = quaternion.wrapped(float(angle))
         assert -math.pi <= w < math.pi

@@ -1,4 +1,7 @@
-"""A firmware's binary is started, followed and ended; what is wrong with it is said in one line. The binary is a stand-in."""
+"""Firmware process: it is started, followed and ended, and faults are reported in one line.
+
+A stub program replaces the binary.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ from sitl.real_firmware.px4 import COMPANION_PORT, Px4Binary
 from sitl.real_firmware.true_trajectory import TrueTrajectory
 
 HALF = math.sqrt(0.5)
-EAST = (HALF, 0.0, 0.0, HALF)  # ned_from_frd of a level body whose nose points east
+EAST = (HALF, 0.0, 0.0, HALF)  # ned_from_frd of a level body heading east
 STAND_IN = """#!{python}
 import socket, sys, time
 from pymavlink.dialects.v20 import common as mavlink
@@ -82,7 +85,7 @@ def vehicle(tmp_path: Path) -> Iterator[FirmwareVehicle]:
         yield flying
 
 
-def test_the_world_follows_what_the_firmware_says_of_itself(vehicle: FirmwareVehicle) -> None:
+def test_the_world_follows_the_state_that_the_firmware_reports(vehicle: FirmwareVehicle) -> None:
     truth = vehicle.truth()
     assert truth.position == (0.0, 0.0, 0.0)
     assert truth.quat_wxyz == pytest.approx((math.cos(0.25), 0.0, 0.0, math.sin(0.25)))
@@ -91,7 +94,7 @@ def test_the_world_follows_what_the_firmware_says_of_itself(vehicle: FirmwareVeh
     while not (vehicle.version and vehicle.truth().position[2] > 0.5) and time.monotonic() < end_s:
         vehicle.step(time.monotonic())
     truth, north_m = vehicle.truth(), 100 * 0.011131884502145034
-    turn = 0.5  # the nose was east, and is the scene's heading: north is to its left
+    turn = 0.5  # the heading was east, which is the scene's start heading, so north is to the left
     assert truth.position == pytest.approx((-math.sin(turn) * north_m, math.cos(turn) * north_m, 1.0), abs=0.03)
     assert (truth.armed, truth.mode, vehicle.version) == (True, "LAND", "4.8.0 (8f898471)")
     assert vehicle.failsafes == vehicle.texts == ["EKF Failsafe: changed to LAND Mode"]
@@ -100,7 +103,7 @@ def test_the_world_follows_what_the_firmware_says_of_itself(vehicle: FirmwareVeh
     assert vehicle.setpoint_arrivals_s == []
 
 
-def test_its_pilot_turns_the_switch_and_holds_the_sticks(tmp_path: Path) -> None:
+def test_the_pilot_sets_the_mode_switch_and_holds_the_sticks(tmp_path: Path) -> None:
     binary = ArduPilotBinary(stand_in(tmp_path))
     with (
         closing(FirmwareVehicle(binary, 24571, 0.5, tmp_path / "scratch", tmp_path / "firmware.log")) as vehicle,
@@ -115,13 +118,13 @@ def test_its_pilot_turns_the_switch_and_holds_the_sticks(tmp_path: Path) -> None
         assert struct.unpack("<8H", receiver.recv(64))[4] == 1425
 
 
-def test_a_firmware_that_ends_is_named_with_its_last_words(tmp_path: Path) -> None:
+def test_the_error_for_an_ended_firmware_has_its_last_output(tmp_path: Path) -> None:
     with pytest.raises(FirmwareError, match=r"^arducopter ended with exit code 3; it said last: no such model$") as failure:
         started(tmp_path, "print('no such model', flush=True); sys.exit(3)")
     assert "\n" not in str(failure.value)
 
 
-def test_a_firmware_that_dies_in_flight_is_noticed(tmp_path: Path) -> None:
+def test_a_firmware_that_dies_in_flight_is_detected(tmp_path: Path) -> None:
     with closing(
         started(tmp_path, "import os, threading; threading.Timer(1.0, lambda: os.kill(os.getpid(), 11)).start()")
     ) as v:
@@ -131,7 +134,7 @@ def test_a_firmware_that_dies_in_flight_is_noticed(tmp_path: Path) -> None:
                 v.step(time.monotonic())
 
 
-def test_a_file_that_is_no_program_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_not_executable_code_is_named(tmp_path: Path) -> None:
     path = tmp_path / "arducopter"
     path.write_bytes(b"\x7fELF not really")
     path.chmod(0o755)
@@ -139,7 +142,7 @@ def test_a_file_that_is_no_program_is_named(tmp_path: Path) -> None:
         FirmwareVehicle(ArduPilotBinary(path), 24571, 0.0, tmp_path / "scratch", tmp_path / "firmware.log")
 
 
-def test_arducopter_is_told_its_ports_and_its_parameters(tmp_path: Path) -> None:
+def test_arducopter_gets_its_ports_and_its_parameters(tmp_path: Path) -> None:
     copter = ArduPilotBinary(Path("/x/arducopter"))
     command = copter.command(tmp_path, 24571, 40000)
     assert command[0] == "/x/arducopter"
@@ -154,7 +157,7 @@ def test_arducopter_is_told_its_ports_and_its_parameters(tmp_path: Path) -> None
     assert {"FRAME_CLASS,1", "VISO_TYPE,1", "MAV_GCS_SYSID,245", "FS_EKF_THRESH,0.6", "MNT1_TYPE,0"} <= set(lines)
 
 
-def test_px4_is_told_its_model_and_its_parameters(tmp_path: Path) -> None:
+def test_px4_gets_its_model_and_its_parameters(tmp_path: Path) -> None:
     px4 = Px4Binary(Path("/b/bin/px4"))
     assert px4.command(tmp_path, COMPANION_PORT, px4.truth_port) == [
         "/b/bin/px4",
@@ -172,7 +175,7 @@ def test_px4_is_told_its_model_and_its_parameters(tmp_path: Path) -> None:
     assert environment["PX4_PARAM_COM_OBL_RC_ACT"] == "4"
 
 
-def test_px4s_truth_is_read_in_its_own_units() -> None:
+def test_px4s_true_state_is_converted_from_its_units() -> None:
     px4, path, speaker, listener = (
         Px4Binary(Path("/b/bin/px4")),
         TrueTrajectory(Px4Binary.grain, math.pi / 2.0),
@@ -207,6 +210,6 @@ def test_px4s_truth_is_read_in_its_own_units() -> None:
     ],
     ids=["letters, as ArduPilot", "five bytes, as PX4", "a build that knows none"],
 )
-def test_a_version_names_its_commit_where_there_is_one(told: bytes, says: str) -> None:
+def test_a_version_includes_the_commit_if_known(told: bytes, says: str) -> None:
     message = ReceivedMessage(flight_sw_version=1 << 24 | 17 << 16, flight_custom_version=list(told.ljust(8, b"\0")))
     assert _version(message) == says

@@ -1,4 +1,4 @@
-"""The pilot's sticks against what the vehicle does, and the relay between a firmware and the product."""
+"""RC transmitter, whose sticks counteract the motion, and relay to the firmware."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sitl.geometry.quaternion import from_yaw
 from sitl.real_firmware.rc_transmitter import RcTransmitter
 from sitl.real_firmware.relay import Relay
 
-LEFT = from_yaw(math.pi / 2.0)  # the nose points along the world's second axis
+LEFT = from_yaw(math.pi / 2.0)  # heading along the world's y axis
 
 
 def truth(stamp_s: float, height_m: float = 1.0, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> VehicleTruth:
@@ -33,7 +33,7 @@ def sticks() -> Iterator[tuple[RcTransmitter, Callable[[], tuple[int, ...]]]]:
         yield transmitter, lambda: struct.unpack("<8H", receiver.recv(64))
 
 
-def test_a_transmitter_says_nothing_until_the_pilot_takes_over(
+def test_a_transmitter_sends_nothing_until_the_pilot_takes_over(
     sticks: tuple[RcTransmitter, Callable[[], tuple[int, ...]]],
 ) -> None:
     transmitter, heard = sticks
@@ -42,7 +42,7 @@ def test_a_transmitter_says_nothing_until_the_pilot_takes_over(
         transmitter.take("POSCTL", truth(0.0))
     transmitter.take("LOITER", truth(0.0))
     transmitter.hold(truth(1.0))
-    transmitter.hold(truth(1.01))  # not so often
+    transmitter.hold(truth(1.01))  # too early: no packet
     transmitter.hold(truth(1.03, height_m=0.9))
     assert heard() == (1500, 1500, 1500, 1500, 1165, 0, 0, 0)
     assert heard()[2] > 1500, "it sank"
@@ -51,13 +51,13 @@ def test_a_transmitter_says_nothing_until_the_pilot_takes_over(
 @pytest.mark.parametrize(
     ("velocity", "moved"),
     [
-        ((0.0, 0.5, 0.0), (0, 150, 0)),  # forward: nose up
-        ((-0.5, 0.0, 0.0), (150, 0, 0)),  # to its left: roll right
+        ((0.0, 0.5, 0.0), (0, 150, 0)),  # forwards: pitch up
+        ((-0.5, 0.0, 0.0), (150, 0, 0)),  # to the left: roll right
         ((0.0, 0.0, 0.5), (0, 0, -100)),  # up: less throttle
         ((0.0, -9.0, 0.0), (0, -300, 0)),
     ],
 )
-def test_sticks_are_held_against_the_motion(
+def test_sticks_counteract_the_motion(
     sticks: tuple[RcTransmitter, Callable[[], tuple[int, ...]]],
     velocity: tuple[float, float, float],
     moved: tuple[int, int, int],
@@ -68,7 +68,7 @@ def test_sticks_are_held_against_the_motion(
     assert heard()[:4] == (*(1500 + m for m in moved), 1500)
 
 
-def test_a_relay_passes_on_what_the_troubles_leave() -> None:
+def test_a_relay_forwards_the_frames_that_the_faults_leave() -> None:
     lost = [b""]
 
     def fate(frame: bytes) -> Late[bytes]:

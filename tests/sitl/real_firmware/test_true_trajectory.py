@@ -1,4 +1,7 @@
-"""Readings of a firmware's own truth become the true path in the world, whatever way its north lies."""
+"""A firmware's own true state becomes the true path in the world.
+
+This holds for any direction of its north.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ LATITUDE_E7, LONGITUDE_E7, HEIGHT_M = 473977420, 85455940, 500.0
 
 
 def ned_from_frd(yaw_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> Quat:
-    """As aviation has it: heading clockwise from north, nose up, right wing down."""
+    """Return an attitude by the aviation convention.
+
+    Heading is clockwise from north, pitch is nose up, roll is right wing down.
+    """
     x, y, z, w = Rotation.from_euler("ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True).as_quat().tolist()
     return (w, x, y, z)
 
@@ -26,7 +32,10 @@ def ned_from_frd(yaw_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0) 
 def reading(
     north_m: float = 0.0, east_m: float = 0.0, up_m: float = 0.0, ned_mps: Vec3 = (0.0, 0.0, 0.0), attitude: Quat = LEVEL
 ) -> Reading:
-    """What a firmware with the vehicle there sends: whole units, cut towards zero as its offsets are."""
+    """Return the message of a firmware for a vehicle at this position.
+
+    Values are whole units, truncated towards zero as the firmware's offsets are.
+    """
     scale = math.cos(math.radians(LATITUDE_E7 * 1e-7))
     return Reading(
         LATITUDE_E7 + int(north_m / GRAIN.metres_per_e7),
@@ -42,7 +51,7 @@ def forward(path: TrueTrajectory, now_s: float) -> NDArray[np.float64]:
     return np.asarray(Rotation.from_quat([x, y, z, w]).apply([1.0, 0.0, 0.0]), np.float64)
 
 
-def test_the_pad_is_the_origin_and_its_heading_the_scenes() -> None:
+def test_the_pad_is_the_origin_and_its_heading_that_of_the_scene() -> None:
     for heading_deg in (0.0, 90.0, -137.0):
         path = TrueTrajectory(GRAIN, math.radians(30.0))
         begun = [path.begun]
@@ -54,18 +63,18 @@ def test_the_pad_is_the_origin_and_its_heading_the_scenes() -> None:
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 215.0])
-def test_a_metre_ahead_and_half_a_metre_left_and_up_is_that_in_the_world(heading_deg: float) -> None:
-    """Its nose at heading_deg on the pad, the scene's heading along the world's first axis."""
+def test_offsets_from_the_pad_are_rotated_into_the_world(heading_deg: float) -> None:
+    """On the pad the heading is heading_deg; the scene's heading is along the world's x axis."""
     path = TrueTrajectory(GRAIN, 0.0)
     path.take(1.0, reading(attitude=ned_from_frd(heading_deg)))
     ahead, left = math.radians(heading_deg), math.radians(heading_deg - 90.0)
     north, east = math.cos(ahead) + 0.5 * math.cos(left), math.sin(ahead) + 0.5 * math.sin(left)
     path.take(3.0, reading(north, east, 0.4, attitude=ned_from_frd(heading_deg + 90.0)))
     np.testing.assert_allclose(path.at(3.0).position, [1.0, 0.5, 0.4], atol=0.03)
-    np.testing.assert_allclose(forward(path, 3.0), [0.0, -1.0, 0.0], atol=1e-9)  # a right turn
+    np.testing.assert_allclose(forward(path, 3.0), [0.0, -1.0, 0.0], atol=1e-9)  # turned right
 
 
-def test_nose_up_is_up_and_a_dropped_right_side_is_down() -> None:
+def test_pitch_up_and_roll_right_have_the_correct_signs() -> None:
     path = TrueTrajectory(GRAIN, 0.0)
     path.take(1.0, reading())
     path.take(2.0, reading(attitude=ned_from_frd(0.0, 20.0)))
@@ -75,8 +84,8 @@ def test_nose_up_is_up_and_a_dropped_right_side_is_down() -> None:
     assert Rotation.from_quat([x, y, z, w]).apply([0.0, 1.0, 0.0])[2] == pytest.approx(math.sin(math.radians(10.0)))
 
 
-def test_velocity_and_what_the_body_feels_come_in_the_worlds_and_the_bodys_axes() -> None:
-    path = TrueTrajectory(GRAIN, 0.0)  # the firmware's north is the world's first axis
+def test_velocity_is_in_world_axes_and_inertial_data_in_body_axes() -> None:
+    path = TrueTrajectory(GRAIN, 0.0)  # the firmware's north is the world's x axis
     path.feel(Inertial((0.1, 0.2, 0.3), (1.0, 2.0, -9.8)))
     path.take(1.0, reading(ned_mps=(0.6, 0.2, -0.1)))
     motion = path.at(1.0)
@@ -85,9 +94,12 @@ def test_velocity_and_what_the_body_feels_come_in_the_worlds_and_the_bodys_axes(
     assert motion.specific_force == (1.0, -2.0, 9.8)
 
 
-def test_between_coarse_readings_the_path_is_fine() -> None:
-    """A slow, curved flight, read to whole centimetres at 50 Hz: never a centimetre and a half off, and no steps in it."""
-    path = TrueTrajectory(GRAIN, math.pi / 2.0)  # world and ENU agree
+def test_the_path_between_coarse_readings_is_smooth() -> None:
+    """A slow, curved flight, read to whole centimetres at 50 Hz.
+
+    The error stays below 1.2 cm, and the path has no steps.
+    """
+    path = TrueTrajectory(GRAIN, math.pi / 2.0)  # the world frame equals ENU
     worst_m, furthest_m, before = 0.0, 0.0, np.zeros(3)
     for tick in range(1500):
         t = tick / 50.0
@@ -100,10 +112,10 @@ def test_between_coarse_readings_the_path_is_fine() -> None:
             furthest_m = max(furthest_m, float(np.linalg.norm(found - before)))
         before = found
     assert worst_m <= 0.012
-    assert furthest_m <= 0.35 / 50.0 + 0.002  # coarse ones jump by 0.011
+    assert furthest_m <= 0.35 / 50.0 + 0.002  # the coarse readings jump by 0.011
 
 
-def test_it_is_carried_on_to_now_but_not_for_long() -> None:
+def test_the_path_is_extrapolated_for_a_short_time_only() -> None:
     path = TrueTrajectory(GRAIN, math.pi / 2.0)
     path.feel(Inertial((0.0, 0.0, -1.0), (0.0, 0.0, -9.8)))
     path.take(1.0, reading(ned_mps=(0.5, 0.0, 0.0)))
@@ -112,7 +124,7 @@ def test_it_is_carried_on_to_now_but_not_for_long() -> None:
     np.testing.assert_allclose(path.at(9.0).position, [0.0, 0.05, 0.0], atol=1e-12)
 
 
-def test_an_older_reading_is_left_out() -> None:
+def test_an_older_reading_is_ignored() -> None:
     path = TrueTrajectory(GRAIN, 0.0)
     path.take(1.0, reading())
     path.take(2.0, reading(north_m=1.0))

@@ -1,4 +1,7 @@
-"""What is common is flown once: a fork has memory of its own, its answer comes back, and nothing of it stays on disk."""
+"""Process fork: a common part is flown once, then each fork continues.
+
+A fork has its own memory, its result comes back, and none of its files remain on disk.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +19,13 @@ from sitl.runtime.process_fork import FlightFork
 
 @pytest.fixture(scope="module")
 def elsewhere() -> Iterator[ProcessPoolExecutor]:
-    """A process without threads: pytest may have some, and a fork would lack them."""
+    """Yield a process without threads: pytest may have threads, which a fork would lose."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         yield pool
 
 
 def counted(folder: Path) -> list[list[str] | None]:
-    """Three forks of one story, each of which adds to what was told before it."""
+    """Fork three times; each fork appends to the common list and returns it."""
     story, answers = ["once"], list[list[str] | None]()
     with FlightFork[list[str]](folder) as fork:
         for name in ("a", "b", "c"):
@@ -31,17 +34,20 @@ def counted(folder: Path) -> list[list[str] | None]:
                 fork.give(story)
             answers.append(fork.answer)
         story.append("over")
-        fork.give(story)  # to nobody
+        fork.give(story)  # outside a fork, this does nothing
     return [*answers, story]
 
 
-def test_each_fork_goes_on_by_itself_and_answers(elsewhere: ProcessPoolExecutor, tmp_path: Path) -> None:
+def test_each_fork_continues_separately_and_returns_a_result(elsewhere: ProcessPoolExecutor, tmp_path: Path) -> None:
     told = elsewhere.submit(counted, tmp_path).result(60)
     assert told == [["once", "a"], ["once", "b"], ["once", "c"], ["once", "over"]]
 
 
 def written(folder: Path) -> tuple[bytes, bytes, bytes, list[str]]:
-    """A fork writes into a mapped file, a log and a new file: the mapping as it is seen, the two files, and all names."""
+    """Let a fork write into a mapped file, a log and a new file.
+
+    Returns the content of the mapping, the two files, and all names.
+    """
     (folder / "ring").write_bytes(b"....")
     with (folder / "ring").open("r+b") as file, (folder / "log").open("a", buffering=1) as log:
         ring = mmap.mmap(file.fileno(), 4)
@@ -60,7 +66,7 @@ def written(folder: Path) -> tuple[bytes, bytes, bytes, list[str]]:
     return seen, (folder / "ring").read_bytes(), (folder / "log").read_bytes(), names
 
 
-def test_files_are_put_back_under_whoever_has_them_open(elsewhere: ProcessPoolExecutor, tmp_path: Path) -> None:
+def test_files_are_restored_even_while_they_are_open(elsewhere: ProcessPoolExecutor, tmp_path: Path) -> None:
     seen, ring, log, names = elsewhere.submit(written, tmp_path).result(60)
     assert seen == ring == b"ab.."
     assert log == b"before\nafter\n"
@@ -78,5 +84,5 @@ def died(folder: Path, way: str) -> tuple[object, int]:
 
 
 @pytest.mark.parametrize("way", ["raises", "aborts"])
-def test_a_fork_that_dies_has_no_answer_and_goes_nowhere(elsewhere: ProcessPoolExecutor, tmp_path: Path, way: str) -> None:
+def test_a_fork_that_dies_has_no_result_and_does_not_continue(elsewhere: ProcessPoolExecutor, tmp_path: Path, way: str) -> None:
     assert elsewhere.submit(died, tmp_path, way).result(60) == (None, 0)

@@ -1,4 +1,4 @@
-"""A serial line whose plug is pulled."""
+"""Serial line that is unplugged and plugged in again."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from sitl.runtime.serial_line import SerialLine
 
 
-def test_a_line_that_is_unplugged_is_gone_for_who_has_it_open_and_another_when_it_is_back(tmp_path: Path) -> None:
+def test_an_unplugged_line_fails_for_its_user_and_is_a_new_device_when_plugged_in(tmp_path: Path) -> None:
     name = tmp_path / "autopilot"
     with closing(SerialLine(name)) as line:
         assert line.read() == b"", "nobody has it open"

@@ -1,4 +1,4 @@
-"""Processes that work for another one: a Ctrl-C ends them and what they started, at once and in silence."""
+"""Worker processes: a Ctrl-C ends them and their children at once and without output."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if __name__ == "__main__":
 
 
 def of_session(session: int) -> dict[int, str]:
-    """Every process of a session that lives, with its command line."""
+    """Return every live process of a session, with its command line."""
     told = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -37,13 +37,13 @@ def of_session(session: int) -> dict[int, str]:
             line = (folder / "cmdline").read_text().replace("\0", " ")
         except OSError:
             continue
-        if int(words[3]) == session and words[0] != "Z" and "resource_tracker" not in line:  # it goes a moment later
+        if int(words[3]) == session and words[0] != "Z" and "resource_tracker" not in line:  # it ends a moment later
             told[int(folder.name)] = line
     return told
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_nobody_is_left_and_nothing_is_said(tmp_path: Path, number: signal.Signals) -> None:
+def test_no_process_is_left_and_nothing_is_printed(tmp_path: Path, number: signal.Signals) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     chief = subprocess.Popen([sys.executable, str(script)], start_new_session=True, stderr=subprocess.PIPE, text=True)
@@ -60,20 +60,20 @@ def test_nobody_is_left_and_nothing_is_said(tmp_path: Path, number: signal.Signa
     while any("python" in line for line in of_session(chief.pid).values()):
         assert time.monotonic() < deadline_s, of_session(chief.pid)
         time.sleep(0.05)
-    for left in of_session(chief.pid):  # what was not ours to put on a leash
+    for left in of_session(chief.pid):  # processes that the workers started without die_with_parent
         os.kill(left, signal.SIGKILL)
     assert chief.stderr is not None
     chief.stderr.close()
 
 
-def test_work_is_done_and_what_it_raises_is_told() -> None:
+def test_results_and_exceptions_of_the_work_are_returned() -> None:
     with worker_pool(2) as hands:
         assert hands.submit(divmod, 7, 3).result() == (2, 1)
         with pytest.raises(ZeroDivisionError):
             hands.submit(divmod, 1, 0).result()
 
 
-def test_what_a_program_of_theirs_warns_of_is_not_said_on_this_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+def test_warnings_of_workers_are_not_printed_on_this_terminal(capfd: pytest.CaptureFixture[str]) -> None:
     with worker_pool(1) as hands:
         hands.submit(logging.getLogger("link").warning, "not listened to").result()
     assert capfd.readouterr() == ("", "")

@@ -30,17 +30,17 @@ def test_size_and_resolution(mesh: Mesh) -> None:
     assert np.median(edges) < 0.03
     assert edges.max() < 0.06
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    assert (area > 0).mean() > 0.998  # only the tips of lids and balls are degenerate
+    assert (area > 0).mean() > 0.998  # only triangles at the poles of discs and spheres are degenerate
 
 
-def test_same_room_every_time(mesh: Mesh) -> None:
+def test_the_room_is_the_same_every_time(mesh: Mesh) -> None:
     again = built_in_room()
     np.testing.assert_array_equal(mesh.vertices, again.vertices)
     np.testing.assert_array_equal(mesh.rgb, again.rgb)
 
 
 def test_walls_are_textured(mesh: Mesh) -> None:
-    """No half-metre square of a wall or of the floor is of one colour."""
+    """No square of half a metre on a wall or on the floor has only one colour."""
     for axis, value in ((1, 0.0), (1, 3.0), (0, 0.0), (0, 8.0), (2, 0.0)):
         on = np.abs(mesh.vertices[:, axis] - value) < 1e-6
         rest = [i for i in range(3) if i != axis]
@@ -51,7 +51,7 @@ def test_walls_are_textured(mesh: Mesh) -> None:
             assert len(values) < 50 or values.std() > 4.0, (axis, value, key)
 
 
-def test_a_vehicle_clear_by_forty_centimetres_reaches_both_ends(scene: Scene) -> None:
+def test_a_vehicle_with_a_clearance_of_forty_centimetres_reaches_both_ends(scene: Scene) -> None:
     bins = PointGrid(dense_points(scene.vertices, scene.faces, 0.02))
     x, y, z = (np.arange(low, high, 0.1) for low, high in zip(scene.fence_min, scene.fence_max, strict=True))
     centres = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
@@ -62,4 +62,4 @@ def test_a_vehicle_clear_by_forty_centimetres_reaches_both_ends(scene: Scene) ->
     reached = centres[largest][:, 0] + scene.scene_from_world_m[0]
     assert reached.min() < 0.6
     assert reached.max() > 7.3
-    assert largest[np.linalg.norm(centres[..., :2], axis=-1) < 0.1].any()  # the start's column is part of it
+    assert largest[np.linalg.norm(centres[..., :2], axis=-1) < 0.1].any()  # the column above the start is part of it

@@ -1,4 +1,7 @@
-"""Generated flats: the same again with the same seed, closed, of the sizes promised, and with room to take off."""
+"""Generated flats: equal for equal seeds, closed, and with space to take off.
+
+Their sizes are within the documented limits.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from sitl.scene.mesh_sampling import dense_points
 from sitl.scene.scene import SceneError, load_scene
 
 SEEDS = range(12)
-BELOW_M = 1.45  # what the vehicle needs free above its pad, hanging lamps end higher
+BELOW_M = 1.45  # free height that the vehicle needs above its pad; lamps hang higher
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +32,7 @@ def test_a_seed_gives_the_same_flat(flats: dict[int, tuple[Mesh, tuple[float, ..
     assert len({flat[1] for flat in flats.values()}) == len(SEEDS)
 
 
-def test_sizes_are_those_promised(flats: dict[int, tuple[Mesh, tuple[float, ...]]]) -> None:
+def test_sizes_are_within_the_documented_limits(flats: dict[int, tuple[Mesh, tuple[float, ...]]]) -> None:
     extents = np.array([np.ptp(mesh.vertices, axis=0) for mesh, _ in flats.values()])
     area = extents[:, 0] * extents[:, 1]
     assert area.min() >= AREA_M2[0] - 0.01
@@ -40,7 +43,7 @@ def test_sizes_are_those_promised(flats: dict[int, tuple[Mesh, tuple[float, ...]
 
 
 def test_the_outer_shell_is_closed(flats: dict[int, tuple[Mesh, tuple[float, ...]]]) -> None:
-    """Each side of the box around a flat is covered to its full area by triangles that lie in it."""
+    """Each side of the box around a flat is fully covered by triangles that lie in it."""
     for mesh, _ in flats.values():
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         corners = mesh.vertices[mesh.faces].astype(np.float64)
@@ -48,7 +51,7 @@ def test_the_outer_shell_is_closed(flats: dict[int, tuple[Mesh, tuple[float, ...
             lying = corners[(np.abs(corners[:, :, axis] - border[axis]) < 1e-6).all(axis=1)]
             areas = 0.5 * np.linalg.norm(np.cross(lying[:, 1] - lying[:, 0], lying[:, 2] - lying[:, 0]), axis=1)
             side = np.delete(high - low, axis).astype(np.float64)
-            assert areas.max() == pytest.approx(0.5 * side.prod(), rel=1e-5)  # the two halves of the whole side
+            assert areas.max() == pytest.approx(0.5 * side.prod(), rel=1e-5)  # the two triangles that form the whole side
             assert (np.abs(areas - 0.5 * side.prod()) < 1e-3).sum() == 2
 
 
@@ -66,7 +69,7 @@ def test_every_flat_is_a_scene_for_a_large_vehicle() -> None:
         assert scene.name == f"random-{seed}"
 
 
-def test_paint_changes_no_shape() -> None:
+def test_texture_does_not_change_the_shape() -> None:
     fine, coarse = generated_room(4, fine=True), generated_room(4, fine=False)
     assert fine[1] == coarse[1]
     assert np.ptp(fine[0].rgb.astype(int), axis=0).min() > 150
@@ -76,6 +79,6 @@ def test_paint_changes_no_shape() -> None:
 
 
 @pytest.mark.parametrize("word", ["random:", "random:-1", "random:1.5", "random:x"])
-def test_a_seed_that_is_none_is_told(word: str) -> None:
+def test_an_invalid_seed_is_an_error(word: str) -> None:
     with pytest.raises(SceneError, match="SEED"):
         load_scene(word)

@@ -19,7 +19,7 @@ I32 = NDArray[np.int32]
 
 
 def fine(vertices: F32, faces: I32, times: int) -> tuple[F32, I32]:
-    """Each triangle cut into four, so many times: the same surface."""
+    """Split each triangle into four, several times; the surface is unchanged."""
     import trimesh
 
     for _ in range(times):
@@ -44,7 +44,7 @@ def picture(vertices: F32, faces: I32, pose: NDArray[np.float64]) -> tuple[F32, 
     return drawn.depth_m, drawn.incidence_cos
 
 
-def test_the_pictures_are_the_same_from_a_fraction_of_the_triangles(room: tuple[F32, I32], tmp_path: Path) -> None:
+def test_a_fraction_of_the_triangles_renders_the_same_images(room: tuple[F32, I32], tmp_path: Path) -> None:
     vertices, faces = room
     assert len(faces) > module.WORTH_FACES
     fewer, triangles = merged(vertices, faces, tmp_path)
@@ -58,10 +58,10 @@ def test_the_pictures_are_the_same_from_a_fraction_of_the_triangles(room: tuple[
         (depth, cosine), (other_depth, other_cosine) = picture(vertices, faces, pose), picture(fewer, triangles, pose)
         assert (depth > 0).mean() > 0.9
         off.append((np.abs(depth - other_depth) > 0.001) | (np.abs(cosine - other_cosine) > 0.02))
-    assert np.mean(off) < 1e-3  # a silhouette's pixel now and then
+    assert np.mean(off) < 1e-3  # a few pixels at silhouettes
 
 
-def test_it_is_kept_and_comes_back_the_same(room: tuple[F32, I32], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_simplified_mesh_is_cached(room: tuple[F32, I32], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = merged(*room, tmp_path)
 
     def again(*_: object) -> None:
@@ -72,24 +72,24 @@ def test_it_is_kept_and_comes_back_the_same(room: tuple[F32, I32], tmp_path: Pat
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_small_mesh_is_left_alone() -> None:
+def test_a_small_mesh_is_not_simplified() -> None:
     mesh = built_in_room(fine=False)
     few = mesh.faces[:1000]
     vertices, faces = merged(mesh.vertices, few)
     assert vertices is mesh.vertices and faces is few
 
 
-def test_what_cannot_be_merged_well_is_drawn_as_it_is(
+def test_a_mesh_that_cannot_be_simplified_well_is_rendered_unchanged(
     room: tuple[F32, I32], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(module, "LOST_M", 10.0)  # nothing is put back
+    monkeypatch.setattr(module, "LOST_M", 10.0)  # no lost surface is restored
     vertices, faces = merged(*room, tmp_path)
     np.testing.assert_array_equal(faces, room[1])
     np.testing.assert_array_equal(vertices, room[0])
     assert "drawn as they are" in caplog.text
 
 
-def test_a_sliver_that_the_quadrics_lose_is_put_back(room: tuple[F32, I32], tmp_path: Path) -> None:
+def test_a_sliver_that_the_simplification_loses_is_restored(room: tuple[F32, I32], tmp_path: Path) -> None:
     vertices, faces = room
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     sliver = middle + np.array([[0, 0, 0], [0, 0, 0.02], [0, 1e-6, 0.01]], np.float32)

@@ -15,7 +15,10 @@ F64 = NDArray[np.float64]
 
 
 def soup(count: int = 400, seed: int = 0) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
-    """Triangles of all sizes around the origin, some through the near plane of a camera there."""
+    """Return triangles of all sizes around the origin.
+
+    Some cross the near plane of a camera at the origin.
+    """
     rng = np.random.default_rng(seed)
     centre = rng.uniform(-3, 3, (count, 1, 3))
     corners = centre + rng.normal(0, 1, (count, 3, 3)) * rng.uniform(0.02, 1.5, (count, 1, 1))
@@ -30,7 +33,10 @@ def rays(world_from_camera: F64, spec: CameraSpec) -> F64:
 
 
 def cast(origin: F64, directions: F64, corners: F64, near: float) -> tuple[F64, NDArray[np.int64], F64, F64]:
-    """Möller and Trumbore, every ray against every triangle: t (0 = miss), triangle, and its two barycentric weights."""
+    """Intersect every ray with every triangle (Möller and Trumbore).
+
+    Returns t (0 = miss), the triangle, and two barycentric weights.
+    """
     d = directions.reshape(-1, 1, 3)
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = np.cross(d, e2[None])
@@ -55,7 +61,7 @@ def test_depth_colour_and_incidence_agree_with_ray_casting(yaw: float) -> None:
     corners = vertices[faces].astype(np.float64)
     t, triangle, b1, b2 = cast(pose[:3, 3], direction, corners, 0.05)
     close = np.abs(view.depth_m.ravel() - t) < 1e-4
-    assert close.mean() > 0.999  # a pixel whose ray meets an edge exactly may fall either way
+    assert close.mean() > 0.999  # a ray that meets an edge exactly may hit either triangle
     weights = np.stack([1 - b1 - b2, b1, b2], axis=1)
     expected = (weights[:, :, None] * rgb[faces[triangle]]).sum(axis=1)
     hit = close & (t > 0)
@@ -69,7 +75,7 @@ def test_depth_colour_and_incidence_agree_with_ray_casting(yaw: float) -> None:
 
 
 def wall(distance: float, step: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """A wall x = distance, 4 m wide and high, in cells of step."""
+    """Return a wall x = distance, 4 m wide and high, in cells of size step."""
     n = int(4 / step)
     y, z = np.meshgrid(np.linspace(-2, 2, n + 1), np.linspace(-2, 2, n + 1), indexing="ij")
     index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
@@ -97,8 +103,8 @@ def test_floor_reaching_behind_the_camera_is_cut_at_the_near_plane() -> None:
     assert (depth[:23] == 0).all()
 
 
-def test_picture_is_upright_and_not_mirrored() -> None:
-    """Red lies to the left (+y), green above (+z) of a vehicle that looks along +x."""
+def test_the_image_is_upright_and_not_mirrored() -> None:
+    """Red is to the left (+y) and green above (+z) for a vehicle that looks along +x."""
     patches = [((2.0, 1.0, 0.0), (255, 0, 0)), ((2.0, 0.0, 0.8), (0, 255, 0))]
     vertices = np.concatenate([wall(0.0, 4.0)[0] * 0.1 + np.array(at, np.float32) for at, _ in patches])
     faces = np.concatenate([wall(0.0, 4.0)[1], wall(0.0, 4.0)[1] + 4])
@@ -121,7 +127,7 @@ def test_threads_share_a_renderer() -> None:
     np.testing.assert_array_equal(alone, together)
 
 
-def test_what_lies_beyond_the_far_distance_is_left_out() -> None:
+def test_surface_beyond_the_far_distance_is_left_out() -> None:
     vertices, faces = wall(3.0, 0.5)
     renderer, pose = Renderer(vertices, faces, np.zeros((len(vertices), 3), np.uint8)), body_from_camera((0, 0, 0), 0.0)
     assert (renderer.depth(pose, SPEC, far_m=2.9) == 0).all()

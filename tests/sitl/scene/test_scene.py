@@ -38,13 +38,13 @@ def test_the_start_becomes_the_origin_ten_centimetres_over_the_floor() -> None:
     assert [a.dtype.name for a in (scene.vertices, scene.faces, scene.rgb)] == ["float32", "int32", "uint8"]
 
 
-def test_the_floor_is_what_lies_below_the_start() -> None:
+def test_the_floor_is_the_surface_below_the_start() -> None:
     """A platform wider than the hull is the floor."""
     scene = place("box", with_obstacle((1, 1, 0), (3, 3, 0.2)), START, None)
     assert scene.scene_from_world_m[2] == pytest.approx(0.3, abs=1e-6)
 
 
-def test_a_fence_is_taken_in_the_scenes_frame() -> None:
+def test_a_fence_is_given_in_the_frame_of_the_scene() -> None:
     scene = place("box", ROOM, START, (1, 1, 0, 4, 3, 2))
     np.testing.assert_allclose(scene.fence_min, (-1, -1, -0.1), atol=1e-6)
     np.testing.assert_allclose(scene.fence_max, (2, 1, 1.9), atol=1e-6)
@@ -55,9 +55,9 @@ def test_a_fence_is_taken_in_the_scenes_frame() -> None:
     [
         ((2.34, 1.5, 0.0), (2.6, 2.5, 1.0), True),  # 0.34 m from the axis, above the pad
         ((2.36, 1.5, 0.0), (2.6, 2.5, 1.0), False),
-        ((2.19, 1.5, 0.0), (2.6, 2.5, 0.3), True),  # on the pad the hull's radius counts
+        ((2.19, 1.5, 0.0), (2.6, 2.5, 0.3), True),  # at the height of the pad only the hull's radius counts
         ((2.21, 1.5, 0.0), (2.6, 2.5, 0.3), False),
-        ((1.5, 1.5, 1.30), (2.5, 2.5, 1.5), True),  # over the take-off height
+        ((1.5, 1.5, 1.30), (2.5, 2.5, 1.5), True),  # above the take-off height
         ((1.5, 1.5, 1.40), (2.5, 2.5, 1.5), False),
     ],
 )
@@ -109,13 +109,15 @@ def test_an_open_scene_needs_a_fence() -> None:
         (Mesh(ROOM.vertices, ROOM.faces + 1, ROOM.rgb), START, None, "a face names vertex 8 of 8"),
     ],
 )
-def test_bad_scenes_give_one_line(mesh: Mesh, start: tuple[float, ...], fence: tuple[float, ...] | None, message: str) -> None:
+def test_invalid_scenes_are_one_line_errors(
+    mesh: Mesh, start: tuple[float, ...], fence: tuple[float, ...] | None, message: str
+) -> None:
     with pytest.raises(SceneError, match=message) as caught:
         place("box", mesh, start, fence)
     assert "\n" not in str(caught.value)
 
 
-def test_bad_files_give_one_line(tmp_path: Path) -> None:
+def test_invalid_files_are_one_line_errors(tmp_path: Path) -> None:
     (tmp_path / "text.ply").write_text("this is no mesh\n")
     (tmp_path / "empty.obj").write_text("")
     (tmp_path / "room.dae").write_text("")
@@ -173,7 +175,7 @@ def test_a_texture_becomes_vertex_colours(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.unique(load_scene(path, START, None).rgb, axis=0), [(200, 40, 90)])
 
 
-def test_a_folder_says_where_to_start(tmp_path: Path) -> None:
+def test_a_scene_folder_defines_the_start(tmp_path: Path) -> None:
     trimesh.Trimesh(ROOM.vertices, ROOM.faces, process=False).export(tmp_path / "m.ply")
     start = {"x": 2.0, "y": 1.5, "z": 1.2, "yaw": 0.5}
     (tmp_path / "scene.json").write_text(json.dumps({"name": "hall", "file": "m.ply", "start": start}))
@@ -193,7 +195,7 @@ def test_shared_scenes_load(name: str) -> None:
     assert len(scene.faces) > 200_000
 
 
-def test_what_is_wrong_with_a_file_is_not_said_in_pythons_words(tmp_path: Path) -> None:
+def test_file_errors_are_not_reported_as_python_exceptions(tmp_path: Path) -> None:
     (tmp_path / "garb.ply").write_bytes(b"ply\n")
     (tmp_path / "scene.json").write_text('{"name": "x", "file": "garb.ply", "start": 3}')
     for scene, words in (

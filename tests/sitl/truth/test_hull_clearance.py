@@ -23,12 +23,12 @@ FLOOR = scene_of([[-3, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]], [[0, 1, 2], [
 
 
 @pytest.mark.parametrize("x", [0.0, 0.79, 0.81, 1.0, 1.5, 1.7, 1.78])
-def test_distance_from_a_wall_is_from_the_hulls_side(x: float) -> None:
+def test_the_distance_to_a_wall_is_from_the_side_of_the_hull(x: float) -> None:
     assert HullClearance(WALL).hull_m((x, 0.33, 0.1)) == pytest.approx(min(1.8 - x, CAP_M), abs=0.002)
 
 
 @pytest.mark.parametrize("z", [0.12, 0.15, 0.3, 1.0, 1.2])
-def test_distance_from_the_floor_is_from_the_hulls_bottom(z: float) -> None:
+def test_the_distance_to_the_floor_is_from_the_bottom_of_the_hull(z: float) -> None:
     assert HullClearance(FLOOR).hull_m((0.1, 0.2, z)) == pytest.approx(min(z - 0.1, CAP_M), abs=0.002)
 
 
@@ -39,17 +39,17 @@ def test_contact_is_zero_on_either_side_of_a_thin_wall() -> None:
     assert clearance.hull_m((2.3, 0, 0)) == pytest.approx(0.1, abs=0.005)
 
 
-def test_a_corner_above_and_beside_counts_along_the_diagonal() -> None:
-    """Of a shelf's edge 0.3 m beside the hull's rim and 0.4 m over its top."""
+def test_the_distance_to_an_edge_above_and_beside_is_diagonal() -> None:
+    """A shelf's edge is 0.3 m beside the hull's rim and 0.4 m above its top."""
     shelf = scene_of([[0.5, -1, 0.5], [1.5, -1, 0.5], [1.5, 1, 0.5], [0.5, 1, 0.5]], [[0, 1, 2], [0, 2, 3]])
     assert HullClearance(shelf).hull_m((0, 0, 0)) == pytest.approx(0.5, abs=0.002)
 
 
-def test_far_outside_the_mesh_the_cap_holds() -> None:
+def test_far_outside_the_mesh_the_distance_is_capped() -> None:
     assert HullClearance(WALL).hull_m((-50.0, 80.0, 9.0)) == CAP_M
 
 
-def test_batch_agrees_with_every_point_tried() -> None:
+def test_batch_agrees_with_brute_force() -> None:
     rng = np.random.default_rng(3)
     corners = rng.uniform(-1.5, 1.5, (12, 1, 3)) + rng.normal(0, 0.2, (12, 3, 3))
     scene = scene_of(corners.reshape(-1, 3).tolist(), np.arange(36).reshape(-1, 3).tolist())
@@ -69,8 +69,11 @@ def test_batch_agrees_with_every_point_tried() -> None:
 
 
 @pytest.mark.parametrize("z", [0.85, 0.9, 1.0, 3.0])
-def test_it_stands_on_what_is_straight_below_its_middle(z: float) -> None:
-    """A table 0.75 m high over a floor: on it, or beside it on the floor, and below it on the floor."""
+def test_the_vehicle_stands_on_the_surface_straight_below_its_centre(z: float) -> None:
+    """Table of 0.75 m above a floor.
+
+    The positions are above the table, beside it above the floor, and below the table top.
+    """
     table = [[0.0, 0.0, 0.75], [1.0, 0.0, 0.75], [1.0, 1.0, 0.75], [0.0, 1.0, 0.75]]
     corners = FLOOR.vertices.tolist() + table
     clearance = HullClearance(scene_of(corners, [*FLOOR.faces.tolist(), [4, 5, 6], [4, 6, 7]]))
@@ -80,7 +83,7 @@ def test_it_stands_on_what_is_straight_below_its_middle(z: float) -> None:
     assert clearance.standing_m((9.0, 0.5, z)) == -math.inf
 
 
-def test_what_it_stands_on_agrees_with_a_ray_straight_down() -> None:
+def test_the_standing_height_agrees_with_a_ray_straight_down() -> None:
     corners = np.array([[-2, -2, -0.4], [2, -2, 0.4], [2, 2, 0.6], [-2, 2, -0.2]], np.float32)
     scene = scene_of(corners.tolist(), [[0, 1, 2], [0, 2, 3]])
     clearance = HullClearance(scene)
@@ -101,7 +104,7 @@ def test_dense_points_leave_no_gap(points: Callable[[F32, I32, float], F32]) -> 
 
 
 def test_samples_are_uniform_over_area() -> None:
-    """A triangle of three times the area gets three times the points, each lying in its plane."""
+    """A triangle of three times the area gets three times the points, all in its plane."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 1, 5]], np.float32)
     points, _ = area_weighted_samples(vertices, np.array([[0, 1, 2], [3, 4, 5]], np.int32), 40_000, 9)
     upper = points[:, 2] > 2.5
@@ -110,7 +113,7 @@ def test_samples_are_uniform_over_area() -> None:
     assert (points[~upper, 0] + points[~upper, 1] <= 1 + 1e-5).all()
 
 
-def test_height_below_takes_the_highest_surface_under_the_point() -> None:
+def test_height_below_returns_the_highest_surface_under_the_point() -> None:
     vertices = np.concatenate([FLOOR.vertices, FLOOR.vertices * 0.1 + np.array([0, 0, 0.7], np.float32)])
     faces = np.concatenate([FLOOR.faces, FLOOR.faces + 4])
     assert height_below(vertices, faces, np.array([0.1, 0.05, 1.0])) == pytest.approx(0.7)
@@ -120,7 +123,7 @@ def test_height_below_takes_the_highest_surface_under_the_point() -> None:
     assert math.isclose(float(FLOOR.vertices[:, 2].max()), 0.0)
 
 
-def test_a_scene_is_sampled_once_for_all_that_fly_in_it() -> None:
+def test_a_scene_is_sampled_once_for_all_vehicles_in_it() -> None:
     scene = scene_of(FLOOR.vertices.tolist(), FLOOR.faces.tolist())
     assert HullClearance(scene, 0.2).bins is HullClearance(scene, 0.3).bins
     assert HullClearance(FLOOR).bins is not HullClearance(scene).bins

@@ -22,7 +22,10 @@ def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Me
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    """A 4 x 4 x 2.5 m room; a closed cupboard with a hidden box inside; a sealed cell beyond a wall at x = 4."""
+    """Return a 4 x 4 x 2.5 m room with a closed cupboard and a neighbouring cell.
+
+    A box is hidden in the cupboard. The cell beyond the wall at x = 4 is sealed.
+    """
     parts = [box((0, 0, 0), (4, 4, 2.5)), box((3, 0.1, 0), (3.9, 1, 1)), box((3.3, 0.4, 0.3), (3.6, 0.7, 0.6))]
     return place("box", joined([*parts, box((4.2, 0, 0), (8, 4, 2.5))]), (1.5, 2.0, 0.5, 0.0), None)
 
@@ -45,10 +48,10 @@ def test_reachable_is_connected_and_clear(scene: Scene) -> None:
     near_cupboard = np.linalg.norm(np.maximum(np.maximum((3, 0.1, 0) - positions, positions - (3.9, 1, 1)), 0), axis=1)
     assert near_cupboard.min() >= 0.349
     assert len(positions) > 0.8 * 33 * 33 * 17 * 0.9
-    assert np.abs(positions[:, 0] - 1.5).min() < 1e-5  # the start's own column is a column of the grid
+    assert np.abs(positions[:, 0] - 1.5).min() < 1e-5  # the start is on a column of the grid
 
 
-def test_hidden_surfaces_and_other_rooms_are_not_truth(scene: Scene, cut: VisibleTruth) -> None:
+def test_hidden_surfaces_and_other_rooms_are_not_part_of_the_truth(scene: Scene, cut: VisibleTruth) -> None:
     points = in_scene(cut.points, scene)
     inside = ((points > (3.2, 0.3, 0.2)) & (points < (3.7, 0.8, 0.7))).all(axis=1)
     assert not inside.any()
@@ -59,7 +62,7 @@ def test_hidden_surfaces_and_other_rooms_are_not_truth(scene: Scene, cut: Visibl
     assert east.sum() > 1000
 
 
-def test_free_space_is_the_room_and_nothing_else(scene: Scene, cut: VisibleTruth) -> None:
+def test_visible_free_space_is_only_the_room(scene: Scene, cut: VisibleTruth) -> None:
     centres = np.stack(np.meshgrid(*(np.arange(n) for n in cut.free_seen.shape), indexing="ij"), axis=-1) + 0.5
     centres = centres * cut.free_cell_m + cut.free_origin_m + scene.scene_from_world_m
     room = ((centres > 0.1) & (centres < (3.9, 3.9, 2.4))).all(axis=-1)
@@ -79,7 +82,7 @@ def test_held_out_views_are_poses_of_the_colour_camera(scene: Scene, cut: Visibl
     pitch = np.degrees(np.arcsin(-cut.views[:, 2, 2]))
     assert pitch.min() < -50
     assert pitch.max() > 50
-    assert np.abs(cut.views[:, 2, 0]).max() < 1e-9  # level
+    assert np.abs(cut.views[:, 2, 0]).max() < 1e-9  # no roll
 
 
 def test_a_fixed_mount_keeps_its_angle_and_sees_less(
@@ -92,7 +95,9 @@ def test_a_fixed_mount_keeps_its_angle_and_sees_less(
     assert len(fixed.points) < len(cut.points)
 
 
-def test_the_cache_is_read_and_a_broken_one_is_made_anew(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_is_used_and_a_damaged_one_is_recomputed(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(visibility, "POSES", 8)
     first = load_visible_truth(scene, "fixed:15", "d435i", tmp_path)
     (file,) = tmp_path.iterdir()
@@ -112,7 +117,7 @@ def test_the_cache_is_read_and_a_broken_one_is_made_anew(scene: Scene, tmp_path:
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_cache_that_cannot_be_written_costs_only_time(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unwritable_cache_only_costs_time(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(visibility, "POSES", 5)
     (tmp_path / "taken").write_text("a file where the folder should be")
     assert len(load_visible_truth(scene, "fixed:15", "d435i", tmp_path / "taken").points) > 0

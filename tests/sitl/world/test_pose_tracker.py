@@ -23,7 +23,7 @@ def run(seed: int, duration_s: float, step_s: float = 0.01) -> list[tuple[float,
 
 
 def errors(records: list[tuple[float, PoseRecord]]) -> F64:
-    """Position (m) and rotation-vector (rad) errors (N, 6)."""
+    """Return position (m) and rotation-vector (rad) errors (N, 6)."""
     position = np.array([r.position_m for _, r in records]) - BODY[0]
     quats = np.array([r.quat_wxyz for _, r in records])
     rotation = (Rotation.from_quat(quats[:, [1, 2, 3, 0]]) * ATTITUDE.inv()).as_rotvec()
@@ -42,12 +42,12 @@ def test_rate_delay_and_order() -> None:
     assert delay.min() > 0.0099
 
 
-def test_slow_calls_do_not_bunch_captures() -> None:
+def test_slow_calls_do_not_cluster_captures() -> None:
     stamps = np.array([r.stamp_s for _, r in run(0, 10.0, 0.2)])
     np.testing.assert_allclose(np.diff(stamps), 0.2, atol=1e-9)
 
 
-def test_error_starts_at_zero_and_grows_to_its_stated_size() -> None:
+def test_the_drift_starts_at_zero_and_grows_to_its_stated_size() -> None:
     first, late = [], []
     for seed in range(150):
         poses = SimulatedTracker(seed)
@@ -63,14 +63,14 @@ def test_error_starts_at_zero_and_grows_to_its_stated_size() -> None:
     np.testing.assert_allclose(late[0][1].variance[:3], 0.01**2 + 0.002**2)
 
 
-def test_drift_forgets_with_a_time_constant_of_twenty_seconds() -> None:
+def test_the_drift_has_a_time_constant_of_twenty_seconds() -> None:
     series = np.hstack([errors(run(seed, 400.0, 1 / 15))[:5990, :3] for seed in range(6)])
     lag = 15 * 20
     lagged = (series[lag:] * series[:-lag]).mean() / (series**2).mean()
     assert lagged == pytest.approx(math.exp(-1) * 0.96, abs=0.15)
 
 
-def test_same_seed_same_stream() -> None:
+def test_equal_seeds_give_equal_streams() -> None:
     np.testing.assert_array_equal(errors(run(5, 5.0)), errors(run(5, 5.0)))
     assert (errors(run(5, 5.0)) != errors(run(6, 5.0))[: len(run(5, 5.0))]).any()
 

@@ -27,7 +27,7 @@ def lifted(vehicle: Quadrotor, seconds: float = 2.0) -> Quadrotor:
     return vehicle
 
 
-def test_it_rests_on_the_pad_and_reads_gravity() -> None:
+def test_on_the_pad_the_accelerometer_reads_gravity() -> None:
     vehicle = calm()
     for _ in range(100):
         vehicle.step(DT, (0.0, 0.0, 0.0), 0.0, False)
@@ -37,7 +37,7 @@ def test_it_rests_on_the_pad_and_reads_gravity() -> None:
     assert vehicle.touchdowns == []
 
 
-def test_less_than_its_weight_does_not_lift_it() -> None:
+def test_thrust_below_the_weight_does_not_lift_the_vehicle() -> None:
     vehicle = calm()
     for _ in range(500):
         vehicle.step(DT, (1.0, 0.0, GRAVITY_MPS2 - 0.1), 0.5, True)
@@ -55,7 +55,7 @@ def test_tilt_follows_a_step_with_a_lag_of_80_ms() -> None:
     assert tilt / wanted == pytest.approx(1.0 - math.exp(-1.0), abs=0.03)
 
 
-def test_the_body_leans_where_it_accelerates() -> None:
+def test_the_body_tilts_into_its_acceleration() -> None:
     vehicle = lifted(Quadrotor(0, wind_mps=0.0, yaw_rad=0.7))
     for _ in range(100):
         vehicle.step(DT, (0.0, 2.0, GRAVITY_MPS2), 0.0, True)
@@ -76,7 +76,7 @@ def test_the_gyro_integrates_to_the_attitude() -> None:
     assert (attitude.inv() * matrix(vehicle.quat_wxyz)).magnitude() < 1e-3
 
 
-def test_specific_force_is_acceleration_less_gravity_in_the_body() -> None:
+def test_specific_force_is_acceleration_minus_gravity_in_body_axes() -> None:
     vehicle = Quadrotor(3, wind_mps=0.3)
     lifted(vehicle)
     for i in range(200):
@@ -105,7 +105,7 @@ def test_tilt_and_thrust_are_limited() -> None:
     assert math.dist(vehicle.velocity, (0.0, 0.0, 0.0)) <= 8.0 + 1e-9
 
 
-def test_motors_off_falls_and_the_floor_stops_it() -> None:
+def test_with_motors_off_it_falls_until_the_floor() -> None:
     vehicle = lifted(calm())
     height = vehicle.position[2]
     for _ in range(1000):
@@ -114,12 +114,12 @@ def test_motors_off_falls_and_the_floor_stops_it() -> None:
     assert vehicle.on_ground
     assert vehicle.position[2] == 0.0
     assert len(vehicle.touchdowns) == 1
-    # It still rises a little first; drag takes some away.
+    # It first rises a little more; drag reduces the speed.
     assert vehicle.touchdowns[0] == pytest.approx(math.sqrt(2 * GRAVITY_MPS2 * height), rel=0.25)
 
 
-def test_it_stands_on_what_is_below_it_and_falls_off_its_edge() -> None:
-    """A table 0.5 m high, for x below 1 m."""
+def test_it_stands_on_the_surface_below_and_falls_off_its_edge() -> None:
+    """A table 0.5 m high covers x below 1 m."""
     vehicle = Quadrotor(0, 0.0, start=(0.0, 0.0, 0.0), standing_m=lambda p: 0.5 if p[0] < 1.0 and p[2] >= 0.5 else 0.0)
     lifted(vehicle, 2.0)
     for _ in range(1000):
@@ -134,14 +134,14 @@ def test_it_stands_on_what_is_below_it_and_falls_off_its_edge() -> None:
     assert vehicle.position[2] == 0.0
 
 
-def test_gusts_have_the_rms_that_was_asked_for() -> None:
+def test_gusts_have_the_requested_rms() -> None:
     vehicle = Quadrotor(1, wind_mps=0.2)
     vehicle.step(DT, HOVER, 0.0, True)
     samples = [vehicle._blow()[0] for _ in range(100_000)]
     assert statistics.pstdev(samples) == pytest.approx(0.2, rel=0.2)
 
 
-def test_the_same_seed_flies_the_same_path() -> None:
+def test_equal_seeds_fly_equal_paths() -> None:
     def end(seed: int) -> tuple[float, ...]:
         return lifted(Quadrotor(seed, wind_mps=0.3), 4.0).position
 
@@ -149,14 +149,14 @@ def test_the_same_seed_flies_the_same_path() -> None:
     assert end(7) != end(8)
 
 
-def test_a_push_moves_it() -> None:
+def test_a_push_changes_the_velocity() -> None:
     vehicle = lifted(calm())
     before = vehicle.velocity[0]
     vehicle.push((0.5, 0.0, 0.0))
     assert vehicle.velocity[0] == pytest.approx(before + 0.5)
 
 
-def test_a_force_from_outside_is_felt_by_the_accelerometer() -> None:
+def test_an_external_force_is_measured_by_the_accelerometer() -> None:
     still, pushed = Quadrotor(1, 0.0), Quadrotor(1, 0.0)
     for n in range(300):
         pushed.outside_mps2 = (2.0 if n >= 250 else 0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""The quick pace flies as the real one does: same hover, same step, within the wind's own scatter."""
+"""Quick step sizes fly like the real ones, within the scatter of the wind."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from uav_recon.app.processes import MISSION_RATE_HZ
 
 
 class Paced(Companion):
-    """A companion whose autopilot steps at a pace."""
+    """Companion whose autopilot has the given step sizes."""
 
     def __init__(self, pace: StepSizes) -> None:
         super().__init__(seed=3)
@@ -26,7 +26,10 @@ class Paced(Companion):
 
 
 def offsets_m(pace: StepSizes) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Distance (N,) from where it is told to be: five seconds of hover, a step of a metre, five more."""
+    """Return the distance (N,) from the setpoint.
+
+    It hovers for five seconds, makes a step of 1 m, and hovers for five more.
+    """
     c = Paced(pace)
     c.take_off()
     found = []
@@ -41,13 +44,13 @@ def offsets_m(pace: StepSizes) -> np.ndarray[tuple[int, ...], np.dtype[np.float6
     return np.array(found)
 
 
-def test_hover_and_step_are_flown_alike() -> None:
+def test_hover_and_step_are_flown_equally_well() -> None:
     real, quick = offsets_m(REAL), offsets_m(QUICK)
     assert np.sqrt((quick**2).mean()) == pytest.approx(np.sqrt((real**2).mean()), rel=0.25, abs=0.01)
     assert quick.max() < 1.5 * real.max() + 0.02
 
 
-def test_the_rates_of_the_product_divide_the_quick_turns() -> None:
+def test_the_products_rates_divide_the_quick_step_rate() -> None:
     for rate_hz in (MISSION_RATE_HZ, 30.0, 6.0, 10.0, QUICK.truth_hz):
         assert (1.0 / QUICK.turn_s) % rate_hz == pytest.approx(0.0, abs=1e-9)
     assert QUICK.turn_s / QUICK.physics_s == pytest.approx(round(QUICK.turn_s / QUICK.physics_s))

@@ -10,7 +10,10 @@ from uav_recon.types.frames import Float32Array
 
 
 def _patch(cell: int, size: int = 10) -> Float32Array:
-    """End points in ``size`` cells of a row, from a number on; four of each, because every fourth is looked at."""
+    """Return end points in ``size`` neighbouring cells from a cell number on.
+
+    There are four points in each cell, because the policy uses every fourth point.
+    """
     x = (np.repeat(cell + np.arange(size), 4) + 0.5) * CELL_M
     return np.stack([x, np.full_like(x, 2.0), np.full_like(x, 1.0)], axis=1).astype(np.float32)
 
@@ -22,17 +25,17 @@ def _of(cells: list[int]) -> EvictionPolicy:
     return remembered
 
 
-def test_a_hover_leaves_little_and_a_place_seen_once_stays() -> None:
+def test_few_views_of_a_hover_are_kept_and_a_surface_seen_once_stays() -> None:
     cells = [0] * 40 + [1000] + [0] * 40 + [2000, 2000, 2000]
     which = _of(cells).most_useful(20)
     assert which.sum() == 20
     assert which[40]
     assert which[-RECENT_VIEWS:].all()
     hover = np.flatnonzero(which[:81])
-    assert np.diff(hover).max() <= 16  # what stays of it is spread over its time
+    assert np.diff(hover).max() <= 16  # the kept views are spread over the hover
 
 
-def test_the_same_place_from_the_other_side_counts_for_itself() -> None:
+def test_a_surface_seen_from_its_other_side_counts_separately() -> None:
     remembered = _of([0] * 10)
     remembered.add(remembered.taken, np.array([100.0, 0.0, 0.0]), _patch(0))
     for _ in range(10):
@@ -40,7 +43,7 @@ def test_the_same_place_from_the_other_side_counts_for_itself() -> None:
     assert remembered.most_useful(8)[10]
 
 
-def test_forgetting_again_and_again_keeps_all_parts_of_a_flight() -> None:
+def test_repeated_eviction_keeps_views_of_all_parts_of_a_flight() -> None:
     remembered, random = EvictionPolicy(), np.random.default_rng(0)
     for _ in range(2000):
         remembered.add(remembered.taken, np.array([-100.0, 0.0, 0.0]), _patch(int(random.integers(0, 40))))
@@ -49,11 +52,11 @@ def test_forgetting_again_and_again_keeps_all_parts_of_a_flight() -> None:
     numbers = np.array(remembered.numbers)
     assert remembered.taken == 2000
     assert (np.diff(numbers) > 0).all()
-    assert np.diff(numbers).max() < 250  # even spacing would be 40
+    assert np.diff(numbers).max() < 250  # even spacing would give 40
     assert np.histogram(numbers, bins=4, range=(0, 2000))[0].min() >= 6
 
 
-def test_replay_keeps_the_rays_of_those_that_stay() -> None:
+def test_replay_keeps_the_rays_of_the_kept_views() -> None:
     replay, random = RayBuffer(), np.random.default_rng(1)
     views = [random.integers(-30000, 30000, (50 + n, 10)).astype(np.int16) for n in range(9)]
     for n, records in enumerate(views):

@@ -14,7 +14,10 @@ VIEWS = 28
 
 
 def _learn(factor: FloatArray, steps: int = 0) -> NeuralMapper:
-    """The box room, the pictures with (rgb + 0.055) multiplied by factors (V, 3) and clipped."""
+    """Return a mapper trained on the box room with altered exposures.
+
+    The images are (rgb + 0.055) multiplied by factor (V, 3) and clipped.
+    """
     trainer = NeuralMapper(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
     for view, gain in zip(tour(VIEWS), factor, strict=True):
         shown = np.clip((view.frame.rgb / 255.0 + 0.055) * gain - 0.055, 0.0, 1.0)
@@ -29,7 +32,7 @@ def _sigma(trainer: NeuralMapper) -> FloatArray:
     return np.array([np.median(trainer.uncertainties[name].at(points)) for name in ("colour", "paper")])
 
 
-def test_gains_undo_each_pictures_exposure_and_their_mean_is_one() -> None:
+def test_gains_undo_the_exposure_of_each_image_and_their_mean_is_one() -> None:
     log_factor = np.random.default_rng(3).uniform(-0.5, 0.0, (VIEWS, 3))  # nothing is clipped
     trainer = _learn(np.exp(log_factor))
     found = trainer.log_gains()
@@ -49,7 +52,7 @@ def test_exposures_do_not_change_the_colour_sigma() -> None:
     assert abs(many[0] / one[0] - 1.0) < 0.1
 
 
-def test_a_white_picture_says_only_that_it_was_at_least_so_bright() -> None:
+def test_a_clipped_colour_is_only_a_lower_bound_of_the_brightness() -> None:
     factor = np.ones((VIEWS, 3))
     factor[9] = 1.5  # four of six walls are clipped in at least one channel
     found = _learn(factor).log_gains()

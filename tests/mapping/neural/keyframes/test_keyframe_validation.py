@@ -59,7 +59,7 @@ def test_intrinsics_that_no_camera_has_are_refused(numbers: dict[str, float], re
     assert reject_reason(_with_lens(GOOD, **numbers), *PADDED) is reason
 
 
-def test_a_pose_that_got_past_its_type_is_refused() -> None:
+def test_an_invalid_pose_is_refused() -> None:
     for name, value in (("translation_m", np.array([np.nan, 1.0, 1.0])), ("quat_wxyz", np.array([1.0, 1.0, 0.0, 0.0]))):
         pose = Pose(GOOD.world_from_depth.quat_wxyz, GOOD.world_from_depth.translation_m)
         object.__setattr__(pose, name, value)
@@ -67,11 +67,11 @@ def test_a_pose_that_got_past_its_type_is_refused() -> None:
 
 
 @pytest.mark.parametrize("metres", [np.nan, 0.0, -1.0, 0.1, 30.0, np.inf, 3e38])
-def test_a_picture_without_depth_that_a_ray_can_hold_is_empty(metres: float) -> None:
+def test_a_view_without_depth_in_the_range_of_a_ray_is_empty(metres: float) -> None:
     assert reject_reason(_with_depth(GOOD, np.full_like(GOOD.frame.depth_m, metres)), *PADDED) is RejectReason.EMPTY
 
 
-def test_a_speck_of_depth_between_the_rays_is_empty() -> None:
+def test_depth_that_no_ray_samples_is_empty() -> None:
     mapper, depth = _trainer(), np.full((480, 640), np.nan, dtype=np.float32)
     depth[:48, :64] = 1.0
     lens = Intrinsics.from_fov(640, 480, 1.2, 0.9)
@@ -84,7 +84,7 @@ def test_a_speck_of_depth_between_the_rays_is_empty() -> None:
     assert reject_reason(dataclasses.replace(GOOD, frame=frame), *PADDED) is RejectReason.EMPTY
 
 
-def test_refusals_are_counted_and_logged_ever_more_rarely(caplog: pytest.LogCaptureFixture) -> None:
+def test_refusals_are_counted_and_logged_at_powers_of_two(caplog: pytest.LogCaptureFixture) -> None:
     refusals = RejectCounts()
     with caplog.at_level(logging.WARNING):
         for _ in range(9):
@@ -107,7 +107,7 @@ def room() -> NeuralMapper:
 
 
 def _crossing(n: int) -> PosedFrame:
-    """A view across the room, of floor and walls."""
+    """Return a view across the room, which shows floor and walls."""
     return look((0.5 + 0.1 * n, 0.4 + 0.2 * n, 1.2), 40.0 + 35.0 * n, 100 + n, NOISE_PX)
 
 
@@ -123,7 +123,7 @@ def test_a_wrong_focal_length_is_caught_by_what_is_mapped(room: NeuralMapper) ->
     assert room.refusals.counts[RejectReason.DISAGREES] >= 9  # most of the rest lies outside the box
 
 
-def test_honest_views_are_taken_also_with_poses_off_by_2_cm_and_1_degree(room: NeuralMapper) -> None:
+def test_correct_views_are_accepted_with_pose_errors_of_2_cm_and_1_degree(room: NeuralMapper) -> None:
     random, refused = np.random.default_rng(5), room.refusals.total()
     for n in range(10):
         view = _crossing(n)
@@ -140,19 +140,19 @@ def _votes(seen: int, refuted: int) -> Float32Array:
     return votes
 
 
-def test_doubt_needs_votes_and_remembers_a_lens() -> None:
+def test_a_contradiction_needs_votes_and_the_lens_is_remembered() -> None:
     doubt, lens, other = (
         ContradictionVote(),
         Intrinsics(50.0, 50.0, 10.0, 10.0, 20, 20),
         Intrinsics(60.0, 50.0, 10.0, 10.0, 20, 20),
     )
-    assert not doubt.rises(lens, _votes(20, 60))  # too few have an opinion
+    assert not doubt.rises(lens, _votes(20, 60))  # too few votes
     doubt = ContradictionVote()
     assert not doubt.rises(lens, _votes(400, 20))
-    assert doubt.rises(lens, _votes(400, 101))  # one bad view: its pose
+    assert doubt.rises(lens, _votes(400, 101))  # one bad view: the pose is blamed
     assert not doubt.rises(lens, _votes(400, 0))
     assert doubt.rises(other, _votes(200, 200))
-    assert doubt.rises(other, _votes(5, 0))  # a new place by a lens that is known to be wrong
+    assert doubt.rises(other, _votes(5, 0))  # a new position, with a lens that is known to be wrong
     assert not doubt.rises(lens, _votes(5, 0))
 
 
@@ -201,7 +201,7 @@ def test_a_depth_that_overflows_in_millimetres_is_no_return() -> None:
 
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(lens=_LENS, colour=_LENS, depth=_DEPTH, pose=_POSE, beside=_POSE, steps=st.integers(0, 3), poison=st.booleans())
-def test_the_field_stays_finite_whatever_comes(
+def test_the_field_stays_finite_for_any_input(
     lens: Intrinsics, colour: Intrinsics, depth: Float32Array, pose: Pose, beside: Pose, steps: int, poison: bool
 ) -> None:
     mapper = HOSTILE
@@ -209,7 +209,7 @@ def test_the_field_stays_finite_whatever_comes(
     before, refused = mapper.views, mapper.refusals.total()
     taken = mapper.add(PosedFrame(frame, pose))
     assert (mapper.views, mapper.refusals.total()) == (before + taken, refused + (not taken))
-    if poison:  # whatever made it, such a gradient must not reach the field
+    if poison:  # a gradient that is not finite must not reach the field
         mapper._learner._optimiser.flat_gradient[7] = np.nan
         skipped = mapper.skipped
         mapper.train(1)

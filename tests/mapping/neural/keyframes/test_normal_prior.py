@@ -32,13 +32,19 @@ def _save(path: Path, nodes: list[onnx.NodeProto], values: dict[str, AnyArray], 
 
 
 def _linear(path: Path, matrix: FloatArray, shift: FloatArray, shape: object = (1, 3, H, W)) -> Path:
-    """y = matrix @ rgb + shift at every pixel: a network that reads its answer off the colours."""
+    """Save a network that computes y = matrix @ rgb + shift at every pixel.
+
+    So the colours encode its output.
+    """
     values = {"w": matrix.astype(np.float32)[:, :, None, None], "b": shift.astype(np.float32)}
     return _save(path, [helper.make_node("Conv", ["x0", "w", "b"], ["y0"])], values, [shape], 1)
 
 
 def _wall(rgb: AnyArray) -> Frame:
-    """A plane through (0, 0, 2) of the colour camera, whose picture is of one colour; its depth is noise."""
+    """Return a frame of a plane through (0, 0, 2) of the colour camera, in one colour.
+
+    Its depth is sparse.
+    """
     depth = np.full((H, W), np.nan, dtype=np.float32)
     depth[::3, ::3] = 2.0  # too sparse for a plane fit, so no ray has a normal
     return Frame(0.0, 0, depth, DEPTH_LENS, np.broadcast_to(rgb, (H, W, 3)).astype(np.uint8), DEPTH_LENS, RGB_FROM_DEPTH)
@@ -68,7 +74,7 @@ def test_normals_in_colours_become_normals_of_rays(tmp_path: Path) -> None:
             np.testing.assert_allclose(given, np.tile(normal @ seen.rgb_from_depth.rotation(), (count, 1)), atol=0.01)
 
 
-def test_measured_normals_are_kept_and_a_network_that_contradicts_them_is_not_believed(
+def test_measured_normals_are_kept_and_a_network_that_contradicts_them_is_rejected(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     frame = _wall(np.array([128, 128, 0]))
@@ -87,7 +93,7 @@ def test_measured_normals_are_kept_and_a_network_that_contradicts_them_is_not_be
 
 @pytest.mark.parametrize("inverse", [False, True])
 def test_relative_depth_becomes_normals(tmp_path: Path, inverse: bool) -> None:
-    """A floor and a wall; the network tells 3 z + 1 or 0.4 / z - 0.1, from colours that hold them."""
+    """A floor and a wall: the network returns 3 z + 1 or 0.4 / z - 0.1, encoded in the colours."""
     view = look((1.5, 1.2, 1.0), 0.0)
     frame, lens = view.frame, view.frame.depth_intrinsics
     z = frame.depth_m.astype(np.float64)
@@ -143,13 +149,13 @@ def test_a_file_that_is_no_model_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("shape", [(1, 1, H, W), (2, 3, H, W), (3, H, W), (1, H, W, 3)])
-def test_a_model_that_wants_something_else_is_named(tmp_path: Path, shape: tuple[int, ...]) -> None:
+def test_a_model_with_the_wrong_input_shape_is_named(tmp_path: Path, shape: tuple[int, ...]) -> None:
     path = _save(tmp_path / "odd.onnx", [helper.make_node("Identity", ["x0"], ["y0"])], {}, [shape], 1)
     with pytest.raises(PriorError, match=r"odd\.onnx: wants tensor\(float\) .*, not one tensor\(float\) \[1, 3, h, w\]"):
         NormalPrior(path)
 
 
-def test_a_model_with_two_inputs_or_answers_or_a_strange_answer_is_named(tmp_path: Path) -> None:
+def test_a_model_with_two_inputs_two_outputs_or_a_wrong_output_shape_is_named(tmp_path: Path) -> None:
     add = [helper.make_node("Add", ["x0", "x1"], ["y0"])]
     with pytest.raises(PriorError, match="wants tensor"):
         NormalPrior(_save(tmp_path / "two.onnx", add, {}, [(1, 3, H, W)] * 2, 1))
@@ -160,9 +166,9 @@ def test_a_model_with_two_inputs_or_answers_or_a_strange_answer_is_named(tmp_pat
         NormalPrior(_linear(tmp_path / "pair.onnx", np.zeros((2, 3)), np.zeros(2)))
 
 
-def test_a_picture_that_a_model_cannot_take_teaches_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_image_that_the_model_fails_on_gives_no_normals(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     nodes = [helper.make_node("Add", ["x0", "w"], ["y0"])]
-    values = {"w": np.zeros((1, 3, 64, 64), dtype=np.float32)}  # free in name, but it takes only what the trial shows
+    values = {"w": np.zeros((1, 3, 64, 64), dtype=np.float32)}  # symbolic shape, but the model accepts only 64 x 64
     prior = NormalPrior(_save(tmp_path / "stiff.onnx", nodes, values, [(1, 3, "h", "w")], 1))
     frame = _wall(np.zeros(3))
     assert prior.fill(_bare(frame), frame) == 0
@@ -170,7 +176,7 @@ def test_a_picture_that_a_model_cannot_take_teaches_nothing(tmp_path: Path, capl
     assert "stiff.onnx: fails on a picture of 106x60" in caplog.text
 
 
-def test_an_answer_that_is_not_finite_gives_no_normal(tmp_path: Path) -> None:
+def test_an_output_that_is_not_finite_gives_no_normal(tmp_path: Path) -> None:
     frame = _wall(np.zeros(3))
     for rows in (3, 1):
         prior = NormalPrior(_linear(tmp_path / f"nan{rows}.onnx", np.zeros((rows, 3)), np.full(rows, np.nan)))

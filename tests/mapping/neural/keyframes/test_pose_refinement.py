@@ -14,7 +14,7 @@ VIEWS = 20
 
 
 def _learn(align: bool, pose_sigma_m: float) -> tuple[NeuralMapper, FloatArray]:
-    """A room from poses with errors; returns the trainer and the errors of its positions (V, 3) afterwards."""
+    """Train on poses with errors; return the mapper and its position errors (V, 3)."""
     random = np.random.default_rng(2)
     trainer = NeuralMapper(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
     trainer.align_views = align
@@ -38,7 +38,7 @@ def aligned() -> tuple[NeuralMapper, FloatArray]:
     return _learn(align=True, pose_sigma_m=0.015)
 
 
-def test_alignment_takes_pose_errors_away(aligned: tuple[NeuralMapper, FloatArray]) -> None:
+def test_alignment_reduces_pose_errors(aligned: tuple[NeuralMapper, FloatArray]) -> None:
     plain, before = _learn(align=False, pose_sigma_m=0.015)
     trainer, after = aligned
     apart = [np.linalg.norm(error - error.mean(axis=0), axis=1).mean() for error in (before, after)]

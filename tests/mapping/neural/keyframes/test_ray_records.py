@@ -31,7 +31,7 @@ def test_rays_end_on_the_walls_with_their_normals() -> None:
     assert np.quantile(along[known], 0.02) > 0.995
 
 
-def test_the_plane_fit_takes_noise_away() -> None:
+def test_the_plane_fit_reduces_noise() -> None:
     view = look((1.5, 1.2, 1.0), 20.0, sequence=3, sigma_px=0.1)
     rays = _rays(view, 0.1 / (DEPTH_LENS.fx * BASELINE_M))
     v, u = np.nonzero(np.isfinite(view.frame.depth_m))
@@ -40,7 +40,7 @@ def test_the_plane_fit_takes_noise_away() -> None:
     assert distance_to_walls(rays.points[0].astype(np.float64)).mean() < 0.5 * raw_error
 
 
-def test_replay_thins_its_views_instead_of_growing_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replay_thins_its_views_to_stay_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uav_recon.mapping.neural.keyframes.ray_buffer.MAX_RAYS", 5000)
     replay = RayBuffer()
     records = np.zeros((1000, 10), dtype=np.int16)

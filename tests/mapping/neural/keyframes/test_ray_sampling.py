@@ -11,7 +11,10 @@ D435I = 0.08 / (447.0 * 0.05)  # inverse depth, sigma
 
 
 def weight_of_a_measurement(z_m: float) -> float:
-    """Of its samples near the surface together, as a share of what one without error has."""
+    """Return the total weight of the samples near the surface.
+
+    It is relative to that of a measurement without error.
+    """
     records = np.zeros((100, COLUMNS), dtype=np.int16)
     records[:, 2] = round(z_m / DEPTH_UNIT_M)
     replay, batch = RayBuffer(), make_batch()
@@ -27,5 +30,5 @@ def test_a_measurement_weighs_by_its_variance_and_that_of_poses() -> None:
     assert weight_of_a_measurement(2.0) == pytest.approx(1.0 / (1.0 + (4.0 * D435I / 0.01) ** 2), rel=1e-3)
 
 
-def test_what_was_only_seen_from_afar_still_counts() -> None:
+def test_a_surface_seen_only_from_far_away_has_the_minimum_weight() -> None:
     assert weight_of_a_measurement(5.0) == pytest.approx(float(MIN_TRUST), rel=1e-3)

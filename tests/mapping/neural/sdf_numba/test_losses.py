@@ -1,4 +1,7 @@
-"""The hand-written gradients against torch autograd, with torch's own interpolation and layers, in double precision."""
+"""Hand-written gradients against torch autograd in double precision.
+
+The reference uses torch's own interpolation and layers.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +26,11 @@ from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.types.frames import Float32Array
 
 LOW, HIGH = np.zeros(3), np.array([1.0, 0.8, 0.6])
-COUNT = 150  # not a multiple of POINTS: the last piece is padded
+COUNT = 150  # not a multiple of POINTS: the last batch is padded
 
 
 class TorchField:
-    """The same field in torch: dense volumes, grid_sample, linear layers."""
+    """Torch implementation of the same field: dense volumes, grid_sample, linear layers."""
 
     def __init__(self, field: NumbaSdfField) -> None:
         torch.set_num_threads(1)
@@ -36,7 +39,7 @@ class TorchField:
         self.net = {name: torch.tensor(value.astype(np.float64), requires_grad=True) for name, value in _weights(field)}
 
     def encode(self, points: torch.Tensor) -> torch.Tensor:
-        """(N, 3) -> (N, 12)."""
+        """Return the features (N, 12) at points (N, 3)."""
         found = []
         for level, volume in enumerate(self.volumes):
             cells = torch.tensor(self._grid.cells[level].astype(np.float64))
@@ -48,16 +51,16 @@ class TorchField:
         return torch.cat(found, dim=1)
 
     def shape(self, encoded: torch.Tensor) -> torch.Tensor:
-        """(N, 12) -> (N, 16); column 0 in metres."""
+        """Return the shape output (N, 16) of features (N, 12); column 0 is the distance in metres."""
         out = torch.relu(encoded @ self.net["w1"].T + self.net["b1"]) @ self.net["w2"].T + self.net["b2"]
         return torch.cat([out[:, :1] * float(TRUNCATION_M) + float(OUTSIDE_BIAS_M), out[:, 1:]], dim=1)
 
     def distance(self, points: torch.Tensor) -> torch.Tensor:
-        """(N, 3) -> (N,)."""
+        """Return the distance (N,) at points (N, 3)."""
         return self.shape(self.encode(points))[:, 0]
 
     def colour(self, points: torch.Tensor) -> torch.Tensor:
-        """(N, 3) -> (N, 4): colour and log variance."""
+        """Return colour and log variance (N, 4) at points (N, 3)."""
         encoded = self.encode(points)
         x = torch.cat([self.shape(encoded)[:, 1:], encoded], dim=1)
         for layer in ("1", "2"):
@@ -187,7 +190,7 @@ def test_colour_gradients_match_torch(field: NumbaSdfField, points: Float32Array
     reference = TorchField(field)
     colour = reference.colour(torch.tensor(points.astype(np.float64)))
     apart = colour[:, :3] - torch.tensor(rgb.astype(np.float64))
-    told = ~torch.tensor(white) | (apart <= 0.0)  # what was white at least, and is brighter, tells no error
+    told = ~torch.tensor(white) | (apart <= 0.0)  # a clipped channel that is predicted brighter has no error
     square, channels = (apart * told) ** 2, told.sum(dim=1)
     told_square = (square.sum(dim=1) / channels.clamp(min=1)).detach()
     assert 0 < int((channels == 0).sum()) < COUNT // 2

@@ -15,10 +15,10 @@ def everywhere(points: Float32Array) -> BoolArray:
 
 
 class Hollow(NumbaSdfField):
-    """A spherical room round the origin; the colour of a place is its direction."""
+    """A spherical room around the origin; the colour of a point encodes its direction."""
 
     def __init__(self) -> None:
-        """No grid."""
+        """Skip the base class, which would make a grid."""
 
     def distance_m(self, points: Float32Array) -> Float32Array:
         distance: Float32Array = (RADIUS_M - np.linalg.norm(points, axis=1)).astype(np.float32)
@@ -54,9 +54,9 @@ def test_a_ray_that_meets_nothing_is_black() -> None:
     assert reach[0] == np.float32(FARTHEST_M)
 
 
-def test_a_surface_that_nobody_measured_is_looked_through() -> None:
+def test_rays_pass_through_a_surface_without_measurements() -> None:
     class Onion(Hollow):
-        """A thin shell of guessed surface at one metre, inside the room."""
+        """A thin shell of unmeasured surface at one metre, inside the room."""
 
         def distance_m(self, points: Float32Array) -> Float32Array:
             shell = np.abs(np.linalg.norm(points, axis=1) - 1.0) - 0.05
@@ -71,9 +71,9 @@ def test_a_surface_that_nobody_measured_is_looked_through() -> None:
     assert render_rays(Onion(), beyond, 0 * ray, ray)[1][0] == pytest.approx(RADIUS_M, abs=0.005)
 
 
-def test_a_ray_along_an_edge_is_half_of_what_is_there_and_half_of_what_is_behind() -> None:
+def test_a_ray_along_an_edge_blends_foreground_and_background_equally() -> None:
     class Post(Hollow):
-        """A red post of ten centimetres, one metre along x; it lies below the plane y = 0."""
+        """A red post 0.1 m wide, 1 m away along x, below the plane y = 0."""
 
         def distance_m(self, points: Float32Array) -> Float32Array:
             post = np.hypot(points[:, 0] - 1.0, points[:, 1] + 0.05) - 0.05
@@ -91,6 +91,6 @@ def test_a_ray_along_an_edge_is_half_of_what_is_there_and_half_of_what_is_behind
     assert red == pytest.approx([1.0, 1.0, 0.5, 0.0], abs=0.06)
 
 
-def test_no_rays_are_no_trouble() -> None:
+def test_rendering_no_rays_returns_empty_arrays() -> None:
     none = np.zeros((0, 3), dtype=np.float32)
     assert render_rays(Hollow(), everywhere, none, none)[0].shape == (0, 3)

@@ -16,14 +16,14 @@ def state(number: float) -> dict[str, torch.Tensor]:
 
 @pytest.fixture
 def two(tmp_path: Path) -> RefineCheckpoints:
-    """A folder after two saves."""
+    """Return a checkpoint folder after two saves."""
     checkpoints = RefineCheckpoints(tmp_path / "refined", RUN)
     checkpoints.save(state(1))
     checkpoints.save(state(2))
     return checkpoints
 
 
-def test_the_newest_comes_back(two: RefineCheckpoints) -> None:
+def test_the_newest_checkpoint_is_loaded(two: RefineCheckpoints) -> None:
     held, said = two.load()
     assert held is not None
     assert int(held["steps"]) == 2
@@ -31,12 +31,12 @@ def test_the_newest_comes_back(two: RefineCheckpoints) -> None:
     assert said == []
 
 
-def test_nothing_there_is_nothing(tmp_path: Path) -> None:
+def test_an_empty_folder_has_no_checkpoint(tmp_path: Path) -> None:
     assert RefineCheckpoints(tmp_path, RUN).load() == (None, [])
 
 
 @pytest.mark.parametrize("damage", [b"", b"short", b"x" * 4000])
-def test_a_damaged_one_is_named_and_the_one_before_taken(two: RefineCheckpoints, tmp_path: Path, damage: bytes) -> None:
+def test_a_damaged_checkpoint_is_named_and_the_previous_loaded(two: RefineCheckpoints, tmp_path: Path, damage: bytes) -> None:
     (tmp_path / "refined" / LAST).write_bytes(damage)
     held, said = two.load()
     assert held is not None
@@ -55,7 +55,7 @@ def test_one_flipped_bit_is_damage(two: RefineCheckpoints, tmp_path: Path) -> No
     assert len(said) == 1
 
 
-def test_with_both_damaged_a_run_begins_anew(two: RefineCheckpoints, tmp_path: Path) -> None:
+def test_with_both_damaged_a_run_starts_from_the_beginning(two: RefineCheckpoints, tmp_path: Path) -> None:
     for name in (LAST, BEFORE):
         (tmp_path / "refined" / name).write_bytes(b"broken")
     held, said = two.load()
@@ -63,7 +63,7 @@ def test_with_both_damaged_a_run_begins_anew(two: RefineCheckpoints, tmp_path: P
     assert len(said) == 2
 
 
-def test_a_kill_between_the_renames_leaves_the_one_before(two: RefineCheckpoints, tmp_path: Path) -> None:
+def test_a_kill_between_the_renames_leaves_the_previous_checkpoint(two: RefineCheckpoints, tmp_path: Path) -> None:
     (tmp_path / "refined" / LAST).replace(tmp_path / "refined" / BEFORE)  # the first of the two renames
     held, said = two.load()
     assert held is not None
@@ -71,7 +71,7 @@ def test_a_kill_between_the_renames_leaves_the_one_before(two: RefineCheckpoints
     assert said == []
 
 
-def test_a_kill_while_writing_leaves_the_last(
+def test_a_kill_during_a_save_leaves_the_last_checkpoint(
     two: RefineCheckpoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
     def torn(descriptor: int) -> None:
@@ -86,7 +86,7 @@ def test_a_kill_while_writing_leaves_the_last(
     assert said == []
 
 
-def test_another_run_is_refused_by_what_differs(two: RefineCheckpoints, tmp_path: Path) -> None:
+def test_a_checkpoint_of_another_run_is_refused_and_the_differences_are_named(two: RefineCheckpoints, tmp_path: Path) -> None:
     other = RefineCheckpoints(tmp_path / "refined", RUN | {"voxel_m": 0.02, "steps": 200})
     with pytest.raises(CheckpointMismatchError, match=r"steps 100 there, 200 here, voxel_m 0\.01 there, 0\.02 here"):
         other.load()

@@ -23,7 +23,7 @@ def one_thread() -> None:
 
 
 def gathered() -> TrainingData:
-    """The box room in eight views."""
+    """Return the training data of eight views of the box room."""
     trainer = NeuralMapper(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
     for view in tour(8):
         assert trainer.add(view)
@@ -35,7 +35,7 @@ def refiner(device: str = "cpu", plan: RefinePlan = PLAN) -> Refiner:
 
 
 def measured() -> tuple[Float32Array, Float32Array, ByteArray]:
-    """Points on walls that a view measured, the way into the room from there, and the walls' colour."""
+    """Return measured points on walls, the inward normals there, and the walls' colours."""
     view = gathered().replay
     sigma = float(view.views.inverse_depth_sigma[0])
     points = view.rays(view.records(0)[:2000], *view.pose(0), sigma).points[0].astype(np.float64)
@@ -63,7 +63,7 @@ def test_learns_where_the_walls_are(finished: Refiner) -> None:
     assert np.mean((WALL_RGB[apart.argmin(axis=1)] == rgb).all(axis=1)) > 0.8  # no other wall's colour is as near
 
 
-def test_a_run_that_goes_on_ends_where_an_unbroken_one_does() -> None:
+def test_a_resumed_run_ends_in_the_same_state_as_an_uninterrupted_one() -> None:
     plan = dataclasses.replace(PLAN, steps=14)
     whole, broken = refiner(plan=plan), refiner(plan=plan)
     whole.advance(12)
@@ -88,7 +88,7 @@ def test_devices_are_named() -> None:
         device_kind("gpu")
 
 
-def test_a_gpu_is_taken_where_there_is_one_unless_the_processor_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_available_gpu_is_used_unless_the_cpu_is_requested(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     assert [device_kind(name) for name in ("auto", "cuda", "cpu")] == ["cuda", "cuda", "cpu"]
 
@@ -102,7 +102,7 @@ def test_without_a_gpu_cuda_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.cuda
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no GPU: the CUDA graph is not tested here")
-def test_a_gpu_with_its_graph_learns_what_the_processor_learns() -> None:
+def test_training_on_a_gpu_graph_matches_the_cpu() -> None:
     plan = dataclasses.replace(PLAN, steps=12)  # three eager steps, then a graph
     processor, gpu = refiner(plan=plan), refiner("cuda", plan)
     losses = np.array([(processor.advance(1), gpu.advance(1)) for _ in range(plan.steps)])

@@ -1,4 +1,7 @@
-"""The tensors against the kernels: one set of parameters, one batch, the same answers."""
+"""Torch implementation against the numba kernels.
+
+Equal parameters and batches must give equal results.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ CPU = torch.device("cpu")
 
 @pytest.fixture
 def kernels() -> NumbaSdfField:
-    """A field that has learned something everywhere it can."""
+    """Return a field with random features in every cell that points cover."""
     random = np.random.default_rng(3)
     field = NumbaSdfField(LOW, HIGH, seed=1)
     field.cover(random.uniform(LOW, HIGH, (3000, 3)).astype(np.float32))
@@ -42,7 +45,10 @@ def same(kernels: NumbaSdfField, device: torch.device = CPU) -> TorchSdfField:
 
 
 def views() -> ray_sampling.Views:
-    """Three views with rays of every kind: without a normal, without colour, white, out of the box."""
+    """Return three views with all kinds of rays.
+
+    There are rays without a normal, without colour, with white, and out of the box.
+    """
     random = np.random.default_rng(8)
     records = np.zeros((900, COLUMNS), dtype=np.int16)
     records[:, :2] = random.integers(-8000, 8000, (900, 2))
@@ -61,7 +67,7 @@ def views() -> ray_sampling.Views:
 
 
 def drawn_by_kernels(draws: int) -> tuple[ray_sampling.NumbaBatch, int]:
-    """The last of so many batches, and how many of its rays have colour."""
+    """Return the last of several batches, and the number of its rays that have colour."""
     batch, state = ray_sampling.make_batch(), np.array([5], dtype=np.uint64)
     coloured = 0
     for _ in range(draws):
@@ -97,7 +103,7 @@ def assert_like(ours: torch.Tensor | None, theirs: Float32Array) -> None:
     np.testing.assert_allclose(ours.detach().cpu().numpy(), theirs, rtol=2e-3, atol=1e-4 * float(np.abs(theirs).max()))
 
 
-def test_a_grid_of_the_kernels_levels_is_laid_out_alike(kernels: NumbaSdfField) -> None:
+def test_the_grid_layout_equals_that_of_the_kernels(kernels: NumbaSdfField) -> None:
     layout = lay_out(LOW, HIGH, FINEST_CELL_M)
     for name in ("origin_world_m", "inverse_cell_per_m", "cells", "blocks", "first"):
         np.testing.assert_array_equal(getattr(layout, name).numpy(), getattr(kernels.grid, name))
@@ -116,7 +122,7 @@ def test_queries_agree_with_the_kernels_inside_and_outside_the_box(kernels: Numb
 
 
 @pytest.mark.parametrize("draws", [1, 3])
-def test_batches_are_those_of_the_kernels(draws: int) -> None:
+def test_batches_equal_those_of_the_kernels(draws: int) -> None:
     theirs, coloured = drawn_by_kernels(draws)
     ours = drawn(draws)
     for name in ("points", "target_m", "weight", "at_least", "surface", "normal", "eikonal_weight", "normal_weight"):
@@ -138,14 +144,14 @@ def test_loss_and_gradients_agree_with_the_kernels(kernels: NumbaSdfField) -> No
     assert_like(tensors.features.grad, by_slot(optimiser.gradient))
 
 
-def test_a_step_moves_parameters_as_the_kernels_do_and_leaves_the_untouched(kernels: NumbaSdfField) -> None:
+def test_an_optimiser_step_equals_that_of_the_kernels_and_keeps_features_without_gradient(kernels: NumbaSdfField) -> None:
     optimiser, _ = gradients_of_kernels(kernels, *drawn_by_kernels(1))
     tensors, before = same(kernels), kernels.grid.features.copy()
     adam = TorchAdam(tensors.features, tensors.weights)
     weights, features = optimiser.flat_gradient.copy(), by_slot(optimiser.gradient)
     held = Gradient(*(part.copy() for part in optimiser.gradient))
     tensors.weights.grad, tensors.features.grad = torch.tensor(weights), torch.tensor(features)
-    for count in (1, 2):  # the same gradient twice: moments count
+    for count in (1, 2):  # the same gradient twice, so that the moments matter
         optimiser.flat_gradient[:], optimiser.gradient = weights, Gradient(*(part.copy() for part in held))
         optimiser.step(0.5)
         adam.step(tensors.features, tensors.weights, torch.tensor(float(count)), torch.tensor(0.5))
@@ -155,7 +161,7 @@ def test_a_step_moves_parameters_as_the_kernels_do_and_leaves_the_untouched(kern
     np.testing.assert_array_equal(moved[features == 0.0], before[features == 0.0])
 
 
-def test_a_place_outside_the_box_has_no_slope_and_leaves_gradients_finite(kernels: NumbaSdfField) -> None:
+def test_points_outside_the_box_leave_the_gradients_finite(kernels: NumbaSdfField) -> None:
     tensors = same(kernels)
     batch = drawn(1)
     batch.surface[:] = torch.tensor([9.0, 9.0, 9.0])

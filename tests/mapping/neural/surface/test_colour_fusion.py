@@ -1,4 +1,4 @@
-"""Colours of pictures on a field: against sums over cells, by hand and in numpy."""
+"""Fusion of image colours on a field, against means over cells by hand and in numpy."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RED, BLUE = (200, 0, 0), (0, 0, 200)
 
 
 class Plain:
-    """One colour everywhere."""
+    """Field with one colour everywhere."""
 
     def __init__(self, level: float = 0.5) -> None:
         self._level = np.float32(level)
@@ -32,7 +32,7 @@ class Plain:
 
 
 def rays(points: FloatArray, rgb: ArrayLike, coloured: int = 1) -> AnyArray:
-    """Records of a camera at the origin that looks along z."""
+    """Return ray records of a camera at the origin that looks along z."""
     found = np.zeros((len(points), COLUMNS), dtype=np.int16)
     found[:, :2] = np.round(points[:, :2] / points[:, 2:] / BEARING_UNIT)
     found[:, 2] = np.round(points[:, 2] / DEPTH_UNIT_M)
@@ -57,7 +57,7 @@ def paint(replay: RayBuffer, level: float = 0.5) -> ColourFusedField:
 
 
 def centre(point: FloatArray) -> Float32Array:
-    """Of the cell that holds a point: there its neighbours have no say."""
+    """Return the centre of the cell that holds a point; there the neighbours have no weight."""
     middle: Float32Array = (LOW + (np.floor((point - LOW) / CELL_M) + 0.5) * CELL_M).astype(np.float32)
     return middle
 
@@ -65,13 +65,13 @@ def centre(point: FloatArray) -> Float32Array:
 PLACE = centre(np.array([0.1, 0.2, 1.0])).astype(np.float64)
 
 
-def test_a_cell_shows_the_mean_of_the_pictures_and_a_little_of_the_field() -> None:
+def test_a_cell_has_the_mean_colour_of_the_images_and_a_small_share_of_the_field() -> None:
     found = paint(seen(rays(PLACE[None], [RED]), rays(PLACE[None], [BLUE]))).rgb(centre(PLACE)[None])[0]
     mean = (np.array([200, 0, 200]) / 255.0 + FIELD_WORTH * 0.5) / (2.0 + FIELD_WORTH)
     assert found == pytest.approx(mean, abs=1e-3)
 
 
-def test_where_no_picture_looked_the_field_speaks() -> None:
+def test_a_cell_without_an_image_has_the_colour_of_the_field() -> None:
     cloudy, blind = rays(PLACE[None], [RED]), rays(PLACE[None], [RED], coloured=0)
     at = np.array([PLACE, PLACE + 0.3, [9.0, 0.0, 0.0]], dtype=np.float32)
     assert (paint(seen(blind)).rgb(at) == 0.5).all()
@@ -80,13 +80,13 @@ def test_where_no_picture_looked_the_field_speaks() -> None:
     assert (paint(seen()).rgb(at) == 0.5).all()
 
 
-def test_colours_are_means_over_cells_between_which_one_passes_smoothly(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_colours_are_means_over_cells_with_linear_interpolation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(colour_fusion, "BLOCKS", 1)  # it must grow
     rng = np.random.default_rng(3)
     points = rng.uniform([-0.2, -0.2, 1.0], [0.2, 0.2, 1.1], (9000, 3))
     records = rays(points, rng.integers(0, 250, (9000, 3)))
     inside = (ends(records) - LOW) / np.float32(CELL_M) % 1.0
-    records = records[((inside > 0.01) & (inside < 0.99)).all(axis=1)]  # on a border rounding decides
+    records = records[((inside > 0.01) & (inside < 0.99)).all(axis=1)]  # at a cell border, rounding decides
     cell = np.floor((ends(records) - LOW) / np.float32(CELL_M)).astype(int)
     shape = (1 + cell.max() + 1,) * 3
     sums, count = np.zeros((*shape, 3)), np.zeros(shape)
@@ -103,7 +103,7 @@ def test_colours_are_means_over_cells_between_which_one_passes_smoothly(monkeypa
     assert paint(seen(records[:4000], records[4000:])).rgb(asked) == pytest.approx(total / weight[:, None], abs=2e-4)
 
 
-def test_pictures_count_at_a_mean_exposure() -> None:
+def test_images_are_fused_at_the_mean_exposure() -> None:
     replay = seen(rays(PLACE[None], [(100, 100, 100)]))
     replay.views.gain[0] = 1.5
     found = paint(replay).rgb(centre(PLACE)[None])[0]
@@ -111,7 +111,7 @@ def test_pictures_count_at_a_mean_exposure() -> None:
     assert found == pytest.approx([mean] * 3, abs=1e-3)
 
 
-def test_white_in_a_long_exposure_is_at_least_so_bright() -> None:
+def test_a_clipped_channel_is_a_lower_bound() -> None:
     replay = seen(rays(PLACE[None], [(255, 100, 100)]))
     replay.views.gain[0] = 0.5
     red, green, _ = paint(replay, level=0.9).rgb(centre(PLACE)[None])[0]
@@ -119,6 +119,6 @@ def test_white_in_a_long_exposure_is_at_least_so_bright() -> None:
     assert green < 0.4
 
 
-def test_the_shape_is_the_fields() -> None:
+def test_the_distance_is_that_of_the_field() -> None:
     at = np.array([[0.25, 0.0, 1.0]], dtype=np.float32)
     assert paint(seen(rays(PLACE[None], [RED]))).distance_m(at) == pytest.approx([0.25])

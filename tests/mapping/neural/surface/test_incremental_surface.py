@@ -21,7 +21,7 @@ def _sorted(surface: SurfaceElements) -> FloatArray:
 
 
 @pytest.mark.parametrize("voxel_m", [0.03, 0.05, 0.08])
-def test_a_field_that_rests_gives_the_whole_surface_piece_by_piece(voxel_m: float) -> None:
+def test_incremental_updates_of_an_unchanged_field_equal_the_whole_surface(voxel_m: float) -> None:
     trainer = _trainer(voxel_m)
     views = tour(5)
     for view in views:
@@ -34,7 +34,7 @@ def test_a_field_that_rests_gives_the_whole_surface_piece_by_piece(voxel_m: floa
         assert np.array_equal(_sorted(trainer.surface()), _sorted(trainer.whole_room()))
 
 
-def test_a_view_renews_what_it_saw_and_leaves_the_far_side() -> None:
+def test_a_view_updates_the_surface_it_saw_and_leaves_the_far_side() -> None:
     trainer = _trainer()
     for n in range(4):
         trainer.add(look((1.5, 1.2, 1.0), 90.0 * n, n))
@@ -49,7 +49,7 @@ def test_a_view_renews_what_it_saw_and_leaves_the_far_side() -> None:
     assert (kept_x > 2.9).sum() == 0
 
 
-def test_training_alone_renews_everything_in_time() -> None:
+def test_training_without_new_views_updates_all_of_the_surface() -> None:
     trainer = _trainer()
     trainer.add(look((1.5, 1.2, 1.0), 0.0))
     trainer.train(20)
@@ -61,7 +61,7 @@ def test_training_alone_renews_everything_in_time() -> None:
     assert np.array_equal(_sorted(after), _sorted(trainer.whole_room()))
 
 
-def test_both_sides_of_a_thin_thing_are_surface() -> None:
+def test_both_sides_of_a_thin_plate_are_surface() -> None:
     evidence = MeasuredCells(LOW, HIGH)
     n = 4000
     plate = np.column_stack([np.random.default_rng(0).uniform(1.0, 2.0, (n, 2)), np.full(n, 1.0)]).astype(np.float32)
@@ -74,10 +74,10 @@ def test_both_sides_of_a_thin_thing_are_surface() -> None:
     for facing in (up, -up):
         assert not evidence.contradicts(plate[inner], facing[inner]).any()
     sideways = np.roll(up, 1, axis=1)
-    assert not evidence.contradicts(plate[inner], sideways[inner]).any()  # nobody said anything of it
+    assert not evidence.contradicts(plate[inner], sideways[inner]).any()  # no measurement faces this direction
 
 
-def test_a_side_that_nobody_saw_is_none() -> None:
+def test_a_side_without_measurements_is_contradicted() -> None:
     evidence = MeasuredCells(LOW, HIGH)
     point, up = np.array([[1.5, 1.2, 1.0]], dtype=np.float32), np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
     sigma = np.full(1, 0.01, dtype=np.float32)

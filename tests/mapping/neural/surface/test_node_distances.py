@@ -12,10 +12,10 @@ CELL_M = 0.05
 
 
 @pytest.mark.parametrize("voxel_m", [0.02, 0.05, 0.13])
-def test_nodes_get_what_the_field_says_of_their_places(voxel_m: float) -> None:
+def test_nodes_get_the_distance_of_the_field_at_their_positions(voxel_m: float) -> None:
     random = np.random.default_rng(3)
     field = NumbaSdfField(LOW, HIGH, seed=1)
-    field.cover(random.uniform(LOW, LOW + 0.7 * (HIGH - LOW), (4000, 3)).astype(np.float32))  # the rest has coarse levels only
+    field.cover(random.uniform(LOW, LOW + 0.7 * (HIGH - LOW), (4000, 3)).astype(np.float32))  # elsewhere only coarse levels
     field.grid.features[1:] += random.normal(0.0, 3.0, field.grid.features[1:].shape).astype(np.float32)
     shape = np.ceil((HIGH - LOW) / CELL_M).astype(int)
     nodes = wanted_nodes(random.random(shape) < 0.3, LOW, CELL_M, voxel_m)  # up to the box's border
@@ -29,7 +29,7 @@ def test_nodes_get_what_the_field_says_of_their_places(voxel_m: float) -> None:
     assert np.array_equal(nodes.values[~mask], untouched)
 
 
-def test_no_nodes_are_no_trouble() -> None:
+def test_no_nodes_are_allowed() -> None:
     nodes = wanted_nodes(np.zeros((4, 4, 4), dtype=np.bool_), LOW, CELL_M, CELL_M)
     fill_distances(NumbaSdfField(LOW, HIGH, seed=1), nodes)
     assert nodes.values.size == 0

@@ -12,14 +12,14 @@ MEASURED, BESIDE, BEHIND = [0.02, 0.02, WALL_M], [0.32, 0.32, WALL_M], [0.32, 0.
 
 
 def evidence() -> MeasuredCells:
-    """One end point, on a wall across the z axis."""
+    """Return the evidence of one end point, on a wall across the z axis."""
     found, one = MeasuredCells(np.array([-2.0, -2.0, 0.0]), np.array([2.0, 2.0, 3.0])), np.zeros(1, dtype=np.float32)
     found.add(np.zeros(3), as_array(MEASURED), as_array([0.0, 0.0, -1.0]), one, one)
     return found
 
 
 def images(depth_m: float) -> depth_visibility.DepthVisibility:
-    """One picture, from the origin, of a wall at a distance."""
+    """Return one depth image, taken from the origin, of a wall at a distance."""
     found = depth_visibility.DepthVisibility()
     found.add(np.full((40, 40), depth_m, dtype=np.float32), LENS, np.eye(3), np.zeros(3), 0.001)
     return found
@@ -35,13 +35,13 @@ def borne(depths: depth_visibility.DepthVisibility) -> list[bool]:
     return [bool(it) for it in confirmed_by_depth(evidence(), depths, points, facing)]
 
 
-def test_surface_is_where_it_was_measured_or_where_an_image_saw_it() -> None:
-    assert borne(images(WALL_M)) == [True, True, False]  # behind the wall nobody saw anything
+def test_surface_is_confirmed_by_an_end_point_or_a_depth_image() -> None:
+    assert borne(images(WALL_M)) == [True, True, False]  # nothing was seen behind the wall
 
 
-def test_without_an_image_only_end_points_bear_it_out() -> None:
+def test_without_a_depth_image_only_end_points_confirm() -> None:
     assert borne(depth_visibility.DepthVisibility()) == [True, False, False]
 
 
-def test_an_image_that_looked_through_outweighs_an_end_point() -> None:
+def test_a_depth_image_that_sees_beyond_outweighs_an_end_point() -> None:
     assert borne(images(2.5)) == [False, False, False]

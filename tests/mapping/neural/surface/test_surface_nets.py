@@ -28,7 +28,7 @@ def _nodes(upper_half: bool = False) -> SparseNodes:
     return nodes
 
 
-def test_a_sphere_comes_out_closed_and_outward() -> None:
+def test_a_sphere_is_closed_and_its_faces_point_outwards() -> None:
     vertices, normals, quads = surface_net(_nodes())
     assert np.abs(_sphere(vertices.astype(np.float64))).max() < 0.2 * VOXEL_M
     radial = (vertices - CENTRE) / np.linalg.norm(vertices - CENTRE, axis=1, keepdims=True)
@@ -53,14 +53,14 @@ def test_it_agrees_with_marching_cubes() -> None:
     assert ours == pytest.approx(area, rel=0.02)
 
 
-def test_nothing_is_closed_over_space_that_was_not_wanted() -> None:
+def test_the_surface_stays_open_at_the_border_of_the_requested_cells() -> None:
     vertices, _, quads = surface_net(_nodes(upper_half=True))
     assert len(quads)
     assert vertices[:, 2].min() > CENTRE[2] - CELL_M - VOXEL_M
     assert np.abs(_sphere(vertices.astype(np.float64))).max() < 0.2 * VOXEL_M
 
 
-def test_no_wanted_cell_gives_no_surface() -> None:
+def test_no_requested_cell_gives_no_surface() -> None:
     nodes = wanted_nodes(np.zeros((4, 4, 4), dtype=np.bool_), np.zeros(3), CELL_M, VOXEL_M)
     vertices, normals, quads = surface_net(nodes)
     assert (len(vertices), len(normals), len(quads)) == (0, 0, 0)

@@ -31,7 +31,7 @@ def test_information_adds_up_as_inverse_variances() -> None:
     assert depth.at(NODE)[0] == pytest.approx(1.0 / np.sqrt(1 / 0.02**2 + 0.25 / 0.01**2 + 1.0), rel=1e-4)
 
 
-def test_a_point_outside_the_box_counts_nowhere_and_is_not_known() -> None:
+def test_a_point_outside_the_box_is_ignored_and_unknown() -> None:
     depth = DepthInformation(LOW, HIGH)
     outside = np.array([[1.5, 0.5, 0.5]], dtype=np.float32)
     depth.add(outside, ONE, 0.01 * ONE)
@@ -50,7 +50,7 @@ def test_colour_error_tends_to_the_mean_square() -> None:
     assert colour.at(at)[0] == known
 
 
-def test_the_product_ranks_badly_known_higher() -> None:
+def test_the_product_is_higher_for_less_known_surface() -> None:
     depth, colour = DepthInformation(LOW, HIGH), ColourError(LOW, HIGH)
     both = ProductUncertainty(colour, depth)
     seen, unseen = NODE, np.array([[0.8, 0.8, 0.8]], dtype=np.float32)
@@ -70,7 +70,7 @@ def test_agreement_falls_with_the_root_of_the_count() -> None:
     assert often.at(node)[0] == pytest.approx(on_the_plane * 0.05 / np.sqrt(100.1), rel=1e-2)
 
 
-def test_ten_vague_measurements_count_as_one_that_is_sharp() -> None:
+def test_ten_inaccurate_measurements_count_as_one_accurate_measurement() -> None:
     sharp, vague = MeasuredAgreement(LOW, HIGH), MeasuredAgreement(LOW, HIGH)
     node, up = np.array([[0.5, 0.5, 0.5]], dtype=np.float32), np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
     sharp.add(node, up, SHARP)
@@ -79,26 +79,26 @@ def test_ten_vague_measurements_count_as_one_that_is_sharp() -> None:
     assert vague.at(node)[0] == pytest.approx(sharp.at(node)[0], rel=1e-3)  # ten of a tenth
 
 
-def test_a_surface_beside_its_measurements_is_uncertain_by_how_far_it_is() -> None:
+def test_uncertainty_grows_with_the_distance_from_the_measurements() -> None:
     measure, random = MeasuredAgreement(LOW, HIGH), np.random.default_rng(0)
     floor = np.column_stack([random.uniform(0.1, 0.9, (8000, 2)), np.full(8000, 0.42)]).astype(np.float32)
     measure.add(floor, np.tile(np.array([[0.0, 0.0, 1.0]], dtype=np.float32), (8000, 1)), np.zeros(8000, dtype=np.float32))
     past = np.array([0.0, 0.004, 0.01, 0.02, 0.03])
     beside = np.column_stack([np.full((5, 2), 0.5), 0.42 + past]).astype(np.float32)
-    expected = np.square(past) + MIN_PAST_M**2  # all distances are this one, and so is their geometric mean
+    expected = np.square(past) + MIN_PAST_M**2  # all distances are equal, so this is their geometric mean
     assert np.allclose(measure.at(beside) / measure.at(beside[:1]), expected / expected[0], rtol=0.25)
 
 
-def test_a_surface_that_follows_the_noise_of_what_is_near_is_less_certain_than_the_wall_it_leaves() -> None:
+def test_a_surface_that_follows_noise_is_less_certain_than_the_wall() -> None:
     measure, random = MeasuredAgreement(LOW, HIGH), np.random.default_rng(0)
     wall = np.column_stack([random.uniform(0.1, 0.9, (20000, 2)), np.full(20000, 0.42)]).astype(np.float32)
-    wall[np.linalg.norm(wall[:, :2] - 0.5, axis=1) < 0.04, 2] += 0.01  # noise that is one over a few pixels
+    wall[np.linalg.norm(wall[:, :2] - 0.5, axis=1) < 0.04, 2] += 0.01  # noise that is equal over a few pixels
     measure.add(wall, np.tile(np.array([[0.0, 0.0, 1.0]], dtype=np.float32), (20000, 1)), np.zeros(20000, dtype=np.float32))
     follows, smooth = measure.at(np.array([[0.5, 0.5, 0.4295], [0.25, 0.5, 0.42]], dtype=np.float32))
     assert follows > 8.0 * smooth
 
 
-def test_a_corner_is_less_certain_than_a_wall_and_what_was_never_measured_least() -> None:
+def test_a_corner_is_less_certain_than_a_wall_and_unmeasured_space_least_certain() -> None:
     measure = MeasuredAgreement(LOW, HIGH)
     wall, corner, nowhere = (np.array([[x, 0.5, 0.5]], dtype=np.float32) for x in (0.2, 0.5, 0.8))
     for normal in np.eye(3, dtype=np.float32):
@@ -110,5 +110,5 @@ def test_a_corner_is_less_certain_than_a_wall_and_what_was_never_measured_least(
     assert measure.at(nowhere)[0] == pytest.approx(1.05 / np.sqrt(0.1), rel=1e-2)
 
 
-def test_the_papers_measure_is_what_the_network_says() -> None:
+def test_the_papers_measure_is_the_output_of_the_network() -> None:
     assert NetworkColourSigma(lambda points: points[:, 0]).at(NODE)[0] == NODE[0, 0]

@@ -1,4 +1,4 @@
-"""What other programs find in the files."""
+"""Exported mesh files, as other programs read them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from uav_recon.types.frames import Float32Array
 
 
 class Rainbow:
-    """Colour is place."""
+    """Field whose colour at a point encodes the position."""
 
     def distance_m(self, points: Float32Array) -> Float32Array:
         return np.zeros(len(points), dtype=np.float32)
@@ -33,7 +33,7 @@ class Rainbow:
 
 @pytest.fixture
 def mesh() -> ClosedMesh:
-    """A ball whose upper cap nobody saw."""
+    """Return a ball whose upper cap was not observed."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
     vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int64)
     rgb = np.round(Rainbow().rgb(vertices.astype(np.float32)) * 255.0).astype(np.uint8)
@@ -41,7 +41,7 @@ def mesh() -> ClosedMesh:
     return ClosedMesh(vertices, faces, vertices.astype(np.float32) * 2, rgb, np.ones(len(vertices), np.float32), observed)
 
 
-def test_the_ply_is_watertight_coloured_and_tells_what_was_seen(mesh: ClosedMesh, tmp_path: Path) -> None:
+def test_the_ply_is_watertight_coloured_and_marks_observed_faces(mesh: ClosedMesh, tmp_path: Path) -> None:
     write_closed_ply(tmp_path / "mesh.ply", mesh)
     read = trimesh.load(tmp_path / "mesh.ply", process=False)
     assert read.is_watertight
@@ -51,14 +51,14 @@ def test_the_ply_is_watertight_coloured_and_tells_what_was_seen(mesh: ClosedMesh
     np.testing.assert_array_equal(told != 0, mesh.observed)
 
 
-def test_what_nobody_saw_is_no_part_of_the_model_that_is_measured(mesh: ClosedMesh, tmp_path: Path) -> None:
+def test_unobserved_faces_are_excluded_from_the_evaluated_model(mesh: ClosedMesh, tmp_path: Path) -> None:
     write_closed_ply(tmp_path / "mesh.ply", mesh)
     model = load_mesh(tmp_path)
     assert model is not None
     np.testing.assert_array_equal(model.faces, mesh.faces[mesh.observed])
 
 
-def test_the_glb_opens_with_a_texture_and_a_primitive_for_the_unseen(mesh: ClosedMesh, tmp_path: Path) -> None:
+def test_the_glb_has_a_texture_and_a_primitive_for_unseen_faces(mesh: ClosedMesh, tmp_path: Path) -> None:
     write_textured_glb(tmp_path / "mesh.glb", mesh, Rainbow(), 0.02)
     scene = trimesh.load(tmp_path / "mesh.glb")
     assert set(scene.geometry) == {OBSERVED, UNSEEN}
@@ -80,11 +80,11 @@ def test_both_primitives_together_are_watertight_and_stand_upright(mesh: ClosedM
     both.merge_vertices(merge_tex=True, merge_norm=True)
     assert both.is_watertight
     cap = scene.geometry[UNSEEN].vertices @ GLTF_FROM_WORLD[:3, :3].T
-    assert cap[:, 1].min() > 0.2  # glTF's up
+    assert cap[:, 1].min() > 0.2  # up in glTF
 
 
 @pytest.mark.parametrize("all_seen", [True, False])
-def test_a_mesh_of_one_kind_alone_is_written_too(mesh: ClosedMesh, tmp_path: Path, all_seen: bool) -> None:
+def test_a_mesh_with_only_observed_or_only_unseen_faces_is_written(mesh: ClosedMesh, tmp_path: Path, all_seen: bool) -> None:
     mesh.observed[:] = all_seen
     write_textured_glb(tmp_path / "mesh.glb", mesh, Rainbow(), 0.02)
     assert set(trimesh.load(tmp_path / "mesh.glb").geometry) == {OBSERVED if all_seen else UNSEEN}

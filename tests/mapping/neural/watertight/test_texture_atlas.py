@@ -18,7 +18,7 @@ def ball() -> trimesh.Trimesh:
 
 
 def box() -> trimesh.Trimesh:
-    """A box of 1 x 0.6 x 0.4 m whose corners do not round the normals of its sides."""
+    """Return a box of 1 x 0.6 x 0.4 m whose corners keep the normals of its sides."""
     shape = trimesh.creation.box(extents=(1.0, 0.6, 0.4))
     shape = shape.subdivide_to_size(0.1)
     shape.unmerge_vertices()
@@ -32,12 +32,12 @@ def unwrapped(mesh: trimesh.Trimesh) -> TextureAtlas:
 
 
 def at_uv(found: TextureAtlas, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Row and column of the texels that hold uv (N, 2)."""
+    """Return row and column of the texels that hold uv (N, 2)."""
     return np.floor((1.0 - uv[:, 1]) * found.side), np.floor(uv[:, 0] * found.side)
 
 
 @pytest.mark.parametrize("shape", [ball, box])
-def test_the_texel_at_a_point_of_a_face_is_where_that_point_is(shape: Callable[[], trimesh.Trimesh]) -> None:
+def test_texels_have_the_position_of_their_point_on_the_face(shape: Callable[[], trimesh.Trimesh]) -> None:
     mesh = shape()
     found = unwrapped(mesh)
     random = np.random.default_rng(1)
@@ -47,7 +47,7 @@ def test_the_texel_at_a_point_of_a_face_is_where_that_point_is(shape: Callable[[
     where = np.full((found.side, found.side, 3), np.nan)
     where[tuple(found.texels.T)] = found.points
     apart = np.linalg.norm(where[rows.astype(int), columns.astype(int)] - points, axis=1)
-    assert apart.max() < 2.5 * TEXEL_M  # half a texel across, and the slant along the axis
+    assert apart.max() < 2.5 * TEXEL_M  # half a texel, and more where the face is slanted
 
 
 def test_every_texel_in_use_lies_on_the_surface() -> None:
@@ -62,8 +62,11 @@ def test_a_ball_is_six_charts_that_share_their_vertices() -> None:
     np.testing.assert_array_equal(np.sort(found.source[found.faces], axis=1), np.sort(np.asarray(ball().faces), axis=1))
 
 
-def test_charts_keep_their_distance() -> None:
-    """Round every texel of a face lies GUTTER of the same surface, so that filtering takes no colour of another chart."""
+def test_charts_are_separated_by_the_gutter() -> None:
+    """Around every texel of a face, GUTTER texels belong to the same surface.
+
+    So filtering mixes in no colour of another chart.
+    """
     found = unwrapped(ball())
     used = np.zeros((found.side, found.side), dtype=bool)
     used[tuple(found.texels.T)] = True
@@ -73,6 +76,6 @@ def test_charts_keep_their_distance() -> None:
             assert used[rows.astype(int) + down * (GUTTER - 1), columns.astype(int) + across * (GUTTER - 1)].all()
 
 
-def test_a_picture_too_wide_gets_larger_texels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_image_that_is_too_wide_gets_larger_texels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(texture_atlas, "WIDEST", 64)
     assert unwrapped(ball()).side <= 64

@@ -1,4 +1,4 @@
-"""The closed mesh of a field that is known exactly: a box room of which twelve views saw a part."""
+"""Closed mesh of an exactly known field: a box room that twelve views saw in part."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ VOXEL_M = 0.04
 
 
 class ExactRoom:
-    """The box room as a field: its walls are right, also where nobody looked."""
+    """Box room as a field that is exact everywhere, also where no view looked."""
 
     def distance_m(self, points: Float32Array) -> Float32Array:
         inside = ((points > LOW) & (points < HIGH)).all(axis=1)
@@ -52,11 +52,11 @@ def body(mesh: ClosedMesh) -> trimesh.Trimesh:
 def test_is_watertight_and_faces_the_air(mesh: ClosedMesh) -> None:
     assert body(mesh).is_watertight
     assert body(mesh).is_winding_consistent
-    assert body(mesh).volume < 0  # of the solid: the air is what it goes round
+    assert body(mesh).volume < 0  # the solid encloses the air, so its volume is negative
     assert -body(mesh).volume < float(np.prod(HIGH - LOW)) * 1.02
 
 
-def test_observed_faces_lie_on_the_walls_and_lids_are_told_apart(mesh: ClosedMesh) -> None:
+def test_observed_faces_lie_on_the_walls_and_lids_are_marked(mesh: ClosedMesh) -> None:
     seen = mesh.seen()
     assert 10.0 < body(mesh).area_faces[mesh.observed].sum() < 18.5  # the tour sees 17.5 m² of 36
     assert distance_to_walls(seen.vertices_world).max() < 0.006
@@ -65,16 +65,16 @@ def test_observed_faces_lie_on_the_walls_and_lids_are_told_apart(mesh: ClosedMes
     assert 0.2 < mesh.seen_share() < 0.9
 
 
-def test_colours_are_the_fields(mesh: ClosedMesh) -> None:
+def test_colours_are_those_of_the_field(mesh: ClosedMesh) -> None:
     wall = np.abs(np.concatenate([mesh.vertices_world - LOW, mesh.vertices_world - HIGH], axis=1)).argmin(axis=1)
     at = np.unique(mesh.faces[mesh.observed])
-    assert np.mean((mesh.rgb[at] == WALL_RGB[wall[at]]).all(axis=1)) > 0.98  # edges belong to two walls
+    assert np.mean((mesh.rgb[at] == WALL_RGB[wall[at]]).all(axis=1)) > 0.98  # points on an edge belong to two walls
 
 
-def test_air_that_a_field_dreams_of_behind_a_wall_is_filled(gathered: TrainingData, mesh: ClosedMesh) -> None:
+def test_a_false_cavity_behind_a_wall_is_filled(gathered: TrainingData, mesh: ClosedMesh) -> None:
     class Dreamer(ExactRoom):
         def distance_m(self, points: Float32Array) -> Float32Array:
-            """A second cavity 4 cm behind the wall."""
+            """Return a distance with a second cavity 4 cm behind the wall."""
             bubble = np.float32(0.03) - np.abs(points[:, 0] - np.float32(HIGH[0] + 0.09))
             found: Float32Array = np.maximum(super().distance_m(points), bubble)
             return found

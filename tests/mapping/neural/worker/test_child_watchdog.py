@@ -1,4 +1,7 @@
-"""What tells a child that hangs from one that works, starves, or waits for a disk."""
+"""Watchdog of the mapper process.
+
+It distinguishes a hung child from one that works, starves or waits for a disk.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from uav_recon.mapping.neural.worker.child_watchdog import (
 def given_up_after_s(
     pulse: ProcessActivity, grows: bool = False, patient: bool = False, longest_s: float = 200.0
 ) -> float | None:
-    """How long after it was asked a child of this pulse is given up; None for never."""
+    """Return the seconds from a request until the child is given up; None for never."""
     vigil, now_s = ChildWatchdog(), 0.0
     vigil.asked(now_s)
     while now_s < longest_s:
@@ -28,13 +31,13 @@ def given_up_after_s(
     return None
 
 
-def test_one_that_sleeps_and_owes_an_answer_is_given_up_soon() -> None:
+def test_a_sleeping_child_with_a_pending_request_is_given_up_soon() -> None:
     after_s = given_up_after_s(ProcessActivity(7.0, at_rest=True))
     assert after_s is not None
     assert ASLEEP_S < after_s <= ASLEEP_S + 2 * LOOK_S
 
 
-def test_one_that_computes_or_starves_has_a_minute() -> None:
+def test_a_computing_or_starving_child_has_a_minute() -> None:
     for working in (
         given_up_after_s(ProcessActivity(7.0, at_rest=True), grows=True),
         given_up_after_s(ProcessActivity(7.0, at_rest=False)),
@@ -43,12 +46,12 @@ def test_one_that_computes_or_starves_has_a_minute() -> None:
         assert SILENT_S < working <= SILENT_S + LOOK_S
 
 
-def test_one_that_compiles_is_waited_for_but_not_asleep() -> None:
+def test_a_compiling_child_is_waited_for_unless_it_sleeps() -> None:
     assert given_up_after_s(ProcessActivity(7.0, at_rest=False), patient=True) is None
     assert given_up_after_s(ProcessActivity(7.0, at_rest=True), patient=True) is not None
 
 
-def test_one_that_owes_nothing_may_sleep() -> None:
+def test_a_child_without_a_pending_request_may_sleep() -> None:
     vigil = ChildWatchdog()
     assert not vigil.hung(100.0, ProcessActivity(1.0, at_rest=True), patient=False)
     vigil.asked(100.0)
@@ -56,14 +59,14 @@ def test_one_that_owes_nothing_may_sleep() -> None:
     assert not vigil.hung(300.0, ProcessActivity(1.0, at_rest=True), patient=False)
 
 
-def test_a_process_that_is_gone_is_anothers_business() -> None:
+def test_an_ended_process_is_not_reported_as_hung() -> None:
     vigil = ChildWatchdog()
     vigil.asked(0.0)
     assert not vigil.hung(1000.0, None, patient=False)
     assert activity_of(2**22 + 1) is None
 
 
-def test_the_pulse_is_this_processs_own() -> None:
+def test_the_activity_of_this_process_is_read() -> None:
     pulse = activity_of(os.getpid())
     assert pulse is not None
     assert pulse.processor_s > 0.0

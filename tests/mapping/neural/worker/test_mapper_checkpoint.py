@@ -24,7 +24,10 @@ VIEWS, STEPS = EVERY_VIEWS + 4, 6
 
 
 class Flight:
-    """A trainer that went through VIEWS keyframes of the box room, with a checkpoint after the first EVERY_VIEWS."""
+    """Mapper trained on VIEWS keyframes of the box room.
+
+    A checkpoint is saved after the first EVERY_VIEWS of them.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.path = folder, folder / "checkpoint"
@@ -68,7 +71,7 @@ def _assert_equal(a: NeuralMapper, b: NeuralMapper) -> None:
         assert np.array_equal(measure.at(points), b.uncertainties[name].at(points)), name
 
 
-def test_training_on_after_a_restore_equals_never_having_stopped(flight: Flight) -> None:
+def test_training_after_a_restore_equals_uninterrupted_training(flight: Flight) -> None:
     found = MapperCheckpoints(flight.path, ORDER).load(flight.keyframes)
     assert found is not None
     restored, learned = found
@@ -85,7 +88,7 @@ def test_training_on_after_a_restore_equals_never_having_stopped(flight: Flight)
     assert np.array_equal(flight.trainer.corrections(), restored.corrections())
 
 
-def test_a_restored_trainer_forgets_and_checkpoints_as_the_first(
+def test_a_restored_mapper_evicts_views_and_saves_checkpoints_as_the_first_did(
     flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(keyframe_buffer, "MAX_VIEWS", EVERY_VIEWS + 1)
@@ -155,12 +158,12 @@ def test_a_damaged_checkpoint_is_named_and_not_used(flight: Flight, tmp_path: Pa
 
 
 @pytest.mark.parametrize("change", [{"config": {"seed": 1}}, {"box_min_m": [0.0, 0.0, 0.1]}, {"depth_noise_px": 1.0}])
-def test_a_checkpoint_of_another_order_is_foreign(flight: Flight, change: dict[str, Any]) -> None:
+def test_a_checkpoint_of_another_configuration_is_refused(flight: Flight, change: dict[str, Any]) -> None:
     with pytest.raises(CheckpointError, match="of another configuration, box or camera"):
         MapperCheckpoints(flight.path, ORDER | change).load(flight.keyframes)
 
 
-def test_a_checkpoint_of_other_keyframes_is_foreign(flight: Flight, tmp_path: Path) -> None:
+def test_a_checkpoint_of_other_keyframes_is_refused(flight: Flight, tmp_path: Path) -> None:
     fewer, others = KeyframeFolder(tmp_path / "fewer"), KeyframeFolder(tmp_path / "others")
     for view in tour(3):
         fewer.save(view)
@@ -171,15 +174,13 @@ def test_a_checkpoint_of_other_keyframes_is_foreign(flight: Flight, tmp_path: Pa
             MapperCheckpoints(flight.path, ORDER).load(keyframes)
 
 
-def test_a_checkpoint_of_other_code_is_foreign(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_checkpoint_of_other_code_is_refused(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checkpoint, "_code", lambda: "tomorrow's")
     with pytest.raises(CheckpointError, match="of another version"):
         MapperCheckpoints(flight.path, ORDER).load(flight.keyframes)
 
 
-def test_a_disk_that_refuses_costs_the_checkpoint_alone(
-    flight: Flight, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_write_error_loses_only_the_checkpoint(flight: Flight, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "file").write_text("not a folder")
     checkpoints = MapperCheckpoints(tmp_path / "file", ORDER)
     assert checkpoints.save_if_due(flight.trainer, VIEWS, 0.0)
@@ -187,7 +188,7 @@ def test_a_disk_that_refuses_costs_the_checkpoint_alone(
     assert "no checkpoint after 12 keyframes" in caplog.text
 
 
-def test_a_state_makes_nothing_but_the_mapper_and_arrays() -> None:
+def test_unpickling_creates_only_mapper_classes_and_arrays() -> None:
     class Shell:
         def __reduce__(self) -> tuple[Any, ...]:
             return os.system, ("true",)

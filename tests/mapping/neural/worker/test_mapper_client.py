@@ -62,7 +62,7 @@ def test_a_child_that_hangs_is_replaced_while_views_keep_coming(mapper: ProcessM
     _wait(lambda: _revision(mapper) > before, "a surface of the second child")
 
 
-def test_process_learns_outlives_a_kill_and_meshes(mapper: ProcessMapper, tmp_path: Path) -> None:
+def test_the_process_learns_survives_a_kill_and_meshes(mapper: ProcessMapper, tmp_path: Path) -> None:
     assert mapper.alive()
     views = tour(6)
     for view in views[:3]:
@@ -99,7 +99,10 @@ def test_process_learns_outlives_a_kill_and_meshes(mapper: ProcessMapper, tmp_pa
 
 
 def _cpu_s(pid: int) -> float:
-    """What a process was given of the processor: unlike the clock, a busy machine does not change it."""
+    """Return the CPU time of a process in seconds.
+
+    Unlike wall time, it does not depend on the load of the machine.
+    """
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -140,7 +143,7 @@ def test_killed_after_120_views_it_is_back_within_10_s_from_its_checkpoint(tmp_p
         mapper.close()
 
 
-def test_a_child_goes_on_from_its_checkpoint_and_tells_of_a_damaged_one(tmp_path: Path) -> None:
+def test_a_child_resumes_from_its_checkpoint_and_reports_a_damaged_one(tmp_path: Path) -> None:
     config = MapperConfig(steps_per_view=2, idle_steps_hz=0.0)
     mapper = ProcessMapper(config, LOW, HIGH, NOISE_PX, BASELINE_M, tmp_path)
     state = tmp_path / CHECKPOINT / "state"
@@ -160,7 +163,7 @@ def test_a_child_goes_on_from_its_checkpoint_and_tells_of_a_damaged_one(tmp_path
 
 
 @pytest.mark.parametrize("killed", [False, True])
-def test_on_a_new_map_epoch_the_child_or_its_successor_learns_that_map_from_the_views(
+def test_on_a_new_map_epoch_the_child_or_its_successor_relearns_the_map_from_the_views(
     killed: bool, mapper: ProcessMapper, tmp_path: Path
 ) -> None:
     views = tour(EVERY_VIEWS, NOISE_PX)
@@ -170,7 +173,7 @@ def test_on_a_new_map_epoch_the_child_or_its_successor_learns_that_map_from_the_
     if killed:
         os.kill(mapper.pid, signal.SIGKILL)
     mapper.repose(correction(views[2:], 1))
-    assert mapper.surface() is None  # the old map's
+    assert mapper.surface() is None  # the surface was of the old map
     assert not mapper.add(views[0])
     _wait(lambda: _revision(mapper) > 0, "a surface of the new map")
     assert mapper.refusals() == {RejectReason.EPOCH: 1, RejectReason.UNPLACED: 2}
@@ -185,7 +188,7 @@ def test_on_a_new_map_epoch_the_child_or_its_successor_learns_that_map_from_the_
 
 
 def _kept(folder: Path) -> int:
-    """How many keyframes the checkpoint knows."""
+    """Return the number of keyframes in the checkpoint."""
     try:
         return int(json.loads((folder / CHECKPOINT / "state").read_bytes().split(b"\n", 2)[1])["learned"])
     except FileNotFoundError:
@@ -193,7 +196,7 @@ def _kept(folder: Path) -> int:
 
 
 def _went_on(folder: Path) -> list[int]:
-    """Keyframes in the checkpoints from which children went on."""
+    """Return the numbers of keyframes in the checkpoints from which children resumed."""
     return [int(n) for n in re.findall(r"went on from a checkpoint with (\d+)", (folder / LOG_FILE).read_text())]
 
 
@@ -224,7 +227,7 @@ def test_the_child_ends_with_its_parent(tmp_path: Path) -> None:
         assert parent.stdout is not None
         child = int(parent.stdout.readline())
         assert _runs(child)
-        os.kill(child, signal.SIGINT)  # a terminal's Ctrl-C ends the flight, not the mapper
+        os.kill(child, signal.SIGINT)  # Ctrl-C in a terminal ends the flight, not the mapper
         parent.kill()
     _wait(lambda: not _runs(child), "the child's end")
 

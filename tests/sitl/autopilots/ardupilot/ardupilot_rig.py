@@ -1,4 +1,4 @@
-"""A simulated ArduCopter and its scripted companion, ready to be asked things; all clocks injected."""
+"""Simulated ArduCopter with its scripted companion; all clocks are injected."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ASKED = {1: 5.0, 24: 0.0, 31: 50.0, 32: 30.0, 85: 10.0, 193: 10.0, 245: 5.0}
 
 
 class Copilot(Companion):
-    """Speaks with system id 245, which the indoor parameters name as the ground station."""
+    """Companion with system id 245, which the indoor parameters name as the ground station."""
 
     system = 245
 
@@ -60,12 +60,12 @@ class Copilot(Companion):
         return self.ask(TAKEOFF, 0, 0, 0, 0, 0, 0, height)
 
     def move(self, vx: float, vy: float, vz: float = 0.0) -> None:
-        """Stream a velocity alone."""
+        """Stream a velocity only."""
         self.type_mask = SPEED_ONLY
         self.setpoint = lambda _t: (0.0, 0.0, 0.0, vx, vy, vz, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def stay(self, x: float, y: float, z: float) -> None:
-        """Stream a place alone."""
+        """Stream a position only."""
         self.type_mask = PLACE_ONLY
         self.setpoint = lambda _t: (x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -78,13 +78,13 @@ class Copilot(Companion):
         return math.hypot(*self.vehicle.velocity[:2])
 
     def ready(self) -> None:
-        """Pose followed, origin set, PREARM."""
+        """Wait until the pose is fused, send the origin, and wait for PREARM."""
         assert self.run(5.0, lambda: "EKF_STATUS_REPORT" in self.last and self.flags == FOLLOWING)
         self.send_origin()
         assert self.run(20.0, lambda: "SYS_STATUS" in self.last and self.prearm)
 
     def take_off(self, height: float = 1.2) -> None:
-        """Handshake and climb by command."""
+        """Arm, and climb by a take-off command."""
         self.ready()
         assert self.set_mode(GUIDED) == 0
         assert self.run(2.0, lambda: self.mode == GUIDED)
@@ -109,7 +109,7 @@ def ready(seed: int = 1, **changes: float) -> Copilot:
 
 @functools.lru_cache(maxsize=8)
 def taken_off(seed: int) -> Copilot:
-    """Flown once per seed; tests get copies."""
+    """Return a hovering vehicle; flown once per seed, tests get copies."""
     c = copter(seed)
     c.take_off()
     return c

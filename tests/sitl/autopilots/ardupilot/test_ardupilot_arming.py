@@ -19,7 +19,7 @@ def test_prearm_comes_about_25_s_after_boot() -> None:
     assert abs(c.last["HOME_POSITION"].z) < 0.1
 
 
-def test_an_origin_before_the_estimator_follows_never_makes_a_home() -> None:
+def test_an_origin_before_the_estimator_follows_never_sets_a_home() -> None:
     c = copter()
     c.pose_on = False
     c.run(0.5)
@@ -29,23 +29,23 @@ def test_an_origin_before_the_estimator_follows_never_makes_a_home() -> None:
     c.pose_on = True
     c.run(2.0)
     assert c.flags == FOLLOWING
-    c.send_origin()  # only one is taken per boot
+    c.send_origin()  # only one origin is accepted per boot
     c.run(32.0)
     assert "HOME_POSITION" not in c.last
     assert not c.prearm
     assert "PreArm: Fence requires position" in c.texts
 
 
-def test_a_second_origin_is_not_taken() -> None:
+def test_a_second_origin_is_not_accepted() -> None:
     c = ready()
-    c.send(type(c.last["GPS_GLOBAL_ORIGIN"])(1, 2, 3))  # no command; for the length of it
+    c.send(type(c.last["GPS_GLOBAL_ORIGIN"])(1, 2, 3))  # a GPS_GLOBAL_ORIGIN message, which is no command
     before = c.last["GPS_GLOBAL_ORIGIN"].latitude
     c.send_origin()
     c.run(1.0)
     assert c.last["GPS_GLOBAL_ORIGIN"].latitude == before
 
 
-def test_a_height_on_the_ground_when_the_origin_is_sent_stays_in_the_local_height() -> None:
+def test_the_height_at_the_time_of_the_origin_stays_in_the_local_height() -> None:
     c = copter()
     c.pose_offset = (0.0, 0.0, -0.4)
     c.take_off(0.5)
@@ -61,7 +61,7 @@ def test_guided_needs_a_position() -> None:
     assert "Mode change to GUIDED failed: requires position" in c.texts
 
 
-def test_the_card_mode_arm_take_off() -> None:
+def test_the_sequence_mode_arm_take_off_works() -> None:
     c = ready()
     assert c.set_mode(GUIDED) == 0
     assert c.arm() == 0
@@ -71,7 +71,7 @@ def test_the_card_mode_arm_take_off() -> None:
     assert c.away_from(0.0, 0.0, -1.2) < 0.1
 
 
-def test_take_off_wants_an_armed_vehicle_on_the_ground() -> None:
+def test_take_off_needs_an_armed_vehicle_on_the_ground() -> None:
     c = ready()
     c.set_mode(GUIDED)
     assert c.climb(1.2) == 4
@@ -83,7 +83,7 @@ def test_take_off_wants_an_armed_vehicle_on_the_ground() -> None:
     assert c.armed
 
 
-def test_take_off_wants_guided() -> None:
+def test_take_off_needs_guided() -> None:
     c = ready()
     assert c.mode == STABILIZE
     assert c.arm() == 0
@@ -103,8 +103,8 @@ def test_setpoints_on_the_ground_do_nothing(stream: str) -> None:
     assert c.vehicle.position[2] < 0.01
 
 
-def test_setpoints_during_a_take_off_on_the_ground_end_it() -> None:
-    """Why a companion must not stream before it flies."""
+def test_setpoints_on_the_ground_end_a_take_off() -> None:
+    """This is the reason why a companion must not stream before it flies."""
     c = ready(DISARM_DELAY=60)
     c.set_mode(GUIDED)
     c.arm()
@@ -114,10 +114,10 @@ def test_setpoints_during_a_take_off_on_the_ground_end_it() -> None:
     assert c.vehicle.position[2] < 0.01
 
 
-def test_land_disarms_by_itself_and_the_mode_stays() -> None:
+def test_land_disarms_automatically_and_the_mode_stays() -> None:
     c = flying()
     assert c.set_mode(LAND) == 0
-    assert 2.4 < seconds_until(c, lambda: not c.armed, 15.0) < 6.0  # 1.2 m at LAND_SPD_MS, and to be sure that it is down
+    assert 2.4 < seconds_until(c, lambda: not c.armed, 15.0) < 6.0  # 1.2 m at LAND_SPD_MS, and the time to detect the landing
     assert c.vehicle.on_ground
     c.run(1.1)
     assert c.mode == LAND
@@ -135,13 +135,13 @@ def test_it_can_fly_again_after_landing() -> None:
     assert c.run(12.0, lambda: c.away_from(0.0, 0.0, -1.0) < 0.08)
 
 
-def test_armed_but_not_flying_ends_after_the_delay() -> None:
+def test_an_armed_vehicle_on_the_ground_disarms_after_the_delay() -> None:
     c = ready()
     assert c.arm() == 0
     assert 4.0 < seconds_until(c, lambda: not c.copter.truth().armed, 8.0) < 5.5
 
 
-def test_forced_disarming_drops_it() -> None:
+def test_forced_disarming_in_flight_drops_the_vehicle() -> None:
     c = flying()
     assert c.ask(ARM, 0, 21196.0) == 0
     c.run(2.0)

@@ -1,4 +1,4 @@
-"""AUTOPILOTS.md: pilot, companion's heartbeat, battery and transmitter of the simulated ArduCopter."""
+"""AUTOPILOTS.md: pilot, companion, battery and transmitter of the simulated ArduCopter."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_a_pilot_takes_over_and_setpoints_no_longer_move_it() -> None:
 
 
 @pytest.mark.parametrize("timeout_s", [2.0, 3.0])
-def test_a_companion_that_falls_silent_is_landed_for(timeout_s: float) -> None:
+def test_a_silent_companion_leads_to_a_landing(timeout_s: float) -> None:
     c = flying(FS_GCS_TIMEOUT=timeout_s, SCR_ENABLE=0)
     c.run(1.0)
     c.heartbeats = False
@@ -30,8 +30,8 @@ def test_a_companion_that_falls_silent_is_landed_for(timeout_s: float) -> None:
     assert c.run(15.0, lambda: not c.armed)
 
 
-def test_a_failsafes_landing_hovers_for_four_seconds_first_and_one_asked_for_does_not() -> None:
-    """LAND_WITH_DELAY_MS, read in mode_land.cpp and flown with the real one."""
+def test_only_a_failsafe_landing_hovers_for_four_seconds_first() -> None:
+    """LAND_WITH_DELAY_MS, as in mode_land.cpp and in flights of the real firmware."""
     fallen = flying(SCR_ENABLE=0)
     fallen.heartbeats = False
     assert fallen.run(4.0, lambda: mode_of(fallen) == "LAND")
@@ -43,12 +43,15 @@ def test_a_failsafes_landing_hovers_for_four_seconds_first_and_one_asked_for_doe
     assert seconds_until(asked, lambda: asked.vehicle.position[2] < height - 0.1, 8.0) < 1.0
 
 
-def test_the_script_on_its_card_lands_a_silent_companion_at_once() -> None:
-    """firmware_params/ardupilot_silence.lua; in GUIDED alone, and the firmware's own failsafe stays behind it."""
+def test_the_script_on_the_card_lands_without_delay_when_the_companion_is_silent() -> None:
+    """firmware_params/ardupilot_silence.lua acts in GUIDED only.
+
+    The failsafe of the firmware remains active behind it.
+    """
     c = flying()
     c.heartbeats = False
     height = c.vehicle.position[2]
-    assert 0.45 < seconds_until(c, lambda: mode_of(c) == "LAND", 5.0) < 1.6  # of a heartbeat a second
+    assert 0.45 < seconds_until(c, lambda: mode_of(c) == "LAND", 5.0) < 1.6  # the last heartbeat is up to a second old
     assert seconds_until(c, lambda: c.vehicle.position[2] < height - 0.1, 8.0) < 1.0
     assert c.copter.failsafes == ["Companion silent: LAND"]
     assert c.run(6.0, lambda: not c.armed)
@@ -69,8 +72,8 @@ def test_a_companion_that_comes_back_does_not_stop_the_landing() -> None:
 
 
 @pytest.mark.parametrize("system", [1, 42])
-def test_with_another_system_id_its_death_is_never_seen(system: int) -> None:
-    """The vehicle's own id, and any but the one that MAV_GCS_SYSID names."""
+def test_with_another_system_id_the_loss_of_the_companion_is_never_detected(system: int) -> None:
+    """For the vehicle's own id, and for any id other than MAV_GCS_SYSID."""
     c = copter()
     c.heartbeats_as = system
     c.take_off()
@@ -80,7 +83,7 @@ def test_with_another_system_id_its_death_is_never_seen(system: int) -> None:
     assert c.copter.failsafes == []
 
 
-def test_with_the_vehicles_id_even_if_that_is_the_parameters() -> None:
+def test_with_the_vehicles_own_id_it_is_not_detected_even_if_the_parameter_names_it() -> None:
     c = copter(MAV_GCS_SYSID=1)
     c.heartbeats_as = 1
     c.take_off()
@@ -89,7 +92,7 @@ def test_with_the_vehicles_id_even_if_that_is_the_parameters() -> None:
     assert mode_of(c) == "GUIDED"
 
 
-def test_a_pilots_mode_outlives_the_companion() -> None:
+def test_a_mode_chosen_by_the_pilot_stays_when_the_companion_falls_silent() -> None:
     c = flying()
     c.copter.pilot_takes_over("ALT_HOLD")
     c.heartbeats = False
@@ -106,7 +109,7 @@ def test_an_empty_battery_lands(fraction: float, trouble: str) -> None:
     assert c.copter.failsafes == [f"{trouble}: LAND"]
 
 
-def test_a_transmitter_that_falls_silent_lands_it() -> None:
+def test_a_silent_transmitter_leads_to_a_landing() -> None:
     c = flying()
     c.copter.transmitter(heard=False)
     assert 0.4 < seconds_until(c, lambda: mode_of(c) == "LAND", 4.0) < 1.0
@@ -121,13 +124,13 @@ def test_the_kill_switch_wins() -> None:
 
 
 @pytest.mark.parametrize("name", ["FS_THR_ENABLE", "FS_GCS_ENABLE", "FENCE_ACTION", "BATT_FS_LOW_ACT"])
-def test_failsafes_that_return_are_not_simulated(name: str) -> None:
-    """Return is a climb into the ceiling; a file that asks for it is not flown."""
+def test_failsafes_that_return_home_are_not_simulated(name: str) -> None:
+    """Return is a climb into the ceiling; a parameter file that requests it is refused."""
     with pytest.raises(ValueError, match=name):
         copter(**{name: 2 if name.startswith("BATT") else 1})
 
 
-def test_the_ceiling_of_the_fence_lands() -> None:
+def test_a_breach_of_the_fence_ceiling_lands() -> None:
     c: Copilot = flying(FENCE_ALT_MAX=2.0)
     c.move(0.0, 0.0, -0.5)
     assert c.run(6.0, lambda: mode_of(c) == "LAND")

@@ -1,4 +1,4 @@
-"""AUTOPILOTS.md: what the simulated ArduCopter makes of SET_POSITION_TARGET_LOCAL_NED, and of its end."""
+"""AUTOPILOTS.md: SET_POSITION_TARGET_LOCAL_NED on the simulated ArduCopter, and its end."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pymavlink.dialects.v20 import common as mavlink
 
 
 def east_at(c: Copilot, speed: float, seconds: float) -> None:
-    """Stream place, speed and yaw along north for a while, as a companion would."""
+    """Stream position, speed and yaw along north for some seconds, as a companion does."""
     begin = c.now_s
     c.type_mask = PLACE_SPEED_YAW
     c.setpoint = lambda now: (speed * (now - begin), 0.0, -1.2, speed, 0.0, 0.0, 0.0, 0.0, 0.0, 1.27, 0.0)
     c.run(seconds)
 
 
-def test_the_masks_value_is_that_of_the_card() -> None:
+def test_the_type_mask_has_the_documented_value() -> None:
     assert sum(1 << bit for bit in (6, 7, 8, 11)) == PLACE_SPEED_YAW
 
 
-def test_place_speed_and_yaw_are_followed_round_a_square() -> None:
+def test_position_speed_and_yaw_are_followed_around_a_square() -> None:
     c = flying()
     corners, side_s, worst = [(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0), (0.0, 0.0)], 5.0, 0.0
     for (x0, y0), (x1, y1) in itertools.pairwise(corners):
@@ -45,7 +45,7 @@ def test_place_speed_and_yaw_are_followed_round_a_square() -> None:
 
 
 @pytest.mark.parametrize("way", ["place, speed, yaw", "speed"])
-def test_when_setpoints_stop_it_stops_and_hovers_for_ever(way: str) -> None:
+def test_when_setpoints_stop_the_vehicle_stops_and_hovers_for_ever(way: str) -> None:
     c = flying(GUID_TIMEOUT=3.0 if way == "speed" else 0.5)
     if way == "speed":
         c.move(0.3, 0.0)
@@ -70,7 +70,7 @@ def test_when_setpoints_stop_it_stops_and_hovers_for_ever(way: str) -> None:
     assert math.dist(c.ned, rest) < 0.4
 
 
-def test_a_place_alone_is_kept_for_ever() -> None:
+def test_a_position_only_setpoint_is_held_for_ever() -> None:
     c = flying()
     c.stay(1.5, 0.0, -1.2)
     c.run(0.2)
@@ -87,7 +87,7 @@ def test_a_place_alone_is_kept_for_ever() -> None:
         (PLACE_SPEED_YAW | 1, "speed with a broken place"),
     ],
 )
-def test_masks_that_only_hold(mask: int, what: str) -> None:
+def test_unsupported_masks_hold_the_position(mask: int, what: str) -> None:
     c = flying()
     c.type_mask = mask
     c.setpoint = lambda _t: (3.0, 0.0, -1.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.27, 0.0)
@@ -96,14 +96,14 @@ def test_masks_that_only_hold(mask: int, what: str) -> None:
 
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf])
-def test_numbers_that_are_not_finite_hold(odd: float) -> None:
+def test_numbers_that_are_not_finite_hold_the_position(odd: float) -> None:
     c = flying()
     c.setpoint = lambda _t: (3.0, 0.0, -1.2, odd, 0.0, 0.0, 0.0, 0.0, 0.0, 1.27, 0.0)
     c.run(3.0)
     assert c.away_from(0.0, 0.0, -1.2) < 0.15
 
 
-def test_other_frames_hold() -> None:
+def test_other_frames_hold_the_position() -> None:
     c = flying()
     for _ in range(60):
         c.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, mavlink.MAV_FRAME_LOCAL_ENU, 0, 3.0, *[0.0] * 10))
@@ -111,7 +111,7 @@ def test_other_frames_hold() -> None:
     assert c.away_from(0.0, 0.0, -1.2) < 0.15
 
 
-def test_a_place_alone_is_flown_at_the_parameters_speed_a_velocity_at_its_own() -> None:
+def test_a_position_is_flown_at_the_parameters_speed_and_a_velocity_at_its_own() -> None:
     for way, low, high in (("place", 0.6, 0.9), ("speed", 1.7, 2.3)):
         c = flying(WP_SPD=0.8)
         if way == "place":
@@ -144,7 +144,7 @@ def test_setpoints_count_only_in_guided() -> None:
     assert len(c.copter.setpoint_arrivals_s) == count
 
 
-def test_the_fence_drops_places_outside_without_a_word() -> None:
+def test_the_fence_silently_drops_positions_outside() -> None:
     c = flying(FENCE_RADIUS=6.0)
     texts = len(c.texts)
     c.stay(7.0, 0.0, -1.2)
@@ -154,7 +154,7 @@ def test_the_fence_drops_places_outside_without_a_word() -> None:
     assert len(c.texts) == texts
 
 
-def test_the_fence_is_breached_by_velocity_and_lands() -> None:
+def test_a_velocity_can_breach_the_fence_which_lands() -> None:
     c = flying(FENCE_RADIUS=6.0, AVOID_ENABLE=0)
     c.move(1.0, 0.0)
     assert c.run(12.0, lambda: mode_of(c) == "LAND")
@@ -172,7 +172,7 @@ def test_avoidance_stops_a_velocity_at_the_margin() -> None:
     assert mode_of(c) == "GUIDED"
 
 
-def test_the_yaw_turns_no_faster_than_the_parameter() -> None:
+def test_the_yaw_rate_stays_below_the_parameter() -> None:
     c = flying()
     c.go_to(0.0, 0.0, -1.2, -1.5)
     fastest = 0.0
@@ -182,8 +182,8 @@ def test_the_yaw_turns_no_faster_than_the_parameter() -> None:
     assert math.radians(35.0) < fastest < math.radians(55.0)
 
 
-def test_after_a_failsafe_guided_is_granted_and_the_flight_goes_on() -> None:
-    """Why a companion must never ask by itself: the autopilot would obey."""
+def test_after_a_failsafe_guided_is_granted_and_the_flight_continues() -> None:
+    """A companion must never request GUIDED again by itself, because the autopilot would obey."""
     c = flying(SCR_ENABLE=0)
     c.heartbeats = False
     assert c.run(4.0, lambda: mode_of(c) == "LAND")
@@ -207,6 +207,6 @@ def test_a_landing_in_motion_brakes_within_the_limits_of_guided() -> None:
         c.run(0.02)
         strongest, before = max(strongest, (before - c.speed) / 0.02), c.speed
     way = math.hypot(c.ned[0] - begun[0], c.ned[1] - begun[1])
-    assert 0.35 < way < 0.85  # 0.9^2 / 2 and what the jerk adds, the command's 0.1 s included
+    assert 0.35 < way < 0.85  # 0.9^2 / 2, the effect of the jerk limit, and 0.1 s for the command
     assert strongest < 1.4
     assert c.speed < 0.1

@@ -1,4 +1,4 @@
-"""AUTOPILOTS.md: what the simulated ArduCopter makes of poses that stop, jump or carry odd stamps."""
+"""AUTOPILOTS.md: the simulated ArduCopter and poses that stop, jump or have odd stamps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ardupilot_rig import BLIND, FOLLOWING, GUIDED, copter, flying, mode_of, sec
 from pymavlink.dialects.v20 import common as mavlink
 
 
-def test_when_the_pose_stops_the_flags_fall_after_7_s_and_it_lands_at_8() -> None:
+def test_when_poses_stop_the_flags_fall_after_7_s_and_it_lands_after_8_s() -> None:
     c = flying()
     place = c.ned
     c.pose_on = False
@@ -24,7 +24,7 @@ def test_when_the_pose_stops_the_flags_fall_after_7_s_and_it_lands_at_8() -> Non
     assert c.vehicle.touchdowns[0] < 1.0
 
 
-def test_gaps_up_to_two_seconds_are_invisible() -> None:
+def test_gaps_up_to_two_seconds_have_no_effect() -> None:
     c = flying()
     for _ in range(3):
         c.pose_on = False
@@ -36,7 +36,7 @@ def test_gaps_up_to_two_seconds_are_invisible() -> None:
     assert c.texts == ["Arming motors"]
 
 
-def test_a_pose_that_comes_back_does_not_stop_the_landing() -> None:
+def test_returning_poses_do_not_stop_the_landing() -> None:
     c = flying()
     c.pose_on = False
     assert c.run(9.0, lambda: mode_of(c) == "LAND")
@@ -64,7 +64,7 @@ def test_a_pose_jump_with_its_reset_counter_moves_the_vehicle_back_by_the_jump()
     assert c.ned[0] == pytest.approx(-0.6, abs=0.1)
 
 
-def test_setpoints_re_expressed_in_the_same_tick_keep_it_still() -> None:
+def test_setpoints_shifted_in_the_same_tick_keep_the_vehicle_still() -> None:
     c = flying()
     c.go_to(0.0, 0.0, -1.2, 1.27)
     c.run(0.5)
@@ -78,7 +78,7 @@ def test_setpoints_re_expressed_in_the_same_tick_keep_it_still() -> None:
     assert worst < 0.15
 
 
-def test_a_held_place_moves_along_with_a_reset_of_the_estimate() -> None:
+def test_a_held_position_shifts_with_a_reset_of_the_estimate() -> None:
     c = flying()
     c.copter.pilot_takes_over("LOITER")
     c.run(1.0)
@@ -102,7 +102,7 @@ def test_a_pose_jump_without_a_reset_counter_is_refused_silently() -> None:
     assert len(c.texts) == texts
 
 
-def test_only_poses_of_the_body_in_the_local_frame_are_taken() -> None:
+def test_only_poses_of_the_body_in_the_local_frame_are_accepted() -> None:
     for frame, child, taken in (
         (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_BODY_FRD, True),
         (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD, False),
@@ -128,20 +128,20 @@ def test_vision_position_estimate_carries_no_quality(quality_min: int, taken: bo
 
 
 @pytest.mark.parametrize("quality", [5, 19])
-def test_poses_of_low_quality_are_not_followed(quality: int) -> None:
+def test_poses_of_low_quality_are_not_fused(quality: int) -> None:
     c = copter()
     c.pose_quality = quality
     c.run(2.0)
     assert not c.copter.estimator.started
 
 
-def test_it_does_not_follow_before_its_parameters_say_so() -> None:
+def test_poses_are_not_fused_unless_the_parameters_enable_it() -> None:
     c = copter(VISO_TYPE=0)
     c.run(2.0)
     assert c.flags == 0xA5
 
 
-def test_stamps_of_any_clock_are_placed_by_their_least_lag() -> None:
+def test_stamps_of_any_clock_are_aligned_by_their_least_lag() -> None:
     c = copter()
     c.stamp_shift_s = -700.0
     c.take_off()

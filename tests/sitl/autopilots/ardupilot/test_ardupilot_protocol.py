@@ -1,4 +1,7 @@
-"""AUTOPILOTS.md: parameters, rates and commands over the wire of the simulated ArduCopter, and its parameter file."""
+"""AUTOPILOTS.md: parameters, rates and commands of the simulated ArduCopter.
+
+Its parameter file is tested too.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from sitl.autopilots.ardupilot.tuning import lean_lag_s
 from sitl.autopilots.parameter_table import ParameterError
 
 
-def test_nothing_but_heartbeats_comes_unasked() -> None:
+def test_only_heartbeats_are_sent_without_a_request() -> None:
     c = copter()
     for message_id in (1, 31, 32, 85, 193, 245):
         assert c.ask(INTERVAL, message_id, -1.0) == 0
@@ -25,7 +28,7 @@ def test_nothing_but_heartbeats_comes_unasked() -> None:
     assert sum(m.get_type() == "HEARTBEAT" for m in c.messages) == 5
 
 
-def test_message_rates_can_be_asked_for() -> None:
+def test_message_rates_can_be_requested() -> None:
     c = copter()
     c.keep = {"EKF_STATUS_REPORT"}
     assert c.ask(INTERVAL, 193, 20_000.0) == 0
@@ -48,13 +51,13 @@ def test_the_camera_is_healthy_while_poses_come() -> None:
     assert not told.onboard_control_sensors_health & vision
 
 
-def test_prearm_stays_healthy_once_it_is_armed() -> None:
-    c = flying(BATT_ARM_MAH=5000.0)  # on the ground it would be refused now
+def test_prearm_stays_healthy_once_armed() -> None:
+    c = flying(BATT_ARM_MAH=5000.0)  # on the ground, arming would be refused now
     c.run(1.0)
     assert c.prearm
 
 
-def test_parameters_travel_as_the_numbers_they_are() -> None:
+def test_parameters_are_sent_as_plain_numbers() -> None:
     c = copter()
     c.keep = {"PARAM_VALUE"}
     c.send(mavlink.MAVLink_param_request_list_message(1, 1))
@@ -76,7 +79,7 @@ def test_a_changed_parameter_changes_the_flight() -> None:
     assert c.speed < 0.5
 
 
-def test_the_version_is_told_on_request() -> None:
+def test_the_version_is_sent_on_request() -> None:
     c = copter()
     assert c.ask(mavlink.MAV_CMD_REQUEST_MESSAGE, 148) == 0
     version = c.last["AUTOPILOT_VERSION"].flight_sw_version
@@ -84,7 +87,7 @@ def test_the_version_is_told_on_request() -> None:
     assert c.last["HEARTBEAT"].autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 
 
-def test_unknown_commands_are_refused_and_strangers_targets_ignored() -> None:
+def test_unknown_commands_are_refused_and_commands_for_other_systems_ignored() -> None:
     c = copter()
     assert c.ask(mavlink.MAV_CMD_NAV_WAYPOINT) == 3
     assert c.ask(SET_MODE, 0, 4) == 2
@@ -94,7 +97,7 @@ def test_unknown_commands_are_refused_and_strangers_targets_ignored() -> None:
     assert c.acks == []
 
 
-def test_the_indoor_file_makes_no_failsafe_a_return() -> None:
+def test_the_indoor_file_sets_no_failsafe_to_return() -> None:
     p = ArduPilotParameters.load()
     assert (p.integer("FS_THR_ENABLE"), p.integer("FS_GCS_ENABLE"), p.integer("FS_EKF_ACTION")) == (3, 5, 1)
     assert (p.integer("FENCE_ACTION"), p.integer("FS_DR_ENABLE")) == (2, 1)
@@ -102,7 +105,7 @@ def test_the_indoor_file_makes_no_failsafe_a_return() -> None:
     assert p["RTL_ALT_M"] == 0.0
 
 
-def test_the_lean_is_as_late_as_its_parameter_makes_it() -> None:
+def test_the_attitude_lag_follows_from_its_parameter() -> None:
     assert lean_lag_s(ArduPilotParameters()) == pytest.approx(0.18)
     assert lean_lag_s(ArduPilotParameters.load()) == pytest.approx(0.08)
 

@@ -7,7 +7,7 @@ from sitl.autopilots.ardupilot.jitter_correction import JitterCorrection
 OFFSET_US = 5_000_000
 
 
-def test_jitter_goes_and_the_least_lag_stays() -> None:
+def test_jitter_is_removed_and_the_least_lag_remains() -> None:
     source, correction = random.Random(1), JitterCorrection()
     errors = []
     for i in range(400):
@@ -25,10 +25,10 @@ def test_a_clock_that_was_set_back_is_followed_within_half_a_second() -> None:
     assert correction.local_us(2_000_000, 21_000_000) == 20_500_000
 
 
-def test_a_clock_that_slowly_runs_away_is_followed() -> None:
+def test_a_slowly_drifting_clock_is_followed() -> None:
     correction = JitterCorrection()
     last = 0
     for i in range(1000):
         now = 20_000 * i
-        last = now - correction.local_us(now - 2 * i, now)  # ours gains 100 us a second
+        last = now - correction.local_us(now - 2 * i, now)  # our clock gains 100 us per second
     assert last < 500

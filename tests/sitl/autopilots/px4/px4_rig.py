@@ -1,4 +1,4 @@
-"""A simulated PX4 and its scripted companion, ready to be asked things; all clocks injected."""
+"""Simulated PX4 with its scripted companion; all clocks are injected."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def companion(seed: int = 1, **changes: float) -> Companion:
     return Companion(p, seed)
 
 
-copyreg.pickle(struct.Struct, lambda s: (struct.Struct, (s.format,)))  # pymavlink's codec holds some; copies need this
+copyreg.pickle(struct.Struct, lambda s: (struct.Struct, (s.format,)))  # for copies of pymavlink's codec
 
 
 @functools.lru_cache(maxsize=8)
 def taken_off(seed: int) -> Companion:
-    """Flown once per seed; tests get copies."""
+    """Return a hovering vehicle; flown once per seed, tests get copies."""
     c = companion(seed)
     c.take_off()
     return c

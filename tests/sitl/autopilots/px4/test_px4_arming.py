@@ -19,7 +19,7 @@ def test_prearm_comes_about_five_seconds_after_the_origin() -> None:
     assert abs(c.last["HOME_POSITION"].z) < 0.1
 
 
-def test_without_an_origin_loiter_does_not_arm_yet_offboard_does() -> None:
+def test_without_an_origin_offboard_arms_but_loiter_does_not() -> None:
     c = companion()
     c.run(8.0)
     assert c.arm() == 1
@@ -30,8 +30,8 @@ def test_without_an_origin_loiter_does_not_arm_yet_offboard_does() -> None:
     assert c.arm() == 0
 
 
-def test_a_heading_in_local_frd_gives_no_global_position_whatever_the_origin() -> None:
-    """Measured on 1.17: the poses are followed and OFFBOARD arms, but there is no Hold and no PREARM."""
+def test_a_heading_in_local_frd_gives_no_global_position_for_any_origin() -> None:
+    """Measured on 1.17: poses are fused and OFFBOARD arms, but there is no Hold and no PREARM."""
     c = companion()
     c.pose_frame = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_BODY_FRD)
     c.run(8.0)
@@ -46,7 +46,7 @@ def test_a_heading_in_local_frd_gives_no_global_position_whatever_the_origin() -
     assert c.arm() == 0
 
 
-def test_an_origin_before_the_first_pose_puts_488_m_into_the_height() -> None:
+def test_an_origin_before_the_first_pose_adds_488_m_to_the_height() -> None:
     c = companion()
     c.pose_on = False
     c.run(0.5)
@@ -57,7 +57,7 @@ def test_an_origin_before_the_first_pose_puts_488_m_into_the_height() -> None:
     assert c.last["LOCAL_POSITION_NED"].z == pytest.approx(488.0, abs=0.2)
 
 
-def test_nothing_is_told_of_a_position_before_poses_are_fused() -> None:
+def test_no_position_is_sent_before_poses_are_fused() -> None:
     c = companion()
     c.pose_on = False
     c.run(3.0)
@@ -103,7 +103,7 @@ def test_a_low_battery_and_a_silent_transmitter_forbid_arming() -> None:
     assert c.arm() == 0
 
 
-def test_armed_but_not_flying_ends_after_five_seconds() -> None:
+def test_an_armed_vehicle_on_the_ground_disarms_after_five_seconds() -> None:
     c = companion()
     c.ready()
     assert c.arm() == 0
@@ -113,8 +113,11 @@ def test_armed_but_not_flying_ends_after_five_seconds() -> None:
 
 
 @pytest.mark.parametrize(("ramp_s", "least_s", "max_s"), [(3.0, 2.5, 4.5), (0.5, 0.1, 1.2)])
-def test_thrust_ramps_up_from_nothing_before_it_lifts(ramp_s: float, least_s: float, max_s: float) -> None:
-    """Flown on 1.17: with a ramp of 3 s it stood 3.8 s and more after its spool-up, while its setpoint climbed away from it."""
+def test_thrust_ramps_up_from_zero_before_lift_off(ramp_s: float, least_s: float, max_s: float) -> None:
+    """Measured on 1.17: with a ramp of 3 s it stayed on the ground for 3.8 s and more.
+
+    That is the time after its spool-up, while the setpoint climbed away from it.
+    """
     c = companion(MPC_TKO_RAMP_T=ramp_s)
     c.run(8.0)
     c.go_to(0.0, 0.0, -1.2)

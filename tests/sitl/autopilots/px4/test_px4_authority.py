@@ -37,7 +37,7 @@ def test_the_battery_drains_while_flying() -> None:
     assert c.last["BATTERY_STATUS"].voltages[0] > 3500
 
 
-def test_a_transmitter_that_falls_silent_lands_it() -> None:
+def test_a_silent_transmitter_leads_to_a_landing() -> None:
     c = flying()
     c.px4.transmitter(heard=False)
     assert 1.3 < seconds_until(c, lambda: truth_mode(c) == "LAND", 4.0) < 1.8
@@ -68,10 +68,10 @@ def test_without_an_origin_there_is_no_fence_at_all() -> None:
 LOST, BACK = "Connection to mission computer lost", "Connection to mission computer regained"
 
 
-def test_heartbeats_that_stop_are_warned_of_once_and_nothing_else_comes_of_it() -> None:
+def test_missing_heartbeats_only_give_one_warning() -> None:
     c = flying()
-    c.heartbeats = False  # setpoints and poses go on
-    assert 3.9 < seconds_until(c, lambda: LOST in c.texts, 6.0) < 5.1  # the last one was up to a second before
+    c.heartbeats = False  # setpoints and poses continue
+    assert 3.9 < seconds_until(c, lambda: LOST in c.texts, 6.0) < 5.1  # the last heartbeat was up to a second before
     c.run(10.0)
     assert truth_mode(c) == "OFFBOARD"
     assert c.px4.failsafes == []
@@ -81,7 +81,7 @@ def test_heartbeats_that_stop_are_warned_of_once_and_nothing_else_comes_of_it() 
     assert BACK in c.texts
 
 
-def test_nobody_is_missed_whose_heartbeats_never_stopped() -> None:
+def test_steady_heartbeats_give_no_warning() -> None:
     c = flying()
     c.run(10.0)
     assert not {LOST, BACK} & set(c.texts)

@@ -1,4 +1,4 @@
-"""AUTOPILOTS.md: the flight that must work, and its physics."""
+"""AUTOPILOTS.md: a complete flight of the simulated PX4, and its physics."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from sitl.world.step_sizes import REAL
 
 
 def square(start_s: float, side: float, speed: float) -> tuple[Any, float]:
-    """A smooth square at constant height: rest to rest on each side (minimum jerk), with feedforward; its duration."""
+    """Return a smooth square at constant height with feedforward, and its duration.
+
+    Each side is flown from rest to rest with minimum jerk.
+    """
     leg_s = 1.875 * side / speed
     corners = [(0.0, 0.0), (side, 0.0), (side, side), (0.0, side), (0.0, 0.0)]
 
@@ -36,7 +39,7 @@ def square(start_s: float, side: float, speed: float) -> tuple[Any, float]:
 
 
 @pytest.mark.parametrize(("wind_mps", "widest"), [(0.0, 0.05), (0.15, 0.07)])
-def test_the_whole_handshake_flies_a_square_and_lands(wind_mps: float, widest: float) -> None:
+def test_a_complete_flight_with_a_square_and_a_landing(wind_mps: float, widest: float) -> None:
     c = Companion(Px4Parameters.load(), 2, wind_mps)
     c.take_off()
     path, duration = square(c.now_s, 2.0, 0.8)
@@ -46,7 +49,7 @@ def test_the_whole_handshake_flies_a_square_and_lands(wind_mps: float, widest: f
         c.run(0.05)
         x, y, z = c.ned
         along = max(along, c.away_from(*path(c.now_s)[:3]))
-        side = max(abs(x - 1.0), abs(y - 1.0)) - 1.0  # off the outline, outwards or inwards
+        side = max(abs(x - 1.0), abs(y - 1.0)) - 1.0  # distance from the outline, outwards or inwards
         across = max(across, abs(side), abs(z + 1.2))
     assert along < 0.12
     assert across < widest
@@ -68,7 +71,7 @@ def test_corners_of_a_smooth_path_are_cut_by_no_more_than_5_cm() -> None:
     radius, speed = 0.5, 0.8
 
     def circle(now_s: float) -> tuple[float, ...]:
-        """A tight turn at 0.8 m/s (1.28 m/s^2 sideways), eased in and out over 2 s."""
+        """Return a point on a tight turn at 0.8 m/s (1.28 m/s^2 sideways), eased in over 2 s."""
         t = now_s - start
         w = speed / radius
         ease = min(t / 2.0, 1.0)
@@ -88,7 +91,7 @@ def test_corners_of_a_smooth_path_are_cut_by_no_more_than_5_cm() -> None:
     assert max(errors) < 0.05
 
 
-def test_the_same_seed_gives_the_same_flight_to_the_last_bit() -> None:
+def test_equal_seeds_give_bit_identical_flights() -> None:
     def end(seed: int) -> tuple[Any, ...]:
         c = companion(seed)
         c.take_off(0.5)
@@ -98,7 +101,7 @@ def test_the_same_seed_gives_the_same_flight_to_the_last_bit() -> None:
     assert end(4) != end(5)
 
 
-def test_physics_runs_in_fixed_steps_whatever_the_callers_rhythm() -> None:
+def test_physics_runs_in_fixed_steps_independent_of_the_callers_rate() -> None:
     a, b = companion(), companion()
     a.px4.step(501.0)
     for i in range(1, 1001):
@@ -108,7 +111,7 @@ def test_physics_runs_in_fixed_steps_whatever_the_callers_rhythm() -> None:
 
 
 class LateReader:
-    """A link whose one datagram arrived 0.6 s after the autopilot's first step."""
+    """Link whose one datagram arrives 0.6 s after the autopilot's first step."""
 
     arrival_s = 500.6
 
@@ -124,7 +127,7 @@ class LateReader:
         self.written += data
 
 
-def test_a_late_call_does_not_hear_messages_before_they_arrived() -> None:
+def test_a_late_call_processes_messages_at_their_arrival_times() -> None:
     link = LateReader()
     px4 = Px4(Quadrotor(1), link, Px4Parameters.load(), 1)
     px4.step(500.0)
@@ -145,6 +148,6 @@ def test_the_camera_tilts_with_the_body() -> None:
     assert math.radians(4.0) < steepest < math.radians(30.0)
 
 
-def test_an_unsimulated_failsafe_is_refused_at_the_start() -> None:
+def test_a_failsafe_that_is_not_simulated_is_refused_at_the_start() -> None:
     with pytest.raises(ValueError, match="COM_OBL_RC_ACT 3"):
         companion(COM_OBL_RC_ACT=3)

@@ -19,7 +19,7 @@ def test_disarming_in_flight_is_refused() -> None:
     assert any("Disarming denied" in text for text in c.texts)
 
 
-def test_forced_disarming_drops_it() -> None:
+def test_forced_disarming_in_flight_drops_the_vehicle() -> None:
     c = flying()
     assert c.ask(ARM, 0, FORCE) == 0
     c.run(2.0)
@@ -27,7 +27,7 @@ def test_forced_disarming_drops_it() -> None:
     assert c.vehicle.touchdowns[0] > 3.0
 
 
-def test_land_descends_disarms_by_itself_and_the_mode_reverts() -> None:
+def test_land_descends_disarms_automatically_and_the_mode_reverts() -> None:
     c = flying()
     c.go_to(0.0, 0.0, -1.2)
     assert c.set_mode(LAND) == 0
@@ -42,8 +42,8 @@ def test_land_descends_disarms_by_itself_and_the_mode_reverts() -> None:
 
 
 @pytest.mark.parametrize("level_known", [False, True])
-def test_a_speed_that_is_not_known_holds_no_landing_up(level_known: bool) -> None:
-    """An estimate without poses runs away on the floor."""
+def test_an_unknown_speed_does_not_prevent_the_landing_detection(level_known: bool) -> None:
+    """On the floor, an estimate without poses drifts away."""
     detector = LandDetector(0.6)
     detector.lifted()
     landed = [detector.touched_down(0.02, (0.0, 0.0, 0.0), (15.0, 0.0, 0.0), level_known) for _ in range(50)]
@@ -52,8 +52,11 @@ def test_a_speed_that_is_not_known_holds_no_landing_up(level_known: bool) -> Non
 
 @pytest.mark.parametrize("speed", [0.5, 0.9])
 @pytest.mark.parametrize("seed", range(2))
-def test_a_landing_in_motion_brakes_gently_to_a_place_ahead(speed: float, seed: int) -> None:
-    """Navigator::preproject_stop_point(): v^2 / 2 a and 0.6 s; the trajectory there keeps MPC_ACC_HOR."""
+def test_a_landing_in_motion_brakes_gently_to_a_point_ahead(speed: float, seed: int) -> None:
+    """Navigator::preproject_stop_point(): v^2 / 2 a and 0.6 s.
+
+    The trajectory to that point keeps MPC_ACC_HOR.
+    """
     c = flying(seed)
     start = c.now_s
     c.setpoint = lambda t: (speed * (t - start), 0.0, -1.2, speed, *[0.0] * 5, 0.3, 0.0)

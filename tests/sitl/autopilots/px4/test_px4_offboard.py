@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from scripted_companion import LOITER, OFFBOARD
 
 
-def test_an_ack_is_no_proof_and_offboard_engages_later_by_itself() -> None:
+def test_offboard_may_be_acknowledged_early_and_engages_with_the_setpoints() -> None:
     c = companion()
     c.ready()
     assert c.set_mode(OFFBOARD) == 0
@@ -35,7 +35,7 @@ def test_do_set_mode_is_often_acknowledged_twice() -> None:
     assert counts == {1, 2}
 
 
-def test_a_setpoint_that_controls_nothing_is_no_proof_of_life() -> None:
+def test_a_setpoint_without_a_controlled_axis_does_not_count() -> None:
     c = companion()
     c.ready()
     c.go_to(0.0, 0.0, -1.0)
@@ -46,7 +46,7 @@ def test_a_setpoint_that_controls_nothing_is_no_proof_of_life() -> None:
     assert truth_mode(c) == "LOITER"
 
 
-def test_setpoints_in_other_frames_are_refused_in_words() -> None:
+def test_setpoints_in_other_frames_are_refused_with_a_message() -> None:
     c = companion()
     c.run(0.5)
     c.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, mavlink.MAV_FRAME_LOCAL_ENU, 0, *[0.0] * 11))
@@ -57,7 +57,7 @@ def test_setpoints_in_other_frames_are_refused_in_words() -> None:
 def test_masked_fields_are_ignored() -> None:
     c = flying()
     c.setpoint = lambda _t: (99.0, 99.0, 99.0, 0.3, 0.0, 0.0, 9.0, 9.0, 9.0, 1.0, 0.0)
-    c.type_mask = 0b110111000111  # velocity alone
+    c.type_mask = 0b110111000111  # velocity only
     c.run(3.0)
     assert c.last["LOCAL_POSITION_NED"].vx == pytest.approx(0.3, abs=0.1)
     assert abs(c.ned[2] + 1.2) < 0.3
@@ -80,14 +80,14 @@ def test_when_setpoints_stop_it_lands_within_1_3_s(seed: int) -> None:
     took = seconds_until(c, lambda: truth_mode(c) == "LAND", 3.0)
     assert 0.55 < took < 1.4
     assert c.px4.failsafes == ["offboard signal lost: LAND"]
-    c.go_to(1.0, 1.0, -1.2)  # the stream is back: the landing goes on
+    c.go_to(1.0, 1.0, -1.2)  # the stream is back, but the landing continues
     c.run(2.0)
     assert truth_mode(c) == "LAND"
     assert c.run(15.0, lambda: not c.armed)
     assert c.vehicle.on_ground
 
 
-def test_by_default_px4_would_hang_in_position_mode() -> None:
+def test_by_default_px4_stays_in_position_mode() -> None:
     c = flying(COM_OBL_RC_ACT=0)
     c.setpoint = None
     c.run(5.0)
@@ -95,7 +95,7 @@ def test_by_default_px4_would_hang_in_position_mode() -> None:
     assert c.vehicle.position[2] > 1.0
 
 
-def test_gaps_shorter_than_the_timeout_are_invisible() -> None:
+def test_gaps_shorter_than_the_timeout_have_no_effect() -> None:
     c = flying()
     for _ in range(5):
         c.setpoint = None
@@ -106,8 +106,8 @@ def test_gaps_shorter_than_the_timeout_are_invisible() -> None:
     assert c.px4.failsafes == []
 
 
-def test_offboard_can_be_asked_for_again_after_a_failsafe() -> None:
-    """Why a companion must never ask by itself: the autopilot would obey."""
+def test_offboard_is_granted_again_after_a_failsafe() -> None:
+    """A companion must never request OFFBOARD again by itself, because the autopilot would obey."""
     c = flying()
     c.setpoint = None
     c.run(1.5)
@@ -118,7 +118,7 @@ def test_offboard_can_be_asked_for_again_after_a_failsafe() -> None:
     assert truth_mode(c) == "OFFBOARD"
 
 
-def test_setpoint_arrivals_are_kept_while_armed_in_offboard() -> None:
+def test_setpoint_arrivals_are_recorded_while_armed_in_offboard() -> None:
     c = flying()
     count = len(c.px4.setpoint_arrivals_s)
     c.run(2.0)
@@ -127,8 +127,11 @@ def test_setpoint_arrivals_are_kept_while_armed_in_offboard() -> None:
     assert all(500.0 < t <= c.now_s for t in new)
 
 
-def test_in_offboard_a_push_is_answered_with_tilt_beyond_the_limit_of_acceleration() -> None:
-    """MPC_ACC_HOR_MAX is 2 m/s^2, less than the push: it binds PX4's own trajectories alone."""
+def test_in_offboard_a_push_is_countered_beyond_the_acceleration_limit() -> None:
+    """MPC_ACC_HOR_MAX, 2 m/s^2, is less than the push.
+
+    It limits only PX4's own trajectories.
+    """
     c = flying()
     c.go_to(0.0, 0.0, -1.2)
     c.run(1.0)
@@ -136,7 +139,7 @@ def test_in_offboard_a_push_is_answered_with_tilt_beyond_the_limit_of_accelerati
     c.run(2.0)
     pushed = c.away_from(0.0, 0.0, -1.2)
     c.vehicle.outside_mps2 = (0.0, 0.0, 0.0)
-    assert pushed < 1.3  # 2.5 / (P of position * P of velocity) = 1.46 at the most
+    assert pushed < 1.3  # at most 2.5 / (P of position * P of velocity) = 1.46
     assert math.hypot(*c.vehicle.velocity[:2]) < 0.5
     c.run(12.0)
     assert c.away_from(0.0, 0.0, -1.2) < 0.1

@@ -15,7 +15,7 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def test_the_indoor_file_loads_and_makes_no_failsafe_a_return() -> None:
+def test_the_indoor_file_loads_and_sets_no_failsafe_to_return() -> None:
     p = Px4Parameters.load()
     assert p.integer("COM_OBL_RC_ACT") == 4
     assert p.integer("NAV_RCL_ACT") == 3
@@ -34,7 +34,7 @@ def test_the_indoor_readme_explains_each_value_of_the_file() -> None:
     assert told == {name: value for _, _, name, value, _ in rows}
 
 
-def test_without_a_file_the_defaults_hold() -> None:
+def test_without_a_file_the_defaults_apply() -> None:
     p = Px4Parameters()
     assert p["COM_OF_LOSS_T"] == 1.0
     assert p.integer("COM_OBL_RC_ACT") == 0
@@ -58,13 +58,13 @@ def test_a_bad_line_names_file_line_and_fault(tmp_path: Path, line: str, fault: 
     assert fault in str(caught.value)
 
 
-def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="cannot be read"):
         Px4Parameters.load(tmp_path / "none.params")
 
 
 @pytest.mark.parametrize("value", [-1, 0, 4, 121212, 2**31 - 1, -(2**31)])
-def test_integers_travel_as_bytes(value: int) -> None:
+def test_integers_are_sent_bytewise(value: int) -> None:
     p = Px4Parameters()
     p.set("CBRK_FLIGHTTERM", value)
     wire = struct.unpack("<f", struct.pack("<f", p.on_wire("CBRK_FLIGHTTERM")))[0]

@@ -1,4 +1,4 @@
-"""AUTOPILOTS.md: what the simulated PX4 makes of poses that stop, jump or carry odd stamps."""
+"""AUTOPILOTS.md: the simulated PX4 and poses that stop, jump or have odd stamps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 @pytest.mark.parametrize(
     ("timeout_us", "earliest", "latest"), [(5_000_000, 5.2, 5.7), (3_000_000, 3.2, 3.7), (1_000_000, 1.2, 1.7)]
 )
-def test_when_the_pose_stops_it_lands_by_itself(timeout_us: int, earliest: float, latest: float) -> None:
+def test_when_poses_stop_the_autopilot_lands(timeout_us: int, earliest: float, latest: float) -> None:
     c = flying(EKF2_NOAID_TOUT=timeout_us)
     place = c.ned
     c.pose_on = False
@@ -24,7 +24,7 @@ def test_when_the_pose_stops_it_lands_by_itself(timeout_us: int, earliest: float
     assert c.vehicle.touchdowns[0] < 1.0
 
 
-def test_a_pose_that_comes_back_does_not_stop_the_landing() -> None:
+def test_returning_poses_do_not_stop_the_landing() -> None:
     c = flying()
     c.pose_on = False
     c.run(4.0)
@@ -34,8 +34,11 @@ def test_a_pose_that_comes_back_does_not_stop_the_landing() -> None:
 
 
 @pytest.mark.parametrize("seed", range(1, 4))
-def test_when_stream_and_poses_end_together_in_motion_it_brakes_before_it_comes_down(seed: int) -> None:
-    """The companion is dead. With EKF2_NOAID_TOUT 1 s nothing brakes: the position ends before the landing begins."""
+def test_when_setpoints_and_poses_stop_in_motion_it_brakes_before_the_descent(seed: int) -> None:
+    """The companion has died.
+
+    With EKF2_NOAID_TOUT at 1 s it would not brake, because the position is lost before the landing begins.
+    """
     c, speed = flying(seed), 1.0
     start = c.now_s
     c.setpoint = lambda t: (speed * (t - start), 0.0, -1.2, speed, *[0.0] * 5, 0.3, 0.0)
@@ -43,10 +46,10 @@ def test_when_stream_and_poses_end_together_in_motion_it_brakes_before_it_comes_
     place = c.ned
     c.setpoint, c.pose_on = None, False
     assert c.run(20.0, lambda: not c.armed)
-    assert math.hypot(c.ned[0] - place[0], c.ned[1] - place[1]) < 1.6  # 2.8 to 3.4 with 1 s
+    assert math.hypot(c.ned[0] - place[0], c.ned[1] - place[1]) < 1.6  # 2.8 to 3.4 with EKF2_NOAID_TOUT at 1 s
 
 
-def test_without_a_position_it_keeps_level_instead_of_chasing_a_wrong_one() -> None:
+def test_without_a_valid_position_it_keeps_level_and_ignores_the_estimate() -> None:
     c = flying()
     c.pose_on = False
     assert c.run(4.0, lambda: truth_mode(c) == "LAND")
@@ -57,7 +60,7 @@ def test_without_a_position_it_keeps_level_instead_of_chasing_a_wrong_one() -> N
     assert math.hypot(c.ned[0] - place[0], c.ned[1] - place[1]) < 0.5
 
 
-def test_a_held_place_moves_along_with_a_reset_of_the_estimate() -> None:
+def test_a_held_position_shifts_with_a_reset_of_the_estimate() -> None:
     c = flying()
     c.px4.pilot_takes_over("POSCTL")
     c.run(1.0)
@@ -87,7 +90,7 @@ def test_a_pose_jump_without_a_reset_counter_is_refused_silently() -> None:
     assert c.last["ESTIMATOR_STATUS"].pos_horiz_ratio > 1.0
 
 
-def test_only_poses_of_the_body_in_a_local_frame_are_taken() -> None:
+def test_only_poses_of_the_body_in_a_local_frame_are_accepted() -> None:
     for frame, child, taken in (
         (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_BODY_FRD, True),
         (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD, True),
@@ -100,7 +103,7 @@ def test_only_poses_of_the_body_in_a_local_frame_are_taken() -> None:
         assert c.px4.estimator.started is taken
 
 
-def test_timesync_converges_after_500_answers_and_then_old_poses_are_placed_in_time() -> None:
+def test_timesync_converges_after_500_answers_and_aligns_old_poses() -> None:
     c = companion()
     c.pose_age_s = 0.15
     c.run(40.0)
@@ -119,7 +122,7 @@ def test_unanswered_timesync_never_converges() -> None:
     assert not converged(c)
 
 
-def test_stamps_on_another_clock_than_the_answers_lose_the_pose_once_timesync_has_converged() -> None:
+def test_stamps_of_a_clock_other_than_timesyncs_lose_the_pose_after_convergence() -> None:
     c = companion()
     c.stamp_shift_s = 5.0
     c.run(45.0)
@@ -130,7 +133,7 @@ def test_stamps_on_another_clock_than_the_answers_lose_the_pose_once_timesync_ha
     assert c.px4.estimator.ignored["future"] > 100
 
 
-def test_our_timesync_question_is_answered_on_the_autopilots_own_clock() -> None:
+def test_a_timesync_request_is_answered_on_the_autopilots_clock() -> None:
     c = companion()
     c.run(1.0)
     c.keep = {"TIMESYNC"}

@@ -1,4 +1,4 @@
-"""AUTOPILOTS.md: parameters, rates, commands and gimbal over the wire of the simulated PX4."""
+"""AUTOPILOTS.md: parameters, rates, commands and gimbal of the simulated PX4."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_changed_parameter_changes_the_flight() -> None:
     assert math.hypot(*c.vehicle.velocity[:2]) < 0.5
 
 
-def test_message_rates_can_be_asked_for() -> None:
+def test_message_rates_can_be_requested() -> None:
     c = companion()
     c.run(2.0)
     c.keep = {"LOCAL_POSITION_NED"}
@@ -71,7 +71,7 @@ def test_default_rates() -> None:
     )
 
 
-def test_a_heartbeat_has_no_rate_but_comes_when_it_is_asked_for() -> None:
+def test_the_heartbeat_rate_is_fixed_but_one_can_be_requested() -> None:
     """Measured on 1.17."""
     c = companion()
     assert c.ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_HEARTBEAT, 100_000.0) == 4
@@ -85,14 +85,14 @@ def test_a_heartbeat_has_no_rate_but_comes_when_it_is_asked_for() -> None:
     assert len(c.messages) >= 15
 
 
-def test_the_version_is_told_on_request() -> None:
+def test_the_version_is_sent_on_request() -> None:
     c = companion()
     assert c.ask(mavlink.MAV_CMD_REQUEST_MESSAGE, 148) == 0
     version = c.last["AUTOPILOT_VERSION"].flight_sw_version
     assert (version >> 24, version >> 16 & 255, version >> 8 & 255) == (1, 17, 0)
 
 
-def test_unknown_commands_are_refused_and_strangers_targets_ignored() -> None:
+def test_unknown_commands_are_refused_and_commands_for_other_systems_ignored() -> None:
     c = companion()
     assert c.ask(mavlink.MAV_CMD_NAV_WAYPOINT) == 3
     assert c.ask(mavlink.MAV_CMD_DO_SET_MODE, 0, 6) == 2
@@ -119,7 +119,7 @@ def test_garbage_on_the_link_does_no_harm() -> None:
     assert c.px4.estimator.started
 
 
-def test_a_link_that_fails_is_silence() -> None:
+def test_a_failed_link_counts_as_silence() -> None:
     c = flying()
     c.px4._server._link.close()  # type: ignore[attr-defined]
     c.setpoint = None

@@ -1,4 +1,4 @@
-"""PX4's trajectory in its own modes, against closed forms of motions limited in jerk."""
+"""PX4's trajectories in its own modes, against closed forms of jerk-limited motion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LIMITS = SmoothingLimits(speed=1.0, acceleration=2.0, jerk=4.0)
 
 
 def brake(velocity: float, dt_s: float) -> tuple[float, float]:
-    """Seconds and metres to rest."""
+    """Return the time (s) and distance (m) to rest."""
     motion, steps = TrajectorySmoothing(0.0, velocity), 0
     while abs(motion.velocity) > 1e-6:
         motion.step(dt_s, 0.0, LIMITS)
@@ -23,7 +23,7 @@ def brake(velocity: float, dt_s: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("dt_s", [0.004, 0.02])
 @pytest.mark.parametrize("velocity", [-1.2, 0.4, 0.8, 1.2, 3.0])
-def test_braking_takes_the_shortest_time_there_is(velocity: float, dt_s: float) -> None:
+def test_braking_takes_the_shortest_possible_time(velocity: float, dt_s: float) -> None:
     speed, most, jerk = abs(velocity), LIMITS.acceleration, LIMITS.jerk
     shortest = 2.0 * math.sqrt(speed / jerk) if speed * jerk <= most**2 else speed / most + most / jerk
     took_s, way_m = brake(velocity, dt_s)
@@ -31,7 +31,7 @@ def test_braking_takes_the_shortest_time_there_is(velocity: float, dt_s: float) 
     assert way_m == pytest.approx(velocity * shortest / 2.0, rel=1e-3)  # the profile is symmetrical in time
 
 
-def test_whatever_is_wanted_acceleration_and_jerk_keep_their_limits() -> None:
+def test_acceleration_and_jerk_keep_their_limits_for_any_command() -> None:
     dice, motion, wanted = random.Random(1), TrajectorySmoothing(), 0.0
     for k in range(20_000):
         if k % 37 == 0:
@@ -54,7 +54,7 @@ def test_a_speed_is_reached_without_overshoot_and_kept() -> None:
 
 
 @pytest.mark.parametrize("velocity", [0.2, 0.8, 1.2])
-def test_it_stops_where_a_mode_is_to_stay_and_never_goes_beyond(velocity: float) -> None:
+def test_it_stops_at_the_hold_position_without_overshoot(velocity: float) -> None:
     place = LIMITS.stopping_m(velocity)
     assert place == pytest.approx(velocity**2 / 4.0 + 0.6 * velocity)
     motion, farthest = TrajectorySmoothing(0.0, velocity), 0.0
@@ -65,7 +65,7 @@ def test_it_stops_where_a_mode_is_to_stay_and_never_goes_beyond(velocity: float)
     assert farthest <= place + 1e-6
 
 
-def test_a_place_is_approached_no_faster_than_it_can_be_stopped_at() -> None:
+def test_a_position_is_approached_only_as_fast_as_braking_allows() -> None:
     assert LIMITS.speed_towards(0.0) == 0.0
     assert LIMITS.speed_towards(50.0) == 1.0
     assert LIMITS.speed_towards(-50.0) == -1.0
