@@ -22,7 +22,7 @@ room = mmap.mmap(-1, (1 << 20 if limit == resource.RLIM_INFINITY else limit) + 1
 place = ctypes.c_void_p(ctypes.addressof(ctypes.c_char.from_buffer(room)))
 may = ctypes.CDLL(None).mlock2(place, ctypes.c_size_t(len(room)), 1) == 0
 ctypes.CDLL(None).munlockall()
-locked = memory_lock.settle()
+locked = memory_lock.lock_memory_and_freeze_gc()
 made = bytearray(64 << 20)
 status = open("/proc/self/status").read().splitlines()
 kilobytes = int(next(line for line in status if line.startswith("VmLck")).split()[1])

@@ -203,7 +203,7 @@ def test_readiness_and_watchdog_are_reported_to_systemd(config: Path, tmp_path: 
 
 def test_a_ready_pilot_has_locked_its_memory_and_is_small(config: Path, tmp_path: Path) -> None:
     """The memory is locked if this user may lock it; test_memory_lock.py tests the lock."""
-    settle = [sys.executable, "-c", "from uav_recon import steady; print(steady.settle())"]
+    settle = [sys.executable, "-c", "from uav_recon.app import memory_lock as m; print(m.lock_memory_and_freeze_gc())"]
     may = subprocess.run(settle, capture_output=True, text=True, timeout=60, check=True).stdout == "True\n"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))

@@ -20,7 +20,7 @@ def bench(*arguments: str) -> tuple[int, str, str]:
 
 @pytest.mark.slow
 def test_memory_disk_and_views_stay_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sitl.apps.flight_judge, "truth_cut", quick_cut)
+    monkeypatch.setattr(sitl.apps.flight_judge, "visible_truth", quick_cut)
     monkeypatch.setattr(seeded_views, "TRUTH_POINTS", 30_000)
     monkeypatch.setattr(training_run, "SAMPLES", 30_000)
     monkeypatch.setattr(keyframe_buffer, "MAX_VIEWS", 16)

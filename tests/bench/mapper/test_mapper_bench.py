@@ -27,7 +27,7 @@ def bench(*arguments: str) -> tuple[int, str, str]:
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sitl.apps.flight_judge, "truth_cut", quick_cut)
+    monkeypatch.setattr(sitl.apps.flight_judge, "visible_truth", quick_cut)
     monkeypatch.setattr(seeded_views, "TRUTH_POINTS", 30_000)
     monkeypatch.setattr(seeded_views, "HELD_OUT_STRIDE", 16)
     monkeypatch.setattr(training_run, "RECALL_STEPS", 20)

@@ -50,8 +50,8 @@ LAUNCHER = """
     from pathlib import Path
     from rich.console import Console
     from sitl.apps import sim_processes
-    from sitl.runtime.die_with_parent import leashed
-    from uav_recon.errors import Failure
+    from sitl.runtime.die_with_parent import die_with_parent_command
+    from uav_recon.errors import UserError
 
     def through(command):  # the launcher keeps no pipe open but these programs tell us of themselves
         return ["/bin/sh", "-c", 'exec "$@" ' + sys.argv[2] + '> ' + sys.argv[3], "sh", *command, sys.argv[2]]
@@ -62,7 +62,7 @@ LAUNCHER = """
     sim_processes.GRACE_S = dict.fromkeys(sim_processes.GRACE_S, 0.2)
     try:
         fault = sim_processes.Children(commands, folder, folder, Console()).fly()
-    except Failure as failure:
+    except UserError as failure:
         print(failure)
         sys.exit(failure.code)
     print(f"fault: {fault}")

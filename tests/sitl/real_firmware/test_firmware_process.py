@@ -29,13 +29,13 @@ EAST = (HALF, 0.0, 0.0, HALF)  # ned_from_frd of a level body heading east
 STAND_IN = """#!{python}
 import socket, sys, time
 from pymavlink.dialects.v20 import common as mavlink
-from sitl.autopilots.mavlink_codec import Listener, Speaker, packet
+from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, packet
 
 port = int(next(a for a in sys.argv if a.startswith("--serial1=")).rpartition(":")[2])
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
     link.connect(("127.0.0.1", port))
     link.settimeout(0.01)
-    vehicle, other, heard, asked = Speaker(1, 1), Speaker(7, 1), Listener(), set()
+    vehicle, other, heard, asked = MessageEncoder(1, 1), MessageEncoder(7, 1), MessageDecoder(), set()
     print("hello", flush=True)
     {first}
     for tick in range(6000):

@@ -16,11 +16,11 @@ from sitl.runtime.worker_pool import worker_pool
 
 SCRIPT = """
 import subprocess, sys, time
-from sitl.runtime.worker_pool import crew
+from sitl.runtime.worker_pool import worker_pool
 
 if __name__ == "__main__":
     try:
-        with crew(2) as hands:
+        with worker_pool(2) as hands:
             hands.submit(subprocess.run, ["sleep", "61.5"])
             hands.submit(time.sleep, 60).result()
     except KeyboardInterrupt:
