@@ -1,12 +1,13 @@
--- uav_recon, ArduCopter: land at once when the companion falls silent. Copy it to APM/scripts of the card; SCR_ENABLE 1.
+-- uav_recon, ArduCopter: land at once if the companion's heartbeats stop. Copy it to APM/scripts on the SD card; SCR_ENABLE 1.
 --
--- FS_GCS_ENABLE lands too, but FS_GCS_TIMEOUT later, 2 s at least, and then hovers for four seconds before it descends
--- (LAND_WITH_DELAY_MS in ArduCopter's mode_land.cpp). The companion's poses are gone with it, so all of that is blind drift
--- beside walls. This lands as a command does, without the wait. ArduCopter's own failsafe stays behind it, but for the landing
--- that this began: it would begin its wait then, half a second on. FS_GCS_ENABLE is 0 until the motors stand, and never saved so.
+-- FS_GCS_ENABLE lands, too, but only after FS_GCS_TIMEOUT (at least 2 s), and then hovers for 4 s before it descends
+-- (LAND_WITH_DELAY_MS in ArduCopter's mode_land.cpp). Without the companion there are no poses, so the vehicle would drift beside
+-- walls during that time. This script lands like a command, without the pause. ArduCopter's failsafe remains as a backup, except
+-- during a landing started here, where it would start its pause half a second later. Therefore FS_GCS_ENABLE is set to 0 until
+-- the motors stop; this value is never saved.
 --
--- UVR_SILENCE_S: seconds without a heartbeat of MAV_GCS_SYSID (it comes at 5 Hz) in GUIDED, armed. The parameter is there only
--- while this script runs: uav_recon reads it before it arms, and does not arm without it.
+-- UVR_SILENCE_S: time in s without a heartbeat of MAV_GCS_SYSID (sent at 5 Hz) after which an armed vehicle in GUIDED lands. The
+-- parameter exists only while this script runs: uav_recon reads it before arming, and does not arm without it.
 
 local GUIDED, LAND = 4, 9
 local CRITICAL = 2

@@ -1,1 +1,1 @@
-"""The outside world for tests: scene, vehicle, camera, autopilot. Nothing here is in the product."""
+"""The simulator: scene, vehicle, camera and autopilot. Not part of the flight software."""

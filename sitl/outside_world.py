@@ -1,4 +1,4 @@
-"""The outside world as one object with a step(): vehicle and autopilot, camera, late poses, and the truth it keeps."""
+"""The simulator as one object: vehicle and autopilot, camera, delayed poses, ground truth."""
 
 from __future__ import annotations
 
@@ -19,85 +19,85 @@ from sitl.world.pose_tracker import SimulatedTracker
 from sitl.world.step_sizes import REAL, StepSizes
 
 F64 = NDArray[np.float64]
-PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # taking off and landing so low over the ground, nearness to it is no fault
+PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # clearance is not measured below this height at the pad or in a landing
 BODY_ABOVE_FLOOR_M = 0.10
 
 
 class Flyer(Protocol):
-    """What flies the vehicle: a simulated autopilot with its physics, or a real firmware with its own."""
+    """Vehicle with its autopilot: simulated, or a real firmware with its own physics."""
 
     @property
     def setpoint_arrivals_s(self) -> list[float]:
-        """World-clock arrivals of setpoints while armed and flying by them, where they can be seen."""
+        """World-clock arrivals (s) of setpoints while armed and following them; empty if unknown."""
         ...
 
     @property
     def failsafes(self) -> list[str]:
-        """What went wrong and what was done about it, in order."""
+        """Descriptions of the failsafes that acted, in order."""
         ...
 
     @property
     def texts(self) -> list[str]:
-        """Every STATUSTEXT."""
+        """Every STATUSTEXT sent."""
         ...
 
     @property
     def version(self) -> str:
-        """Of a real firmware; '' for none."""
+        """Version of a real firmware; '' for a simulated autopilot."""
         ...
 
     @property
     def battery_fraction(self) -> float:
-        """State of charge now."""
+        """State of charge, 0 to 1."""
         ...
 
     @property
     def boot_s(self) -> float:
-        """When it booted, on the world's clock."""
+        """Time of boot, s on the world clock."""
         ...
 
     def pilot_takes_over(self, mode: str) -> None:
-        """A switch on the transmitter. Raises KeyError for a mode that there is not."""
+        """Change the mode by a switch on the transmitter. Raises KeyError for an unknown mode."""
         ...
 
     def step(self, now_s: float) -> None:
-        """Advance to now_s on the world's clock."""
+        """Advance to now_s on the world clock."""
         ...
 
     def truth(self) -> VehicleTruth:
-        """The vehicle as it really is at the last step."""
+        """Return the true state of the vehicle at the last step."""
         ...
 
 
 class Outlet(Protocol):
-    """Where the camera's stream goes: the wire format's writer, or whatever stands before it."""
+    """Output of the camera stream: the stream file's writer, or a fault injector before it."""
 
     def write_frame(self, stamp_s: float, depth_mm: NDArray[np.uint16], rgb: NDArray[np.uint8]) -> None:
-        """A frame."""
+        """Write a frame: depth_mm (H, W), rgb (h, w, 3)."""
         ...
 
     def write_imu(self, stamp_s: float, gyro_radps: F64, specific_force_mps2: F64) -> None:
-        """An inertial sample."""
+        """Write an IMU sample: gyro (3,), rad/s; specific force (3,), m/s^2; FLU."""
         ...
 
     def write_pose(
         self, stamp_s: float, position_m: F64, quat_wxyz: F64, variance: F64, quality: int, reset_counter: int
     ) -> None:
-        """A pose, on its arrival."""
+        """Write a pose odom_from_body at its delivery; arguments as PoseRecord."""
         ...
 
 
 @dataclass
 class TruthLog:
-    """What really happened, sampled at the pace's truth_hz, in the world frame.
+    """Ground truth of a flight in the world frame, sampled at truth_hz.
 
-    A row: stamp, position, attitude wxyz, whether clearance is to be measured there, armed, landing.
+    A row: stamp (s), position (3, m), attitude wxyz (4), and the flags clearance measured, armed, landing.
     """
 
     rows: list[tuple[float, ...]]
 
     def save(self, path: Path, world: OutsideWorld) -> None:
-        """Write it with the setpoint arrivals and the failsafes; atomic."""
+        """Write the rows, the setpoint arrivals and the failsafes to an npz file, atomically."""
         table = np.array(self.rows, dtype=np.float64).reshape(-1, 11)
         hull_m, measured = np.full(len(table), np.nan), table[:, 8] > 0
         hull_m[measured] = world.clearance.batch(table[measured, 1:4])
@@ -117,7 +117,7 @@ class TruthLog:
 
 
 class OutsideWorld:
-    """Everything outside the product. step(now_s) is called every few milliseconds of its clock."""
+    """Simulator of everything outside the product; call step(now_s) every few ms of its clock."""
 
     def __init__(
         self,
@@ -130,7 +130,10 @@ class OutsideWorld:
         mount_pitch_down_rad: float | None,
         pace: StepSizes = REAL,
     ) -> None:
-        """A mount_pitch_down_rad of None is a gimbal: its angle is the flyer's."""
+        """Set up the simulator at start_s.
+
+        mount_pitch_down_rad: tilt of a fixed camera; None: a gimbal controlled by the flyer.
+        """
         self._imu_hz, self._truth_hz = pace.imu_hz, pace.truth_hz
         self.flyer, self.camera, self._poses, self.clearance = flyer, camera, poses, clearance
         self.stream, self._start_s, self._mount_pitch_down_rad = stream, start_s, mount_pitch_down_rad
@@ -139,13 +142,13 @@ class OutsideWorld:
 
     @property
     def autopilot(self) -> Autopilot:
-        """The simulated autopilot, for those who meddle with it. Raises TypeError where a real firmware flies."""
+        """The simulated autopilot, for fault injection. Raises TypeError for a real firmware."""
         if not isinstance(self.flyer, Autopilot):
             raise TypeError("a real firmware flies")
         return self.flyer
 
     def step(self, now_s: float) -> None:
-        """Fly to now_s, publish what the sensors saw on the way, keep the truth."""
+        """Advance to now_s; publish the IMU samples and poses due by then, and record the truth."""
         while (stamp_s := self._start_s + self._imu_count / self._imu_hz) <= now_s + 1e-9:
             self._publish_imu(stamp_s)
         self.flyer.step(now_s)
@@ -153,7 +156,7 @@ class OutsideWorld:
         self._keep_truth(now_s)
 
     def _publish_imu(self, stamp_s: float) -> None:
-        """A sample of its own instant, however late this call comes: a computer that stalls does not stall gyros."""
+        """Publish the sample of stamp_s, simulated for that time even if this call is late."""
         self.flyer.step(stamp_s)
         truth = self.flyer.truth()
         self.stream.write_imu(stamp_s, np.asarray(truth.gyro), np.asarray(truth.specific_force))
@@ -184,28 +187,28 @@ class OutsideWorld:
         return rigid(rotation_from_quat(truth.quat_wxyz), truth.position)
 
     def frame_due(self, now_s: float) -> bool:
-        """Whether the shutter opens now; true once per camera period."""
+        """Return True once per camera period, when a frame is due."""
         if self._start_s + self._frame_count * self.camera.period_s > now_s + 1e-9:
             return False
         self._frame_count = int((now_s - self._start_s) / self.camera.period_s + 1e-9) + 1
         return True
 
     def expose(self, now_s: float) -> PendingFrame:
-        """What the shutter caught: take it in the stepping thread, develop it anywhere."""
+        """Return the pose of a frame at now_s. Call it in the stepping thread; develop() in any."""
         pitch_rad = self._mount_pitch_down_rad
         if pitch_rad is None:
             pitch_rad = self.flyer.truth().gimbal_pitch_down_rad
         return PendingFrame(now_s, self._world_from_body(), pitch_rad)
 
     def develop(self, exposure: PendingFrame) -> None:
-        """Render an exposure and publish it."""
+        """Render a frame and publish it."""
         depth_mm, rgb = self.camera.capture(exposure.world_from_body, exposure.pitch_down_rad)
         self.stream.write_frame(exposure.stamp_s, depth_mm, rgb)
 
 
 @dataclass(frozen=True)
 class PendingFrame:
-    """Where the camera was when the shutter opened."""
+    """Time and pose of a frame that is not rendered yet: world_from_body (4, 4)."""
 
     stamp_s: float
     world_from_body: NDArray[np.float64]
@@ -213,7 +216,7 @@ class PendingFrame:
 
 
 class Darkroom:
-    """A thread that develops the newest exposure, so that rendering never delays the autopilot."""
+    """Thread that renders the newest frame, so that rendering never delays the autopilot."""
 
     def __init__(self, world: OutsideWorld) -> None:
         self._world = world
@@ -224,7 +227,7 @@ class Darkroom:
         self._thread.start()
 
     def submit(self, exposure: PendingFrame) -> None:
-        """Hand over an exposure; an older one not begun yet is dropped, as a real camera would."""
+        """Queue a frame; an older one not started yet is dropped, as in a real camera."""
         with self._wake:
             self._newest = exposure
             self._wake.notify()

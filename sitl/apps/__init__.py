@@ -1,1 +1,1 @@
-"""Composition roots of the simulator: sim, sweep, lockstep, the world process."""
+"""Composition roots of the simulator: sim, sweep, lockstep, simulator process."""

@@ -1,4 +1,4 @@
-"""A mapper that learns nothing: the surface straight from the keyframes' depth, for flights that are judged without a model."""
+"""Depth-only mapper: surface elements from keyframe depth, without learning or a model."""
 
 from __future__ import annotations
 
@@ -16,10 +16,13 @@ from uav_recon.types.pose import MapCorrection
 
 
 class DepthOnlyMapper:
-    """A Mapper for lockstep: it takes and refuses the same views as the neural one and gives as dense a surface, no mesh."""
+    """Mapper for lockstep flights that are evaluated without a reconstructed model; no mesh.
+
+    It accepts and rejects the same keyframes as the neural mapper, and its surface elements are equally dense.
+    """
 
     def __init__(self, config: Config) -> None:
-        """Compiles its kernel."""
+        """Compile the kernels and create an empty surface inside the fence."""
         depth_surfels.warm_up()
         self._low, self._high = padded(np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m))
         self._voxel_m = config.mapper.surface_voxel_m
@@ -30,7 +33,7 @@ class DepthOnlyMapper:
         self._revision, self._map_epoch, self._stale = 0, 0, False
 
     def add(self, keyframe: PosedFrame) -> bool:
-        """Take a view; a few milliseconds. False where the neural mapper would refuse it too."""
+        """Add a keyframe; takes a few ms. Return False if the neural mapper would reject it, too."""
         reason = reject_reason(keyframe, self._low, self._high)
         if reason is not None:
             self._refusals.note(reason)
@@ -44,23 +47,23 @@ class DepthOnlyMapper:
         return True
 
     def refused(self) -> dict[str, int]:
-        """Views that were not taken, by reason."""
+        """Return the number of rejected keyframes by reason."""
         return in_words(self._refusals.counts)
 
     def repose(self, correction: MapCorrection) -> None:
-        """Forget the old map: unlike the neural mapper it keeps no views to learn a new one from."""
+        """Discard the surface at a new map epoch; unlike the neural mapper it keeps no keyframes."""
         self._memory = DepthSurfels(self._low, self._high, self._voxel_m)
         self._surface, self._map_epoch, self._stale = None, correction.map_epoch, False
 
     def surface(self) -> SurfaceElements | None:
-        """The surface after the last view; None before the first."""
+        """Return the surface after the last keyframe; None before the first."""
         if self._stale and len(self._memory):
             self._surface, self._stale = SurfaceElements(*self._memory.elements(), self._revision, self._map_epoch), False
         return self._surface
 
     def alive(self) -> bool:
-        """Always: there is no process to lose."""
+        """Return True: there is no process that could fail."""
         return True
 
     def finish(self, folder: Path) -> None:
-        """Leave no mesh."""
+        """Do nothing: there is no mesh to write."""

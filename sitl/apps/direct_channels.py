@@ -1,4 +1,4 @@
-"""Channels for quick lockstep: values are handed over as they are, since they are frozen and no process lies between."""
+"""Channels for quick lockstep: frozen values are passed by reference, without encoding."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ T = TypeVar("T")
 
 
 class DirectChannel(Generic[T]):
-    """A last-value channel in one process without encoding; its readers must not outlive what a value lends them."""
+    """A last-value channel within one process, without encoding.
+
+    A reader must not keep a value longer than the buffers that the value refers to are valid.
+    """
 
     def __init__(self) -> None:
         self._value: T | None = None
@@ -22,16 +25,16 @@ class DirectChannel(Generic[T]):
         self._sequence += 1
 
     def latest(self) -> T | None:
-        """The newest value."""
+        """Return the newest value; None before the first."""
         return self._value
 
     def sequence(self) -> int:
-        """Values published so far."""
+        """Return the number of published values."""
         return self._sequence
 
 
 def direct_channels() -> FlightChannels:
-    """All of a flight's channels."""
+    """Return all channels of a flight."""
     return FlightChannels(
         DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
         DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),

@@ -1,4 +1,4 @@
-"""The judge: the product's own account of a flight held against the simulator's truth, written as report.json and .html."""
+"""Evaluation of a flight against ground truth, written as report.json and report.html."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CONTACT_M = 1e-3
 
 @dataclass(frozen=True)
 class FlightTruth:
-    """What the simulator saw; hull_m is NaN on the ground and on the pad."""
+    """Ground truth of a flight; hull_m is the clearance of the hull, NaN on ground and pad."""
 
     stamp_s: F64
     position_m: F64
@@ -49,7 +49,7 @@ class FlightTruth:
 
     @staticmethod
     def load(path: Path) -> FlightTruth | None:
-        """Read what the world wrote; None if it could not write."""
+        """Read the simulator's truth file; None if there is none."""
         if not path.exists():
             return None
         with np.load(path) as data:
@@ -60,7 +60,7 @@ class FlightTruth:
 
 
 def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:
-    """Hold the flight in options.out against truth and write the report beside it."""
+    """Evaluate the flight in options.out against ground truth and write the report there."""
     with console.status("cutting truth to what the camera could see ..."):
         cut = visible_truth(options, scene)
     with console.status("measuring the model against truth ..."):
@@ -75,13 +75,16 @@ def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, c
 
 
 def visible_truth(options: SimOptions, scene: Scene) -> VisibleTruth:
-    """What the camera of the options can see of the scene, from the cache or made anew."""
+    """Return what the camera of the options can see of the scene, from the cache or computed."""
     camera: Model = "wide" if options.camera == "wide" else "d435i"  # `fast` sees what the d435i sees
     return load_visible_truth(scene, options.mount, camera, cache_folder())
 
 
 def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -> Report:
-    """The product's account of the flight in options.out, with what the simulator saw of it. Quick."""
+    """Return the product's report of the flight in options.out, with figures from ground truth.
+
+    These are path, flight time, setpoint stream and safety. Quick.
+    """
     card = FlightInfo(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
     report, truth = build_report(options.out, card, wall_s), FlightTruth.load(options.out / "truth.npz")
     if fault:
@@ -100,7 +103,7 @@ def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -
 
 
 def against_truth(report: Report, options: SimOptions, scene: Scene, cut: VisibleTruth) -> Report:
-    """Add how much of the truth was explored, and when its surface was recalled."""
+    """Add the explored fraction of the truth, and the recall of its surface over time."""
     voxels, curve = load_map(options.out), recall_over_time(options.out, cut)
     return dataclasses.replace(
         report,
@@ -122,7 +125,10 @@ def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth) -> ReportQuali
 
 
 def recall_over_time(folder: Path, cut: VisibleTruth) -> tuple[tuple[float, int, float], ...] | None:
-    """(seconds since the order to take off, views then taken, recall) of every state of the surface that a flight kept."""
+    """Return (time, views, recall) of every stored state of the surface; None if unknown.
+
+    time: seconds since the take-off command. views: number of views taken by then.
+    """
     timeline, states = read_timeline(folder), load_states(folder)
     start_s = timeline.took_off_s()
     if start_s is None or not states or not len(cut.points):
@@ -151,7 +157,10 @@ def _held_out_pictures(
 
 
 def _explored_fraction(voxels: VoxelMap, scene: Scene, cut: VisibleTruth) -> float | None:
-    """Share of the truth's free cells that the map knows: as free, or as occupied where true surface is within the voxel."""
+    """Return the share of the truth's free cells that the map knows.
+
+    A cell is known if the map has it as free, or as occupied with true surface within the voxel.
+    """
     cells = np.argwhere(cut.free_seen)
     centres = cut.free_origin_m + (cells + 0.5) * cut.free_cell_m
     index = voxels.grid.index(centres)
@@ -180,7 +189,10 @@ def _stream(truth: FlightTruth) -> ReportStream:
 
 
 def _lookahead(truth: FlightTruth, config: Config) -> PathVisibility:
-    """Where a gimbal looked is not in the truth."""
+    """Return the share of the path that the camera saw ahead.
+
+    Unknown for a gimbal, whose angle is not in the truth.
+    """
     camera = config.camera
     if camera.mount == "gimbal":
         return PathVisibility(None, None)
@@ -209,7 +221,7 @@ def _safety(truth: FlightTruth, refusals: int, scene: Scene, looked: PathVisibil
 
 
 def summary(report: Report, folder: Path) -> str:
-    """What the launcher prints at the end."""
+    """Return the text that the launcher prints at the end."""
     quality, safety = report.quality, report.safety
 
     def figure(value: float | None, unit: str, digits: int = 2) -> str:

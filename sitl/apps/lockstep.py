@@ -1,4 +1,7 @@
-"""The same flight in one process on a manual clock: same objects, same bytes through a pipe in memory, repeatable."""
+"""Flight in lockstep: all components in one process on a manual clock, repeatable.
+
+The objects and the MAVLink bytes are the same as in real time; the bytes pass through a pipe in memory.
+"""
 
 from __future__ import annotations
 
@@ -46,9 +49,10 @@ LONGEST_S = 3600.0
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight in lockstep: its fault in one line or None, how long it was on its own clock, and what it took on ours.
+    """Result of a flight in lockstep.
 
-    wall_s and processor_s are of the flight alone, from the first turn to the last.
+    fault: one line, None without a fault. simulated_s: duration on the simulated clock. wall_s, processor_s: wall and
+    processor time of the flight alone, from the first iteration to the last.
     """
 
     fault: str | None
@@ -58,72 +62,78 @@ class Flown:
 
 
 class LockstepHook(Protocol):
-    """Who takes part in a flight in lockstep: between the world and the product, and in the turns of the product's loops."""
+    """Hook into a flight in lockstep, for fault injection and measurements.
+
+    It can act between simulator and product, and on each iteration of the product's loops.
+    """
 
     def enter(self, world: OutsideWorld, channels: object, now_s: float) -> None:
-        """The world is made."""
+        """Attach to the simulator and the channels, before the flight."""
         ...
 
     def link(self, end: ByteLink) -> ByteLink:
-        """What stands at the product's end of the MAVLink link."""
+        """Return the product's end of the MAVLink link: the given end, or a proxy for it."""
         ...
 
     def turn(self, now_s: float) -> None:
-        """A turn begins."""
+        """Act at the start of an iteration."""
         ...
 
     def runs(self, stage: str) -> bool:
-        """Whether pilot, perception or mission makes its turn, and a call of the planner returns."""
+        """Return True if a stage runs in this iteration.
+
+        Stages: pilot, perception, mission; and planner, whose calls do not return while it does not run.
+        """
         ...
 
     def restarts(self, stage: str) -> bool:
-        """Whether it is built anew first."""
+        """Return True if a stage is restarted (created again) in this iteration."""
         ...
 
     def holds(self) -> bool:
-        """Whether the operator tells the vehicle to stay where it is."""
+        """Return True if the operator commands a hold."""
         ...
 
     def attends(self) -> bool:
-        """Whether the operator asks how it stands; once a second."""
+        """Return True if the operator requests the status; called once a second."""
         ...
 
     def over(self, finished: bool) -> bool:
-        """Whether the flight ends here; finished: the mission says so."""
+        """Return True if the flight ends here. finished: the mission is finished."""
         ...
 
 
 class NoHook:
-    """A flight as it is."""
+    """Hook without effect: a nominal flight without an operator."""
 
     def enter(self, world: OutsideWorld, channels: object, now_s: float) -> None:
-        """Look on."""
+        """Do nothing."""
 
     def link(self, end: ByteLink) -> ByteLink:
-        """The link itself."""
+        """Return the given end."""
         return end
 
     def turn(self, now_s: float) -> None:
-        """Look on."""
+        """Do nothing."""
 
     def runs(self, stage: str) -> bool:
-        """All do."""
+        """Return True."""
         return True
 
     def restarts(self, stage: str) -> bool:
-        """None is."""
+        """Return False."""
         return False
 
     def holds(self) -> bool:
-        """Nobody does."""
+        """Return False."""
         return False
 
     def attends(self) -> bool:
-        """Nobody does."""
+        """Return False."""
         return False
 
     def over(self, finished: bool) -> bool:
-        """With the mission."""
+        """Return True once the mission is finished."""
         return finished
 
 
@@ -131,39 +141,43 @@ NOBODY = NoHook()
 
 
 class Call(Generic[T]):
-    """Work handed to the planner's thread: not done while that does not run."""
+    """Pending result of the planner; not done while the hook stops the planner."""
 
     def __init__(self, inner: Pending[T], meddler: LockstepHook) -> None:
         self._inner, self._meddler = inner, meddler
 
     def done(self) -> bool:
-        """Whether it has returned."""
+        """Return True if the result is available."""
         return self._meddler.runs("planner") and self._inner.done()
 
     def result(self) -> T:
-        """What it returned."""
+        """Return the result of the work."""
         return self._inner.result()
 
 
 class Calls:
-    """The executor of the mission's plans, in which a call may hang."""
+    """Executor of the mission's planning, in which the hook can make a call hang."""
 
     def __init__(self, inner: InlineExecutor, meddler: LockstepHook) -> None:
         self._inner, self._meddler = inner, meddler
 
     def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
-        """Start work."""
+        """Start work; its result becomes available after cost_s of simulated time."""
         return Call(self._inner.submit(work, cost_s), self._meddler)
 
     def close(self) -> None:
-        """Nothing runs here."""
+        """Do nothing: work runs inline."""
 
 
 def fly_in_lockstep(
     options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool], timelapse: bool = True,
     meddler: LockstepHook = NOBODY,
 ) -> Flown:  # fmt: skip
-    """Fly. land() is asked whether the operator wants to land now; timelapse: keep states of the surface, for recall."""
+    """Run a flight in lockstep and write its results to options.out.
+
+    land: returns True if the operator wants to land now. timelapse: store states of the surface, from which recall over
+    time is computed. meddler: the hook of this flight.
+    """
     clock, quick = ManualClock(START_S), options.mapper == "stand-in"
     pace, wires = (QUICK, direct_channels()) if quick else (REAL, memory_channels())
     ours, theirs = pipe()
@@ -176,7 +190,7 @@ def fly_in_lockstep(
     pilot = factory.make_pilot(config, wires, link, log, clock)
     perception = factory.make_perception(config, wires, clock)
     conductor = factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
-    watchers: list[Recorder | Timelapse] = []  # the recorder keeps states of the surface too
+    watchers: list[Recorder | Timelapse] = []  # the recorder stores states of the surface, too
     if config.recording.rerun:
         watchers.append(factory.make_recorder(config, wires, options.out, clock))
     elif timelapse:
@@ -235,7 +249,7 @@ def fly_in_lockstep(
 
 @contextmanager
 def interrupts() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed; a second one ends the process at once."""
+    """Yield a function that returns True after Ctrl-C; a second Ctrl-C ends the process at once."""
     pressed: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -251,7 +265,7 @@ def interrupts() -> Iterator[Callable[[], bool]]:
 
 
 def _mapper(options: SimOptions, config: Config) -> Mapper:
-    """The mapper of the options, warm."""
+    """Return the mapper of the options, with its kernels compiled."""
     return {"neural": _neural, "stand-in": _stand_in}[options.mapper](config, options.out)
 
 

@@ -1,4 +1,4 @@
-"""flight.tlog of a flight in lockstep: kept in memory and written at its end, so that no thread stands beside the flight."""
+"""MAVLink log (flight.tlog) in memory, written at the end of a lockstep flight."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ _STAMP = struct.Struct(">Q")
 
 
 class MemoryTlog:
-    """The same file as the product's own Tlog: 8 bytes big-endian microseconds of the flight's clock, then the raw frame."""
+    """MAVLink log with the same file format as the product's Tlog, but without a thread.
+
+    A record is the flight's clock in µs, 8 bytes big-endian, followed by the raw frame.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path, self._bytes = path, bytearray()
 
     def record(self, now_s: float, frame: bytes) -> None:
-        """Note one frame."""
+        """Append one frame."""
         self._bytes += _STAMP.pack(int(now_s * 1e6)) + frame
 
     def close(self) -> None:
-        """Write them. Raises OSError."""
+        """Write the file. Raises OSError."""
         self._path.write_bytes(self._bytes)

@@ -1,4 +1,4 @@
-"""What a person sees while the simulation flies: one live line of phase, views, coverage, path and planning."""
+"""Progress of a simulated flight: one live line of phase, views, coverage, path, planning."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from uav_recon.types.vehicle import MissionProgress
 
 
 class ProgressDisplay:
-    """A live line; on a dumb terminal or in a log, a plain line at each change of phase and every ten views."""
+    """A live line on a terminal; elsewhere a line at each change of phase and every ten views."""
 
     def __init__(self, console: Console, wires: FlightChannels) -> None:
         self._console, self._wires = console, wires
@@ -30,7 +30,7 @@ class ProgressDisplay:
             self._live.stop()
 
     def show(self) -> bool:
-        """Show the newest progress; False while the mission has not reported yet."""
+        """Show the newest progress; return False while the mission has not reported yet."""
         progress = self._wires.progress.latest()
         if progress is None:
             self._waiting()

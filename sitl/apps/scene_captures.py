@@ -1,6 +1,6 @@
-"""Views of a scene from places that the vehicle can reach, as the simulated camera takes them, and what they saw.
+"""Images of a scene by the simulated camera from reachable positions, and what they show.
 
-For benches that need the same pictures again and again: one seed, the same poses and the same noise.
+For benchmarks that need identical images: a seed determines the poses and the noise.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class SceneCaptures:
-    """depth_mm (K, H, W), 0 = no return; rgb (K, h, w, 3); world_from_depth (K, 4, 4) true; header: both cameras."""
+    """Captured images.
+
+    depth_mm (K, H, W): 0 = no return. rgb (K, h, w, 3). world_from_depth (K, 4, 4): true poses. header: both cameras.
+    """
 
     header: StreamHeader
     depth_mm: U16
@@ -40,9 +43,10 @@ class SceneCaptures:
 
 @dataclass(frozen=True)
 class Pixels:
-    """Pixels of held-out colour pictures: the number of the picture (N,), ascending; origin (N, 3) and unit direction (N, 3)
-    of their rays; the true rgb (N, 3); and the surface that they show: point (N, 3), its unit normal (N, 3); world, metres.
-    Pixels that show nothing are left out.
+    """Pixels of held-out colour images; world frame, m. Pixels without a surface are left out.
+
+    picture (N,): index of the image, ascending. origin (N, 3) and direction (N, 3, unit): rays. rgb (N, 3): true colour.
+    point (N, 3) and normal (N, 3, unit): the visible surface.
     """
 
     picture: NDArray[np.int64]
@@ -63,9 +67,10 @@ def capture(
     seed: int,
     taken: Callable[[], None] = lambda: None,
 ) -> SceneCaptures:
-    """Take ``count`` views from random places out of positions (P, 3), random headings; about 20 ms a view.
+    """Capture ``count`` images at random positions out of positions (P, 3) with random headings.
 
-    pitch_down_rad: tilt of a fixed mount; None: a gimbal, tilted at random. taken() is called after each view.
+    pitch_down_rad: tilt of a fixed mount; None: a gimbal with random tilt. taken() is called after each image. Takes about
+    20 ms per image.
     """
     eye = d435i.SimulatedD435i(Renderer(scene.vertices, scene.faces, scene.rgb), camera, noise, seed)
     rng = np.random.default_rng([seed, POSE_STREAM])
@@ -85,7 +90,10 @@ def capture(
 
 
 def held_out(scene: Scene, world_from_rgb: F64, spec: CameraSpec, stride: int) -> Pixels:
-    """Every stride-th pixel, each way, of true pictures from world_from_rgb (V, 4, 4). About 20 ms a picture."""
+    """Return every stride-th pixel, in u and v, of true images at world_from_rgb (V, 4, 4).
+
+    Takes about 20 ms per image.
+    """
     import open3d
 
     tensor = open3d.core.Tensor.from_numpy
@@ -112,9 +120,11 @@ def held_out(scene: Scene, world_from_rgb: F64, spec: CameraSpec, stride: int) -
 
 
 def seen(scene: Scene, captures: SceneCaptures, points: F32, normals: F32) -> tuple[NDArray[np.int64], Bools]:
-    """For surface points (N, 3) with normals (N, 3): how many views got a depth return from each (N,), and whether the
-    colour picture of such a view shows it (N,). About 0.1 s a view for half a million points.
-    """  # fmt: skip
+    """Return how many views measured each surface point (N,), and whether colour shows it (N,).
+
+    points (N, 3) have normals (N, 3). The second result is True if the colour image of such a view contains the point.
+    Takes about 0.1 s per view for half a million points.
+    """
     sight, every = LineOfSight(scene, points, normals), np.arange(len(points))
     looks, coloured = np.zeros(len(points), np.int64), np.zeros(len(points), np.bool_)
     lens = captures.header.rgb

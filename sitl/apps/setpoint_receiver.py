@@ -1,7 +1,7 @@
-"""The far end of `uav-recon bench setpoints`: a simulated autopilot, and a perception and a mission that want to hover.
+"""Receiver for `uav-recon bench setpoints`: simulated autopilot, and inputs for a hover.
 
 Run as a process: `python -m sitl.apps.setpoint_receiver CONFIG SECONDS AUTOPILOT OUT`. SECONDS after the first setpoint in
-flight it writes OUT (arrivals_s, begin_s, end_s, kernel receive times). Exit code 1: the vehicle never flew.
+flight it writes OUT (arrivals_s, begin_s, end_s; kernel receive times). Exit code 1: the vehicle did not fly.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase
 
-GIVE_UP_S = 180.0  # not flying by then
-SETTLE_S = 1.0  # from the first setpoint that is flown to those that count
+GIVE_UP_S = 180.0  # timeout for the first setpoint in flight
+SETTLE_S = 1.0  # from the first setpoint in flight to the start of the measurement
 _POSES_HZ, _DEPTH_HZ, _INTENT_HZ = 30.0, 15.0, 20.0
 
 
 class Hover:
-    """What perception and mission say of a flight in an empty hall: up to the take-off height, and stay there."""
+    """Outputs of perception and mission for a hover at take-off height in an empty hall."""
 
     def __init__(self, config: Config, autopilot: Autopilot, start_s: float) -> None:
         self._config, self._autopilot = config, autopilot
@@ -55,7 +55,7 @@ class Hover:
         self._wires.free.publish(FreeSpace(grid, np.packbits(np.ones(grid.shape, dtype=np.bool_)), 1))
 
     def step(self, now_s: float) -> None:
-        """Publish what is due."""
+        """Publish poses, depth and intents that are due."""
         truth = self._autopilot.truth()
         if self._poses.due(now_s):
             pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position))
@@ -79,7 +79,7 @@ class Hover:
 
 
 def receive(config: Config, seconds: float, name: str, out: Path) -> int:
-    """Fly, and note when setpoints come."""
+    """Fly, and write the arrival times of the setpoints to out; return the exit code."""
     link = UdpPeer(remote=("127.0.0.1", int(config.link.url.rpartition(":")[2])))
     autopilot = _autopilot(name, link)
     hover, start_s = Hover(config, autopilot, time.monotonic()), time.monotonic()

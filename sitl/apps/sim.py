@@ -1,4 +1,4 @@
-"""`uav-recon sim`: starts the outside world and the unmodified product, watches them, judges the flight."""
+"""`uav-recon sim`: run simulator and unmodified product, watch them, evaluate the flight."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ __all__ = ["SimOptions", "simulate"]
 
 
 def simulate(options: SimOptions) -> int:
-    """Fly as asked; returns the exit code. Raises Failure with one line for anything a user can mend."""
+    """Run one flight and return the exit code.
+
+    Raises UserError with one line for anything that a user can correct.
+    """
     console = Console(stderr=False)
     _need_open3d()
     scene = _scene(options)
@@ -58,7 +61,7 @@ def _scene(options: SimOptions) -> Scene:
 
 
 def _need_open3d() -> None:
-    """Truth is measured with Open3D: say so before the flight, not after it."""
+    """Check that Open3D loads: the evaluation after the flight needs it. Raises UserError."""
     try:
         import open3d  # noqa: F401
     except (ImportError, OSError) as error:
@@ -74,7 +77,7 @@ def _claim_port(port: int) -> None:
 
 
 def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:
-    """The outside world and the unmodified product, in the order in which they start."""
+    """Return the command lines of simulator and unmodified product, in the order of their start."""
     world, flight = runtime / "world.json", ["--flight", str(options.out)]
     options.world(runtime).save(world)
     product, config = [sys.executable, "-m", "uav_recon"], ["--config", str(options.out / "config.toml")]

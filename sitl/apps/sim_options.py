@@ -1,4 +1,4 @@
-"""The options of `uav-recon sim`, checked, and the config of the product that they amount to."""
+"""The options of `uav-recon sim`, validated, and the product config that they give."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ VARIANTS, UNCERTAINTIES = get_args(VariantName), get_args(UncertaintyName)
 AUTOPILOTS = ("px4", "ardupilot")
 BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
 RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
-HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.20, 0.35  # between the hull and what is not known free, in a plan
+HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.20, 0.35  # from hull, and from body centre, to space not known free, in a plan
 MAX_MPS = 1.2
-BLIND_MPS, SLOWEST_MPS = 0.3, 0.1  # where the camera does not look; MAX_MPS is as good as not asked for
-BLIND_MEMORY_S = 60.0  # where it is: what is steep was mostly seen longer ago than ten seconds
-FENCE_MARGIN_M = 0.10  # between the hull and the fence: what is left of the other when the vehicle strays
-JOB_GB = 0.8  # of a process that flies in lockstep
+BLIND_MPS, SLOWEST_MPS = 0.3, 0.1  # default and minimum speed outside the camera's view; MAX_MPS disables the limit
+BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
+FENCE_MARGIN_M = 0.10  # between hull and fence, for position errors of the vehicle
+JOB_GB = 0.8  # memory of a process that flies in lockstep
 NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
 
 
 @dataclass(frozen=True)
 class SimOptions:
-    """What the user asked for. mount_pitch_down_deg None = gimbal."""
+    """The validated options. mount_pitch_down_deg None: gimbal. start: X, Y, Z (m), yaw (deg)."""
 
     scene: str | None
     start: tuple[float, float, float, float] | None
@@ -57,7 +57,7 @@ class SimOptions:
     live: bool
     port: int
     uncertainty: str
-    firmware: Path | None  # a real one, in the simulated autopilot's place
+    firmware: Path | None  # binary of a real firmware, in place of the simulated autopilot
     blind_mps: float
 
     @staticmethod
@@ -68,7 +68,7 @@ class SimOptions:
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
         uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = BLIND_MPS,
     ) -> SimOptions:  # fmt: skip
-        """Check the words of the command line. Raises UsageError with one line."""
+        """Validate the options of the command line. Raises UsageError with one line."""
         chosen = camera or ("d435i" if mapper == "neural" else "fast")
         for name, value, allowed in (
             ("autopilot", autopilot, AUTOPILOTS), ("variant", variant, VARIANTS), ("depth-noise", depth_noise, NOISES),
@@ -102,7 +102,10 @@ class SimOptions:
         )  # fmt: skip
 
     def make_folder(self) -> None:
-        """Make the flight folder. Raises Failure if it cannot be written or holds a flight already."""
+        """Make the flight folder.
+
+        Raises UsageError if it cannot be written or already contains a flight.
+        """
         try:
             self.out.mkdir(parents=True, exist_ok=True)
             (self.out / "logs").mkdir(exist_ok=True)
@@ -112,7 +115,7 @@ class SimOptions:
             raise UsageError(f"--out {self.out}: holds a flight already")
 
     def world(self, runtime: Path) -> WorldOptions:
-        """The options of the outside world."""
+        """Return the options of the simulator."""
         return WorldOptions(
             scene=self.scene, start=self.start, fence=self.fence, seed=self.seed, autopilot=self.autopilot,
             mount_pitch_down_deg=self.mount_pitch_down_deg, radius_m=self.radius_m,
@@ -122,7 +125,7 @@ class SimOptions:
         )  # fmt: skip
 
     def config(self, scene: Scene, runtime: Path) -> Config:
-        """The product's config for this flight. Raises ConfigError."""
+        """Return the product's config for this flight. Raises UserError with exit code 78."""
         gimbal = self.mount_pitch_down_deg is None
         noise_px = NOISE_PX[self.depth_noise] / (2.0 if self.camera in ("fast", "small") else 1.0)
         tree = {
@@ -174,7 +177,7 @@ class SimOptions:
 
 
 def check_jobs(jobs: int) -> int:
-    """Raises UsageError for more processes than this machine has memory for."""
+    """Return the number of processes. Raises UsageError if the memory is too small for them."""
     most = max(2, int(memory_gb() / JOB_GB))
     if not 1 <= jobs <= most:
         raise UsageError(f"--jobs {jobs}: want 1 to {most}; each may take {JOB_GB:g} GB of memory")
@@ -182,12 +185,12 @@ def check_jobs(jobs: int) -> int:
 
 
 def memory_gb() -> float:
-    """Of this machine."""
+    """Return the memory of this machine in gigabytes."""
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 def check_program(firmware: Path) -> None:
-    """Raises UsageError for a firmware that cannot be started."""
+    """Check a firmware binary. Raises UsageError if it cannot be started."""
     with readable(f"--firmware {firmware}"):
         folder, there = firmware.is_dir(), firmware.is_file()
     if not there:
@@ -197,7 +200,7 @@ def check_program(firmware: Path) -> None:
 
 
 def _check_firmware(firmware: Path, autopilot: str, mount: str, port: int, lockstep: bool) -> None:
-    """Raises UsageError for a firmware that cannot be started, or cannot be flown as asked."""
+    """Check a firmware with the other options. Raises UsageError if it cannot fly with them."""
     check_program(firmware)
     if lockstep:
         raise UsageError("--firmware: flies in real time, not in --lockstep")
@@ -220,7 +223,10 @@ def _numbers(name: str, text: str | None, count: int) -> tuple[float, ...] | Non
 
 
 def mount_pitch_deg(text: str) -> float | None:
-    """The tilt of a fixed mount, down is plus; None for a gimbal. Raises UsageError."""
+    """Return the tilt of a fixed mount in degrees, None for a gimbal. Raises UsageError.
+
+    Positive looks down.
+    """
     if text == "gimbal":
         return None
     kind, _, degrees = text.partition(":")

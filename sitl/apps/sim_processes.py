@@ -1,4 +1,4 @@
-"""The processes of a flight in real time: started, watched, asked to land, ended, and never left behind."""
+"""The processes of a flight in real time: start, supervision, landing and end."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from uav_recon.errors import UserError
 from uav_recon.types.vehicle import FlightPhase
 
 READY_TIMEOUT_S = 240.0
-LANDING_S = 300.0  # from the first Ctrl-C to the mission's end, model and report included; as its service has it
+LANDING_S = 300.0  # from the first Ctrl-C to the end of the mission, with model and report; as in its systemd unit
 NICENESS = {"world": -5, "pilot": -10, "perception": -5, "mission": 0}
-GRACE_S = {"mission": 90.0, "pilot": 20.0, "perception": 5.0, "world": 20.0}  # to land, to save; in this order
+GRACE_S = {"mission": 90.0, "pilot": 20.0, "perception": 5.0, "world": 20.0}  # time to land and to save; in this order
 EXIT_INTERRUPTED = 130
 NOT_FLOWN = "ended before the take-off"
 _ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY)
@@ -35,7 +35,7 @@ class _Child:
     log: Path
 
     def last_words(self) -> str:
-        """Why it ended: the signal, or the last line it left on stderr."""
+        """Return the reason for its end: the signal, or the last line on stderr."""
         code = self.process.returncode
         if code is not None and code < 0:
             return f"killed by {signal.Signals(-code).name}"
@@ -44,10 +44,10 @@ class _Child:
 
 
 class SimProcesses:
-    """World, pilot, perception and mission of one flight, by their command lines.
+    """Simulator, pilot, perception and mission of one flight, by their command lines.
 
-    Each leads a session of its own, so Ctrl-C reaches only this launcher; and each is on a leash, so none outlives it. What
-    a child starts itself ends with that child.
+    Each leads its own session, so that Ctrl-C reaches only this launcher, and each is killed when the launcher ends.
+    Children of a process end with it.
     """
 
     def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path, console: Console) -> None:
@@ -55,11 +55,13 @@ class SimProcesses:
         self._wires = file_channels(runtime)
         self._children: list[_Child] = []
         self._interrupts, self._given_up = 0, False
-        self._patience_s = float("inf")  # until this instant, once it was interrupted
+        self._patience_s = float("inf")  # deadline for the end of the mission after an interrupt
 
     def fly(self) -> str | None:
-        """Fly; returns the fault in one line, None for none. SIGINT and SIGTERM land, a second one ends all at once; before
-        the take-off the first one does, and raises Failure.
+        """Fly; return the fault in one line, None without one.
+
+        SIGINT or SIGTERM lands; a second one ends all processes at once. Before the take-off the first one ends them, and
+        UserError is raised.
         """
         before = signal.signal(signal.SIGINT, self._interrupt), signal.signal(signal.SIGTERM, self._interrupt)
         try:
@@ -83,9 +85,9 @@ class SimProcesses:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
-        with contextlib.suppress(PermissionError):  # as the services have it, and as a flight controller is: if we may
+        with contextlib.suppress(PermissionError):  # priorities as in the systemd units, if permitted
             os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS[name])
-        with contextlib.suppress(OSError):  # where the kernel weighs whole sessions and not processes: sched(7), autogroup
+        with contextlib.suppress(OSError):  # for kernels that schedule by session: sched(7), autogroup
             Path(f"/proc/{process.pid}/autogroup").write_text(str(NICENESS[name]), encoding="ascii")
         self._children.append(_Child(name, process, log))
 
@@ -108,7 +110,7 @@ class SimProcesses:
                 time.sleep(0.2)
 
     def _grounded(self) -> bool:
-        """Whether it has not flown yet: nothing to land, nothing to save."""
+        """Return True before the take-off: nothing to land, nothing to save."""
         vehicle = self._wires.vehicle.latest()
         return vehicle is None or vehicle.phase in _ON_THE_GROUND
 
@@ -131,7 +133,7 @@ class SimProcesses:
         self._console.print("[yellow]landing; press Ctrl-C again to end everything at once[/]")
 
     def _land_remaining(self) -> None:
-        """Whatever ended the watch, the vehicle comes down, the mission saves its model and the world its truth."""
+        """End the processes in order: the vehicle lands, the mission saves the model, then the rest."""
         for name, grace_s in GRACE_S.items():
             child = self._child(name)
             if child.process.poll() is None:
@@ -147,7 +149,7 @@ class SimProcesses:
             child.process.wait()
 
     def _kill_all(self) -> None:
-        for child in self._children:  # a child leads its session: its own children go with it
+        for child in self._children:  # each leads a process group, which contains its children
             try:
                 os.killpg(child.process.pid, signal.SIGKILL)
             except ProcessLookupError:

@@ -1,4 +1,4 @@
-"""`uav-recon sweep`: many flights in quick lockstep, a line each, with an account that a second call goes on with."""
+"""`uav-recon sweep`: many flights in quick lockstep, with a results file to resume from."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ from sitl.scene.scene import GENERATED
 from uav_recon.app.option_validation import readable, require_writable_file
 from uav_recon.errors import EXIT_USAGE, UserError
 
-RANDOM, BUILT_IN = "random", "built-in"  # words for scenes: a new flat with each seed; the room of `sim`
+RANDOM, BUILT_IN = "random", "built-in"  # scene names: a new flat for each seed; the room of `sim`
 BAD_SHOWN = 20
 MEDIANS = ("flight_s", "path_m", "views", "explored", "recall_90_s", "times_real")
 
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """Flights go through scenes, radii and variants in that order, then the same again with the next seed."""
+    """The validated options.
+
+    Flights iterate over scenes, then radii, then variants, and start again with the next seed.
+    """
 
     flights: int
     seed0: int
@@ -48,7 +51,7 @@ class SweepOptions:
         mount: str = "fixed:15", camera: str = "fast", views: int | None = None, jobs: int = 2, json: Path | None = None,
         truth: bool = False,
     ) -> SweepOptions:  # fmt: skip
-        """Check the words of the command line. Raises UsageError with one line."""
+        """Validate the options of the command line. Raises UsageError with one line."""
         try:
             sizes = tuple(float(word) for word in radii.split(","))
         except ValueError:
@@ -67,7 +70,7 @@ class SweepOptions:
         return SweepOptions(flights, seed0, words, sizes, names, mount, camera, views, jobs, json, truth)
 
     def cases(self) -> Iterator[Case]:
-        """All flights, in order."""
+        """Yield all flights, in order."""
         round_of = list(itertools.product(self.variants, self.radii_m, self.scenes))
         for number in range(self.flights):
             seed, (variant, radius_m, word) = self.seed0 + number // len(round_of), round_of[number % len(round_of)]
@@ -76,7 +79,7 @@ class SweepOptions:
 
 
 def _check_scene(word: str) -> None:
-    """Raises UsageError unless this is a scene, or may be one."""
+    """Check the name of a scene. Raises UsageError if there is none of that name."""
     with readable(f"--scenes {word}"):
         there = Path(word).exists()
     seed = word.removeprefix(GENERATED) if word.startswith(GENERATED) else ""
@@ -85,7 +88,10 @@ def _check_scene(word: str) -> None:
 
 
 def sweep(options: SweepOptions) -> int:
-    """Fly what the account lacks; returns 1 if any flight touched something or broke, else 0. Raises Failure."""
+    """Fly the cases that the results file lacks; return the exit code. Raises UserError.
+
+    Exit code 1: a flight had a contact or an error; otherwise 0.
+    """
     console = Console()
     require_writable_file("--json", options.json)
     records = _load(options.json)
@@ -105,7 +111,10 @@ def sweep(options: SweepOptions) -> int:
 
 
 def _fly_all(todo: list[Case], truth: bool, jobs: int) -> Iterator[Record]:
-    """Records as they come. Where a process died, each flight that was under way is flown again alone: whose fault was it?"""
+    """Yield records in the order of completion.
+
+    If a process dies, each flight in progress is repeated alone, to find the one that caused it.
+    """
     waiting = list(reversed(todo))
     while waiting:
         suspects: list[Case] = []
@@ -167,7 +176,10 @@ def _line(record: Record) -> str:
 
 
 def _conclude(records: list[Record], console: Console) -> int:
-    """Two lines for each scene, radius and variant; a command for each flight that went wrong. Returns the exit code."""
+    """Print two lines per scene, radius and variant, and a command per bad flight.
+
+    Returns the exit code.
+    """
 
     def say(text: str) -> None:
         console.print(text, markup=False, highlight=False, soft_wrap=True)

@@ -1,4 +1,7 @@
-"""Builds the outside world, and is its process: `python -m sitl.apps.world_process OPTIONS.json`."""
+"""Simulator process, and construction of the simulator.
+
+Run as `python -m sitl.apps.world_process OPTIONS.json`.
+"""
 
 from __future__ import annotations
 
@@ -39,12 +42,15 @@ from sitl.world.step_sizes import REAL, StepSizes
 from uav_recon.sensors.stream_format import StreamWriter
 
 STEP_S = 0.004
-_NEVER = 10**9  # collections of what is young before all is gone through
+_NEVER = 10**9  # number of partial garbage collections before a full one
 
 
 @dataclass(frozen=True)
 class WorldOptions:
-    """What the outside world is made of. start: x, y, z, yaw in degrees; fence: lower and upper corner; scene frame."""
+    """Options of the simulator, in the frame of the scene.
+
+    start: x, y, z (m), yaw (degrees). fence: lower and upper corner (m).
+    """
 
     scene: str | None
     start: tuple[float, float, float, float] | None
@@ -54,11 +60,11 @@ class WorldOptions:
     mount_pitch_down_deg: float | None  # None = gimbal
     depth_noise: d435i.Noise
     camera: d435i.Model
-    radius_m: float  # of the hull
+    radius_m: float  # radius of the hull
     port: int
     stream: str
     truth: str
-    firmware: str | None = None  # the path of a real one; it flies in real time
+    firmware: str | None = None  # path of a real firmware, which flies in real time
 
     def save(self, path: Path) -> None:
         """Write as JSON."""
@@ -66,7 +72,7 @@ class WorldOptions:
 
     @staticmethod
     def load(path: Path) -> WorldOptions:
-        """Read what save() wrote."""
+        """Read the options from JSON."""
         return WorldOptions(**json.loads(path.read_text(encoding="utf-8")))
 
     def scene_of(self) -> Scene:
@@ -77,14 +83,17 @@ class WorldOptions:
 def make_world(
     options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float], pace: StepSizes = REAL
 ) -> OutsideWorld:
-    """Put the world together with a simulated autopilot; its time begins only when the kernels are compiled."""
+    """Create the simulator with a simulated autopilot; its time starts after kernel compilation."""
     return _assemble(options, scene, lambda room: _autopilot(options, scene, room, link, pace), now_s, pace)
 
 
 def make_world_of(
     firmware: Path, options: WorldOptions, scene: Scene, companion_port: int, ends: contextlib.ExitStack
 ) -> OutsideWorld:
-    """The same with a real firmware, which sends to companion_port and is ended by ends. Raises FirmwareError."""
+    """Create the simulator with a real firmware, which sends to companion_port.
+
+    `ends` ends the firmware. Raises FirmwareError.
+    """
 
     def boot(_: HullClearance) -> Flyer:
         return ends.enter_context(contextlib.closing(_firmware(options, firmware, scene, companion_port)))
@@ -95,7 +104,7 @@ def make_world_of(
 def _assemble(
     options: WorldOptions, scene: Scene, boot: Callable[[HullClearance], Flyer], now_s: Callable[[], float], pace: StepSizes
 ) -> OutsideWorld:
-    """Compile the kernels, put the vehicle on its pad, and only then read the clock: the world's time begins there."""
+    """Compile the kernels, create the vehicle on its pad, then start the simulator's time."""
     renderer, clearance = _renderer(scene, options.camera), HullClearance(scene, options.radius_m)
     d435i.warm_up()
     clearance.hull_m(np.zeros(3))
@@ -108,7 +117,7 @@ def _assemble(
 
 
 def _autopilot(options: WorldOptions, scene: Scene, room: HullClearance, link: ByteEnd, pace: StepSizes) -> Autopilot:
-    """With the parameters that are to be flown."""
+    """Return the simulated autopilot with the parameters from firmware_params/."""
     yaw_rad, standing_m = scene.start_yaw_rad, room.standing_m
     if options.autopilot == "ardupilot":
         parameters = ArduPilotParameters.load()
@@ -123,17 +132,20 @@ def _renderer(scene: Scene, camera: d435i.Model) -> Renderer:
     if camera != "fast":
         seen = scene.paint or scene
         return Renderer(seen.vertices, seen.faces, seen.rgb)
-    vertices, faces = merged(scene.vertices, scene.faces)  # it sees no colour
+    vertices, faces = merged(scene.vertices, scene.faces)  # this camera has no colour
     return Renderer(vertices, faces, np.zeros(vertices.shape, np.uint8))
 
 
 def binary_of(autopilot: str, firmware: Path) -> ArduPilotBinary | Px4Binary:
-    """The kind of firmware that a file is."""
+    """Return the firmware adapter for a binary."""
     return ArduPilotBinary(firmware) if autopilot == "ardupilot" else Px4Binary(firmware)
 
 
 def _firmware(options: WorldOptions, firmware: Path, scene: Scene, companion_port: int) -> FirmwareVehicle:
-    """Its own files go where the stream is; what it prints, beside the other logs. Raises FirmwareError."""
+    """Start a firmware, with its files beside the stream and its output in logs/.
+
+    Raises FirmwareError.
+    """
     binary = binary_of(options.autopilot, firmware)
     folder, log = Path(options.stream).with_name("firmware"), Path(options.truth).parent / "logs" / "firmware.log"
     return FirmwareVehicle(binary, companion_port, scene.start_yaw_rad, folder, log)
@@ -153,7 +165,7 @@ def fly(options: WorldOptions) -> None:
 
 
 def _outside(options: WorldOptions, scene: Scene, ends: contextlib.ExitStack) -> OutsideWorld:
-    """The world with whatever flies in it; ends closes its link, or its firmware."""
+    """Return the simulator with autopilot or firmware; `ends` closes its link or its firmware."""
     if options.firmware is not None:
         return make_world_of(Path(options.firmware), options, scene, options.port, ends)
     link = ends.enter_context(contextlib.closing(UdpPeer(remote=("127.0.0.1", options.port))))
@@ -161,10 +173,10 @@ def _outside(options: WorldOptions, scene: Scene, ends: contextlib.ExitStack) ->
 
 
 def run(world: OutsideWorld, ended: Callable[[float], bool]) -> None:
-    """Step a world in real time; ended(now_s) is asked before each step.
+    """Step the simulator in real time until ended(now_s), called before each step, is True.
 
-    The process is given up to it: garbage is only looked for among what is young, because a look at all that a long flight
-    notes down stood the world still for 0.57 s after 76 minutes.
+    Full garbage collections are disabled in the whole process: after 76 minutes of flight one of them stopped the
+    simulator for 0.57 s.
     """
     gc.freeze()
     gc.set_threshold(*gc.get_threshold()[:2], _NEVER)

@@ -1,1 +1,1 @@
-"""Simulated autopilots: what PX4 and ArduCopter share."""
+"""Simulated autopilots: the parts common to PX4 and ArduCopter."""

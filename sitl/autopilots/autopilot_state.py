@@ -1,4 +1,4 @@
-"""What every simulated autopilot carries: clock, estimator, gimbal, battery, origin and home."""
+"""State of a simulated autopilot: clock, estimator, gimbal, battery, origin and home."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sitl.world.gimbal import Gimbal
 
 @dataclass(slots=True, kw_only=True)
 class AutopilotState:
-    """now_s is the world's clock, boot_s the instant on it at which the autopilot booted."""
+    """State common to both autopilots. now_s and boot_s (time of boot) are on the world clock."""
 
     estimator: Estimator
     gimbal: Gimbal
@@ -26,22 +26,22 @@ class AutopilotState:
 
     @property
     def boot_us(self) -> int:
-        """The autopilot's clock."""
+        """Time since boot, µs: the autopilot's clock."""
         return round((self.now_s - self.boot_s) * 1e6)
 
     @property
     def boot_ms(self) -> int:
-        """The autopilot's clock, as most messages carry it."""
+        """Time since boot, ms, as an unsigned 32-bit number, as in most messages."""
         return self.boot_us // 1000 & 0xFFFFFFFF
 
     @property
     def rc_lost_s(self) -> float:
-        """How long the transmitter has been silent; 0 while it is heard."""
+        """Time (s) since the last signal of the RC transmitter was received; 0 while it is received."""
         return max(0.0, self.now_s - self.rc_lost_at_s)
 
     @property
     def from_home_m(self) -> tuple[float, float]:
-        """Horizontal distance from home and height above it; NaN without a home."""
+        """Horizontal distance from home and height above it, m; NaN without a home."""
         if self.home is None:
             return math.nan, math.nan
         p, h = self.estimator.position, self.home

@@ -1,4 +1,4 @@
-"""What every simulated autopilot does with its vehicle: fixed physics steps, MAVLink in and out, the truth for the referee."""
+"""Base of the simulated autopilots: fixed physics steps, MAVLink in and out, ground truth."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ from sitl.geometry.quaternion import Quat, Vec3, conjugate, rotate
 from sitl.world.imu import Imu
 from sitl.world.quadrotor import Quadrotor
 
-_SLOW_S = 0.02  # commander and barometer at 50 Hz
+_SLOW_S = 0.02  # period of commander and barometer (50 Hz)
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleTruth:
-    """What really is: ENU, FLU, on the world's clock. gimbal_pitch_down_rad is relative to the body."""
+    """True state of the vehicle: ENU, FLU, world clock.
+
+    gimbal_pitch_down_rad is relative to the body.
+    """
 
     stamp_s: float
     position: Vec3
@@ -38,25 +41,25 @@ class VehicleTruth:
 
 
 class Decides(Protocol):
-    """Who holds mode and motors."""
+    """Commander: flight mode, arming state and failsafes."""
 
     armed: bool
     failsafes: list[str]
 
     @property
     def mode(self) -> IntEnum:
-        """The mode it is in."""
+        """The current flight mode."""
         ...
 
 
 class Autopilot(ABC):
-    """Nothing runs by itself: step(now_s) does physics and I/O up to that instant.
+    """An autopilot with its vehicle; step(now_s) does all physics and I/O up to that time.
 
-    setpoint_arrivals_s: world-clock arrival of each setpoint while armed and flying by them. failsafes: those that
-    acted, in words. texts: every STATUSTEXT.
+    setpoint_arrivals_s: world-clock arrival of each setpoint received while armed and in the mode that follows setpoints.
+    failsafes: descriptions of the failsafes that acted. texts: every STATUSTEXT sent.
     """
 
-    version = ""  # a real firmware has one
+    version = ""  # set for a real firmware only
 
     def __init__(
         self,
@@ -70,7 +73,11 @@ class Autopilot(ABC):
         seed: int,
         step_s: float,
     ) -> None:
-        """step_s: of physics, estimator and control; well below the lags of the vehicle."""
+        """Create the autopilot on the ground.
+
+        booted_before_s: time from boot to the first step(). step_s: time step of physics, estimator and control, well below
+        the lags of the vehicle.
+        """
         self._step_s, self._slow_steps = step_s, max(round(_SLOW_S / step_s), 1)
         self.vehicle, self.parameters = vehicle, parameters
         self._imu = Imu(seed, step_s)
@@ -80,16 +87,16 @@ class Autopilot(ABC):
         self._steps = 0
         self._revision = parameters.revision
         self._start_s = 0.0
-        self._eyes: PilotView | None = None  # of a pilot who flies it without the estimator
+        self._eyes: PilotView | None = None  # set while a human pilot flies it without the estimator
 
     @property
     def setpoint_arrivals_s(self) -> list[float]:
-        """World-clock arrivals of setpoints while armed and flying by them."""
+        """World-clock arrivals (s) of setpoints while armed and following setpoints."""
         return self._requests.setpoint_arrivals_s
 
     @property
     def failsafes(self) -> list[str]:
-        """What went wrong and what was done about it, in order."""
+        """Cause and action of each failsafe that acted, in order."""
         return self._commander.failsafes
 
     @property
@@ -99,39 +106,46 @@ class Autopilot(ABC):
 
     @property
     def estimator(self) -> Estimator:
-        """The estimator, for the referee."""
+        """The estimator, for comparison with the truth."""
         return self._board.estimator
 
     def truth(self) -> VehicleTruth:
-        """The vehicle as it really is at the last step."""
+        """Return the true state of the vehicle at the last step."""
         v, b, c = self.vehicle, self._board, self._commander
         return VehicleTruth(
             b.now_s, v.position, v.velocity, v.quat_wxyz, v.gyro, v.specific_force, -b.gimbal.pitch, c.armed, c.mode.name
         )
 
-    # -- a pilot and the world's accidents ------------------------------------------------------------------------
+    # -- pilot actions and injected faults ------------------------------------------------------------------------
 
     @abstractmethod
     def pilot_takes_over(self, mode: str = "") -> None:
-        """A switch on the transmitter; '' is what a human flies by position. Raises KeyError for an unknown mode."""
+        """Change the mode by a switch on the transmitter; '' is the manual position mode.
+
+        Raises KeyError for an unknown mode.
+        """
 
     @abstractmethod
     def pilot_disarms(self) -> None:
-        """The kill switch: motors stop, wherever the vehicle is."""
+        """Disarm by the kill switch: the motors stop, even in flight."""
 
     @abstractmethod
     def lose_land_detector(self) -> None:
-        """From now on no landing is noticed."""
+        """Disable the land detector: no landing is detected any more."""
 
     def write_parameter(self, name: str, value: float) -> None:
-        """By a ground station elsewhere: it is told of on every link. Raises KeyError for an unknown name."""
+        """Change a parameter as another ground station would, and send its PARAM_VALUE.
+
+        Raises KeyError for an unknown name.
+        """
         self.parameters.set(name, value)
         self._server.send_parameter(name)
 
     def reboot(self) -> None:
-        """It starts anew where it is, and knows nothing of before: no clock, estimator, origin, home or message rates.
+        """Reboot in flight: clock, estimator, origin, home and message rates are reset.
 
-        The motors run on, as no real one's do: there would be nothing left to judge. A pilot flies it from then on, by eye.
+        Unlike on a real vehicle the motors keep running, because otherwise the flight would end there. From then on a human
+        pilot flies the vehicle by sight.
         """
         b = self._board
         b.boot_s, b.origin, b.home = b.now_s, None, None
@@ -140,27 +154,27 @@ class Autopilot(ABC):
         self._eyes = PilotView(self.vehicle)
 
     def transmitter(self, heard: bool) -> None:
-        """Switch the pilot's transmitter off or on."""
+        """Switch the pilot's RC transmitter on (True) or off."""
         self._board.rc_lost_at_s = math.inf if heard else self._board.now_s
 
     @property
     def battery_fraction(self) -> float:
-        """State of charge now."""
+        """State of charge, 0 to 1."""
         return self._board.battery.fraction
 
     @property
     def boot_s(self) -> float:
-        """When it booted, on the world's clock."""
+        """Time of boot, s on the world clock."""
         return self._board.boot_s
 
     def set_battery(self, fraction: float) -> None:
-        """Another state of charge, from now on."""
+        """Set the state of charge, 0 to 1."""
         self._board.battery.fraction = fraction
 
     # -- time -----------------------------------------------------------------------------------------------------
 
     def step(self, now_s: float) -> None:
-        """Advance to now_s on the world's clock, in equal steps; the first call only sets the clock."""
+        """Advance to now_s on the world clock, in equal steps; the first call only sets the clock."""
         b = self._board
         if not self._started:
             self._started = True
@@ -194,7 +208,11 @@ class Autopilot(ABC):
         b.estimator.predict(b.now_s - b.boot_s, self._step_s, gyro, force, self._landed)
 
     def _act(self) -> None:
-        """Carry the wanted force from the estimated attitude into the true one: estimation errors really fly."""
+        """Control the vehicle for one step.
+
+        The wanted force is computed with the estimated attitude and applied in the true one, so that estimation errors
+        affect the flight.
+        """
         v, b = self.vehicle, self._board
         seen = self._eyes or b.estimator
         force, turn = self._fly(self._step_s, seen)
@@ -202,30 +220,33 @@ class Autopilot(ABC):
         v.step(self._step_s, rotate(v.quat_wxyz, in_body), -turn, self._commander.armed)
 
     def _sense_slowly(self, dt_s: float) -> None:
-        """Barometer and battery."""
+        """Update barometer and battery."""
         b = self._board
         b.estimator.correct_baro(self._imu.altitude(self.vehicle.position[2]), dt_s)
         b.battery.step(dt_s, self._commander.armed and not self._landed)
 
-    # -- the firmware's own ---------------------------------------------------------------------------------------
+    # -- implemented by each firmware -----------------------------------------------------------------------------
 
     @property
     @abstractmethod
     def _landed(self) -> bool:
-        """The land detector's word."""
+        """True if the land detector reports that the vehicle has landed."""
 
     @abstractmethod
     def _configure(self) -> None:
-        """Take over changed parameters."""
+        """Apply changed parameters."""
 
     @abstractmethod
     def _think(self, dt_s: float) -> None:
-        """Decide, 50 times a second."""
+        """Run the 50 Hz tasks: slow sensors, home, commander."""
 
     @abstractmethod
     def _forget(self) -> None:
-        """A new estimator, nothing learned of foreign clocks, and the mode of a pilot on the sticks."""
+        """Reset estimator and clock offsets after a reboot, and enter a manual mode."""
 
     @abstractmethod
     def _fly(self, dt_s: float, seen: Estimator | PilotView) -> tuple[Vec3, float]:
-        """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s), by what is seen of the vehicle."""
+        """Return the wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s).
+
+        seen: source of position, velocity and attitude.
+        """

@@ -1,4 +1,4 @@
-"""What every simulated autopilot does with messages from outside: commands and their answers, streams, gimbal, parameters."""
+"""Handlers of received messages common to both autopilots: commands, gimbal, parameters."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from sitl.autopilots.mavlink_codec import ReceivedMessage, packet
 from sitl.autopilots.mavlink_server import MavlinkServer
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
-FORCE = 21196.0  # the magic second parameter of MAV_CMD_COMPONENT_ARM_DISARM
-FORCE_SET = 512  # of a setpoint's type mask: its accelerations are forces
-NO_YAW, NO_YAW_RATE = 1024, 2048  # of a setpoint's type mask
+FORCE = 21196.0  # second parameter of MAV_CMD_COMPONENT_ARM_DISARM that overrides all checks
+FORCE_SET = 512  # bit of a setpoint's type mask: its accelerations are forces
+NO_YAW, NO_YAW_RATE = 1024, 2048  # bits of a setpoint's type mask
 
 
 class BaseCommands(ABC):
-    """Dispatches messages by id; unknown ones are left alone."""
+    """Dispatcher of received messages by id; unknown ones are ignored."""
 
     def __init__(self, board: AutopilotState, server: MavlinkServer) -> None:
         self._board, self._server = board, server
@@ -31,7 +31,7 @@ class BaseCommands(ABC):
         }
 
     def take(self, message: ReceivedMessage, arrival_s: float) -> None:
-        """Act on one message that arrived at arrival_s (world clock)."""
+        """Handle one message that arrived at arrival_s (world clock)."""
         handler = self._handlers.get(message.kind)
         if handler is not None:
             handler(message, arrival_s)
@@ -39,7 +39,7 @@ class BaseCommands(ABC):
             self._server.take_parameter_message(message)
 
     def _answer_timesync(self, message: ReceivedMessage) -> None:
-        """Our clock, to their question."""
+        """Answer a TIMESYNC request with the autopilot's clock."""
         self._server.send(packet(mavlink.MAVLink_timesync_message, self._board.boot_us * 1000, message.ts1))
 
     # -- commands -------------------------------------------------------------------------------------------------
@@ -61,7 +61,7 @@ class BaseCommands(ABC):
 
     @abstractmethod
     def _carry_out(self, command: int, p: tuple[float, ...]) -> int | None:
-        """The firmware's own commands: the result, None for a command that is not one of them."""
+        """Execute a command of this firmware only; return its MAV_RESULT, None for other commands."""
 
     def _carry_out_shared(self, command: int, p: tuple[float, ...], sender: tuple[int, int]) -> int:
         if command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
@@ -72,7 +72,7 @@ class BaseCommands(ABC):
             return ACCEPTED if self._server.request(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION) else DENIED
         if command == mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE:
             return self._gimbal_owner(p, sender)
-        if command == mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW:  # degrees, unlike the message
+        if command == mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW:  # degrees; the message of that name has radians
             moved = self._board.gimbal.command(sender, math.radians(p[0]), math.radians(p[2]))
             return ACCEPTED if moved else DENIED
         return UNSUPPORTED
@@ -80,7 +80,10 @@ class BaseCommands(ABC):
     # -- gimbal ---------------------------------------------------------------------------------------------------
 
     def _gimbal_owner(self, p: tuple[float, ...], sender: tuple[int, int]) -> int:
-        """An id of 0 or more is the new owner, -1 leaves it, -2 takes it for the sender, -3 gives it up."""
+        """Change the gimbal's primary controller.
+
+        Ids of 0 or more name the new owner; -1 leaves the owner, -2 makes the sender the owner, -3 releases the control.
+        """
         gimbal, wanted = self._board.gimbal, (int(p[0]), int(p[1]))
         if wanted[0] >= 0 and wanted[1] >= 0:
             gimbal.configure(*wanted)
@@ -91,5 +94,8 @@ class BaseCommands(ABC):
         return ACCEPTED
 
     def _gimbal_pitch(self, message: ReceivedMessage, _arrival_s: float) -> None:
-        """Radians, positive up. Silently without effect from anyone who did not take primary control (read)."""
+        """Set the gimbal pitch: rad, positive up.
+
+        Ignored without an answer unless the sender has primary control (from the firmware's sources).
+        """
         self._board.gimbal.command(message.sender, message.pitch, message.pitch_rate)

@@ -1,4 +1,4 @@
-"""What every simulated autopilot tells alike: one builder per message, from the estimator's view, never from the truth."""
+"""Builders of the messages common to both autopilots, from the estimate, not from the truth."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ SENSORS = (
 
 
 class BaseMessages:
-    """Builders over the board; each returns a message, or None when there is nothing to tell."""
+    """Builders of messages; each returns a message, or None if its data are not available yet."""
 
     def __init__(self, board: AutopilotState) -> None:
         self._board = board
 
     def battery_status(self) -> Packet:
-        """Four cells."""
+        """Return BATTERY_STATUS with four cells."""
         b = self._board.battery
         cells = [round(b.voltage * 250)] * 4 + [65535] * 6
         return packet(
@@ -44,25 +44,25 @@ class BaseMessages:
         )
 
     def attitude(self) -> Packet:
-        """Euler angles, FRD in NED."""
+        """Return ATTITUDE: Euler angles of FRD in NED, and angular rates."""
         e = self._board.estimator
         roll, pitch, yaw = euler_of(e.quat_wxyz)
         return packet(mavlink.MAVLink_attitude_message, self._board.boot_ms, roll, pitch, yaw, *e.angular_rate)
 
     def attitude_quaternion(self) -> Packet:
-        """Attitude ned_from_frd."""
+        """Return ATTITUDE_QUATERNION: ned_from_frd, and angular rates."""
         e = self._board.estimator
         return packet(mavlink.MAVLink_attitude_quaternion_message, self._board.boot_ms, *e.quat_wxyz, *e.angular_rate)
 
     def local_position(self) -> Packet | None:
-        """Nothing before the first pose was fused."""
+        """Return LOCAL_POSITION_NED; None before the first pose is fused."""
         e = self._board.estimator
         if not e.started:
             return None
         return packet(mavlink.MAVLink_local_position_ned_message, self._board.boot_ms, *e.position, *e.velocity)
 
     def home_position(self) -> Packet | None:
-        """Home, once there is an origin and a position."""
+        """Return HOME_POSITION; None without an origin or a home."""
         b = self._board
         if b.origin is None or b.home is None:
             return None
@@ -72,13 +72,16 @@ class BaseMessages:
         )
 
     def global_origin(self) -> Packet | None:
-        """The origin as it was accepted."""
+        """Return GPS_GLOBAL_ORIGIN; None without an origin."""
         if self._board.origin is None:
             return None
         return packet(mavlink.MAVLink_gps_global_origin_message, *self._board.origin, self._board.boot_us)
 
     def gimbal_attitude(self) -> Packet:
-        """Pitch relative to the body; the autopilot drives the gimbal itself: device id 1, component its own."""
+        """Return GIMBAL_DEVICE_ATTITUDE_STATUS: pitch relative to the body.
+
+        The autopilot drives the gimbal itself, so the device id is 1 and the component is the autopilot's.
+        """
         g = self._board.gimbal
         half = 0.5 * g.pitch
         return packet(
@@ -88,7 +91,10 @@ class BaseMessages:
         )  # fmt: skip
 
     def _health(self, ready: bool, more: int = 0, healthy: int = 0) -> Packet:
-        """SYS_STATUS: sensors, battery and the PREARM bit. more: sensors of this firmware, and which of them are healthy."""
+        """Return SYS_STATUS: sensors, battery and the PREARM bit.
+
+        more: additional sensors of this firmware. healthy: those of them that are healthy.
+        """
         battery, prearm = self._board.battery, mavlink.MAV_SYS_STATUS_PREARM_CHECK if ready else 0
         return packet(
             mavlink.MAVLink_sys_status_message,
@@ -102,12 +108,12 @@ class BaseMessages:
         )
 
     def _landed_state(self, landed: bool, half: int | None) -> Packet:
-        """EXTENDED_SYS_STATE. half: MAV_LANDED_STATE of a take-off or landing under way."""
+        """Return EXTENDED_SYS_STATE. half: MAV_LANDED_STATE during a take-off or landing, else None."""
         state = mavlink.MAV_LANDED_STATE_ON_GROUND if landed else half or mavlink.MAV_LANDED_STATE_IN_AIR
         return packet(mavlink.MAVLink_extended_sys_state_message, 0, state)
 
     def _followed(self, t: ControlSetpoint) -> Packet:
-        """POSITION_TARGET_LOCAL_NED: what the controller follows."""
+        """Return POSITION_TARGET_LOCAL_NED: the setpoint of the controller."""
         fields = (*t.position, *t.velocity, *t.acceleration)
         mask = sum(1 << i for i, value in enumerate(fields) if not math.isfinite(value))
         frame = mavlink.MAV_FRAME_LOCAL_NED

@@ -1,4 +1,4 @@
-"""Byte links between the simulated autopilot and the product: memory for lockstep, loopback UDP for real time."""
+"""Byte links between autopilot and product: in memory (lockstep), loopback UDP (real time)."""
 
 from __future__ import annotations
 
@@ -16,24 +16,27 @@ _BACKLOG_BYTES = 1 << 20
 
 
 class ByteEnd(Protocol):
-    """What the autopilot needs of a link; arrival_s is None where reading is arriving."""
+    """One end of a byte link. arrival_s is None if bytes arrive at the time they are read."""
 
     @property
     def arrival_s(self) -> float | None:
-        """When the bytes of the last read() arrived, on the world's clock."""
+        """Arrival time of the bytes of the last read(), s on the world clock."""
         ...
 
     def read(self) -> bytes:
-        """Waiting bytes, b'' if none. Never blocks. Raises OSError if the link is gone."""
+        """Return the waiting bytes, b'' if none. Never blocks. Raises OSError if the link is closed."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send. Never blocks. Raises OSError if the link is gone."""
+        """Send bytes. Never blocks. Raises OSError if the link is closed."""
         ...
 
 
 class PipeEnd:
-    """One end of a pipe in memory. Never blocks. For one thread, or one reader and one writer per direction."""
+    """One end of a pipe in memory. Never blocks.
+
+    For one thread, or one reader and one writer per direction.
+    """
 
     def __init__(self, inbox: deque[bytes], outbox: deque[bytes]) -> None:
         self._inbox = inbox
@@ -42,11 +45,11 @@ class PipeEnd:
 
     @property
     def arrival_s(self) -> float | None:
-        """Unknown: what is read was written before the reader's own instant."""
+        """None: the bytes count as arrived at the time they are read."""
         return None
 
     def read(self) -> bytes:
-        """All waiting bytes, b'' if none. Raises OSError once this end is closed."""
+        """Return all waiting bytes, b'' if none. Raises OSError once this end is closed."""
         if self._closed:
             raise OSError("the pipe is closed")
         if not self._inbox:
@@ -57,32 +60,32 @@ class PipeEnd:
         return b"".join(pieces)
 
     def write(self, data: bytes) -> None:
-        """Hand over bytes; a reader that never comes loses the oldest. Raises OSError once this end is closed."""
+        """Send bytes; the oldest unread ones may be lost. Raises OSError once this end is closed."""
         if self._closed:
             raise OSError("the pipe is closed")
         if data:
             self._outbox.append(bytes(data))
 
     def wait(self, timeout_s: float) -> None:
-        """Return at once: in lockstep the owner of the clock decides when bytes come."""
+        """Return at once: in lockstep the owner of the clock decides when bytes arrive."""
 
     def close(self) -> None:
-        """Refuse further use of this end."""
+        """Close this end."""
         self._closed = True
 
 
 def pipe(depth: int = 20000) -> tuple[PipeEnd, PipeEnd]:
-    """Two connected ends. depth: writes kept per direction before the oldest is dropped."""
+    """Return two connected ends. depth: writes kept per direction before the oldest is dropped."""
     there: deque[bytes] = deque(maxlen=depth)
     back: deque[bytes] = deque(maxlen=depth)
     return PipeEnd(back, there), PipeEnd(there, back)
 
 
 class UdpPeer:
-    """A loopback UDP socket that talks to one address; PX4's onboard link sends first, to the companion's 14540.
+    """A loopback UDP socket with one peer; as PX4's onboard link it sends first, to port 14540.
 
-    A remote of None is whoever speaks first. Raises ValueError for an address that is not loopback, OSError if local_port is
-    in use.
+    If remote is None, the sender of the first datagram becomes the peer. Raises ValueError for an address that is not
+    loopback, OSError if local_port is in use.
     """
 
     def __init__(self, local_port: int = 0, remote: tuple[str, int] | None = ("127.0.0.1", 14540)) -> None:
@@ -102,23 +105,26 @@ class UdpPeer:
 
     @property
     def local_port(self) -> int:
-        """The port this peer is bound to."""
+        """The local port."""
         return int(self._socket.getsockname()[1])
 
     @property
     def arrival_s(self) -> float | None:
-        """When the kernel took in the datagram that read() last returned, on time.monotonic(); None before the first."""
+        """Time at which the kernel received the datagram of the last read(); None before the first.
+
+        Seconds of time.monotonic().
+        """
         return self._arrival_s
 
     def read(self) -> bytes:
-        """The next datagram of the remote, b'' if none. Raises OSError if the socket is closed."""
+        """Return the next datagram of the peer, b'' if none. Raises OSError if the socket is closed."""
         while True:
             try:
                 data, ancillary, _, sender = self._socket.recvmsg(_DATAGRAM_MAX, 64)
             except BlockingIOError:
                 return b""
             except ConnectionRefusedError:
-                continue  # the remote is not up yet
+                continue  # the peer has not opened its socket yet
             if self._remote is None:
                 self._remote = sender
             if sender != self._remote:
@@ -132,7 +138,7 @@ class UdpPeer:
             return data
 
     def write(self, data: bytes) -> None:
-        """Send; lost silently while the remote is not there. Raises OSError if the socket is closed."""
+        """Send a datagram, which is lost silently without a peer. Raises OSError if closed."""
         if self._remote is None:
             return
         try:
@@ -141,9 +147,9 @@ class UdpPeer:
             return  # a datagram may be lost
 
     def wait(self, timeout_s: float) -> None:
-        """Block until a datagram is there or the time is over."""
+        """Block until a datagram arrives or the timeout expires."""
         select.select([self._socket], [], [], timeout_s)
 
     def close(self) -> None:
-        """Release the port."""
+        """Close the socket."""
         self._socket.close()

@@ -1,8 +1,8 @@
-"""The simulated EKF: IMU integration corrected by late external poses, with a firmware's gates, timeouts and resets.
+"""Simulated EKF: IMU integration corrected by late poses, with gates, timeouts and resets.
 
-Frames: local NED (the frame of the poses it is fed), body FRD. Instants: seconds of the autopilot's own clock.
-Gains per axis are those of a critically damped g-h-k filter (fading memory, Morrison 1969, ch. 9), so the loop
-is stable at any pose rate. Horizontal acceleration error is understood as tilt error, as in a real EKF.
+Frames: local NED (the frame of the input poses), body FRD. Times: seconds of the autopilot's clock.
+The gains per axis are those of a critically damped g-h-k filter (fading memory, Morrison 1969, ch. 9), so the loop
+is stable at any pose rate. Horizontal acceleration error is interpreted as tilt error, as in a real EKF.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from sitl.geometry.quaternion import (
 )
 from sitl.world.quadrotor import GRAVITY_MPS2
 
-_HISTORY_S = 0.32  # samples older than 0.2 s delay + 0.1 s search window are never fused (HAZARDS 0.8)
+_HISTORY_S = 0.32  # poses older than 0.2 s delay + 0.1 s search window are never fused (HAZARDS 0.8)
 _EXPECTED_GAP_S = 0.2  # EV_MAX_INTERVAL
 _FUSION_STOPS_S = 0.4  # twice EV_MAX_INTERVAL
-_START_S = 0.5  # poses must come steadily for so long before they are used
-_NORM_TOLERANCE = 1e-3  # wire floats carry 1e-7 each
+_START_S = 0.5  # poses must arrive without a gap for this time before they are used
+_NORM_TOLERANCE = 1e-3  # 32-bit floats add an error of 1e-7 each
 _POSITION_BANDWIDTH = 3.0  # rad/s
 _YAW_BANDWIDTH = 3.0
 _ACCELERATION_LAG_S = 0.020  # low pass for the controller's damping term
@@ -41,9 +41,9 @@ POS_VERT_ABS, CONST_POS_MODE, PRED_POS_HORIZ_REL = 32, 128, 256
 
 @dataclass(frozen=True, slots=True)
 class ExternalPose:
-    """One ODOMETRY as the estimator sees it: local frame (down third), body FRD; NaN = not measured.
+    """One received pose: local frame with the third axis down, body FRD; NaN = not measured.
 
-    position_variance_m2 and yaw_variance_rad2: NaN if the sender does not know. quality: 0 unknown, 1 to 100 %.
+    position_variance_m2 and yaw_variance_rad2: NaN if unknown to the sender. quality: 0 unknown, 1 to 100 %.
     """
 
     stamp_s: float
@@ -57,7 +57,7 @@ class ExternalPose:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorTuning:
-    """What a firmware's parameters and constants make of the filter. Noises: floors of the standard deviation."""
+    """Tuning from a firmware's parameters and constants. Noises: minimum standard deviations."""
 
     fuse_xy: bool
     fuse_z: bool
@@ -68,13 +68,16 @@ class EstimatorTuning:
     gate: float  # standard deviations
     quality_min: int
     delay_s: float
-    valid_s: float  # for so long after the last fused pose the horizontal position may be flown on
-    reject_s: float  # poses refused for longer are taken for true
-    resets_in_air: float
+    valid_s: float  # the horizontal position remains valid for this time after the last fused pose
+    reject_s: float  # after this time of rejected poses the estimate is reset to them
+    resets_in_air: float  # maximum number of such resets in flight
 
 
 class Estimator:
-    """Local position, velocity and attitude. on_reset(delta_position, delta_yaw) is called at each jump of the estimate."""
+    """Estimator of local position, velocity and attitude.
+
+    on_reset(delta_position, delta_yaw) is called at each jump of the estimate. ignored: number of poses not used, by reason.
+    """
 
     def __init__(self, tuning: EstimatorTuning, on_reset: Callable[[Vec3, float], None] | None = None) -> None:
         self._on_reset = on_reset
@@ -108,29 +111,29 @@ class Estimator:
 
     @property
     def pose_age_s(self) -> float:
-        """How old the newest pose that came is; inf before the first."""
+        """Age (s) of the newest received pose; inf before the first."""
         return self._now_s - self._last_pose_s
 
     def configure(self, tuning: EstimatorTuning) -> None:
-        """Take over a changed tuning."""
+        """Apply a changed tuning."""
         self._tuning = tuning
 
-    # -- what others may know -------------------------------------------------------------------------------------
+    # -- outputs --------------------------------------------------------------------------------------------------
 
     @property
     def horizontal_valid(self) -> bool:
-        """Whether the local horizontal position may be flown on."""
+        """True if the local horizontal position is valid for position control."""
         return self.started and self._now_s - self._fused_xy_s <= self._tuning.valid_s
 
     @property
     def position_accuracy_m(self) -> float:
-        """Standard deviation of the horizontal position; grows while nothing is fused."""
+        """Standard deviation (m) of the horizontal position; grows while no pose is fused."""
         silent = min(max(self._now_s - self._fused_xy_s, 0.0), 60.0)
         return 0.03 + 0.05 * silent + 0.05 * silent * silent
 
     @property
     def flags(self) -> int:
-        """ESTIMATOR_STATUS_FLAGS."""
+        """Bits of ESTIMATOR_STATUS_FLAGS."""
         if not self.started:
             return ATTITUDE | VELOCITY_VERT | POS_VERT_ABS | CONST_POS_MODE
         flags = ATTITUDE | VELOCITY_VERT | POS_VERT_ABS
@@ -150,7 +153,7 @@ class Estimator:
     # -- each step ------------------------------------------------------------------------------------------------
 
     def predict(self, now_s: float, dt_s: float, gyro: Vec3, specific_force: Vec3, on_ground: bool) -> None:
-        """Integrate one IMU sample (FRD). on_ground: the land detector's word; allows any number of resets."""
+        """Integrate one IMU sample (FRD). on_ground (land detector) allows any number of resets."""
         self._now_s = now_s
         self._on_ground = on_ground
         if on_ground:
@@ -165,7 +168,7 @@ class Estimator:
         a = self.acceleration
         self.acceleration = (a[0] + s * (ax - a[0]), a[1] + s * (ay - a[1]), a[2] + s * (az - a[2]))
         self.fusing = now_s - self._last_pose_s <= _FUSION_STOPS_S and self.started
-        if not self.started:  # constant position mode, level, until the first pose
+        if not self.started:  # constant position mode until the first pose: level, at rest
             self.velocity = (0.0, 0.0, 0.0)
             self.quat_wxyz = from_yaw(self.yaw)
         else:
@@ -180,7 +183,10 @@ class Estimator:
             self._history.popleft()
 
     def correct_baro(self, height_m: float, dt_s: float) -> None:
-        """Barometric height. Follows vision while that is fused, carries the height when it is not."""
+        """Update with the barometric height (m).
+
+        While the height of poses is fused, its zero is adjusted to the estimate; otherwise it corrects the estimate.
+        """
         if math.isnan(self._baro_zero) or not self.started:
             self._baro_zero = height_m + self.position[2]
             return
@@ -192,7 +198,7 @@ class Estimator:
     # -- external poses -------------------------------------------------------------------------------------------
 
     def take(self, pose: ExternalPose) -> None:
-        """Fuse, hold back, reset or ignore one pose; why it was ignored is counted in `ignored`."""
+        """Process one pose: fuse it, reset the estimate to it, or ignore it and count the reason."""
         stamp = pose.stamp_s - self._tuning.delay_s
         if not self._usable(pose, stamp):
             return
@@ -216,7 +222,10 @@ class Estimator:
         self._fuse_heading(pose, past, stamp, dt)
 
     def offset_height(self, altitude_m: float) -> None:
-        """An origin that came before any pose was fused: the local height keeps its altitude for the flight."""
+        """Offset the local height by the altitude of an origin that was set before the first pose.
+
+        The offset remains for the whole flight.
+        """
         self.height_offset_m = altitude_m
         x, y, _ = self.position
         self.position = (x, y, altitude_m)
@@ -237,7 +246,10 @@ class Estimator:
         return False
 
     def _at(self, stamp: float) -> list[float] | None:
-        """The estimate at an instant of the past (newest for a stamp slightly in the future)."""
+        """Return the estimate at a past time, or the newest one for a stamp slightly in the future.
+
+        Elements: stamp (s), position (3, m), yaw (rad).
+        """
         later = None
         for entry in reversed(self._history):
             if entry[0] <= stamp:
@@ -280,14 +292,17 @@ class Estimator:
             turn, self._fused_yaw_s = wrapped(heading - past[4]), stamp
         self._baro_zero += dz
         self._shift(dx, dy, dz, 0.0, 0.0, 0.0, stamp, turn)
-        if turn:  # the velocity turns with the heading: it is known in the body
+        if turn:  # the velocity is known in the body frame, so it rotates with the heading
             self.velocity = rotate(from_yaw(turn), self.velocity)
         self.reset_count += 1
         if self._on_reset is not None:
             self._on_reset((dx, dy, dz), turn)
 
     def _shift(self, dx: float, dy: float, dz: float, dvx: float, dvy: float, dvz: float, stamp: float, turn: float) -> None:
-        """Move the estimate at `stamp` and carry the change to now, through the history; no velocity without its place."""
+        """Correct position, velocity and heading at `stamp`, and propagate the change to now.
+
+        The history is corrected, too; by a velocity change only together with a change of position.
+        """
         if dx or dy:
             for entry in self._history:
                 age = entry[0] - stamp
@@ -348,7 +363,7 @@ class Estimator:
         h = 1.5 * (1.0 - fade) ** 2 * (1.0 + fade) / dt
         k = (1.0 - fade) ** 3 / (dt * dt)
         self._shift(g * ix, g * iy, 0.0, h * ix, h * iy, 0.0, stamp, 0.0)
-        # A tilt error t turns the hover force (0, 0, -g) into the acceleration error (-g t_e, g t_n).
+        # a tilt error t rotates the hover force (0, 0, -g), which causes the acceleration error (-g t_e, g t_n)
         tilt = from_small_rotation(k * iy / GRAVITY_MPS2, -k * ix / GRAVITY_MPS2, 0.0)
         self.quat_wxyz = normalised(multiply(tilt, self.quat_wxyz))
 

@@ -1,4 +1,4 @@
-"""The land detector: pressed down, yet not moving."""
+"""Land detector: landed if the commanded force points down and the vehicle does not move."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sitl.world.quadrotor import GRAVITY_MPS2
 
 
 class LandDetector:
-    """landed: from the start, and again when the vehicle has rested for after_s; never again once it is blind."""
+    """Land detector. `landed` is initially True, and again after after_s at rest unless `blind`."""
 
     def __init__(self, after_s: float) -> None:
         self._after_s = after_s
@@ -17,8 +17,10 @@ class LandDetector:
         self.landed, self.blind = True, False
 
     def touched_down(self, dt_s: float, force: Vec3, velocity: Vec3, level_known: bool) -> bool:
-        """Whether it landed in this step. force: wanted specific force, local NED, m/s^2; velocity: local NED, m/s.
-        level_known: its horizontal part is estimated; one that is not known holds no landing up (read in PX4's sources).
+        """Advance by dt_s; return True if a landing was detected in this step.
+
+        force: wanted specific force, local NED, m/s^2. velocity: local NED, m/s. level_known: the horizontal velocity is
+        valid; an invalid one does not prevent the detection (from PX4's sources).
         """
         if self.landed:
             return False
@@ -29,9 +31,9 @@ class LandDetector:
         return self.landed
 
     def lifted(self) -> None:
-        """It left the ground."""
+        """Set the state to flying."""
         self.landed = False
 
     def rest(self) -> None:
-        """It stands, motors idle or off."""
+        """Set the state to landed: motors idle or off."""
         self.landed, self._resting_s = True, 0.0

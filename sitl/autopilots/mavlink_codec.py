@@ -1,7 +1,7 @@
-"""MAVLink 2 frames of the outside world, from fields to bytes and back; the dialect's tables are pymavlink's.
+"""MAVLink 2 encoder and decoder of the simulator, using pymavlink's tables of the dialect.
 
-Written apart from the product's framing on purpose, and without pymavlink's message objects: they took longer than the
-rest of the simulated autopilot.
+Not shared with the product's framing on purpose. pymavlink's message objects are not used because they took more time than
+the rest of the simulated autopilot.
 """
 
 from __future__ import annotations
@@ -20,38 +20,41 @@ _CHECK = struct.Struct("<H")
 
 
 class Packet(NamedTuple):
-    """A message to be sent: pymavlink's class of its kind and its fields as that class names them; last ones may lack."""
+    """A message to send: pymavlink's class and its fields in the order of that class.
+
+    Trailing extension fields may be missing.
+    """
 
     kind: Any
     fields: tuple[Any, ...]
 
 
 class ReceivedMessage(SimpleNamespace):
-    """A message that came: its fields by name, kind its message id, sender the system and component it came from."""
+    """A received message: fields by name; kind: message id; sender: system and component id."""
 
     kind: int
     sender: tuple[int, int]
 
 
 def packet(kind: Any, *fields: Any) -> Packet:
-    """A packet of these fields."""
+    """Return a packet of these fields."""
     return Packet(kind, fields)
 
 
 class MessageEncoder:
-    """Gives packets a frame, the sender's ids and a number each."""
+    """Encoder of packets with the sender's ids and a sequence number."""
 
     def __init__(self, system: int, component: int) -> None:
         self._system, self._component, self._number = system, component, 0
 
     def frame(self, message: Packet) -> bytes:
-        """The bytes of one packet. Raises struct.error for a field that does not fit its kind."""
+        """Return the bytes of one packet. Raises struct.error for a field of wrong type or range."""
         kind, fields = message
         form = _form(kind)
-        if len(fields) < len(form.order):  # extensions that nobody filled
+        if len(fields) < len(form.order):  # missing extension fields are 0
             fields = (*fields, *([0] * (len(form.order) - len(fields))))
         values = [fields[place] for place in form.order]
-        for place, count in form.arrays:  # the last one first, so that the places before it hold
+        for place, count in form.arrays:  # last one first, so that the indices of those before it remain valid
             values[place : place + 1] = values[place] or (0,) * count
         payload = kind.unpacker.pack(*values).rstrip(b"\0") or b"\0"
         head = _HEADER.pack(_START, len(payload), 0, 0, self._number, self._system, self._component, form.number)
@@ -60,13 +63,13 @@ class MessageEncoder:
 
 
 class MessageDecoder:
-    """Finds intact frames in what comes; everything else is skipped."""
+    """Decoder of intact frames in a byte stream; all other bytes are skipped."""
 
     def __init__(self) -> None:
         self._waiting = b""
 
     def feed(self, data: bytes) -> list[ReceivedMessage]:
-        """Messages of all frames that are complete now, oldest first."""
+        """Add bytes; return the messages of all frames that are now complete, oldest first."""
         self._waiting += data
         heard, at, end = [], 0, len(self._waiting)
         while (at := self._waiting.find(_START, at)) >= 0 and end - at >= _HEADER_BYTES:
@@ -87,8 +90,10 @@ class MessageDecoder:
 
 
 class _Form(NamedTuple):
-    """How a kind lies on the wire. order: for each field there its place among the fields as they are named; arrays: place
-    and count of those that are some, last first; values: name and where it stands among the unpacked values.
+    """Wire layout of a message.
+
+    number: message id in 3 bytes. seed: CRC_EXTRA. order: for each field on the wire its index in the order of the class.
+    arrays: index and length of array fields, last first. values: field name and its index or slice in the unpacked values.
     """
 
     number: bytes

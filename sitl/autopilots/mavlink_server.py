@@ -1,4 +1,4 @@
-"""The autopilot's end of the MAVLink 2 link: framing, sequence numbers, stream rates, texts and the parameter protocol."""
+"""The autopilot's end of the MAVLink 2 link: framing, streams, STATUSTEXT and parameters."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, Packet
 from sitl.autopilots.parameter_table import ParameterTable
 
 _TEXT_BYTES = 50
-_PARAMETERS_PER_STEP = 1  # 250 a second
+_PARAMETERS_PER_STEP = 1  # 250 a second with time steps of 4 ms
 
 
 class Stream:
-    """One message sent at a rate."""
+    """One message that is sent periodically."""
 
     __slots__ = ("build", "default_s", "interval_s", "next_s")
 
@@ -29,7 +29,7 @@ class Stream:
 
 
 class MavlinkServer:
-    """Reads and writes one link. A link that fails is treated as silence: the world goes on without its companion."""
+    """Reader and writer of one link; a closed link counts as silence, and flight continues."""
 
     def __init__(self, link: ByteEnd, parameters: ParameterTable, system: int = 1, component: int = 1) -> None:
         self._link = link
@@ -45,7 +45,7 @@ class MavlinkServer:
         self.texts: list[str] = []
 
     def restart(self) -> None:
-        """Sequence numbers and message rates are those of the boot again."""
+        """Reset sequence numbers and message rates to those at boot."""
         self._speaker = MessageEncoder(self._system, self._component)
         for stream in self._streams.values():
             stream.interval_s, stream.next_s = stream.default_s, 0.0
@@ -54,11 +54,11 @@ class MavlinkServer:
     # -- sending --------------------------------------------------------------------------------------------------
 
     def send(self, message: Packet) -> None:
-        """Queue a message; flush() puts it on the wire."""
+        """Queue a message; flush() sends it."""
         self._out += self._speaker.frame(message)
 
     def say(self, severity: int, text: str) -> None:
-        """STATUSTEXT, in pieces of 50 bytes when it is longer."""
+        """Send a STATUSTEXT, in chunks of 50 bytes if it is longer."""
         self.texts.append(text)
         raw = text.encode("ascii", "replace")
         self._texts = self._texts % 65535 + 1
@@ -68,15 +68,15 @@ class MavlinkServer:
             self.send(packet(mavlink.MAVLink_statustext_message, severity, part, identifier, piece // _TEXT_BYTES))
 
     def acknowledge(self, command: int, result: int, sender: tuple[int, int]) -> None:
-        """COMMAND_ACK to whoever asked."""
+        """Send a COMMAND_ACK to the sender of the command."""
         self.send(packet(mavlink.MAVLink_command_ack_message, command, result, 0, 0, sender[0], sender[1]))
 
     def add_stream(self, message_id: int, build: Callable[[], Packet | None], rate_hz: float) -> None:
-        """Send build() at a rate (0: only on request); build may return None to skip a turn."""
+        """Send build() at a rate (0: only on request); build may return None to skip a period."""
         self._streams[message_id] = Stream(build, rate_hz)
 
     def set_interval(self, message_id: int, interval_us: float, now_s: float) -> bool:
-        """SET_MESSAGE_INTERVAL: 0 the default, -1 off. False for a message that is not offered."""
+        """Set a message interval (µs; 0: default, -1: off). Return False for an unknown message."""
         stream = self._streams.get(message_id)
         if stream is None or not math.isfinite(interval_us):
             return False
@@ -89,7 +89,7 @@ class MavlinkServer:
         return True
 
     def request(self, message_id: int) -> bool:
-        """REQUEST_MESSAGE: send it once. False for a message that is not offered or not known yet."""
+        """Send a message once. Return False if it is unknown or not available yet."""
         stream = self._streams.get(message_id)
         message = stream.build() if stream is not None else None
         if message is None:
@@ -98,7 +98,7 @@ class MavlinkServer:
         return True
 
     def stream_out(self, now_s: float) -> None:
-        """Queue what is due, and the next parameter of a list under way."""
+        """Queue the messages that are due, and the next parameter of a requested list."""
         if self._list_next < len(self._parameters):
             for _ in range(_PARAMETERS_PER_STEP):
                 self.send_parameter(self._parameters.name(self._list_next))
@@ -114,7 +114,7 @@ class MavlinkServer:
         self._due_s = min([s.next_s for s in self._streams.values() if s.interval_s < math.inf], default=math.inf)
 
     def flush(self) -> None:
-        """Put everything queued on the wire."""
+        """Send all queued messages."""
         if not self._out:
             return
         data = bytes(self._out)
@@ -122,12 +122,12 @@ class MavlinkServer:
         try:
             self._link.write(data)
         except OSError:
-            return  # the companion is gone; its failsafe is our business elsewhere
+            return  # the companion is gone; the commander's failsafe reacts to its silence
 
     # -- receiving ------------------------------------------------------------------------------------------------
 
     def drain(self, now_s: float) -> None:
-        """Take in what the link has; now_s stands in for the arrival where the transport knows none."""
+        """Read all waiting bytes; now_s is their arrival time if the link has none."""
         while True:
             try:
                 data = self._link.read()
@@ -139,7 +139,10 @@ class MavlinkServer:
             self._inbox.append((now_s if arrival is None else arrival, data))
 
     def messages(self, now_s: float) -> Iterator[tuple[float, ReceivedMessage]]:
-        """Arrival and message of all that had arrived by now_s, in order; garbage and frames for others left out."""
+        """Yield arrival time and message of all frames arrived by now_s, in order.
+
+        Invalid frames and messages for another system are skipped.
+        """
         while self._inbox and self._inbox[0][0] <= now_s:
             arrival, data = self._inbox.popleft()
             for message in self._listener.feed(data):
@@ -149,7 +152,7 @@ class MavlinkServer:
     # -- parameters -----------------------------------------------------------------------------------------------
 
     def take_parameter_message(self, message: ReceivedMessage) -> bool:
-        """Answer PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET; False for any other message."""
+        """Handle PARAM_REQUEST_LIST, PARAM_REQUEST_READ or PARAM_SET; return False for others."""
         kind = message.kind
         if kind == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
             self._list_next = 0
@@ -180,7 +183,7 @@ class MavlinkServer:
         self.send_parameter(name)
 
     def send_parameter(self, name: str) -> None:
-        """PARAM_VALUE."""
+        """Send the PARAM_VALUE of a parameter."""
         p = self._parameters
         self.send(
             packet(mavlink.MAVLink_param_value_message, name.encode(), p.on_wire(name), p.kind(name), len(p), p.index(name))

@@ -1,4 +1,4 @@
-"""A firmware's parameters: names in order, each with a type fixed by its default, and their form on the wire."""
+"""Table of a firmware's parameters, sorted by name, each with the type of its default value."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ REAL32 = 9  # MAV_PARAM_TYPE_REAL32
 
 
 class ParameterError(ValueError):
-    """A parameter file that cannot be loaded; its text names file, line and fault."""
+    """The parameter file cannot be loaded; the message names file, line and cause."""
 
 
 class ParameterTable:
-    """Name to value. `revision` grows with each change. What an INT32 looks like on the wire is the firmware's own."""
+    """Parameter values by name. `revision` increases with each change.
+
+    Subclasses define the wire format of an INT32.
+    """
 
     def __init__(self, defaults: Mapping[str, int | float]) -> None:
         self._values: dict[str, int | float] = dict(sorted(defaults.items()))
@@ -36,28 +39,28 @@ class ParameterTable:
         return iter(self._names)
 
     def integer(self, name: str) -> int:
-        """Value of an INT32 parameter. Raises KeyError for an unknown name, ValueError for a REAL32 one."""
+        """Return an INT32 value. Raises KeyError for an unknown name, ValueError for a REAL32."""
         value = self._values[name]
         if not isinstance(value, int):
             raise ValueError(f"{name} is not an integer")
         return value
 
     def kind(self, name: str) -> int:
-        """MAV_PARAM_TYPE of a parameter. Raises KeyError for an unknown name."""
+        """Return the MAV_PARAM_TYPE of a parameter. Raises KeyError for an unknown name."""
         return INT32 if isinstance(self._values[name], int) else REAL32
 
     def index(self, name: str) -> int:
-        """Position in the list that the wire counts. Raises ValueError for an unknown name."""
+        """Return the param_index of a parameter. Raises ValueError for an unknown name."""
         return self._names.index(name)
 
     def name(self, index: int) -> str:
-        """Name at a position. Raises IndexError outside the list."""
+        """Return the name at a param_index. Raises IndexError outside the list."""
         if index < 0:
             raise IndexError(index)
         return self._names[index]
 
     def set(self, name: str, value: float) -> None:
-        """Change a value. Raises KeyError for an unknown name, ValueError for a value that does not fit its type."""
+        """Change a value. Raises KeyError for an unknown name, ValueError for an invalid value."""
         if self.kind(name) == INT32:
             if value != int(value) or not -(2**31) <= value < 2**31:
                 raise ValueError(f"{name} needs a 32-bit integer, got {value!r}")
@@ -69,16 +72,19 @@ class ParameterTable:
         self.revision += 1
 
     def on_wire(self, name: str) -> float:
-        """The float of PARAM_VALUE."""
+        """Return the float that PARAM_VALUE carries."""
         return self[name]
 
     def from_wire(self, name: str, wire: float) -> float:
-        """The value meant by the float of a PARAM_SET. Raises KeyError for an unknown name."""
+        """Return the value of the float in a PARAM_SET. Raises KeyError for an unknown name."""
         self.kind(name)
         return wire
 
     def _read(self, path: Path, take_line: Callable[[str], None]) -> None:
-        """Hand over each line that is no comment. Raises ParameterError, for a ValueError of take_line too."""
+        """Call take_line for each line that is not empty or a comment.
+
+        Raises ParameterError if the file cannot be read or take_line raises ValueError.
+        """
         try:
             lines = path.read_text(encoding="utf-8").splitlines()
         except OSError as error:

@@ -1,4 +1,4 @@
-"""What a pilot on the sticks goes by: the vehicle itself, not what the autopilot makes of it. Local NED and FRD."""
+"""True state of the vehicle as a human pilot sees it, in place of the estimate. NED and FRD."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from sitl.world.quadrotor import Quadrotor
 
 
 class PilotView:
-    """Stands in for an estimator that has just begun anew."""
+    """Replacement for the estimator after a reboot in flight: the true state."""
 
     horizontal_valid = True
 
@@ -17,17 +17,17 @@ class PilotView:
 
     @property
     def position(self) -> Vec3:
-        """Metres."""
+        """Position, local NED, m."""
         return ned_from_enu(self._vehicle.position)
 
     @property
     def velocity(self) -> Vec3:
-        """Metres a second."""
+        """Velocity, local NED, m/s."""
         return ned_from_enu(self._vehicle.velocity)
 
     @property
     def acceleration(self) -> Vec3:
-        """Nobody sees it."""
+        """Zero: a human pilot does not perceive the acceleration."""
         return (0.0, 0.0, 0.0)
 
     @property

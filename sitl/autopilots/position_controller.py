@@ -1,7 +1,7 @@
-"""Multicopter position control, PX4's and ArduCopter's alike: position P, velocity PI, feedforward, limits.
+"""Multicopter position control for both autopilots: position P, velocity PID, feedforward.
 
-Local NED frame, metres, radians. A NaN in a setpoint means "not controlled by this field", as in PX4. What is limited is
-speed, tilt and thrust; limits of acceleration belong to the trajectories that the firmwares make themselves.
+Local NED frame, metres, radians. A NaN in a setpoint means "not controlled by this field", as in PX4. Speed, tilt and
+thrust are limited; acceleration is limited only in the trajectories that the firmware generates itself.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _NAN3 = (math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, slots=True)
 class ControlSetpoint:
-    """Wanted motion, local NED; each field NaN where it is ignored. yaw rate is about down (clockwise from above)."""
+    """Wanted motion, local NED; NaN fields are ignored. yaw_rate: clockwise seen from above."""
 
     position: Vec3 = _NAN3
     velocity: Vec3 = _NAN3
@@ -27,7 +27,7 @@ class ControlSetpoint:
 
     @property
     def valid(self) -> bool:
-        """Whether every axis is controlled by something; the horizontal ones come in pairs (PX4 PositionControl)."""
+        """True if each axis is controlled, x and y by the same fields (as in PX4 PositionControl)."""
         x, y, z = (
             (math.isfinite(p), math.isfinite(v), math.isfinite(a))
             for p, v, a in zip(self.position, self.velocity, self.acceleration, strict=True)
@@ -35,14 +35,17 @@ class ControlSetpoint:
         return any(x) and any(z) and x == y
 
     def shifted(self, delta: Vec3, turn_rad: float) -> ControlSetpoint:
-        """The setpoint after the estimate jumped: PX4 carries the HELD setpoint along."""
+        """Return the setpoint after a jump of the estimate: PX4 shifts the setpoint that it HOLDS."""
         p = self.position
         return replace(self, position=(p[0] + delta[0], p[1] + delta[1], p[2] + delta[2]), yaw=self.yaw + turn_rad)
 
 
 @dataclass(frozen=True, slots=True)
 class ControlGains:
-    """Gains and limits. A triple: velocity P (1/s), velocity I (1/s²), feedback of the acceleration (1). SI, radians."""
+    """Gains and limits; SI, radians.
+
+    xy_velocity and z_velocity: P (1/s), I (1/s²) and feedback of the acceleration (1) of the velocity controllers.
+    """
 
     xy_p: float
     z_p: float
@@ -52,26 +55,26 @@ class ControlGains:
     speed_xy: float
     speed_up: float
     speed_down: float
-    accel_up: float  # what thrust is there for, as accel_down
+    accel_up: float  # limit from the available thrust, like accel_down
     accel_down: float
     tilt_rad: float
     yaw_rate: float
 
 
 class PositionController:
-    """Turns a setpoint into a wanted specific force (local NED, hover = (0, 0, -g)) and a yaw rate, rad/s."""
+    """Controller from a setpoint to specific force (local NED, hover = (0, 0, -g)) and yaw rate."""
 
     def __init__(self, gains: ControlGains) -> None:
         self._integral = [0.0, 0.0, 0.0]
         self.configure(gains)
 
     def configure(self, gains: ControlGains) -> None:
-        """Take over changed gains."""
+        """Apply changed gains."""
         self._gains = gains
         self._tilt = math.tan(gains.tilt_rad)
 
     def reset(self) -> None:
-        """Forget the integrals (on the ground)."""
+        """Set the integrals to zero (on the ground)."""
         self._integral = [0.0, 0.0, 0.0]
 
     def step(
@@ -84,7 +87,10 @@ class PositionController:
         setpoint: ControlSetpoint,
         speed_up_mps: float = math.inf,
     ) -> tuple[Vec3, float]:
-        """One step. speed_up_mps: a tighter climb limit than the parameter's (the take-off ramp)."""
+        """Return the specific force (m/s^2, local NED) and the yaw rate (rad/s) after one step.
+
+        speed_up_mps: a climb-rate limit below the parameter's, for the take-off ramp.
+        """
         wanted = self._wanted_velocity(position, setpoint, min(speed_up_mps, self._gains.speed_up))
         a = setpoint.acceleration
         x, sx = self._axis(0, self._gains.xy_velocity, wanted[0], velocity[0], acceleration[0], a[0])
@@ -97,14 +103,14 @@ class PositionController:
         if not free:
             x, y = x * most / side, y * most / side
         integral = self._integral
-        if free:  # anti-windup: integrate only while the command is carried out
+        if free:  # anti-windup: integrate only while the tilt is not saturated
             integral[0] = min(max(integral[0] + sx * dt_s, -3.0), 3.0)
             integral[1] = min(max(integral[1] + sy * dt_s, -3.0), 3.0)
         integral[2] = min(max(integral[2] + sz * dt_s, -6.0), 9.0)
         return (x, y, z - GRAVITY_MPS2), self._turn(yaw, setpoint)
 
     def level(self, dt_s: float, velocity_down: float, wanted_down: float) -> Vec3:
-        """Without a horizontal position: keep level, control the vertical speed alone."""
+        """Return the force without a horizontal position: level, with vertical speed control only."""
         z, sz = self._axis(2, self._gains.z_velocity, wanted_down, velocity_down, 0.0, math.nan)
         self._integral[2] = min(max(self._integral[2] + sz * dt_s, -6.0), 9.0)
         return (0.0, 0.0, min(max(z, -self._gains.accel_up), self._gains.accel_down) - GRAVITY_MPS2)
@@ -124,7 +130,7 @@ class PositionController:
     def _axis(
         self, axis: int, gains: tuple[float, float, float], wanted: float, now: float, accel: float, forward: float
     ) -> tuple[float, float]:
-        """Wanted acceleration of one axis, and how fast its integral wants to grow."""
+        """Return the wanted acceleration of one axis and the rate of change of its integral."""
         if math.isnan(wanted):  # acceleration alone
             return (_or_zero(forward), 0.0)
         error = wanted - now
@@ -139,7 +145,7 @@ class PositionController:
 
 
 def _sum(a: float, b: float) -> float:
-    """The sum of what is not NaN; NaN if neither is."""
+    """Return the sum of those arguments that are not NaN; NaN if both are."""
     if math.isnan(a):
         return b
     return a + _or_zero(b)
@@ -150,12 +156,12 @@ def _or_zero(a: float) -> float:
 
 
 def _prioritised(ex: float, ey: float, wx: float, wy: float, limit: float) -> tuple[float, float]:
-    """Shorten a velocity to the limit, giving the part from the position error (ex, ey) the right of way."""
+    """Limit a velocity (wx, wy); the part from the position error (ex, ey) has priority."""
     norm = math.hypot(ex, ey)
     if norm >= limit:
         return (ex * limit / norm, ey * limit / norm)
     rx, ry = wx - ex, wy - ey
-    # Largest s in [0, 1] with |e + s r| = limit.
+    # s in [0, 1] with |e + s r| = limit
     a, b, c = rx * rx + ry * ry, ex * rx + ey * ry, norm * norm - limit * limit
     s = (-b + math.sqrt(max(b * b - a * c, 0.0))) / a
     return (ex + s * rx, ey + s * ry)

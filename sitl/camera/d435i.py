@@ -1,11 +1,11 @@
-"""An Intel RealSense D435i as it really is: stereo depth with its errors and holes, and a narrower colour camera beside it.
+"""Model of an Intel RealSense D435i: stereo depth with noise and holes, and a colour camera.
 
 Depth has 87x58 degrees, colour 69x42 degrees, both 424x240 pixels; the colour imager sits 15 mm to the left of the left
 infrared imager, in which depth is expressed. Stereo is matched at 848x480 and delivered at half of that, so the disparity
-error is in pixels of the matched picture: sigma_z = z² · 0.08 px / (f · b), with f = 447 px and b = 5 cm 14 mm at 2 m.
+error is in pixels of the matched image: sigma_z = z² · 0.08 px / (f · b), which is 14 mm at 2 m for f = 447 px, b = 5 cm.
 
-Models `fast` and `small` are the same device asked for less: depth decimated once more, six pictures a second, and colour off
-or as small.
+The models `fast` and `small` are the same device with depth decimated once more and six images a second; `fast` has no
+colour, `small` has colour decimated in the same ratio. `wide` has colour registered to depth.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from uav_recon.sensors.stream_format import CameraSpec, StreamHeader
 
 WIDTH, HEIGHT = 424, 240
 RANGE_M = (0.3, 6.0)
-FAR_MARGIN_M = 0.6  # noise may bring a surface from beyond the range into it
+FAR_MARGIN_M = 0.6  # rendered beyond the range, because noise may move such a surface into it
 BASELINE_M = 0.050
 DISPARITY_ERROR_PX = 0.08
-MATCHED_BINNING = 2  # the matcher works on a picture this much finer
+MATCHED_BINNING = 2  # width of the matched image divided by that of the delivered one
 CORRELATION_SIGMA_PX = 1.5
 CORRELATION_TAPS = 9
 GRAZING_COS, GRAZING_SPREAD = 0.175, 0.02
@@ -43,7 +43,7 @@ U16 = NDArray[np.uint16]
 
 
 def pinhole(width: int, height: int, horizontal_deg: float, vertical_deg: float) -> CameraSpec:
-    """Intrinsics of a picture whose outer pixel EDGES span the two angles."""
+    """Return the intrinsics of an image whose outer pixel EDGES span the two angles."""
     fx = 0.5 * width / math.tan(math.radians(0.5 * horizontal_deg))
     fy = 0.5 * height / math.tan(math.radians(0.5 * vertical_deg))
     return CameraSpec(width, height, fx, fy, 0.5 * (width - 1), 0.5 * (height - 1))
@@ -58,7 +58,10 @@ RATES_HZ: dict[Model, float] = {"d435i": 10.0, "wide": 10.0, "fast": 6.0, "small
 
 
 def stream_header(model: Model) -> StreamHeader:
-    """Both cameras and the pose between them; `wide` has one registered camera, `fast` a black stamp for colour."""
+    """Return both cameras' intrinsics and the pose between them.
+
+    `wide` has colour registered to depth; `fast` has a black colour image of 4x2 pixels.
+    """
     if model == "wide":
         return StreamHeader(DEPTH_SPEC, DEPTH_SPEC, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     if model in ("fast", "small"):
@@ -68,17 +71,17 @@ def stream_header(model: Model) -> StreamHeader:
 
 
 class CameraView(Protocol):
-    """What a camera looks at: a scene's renderer, or one with more in it."""
+    """Source of rendered images: a scene's renderer, or one with additional objects."""
 
     def render(
         self, world_from_camera: F64, spec: CameraSpec, near_m: float = 0.05, far_m: float = math.inf, colour: bool = True
     ) -> Rendering:
-        """As Renderer.render."""
+        """Render an image; see Renderer.render()."""
         ...
 
 
 class SimulatedD435i:
-    """Takes frames of a scene. Frame n of a seed has the same noise in every run; use it from one thread."""
+    """Camera in a scene. Frame n of a seed has the same noise in every run. Not thread-safe."""
 
     def __init__(self, renderer: CameraView, model: Model = "d435i", noise: Noise = "d435i", seed: int = 0) -> None:
         self.header, self.period_s = stream_header(model), 1.0 / RATES_HZ[model]
@@ -89,7 +92,7 @@ class SimulatedD435i:
         self._depth_from_rgb = inverse(rigid(np.eye(3), (tx, ty, tz)))
 
     def capture(self, world_from_body: F64, pitch_down_rad: float) -> tuple[U16, U8]:
-        """Depth (H, W) in millimetres, 0 = no return, and rgb (h, w, 3), from a body pose (4, 4) in the world.
+        """Return depth (H, W) in mm, 0 = no return, and rgb (h, w, 3) from a body pose (4, 4).
 
         pitch_down_rad tilts the mount down. Blocks for about 20 ms, `fast` for 2 ms.
         """
@@ -108,7 +111,7 @@ class SimulatedD435i:
 
 
 def warm_up() -> None:
-    """Compile every kernel of this file and of the renderer."""
+    """Compile all kernels of this module and of the renderer."""
     vertices = np.array([[1, -1, -1], [1, 1, -1], [1, 0, 1]], np.float32)
     camera = SimulatedD435i(Renderer(vertices, np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8)))
     camera.capture(np.eye(4), 0.0)
@@ -116,25 +119,28 @@ def warm_up() -> None:
 
 def _stereo(depth_m: F32, incidence_cos: F32, rng: np.random.Generator) -> U16:
     (height, width), pad = depth_m.shape, CORRELATION_TAPS - 1
-    coarser = WIDTH / width  # than the picture for which the constants stand
+    coarser = WIDTH / width  # the constants hold for images of WIDTH
     white = rng.standard_normal((height + pad, width + pad), np.float32)
     return _stereo_depth(
         depth_m,
         incidence_cos,
         _smooth(white, _taps(CORRELATION_SIGMA_PX / coarser)),
-        white[::-1, ::-1],  # whether a grazing ray comes back has nothing to do with its own error
+        white[::-1, ::-1],  # reversed: loss at grazing incidence is independent of the pixel's depth error
         DEPTH_SPEC.fx / coarser * BASELINE_M,
         DISPARITY_ERROR_PX / MATCHED_BINNING / coarser,
     )
 
 
 def _paper(depth_m: F32, incidence_cos: F32, rng: np.random.Generator) -> U16:
-    """sigma = 3 mm at 3 m, growing with z²."""
+    """Return depth (mm) with white noise of sigma = 3 mm at 3 m, growing with z²."""
     return _white(depth_m, 0.003 * (depth_m / 3.0) ** 2, rng)
 
 
 def _kinect(depth_m: F32, incidence_cos: F32, rng: np.random.Generator) -> U16:
-    """sigma = 0.001 + 0.0019 (z - 0.4)² m; Nguyen, Izadi, Lovell 2012, axial noise."""
+    """Return depth (mm) with white noise of sigma = 0.001 + 0.0019 (z - 0.4)² m.
+
+    Axial noise of Nguyen, Izadi, Lovell 2012.
+    """
     return _white(depth_m, 0.001 + 0.0019 * (depth_m - 0.4) ** 2, rng)
 
 
@@ -157,7 +163,7 @@ def _white(depth_m: F32, sigma_m: F32, rng: np.random.Generator) -> U16:
 
 
 def _taps(sigma_px: float) -> F32:
-    """Gaussian weights whose squares sum to 1: blurring white noise with them in both axes keeps its variance."""
+    """Return Gaussian weights whose squares sum to 1: a blur keeps the variance of white noise."""
     x = np.arange(CORRELATION_TAPS) - CORRELATION_TAPS // 2
     weights = np.exp(-0.5 * (x / sigma_px) ** 2)
     return np.asarray((weights / np.sqrt((weights**2).sum())).astype(np.float32))
@@ -165,7 +171,7 @@ def _taps(sigma_px: float) -> F32:
 
 @kernel
 def _smooth(white: F32, taps: F32) -> F32:
-    """Separable convolution, valid part only: (H + t - 1, W + t - 1) -> (H, W)."""
+    """Return the valid part of a separable convolution: (H + t - 1, W + t - 1) -> (H, W)."""
     n = taps.shape[0]
     height, width = white.shape[0] - n + 1, white.shape[1] - n + 1
     rows = np.zeros((height, white.shape[1]), np.float32)
@@ -182,8 +188,10 @@ def _smooth(white: F32, taps: F32) -> F32:
 
 @kernel
 def _stereo_depth(depth_m: F32, incidence_cos: F32, error: F32, white: F32, focal_baseline: float, error_px: float) -> U16:
-    """z' = f b / (f b / z + error). A pixel has no return where its second imager's ray is hidden by something nearer
-    (the band at the left of every near object) or outside that imager, at grazing incidence, and beyond the range.
+    """Return depth (H, W) in mm, 0 without a return, with the errors of stereo matching.
+
+    z' = f b / (f b / z + error). A pixel has no return where its ray from the second imager is occluded by a nearer
+    surface (a band at the left of every near object) or outside that imager, at grazing incidence, and beyond the range.
     """
     height, width = depth_m.shape
     out = np.zeros((height, width), np.uint16)

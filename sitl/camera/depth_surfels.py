@@ -1,6 +1,7 @@
-"""Surface elements straight from depth pictures: one per small cube, with a normal and a doubt that falls with each look.
+"""Surface elements from depth images: one per cube, with a normal and a standard deviation.
 
-Stands in for a learned surface where a flight is judged and no model is wanted: a few milliseconds a view.
+Used in place of the neural surface in flights that are evaluated without a reconstructed model: a few milliseconds per
+image.
 """
 
 from __future__ import annotations
@@ -10,18 +11,21 @@ from numpy.typing import NDArray
 
 from sitl.runtime.jit import kernel
 
-NORMAL_BASE_M = 0.08  # half the way across which a picture's slope is taken: wide against the noise of depth
-LARGEST_JUMP = 0.12  # of the depth, between the two ends of that way: more is an edge, not a slope
+NORMAL_BASE_M = 0.08  # half the baseline of the depth differences for normals: large against the depth noise
+LARGEST_JUMP = 0.12  # relative depth difference to either end of the baseline; more is an edge
 SMALLEST_COSINE = 0.15
-PRIOR_SIGMA_M = 1.0  # of what was never measured
-FIRST_ROOM = 4096
+PRIOR_SIGMA_M = 1.0  # standard deviation before any measurement
+FIRST_ROOM = 4096  # initial capacity, in surface elements
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 
 class DepthSurfels:
-    """Cubes of cell_m between low_m and high_m (3,) that held a measured point; in the order in which they were first met."""
+    """One surface element per cube of cell_m, between low_m and high_m (3,), that was measured.
+
+    They are in the order of their first measurement.
+    """
 
     def __init__(self, low_m: F64, high_m: F64, cell_m: float) -> None:
         self._low, self._cell_m = np.asarray(low_m, np.float64), cell_m
@@ -35,10 +39,11 @@ class DepthSurfels:
         return self._count
 
     def look(self, depth_m: F32, lens: F64, rotation: F64, eye_m: F64, noise: float) -> None:
-        """Take a depth picture (H, W), NaN where nothing was met. Costs a few milliseconds.
+        """Add a depth image (H, W), m, NaN without a return. Takes a few milliseconds.
 
-        lens: fx, fy, cx, cy; rotation (3, 3) and eye_m (3,) are world_from_camera; noise: sigma_z = noise z², 1/m.
-        A look is worth (cos / sigma_z)² to each cube that it meets, however many of its pixels do.
+        lens: fx, fy, cx, cy. rotation (3, 3) and eye_m (3,): world_from_camera. noise: sigma_z = noise z², 1/m.
+        An image adds the information (cos / sigma_z)², cos of the incidence angle, once to each cube that it measures,
+        however many of its pixels fall into the cube.
         """
         self._views += 1
         while not self._see(depth_m, lens, rotation, eye_m, noise):
@@ -56,15 +61,15 @@ class DepthSurfels:
         return True
 
     def elements(self) -> tuple[F64, F64, F64]:
-        """Positions (N, 3), unit normals (N, 3) towards the camera, and standard deviations (N,) in metres."""
+        """Return positions (N, 3), unit normals (N, 3) towards the camera, and sigmas (N,), m."""
         return _elements(self._sums[: self._count])
 
 
 def warm_up() -> None:
-    """Compile every kernel of this file."""
+    """Compile all kernels of this module."""
     memory = DepthSurfels(np.zeros(3), np.ones(3), 0.1)
     depth, eye = np.full((8, 8), 0.5, np.float32), np.full(3, 0.4)
-    for array in (depth, eye):  # as they come in a frozen frame
+    for array in (depth, eye):  # read-only, as in a frozen frame
         array.setflags(write=False)
     memory.look(depth, np.array([8.0, 8.0, 3.5, 3.5]), np.eye(3), eye, 0.005)
     memory.elements()
@@ -72,7 +77,10 @@ def warm_up() -> None:
 
 @kernel
 def _elements(sums: F64) -> tuple[F64, F64, F64]:
-    """Means of what _look summed up: positions, normals (up where they cancel out) and standard deviations."""
+    """Return the means of the sums of _look(): positions, normals and standard deviations.
+
+    A normal is (0, 0, 1) where the measured normals cancel out.
+    """
     positions, normals, sigma = np.empty((sums.shape[0], 3)), np.zeros((sums.shape[0], 3)), np.empty(sums.shape[0])
     for n in range(sums.shape[0]):
         length = np.sqrt(sums[n, 3] ** 2 + sums[n, 4] ** 2 + sums[n, 5] ** 2)
@@ -90,7 +98,7 @@ def _look(
     depth: F32, lens: F64, rotation: F64, eye: F64, noise: float, low: F64, cell: float, cube: I32, sums: F64, seen: I32,
     view: int, count: int,
 ) -> int:  # fmt: skip
-    """Add a picture to sums; returns how many cubes there are now."""
+    """Add an image to sums; return the new number of surface elements."""
     height, width = depth.shape
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     for v in range(height):

@@ -1,6 +1,7 @@
-"""Points in cells, for distances from a hull to the nearest of them and for what lies straight below a place.
+"""Point cloud sorted into cells, for distances to cylinders and the points below a position.
 
-Each cell has the box that its points fill, and a query walks the cells outward until no nearer point can follow.
+Each cell stores the bounding box of its points. A distance query visits the cells outward from the position and ends
+when the remaining cells cannot hold a nearer point.
 """
 
 from __future__ import annotations
@@ -11,14 +12,14 @@ from numpy.typing import NDArray
 from sitl.runtime.jit import kernel
 
 CELL_M = 0.10
-_UNDER_M = 0.015  # beside a place, what lies below it
+_UNDER_M = 0.015  # horizontal half-width, per axis, within which a point counts as straight below
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 
 class PointGrid:
-    """Points (N, 3) sorted into cubic cells, for distances from upright cylinders. Immutable."""
+    """Points (N, 3), m, in cubic cells, for distances from upright cylinders. Immutable."""
 
     def __init__(self, points_m: F32, cell_m: float = CELL_M) -> None:
         self.cell_m = cell_m
@@ -30,14 +31,18 @@ class PointGrid:
         order = np.argsort(key, kind="stable")
         self.points: F32 = np.ascontiguousarray(points_m[order])
         first = np.flatnonzero(np.diff(key[order], prepend=-1))
-        self.start: I64 = np.append(first, len(order)).astype(np.int64)  # of each cell that holds points, column by column
+        # index of the first point of each non-empty cell, column by column
+        self.start: I64 = np.append(first, len(order)).astype(np.int64)
         self.columns: I64 = np.searchsorted(column[order][first], np.arange(int(self.shape.prod()) + 1)).astype(np.int64)
         self.boxes: F32 = np.concatenate(
             (np.minimum.reduceat(self.points, first, axis=0), np.maximum.reduceat(self.points, first, axis=0)), axis=1
         )
 
     def distances(self, positions_m: F64, radius_m: float, half_height_m: float, cap_m: float) -> F64:
-        """Distance (M,) from solid cylinders centred at positions_m (M, 3) to the nearest point, at most cap_m."""
+        """Return the distance (M,), m, from each upright cylinder to its nearest point.
+
+        The cylinders are solid and centred at positions_m (M, 3). Distances are limited to cap_m.
+        """
         return _distances(
             np.ascontiguousarray(positions_m, np.float64),
             radius_m,
@@ -53,7 +58,7 @@ class PointGrid:
         )
 
     def highest_below(self, x: float, y: float, z: float) -> float:
-        """Height (m) of the highest point straight below a place; -inf without one."""
+        """Return the height (m) of the highest point straight below (x, y, z); -inf without one."""
         return float(
             _highest_below(x, y, z, self.points, self.start, self.columns, self.boxes, self.shape, self.low, self.cell_m)
         )
@@ -69,7 +74,10 @@ def _distance(
     position: F64, radius: float, half: float, cap: float,
     points: F32, start: I64, columns: I64, boxes: F32, shape: I64, low: F64, cell: float,
 ) -> float:  # fmt: skip
-    """Rings of columns of cells around the centre; a ring that lies farther than the best so far ends the search."""
+    """Return the distance of one cylinder; search square rings of cell columns around it.
+
+    The search ends at the first ring that lies farther away than the nearest point found.
+    """
     x, y, z = position[0], position[1], position[2]
     cx, cy = int(np.floor((x - low[0]) / cell)), int(np.floor((y - low[1]) / cell))
     best = cap
@@ -102,7 +110,10 @@ def _distances(
     positions: F64, radius: float, half: float, cap: float,
     points: F32, start: I64, columns: I64, boxes: F32, shape: I64, low: F64, cell: float,
 ) -> F64:  # fmt: skip
-    """Distance changes by no more than the body moves: near the place asked about before the search need not go far."""
+    """Return the distance for each position.
+
+    The distance changes by no more than the step from the previous position, which limits the search radius.
+    """
     out = np.empty(positions.shape[0])
     for m in range(positions.shape[0]):
         least = cap
@@ -118,7 +129,10 @@ def _highest_below(
     x: float, y: float, z: float,
     points: F32, start: I64, columns: I64, boxes: F32, shape: I64, low: F64, cell: float,
 ) -> float:  # fmt: skip
-    """Of the points beside (x, y) that are no higher than z."""
+    """Return the height of the highest point near (x, y) that is not above z; -inf without one.
+
+    Near means within _UNDER_M along both axes.
+    """
     best = -np.inf
     first_i, last_i = int(np.floor((x - _UNDER_M - low[0]) / cell)), int(np.floor((x + _UNDER_M - low[0]) / cell))
     first_j, last_j = int(np.floor((y - _UNDER_M - low[1]) / cell)), int(np.floor((y + _UNDER_M - low[1]) / cell))

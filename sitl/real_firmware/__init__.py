@@ -1,1 +1,1 @@
-"""Real firmware binaries in place of the simulated autopilots."""
+"""Real firmware binaries (ArduCopter, PX4) in place of the simulated autopilots."""

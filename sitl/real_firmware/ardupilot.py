@@ -1,4 +1,4 @@
-"""ArduCopter's own simulation: how its binary is started, and how it says where its vehicle really is."""
+"""ArduCopter's own simulation: start of its binary and decoding of its ground truth."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from sitl.autopilots.mavlink_codec import ReceivedMessage
 from sitl.real_firmware.rc_transmitter import RcTransmitter
 from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TrueTrajectory
 
-_HOME = "47.397742,8.545594,0,0"  # latitude, longitude, height, heading: any place will do
+_HOME = "47.397742,8.545594,0,0"  # latitude, longitude, height, heading; arbitrary
 _SERIAL_PORTS = 9
-# What a bench would have set up on the airframe of its `quad` model, before anybody flies: frame, calibration, battery, sticks.
+# settings that depend on the airframe of the `quad` model: frame, calibration, battery, RC channels
 _AIRFRAME: dict[str, float] = {
     "FRAME_CLASS": 1, "FRAME_TYPE": 0,
     **{f"INS_ACC{n}OFFS_{axis}": 0.001 for n in ("", "2") for axis in "XYZ"},
@@ -26,9 +26,9 @@ _AIRFRAME: dict[str, float] = {
     **{f"RC{n}_{end}": pulse for n in range(1, 9) for end, pulse in (("MIN", 1000), ("TRIM", 1500), ("MAX", 2000))},
 }  # fmt: skip
 _NAMES = {mode.value: mode.name for mode in ArduPilotMode}
-# What the transmitter's switch means, and the pulses that are in the middle of its places; it lies at 1800 to begin with.
+# mode switch of the transmitter: pulse (µs) at the centre of each position; the simulated receiver starts at 1800 µs
 _SWITCH = {ArduPilotMode.LOITER: 1165, ArduPilotMode.POSHOLD: 1295, ArduPilotMode.ALT_HOLD: 1425, ArduPilotMode.STABILIZE: 1555}
-# No gimbal answers in its simulation, and a mount that is configured but silent keeps it from arming.
+# its simulation has no gimbal, and a configured mount that does not answer prevents arming
 _BENCH: dict[str, float] = {
     "MNT1_TYPE": 0,
     "FLTMODE_CH": 5, "FLTMODE5": ArduPilotMode.STABILIZE, "FLTMODE6": ArduPilotMode.STABILIZE,
@@ -37,25 +37,25 @@ _BENCH: dict[str, float] = {
 
 
 class ArduPilotBinary:
-    """`--autopilot ardupilot --firmware PATH`: ArduCopter for SITL, 4.5.2 or newer, its `quad` model in real time.
+    """ArduCopter for SITL (`--autopilot ardupilot --firmware PATH`), 4.5.2 or newer.
 
-    It sends to the companion as a UDP client on SERIAL0, and the truth (SIM_STATE) to whoever listens on SERIAL1. Every other
-    port is off but that of its sticks, which it opens on all networks whatever it is told: at least its number is another one
-    each time.
+    It simulates its `quad` model in real time. It sends to the companion as a UDP client on SERIAL0, and the truth
+    (SIM_STATE) on SERIAL1. All other ports are disabled except the RC input, which it always opens on all network
+    interfaces; therefore its port number is a different one each time.
     """
 
     grain = Grain(metres_per_e7=0.011131884502145034, height_step_m=0.01)
     streams_hz = ((mavlink.MAVLINK_MSG_ID_SIM_STATE, 100.0),)
     asked_again = ()
-    set_late = ()  # it reads them all from a file
-    truth_port = companion_port = 0  # any
+    set_late = ()  # all parameters are read from a file at the start
+    truth_port = companion_port = 0  # any free port
 
     def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE) -> None:
         self._binary, self._parameters = binary, parameters
         self.transmitter = RcTransmitter({mode.name: pulse_us for mode, pulse_us in _SWITCH.items()})
 
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
-        """What starts it in a folder that is empty, with the card's scripts in it."""
+        """Write parameters and Lua scripts into an empty folder; return the command line."""
         for script in self._parameters.parent.glob("*.lua"):
             (folder / "scripts").mkdir(exist_ok=True)
             shutil.copy(script, folder / "scripts")
@@ -69,7 +69,10 @@ class ArduPilotBinary:
         ]  # fmt: skip
 
     def _settings(self) -> dict[str, float]:
-        """One value for each name: of two, its parts disagree which they take."""
+        """Return one value per parameter.
+
+        If a file has two values for a name, the parts of ArduPilot disagree on which one is valid.
+        """
         flown = {}
         for line in self._parameters.read_text(encoding="ascii").splitlines():
             name, comma, value = line.partition(",")
@@ -78,11 +81,11 @@ class ArduPilotBinary:
         return {**_AIRFRAME, **flown, **_BENCH}
 
     def environment(self) -> dict[str, str]:
-        """Nothing of ours."""
+        """Return additional environment variables: none."""
         return {}
 
     def follow(self, message: ReceivedMessage, stamp_s: float, path: TrueTrajectory) -> None:
-        """Take the truth out of a message, if there is any in it."""
+        """Add the ground truth of a message to the path; other messages are ignored."""
         if message.kind != mavlink.MAVLINK_MSG_ID_SIM_STATE:
             return
         path.feel(Inertial((message.xgyro, message.ygyro, message.zgyro), (message.xacc, message.yacc, message.zacc)))
@@ -91,5 +94,5 @@ class ArduPilotBinary:
         path.take(stamp_s, Reading(message.lat_int, message.lon_int, message.alt, velocity, attitude))
 
     def mode(self, custom_mode: int) -> str:
-        """A mode of the heartbeat by its name; a number without one is its own."""
+        """Return the name of a heartbeat's custom_mode, or the number if it has no name."""
         return _NAMES.get(custom_mode, str(custom_mode))

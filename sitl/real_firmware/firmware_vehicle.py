@@ -1,4 +1,4 @@
-"""A vehicle that a real firmware flies, in its own physics: the world follows its true path and hears what it says."""
+"""Vehicle controlled and simulated by a real firmware; the simulator receives its truth."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from sitl.real_firmware.rc_transmitter import RcTransmitter
 from sitl.real_firmware.request_queue import COMPONENT, SYSTEM, RequestQueue
 from sitl.real_firmware.true_trajectory import Grain, TrueTrajectory
 
-_OURS = (251, 1)  # neither the vehicle's nor the companion's: it is told nothing but what to send
+_OURS = (251, 1)  # system and component id of the simulator, which only requests messages and sets parameters
 _BOOT_S, _SILENT_S, _ASK_S, _POLL_S = 60.0, 5.0, 1.0, 0.02
 _ARMED = 128
 _STREAMS_HZ = (
-    (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 50.0),  # a referee wants to know at once who flies
+    (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 50.0),  # so that mode changes are recorded without delay
     (mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 5.0),
     (mavlink.MAVLINK_MSG_ID_SYS_STATUS, 1.0),
 )
@@ -31,65 +31,67 @@ _FAILSAFE_WORDS = ("failsafe", "breach", "crash")
 
 
 class Binary(Protocol):
-    """A kind of firmware: how it is started, and how it tells the truth."""
+    """A kind of firmware: its start and its ground truth."""
 
     @property
     def grain(self) -> Grain:
-        """How coarse its places are."""
+        """Resolution of its positions."""
         ...
 
     @property
     def streams_hz(self) -> tuple[tuple[int, float], ...]:
-        """The messages to ask for, and how often."""
+        """Messages to request: id and rate in Hz."""
         ...
 
     @property
     def set_late(self) -> Iterable[tuple[str, float, int]]:
-        """Parameters that it is told once it runs: name, value on the wire, MAV_PARAM_TYPE."""
+        """Parameters to set after the start: name, value on the wire, MAV_PARAM_TYPE."""
         ...
 
     @property
     def truth_port(self) -> int:
-        """Where it sends the truth; 0 for wherever it is told."""
+        """UDP port to which it sends the truth; 0 if that can be chosen."""
         ...
 
     @property
     def transmitter(self) -> RcTransmitter | None:
-        """Its pilot's, None where its simulation has no sticks."""
+        """Its RC transmitter; None if its simulation has none."""
         ...
 
     @property
     def asked_again(self) -> tuple[int, ...]:
-        """Messages that it only sends as often when each is asked for."""
+        """Messages that must be requested one by one, because their rate cannot be set."""
         ...
 
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
-        """What starts it in a folder that is empty."""
+        """Return the command line that starts it in an empty folder."""
         ...
 
     def environment(self) -> dict[str, str]:
-        """What its environment has besides ours."""
+        """Return additional environment variables."""
         ...
 
     def follow(self, message: ReceivedMessage, stamp_s: float, path: TrueTrajectory) -> None:
-        """Take the truth out of a message, if there is any in it."""
+        """Add the ground truth of a message to the path; other messages are ignored."""
         ...
 
     def mode(self, custom_mode: int) -> str:
-        """A mode of the heartbeat by its name; a number without one is its own."""
+        """Return the name of a heartbeat's custom_mode, or the number if it has no name."""
         ...
 
 
 class FirmwareVehicle:
-    """In the simulated autopilot's place. The companion speaks with the binary itself; this only listens, on a second link.
+    """Vehicle of a real firmware, in place of the simulated autopilot.
 
-    setpoint_arrivals_s stays empty: they arrive elsewhere. failsafes: warnings in the firmware's own words; texts: every
-    STATUSTEXT. version: as it says, '' until it did. battery_fraction: state of charge, NaN until it was told. boot_s: when it
-    booted, on the world's clock, as near as its messages were quick; inf before the first.
+    The companion communicates with the binary directly; this object receives the truth on a second link.
+    setpoint_arrivals_s: empty, because setpoints do not pass this object.
+    failsafes: STATUSTEXT warnings about failsafes. texts: every STATUSTEXT.
+    version: '' until reported. battery_fraction: state of charge, NaN until reported.
+    boot_s: time of boot on the world clock, late by the smallest message delay; inf before the first message.
     """
 
     def __init__(self, binary: Binary, companion_port: int, start_yaw_rad: float, folder: Path, log: Path) -> None:
-        """Start it in folder and wait until it says where it is. Raises FirmwareError with one line."""
+        """Start it in folder and wait for its first true position. Raises FirmwareError."""
         folder.mkdir(parents=True, exist_ok=True)
         self._binary, self._path = binary, TrueTrajectory(binary.grain, start_yaw_rad)
         try:
@@ -115,7 +117,7 @@ class FirmwareVehicle:
         self._wait()
 
     def step(self, now_s: float) -> None:
-        """Hear all that came by now_s. Raises FirmwareError once it is gone or silent."""
+        """Process all messages received by now_s. Raises FirmwareError if it has ended or is silent."""
         self._now_s = now_s
         while data := self._link.read():
             stamp_s = self._link.arrival_s or now_s
@@ -138,20 +140,23 @@ class FirmwareVehicle:
             raise FirmwareError(f"the firmware says no more where it is; it said last: {self._process.last_line()}")
 
     def truth(self) -> VehicleTruth:
-        """The vehicle as it really is at the last step. The camera's mount is fixed."""
+        """Return the true state of the vehicle at the last step. The camera's mount is fixed."""
         m = self._path.at(self._now_s)
         return VehicleTruth(
             self._now_s, m.position, m.velocity, m.quat_wxyz, m.gyro, m.specific_force, 0.0, self._armed, self._mode
         )
 
     def pilot_takes_over(self, mode: str) -> None:
-        """A switch on the transmitter; its sticks keep the vehicle where it is. Raises KeyError for a mode it does not have."""
+        """Change the mode by a switch on the transmitter, whose sticks then hold the position.
+
+        Raises KeyError for a mode that the switch does not have.
+        """
         if self._binary.transmitter is None:
             raise KeyError(mode)
         self._binary.transmitter.take(mode, self.truth())
 
     def close(self) -> None:
-        """End the firmware."""
+        """End the firmware and close the link."""
         self._process.close()
         self._link.close()
         if self._binary.transmitter is not None:
@@ -202,8 +207,10 @@ class FirmwareVehicle:
 
 
 def _version(message: ReceivedMessage) -> str:
-    """Major, minor, patch and the commit, as AUTOPILOT_VERSION has them: ArduPilot has eight letters of it, PX4 five bytes, the
-    last one first, behind three of its vendor's own version.
+    """Return major, minor, patch and commit of an AUTOPILOT_VERSION.
+
+    In flight_custom_version ArduPilot has eight letters of the commit. PX4 has three bytes of a vendor version, followed by
+    five bytes of the commit in reverse order.
     """
     number, told = message.flight_sw_version, bytes(message.flight_custom_version)
     letters = told.rstrip(b"\0")

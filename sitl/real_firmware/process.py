@@ -1,4 +1,4 @@
-"""A firmware's program as a child process: what it prints goes to a file, and it never outlives this process."""
+"""Firmware program as a child process with a log file, which ends with this process."""
 
 from __future__ import annotations
 
@@ -15,15 +15,19 @@ _GRACE_S = 3.0
 
 
 class FirmwareError(Exception):
-    """What keeps a firmware from flying, in one line."""
+    """The firmware cannot fly; the message is one line."""
 
 
 class FirmwareProcess:
-    """Starts the program in a folder of its own. To be made in the main thread, see sitl/runtime/die_with_parent.py."""
+    """Child process of a firmware, running in a given folder.
+
+    Create it in the main thread, see sitl/runtime/die_with_parent.py. Output is written to log.
+    """
 
     def __init__(self, command: list[str], environment: Mapping[str, str], folder: Path, log: Path) -> None:
         self._program, self._log = Path(command[0]), log
-        search = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))  # the leash is found from there too
+        # the child runs in another folder and must find sitl.runtime.die_with_parent
+        search = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
         with log.open("wb") as out:
             self._process = subprocess.Popen(  # noqa: S603 - the binary that the user named
                 die_with_parent_command(command), cwd=folder, env={**os.environ, **environment, "PYTHONPATH": search},
@@ -31,7 +35,7 @@ class FirmwareProcess:
             )  # fmt: skip
 
     def check(self) -> None:
-        """Raises FirmwareError with its last words once it is gone."""
+        """Raise FirmwareError with the last line of output if the program has ended."""
         code = self._process.poll()
         if code is None:
             return
@@ -39,12 +43,12 @@ class FirmwareProcess:
         raise FirmwareError(f"{self._program.name} {ended}; it said last: {self.last_line()}")
 
     def last_line(self) -> str:
-        """The last line that it printed, 'nothing' if none."""
+        """Return the last line of output, 'nothing' if none."""
         lines = [line.strip() for line in self._log.read_text(errors="replace").splitlines()]
         return next((line for line in reversed(lines) if line), "nothing")
 
     def close(self) -> None:
-        """End it; by force if it does not listen."""
+        """Terminate the program, and kill it if it does not end in time."""
         self._process.terminate()
         try:
             self._process.wait(_GRACE_S)

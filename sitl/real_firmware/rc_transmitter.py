@@ -1,4 +1,4 @@
-"""The pilot's transmitter, of somebody who sees the vehicle: a switch for the mode, and sticks that keep it still."""
+"""RC transmitter of a human pilot who sees the vehicle: mode switch and stabilising sticks."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ from collections.abc import Mapping
 from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.geometry.quaternion import yaw_of
 
-_PULSES = struct.Struct("<8H")  # microseconds of channels 1 to 8; 0 leaves one as it is
+_PULSES = struct.Struct("<8H")  # pulses of channels 1 to 8, µs; 0 leaves a channel unchanged
 _MIDDLE_US, _MAX_US = 1500, 300
 _TILT_US_PER_MPS, _THROTTLE_US_PER_M, _THROTTLE_US_PER_MPS = 300.0, 250.0, 200.0
 _PERIOD_S = 0.02
 
 
 class RcTransmitter:
-    """Speaks to ArduPilot's simulated receiver. Silent until the pilot takes over: the firmware has pulses of its own."""
+    """Transmitter for ArduPilot's simulated receiver.
+
+    It sends nothing until the pilot takes over: before that the firmware uses default pulses.
+    """
 
     def __init__(self, switch: Mapping[str, int]) -> None:
-        """switch: the pulse of channel 5 (microseconds) for each mode. port: free now, where the receiver is to listen."""
+        """Choose a free port for the receiver (`port`). switch: pulse of channel 5 (µs) by mode."""
         self._switch, self._pulse_us, self._height_m, self._next_s = switch, 0, 0.0, 0.0
         self._socket: socket.socket | None = None
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -28,14 +31,14 @@ class RcTransmitter:
             self.port = int(probe.getsockname()[1])
 
     def take(self, mode: str, truth: VehicleTruth) -> None:
-        """The switch is turned, and the sticks are held from now on. Raises KeyError for a mode that it does not have."""
+        """Set the mode switch and start to send. Raises KeyError for a mode without a position."""
         self._pulse_us, self._height_m = self._switch[mode], truth.position[2]
         if self._socket is None:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
 
     def hold(self, truth: VehicleTruth) -> None:
-        """Move the sticks against what the vehicle does, 50 times a second."""
+        """Send stick positions at 50 Hz that oppose the vehicle's motion and hold its height."""
         if self._socket is None or truth.stamp_s < self._next_s:
             return
         self._next_s = truth.stamp_s + _PERIOD_S
@@ -47,10 +50,10 @@ class RcTransmitter:
         try:
             self._socket.sendto(_PULSES.pack(*sticks, self._pulse_us, 0, 0, 0), ("127.0.0.1", self.port))
         except (BlockingIOError, ConnectionRefusedError):
-            return  # the next one is on its way
+            return  # the next one follows in 20 ms
 
     def close(self) -> None:
-        """Put it away."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
 

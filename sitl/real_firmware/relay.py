@@ -1,4 +1,4 @@
-"""Between a firmware and the product: what goes to and fro passes a proxy at the product's end."""
+"""Relay between a firmware and the product through a proxy, for faults on the link."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from sitl.autopilots.byte_links import UdpPeer
 
 
 class Passage(Protocol):
-    """The product's end of the link, as an autopilot has it."""
+    """The link to the product, as seen from the autopilot."""
 
     def read(self) -> bytes:
-        """What the product said and the troubles let through."""
+        """Return the bytes from the product that the injected faults let through."""
         ...
 
     def write(self, data: bytes) -> None:
-        """What the autopilot says."""
+        """Send bytes from the autopilot."""
         ...
 
 
 class Relay:
-    """The firmware is to send to port; pass_on() has to be called every few milliseconds."""
+    """Relay that receives from the firmware on `port`; call pass_on() every few milliseconds."""
 
     def __init__(self, product: Passage, port: int = 0) -> None:
-        """port 0 is any that is free. Raises OSError if it cannot be had."""
+        """Open the port; 0 is any free one. Raises OSError if it is not available."""
         self._product, self._firmware = product, UdpPeer(local_port=port, remote=None)
 
     @property
     def port(self) -> int:
-        """Where the firmware is to send."""
+        """The port to which the firmware sends."""
         return self._firmware.local_port
 
     def pass_on(self) -> None:
-        """All that waits, both ways."""
+        """Forward all waiting bytes in both directions."""
         while data := self._firmware.read():
             self._product.write(data)
         while data := self._product.read():
             self._firmware.write(data)
 
     def close(self) -> None:
-        """Release the port."""
+        """Close the port."""
         self._firmware.close()

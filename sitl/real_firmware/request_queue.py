@@ -1,4 +1,4 @@
-"""What a firmware is asked for once it runs: one thing at a time, again until it is answered."""
+"""Queue of requests to a running firmware; each is repeated until it is answered."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.mavlink_codec import Packet, ReceivedMessage, packet
 
-SYSTEM, COMPONENT = 1, 1  # of every firmware that is not told otherwise
+SYSTEM, COMPONENT = 1, 1  # default ids of both firmwares
 _LATER = (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_IN_PROGRESS)
 
 
 class RequestQueue:
-    """Commands, each answered by its ACK, and values of parameters, each answered by its PARAM_VALUE.
+    """Commands, answered by COMMAND_ACK, and parameter values, answered by PARAM_VALUE.
 
-    What is asked before the firmware listens is lost: the first one is due until it is answered.
+    Requests sent before the firmware is ready are lost, so the first one remains due until it is answered.
     """
 
     def __init__(self) -> None:
         self._todo: deque[tuple[int | str, Packet]] = deque()
 
     def stream(self, kind: int, rate_hz: float) -> None:
-        """Messages of this kind, so many a second."""
+        """Request a message at a rate."""
         self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / rate_hz)
 
     def message(self, kind: int) -> None:
-        """One message of this kind."""
+        """Request a message once."""
         self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, kind, 0.0)
 
     def parameters(self, values: Iterable[tuple[str, float, int]]) -> None:
-        """Each as it goes over the wire: name, value, MAV_PARAM_TYPE."""
+        """Set parameters, given as on the wire: name, value, MAV_PARAM_TYPE."""
         for name, value, kind in values:
             wish = packet(mavlink.MAVLink_param_set_message, SYSTEM, COMPONENT, name.encode(), value, kind)
             self._todo.append((name, wish))
 
     def due(self) -> Packet | None:
-        """What is to be asked now, None when all is answered."""
+        """Return the request to send now; None if all are answered."""
         return self._todo[0][1] if self._todo else None
 
     def answered(self, message: ReceivedMessage) -> bool:
-        """Whether this answers it; then the next one is due."""
+        """Return True if a message answers the request that is due; the next one is then due."""
         if message.kind == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and message.result not in _LATER:
             what: int | str = message.command
         elif message.kind == mavlink.MAVLINK_MSG_ID_PARAM_VALUE:

@@ -1,4 +1,4 @@
-"""Where a firmware's vehicle really is: its own report of the truth, carried into the world's frame and to any instant."""
+"""True trajectory of a firmware's vehicle: its reports, in the world frame at any time."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from sitl.geometry.quaternion import (
 )
 from sitl.world.quadrotor import GRAVITY_MPS2
 
-_LONGEST_S = 0.1  # no reading is carried further than this
-_SLOPE_S = 0.05  # velocities so far apart, a centimetre a second coarse, tell accelerations to 0.2 m/s^2
+_LONGEST_S = 0.1  # longest extrapolation of a reading
+_SLOPE_S = 0.05  # time between velocities for an acceleration: with steps of 1 cm/s its error is 0.2 m/s^2
 _STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One report of the truth, as it came: latitude and longitude in 1e-7 degrees, height in metres, velocity NED in m/s."""
+    """One report of the truth: latitude and longitude (1e-7 deg), height (m), velocity (m/s)."""
 
     latitude_e7: int
     longitude_e7: int
@@ -39,7 +39,10 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Inertial:
-    """What an inertial sensor in the body's middle feels: rad/s and m/s^2, FRD as it came. None: it follows from velocities."""
+    """Angular rates (rad/s) and specific force (m/s^2) at the body's centre, FRD.
+
+    specific_force_frd None: derived from velocities.
+    """
 
     gyro_frd: Vec3
     specific_force_frd: Vec3 | None
@@ -47,7 +50,7 @@ class Inertial:
 
 @dataclass(frozen=True, slots=True)
 class Grain:
-    """How coarse a firmware's places are, and how long its degrees: metres of latitude in 1e-7 degrees, step of its heights."""
+    """Resolution of a firmware's positions: metres per 1e-7 deg of latitude, height step (m)."""
 
     metres_per_e7: float
     height_step_m: float
@@ -55,7 +58,7 @@ class Grain:
 
 @dataclass(frozen=True, slots=True)
 class TrueMotion:
-    """Position and velocity in the world, world_from_body, and what the body feels (FLU)."""
+    """True position (m) and velocity (m/s) in the world, world_from_body, and IMU values (FLU)."""
 
     position: Vec3
     velocity: Vec3
@@ -65,14 +68,17 @@ class TrueMotion:
 
 
 class TrueTrajectory:
-    """Readings are a centimetre coarse; velocities are not. So the place goes on by velocity, and stays within a step of what
-    was read last.
+    """True trajectory from readings with a position resolution of about 1 cm.
 
-    The first reading is the pad: it becomes the world's origin, and its heading the scene's.
+    Velocities have a finer resolution. Therefore the position is integrated from them, and kept within one step of the last
+    reading. The first reading is on the pad: its position becomes the world's origin, and its heading the scene's.
     """
 
     def __init__(self, grain: Grain, start_yaw_rad: float) -> None:
-        """start_yaw_rad: heading on the pad in the world, counter-clockwise from its first axis."""
+        """Create an empty trajectory.
+
+        start_yaw_rad: heading on the pad, counter-clockwise from the world's first axis.
+        """
         self._grain, self._start_yaw_rad = grain, start_yaw_rad
         self._pad: Reading | None = None
         self._turn: Quat = IDENTITY  # world_from_enu
@@ -85,18 +91,21 @@ class TrueTrajectory:
 
     @property
     def begun(self) -> bool:
-        """Whether anything was read."""
+        """True after the first reading."""
         return self._pad is not None
 
     def feel(self, felt: Inertial) -> None:
-        """Take what the body feels now."""
+        """Set the present angular rates and specific force."""
         self._felt = felt
 
     def take(self, stamp_s: float, reading: Reading) -> None:
-        """A reading of stamp_s; one that is older than the last is left out. Raises ZeroDivisionError for no attitude."""
+        """Add a reading of stamp_s; one older than the last is ignored.
+
+        Raises ZeroDivisionError for a zero attitude quaternion.
+        """
         if stamp_s < self._stamp_s:
             return
-        enu_from_flu = normalised(ned_frd_from_enu_flu(reading.ned_from_frd))  # the exchange is its own inverse
+        enu_from_flu = normalised(ned_frd_from_enu_flu(reading.ned_from_frd))  # the conversion is its own inverse
         if self._pad is None:
             self._pad = reading
             self._turn = from_yaw(self._start_yaw_rad - yaw_of(enu_from_flu))
@@ -109,7 +118,7 @@ class TrueTrajectory:
             self._velocities.popleft()
 
     def at(self, now_s: float) -> TrueMotion:
-        """The vehicle at now_s, carried on from the last reading for 0.1 s at most."""
+        """Return the motion at now_s, extrapolated from the last reading by at most 0.1 s."""
         ahead_s = min(max(now_s - self._stamp_s, 0.0), _LONGEST_S)
         gyro, felt = frd_from_flu(self._felt.gyro_frd), self._felt.specific_force_frd
         p, v = self._position, self._velocity
@@ -120,7 +129,7 @@ class TrueTrajectory:
         )  # fmt: skip
 
     def _force(self) -> Vec3:
-        """What carries the vehicle, by how its velocity changed of late: FLU, m/s^2."""
+        """Return the specific force (FLU, m/s^2) from the latest change of velocity."""
         (first_s, a), (last_s, b) = (self._velocities[0], self._velocities[-1]) if self._velocities else ((0.0, _STILL),) * 2
         dt_s = max(last_s - first_s, 1e-3)
         force = ((b[0] - a[0]) / dt_s, (b[1] - a[1]) / dt_s, (b[2] - a[2]) / dt_s + GRAVITY_MPS2)
@@ -133,7 +142,10 @@ class TrueTrajectory:
         return (p[0] + (v[0] + w[0]) * half_s, p[1] + (v[1] + w[1]) * half_s, p[2] + (v[2] + w[2]) * half_s)
 
     def _near(self, carried: Vec3, pad: Reading, reading: Reading) -> Vec3:
-        """carried, or what is nearest to it within one step of the reading, along the firmware's own axes."""
+        """Return the position `carried`, limited to one step from the reading.
+
+        The limits apply along the firmware's axes (ENU).
+        """
         north_step = self._grain.metres_per_e7
         east_step = north_step * math.cos(math.radians(pad.latitude_e7 * 1e-7))
         read = (

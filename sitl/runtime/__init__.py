@@ -1,1 +1,1 @@
-"""Process and memory tools of the simulator: forks, worker pool, caches, serial line."""
+"""Runtime support of the simulator: forks, worker pool, serial line, array cache, numba."""

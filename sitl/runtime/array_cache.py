@@ -1,4 +1,4 @@
-"""Arrays that are made once and kept on disk: a cache that cannot be read or written costs time only."""
+"""Disk cache of computed arrays; a cache that cannot be read or written only costs time."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ LOG = logging.getLogger(__name__)
 
 
 def cache_folder() -> Path:
-    """Where they are kept: below $XDG_CACHE_HOME or ~/.cache."""
+    """Return the cache folder, below $XDG_CACHE_HOME or ~/.cache."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "uav_recon"
 
 
 def key(*parts: NDArray[Any] | str) -> str:
-    """Twenty hexadecimal digits that stand for arrays and words."""
+    """Return the first 20 hexadecimal digits of the SHA-256 of the parts."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())
@@ -31,7 +31,10 @@ def key(*parts: NDArray[Any] | str) -> str:
 
 
 def cached(path: Path, dimensions: dict[str, int], make: Callable[[], Arrays]) -> Arrays:
-    """The arrays of a file, or those that make() returns, which are kept there. dimensions: names, and ndim of each."""
+    """Return the arrays stored in a file, or those of make(), which are then stored there.
+
+    dimensions: ndim of each array by name.
+    """
     arrays = _load(path, dimensions)
     if arrays is None:
         arrays = make()

@@ -1,4 +1,4 @@
-"""The outside world has its own typed door to numba: every kernel releases the GIL and is cached on disk."""
+"""Typed numba decorators of the simulator: kernels release the GIL and are cached on disk."""
 
 from __future__ import annotations
 

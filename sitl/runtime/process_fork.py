@@ -1,4 +1,4 @@
-"""A process that goes on twice from one instant: what many flights have in common is flown once, and each then in a fork."""
+"""Forks of a running simulation: the common start of many flights is flown once."""
 
 from __future__ import annotations
 
@@ -15,20 +15,25 @@ T = TypeVar("T")
 
 
 class FlightFork(Generic[T]):
-    """Forks of this process, one after the other; it must have no other thread. The system gives each fork its own memory; the
-    files below folder, mapped ones too, are put back when a fork has ended. No fork leaves the context that it was made in.
+    """Forks of this process, one after the other. The process must have no other thread.
+
+    Each fork has its own copy of the memory. The files below folder, including mapped ones, are restored when a fork has
+    ended. Used as a context manager; a fork exits at the end of the `with` block at the latest.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._way_back: Connection | None = None  # of a fork, to who made it
+        self._way_back: Connection | None = None  # in a fork: the pipe to the parent
         self.answer: T | None = None
 
     def split(self) -> bool:
-        """True in the fork, False here when it is over; answer then is what it gave, None where it died before."""
+        """Fork. Return True in the fork, and False in the parent when the fork has ended.
+
+        `answer` is then the fork's result, or None if the fork ended without give(). Blocks the parent meanwhile.
+        """
         receiver, sender = multiprocessing.Pipe(duplex=False)
         before = ForkSnapshot(self._folder)
-        gc.freeze()  # a collection would touch, and so copy, all that is shared
+        gc.freeze()  # a collection in the fork would write to, and so copy, all shared pages
         sys.stdout.flush()
         sys.stderr.flush()
         process = os.fork()
@@ -48,7 +53,7 @@ class FlightFork(Generic[T]):
         return False
 
     def give(self, answer: T) -> None:
-        """In a fork: answer, and be over. Nothing where there is nobody to answer to."""
+        """Send the result to the parent and exit, if this is a fork; no effect in the parent."""
         if self._way_back is not None:
             self._way_back.send(answer)
             self._end(0)
@@ -67,14 +72,14 @@ class FlightFork(Generic[T]):
 
 
 class ForkSnapshot:
-    """The files below a folder as they were; those that are open stay so."""
+    """Content of the files below a folder at one time, to be restored while they may be open."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._content = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
     def put_back(self) -> None:
-        """In place, so that whoever has one open or mapped sees it; later ones go."""
+        """Restore the files in place, so that open and mapped ones change too; delete newer files."""
         for path in [path for path in self._folder.rglob("*") if path.is_file() and path not in self._content]:
             path.unlink()
         for path, content in self._content.items():

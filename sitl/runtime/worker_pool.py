@@ -1,4 +1,4 @@
-"""Processes that work for this one, and end with it: at a Ctrl-C at once, without a word of their own."""
+"""Pool of worker processes that end with their parent, at once and without output on Ctrl-C."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ from sitl.runtime.die_with_parent import put_on
 P = ParamSpec("P")
 T = TypeVar("T")
 
-GRACE_S, ASKED_EVERY_S = 5.0, 0.25  # to take down what they put up
+GRACE_S, ASKED_EVERY_S = 5.0, 0.25  # time to clean up between SIGTERM and SIGKILL; interval of the SIGTERMs
 
 
 class WorkerPool:
-    """Takes work as an executor does."""
+    """Executor on the processes of worker_pool()."""
 
     def __init__(self, pool: ProcessPoolExecutor) -> None:
         self._pool = pool
 
     def submit(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Do it once a process is free."""
-        heeded = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # by one that is started here, until it signs on
+        """Run work(*args, **kwargs) in a process as soon as one is free; return its Future."""
+        # a process started by this call inherits the mask, so Ctrl-C cannot reach it before _sign_on()
+        heeded = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             return self._pool.submit(_done, partial(work, *args, **kwargs))
         finally:
@@ -39,8 +40,10 @@ class WorkerPool:
 
 @contextmanager
 def worker_pool(jobs: int) -> Iterator[WorkerPool]:
-    """Processes, spawned, each with a group of its own, so that a terminal's Ctrl-C reaches only who waits for them. To be
-    entered by the main thread. Left by an exception, it ends them and all that they started, within some GRACE_S.
+    """Yield a pool of `jobs` spawned processes. Enter it from the main thread.
+
+    Each process has its own process group, so that a terminal's Ctrl-C reaches only the parent. If an exception leaves the
+    block, the processes and all their children are ended within about GRACE_S.
     """
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
@@ -56,25 +59,25 @@ def worker_pool(jobs: int) -> Iterator[WorkerPool]:
 
 
 def _sign_on(chief: int) -> None:
-    """In a new process."""
+    """Set up a new worker process: parent watch, own process group, signals, no log output."""
     put_on(chief)
     os.setpgrp()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, _leave)
-    logging.getLogger().addHandler(logging.NullHandler())  # what it warns of means nothing between others' lines
+    logging.getLogger().addHandler(logging.NullHandler())  # keeps warnings out of the parent's output
 
 
 def _leave(*_: object) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    raise SystemExit(1)  # through every `with`, so that no folder is left behind
+    raise SystemExit(1)  # leaves every `with`, so that temporary folders are removed
 
 
 def _done(work: Callable[[], T]) -> T:
     try:
         return work()
     finally:
-        if signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:  # dismissed: the pool's own loop would go on
+        if signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:  # after _leave(): the pool's worker loop would continue
             os._exit(1)
 
 
@@ -89,12 +92,12 @@ def _dismiss(processes: Iterable[BaseProcess]) -> None:
 
 
 def _told(process: BaseProcess, number: signal.Signals) -> bool:
-    """Whether anybody of its group was there to be told."""
+    """Send a signal to a process and its group. Return False if none of them exists any more."""
     if process.pid is None:
         return False
     try:
         os.killpg(process.pid, number)
-    except ProcessLookupError:  # all are gone, or it has not signed on
+    except ProcessLookupError:  # all have ended, or the process has no group yet
         if not process.is_alive():
             return False
         with contextlib.suppress(ProcessLookupError):

@@ -1,7 +1,7 @@
-"""The built-in room: 8 m long, 3 m wide, 2.5 m high, furnished, textured, and the same on every machine.
+"""The built-in room: 8 x 3 x 2.5 m, furnished, textured, and identical on every machine.
 
-Length runs along x, width along y, height along z; the floor's corner is the origin. A vehicle that keeps its centre
-0.40 m from everything can fly from end to end.
+Length is along x, width along y, height along z; the origin is a corner of the floor. A vehicle that keeps its centre
+0.40 m from every surface can fly from end to end.
 """
 
 from __future__ import annotations
@@ -18,7 +18,10 @@ FINE_M = 0.024
 
 
 def built_in_room(fine: bool = True) -> Mesh:
-    """The room's mesh in its own frame; about 300k vertices, made in under a second; 10k where paint does not matter."""
+    """Return the room's mesh in its own frame.
+
+    fine: with texture (about 300k vertices, under a second); otherwise grey (10k vertices).
+    """
     w = MeshBuilder(fine)
     pieces = (_shell, _sofa, _shelf, _table, _sideboard, _armchair, _lamps, _radiators, _start_corner)
     return joined([part for piece in pieces for part in piece(w)])
@@ -52,7 +55,7 @@ def _sofa(w: MeshBuilder) -> list[Mesh]:
 
 
 def _shelf(w: MeshBuilder) -> list[Mesh]:
-    """Open bookshelf on the north wall, x 2.2 to 3.6, with books and boxes."""
+    """Return an open bookshelf on the north wall, x 2.2 to 3.6, with books and boxes."""
     wood, low, high, back, front = texture.wood((0.55, 0.38, 0.22)), 2.2, 3.6, 2.98, 2.68
     boards = [w.box((low, front, z), (high, back, z + 0.025), wood) for z in (0.05, 0.43, 0.81, 1.19, 1.57, 1.93)]
     sides = [w.box((x, front, 0.0), (x + 0.025, back, 1.955), wood) for x in (low, 2.8875, high - 0.025)]
@@ -76,7 +79,7 @@ def _shelf(w: MeshBuilder) -> list[Mesh]:
 
 
 def chair(w: MeshBuilder, x: float, y: float, side: float) -> list[Mesh]:
-    """Chair with its seat's middle at (x, y) and its back towards side (+1: +y, -1: -y)."""
+    """Return a chair with its seat centred at (x, y), its back towards side (+1: +y, -1: -y)."""
     wood = texture.wood((0.42, 0.26, 0.15))
     legs = [
         w.box((x + i * 0.19 - 0.018, y + j * 0.19 - 0.018, 0.0), (x + i * 0.19 + 0.018, y + j * 0.19 + 0.018, 0.44), wood)
@@ -93,7 +96,7 @@ def chair(w: MeshBuilder, x: float, y: float, side: float) -> list[Mesh]:
 
 
 def _table(w: MeshBuilder) -> list[Mesh]:
-    """Dining table on the north side with a thin top, two chairs, and things on it."""
+    """Return a dining table on the north side with a thin top, two chairs and objects on it."""
     wood = texture.wood((0.68, 0.50, 0.32))
     legs = [w.box((x, y, 0.0), (x + 0.05, y + 0.05, 0.72), wood) for x in (5.04, 6.41) for y in (2.19, 2.86)]
     bowl = texture.checks((0.15, 0.3, 0.6), (0.92, 0.92, 0.9), 0.05)
@@ -109,7 +112,7 @@ def _table(w: MeshBuilder) -> list[Mesh]:
 
 
 def _sideboard(w: MeshBuilder) -> list[Mesh]:
-    """Cabinet on the south wall, x 5.2 to 6.8, with boxes and a plant on top."""
+    """Return a cabinet on the south wall, x 5.2 to 6.8, with boxes and a plant on top."""
     return [
         w.box((5.2, 0.02, 0.10), (6.8, 0.42, 0.82), texture.cabinet, 0.024),
         w.box((5.25, 0.06, 0.0), (6.75, 0.38, 0.10), texture.plain((0.12, 0.11, 0.10))),
@@ -145,7 +148,7 @@ def _lamps(w: MeshBuilder) -> list[Mesh]:
 
 
 def _radiators(w: MeshBuilder) -> list[Mesh]:
-    """Ribbed heaters below the window on the east wall and beside the shelf on the north wall."""
+    """Return the ribbed radiators below the east window and beside the shelf on the north wall."""
     paint = texture.plain((0.90, 0.89, 0.85))
     east = [w.box((7.86, 1.00 + 0.08 * i, 0.12), (7.96, 1.055 + 0.08 * i, 0.68), paint) for i in range(13)]
     north = [w.box((3.95 + 0.08 * i, 2.87, 0.12), (4.005 + 0.08 * i, 2.97, 0.68), paint) for i in range(10)]
@@ -158,7 +161,7 @@ def _radiators(w: MeshBuilder) -> list[Mesh]:
 
 
 def _start_corner(w: MeshBuilder) -> list[Mesh]:
-    """A board with boxes on the north wall and a low chest on the south wall, near the start."""
+    """Return a board with boxes (north wall) and a low chest (south wall), near the start."""
     return [
         w.box((0.25, 2.76, 1.45), (1.45, 2.99, 1.48), texture.wood((0.60, 0.42, 0.25))),
         w.box((0.35, 2.80, 1.48), (0.62, 2.97, 1.70), texture.carton((0.75, 0.62, 0.30), (0.35, 2.80, 1.48))),

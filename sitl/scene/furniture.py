@@ -1,4 +1,4 @@
-"""What stands, hangs and lies about in generated rooms. Each piece is made at the origin, on the floor, its back towards -y."""
+"""Furniture of generated rooms. Each piece is built at the origin on the floor, back to -y."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class Piece:
-    """mesh and the half sizes of its footprint in metres."""
+    """A piece of furniture: its mesh and the half sizes of its footprint, m."""
 
     mesh: Mesh
     half_x: float
     half_y: float
 
     def placed(self, x: float, y: float, turn_rad: float) -> Mesh:
-        """The mesh, turned counter-clockwise about the origin and then moved."""
+        """Return the mesh rotated counter-clockwise about the origin, then moved to (x, y)."""
         c, s = math.cos(turn_rad), math.sin(turn_rad)
         v = self.mesh.vertices.astype(np.float64)
         turned = np.stack([c * v[:, 0] - s * v[:, 1] + x, s * v[:, 0] + c * v[:, 1] + y, v[:, 2]], axis=1)
         return Mesh(turned.astype(np.float32), self.mesh.faces, self.mesh.rgb)
 
     def reach(self, turn_rad: float) -> tuple[float, float]:
-        """Half sizes of the upright box around the turned footprint."""
+        """Return the half sizes (m) of the axis-aligned box around the rotated footprint."""
         c, s = abs(math.cos(turn_rad)), abs(math.sin(turn_rad))
         return c * self.half_x + s * self.half_y, s * self.half_x + c * self.half_y
 
@@ -62,7 +62,7 @@ def _chair(w: MeshBuilder, rng: Rng) -> Piece:
 
 
 def table(w: MeshBuilder, rng: Rng) -> Piece:
-    """Thin top on four legs, chairs about it, a few things on it."""
+    """Return a table: a thin top on four legs, chairs around it, a few objects on it."""
     half_x, half_y, height = rng.uniform(0.5, 0.9), rng.uniform(0.35, 0.45), rng.uniform(0.70, 0.76)
     wood = _wood(rng)
     parts = [w.box((-half_x, -half_y, height - 0.03), (half_x, half_y, height), wood)]
@@ -87,7 +87,7 @@ def table(w: MeshBuilder, rng: Rng) -> Piece:
 
 
 def shelf(w: MeshBuilder, rng: Rng) -> Piece:
-    """Open boards with blocks of books and boxes."""
+    """Return an open shelf with blocks of books and boxes."""
     half_x, half_y, height = rng.uniform(0.4, 0.8), rng.uniform(0.13, 0.2), rng.uniform(1.2, 2.05)
     wood, levels = _wood(rng), np.linspace(0.06, height - 0.03, int(height / 0.38) + 1)
     parts = [w.box((-half_x, -half_y, z), (half_x, half_y, z + 0.025), wood) for z in levels]
@@ -107,7 +107,7 @@ def shelf(w: MeshBuilder, rng: Rng) -> Piece:
 
 
 def cabinet(w: MeshBuilder, rng: Rng) -> Piece:
-    """Low cupboard with boxes or a plant on top."""
+    """Return a low cupboard, in some cases with a box on top."""
     half_x, half_y, height = rng.uniform(0.4, 0.8), rng.uniform(0.2, 0.3), rng.uniform(0.6, 1.1)
     parts = [w.box((-half_x, -half_y, 0.0), (half_x, half_y, height), texture.cabinet)]
     if rng.random() < 0.6:
@@ -118,7 +118,7 @@ def cabinet(w: MeshBuilder, rng: Rng) -> Piece:
 
 
 def sofa(w: MeshBuilder, rng: Rng) -> Piece:
-    """One to three seats."""
+    """Return a sofa of one to three seats."""
     half_x, half_y = rng.choice([0.42, 0.75, 1.0]), 0.42
     cloth = texture.cloth(_colour(rng))
     parts = [
@@ -131,7 +131,7 @@ def sofa(w: MeshBuilder, rng: Rng) -> Piece:
 
 
 def bed(w: MeshBuilder, rng: Rng) -> Piece:
-    """Its head against the wall."""
+    """Return a bed with its head at the back."""
     half_x, half_y = rng.uniform(0.45, 0.8), 1.02
     sheet = texture.checks(_colour(rng), (0.9, 0.88, 0.84), 0.12)
     parts = [
@@ -143,7 +143,7 @@ def bed(w: MeshBuilder, rng: Rng) -> Piece:
 
 
 def boxes(w: MeshBuilder, rng: Rng) -> Piece:
-    """A pile of cartons, each turned a little."""
+    """Return a pile of one to three cartons, each rotated a little."""
     half, z, parts = rng.uniform(0.18, 0.32), 0.0, []
     reach = half * 1.42
     for _ in range(rng.integers(1, 4)):
@@ -159,7 +159,7 @@ def boxes(w: MeshBuilder, rng: Rng) -> Piece:
 
 
 def plant(w: MeshBuilder, rng: Rng) -> Piece:
-    """Pot, stem and leaves."""
+    """Return a plant: pot, stem and leaves."""
     radius, stem = rng.uniform(0.18, 0.32), rng.uniform(0.2, 0.7)
     pot = texture.checks(_colour(rng), _colour(rng), 0.08)
     parts = [
@@ -171,7 +171,7 @@ def plant(w: MeshBuilder, rng: Rng) -> Piece:
 
 
 def floor_lamp(w: MeshBuilder, rng: Rng) -> Piece:
-    """A thin pole with a shade."""
+    """Return a floor lamp: a thin pole with a shade."""
     height, metal = rng.uniform(1.2, 1.6), texture.plain((0.22, 0.22, 0.24))
     parts = [
         w.tube((0.0, 0.0, 0.0), 0.14, 0.14, 0.025, metal, lid=True),
@@ -182,7 +182,7 @@ def floor_lamp(w: MeshBuilder, rng: Rng) -> Piece:
 
 
 def screen(w: MeshBuilder, rng: Rng) -> Piece:
-    """A thin partition on two feet."""
+    """Return a thin partition on two feet."""
     half_x, height = rng.uniform(0.4, 0.9), rng.uniform(1.3, 2.0)
     cloth = texture.checks(_colour(rng), _colour(rng), 0.15)
     feet = [w.box((x - 0.02, -0.18, 0.0), (x + 0.02, 0.18, 0.03), _wood(rng)) for x in (-half_x + 0.1, half_x - 0.1)]
@@ -190,7 +190,7 @@ def screen(w: MeshBuilder, rng: Rng) -> Piece:
 
 
 def pillar(w: MeshBuilder, rng: Rng, height_m: float) -> Piece:
-    """Round or square, from floor to ceiling."""
+    """Return a round or square pillar from floor to ceiling."""
     half = rng.uniform(0.10, 0.22)
     paint = texture.tiles(_colour(rng, 0.4, 0.8), 0.25)
     if rng.random() < 0.5:
@@ -199,7 +199,7 @@ def pillar(w: MeshBuilder, rng: Rng, height_m: float) -> Piece:
 
 
 def hanging_lamp(w: MeshBuilder, rng: Rng, height_m: float) -> Piece:
-    """A shade on a cord; its lower rim at least 1.5 m above the floor."""
+    """Return a lamp shade on a cord, its lower rim at least 1.5 m above the floor."""
     shade, drop = rng.uniform(0.18, 0.28), rng.uniform(0.35, min(1.1, height_m - 1.5))
     low, radius = height_m - drop, rng.uniform(0.12, 0.24)
     parts = [
@@ -210,7 +210,7 @@ def hanging_lamp(w: MeshBuilder, rng: Rng, height_m: float) -> Piece:
 
 
 def board(w: MeshBuilder, rng: Rng) -> Piece:
-    """A thin shelf at head height with boxes on it; nothing below."""
+    """Return a thin wall board at head height with boxes on it and free space below."""
     half_x, half_y, height = rng.uniform(0.3, 0.7), rng.uniform(0.1, 0.15), rng.uniform(1.2, 1.6)
     parts, x = [w.box((-half_x, -half_y, height), (half_x, half_y, height + 0.03), _wood(rng))], -half_x + 0.05
     while x < half_x - 0.2:

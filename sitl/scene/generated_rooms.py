@@ -1,6 +1,6 @@
-"""Generated flats of one to three furnished rooms: the same seed gives the same flat on every machine.
+"""Generated flats of one to three furnished rooms; a seed gives the same flat everywhere.
 
-Lengths in metres; the floor's lowest corner is the origin. The outer shell is closed; doorways have no doors.
+Lengths in metres; the origin is the lowest corner of the floor. The outer shell is closed; doorways have no doors.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from sitl.scene.primitives import MeshBuilder
 
 AREA_M2, HEIGHT_M = (12.0, 70.0), (2.3, 3.2)
 DOOR_M = (0.9, 1.6)  # width
-NARROWEST_M = 2.0  # room
-FREE_START_M = 0.5  # around the take-off place, below what hangs
-DOORSTEP_M = 0.9  # kept free on either side of a doorway
+NARROWEST_M = 2.0  # minimum width of a room
+FREE_START_M = 0.5  # distance from the take-off position to walls and furniture on the floor (not to hanging lamps)
+DOORSTEP_M = 0.9  # length kept free on either side of a doorway
 PAINT_STEP_M = 0.04
 TRIES = 40
 Rng = np.random.Generator
@@ -50,7 +50,7 @@ class _Area:
 
 
 class _Flat:
-    """A flat under construction: what stands where, and the meshes so far."""
+    """A flat under construction: its rooms, the footprints of its contents, and their meshes."""
 
     def __init__(self, seed: int, fine: bool) -> None:
         self.rng, self.workshop = np.random.default_rng([seed, 0xF1A7]), MeshBuilder(fine)
@@ -58,14 +58,14 @@ class _Flat:
         wide = max(math.sqrt(area / aspect), NARROWEST_M + 0.3)
         self.length_m, self.width_m, self.height_m = area / wide, wide, self.rng.uniform(*HEIGHT_M)
         self.parts: list[Mesh] = []
-        self.standing: list[_Area] = []  # footprints of all that stands on the floor
+        self.standing: list[_Area] = []  # footprints of walls and furniture on the floor
         self.doorsteps: list[_Area] = []
         self.rooms = [_Area(0.0, 0.0, self.length_m, self.width_m)]
 
     # -- walls ----------------------------------------------------------------------------------------------------
 
     def build_shell(self) -> None:
-        """Floor, ceiling and four walls with windows and pictures."""
+        """Add the floor, the ceiling and four walls with windows and pictures."""
         x, y, z, w, rng = self.length_m, self.width_m, self.height_m, self.workshop, self.rng
         tone = rng.uniform(0.35, 0.7)
         floors = (texture.floor, texture.carpet(tuple(rng.uniform(0.2, 0.6, 3))), texture.tiles((tone, tone, 0.9 * tone), 0.4))
@@ -95,7 +95,7 @@ class _Flat:
         return texture.wall(tuple(rng.uniform(0.55, 0.85, 3)), axis, windows, pictures)
 
     def divide(self) -> None:
-        """Put up to two walls with a doorway each between rooms that are wide enough for it."""
+        """Divide the flat by up to two walls with a doorway each, where rooms are long enough."""
         area = self.length_m * self.width_m
         chances = (1.0, 0.0, 0.0) if area < 15.0 else (0.4, 0.6, 0.0) if area < 30.0 else (0.2, 0.4, 0.4)
         for _ in range(int(self.rng.choice(3, p=chances))):
@@ -104,19 +104,19 @@ class _Flat:
                 self._split(room)
 
     def _split(self, room: _Area) -> None:
-        """A wall across the longer side of a room, with its doorway."""
+        """Add a wall with a doorway across the longer side of a room."""
         rng, thick = self.rng, self.rng.uniform(0.08, 0.16)
         along_x = room.x1 - room.x0 >= room.y1 - room.y0
         low, high = (room.x0, room.x1) if along_x else (room.y0, room.y1)
         side0, side1 = (room.y0, room.y1) if along_x else (room.x0, room.x1)
 
         def area(a: float, b: float, c: float, d: float) -> _Area:
-            """From places across (a, b) and along the wall (c, d)."""
+            """Return the area from a to b across the wall and from c to d along it."""
             return _Area(a, c, b, d) if along_x else _Area(c, a, d, b)
 
         at = rng.uniform(low + NARROWEST_M, high - NARROWEST_M - thick)
         if any(area(at, at + thick, side0, side1).touches(other) for other in self.doorsteps):
-            return  # it would stand in a doorway
+            return  # the wall would block a doorway
         door = min(rng.uniform(*DOOR_M), side1 - side0 - 0.3)
         left = rng.uniform(side0 + 0.1, side1 - door - 0.1)
         lintel = self.height_m if rng.random() < 0.2 else min(rng.uniform(1.98, 2.15), self.height_m)
@@ -136,7 +136,7 @@ class _Flat:
     # -- furniture ------------------------------------------------------------------------------------------------
 
     def furnish(self, room: _Area) -> None:
-        """Pieces along the walls, pieces anywhere, pillars and lamps, as many as the room's area asks for."""
+        """Add furniture at the walls and elsewhere, pillars and lamps, in proportion to the area."""
         rng, w = self.rng, self.workshop
         crowded = rng.uniform(0.12, 0.32) * room.square_m
         for _ in range(max(1, round(0.6 * crowded))):
@@ -173,7 +173,7 @@ class _Flat:
                 return
 
     def _stand(self, room: _Area, piece: Piece, x: float, y: float, turn_rad: float, gap_m: float) -> bool:
-        """Place a piece if it fits the room with a gap to all that stands there; whether it did."""
+        """Place a piece if it fits into the room with the gap to other pieces; return True if so."""
         half_x, half_y = piece.reach(turn_rad)
         place = _Area(x - half_x, y - half_y, x + half_x, y + half_y)
         inside = place.x0 >= room.x0 and place.y0 >= room.y0 and place.x1 <= room.x1 and place.y1 <= room.y1
@@ -185,7 +185,7 @@ class _Flat:
         return True
 
     def start(self) -> Start | None:
-        """A place on the floor with FREE_START_M around it, and a heading in degrees; None if there is none."""
+        """Return a random start X, Y, Z (m), YAW (degrees) with FREE_START_M around it, or None."""
         margin = FREE_START_M + 0.02
         for _ in range(50 * TRIES):
             x = self.rng.uniform(margin, self.length_m - margin)
@@ -197,9 +197,9 @@ class _Flat:
 
 
 def generated_room(seed: int, fine: bool = True) -> tuple[Mesh, Start]:
-    """The flat of a seed (0 or more), and a take-off place X, Y, Z (m), YAW (degrees) in it; about a second with paint.
+    """Return the flat of a seed (0 or more) and a start X, Y, Z (m), YAW (degrees) in it.
 
-    A flat so full that nothing can take off in it is drawn again.
+    A flat without free space for a start is drawn again. fine: with texture, which takes about a second.
     """
     again = 0
     while True:

@@ -1,4 +1,4 @@
-"""Triangle meshes with a colour at each vertex, and reading them from files."""
+"""Triangle meshes with a colour per vertex, and their file reader."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ MESH_SUFFIXES = (".ply", ".obj", ".glb", ".stl")
 
 
 class MeshError(Exception):
-    """A file that cannot be read as a mesh; the message is one line."""
+    """The file cannot be read as a mesh; the message is one line."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A mesh in its file's own frame: vertices (V, 3) m, z up, faces (F, 3), rgb (V, 3)."""
+    """A mesh in the frame of its file: vertices (V, 3) m, z up; faces (F, 3); rgb (V, 3)."""
 
     vertices: F32
     faces: I32
@@ -30,7 +30,7 @@ class Mesh:
 
 
 def read_mesh(file: Path) -> Mesh:
-    """Read a mesh with its colours (vertex, face or texture; grey without). Raises MeshError."""
+    """Read a mesh with its vertex, face or texture colours, grey without. Raises MeshError."""
     import trimesh
 
     if file.suffix.lower() not in MESH_SUFFIXES:
@@ -38,7 +38,7 @@ def read_mesh(file: Path) -> Mesh:
     try:
         loaded = trimesh.load_scene(str(file), process=False)
         parts = [_part(geometry) for geometry in loaded.dump() if isinstance(geometry, trimesh.Trimesh)]
-    except Exception as error:  # trimesh's readers raise whatever their parser meets
+    except Exception as error:  # trimesh's readers pass on the exceptions of their parsers
         told = isinstance(error, OSError | ValueError) and str(error)
         reason = str(error).splitlines()[0] if told else "damaged, or of another kind"
         raise MeshError(f"{file}: cannot be read as a mesh ({reason})") from None
@@ -48,7 +48,7 @@ def read_mesh(file: Path) -> Mesh:
 
 
 def joined(parts: list[Mesh]) -> Mesh:
-    """One mesh of several."""
+    """Return one mesh that contains all parts."""
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=True)])
     vertices, rgb = np.concatenate([part.vertices for part in parts]), np.concatenate([part.rgb for part in parts])

@@ -1,4 +1,4 @@
-"""Sampling and probing of triangle meshes: dense and area-weighted points, and the first hit straight below."""
+"""Point samples of triangle meshes (dense or area-weighted), and the height below a point."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from sitl.runtime.jit import kernel
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
-COLUMN_CELLS = 12  # a side: the ticks of a column of a room stay in the cache
+COLUMN_CELLS = 12  # cells per side of a column, small enough that its occupancy flags stay in the CPU cache
 
 
 def dense_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
-    """Points (N, 3) float32 that cover the surface: every surface point has one within about spacing_m.
+    """Return points (N, 3) float32 such that every surface point has one within about spacing_m.
 
-    A triangular grid of step h leaves no point farther than h / sqrt(3) from it; here h is 1.4 spacing_m, and one point
-    is kept in each cell of a quarter of the spacing.
+    On a triangular grid of step h no surface point is farther than h / sqrt(3) from a grid point; here h is
+    1.4 spacing_m. One point is kept in each cell of a quarter of the spacing.
     """
     used = np.zeros(len(vertices), bool)
     used[faces.ravel()] = True
@@ -27,7 +27,10 @@ def dense_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
 
 
 def area_weighted_samples(vertices: F32, faces: I32, count: int, seed: int) -> tuple[F32, F32]:
-    """count points (N, 3) float32, uniform over the mesh's area, and the unit normals (N, 3) float32 of their triangles."""
+    """Return points (count, 3), uniform over the area, and unit normals (count, 3); float32.
+
+    The normals are those of the triangles on which the points lie.
+    """
     rng = np.random.default_rng(seed)
     a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
     normals = np.cross(b - a, c - a)
@@ -40,16 +43,17 @@ def area_weighted_samples(vertices: F32, faces: I32, count: int, seed: int) -> t
 
 
 def height_below(vertices: F32, faces: I32, point_m: NDArray[np.float64]) -> float | None:
-    """z of the highest surface straight below point_m (3,), or None."""
+    """Return z (m) of the highest surface straight below point_m (3,), or None."""
     z = float(_height_below(vertices, faces, np.asarray(point_m, np.float64)))
     return None if np.isnan(z) else z
 
 
 def row_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
-    """Points (N, 3) float32 that cover the surface as dense_points do, but a tenth as many on long thin triangles.
+    """Return points (N, 3) float32 such that every surface point has one within about spacing_m.
 
-    Vertices, and rows along the longest edge of each triangle: rows and the points of a row are 1.4 spacing_m apart at most,
-    which leaves no surface point farther than 1.4 spacing_m / sqrt(2) from one.
+    They are the vertices, and rows of points along the longest edge of each triangle. Rows, and points of a row, are
+    1.4 spacing_m apart at most, so that no surface point is farther than 1.4 spacing_m / sqrt(2) from one. On long thin
+    triangles these are a tenth of the points of dense_points().
     """
     used = np.zeros(len(vertices), bool)
     used[faces.ravel()] = True
@@ -58,7 +62,7 @@ def row_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
 
 @kernel
 def _rows(vertices: F32, faces: I32, step_m: float) -> F32:
-    """The points of row_points that are no vertices."""
+    """Return the points of row_points() other than the vertices."""
     out, total = np.empty((1024, 3), np.float32), 0
     a, b, c = np.empty(3), np.empty(3), np.empty(3)
     for f in range(faces.shape[0]):
@@ -87,7 +91,7 @@ def _rows(vertices: F32, faces: I32, step_m: float) -> F32:
                 larger = np.empty((2 * (total + parts + 1), 3), np.float32)
                 larger[:total] = out[:total]
                 out = larger
-            ends = 1 if row == 0 else 0  # of the longest edge: vertices
+            ends = 1 if row == 0 else 0  # the ends of the longest edge are vertices, returned already
             for part in range(ends, parts + 1 - ends):
                 for k in range(3):
                     left = a[k] + up * (c[k] - a[k])
@@ -98,7 +102,7 @@ def _rows(vertices: F32, faces: I32, step_m: float) -> F32:
 
 @kernel
 def _grid_points(vertices: F32, faces: I32, step_m: float) -> F32:
-    """Barycentric grid points of every triangle whose longest edge is above step_m, corners left out."""
+    """Return the barycentric grid points, without corners, of triangles longer than step_m."""
     steps = np.zeros(faces.shape[0], np.int64)
     total = 0
     for f in range(faces.shape[0]):
@@ -135,7 +139,7 @@ def _cell(value: np.float32, low: np.float32, size: np.float32) -> int:
 
 @kernel
 def _first_of_cells(points: F32, low: F32, high: F32, size: np.float32) -> I32:
-    """Indices of the points that are the first of their cubic cell, column by column of cells."""
+    """Return the index of the first point in each cubic cell, one column of cells after another."""
     wide, tall = _cell(high[1], low[1], size) // COLUMN_CELLS + 1, _cell(high[2], low[2], size) + 1
     start = np.zeros((_cell(high[0], low[0], size) // COLUMN_CELLS + 1) * wide + 1, np.int64)
     column = np.empty(points.shape[0], np.int32)

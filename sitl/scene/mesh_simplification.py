@@ -1,8 +1,8 @@
-"""The same surface in as few triangles as it needs, for a camera that sees no colour.
+"""Simplification of a mesh without change of its surface, for cameras that need no colour.
 
-A scanned room is painted vertex by vertex: its walls are thousands of triangles in one plane. Where colour does not matter
-those are one polygon. Quadric error metrics (Garland and Heckbert 1997) collapse edges as long as the squared distance from
-the planes of what was there stays below a hair.
+A scanned room has a colour per vertex, so its walls are thousands of triangles in one plane. Without colour these can be
+merged. Edges are collapsed by quadric error metrics (Garland and Heckbert 1997) while the squared distance to the planes
+of the original triangles stays below MAX_ERROR_M2.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from sitl.runtime.array_cache import Arrays, cache_folder, cached, key
 
-WORTH_FACES = 50_000  # below it drawing is quick as it is
-MAX_ERROR_M2 = 1e-12  # a thousandth of a millimetre, squared, and times the area that the quadrics weigh with
-TOLERANCE_M, TOLERATED = 0.001, 1e-5  # the camera tells millimetres; this share of points may be farther off, or all is left
-LOST_M = 0.0004  # a triangle that far from the other surface is taken out, or put back as it was
+WORTH_FACES = 50_000  # smaller meshes are rendered fast enough
+MAX_ERROR_M2 = 1e-12  # (1 µm)², times the area with which Open3D weights the quadrics
+TOLERANCE_M, TOLERATED = 0.001, 1e-5  # camera resolution; share of points that may be farther off than that
+LOST_M = 0.0004  # merged triangles farther than this from the original are removed, originals that far off restored
 ROUNDS, SAMPLES = 3, 200_000
 VERSION = 1
 F32 = NDArray[np.float32]
@@ -27,9 +27,10 @@ LOG = logging.getLogger(__name__)
 
 
 def merged(vertices: F32, faces: I32, cache_dir: Path | None = None) -> tuple[F32, I32]:
-    """Vertices (V, 3) and faces (F, 3) of the same surface, within TOLERANCE_M both ways; or what was given, if that failed.
+    """Return vertices (V, 3) and faces (F, 3) of a simplified mesh of the same surface.
 
-    Blocks for up to a minute the first time, then it is kept in the cache.
+    Both surfaces agree within TOLERANCE_M in both directions; if that fails, the original mesh is returned. Blocks for up
+    to a minute the first time; the result is cached.
     """
     if len(faces) < WORTH_FACES:
         return vertices, faces
@@ -47,7 +48,7 @@ def _collapsed(vertices: F32, faces: I32) -> Arrays:
     fewer = mesh.simplify_quadric_decimation(4, maximum_error=MAX_ERROR_M2)
     corners, triangles = np.asarray(fewer.vertices, np.float32), np.asarray(fewer.triangles, np.int32)
     good, lost = np.ones(len(triangles), np.bool_), np.zeros(len(faces), np.bool_)
-    for seed in range(ROUNDS):  # small things weigh nothing in quadrics, so there the surface is left as it was
+    for seed in range(ROUNDS):  # small objects have little quadric weight and may vanish: keep their original triangles
         points, owner = _points(corners, triangles, seed)
         good[owner[_distance_m(points, vertices, faces) > LOST_M]] = False
     triangles = triangles[good]
@@ -67,9 +68,11 @@ def _collapsed(vertices: F32, faces: I32) -> Arrays:
 
 
 def _points(vertices: F32, faces: I32, seed: int) -> tuple[F32, NDArray[np.int64]]:
-    """Corners, centre, edges' middles and a random point of every face, and SAMPLES random points of the whole surface:
-    (N, 3), and whose they are (N,).
-    """  # fmt: skip
+    """Return sample points (N, 3) of a mesh and the index (N,) of the face of each.
+
+    They are the centre, corners and edge midpoints of every face, one random point per face, and SAMPLES random points of
+    the whole surface.
+    """
     rng, every = np.random.default_rng(seed), np.arange(len(faces))
     corner = vertices[faces]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
@@ -82,7 +85,7 @@ def _points(vertices: F32, faces: I32, seed: int) -> tuple[F32, NDArray[np.int64
 
 
 def _distance_m(points: F32, vertices: F32, faces: I32) -> F32:
-    """How far points (N, 3) are from a surface (N,)."""
+    """Return the distance (N,), m, of points (N, 3) from a surface."""
     import open3d
 
     tensor = open3d.core.Tensor.from_numpy

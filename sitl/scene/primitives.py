@@ -1,7 +1,7 @@
-"""Simple solids as textured meshes: patches, boxes, tubes, bushes. What rooms are furnished with.
+"""Simple solids as textured meshes, for building rooms: patches, boxes, tubes, bushes.
 
-A fine workshop cuts every face into cells small enough for the paint; a coarse one makes the same shapes of as few triangles
-as they need, for flights in which nobody looks at colour.
+A fine builder divides every face into cells small enough for its texture. A coarse one makes the same shapes of as few
+triangles as possible, for flights without colour.
 """
 
 from __future__ import annotations
@@ -25,22 +25,23 @@ Shape = Callable[[F64, F64], F64]
 
 @dataclass(frozen=True)
 class MeshBuilder:
-    """Makes solids in metres. fine: cells of at most a face's own step, for its paint; else the shape alone.
+    """Builder of solids; lengths in metres.
 
-    Flat faces are the same either way; a bush is rougher where it is not fine.
+    fine: divide faces into cells of at most their step_m, with the paint's colours; otherwise build the shape alone, in
+    grey. Flat faces have the same geometry either way; a bush is rougher if not fine.
     """
 
     fine: bool = True
 
     def patch(self, origin: Vector, edge_u: Vector, edge_v: Vector, paint: Paint, step_m: float = COARSE_M) -> Mesh:
-        """Parallelogram; seen from where edge_u x edge_v points to."""
+        """Return a parallelogram with its front side in the direction of edge_u x edge_v."""
         o, p, q = (np.asarray(x, np.float64) for x in (origin, edge_u, edge_v))
         shape = lambda u, v: o + u[:, None] * p + v[:, None] * q  # noqa: E731
         step = step_m if self.fine else math.inf
         return self._surface(shape, paint, float(np.linalg.norm(p)), float(np.linalg.norm(q)), step, step)
 
     def box(self, low: Vector, high: Vector, paint: Paint, step_m: float = COARSE_M) -> Mesh:
-        """Upright box with all six sides, shaded a little by side so that its edges show."""
+        """Return an upright box with six sides, each of a different shade so that edges are visible."""
         (x0, y0, z0), (x1, y1, z1) = low, high
         a, b, c = (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0), (0.0, 0.0, z1 - z0)
         dim = texture.dimmed
@@ -58,7 +59,7 @@ class MeshBuilder:
     def tube(
         self, centre: Vector, low_radius: float, high_radius: float, height: float, paint: Paint, lid: bool = False
     ) -> Mesh:
-        """Upright cone frustum standing on centre; with a lid it is closed at the top."""
+        """Return an upright cone frustum standing on centre; with a lid it is closed at the top."""
         x, y, z = centre
 
         def side(u: F64, v: F64) -> F64:
@@ -77,7 +78,7 @@ class MeshBuilder:
         return joined([*parts, self._surface(top, paint, around, high_radius, COARSE_M, along)] if lid else parts)
 
     def bush(self, centre: Vector, radius: float, paint: Paint) -> Mesh:
-        """A ball with bumps: a plant's leaves."""
+        """Return a ball with bumps: the leaves of a plant."""
 
         def shape(u: F64, v: F64) -> F64:
             angle, slope = 2.0 * math.pi * u, math.pi * v
@@ -90,7 +91,10 @@ class MeshBuilder:
         return self._surface(shape, paint, 2.0 * math.pi * radius, math.pi * radius, step, step)
 
     def _surface(self, shape: Shape, paint: Paint, length_u: float, length_v: float, step_u: float, step_v: float) -> Mesh:
-        """Grid over shape(u, v) -> points (..., 3), u and v in 0..1, with cells of at most the steps."""
+        """Return the grid mesh of shape(u, v) -> points (..., 3), u and v in 0..1.
+
+        length_u and length_v are the lengths along u and v; cells are at most step_u and step_v long (m).
+        """
         n, m = max(1, math.ceil(length_u / step_u)), max(1, math.ceil(length_v / step_v))
         u, v = np.meshgrid(np.linspace(0.0, 1.0, n + 1), np.linspace(0.0, 1.0, m + 1), indexing="ij")
         points = shape(u.ravel(), v.ravel())

@@ -1,8 +1,9 @@
-"""Depth, colour and incidence of a triangle mesh seen by a pinhole camera: a z-buffer on one core, without GL.
+"""Z-buffer renderer: depth, colour and incidence of a triangle mesh in a pinhole camera.
 
-Triangles lie in spatial chunks with their own vertex lists, so that a chunk out of sight costs one box test and a visible
-one transforms each of its vertices once. Visibility is decided first (1/z and face per pixel); colour is then worked out
-once per pixel. Pixel (0, 0) is the CENTRE of the first pixel; both sides of a triangle are seen.
+It runs on one core without OpenGL. Triangles are grouped into spatial chunks with their own vertex lists: an invisible
+chunk costs one box test, and a visible one transforms each of its vertices once. Visibility is computed first (1/z and
+face per pixel), then colour once per pixel. Pixel (0, 0) is the CENTRE of the first pixel; both sides of a triangle are
+visible.
 """
 
 from __future__ import annotations
@@ -26,7 +27,11 @@ U16 = NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Rendering:
-    """One picture: depth_m (H, W) along the optical axis, 0 where nothing is; rgb (H, W, 3); incidence_cos (H, W)."""
+    """One rendered image.
+
+    depth_m (H, W): along the optical axis, 0 without a surface. rgb (H, W, 3). incidence_cos (H, W): |cos| between ray
+    and surface normal.
+    """
 
     depth_m: F32
     rgb: U8
@@ -34,10 +39,10 @@ class Rendering:
 
 
 class Renderer:
-    """A mesh ready to be drawn. Immutable after construction, so any number of threads may render from it at once."""
+    """A mesh prepared for rendering. Immutable, so that several threads may render at once."""
 
     def __init__(self, vertices: F32, faces: I32, rgb: U8) -> None:
-        """Vertices (V, 3) metres, faces (F, 3) indices, rgb (V, 3)."""
+        """Prepare a mesh: vertices (V, 3), m; faces (F, 3), vertex indices; rgb (V, 3)."""
         centres = (vertices[faces[:, 0]] + vertices[faces[:, 1]] + vertices[faces[:, 2]]) / np.float32(3.0)
         order = np.argsort(_morton(centres), kind="stable")
         source, self._faces, self._vertex_start = _numbered(np.ascontiguousarray(faces[order], np.int32), len(vertices))
@@ -46,7 +51,10 @@ class Renderer:
         self._low, self._high = _boxes(self._vertices, self._vertex_start)
 
     def depth(self, world_from_camera: F64, spec: CameraSpec, near_m: float = 0.05, far_m: float = math.inf) -> F32:
-        """Only the depth (H, W) float32, metres along the optical axis; 0 where nothing is. Blocks for a few milliseconds."""
+        """Return the depth (H, W) float32, m along the optical axis, 0 without a surface.
+
+        Blocks for a few milliseconds.
+        """
         inverse_z, _ = self._visible(world_from_camera, spec, near_m, far_m)
         return _depth(inverse_z)
 
@@ -58,10 +66,10 @@ class Renderer:
         far_m: float = math.inf,
         colour: bool = True,
     ) -> Rendering:
-        """Draw from world_from_camera (4, 4), RDF axes. Blocks for 10 to 20 ms.
+        """Render the image at world_from_camera (4, 4), RDF axes. Blocks for 10 to 20 ms.
 
-        Nothing nearer than near_m is drawn; what lies beyond far_m may be left out, which saves time. Without colour
-        rgb stays black.
+        Surfaces nearer than near_m are not rendered; surfaces beyond far_m may be left out, which saves time. Without
+        colour, rgb is black.
         """
         inverse_z, face = self._visible(world_from_camera, spec, near_m, far_m)
         intrinsics = np.array([spec.fx, spec.fy, spec.cx, spec.cy])
@@ -90,7 +98,10 @@ class Renderer:
 
 
 def _morton(points: NDArray[np.floating]) -> NDArray[np.uint64]:
-    """Order along a Morton curve of 1024 cells a side: neighbours in space become neighbours in the array."""
+    """Return the Morton code of each point on a grid of 1024 cells per side.
+
+    Points sorted by it are close in the array if they are close in space.
+    """
     low = points.min(axis=0)
     scale = 1023.0 / max(float((points.max(axis=0) - low).max()), 1e-9)
     cells = ((points - low) * scale).astype(np.uint64)
@@ -103,7 +114,11 @@ def _morton(points: NDArray[np.floating]) -> NDArray[np.uint64]:
 
 @kernel
 def _numbered(faces: I32, count: int) -> tuple[I32, U16, I32]:
-    """Each chunk's own vertices: their indices (W,), the faces (F, 3) in numbers within the chunk, and where a chunk begins."""
+    """Return the vertex lists of all chunks.
+
+    These are the mesh indices (W,) of the listed vertices, the faces (F, 3) in indices within the list of their chunk, and
+    the start of each chunk's list.
+    """
     chunks = (faces.shape[0] + CHUNK_FACES - 1) // CHUNK_FACES
     source, own = np.empty(3 * faces.shape[0], np.int32), np.empty((faces.shape[0], 3), np.uint16)
     start, number = np.zeros(chunks + 1, np.int32), np.full(count, -1, np.int32)
@@ -113,7 +128,7 @@ def _numbered(faces: I32, count: int) -> tuple[I32, U16, I32]:
         for f in range(chunk * CHUNK_FACES, min((chunk + 1) * CHUNK_FACES, faces.shape[0])):
             for k in range(3):
                 vertex = faces[f, k]
-                if number[vertex] < start[chunk]:  # not met in this chunk yet
+                if number[vertex] < start[chunk]:  # not yet in the list of this chunk
                     number[vertex] = total
                     source[total] = vertex
                     total += 1
@@ -149,13 +164,13 @@ def _shade(
     inverse_z: F32, face: I32, vertices: F32, faces: U16, vertex_start: I32, rgb: U8,
     world_from_camera: F64, intrinsics: F64, coloured: bool,
 ) -> tuple[F32, U8, F32]:  # fmt: skip
-    """Depth, barycentric colour at the pixel's own surface point, and |cos| between ray and face normal."""
+    """Return depth, barycentric colour at the surface point, and |cos| between ray and normal."""
     height, width = inverse_z.shape
     depth = np.zeros((height, width), np.float32)
     colour = np.zeros((height, width, 3), np.uint8)
     incidence = np.zeros((height, width), np.float32)
     m = world_from_camera
-    known = -1  # the face whose corner, edges and normal are at hand: neighbouring pixels often show the same
+    known = -1  # face of the stored corner, edges and normal: neighbouring pixels often show the same face
     a = b = c = 0
     ax = ay = az = ex = ey = ez = gx = gy = gz = nx = ny = nz = nn = 0.0
     for v in range(height):

@@ -1,4 +1,4 @@
-"""The room that is flown in: a vertex-coloured triangle mesh in world coordinates, checked before anything starts."""
+"""Scene of a flight: a vertex-coloured triangle mesh in world coordinates, checked on load."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ HULL_RADIUS_M, HULL_HEIGHT_M = 0.20, 0.20
 BODY_ABOVE_FLOOR_M = 0.5 * HULL_HEIGHT_M  # the hull stands on the floor
 START_MARGIN_M = 0.15
 TAKEOFF_HEIGHT_M = 1.10
-PAD_TOP_M = 0.40  # below this the hull's own radius is enough
+PAD_TOP_M = 0.40  # below this height above the floor the hull's radius must be free, without a margin
 OPEN_SHARE = 0.005
 MAX_EXTENT_M = 100.0
-MAX_M3 = 30_000.0  # in voxels of 0.1 m: 30 million, what the product maps at most
-MAX_M2 = 12_000.0  # of surface: it is looked at every centimetre or two
+MAX_M3 = 30_000.0  # volume: 30 million voxels of 0.1 m, the limit of the product's map
+MAX_M2 = 12_000.0  # surface area, which is sampled every 1 to 2 cm
 SAMPLES_M = 0.01
-GENERATED = "random:"  # and a seed
+GENERATED = "random:"  # followed by a seed
 
 Numbers = tuple[float, ...]
 F32 = NDArray[np.float32]
@@ -40,16 +40,18 @@ U8 = NDArray[np.uint8]
 
 
 class SceneError(Exception):
-    """The scene cannot be flown; the message is one line that names the cause."""
+    """The scene cannot be used for a flight; the message is one line that names the cause."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A checked scene in the world: ENU metres, origin at the body centre of the vehicle standing at the start.
+    """A checked scene in the world frame: ENU, m.
 
-    vertices (V, 3) float32, faces (F, 3) int32, rgb (V, 3) uint8; fence_min and fence_max (3,) metres;
-    scene_from_world_m (3,) is added to a world point to get the file's own coordinates. paint: the same surfaces cut as finely
-    as a camera that sees colour needs them, where these are not.
+    The origin is the body centre of the vehicle standing at the start.
+    vertices (V, 3) float32, faces (F, 3) int32, rgb (V, 3) uint8.
+    fence_min and fence_max (3,), m.
+    scene_from_world_m (3,): added to a world point to get the coordinates of the file.
+    paint: the same surface as a fine textured mesh for the colour camera, if faces are coarse.
     """
 
     name: str
@@ -64,7 +66,7 @@ class Scene:
 
     @cached_property
     def samples(self) -> PointGrid:
-        """Of the surface, a centimetre apart; made once for all flights in it: less than a second for 700k faces."""
+        """Samples of the surface 1 cm apart, computed once (below 1 s for 700k faces)."""
         return PointGrid(row_points(self.vertices, self.faces, SAMPLES_M))
 
 
@@ -75,12 +77,15 @@ def load_scene(
     radius_m: float = HULL_RADIUS_M,
     fine: bool = True,
 ) -> Scene:
-    """Load, place and check a scene. Blocks for one or two seconds.
+    """Load a scene, move the start to the origin and check it. Blocks for 1 to 2 s.
 
     path: None for the built-in room, random:SEED for a generated one, a folder with scene.json, or a mesh file (z up,
-    metres). start: X, Y, Z (m) and YAW (degrees) in the file's own frame; fence: X, Y, Z lowest and X, Y, Z highest in the
-    same frame, needed only where the mesh is open. radius_m: of the hull that is to take off. fine: with the paint of the
-    rooms made here. Raises SceneError with one line naming the cause.
+    metres).
+    start: X, Y, Z (m) and YAW (degrees) in the frame of the file.
+    fence: lowest X, Y, Z and highest X, Y, Z in the same frame; needed only if the mesh is open.
+    radius_m: radius of the hull.
+    fine: with texture, for built-in and generated rooms.
+    Raises SceneError with one line naming the cause.
     """
     known_start: Numbers | None
     if path is None:
@@ -96,7 +101,10 @@ def load_scene(
 
 
 def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m: float = HULL_RADIUS_M) -> Scene:
-    """Check a mesh and move it so that the start becomes the origin. Raises SceneError; arguments as load_scene."""
+    """Check a mesh and move the start to the origin. Raises SceneError.
+
+    Arguments as for load_scene().
+    """
     _check_mesh(name, mesh)
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     point = _numbers(name, "start X,Y,Z,YAW", start, 4)
@@ -199,14 +207,20 @@ def _check_mesh(name: str, mesh: Mesh) -> None:
 
 
 def _check_size(name: str, what: str, size_m: F64) -> None:
-    """Everything that maps, cuts truth or measures keeps arrays of this volume."""
+    """Raise SceneError for a volume above MAX_M3.
+
+    The product's map and the simulator's ground truth keep arrays of this volume.
+    """
     volume_m3 = float(np.prod(size_m))
     if volume_m3 > MAX_M3:
         raise SceneError(f"{name}: a {what} of {_text(size_m)} m holds {volume_m3:.0f} m3; want at most {MAX_M3:.0f}")
 
 
 def _check_column(name: str, vertices: F32, faces: I32, radius_m: float) -> None:
-    """The way from the floor up to the take-off height must be free for the hull, with a margin above the pad."""
+    """Raise SceneError unless the hull can rise from the floor to the take-off height.
+
+    Above PAD_TOP_M a margin around the hull must be free, too.
+    """
     reach = radius_m + START_MARGIN_M
     corners = vertices[faces]
     touched = (corners[..., :2].min(axis=1) <= reach).all(axis=1) & (corners[..., :2].max(axis=1) >= -reach).all(axis=1)
@@ -224,7 +238,11 @@ def _check_column(name: str, vertices: F32, faces: I32, radius_m: float) -> None
 
 
 def _check_closed(name: str, renderer: Renderer) -> None:
-    """Looks from 1.2 m above the start along all six faces of a cube; each pixel counts by its solid angle."""
+    """Raise SceneError if the mesh is open.
+
+    It is rendered from 1.2 m above the floor at the start in the six directions of a cube; each pixel is weighted by its
+    solid angle.
+    """
     size = 96
     spec = CameraSpec(size, size, size / 2, size / 2, (size - 1) / 2, (size - 1) / 2)
     grid = (np.arange(size) - spec.cx) / spec.fx

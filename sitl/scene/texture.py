@@ -1,4 +1,4 @@
-"""Paints of the rooms made here: functions from points (N, 3) in metres to colours (N, 3) in 0..1, always the same."""
+"""Procedural textures: deterministic functions from points (N, 3), m, to colours (N, 3)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ Colour = tuple[float, ...]
 
 
 def to_rgb(colour: F64) -> NDArray[np.uint8]:
-    """Colours (N, 3) in 0..1 as bytes."""
+    """Convert colours (N, 3) in 0..1 to bytes."""
     return np.asarray(np.rint(np.clip(colour, 0.0, 1.0) * 255.0), np.uint8)
 
 
 def noise(points: F64, cell_m: float, seed: int = 0) -> F64:
-    """Smooth value noise (N,) in 0..1 with features of cell_m: hashed lattice values, trilinear with eased weights."""
+    """Return smooth value noise (N,) in 0..1 with features of the size cell_m.
+
+    Hashed lattice values are interpolated trilinearly with smoothstep weights.
+    """
     scaled = points / cell_m
     base = np.floor(scaled).astype(np.int64)
     weight = scaled - base
@@ -32,14 +35,14 @@ def noise(points: F64, cell_m: float, seed: int = 0) -> F64:
 
 
 def grain(points: F64, cell_m: float, seed: int = 0) -> F64:
-    """Noise (N,) in 0..1 of three octaves down to a quarter of cell_m."""
+    """Return noise (N,) in 0..1 of three octaves down to a quarter of cell_m."""
     return (
         noise(points, cell_m, seed) + 0.5 * noise(points, cell_m / 2, seed + 1) + 0.25 * noise(points, cell_m / 4, seed + 2)
     ) / 1.75
 
 
 def _hash(cells: NDArray[np.int64], seed: int) -> F64:
-    """A number in 0..1 for each lattice cell (N, 3); multiply-xor mixing."""
+    """Return a number in 0..1 for each lattice cell (N, 3), by multiply-xor mixing."""
     primes = np.array([73856093, 19349663, 83492791], np.uint64)
     key = (cells.astype(np.uint64) * primes).sum(axis=1, dtype=np.uint64) + np.uint64(seed * 2654435761)
     for _ in range(2):
@@ -58,17 +61,17 @@ def _shades(base: Colour, points: F64, strength: float, cell_m: float, seed: int
 
 
 def dimmed(paint: Paint, factor: float) -> Paint:
-    """The same paint in less light."""
+    """Return a paint with its colours multiplied by a factor."""
     return lambda points: factor * paint(points)
 
 
 def plain(base: Colour) -> Paint:
-    """One colour with faint unevenness."""
+    """Return one colour with slight noise."""
     return lambda points: _shades(base, points, 0.08, 0.12)
 
 
 def cloth(base: Colour) -> Paint:
-    """Woven fabric: blotches and a fine weave."""
+    """Return woven fabric: blotches and a fine weave."""
 
     def paint(points: F64) -> F64:
         weave = np.sin(points[:, 0] * 90.0) * np.sin(points[:, 1] * 90.0 + points[:, 2] * 90.0)
@@ -78,7 +81,7 @@ def cloth(base: Colour) -> Paint:
 
 
 def wood(base: Colour) -> Paint:
-    """Grain along x."""
+    """Return wood with its grain along x."""
 
     def paint(points: F64) -> F64:
         stretched = points * np.array([0.18, 1.0, 1.0])
@@ -89,7 +92,7 @@ def wood(base: Colour) -> Paint:
 
 
 def checks(first: Colour, second: Colour, size_m: float) -> Paint:
-    """Chequered in all three axes."""
+    """Return a chequered pattern along all three axes."""
 
     def paint(points: F64) -> F64:
         odd = np.floor((points + 1e-4) / size_m).astype(np.int64).sum(axis=1) % 2
@@ -99,17 +102,17 @@ def checks(first: Colour, second: Colour, size_m: float) -> Paint:
 
 
 def pleats(base: Colour) -> Paint:
-    """Folded lampshade."""
+    """Return the folds of a lampshade."""
     return lambda points: np.asarray(base) * (0.88 + 0.16 * np.sin(140.0 * points[:, 0] + 60.0 * points[:, 1]))[:, None]
 
 
 def leaves(points: F64) -> F64:
-    """Green spots, light and dark."""
+    """Return light and dark green spots."""
     return _mix(grain(points, 0.06, 11) ** 1.5, (0.05, 0.16, 0.04), (0.50, 0.85, 0.30))
 
 
 def book(base: Colour, level_m: float, tall_m: float) -> Paint:
-    """A spine with two bands."""
+    """Return a book spine with two bands."""
 
     def paint(points: F64) -> F64:
         height = (points[:, 2] - level_m) / tall_m
@@ -120,7 +123,7 @@ def book(base: Colour, level_m: float, tall_m: float) -> Paint:
 
 
 def carton(base: Colour, corner: tuple[float, float, float]) -> Paint:
-    """Cardboard with a strip of tape and a label."""
+    """Return cardboard with a strip of tape and a label."""
 
     def paint(points: F64) -> F64:
         local = points - np.asarray(corner)
@@ -135,7 +138,7 @@ def carton(base: Colour, corner: tuple[float, float, float]) -> Paint:
 
 
 def cabinet(points: F64) -> F64:
-    """Painted doors 0.4 m wide with gaps and round handles."""
+    """Return cabinet doors 0.4 m wide with gaps and round handles."""
     along, height = np.mod(points[:, 0] - 0.2, 0.4), points[:, 2]
     colour = wood((0.80, 0.77, 0.68))(points)
     colour[(along < 0.014) | (along > 0.386)] *= 0.35
@@ -144,7 +147,7 @@ def cabinet(points: F64) -> F64:
 
 
 def floor(points: F64) -> F64:
-    """Planks 0.14 m wide and 1.1 m long, each in its own tone."""
+    """Return planks 0.14 m wide and 1.1 m long, each in a different tone."""
     row = np.floor(points[:, 1] / 0.14)
     shifted = points[:, 0] + 0.37 * np.mod(row * 3.0, 7.0)
     board = np.floor(shifted / 1.1)
@@ -157,7 +160,7 @@ def floor(points: F64) -> F64:
 
 
 def rug(points: F64) -> F64:
-    """Concentric frames around diamonds."""
+    """Return a rug of concentric frames around diamonds."""
     x, y = (points[:, 0] - 3.9) / 0.9, (points[:, 1] - 1.6) / 0.65
     edge = np.maximum(np.abs(x), np.abs(y))
     diamonds = np.mod(np.floor(8.0 * (np.abs(x) + np.abs(y))), 3.0)
@@ -169,7 +172,7 @@ def rug(points: F64) -> F64:
 
 
 def ceiling(points: F64) -> F64:
-    """Panels 0.6 m wide with dark specks, and three lights."""
+    """Return ceiling panels 0.6 m wide with dark specks, and three lights."""
     colour = _shades((0.88, 0.88, 0.86), points, 0.10, 0.30, 31)
     speck = noise(points, 0.07, 32)
     colour[speck > 0.80] *= 0.72
@@ -180,7 +183,7 @@ def ceiling(points: F64) -> F64:
 
 
 def _wallpaper(points: F64, along: F64, base: Colour) -> F64:
-    """Stripes of uneven width over a panel with a rail, and a skirting board."""
+    """Return stripes of uneven width above a panel with a rail, and a skirting board."""
     height = points[:, 2]
     stripe = 0.5 + 0.5 * np.sin(2.0 * np.pi * along / 0.24 + 0.9 * np.sin(2.0 * np.pi * along / 1.7))
     colour = _mix(np.round(stripe * 3.0) / 3.0, np.asarray(base) * 0.80, np.asarray(base) * 1.08)
@@ -195,7 +198,10 @@ def _wallpaper(points: F64, along: F64, base: Colour) -> F64:
 
 
 def _picture(colour: F64, across: F64, height: F64, box: tuple[float, float, float, float], style: int) -> None:
-    """Paint a framed abstract picture into colour (N, 3), in place; box is across and height, lowest then highest."""
+    """Paint a framed abstract picture into colour (N, 3), in place.
+
+    box: lowest across, lowest height, highest across, highest height, m. style: seed of the picture.
+    """
     left, bottom, right, top = box
     inside = (across > left) & (across < right) & (height > bottom) & (height < top)
     u, v = (across[inside] - left) / (right - left), (height[inside] - bottom) / (top - bottom)
@@ -211,7 +217,7 @@ def _picture(colour: F64, across: F64, height: F64, box: tuple[float, float, flo
 
 
 def south_wall(points: F64) -> F64:
-    """Wall y = 0: pictures over the sofa and the sideboard."""
+    """Return the wall y = 0, with pictures above the sofa and the sideboard."""
     along, height = points[:, 0], points[:, 2]
     colour = _wallpaper(points, along, (0.72, 0.76, 0.66))
     for style, box in enumerate(
@@ -223,7 +229,7 @@ def south_wall(points: F64) -> F64:
 
 
 def north_wall(points: F64) -> F64:
-    """Wall y = 3: pictures between board, shelf and table."""
+    """Return the wall y = 3, with pictures between board, shelf and table."""
     along, height = points[:, 0], points[:, 2]
     colour = _wallpaper(points, along, (0.70, 0.72, 0.80))
     for style, box in enumerate([(1.6, 1.2, 2.1, 1.9), (3.8, 1.1, 4.7, 2.1), (4.95, 1.2, 5.45, 1.8), (6.2, 1.1, 7.2, 1.9)], 61):
@@ -232,7 +238,7 @@ def north_wall(points: F64) -> F64:
 
 
 def west_wall(points: F64) -> F64:
-    """Wall x = 0: a panelled door and a notice board."""
+    """Return the wall x = 0, with a panelled door and a notice board."""
     across, height = points[:, 1], points[:, 2]
     colour = _wallpaper(points, across, (0.78, 0.68, 0.58))
     door = (across > 1.05) & (across < 1.95) & (height < 2.05)
@@ -247,7 +253,7 @@ def west_wall(points: F64) -> F64:
 
 
 def east_wall(points: F64) -> F64:
-    """Wall x = 8: a window with slats half down."""
+    """Return the wall x = 8, with a window whose slats are half down."""
     across, height = points[:, 1], points[:, 2]
     colour = _wallpaper(points, across, (0.78, 0.70, 0.60))
     _window(colour, points, across, height, (0.95, 0.95, 2.10, 2.15))
@@ -256,7 +262,10 @@ def east_wall(points: F64) -> F64:
 
 
 def _window(colour: F64, points: F64, across: F64, height: F64, box: tuple[float, float, float, float]) -> None:
-    """Paint a closed window, its slats half down, into colour (N, 3), in place; box as for a picture."""
+    """Paint a closed window with half-lowered slats into colour (N, 3), in place.
+
+    box: as for _picture().
+    """
     left, bottom, right, top = box
     window = (across > left) & (across < right) & (height > bottom) & (height < top)
     sky = _mix(np.clip((height - bottom) / (top - bottom), 0, 1), (0.80, 0.86, 0.90), (0.35, 0.58, 0.88))
@@ -272,9 +281,10 @@ def _window(colour: F64, points: F64, across: F64, height: F64, box: tuple[float
 
 
 def wall(base: Colour, axis: int, windows: list[tuple[float, ...]], pictures: list[tuple[float, ...]]) -> Paint:
-    """Wallpaper with closed windows and pictures on a wall that runs along an axis; boxes are along and height, lowest first.
+    """Return wallpaper with closed windows and pictures, for a wall along an axis.
 
-    A picture is its box and the number of its style.
+    windows: boxes (lowest along, lowest height, highest along, highest height), m. pictures: such boxes followed by the
+    number of a style.
     """
 
     def paint(points: F64) -> F64:
@@ -290,12 +300,12 @@ def wall(base: Colour, axis: int, windows: list[tuple[float, ...]], pictures: li
 
 
 def carpet(base: Colour) -> Paint:
-    """Flecked pile."""
+    """Return a flecked carpet."""
     return lambda points: _shades(base, points, 0.30, 0.04, 81) * (0.85 + 0.3 * noise(points, 0.35, 82))[:, None]
 
 
 def tiles(base: Colour, size_m: float) -> Paint:
-    """Square tiles with joints, each in its own tone."""
+    """Return square tiles with joints, each in a different tone."""
 
     def paint(points: F64) -> F64:
         cell = np.floor(points / size_m)

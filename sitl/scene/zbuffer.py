@@ -1,8 +1,8 @@
-"""Which triangle is nearest in each pixel: chunks of triangles drawn into a buffer of 1/z, from near to far.
+"""Nearest triangle in each pixel: chunks of triangles drawn into a 1/z buffer, near to far.
 
-A picture of a scanned room has more triangles than pixels, so what counts is how soon one is known not to matter: a chunk
-out of the frustum or behind what is drawn already, a triangle between two rows or columns of pixel centres, a triangle
-behind every pixel that it may cover. What is left is worked out in full.
+An image of a scanned room has more triangles than pixels, so speed depends on early rejection: of a chunk outside the
+frustum or behind drawn surfaces, of a triangle that covers no pixel centre, and of a triangle behind every pixel that it
+may cover. Only the remaining triangles are rasterised.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from sitl.runtime.jit import kernel
 
 CHUNK_FACES = 128
-WIDE_PX = 24  # a triangle wider than this is drawn by the part of each row that lies in it
-SMALL_PX = 4  # a triangle over no more rows and columns is drawn pixel by pixel
-_ROUNDING = 1.0 + 1e-6  # of 1/z in 32 bits
+WIDE_PX = 24  # for a wider triangle the covered part of each row is computed first
+SMALL_PX = 4  # a triangle over at most this many rows and columns is drawn by _fill_small()
+_ROUNDING = 1.0 + 1e-6  # margin for the rounding of 1/z to 32 bits
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -24,7 +24,10 @@ U16 = NDArray[np.uint16]
 
 @kernel
 def _box_outside(low: F32, high: F32, camera_from_world: F64, planes: F64) -> bool:
-    """Whether a box lies wholly behind one of the planes a.x >= b, given in the camera frame as rows (ax, ay, az, b)."""
+    """Return True if a box lies wholly outside one of the half-spaces a.x >= b.
+
+    planes: rows (ax, ay, az, b) in the camera frame.
+    """
     r, t = camera_from_world[:3, :3], camera_from_world[:3, 3]
     for p in range(planes.shape[0]):
         reach = planes[p, 0] * t[0] + planes[p, 1] * t[1] + planes[p, 2] * t[2]
@@ -38,7 +41,7 @@ def _box_outside(low: F32, high: F32, camera_from_world: F64, planes: F64) -> bo
 
 @kernel
 def _nearest(low: F32, high: F32, camera_from_world: F64) -> float:
-    """Smallest depth of a box along the optical axis; negative if it reaches behind the camera."""
+    """Return the smallest depth of a box along the optical axis; negative behind the camera."""
     depth: float = camera_from_world[2, 3]
     for axis in range(3):
         r = camera_from_world[2, axis]
@@ -48,7 +51,10 @@ def _nearest(low: F32, high: F32, camera_from_world: F64) -> float:
 
 @kernel
 def _hidden(low: F32, high: F32, camera_from_world: F64, intrinsics: F64, nearest_w: float, inverse_z: F32) -> bool:
-    """Whether every pixel that a box ahead of the camera may cover shows something nearer than 1 / nearest_w already."""
+    """Return True if every pixel a box may cover shows a surface nearer than 1 / nearest_w.
+
+    The box must be in front of the camera.
+    """
     u_low, u_high, v_low, v_high = np.inf, -np.inf, np.inf, -np.inf
     m = camera_from_world
     for corner in range(8):
@@ -69,7 +75,7 @@ def _hidden(low: F32, high: F32, camera_from_world: F64, intrinsics: F64, neares
 
 @kernel
 def _narrowed(at_zero: float, slope: float, first: int, last: int) -> tuple[int, int]:
-    """The part of a row, and a pixel more on either side, in which at_zero + slope u >= 0."""
+    """Return the part of a row, plus a pixel on either side, in which at_zero + slope u >= 0."""
     if slope > 0.0:
         return max(first, int(np.floor(min(max(-at_zero / slope, first - 1.0), last + 1.0))) - 1), last
     if slope < 0.0:
@@ -82,7 +88,10 @@ def _fill(
     x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float, w2: float,
     face_id: int, inverse_z: F32, face: I32,
 ) -> None:  # fmt: skip
-    """Draw one projected triangle (pixels, 1/z). Edges are inclusive, so neighbours leave no crack."""
+    """Draw one projected triangle (x, y in pixels, w = 1/z).
+
+    Edges are inclusive, so that adjacent triangles leave no gap.
+    """
     height, width = inverse_z.shape
     u_low = max(int(np.ceil(min(x0, x1, x2) - 1e-9)), 0)
     u_high = min(int(np.floor(max(x0, x1, x2) + 1e-9)), width - 1)
@@ -123,7 +132,10 @@ def _fill_small(
     x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float, w2: float,
     u_low: int, u_high: int, v_low: int, v_high: int, face_id: int, inverse_z: F32, face: I32,
 ) -> None:  # fmt: skip
-    """_fill for a few pixels: what hides the triangle is asked first, and nothing is divided before a pixel lies in it."""
+    """Draw a triangle over a few pixels, as _fill() does.
+
+    The depth test comes first, and there is no division before a pixel is known to lie in the triangle.
+    """
     nearest_w = max(w0, w1, w2) * _ROUNDING
     dx1, dy1, dx2, dy2 = x1 - x0, y1 - y0, x2 - x0, y2 - y0
     area = dx1 * dy2 - dy1 * dx2
@@ -148,7 +160,7 @@ def _fill_small(
 
 @kernel
 def _fill_clipped(corners: F64, near: float, intrinsics: F64, face_id: int, inverse_z: F32, face: I32) -> None:
-    """Cut a triangle (3, 3) in camera axes at the near plane (Sutherland-Hodgman) and draw the fan that is left."""
+    """Clip a triangle (3, 3), camera axes, at the near plane (Sutherland-Hodgman) and draw it."""
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     xs, ys, ws = np.empty(4), np.empty(4), np.empty(4)
     n = 0
@@ -173,9 +185,10 @@ def _fill_clipped(corners: F64, near: float, intrinsics: F64, face_id: int, inve
 def _project(
     vertices: F32, camera_from_world: F64, intrinsics: F64, height: int, width: int, points: F64, screen: F64, after: I32
 ) -> None:
-    """Vertices (V, 3) in camera axes, on the screen (u, v, 1/z), and the first pixel centre at or after each.
+    """Transform vertices (V, 3) into camera axes and project them, into the given arrays.
 
-    after: row above, column below 2^16; nonsense for what lies behind the camera.
+    points: camera axes. screen: (u, v, 1/z). after: row (upper 16 bits) and column (lower 16 bits), each plus 2, of the
+    first pixel centre at or after the vertex; undefined behind the camera.
     """
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     m = camera_from_world
@@ -212,9 +225,10 @@ def rasterise(
     inverse_z: F32,
     face: I32,
 ) -> None:
-    """Fill inverse_z (H, W) and the nearest face (H, W) of all chunks in the frustum.
+    """Write inverse_z (H, W) and the nearest face (H, W) of all chunks in the frustum.
 
-    vertices (V, 3); faces (F, 3) number the vertices of their own chunk.
+    vertices (V, 3), m. faces (F, 3): indices within the vertex list of their chunk. low, high: bounding boxes of the
+    chunks. near, far: limits of depth, m.
     """
     height, width = inverse_z.shape
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
@@ -236,7 +250,7 @@ def rasterise(
         if not _box_outside(low[chunk], high[chunk], camera_from_world, planes):
             seen[count], nearest[count] = chunk, _nearest(low[chunk], high[chunk], camera_from_world)
             count += 1
-    for place in np.argsort(nearest[:count], kind="mergesort"):  # from near to far, so that what is hidden need not be drawn
+    for place in np.argsort(nearest[:count], kind="mergesort"):  # near to far, so that hidden chunks can be skipped
         chunk = seen[place]
         whole = nearest[place] > near
         if whole and _hidden(low[chunk], high[chunk], camera_from_world, intrinsics, 1.0 / nearest[place], inverse_z):
@@ -253,7 +267,7 @@ def rasterise(
                 ka, kb, kc = after[a], after[b], after[c]
                 turns = (ka ^ kb) | (ka ^ kc)
                 if turns & 0xFFFF == 0 or turns >> 16 == 0:
-                    continue  # between two columns or rows of pixel centres, or outside
+                    continue  # covers no pixel centre, or lies outside the image
                 v_low, v_high = max((min(ka, kb, kc) >> 16) - 2, 0), min((max(ka, kb, kc) >> 16) - 3, height - 1)
                 ka, kb, kc = ka & 0xFFFF, kb & 0xFFFF, kc & 0xFFFF
                 u_low, u_high = max(min(ka, kb, kc) - 2, 0), min(max(ka, kb, kc) - 3, width - 1)

@@ -1,4 +1,4 @@
-"""Exact lines of sight: which surface points a depth camera at a pose gets a return from. Rays by Open3D."""
+"""Surface points that give a depth return at a camera pose, by ray casting (Open3D)."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from sitl.scene.scene import Scene
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-AT_THE_POINT_M = 0.004  # the ray ends this far short of the point: a layer farther in front than that hides it
+AT_THE_POINT_M = 0.004  # the ray ends this far before the point: only a surface farther in front occludes it
 
 
 class LineOfSight:
-    """Points (N, 3) with unit normals (N, 3) of the triangles they lie on; either side of a triangle can be seen."""
+    """Visibility test of points (N, 3) with the unit normals (N, 3) of their triangles.
+
+    Both sides of a triangle are visible.
+    """
 
     def __init__(self, scene: Scene, points: F32, normals: F32) -> None:
         import open3d
@@ -27,7 +30,10 @@ class LineOfSight:
         self._points, self._normals = points.astype(np.float64), normals.astype(np.float64)
 
     def returns(self, candidates: NDArray[np.int64], camera_from_world: F64) -> NDArray[np.int64]:
-        """Those of the candidate point indices that are in the picture, in range, not at a grazing angle and not hidden."""
+        """Return the candidate point indices that give a depth return.
+
+        Such a point is inside the image, in range, not at grazing incidence and not occluded. camera_from_world: (4, 4).
+        """
         lens, points = d435i.DEPTH_SPEC, self._points[candidates]
         x, y, z = (points @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]).T
         safe = np.maximum(z, 1e-6)

@@ -1,8 +1,9 @@
-"""The frozen truth of a scene: what the camera can see from poses that the vehicle can reach, never what a flight saw.
+"""Ground truth of a scene: surface and free space visible from poses the vehicle can reach.
 
-Cut once per scene, mount and camera, frozen by seed, and cached. Reachable is a flood fill from the start on a 0.1 m grid
-of centres 0.35 m clear of everything; 600 poses are drawn there, and 100 others are held out for pictures. To see is to
-get a depth return: in range, not at a grazing angle, and with nothing in between.
+It does not depend on any flight. It is computed once per scene, mount and camera from fixed seeds, and cached. Reachable
+positions are a flood fill from the start on a 0.1 m grid of positions with 0.35 m clearance. 600 poses are drawn there,
+and 100 others are held out as views for image comparison. A point is visible if it gives a depth return: in range, not at
+grazing incidence and not occluded.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ from uav_recon.sensors.stream_format import CameraSpec
 VERSION = 3
 POSES, HELD_OUT, SAMPLES = 600, 100, 300_000
 POSE_SEED, HELD_OUT_SEED, SAMPLE_SEED = 20240317, 20240318, 20240319
-STEP_M = 0.10  # of the reachable grid and of the free cells
+STEP_M = 0.10  # spacing of the reachable grid and size of the free cells
 REACH_CLEARANCE_M = 0.35
-LOWEST_M = 0.40  # centre of the vehicle over the floor
+LOWEST_M = 0.40  # minimum height of the vehicle's centre above the floor
 GIMBAL_RAD = math.radians(60.0)
 RAY_STRIDE_PX = 3
 F32 = NDArray[np.float32]
@@ -41,10 +42,13 @@ U8 = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class VisibleTruth:
-    """points (N, 3): surface samples that some pose saw. free_seen (X, Y, Z) bool: cells of free_cell_m crossed by rays that
-    met a surface in range; cell (0, 0, 0) has its lowest corner at free_origin_m (3,). views (100, 4, 4): held-out
-    world_from_camera of the COLOUR camera, whose intrinsics are view_spec. positions (P, 3): where the vehicle can be. World
-    frame, metres.
+    """Visible surface and free space, held-out views and reachable positions; world frame, m.
+
+    points (N, 3): surface samples visible from at least one pose.
+    free_seen (X, Y, Z) bool: cells of free_cell_m crossed by rays that ended on a surface in range; cell (0, 0, 0) has its
+    lowest corner at free_origin_m (3,).
+    views (100, 4, 4): held-out world_from_camera of the COLOUR camera, whose intrinsics are view_spec.
+    positions (P, 3): reachable positions of the vehicle.
     """
 
     points: F32
@@ -57,9 +61,10 @@ class VisibleTruth:
 
 
 def load_visible_truth(scene: Scene, mount: str, camera: d435i.Model, cache_dir: Path) -> VisibleTruth:
-    """The cut of a scene, from the cache or made anew (blocks for 10 to 30 s). mount: "gimbal" or "fixed:DEG" down.
+    """Return the visible truth of a scene from the cache, or compute it (blocks for 10 to 30 s).
 
-    A cache that cannot be read or written costs time only. Raises ValueError for an unknown mount.
+    mount: "gimbal", or "fixed:DEG" for a camera tilted down by DEG degrees. A cache that cannot be read or written only
+    costs time. Raises ValueError for an unknown mount.
     """
     pitch_rad = _fixed_pitch(mount)
     path = cache_dir / f"truth-{scene.name}-{_key(scene, mount, camera)}.npz"
@@ -73,7 +78,7 @@ def load_visible_truth(scene: Scene, mount: str, camera: d435i.Model, cache_dir:
 
 
 def _fixed_pitch(mount: str) -> float | None:
-    """Tilt of a fixed mount, or None for a gimbal."""
+    """Return the tilt (rad, down) of a fixed mount, or None for a gimbal."""
     if mount == "gimbal":
         return None
     kind, _, degrees = mount.partition(":")
@@ -92,10 +97,10 @@ _DIMENSIONS = {"points": 2, "free_seen": 3, "free_origin_m": 1, "views": 3, "pos
 
 
 def reachable_positions(scene: Scene) -> F32:
-    """Grid centres (P, 3) float32 that the vehicle can reach from above its start, 0.35 m clear of everything."""
+    """Return the grid positions (P, 3) reachable from above the start with 0.35 m clearance."""
     bins = PointGrid(dense_points(scene.vertices, scene.faces, 0.02))
     low, high = _bounds(scene)
-    low[:2] = STEP_M * np.round(low[:2] / STEP_M)  # so that the column above the start is a column of the grid
+    low[:2] = STEP_M * np.round(low[:2] / STEP_M)  # puts a grid column exactly above the start
     low[2] = LOWEST_M - BODY_ABOVE_FLOOR_M
     count = np.maximum(np.floor((high - low) / STEP_M).astype(int) + 1, 1)
     axes = [low[i] + STEP_M * np.arange(count[i]) for i in range(3)]
@@ -112,13 +117,16 @@ def reachable_positions(scene: Scene) -> F32:
 
 
 def _bounds(scene: Scene) -> tuple[F64, F64]:
-    """Lowest and highest corner (3,) of what lies in the fence and in the mesh's own box: a fence may be far larger."""
+    """Return the lowest and highest corner (3,) of the fence cut by the mesh's bounding box.
+
+    A fence may be far larger than the mesh.
+    """
     low = np.maximum(scene.fence_min, scene.vertices.min(axis=0)).astype(np.float64)
     return low, np.minimum(scene.fence_max, scene.vertices.max(axis=0)).astype(np.float64)
 
 
 def _draw(positions: F32, pitch_rad: float | None, count: int, seed: int) -> list[F64]:
-    """Random world_from_depth_camera (4, 4) at reachable positions."""
+    """Return random poses world_from_depth_camera (4, 4) at reachable positions."""
     rng = np.random.default_rng(seed)
     chosen = positions[rng.integers(len(positions), size=count)]
     yaw = rng.uniform(-math.pi, math.pi, count)
@@ -149,16 +157,16 @@ def _cut(scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: Camer
 
 
 def _returned(view: Rendering) -> F32:
-    """Depth (H, W) where the camera would get a return: a surface under a grazing angle gives it none."""
+    """Return the depth (H, W), m, with 0 at grazing incidence, where the camera gets no return."""
     depth: F32 = np.where(view.incidence_cos >= d435i.GRAZING_COS, view.depth_m, np.float32(0.0))
     return depth
 
 
 @kernel
 def _carve(free: NDArray[np.bool_], origin: F64, cell: float, depth: F32, world_from_camera: F64, intrinsics: F64) -> None:
-    """Set the cells that rays cross on their way to a surface in range, the last half cell left out.
+    """Mark the cells that rays cross before a surface in range, except the last half cell.
 
-    Cell to cell by Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", 1987.
+    Voxel traversal by Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", 1987.
     """
     m = world_from_camera
     at, step = np.zeros(3, np.int64), np.zeros(3, np.int64)

@@ -1,4 +1,4 @@
-"""A one-axis camera gimbal that PX4 drives itself (gimbal protocol v2): limits, a rate limit, and who may move it."""
+"""A one-axis camera gimbal driven by PX4 (gimbal protocol v2)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ _RATE_RADPS = math.radians(60.0)
 
 
 class Gimbal:
-    """Pitch relative to the body, rad, positive up as on the wire. Obeys only whoever took primary control."""
+    """Gimbal with angle and rate limits that obeys its primary controller only.
+
+    Pitch is relative to the body, rad, positive up as in MAVLink.
+    """
 
     def __init__(self, lowest_rad: float, highest_rad: float) -> None:
         self._lowest = lowest_rad
@@ -20,11 +23,14 @@ class Gimbal:
         self.pitch_rate = 0.0
 
     def configure(self, system: int, component: int) -> None:
-        """Primary control goes to (system, component)."""
+        """Give primary control to the MAVLink sender (system, component)."""
         self.owner = (system, component)
 
     def command(self, sender: tuple[int, int], pitch: float, pitch_rate: float) -> bool:
-        """Aim; NaN pitch follows pitch_rate. False if the sender does not own the gimbal."""
+        """Set the wanted pitch (rad), or the wanted rate (rad/s) if pitch is NaN.
+
+        Returns False, without effect, if the sender does not own the gimbal.
+        """
         if sender != self.owner:
             return False
         if math.isfinite(pitch):
@@ -34,7 +40,7 @@ class Gimbal:
         return True
 
     def step(self, dt_s: float) -> None:
-        """Move towards the aim at no more than 60 degrees a second."""
+        """Move towards the wanted pitch for dt_s seconds, at 60 deg/s at most."""
         if self._rate:
             self._wanted = min(max(self._wanted + self._rate * dt_s, self._lowest), self._highest)
         move = min(max(self._wanted - self.pitch, -_RATE_RADPS * dt_s), _RATE_RADPS * dt_s)

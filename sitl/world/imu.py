@@ -1,4 +1,4 @@
-"""Inertial sensors and barometer of the autopilot: truth with small constant biases and white noise."""
+"""IMU and barometer of the autopilot: true values plus constant biases and white noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ _SAMPLE_S = 0.004
 
 @dataclass(frozen=True, slots=True)
 class ImuNoise:
-    """Standard deviations of a calibrated consumer IMU, per sample of 4 ms, and of its constant biases."""
+    """Standard deviations of a calibrated consumer IMU.
+
+    White noise is per sample of 4 ms; biases are constant during a flight.
+    """
 
     gyro_radps: float = 0.002
     gyro_bias_radps: float = 2e-4
@@ -24,10 +27,13 @@ class ImuNoise:
 
 
 class Imu:
-    """Reads rates and specific force (any body frame) with the errors of one device, drawn once from the seed."""
+    """Angular rates and specific force with the errors of one device, drawn from the seed.
+
+    Both are in the same body frame, which may be any.
+    """
 
     def __init__(self, seed: int, step_s: float = _SAMPLE_S, noise: ImuNoise | None = None) -> None:
-        """step_s: over which a sample averages; the longer, the quieter."""
+        """Draw the biases. step_s: averaging time of a sample; noise falls with its square root."""
         self._noise = noise or ImuNoise()
         quieter = math.sqrt(_SAMPLE_S / step_s)
         self._gyro_sigma, self._accel_sigma = self._noise.gyro_radps * quieter, self._noise.accel_mps2 * quieter
@@ -39,7 +45,7 @@ class Imu:
         self._baro_bias = gauss(0.0, n.baro_bias_m)
 
     def read(self, gyro: Vec3, specific_force: Vec3) -> tuple[Vec3, Vec3]:
-        """Measured rates (rad/s) and specific force (m/s^2) for the true ones."""
+        """Return the measured angular rates (rad/s) and specific force (m/s^2) for the true ones."""
         gauss = self._random.gauss
         g, a = self._gyro_bias, self._accel_bias
         sg, sa = self._gyro_sigma, self._accel_sigma
@@ -53,5 +59,5 @@ class Imu:
         )
 
     def altitude(self, height_m: float) -> float:
-        """Barometric height for the true one, m."""
+        """Return the barometric height (m) for the true height."""
         return height_m + self._baro_bias + self._random.gauss(0.0, self._noise.baro_m)

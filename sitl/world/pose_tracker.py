@@ -1,4 +1,4 @@
-"""The pose stream a tracking system would give: slowly wandering, a little noisy, and late."""
+"""Simulated pose stream of a visual tracking system: slow drift, white noise and delay."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ _VARIANCE = np.repeat([DRIFT_M**2 + WHITE_M**2, DRIFT_RAD**2 + WHITE_RAD**2], 3)
 
 @dataclass(frozen=True)
 class PoseRecord:
-    """One delivered pose odom_from_body: stamp_s of capture, position_m (3,), quat_wxyz (4,), variance (6,) m² and rad²."""
+    """One delivered pose odom_from_body.
+
+    stamp_s: capture time. position_m (3,). quat_wxyz (4,). variance (6,): position in m², rotation in rad².
+    """
 
     stamp_s: float
     position_m: F64
@@ -33,7 +36,10 @@ class PoseRecord:
 
 
 class SimulatedTracker:
-    """Ornstein-Uhlenbeck drift (20 s) that is zero at the first pose, white noise on top, delivered 60 ± 20 ms late."""
+    """Source of poses with drift and white noise, delivered 60 ± 20 ms after capture.
+
+    The drift is an Ornstein-Uhlenbeck process with a time constant of 20 s; it is zero at the first pose.
+    """
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng([seed, 0x905E])
@@ -44,13 +50,13 @@ class SimulatedTracker:
         self._pending: deque[tuple[float, PoseRecord]] = deque()
 
     def due(self, now_s: float) -> bool:
-        """Whether step() has anything to do now."""
+        """Return True if step() would capture or deliver a pose now."""
         return self._due_s is None or now_s >= self._due_s - 1e-9 or bool(self._pending and self._pending[0][0] <= now_s)
 
     def step(self, now_s: float, position_m: Vec3, quat_wxyz: Quat) -> list[PoseRecord]:
-        """Capture a pose if one is due now, and return those that have arrived by now_s, oldest first. Does not block.
+        """Capture a pose if one is due, and return the poses delivered by now_s, oldest first.
 
-        position_m and quat_wxyz (world_from_body) are the truth at now_s.
+        position_m and quat_wxyz (world_from_body) are the true pose at now_s. Does not block.
         Call it at 30 Hz or more: a pose is captured only inside a call.
         """
         if self._due_s is None or now_s >= self._due_s - 1e-9:

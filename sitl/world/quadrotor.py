@@ -1,4 +1,4 @@
-"""The true quadrotor: first-order attitude, yaw-rate and thrust lags, drag, gusts, a floor and what stands on it.
+"""Quadrotor dynamics: first-order attitude and thrust lags, drag, gusts, ground contact.
 
 World ENU, body FLU, metres, radians, seconds. The world's origin is the body's centre while it stands on the pad,
 so the body rests at z = 0 (its skids reach 0.10 m lower).
@@ -26,26 +26,34 @@ class AirframeDynamics:
     max_tilt_rad: float = math.radians(45.0)
     max_thrust_mps2: float = 2.0 * GRAVITY_MPS2  # twice the hover thrust
     max_yaw_rate_radps: float = math.radians(200.0)
-    max_speed_mps: float = 8.0  # a wall against numbers running away
+    max_speed_mps: float = 8.0  # keeps the integration bounded
     drag_per_s: float = 0.15  # linear, on the airspeed
     floor_friction_mps2: float = 4.0  # skids on the floor
     gust_time_s: float = 1.5  # correlation time of the wind
 
 
 def bare_floor(position: Vec3) -> float:
-    """Nothing stands on the floor."""
+    """Return -inf: no object stands on the floor anywhere."""
     return -math.inf
 
 
 class Quadrotor:
-    """State and motion of the vehicle. Start pose: on the pad at `start`, heading `yaw_rad` (0 = east).
+    """True state and motion of the vehicle.
 
-    wind_mps: rms of the gusts per horizontal axis (a third of it vertically); indoors 0.1 to 0.2. standing_m: height of the
-    body once it stands on what is straight below it, where that is higher than the pad's floor. What it meets from the side
-    does not stop it: that is the referee's to see.
-    Attributes after each step(): position, velocity (ENU), quat_wxyz (enu_from_flu), gyro (FLU, rad/s),
-    specific_force (FLU, m/s^2; what an ideal accelerometer reads), outside_mps2 (ENU; a force from outside divided by the
-    mass, set by whoever pushes, felt by the accelerometer), on_ground, touchdowns (impact speeds, m/s).
+    It starts on the pad at `start` (m), heading `yaw_rad` (0 = east).
+    wind_mps: rms of the gusts per horizontal axis (a third of it vertically); indoors 0.1 to 0.2.
+    standing_m: returns the height of the body's centre (m) when it rests on the object straight below a position, -inf
+    without one. It counts where it is above the pad's floor. Objects do not stop the vehicle from the side; such contacts
+    are detected by sitl/apps/flight_judge.py.
+
+    Attributes after each step():
+    position (m), velocity (m/s): ENU.
+    quat_wxyz: enu_from_flu.
+    gyro: FLU, rad/s.
+    specific_force: FLU, m/s^2; the reading of an ideal accelerometer.
+    outside_mps2: ENU; external force divided by the mass, set by the caller. The accelerometer measures it.
+    on_ground: True while it rests on the floor or on an object.
+    touchdowns: impact speeds of the landings, m/s.
     """
 
     def __init__(
@@ -70,7 +78,7 @@ class Quadrotor:
         self._step_s = 0.0
         self._gains = (0.0, 0.0, 0.0, 0.0, 0.0)
         self._highest = 0.0
-        self._share = 1.0  # of the wanted thrust that it has
+        self._share = 1.0  # delivered thrust divided by wanted thrust
         self.position: Vec3 = start
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
         self.quat_wxyz: Quat = multiply(IDENTITY, from_yaw(yaw_rad))
@@ -81,19 +89,20 @@ class Quadrotor:
         self.touchdowns: list[float] = []
 
     def weaken(self, share: float) -> None:
-        """From now on the rotors lift it by this share of what is wanted: too heavy, or a motor that does not turn."""
+        """Deliver this share of the wanted thrust: an overloaded vehicle or a failed motor."""
         self._share = share
 
     def push(self, velocity_change: Vec3) -> None:
-        """Hit the vehicle: add to its velocity (ENU, m/s). For tests of disturbances."""
+        """Add velocity_change (ENU, m/s) to the velocity at once, to simulate a hit."""
         v = self.velocity
         self.velocity = (v[0] + velocity_change[0], v[1] + velocity_change[1], v[2] + velocity_change[2])
 
     def step(self, dt_s: float, specific_thrust_world: Vec3, yaw_rate_radps: float, motors_on: bool) -> None:
-        """Advance by dt_s, well below the lags (20 ms at most).
+        """Advance by dt_s, which must be well below the lags (20 ms at most).
 
         specific_thrust_world: wanted rotor force divided by mass, ENU, m/s^2. Gravity is NOT added here: hovering
-        is (0, 0, 9.80665), the zero vector is motors at idle. yaw_rate_radps: wanted, counter-clockwise from above.
+        is (0, 0, 9.80665); the zero vector means motors at idle.
+        yaw_rate_radps: wanted yaw rate, counter-clockwise seen from above.
         """
         if dt_s != self._step_s:
             self._prepare(dt_s)
@@ -125,7 +134,7 @@ class Quadrotor:
         )
 
     def _command(self, force: Vec3, motors_on: bool) -> tuple[Vec3, float]:
-        """Wanted thrust axis within the tilt limit, and thrust along the axis the vehicle has now."""
+        """Return the wanted thrust axis (tilt-limited) and the thrust on the present axis, m/s^2."""
         if not motors_on:
             return (self._up, 0.0)
         fx, fy, fz = force
@@ -133,7 +142,7 @@ class Quadrotor:
         thrust = min(max(fx * up[0] + fy * up[1] + fz * up[2], 0.0), self._frame.max_thrust_mps2)
         if self.on_ground and fz < GRAVITY_MPS2:
             return ((0.0, 0.0, 1.0), thrust)
-        lift = max(fz, 0.2 * GRAVITY_MPS2)  # a falling command must not turn the vehicle over
+        lift = max(fz, 0.2 * GRAVITY_MPS2)  # keeps the axis pointing up when a fast descent is commanded
         side = math.hypot(fx, fy)
         most = lift * math.tan(self._frame.max_tilt_rad)
         if side > most:
@@ -151,7 +160,7 @@ class Quadrotor:
         ux, uy, uz = ux + k * (wanted_up[0] - ux), uy + k * (wanted_up[1] - uy), uz + k * (wanted_up[2] - uz)
         norm = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
         self._up = (ux * norm, uy * norm, uz * norm)
-        # Shortest turn of the vertical onto the thrust axis, after the heading.
+        # first the heading, then the shortest rotation from the vertical onto the thrust axis
         tilt = normalised((1.0 + self._up[2], -self._up[1], self._up[0], 0.0))
         attitude = multiply(tilt, from_yaw(self._yaw))
         turn = small_rotation(multiply(conjugate(self.quat_wxyz), attitude))
@@ -159,7 +168,7 @@ class Quadrotor:
         self.quat_wxyz = attitude
 
     def _blow(self) -> Vec3:
-        """Ornstein-Uhlenbeck gusts."""
+        """Advance the gusts (an Ornstein-Uhlenbeck process) and return the wind, ENU, m/s."""
         _, _, _, decay, kick = self._gains
         gauss = self._random.gauss
         g = self._gust
@@ -181,7 +190,7 @@ class Quadrotor:
         floor = max(self._floor, self._standing_m((x, y, z))) if vz <= 0.0 else self._floor
         x, y, z = x + vx * dt_s, y + vy * dt_s, z + vz * dt_s
         if z <= floor and vz <= 0.0:
-            if self._highest > 0.05:  # a real touchdown, not settling on the skids
+            if self._highest > 0.05:  # smaller heights are the vehicle settling on its skids
                 self.touchdowns.append(-vz)
             self._highest = 0.0
             side = math.hypot(vx, vy)

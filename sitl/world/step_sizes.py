@@ -1,4 +1,4 @@
-"""How finely time is cut: for flights that must be as real as possible, and for many flights that must be quick."""
+"""Time steps of the simulation: fine for accurate flights, coarse for many quick flights."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class StepSizes:
-    """physics_s: one step of vehicle and autopilot; turn_s: one turn of all loops in lockstep; imu_hz: of the camera's IMU;
-    truth_hz: how often the true path and its clearance are noted.
+    """Time steps and rates of a simulated flight.
+
+    physics_s: one step of vehicle and autopilot. turn_s: one iteration of all loops in lockstep.
+    imu_hz: rate of the camera's IMU. truth_hz: rate at which the true path and its clearance are recorded.
     """
 
     physics_s: float
@@ -18,5 +20,5 @@ class StepSizes:
 
 
 REAL = StepSizes(physics_s=0.004, turn_s=0.01, imu_hz=200.0, truth_hz=50.0)
-# every rate of the product divides its turns; at 0.8 m/s clearance is noted every 3 cm
+# every rate of the product divides the turn rate; at 0.8 m/s clearance is recorded every 3 cm
 QUICK = StepSizes(physics_s=1.0 / 60.0, turn_s=1.0 / 60.0, imu_hz=60.0, truth_hz=30.0)

@@ -22,16 +22,16 @@ from sitl.world.gimbal import Gimbal
 from sitl.world.quadrotor import Quadrotor
 from sitl.world.step_sizes import REAL
 
-BOOTED_BEFORE_S = 12.5  # its pre-arm checks pass 25 s after boot
+BOOTED_BEFORE_S = 12.5  # time from boot to the first step; the pre-arm checks pass 25 s after boot
 
 
 class ArduCopter(Autopilot):
-    """The simulated ArduCopter. Raises ValueError for parameters whose failsafe is not simulated."""
+    """The simulated ArduCopter. Raises ValueError if a parameter's failsafe is not simulated."""
 
     def __init__(
         self, vehicle: Quadrotor, link: ByteEnd, parameters: ArduPilotParameters, seed: int, step_s: float = REAL.physics_s
     ) -> None:
-        """step_s: of physics, estimator and control; well below the lags of the vehicle."""
+        """Create the autopilot. step_s: time step of physics, estimator and control, at most 20 ms."""
         self._parameters = parameters
         server = MavlinkServer(link, parameters)
         flight = ArduPilotModeControllers(parameters)
@@ -47,11 +47,11 @@ class ArduCopter(Autopilot):
         super().__init__(vehicle, parameters, server, self._state, commander, commands, BOOTED_BEFORE_S, seed, step_s)
 
     def pilot_takes_over(self, mode: str = "LOITER") -> None:
-        """A switch on the transmitter. Raises KeyError for an unknown mode."""
+        """Change the mode by a switch on the transmitter. Raises KeyError for an unknown mode."""
         self._state.commander.takeover(ArduPilotMode[mode])
 
     def pilot_disarms(self) -> None:
-        """The kill switch: motors stop, wherever the vehicle is."""
+        """Disarm by the kill switch: the motors stop, even in flight."""
         self._state.commander.request_arming(arm=False, force=True, c=self._state.condition())
 
     def _forget(self) -> None:
@@ -62,7 +62,7 @@ class ArduCopter(Autopilot):
         s.commander.takeover(ArduPilotMode.STABILIZE)
 
     def lose_land_detector(self) -> None:
-        """From now on no landing is noticed."""
+        """Disable the land detector: no landing is detected any more."""
         self._state.flight.lose_land_detector()
 
     @property

@@ -1,4 +1,4 @@
-"""What the simulated ArduCopter does with each message from outside."""
+"""Handlers of the simulated ArduCopter for received messages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
 class ArduPilotCommands(BaseCommands):
-    """ArduCopter's own: targets, poses, TIMESYNC, heartbeats, modes, arming, take-off and the origin."""
+    """Handlers of ArduCopter: targets, poses, TIMESYNC, modes, arming, take-off and the origin."""
 
     def __init__(self, state: ArduPilotState, server: MavlinkServer) -> None:
         super().__init__(state, server)
@@ -41,7 +41,10 @@ class ArduPilotCommands(BaseCommands):
         self._s.commander.heartbeat_from(message.sender[0], self._s.now_s)
 
     def _target(self, m: ReceivedMessage, arrival_s: float) -> None:
-        """Only in GUIDED. A mask or number that is of no use makes it hold; a place outside the fence is dropped silently."""
+        """Follow a target in GUIDED; ignored in other modes.
+
+        An unusable mask or number makes the vehicle hold its position. A position outside the fence is ignored silently.
+        """
         s, mask = self._s, m.type_mask
         if s.commander.mode is not ArduPilotMode.GUIDED:
             return
@@ -65,21 +68,24 @@ class ArduPilotCommands(BaseCommands):
         return self._s.commander.admits(math.hypot(position[0] - home[0], position[1] - home[1]), home[2] - position[2])
 
     def _odometry(self, message: ReceivedMessage, arrival_s: float) -> None:
-        """External navigation; poses in other frames are dropped without a word (read)."""
+        """Process an external pose; poses in other frames are dropped silently (from the sources)."""
         if message.frame_id != mavlink.MAV_FRAME_LOCAL_FRD or message.child_frame_id != mavlink.MAV_FRAME_BODY_FRD:
             return
         q = message.q
         self._fuse(message, arrival_s, message.time_usec, message.pose_covariance, (q[0], q[1], q[2], q[3]), message.quality)
 
     def _vision(self, message: ReceivedMessage, arrival_s: float) -> None:
-        """VISION_POSITION_ESTIMATE: no quality, so VISO_QUAL_MIN must be 0 for it."""
+        """Process a VISION_POSITION_ESTIMATE; it has no quality, so VISO_QUAL_MIN must be 0."""
         attitude = from_euler(message.roll, message.pitch, message.yaw)
         self._fuse(message, arrival_s, message.usec, message.covariance, attitude, 0)
 
     def _fuse(
         self, message: ReceivedMessage, arrival_s: float, stamp_us: int, covariance: tuple[float, ...], quat: Quat, quality: int
     ) -> None:
-        """covariance: upper triangle, x 0, y 6, z 11, roll 15, pitch 18, yaw 20."""
+        """Pass a pose to the estimator once that is active.
+
+        covariance: upper triangle, x 0, y 6, z 11, roll 15, pitch 18, yaw 20.
+        """
         s = self._s
         local_us = s.jitter.local_us(stamp_us, round((arrival_s - s.boot_s) * 1e6))
         if not s.ekf_active:
@@ -98,14 +104,17 @@ class ArduPilotCommands(BaseCommands):
         )
 
     def _timesync(self, message: ReceivedMessage, _arrival_s: float) -> None:
-        """Questions are answered; answers to its own are logged and teach it nothing (read)."""
+        """Answer requests; answers to its own requests are logged only (from the sources)."""
         if message.tc1 == 0:
             self._answer_timesync(message)
 
     # -- origin ---------------------------------------------------------------------------------------------------
 
     def _origin(self, message: ReceivedMessage, _arrival_s: float) -> None:
-        """Once per boot. Before the estimator has a position it is taken too, but no home ever follows (measured)."""
+        """Set the origin, once per boot.
+
+        An origin received before the position is valid is accepted, but home is then never set (measured).
+        """
         s = self._s
         if s.origin is not None:
             return
@@ -139,13 +148,16 @@ class ArduPilotCommands(BaseCommands):
         return ACCEPTED
 
     def _set_mode(self, message: ReceivedMessage, _arrival_s: float) -> None:
-        """The old message: acknowledged under its own number (read)."""
+        """Handle SET_MODE, the old message; COMMAND_ACK carries its message id (from the sources)."""
         result = self._s.commander.request_mode(message.custom_mode, self._s.condition())
         self._server.send(packet(mavlink.MAVLink_command_ack_message, mavlink.MAVLINK_MSG_ID_SET_MODE, result))
 
 
 def _flyable(m: ReceivedMessage, numbers: tuple[float, ...]) -> bool:
-    """Velocity with or without place, or a place alone, in LOCAL_NED; finite. (Acceleration alone is not simulated.)"""
+    """Return True for a finite target in LOCAL_NED with a velocity or with a position alone.
+
+    A velocity may come with a position. Acceleration alone is not simulated.
+    """
     mask = m.type_mask
     has_place, moves, pushes = not mask & _NO_POSITION, not mask & _NO_VELOCITY, not mask & _NO_ACCELERATION
     if m.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or (mask & FORCE_SET and pushes):

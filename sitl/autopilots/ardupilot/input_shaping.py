@@ -1,7 +1,7 @@
-"""ArduPilot's input shaping: a motion within limits of acceleration and jerk that closes in on a target that may jump.
+"""ArduPilot's input shaping: motion with limited acceleration and jerk towards a target.
 
-After AP_Math/control.cpp (4.8-dev): shape_pos_vel_accel() and shape_vel_accel(), for one vertical axis and for the
-horizontal plane, whose limits are those of the vector's length. Local NED.
+After AP_Math/control.cpp (4.8-dev): shape_pos_vel_accel() and shape_vel_accel(), for the vertical axis and for the
+horizontal plane, where the limits apply to the length of the vector. The target may jump. Local NED.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 from sitl.geometry.quaternion import Vec3
 
-_Plane = tuple[float, ...]  # components of the plane, or the one of an axis
+_Plane = tuple[float, ...]  # two components in the horizontal plane, or one on the vertical axis
 
 
 @dataclass(frozen=True, slots=True)
 class ShapingLimits:
-    """Of the correction's speed, of acceleration and of jerk. SI."""
+    """Limits of the speed of a position correction, of acceleration and of jerk; SI."""
 
     speed: float
     acceleration: float
@@ -24,22 +24,25 @@ class ShapingLimits:
 
 
 class InputShaper:
-    """position, velocity and acceleration are what the controller is to follow now."""
+    """Shaped motion: position, velocity and acceleration are the setpoint of the controller."""
 
     def __init__(self, horizontal: ShapingLimits, vertical: ShapingLimits) -> None:
         self.limits = (horizontal, vertical)
         self.reset((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def reset(self, position: Vec3, velocity: Vec3) -> None:
-        """Begin with the motion there is."""
+        """Start from a position and a velocity, without acceleration."""
         self.position, self.velocity, self.acceleration = position, velocity, (0.0, 0.0, 0.0)
 
     def shift(self, delta: Vec3) -> None:
-        """The estimate jumped, and the motion with it."""
+        """Shift the position by a jump of the estimate."""
         self.position = _sum(self.position, delta, 1.0)
 
     def step(self, dt_s: float, position: Vec3 | None, velocity: Vec3, acceleration: Vec3) -> None:
-        """Advance by dt_s, then aim at a target; a position of None follows the velocity alone."""
+        """Advance by dt_s, then accelerate towards a target.
+
+        Without a position the velocity alone is followed.
+        """
         p, v, a = self.position, self.velocity, self.acceleration
         p = _sum(p, v, dt_s)
         v = _sum(v, a, dt_s)
@@ -54,7 +57,10 @@ class InputShaper:
 def _shaped(
     limits: ShapingLimits, dt_s: float, place: _Plane | None, speed: _Plane, push: _Plane, p: _Plane, v: _Plane, a: _Plane
 ) -> _Plane:
-    """The next acceleration: critically damped towards the target near by, along braking parabolas from far away."""
+    """Return the next acceleration.
+
+    The approach is critically damped near the target and follows braking parabolas farther away.
+    """
     gain = limits.jerk / limits.acceleration
     excess = _difference(v, speed)
     if place is None:
@@ -70,7 +76,10 @@ def _shaped(
 
 
 def _toward(error: _Plane, gain: float, limit: float) -> tuple[_Plane, float]:
-    """sqrt_controller(): the rate that closes an error without exceeding a second derivative, and its slope (1/s)."""
+    """Return the rate that reduces an error with a limited second derivative, and its slope.
+
+    This is sqrt_controller(); the slope is in 1/s.
+    """
     size = math.hypot(*error)
     linear = limit / (gain * gain)
     if size <= linear:

@@ -1,4 +1,4 @@
-"""ArduPilot's idea of when a foreign stamp was: no TIMESYNC, but the least lag seen (AP_RTC JitterCorrection)."""
+"""Conversion of stamps to ArduPilot's clock by the minimum lag (AP_RTC JitterCorrection)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ _WINDOW = 100
 
 
 class JitterCorrection:
-    """Keeps local - remote, in microseconds. What every message lags by stays in the answer: VISO_DELAY_MS is for that."""
+    """Filter of the clock offset, local - remote, µs; TIMESYNC is not used.
+
+    A lag common to all messages remains in the result; VISO_DELAY_MS compensates it.
+    """
 
     def __init__(self) -> None:
         self._offset_us: int | None = None
@@ -15,12 +18,12 @@ class JitterCorrection:
         self._count = 0
 
     def local_us(self, remote_us: int, now_us: int) -> int:
-        """The sender's stamp on our clock."""
+        """Return the sender's stamp on the autopilot's clock, µs."""
         lag_us = now_us - remote_us
         if self._offset_us is None or lag_us < self._offset_us:
             self._offset_us = lag_us
         estimate_us = remote_us + self._offset_us
-        if now_us - estimate_us > _LONGEST_LAG_US:  # nothing lags so far: the sender's clock was set
+        if now_us - estimate_us > _LONGEST_LAG_US:  # longer than any real lag: the sender's clock was set
             estimate_us = now_us - _LONGEST_LAG_US
             self._offset_us = estimate_us - remote_us
         self._min_us = lag_us if self._count == 0 else min(self._min_us, lag_us)

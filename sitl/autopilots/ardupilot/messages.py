@@ -1,4 +1,4 @@
-"""What the simulated ArduCopter tells: nothing but HEARTBEAT before it is asked for more."""
+"""Messages of the simulated ArduCopter: HEARTBEAT and TIMESYNC, all others on request only."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _CAPABILITIES = (
 )
 _VERSION_4_8_0_DEV = 4 << 24 | 8 << 16
 _UID = 0x5349544C41500801
-_UNINITIALISED, _CONSTANT, _BLIND, _FOLLOWING = 0x400, 0xA5, 0x25, 0x33F  # EKF_STATUS_REPORT, the last two measured
-_VISION_HEALTHY_S = 0.3  # after the last pose
+_UNINITIALISED, _CONSTANT, _BLIND, _FOLLOWING = 0x400, 0xA5, 0x25, 0x33F  # EKF_STATUS_REPORT; the last two measured
+_VISION_HEALTHY_S = 0.3  # maximum age of the last pose
 
 
 class ArduPilotMessages(BaseMessages):
-    """ArduCopter's own beside the shared ones."""
+    """Builders of the messages of ArduCopter, and their default rates."""
 
     def __init__(self, state: ArduPilotState) -> None:
         super().__init__(state)
         self._s = state
 
     def rates(self) -> dict[int, tuple[Callable[[], Packet | None], float]]:
-        """Message id to (builder, default rate in Hz); rate 0 is sent on request only."""
+        """Return (builder, default rate in Hz) by message id; rate 0 is sent on request only."""
         return {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: (self.heartbeat, 1.0),
             mavlink.MAVLINK_MSG_ID_TIMESYNC: (self.timesync, 0.1),
@@ -52,7 +52,7 @@ class ArduPilotMessages(BaseMessages):
         }
 
     def heartbeat(self) -> Packet:
-        """1 Hz; custom_mode is the only proof of a mode."""
+        """Return HEARTBEAT; only its custom_mode identifies the mode."""
         c = self._s.commander
         base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
         base |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if c.mode in (ArduPilotMode.GUIDED, ArduPilotMode.LAND) else 0
@@ -62,23 +62,29 @@ class ArduPilotMessages(BaseMessages):
         return packet(mavlink.MAVLink_heartbeat_message, kind, family, base, int(c.mode), status, 3)
 
     def timesync(self) -> Packet:
-        """Its question."""
+        """Return a TIMESYNC request."""
         return packet(mavlink.MAVLink_timesync_message, 0, self._s.boot_us * 1000)
 
     def sys_status(self) -> Packet:
-        """Sensors, battery and the PREARM bit; the camera is healthy while poses come (read)."""
+        """Return SYS_STATUS: sensors, battery and the PREARM bit.
+
+        The vision sensor is healthy while poses arrive (from the sources).
+        """
         c, s = self._s.commander, self._s
         vision = mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
         heard = vision if s.estimator.pose_age_s <= _VISION_HEALTHY_S else 0
-        more = vision | mavlink.MAV_SYS_STATUS_PREARM_CHECK  # PX4 has it healthy or not, and never present (measured)
+        more = vision | mavlink.MAV_SYS_STATUS_PREARM_CHECK  # present here; in PX4 only healthy or not (measured)
         return self._health(c.armed or not c.arming_refusal(s.condition()), more, heard)
 
     def position_target(self) -> Packet | None:
-        """What the controller follows now."""
+        """Return POSITION_TARGET_LOCAL_NED, the setpoint of the controller; None while disarmed."""
         return self._followed(self._s.flight.active) if self._s.commander.armed else None
 
     def ekf_status(self) -> Packet:
-        """Flags and innovations over their gates: above 1 poses are being refused."""
+        """Return EKF_STATUS_REPORT: flags, and innovations relative to their gates.
+
+        Above 1, poses are rejected.
+        """
         s, e = self._s, self._s.estimator
         if not s.ekf_active:
             flags = _UNINITIALISED
@@ -90,7 +96,7 @@ class ArduPilotMessages(BaseMessages):
         return packet(mavlink.MAVLink_ekf_status_report_message, flags, 0.0, horizontal, vertical, 0.0, 0.0)
 
     def extended_sys_state(self) -> Packet:
-        """Landed state."""
+        """Return EXTENDED_SYS_STATE: the landed state."""
         flight, half = self._s.flight, None
         if flight.taking_off:
             half = mavlink.MAV_LANDED_STATE_TAKEOFF
@@ -99,7 +105,7 @@ class ArduPilotMessages(BaseMessages):
         return self._landed_state(flight.landed, half)
 
     def version(self) -> Packet:
-        """ArduCopter 4.8.0-dev."""
+        """Return AUTOPILOT_VERSION of ArduCopter 4.8.0-dev."""
         none = [0] * 8
         return packet(
             mavlink.MAVLink_autopilot_version_message, _CAPABILITIES, _VERSION_4_8_0_DEV, 0, 0, 0, none, none, none, 0, 0, _UID

@@ -1,9 +1,9 @@
-"""What ArduCopter's modes want: GUIDED with its targets and their timeout, take-off, LAND, and holding. Local NED.
+"""Setpoints of ArduCopter's modes: GUIDED with target timeout, take-off, LAND, hold. NED.
 
-GUIDED as read in mode_guided.cpp and measured: a position stays wanted for ever; a velocity, alone or with a position
-that it carries along, is dropped GUID_TIMEOUT after its last target. Nothing on the ground but a take-off lifts off. LAND
-brakes to rest within GUIDED's limits of acceleration and jerk (read in Mode::land_run_horizontal_control), and one that a
-failsafe began keeps its height for a while first (set_mode_land_with_pause).
+GUIDED is from mode_guided.cpp and measurements: a position target has no timeout; a velocity, alone or moving a position
+target along, ends GUID_TIMEOUT after its last target. On the ground only a take-off command lifts off. LAND brakes to rest
+within GUIDED's limits of acceleration and jerk (from Mode::land_run_horizontal_control); a LAND started by a failsafe first
+keeps its height for a pause (set_mode_land_with_pause).
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ _STOP_AT_FENCE = 1  # AVOID_ENABLE
 
 @dataclass(frozen=True, slots=True)
 class ControllerTarget:
-    """One SET_POSITION_TARGET_LOCAL_NED as GUIDED takes it; no position: velocity alone. A NaN yaw or rate says nothing."""
+    """One SET_POSITION_TARGET_LOCAL_NED as GUIDED uses it.
+
+    Without position the velocity is followed alone. A NaN yaw or yaw_rate is not controlled.
+    """
 
     position: Vec3 | None
     velocity: Vec3
@@ -42,7 +45,7 @@ class ControllerTarget:
 
 
 class ArduPilotModeControllers:
-    """Turns mode and target into a wanted specific force and yaw rate, and knows whether the vehicle has landed."""
+    """Controller from mode and target to specific force and yaw rate, with the land detector."""
 
     def __init__(self, parameters: ArduPilotParameters) -> None:
         self._controller = PositionController(control_gains(parameters))
@@ -53,7 +56,7 @@ class ArduPilotModeControllers:
         self._mode: ArduPilotMode | None = None
         self._target: ControllerTarget | None = None
         self._target_age_s = 0.0
-        self._top: float | None = None  # of a take-off under way, down
+        self._top: float | None = None  # goal of the current take-off, local down, m
         self._hold: Vec3 = _STILL
         self._hold_yaw = 0.0
         self._armed_s = 0.0
@@ -63,7 +66,7 @@ class ArduPilotModeControllers:
         self.configure(parameters)
 
     def configure(self, parameters: ArduPilotParameters) -> None:
-        """Take over changed parameters."""
+        """Apply changed parameters."""
         p = parameters
         self._controller.configure(control_gains(p))
         self._shaper.limits = shaping_limits(p)
@@ -76,21 +79,21 @@ class ArduPilotModeControllers:
         self._keep_within_m = p["FENCE_RADIUS"] - p["FENCE_MARGIN"] if avoiding else math.inf
 
     def lose_land_detector(self) -> None:
-        """From now on no landing is noticed."""
+        """Disable the land detector: no landing is detected any more."""
         self._ground.blind = True
 
     @property
     def landed(self) -> bool:
-        """The land detector's word."""
+        """True if the land detector reports that the vehicle has landed."""
         return self._ground.landed
 
     @property
     def taking_off(self) -> bool:
-        """Whether a take-off is under way."""
+        """True during a take-off."""
         return self._top is not None and not self.landed
 
     def estimate_jumped(self, delta: Vec3, turn_rad: float) -> None:
-        """Carry what is held along with the estimate; a companion's target stays where it was."""
+        """Shift held positions and headings by a jump of the estimate; a target is not shifted."""
         h = self._hold
         self._hold = (h[0] + delta[0], h[1] + delta[1], h[2] + delta[2])
         self._hold_yaw += turn_rad
@@ -100,24 +103,27 @@ class ArduPilotModeControllers:
             self._top += delta[2]
 
     def take_off(self, height_m: float) -> None:
-        """Climb to a height above home, or above the ground without one."""
+        """Climb to a height above home, or above the ground without a home."""
         zero = self._ground_down if self.home is None else self.home[2]
         self._top, self._target = zero - height_m, None
 
     def follow(self, target: ControllerTarget) -> None:
-        """A new target in GUIDED; it ends a take-off."""
+        """Follow a new target in GUIDED; it ends a take-off."""
         if self._target is None:
             self._shaper.reset(*self._motion)
         self._target, self._target_age_s, self._top = target, 0.0, None
 
     def stop(self, position: Vec3, yaw: float) -> None:
-        """GUIDED holds where it is: a target that says nothing usable."""
+        """Hold the position in GUIDED, after an unusable target."""
         self._target, self._top, self._hold, self._hold_yaw = None, None, position, yaw
 
     def step(
         self, dt_s: float, armed: bool, mode: ArduPilotMode, estimator: Estimator | PilotView, pause_s: float = 0.0
     ) -> tuple[Vec3, float]:
-        """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s). pause_s: before a mode's descent."""
+        """Return the wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s).
+
+        pause_s: pause before the descent of a LAND.
+        """
         position, velocity = estimator.position, estimator.velocity
         self._motion = position, velocity
         if mode is not self._mode:
@@ -144,7 +150,10 @@ class ArduPilotModeControllers:
         return force, turn
 
     def _begin(self, mode: ArduPilotMode, position: Vec3, velocity: Vec3, yaw: float) -> None:
-        """Hold where braking ends; a landing brakes from the motion that was wanted, or else the one there is."""
+        """Enter a mode: hold where braking ends.
+
+        A landing brakes from the commanded motion if there is a target, otherwise from the present motion.
+        """
         if self._target is None:
             self._shaper.reset(position, velocity)
         self._mode, self._target, self._top = mode, None, None
@@ -178,7 +187,7 @@ class ArduPilotModeControllers:
         return ControlSetpoint((x, y, math.nan), (0.0, 0.0, climb), yaw=self._hold_yaw)
 
     def _guided(self, target: ControllerTarget, dt_s: float, position: Vec3) -> ControlSetpoint:
-        """The target now: its velocity carries its position along, until both have been silent for too long."""
+        """Return the setpoint of a target, whose position moves with its velocity until the timeout."""
         self._target_age_s += dt_s
         if self._target_age_s > self._timeout_s:
             target = replace(target, velocity=_STILL, acceleration=_STILL, yaw_rate=0.0)
@@ -195,7 +204,10 @@ class ArduPilotModeControllers:
         return ControlSetpoint(s.position, s.velocity, s.acceleration, yaw, target.yaw_rate)
 
     def _avoiding(self, velocity: Vec3, position: Vec3) -> Vec3:
-        """A velocity that can still stop at the fence's margin (AVOID_ENABLE; for velocity targets alone)."""
+        """Return the velocity limited so that the vehicle can stop at the fence's margin.
+
+        AVOID_ENABLE does so for velocity targets only.
+        """
         if self.home is None or self._keep_within_m == math.inf:
             return velocity
         x, y = position[0] - self.home[0], position[1] - self.home[1]

@@ -1,6 +1,6 @@
-"""ArduCopter's judgement: the modes, what arming asks for, and which failsafe answers which trouble.
+"""ArduCopter's modes, arming checks and failsafes.
 
-Behaviour as measured on ArduCopter 4.8-dev; what was only read in its sources is marked so.
+The behaviour was measured on ArduCopter 4.8-dev, except where a comment says that it is from the sources.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.base_commands import ACCEPTED, FAILED
 
 _SETTLED_S = 25.0  # from boot until the pre-arm checks can pass
-_EKF_FAILSAFE_S = 0.8  # from the flags falling to LAND
-_PAUSE_S = 4.0  # LAND_WITH_DELAY_MS: a failsafe's landing hovers so long first
+_EKF_FAILSAFE_S = 0.8  # from the loss of the flags to LAND
+_PAUSE_S = 4.0  # LAND_WITH_DELAY_MS: time of hover before the descent of a failsafe's LAND
 _BREACH, _SILENT = "Fence breached", "Companion silent"
-_AT_ONCE = (_BREACH, _SILENT)  # these do not
-_TELL_AGAIN_S = 30.0  # a failing pre-arm check is told so often
+_AT_ONCE = (_BREACH, _SILENT)  # failsafes that land without the pause
+_TELL_AGAIN_S = 30.0  # interval at which a failing pre-arm check is reported
 _LAND, _ALWAYS_LAND, _BRAKE_OR_LAND = 1, 2, 4
 _RADIO_LAND, _GCS_LAND = 3, 5
 _ALT_MAX, _CIRCLE = 1, 2  # FENCE_TYPE
@@ -49,30 +49,30 @@ _ARMABLE = (*_PILOTS, ArduPilotMode.GUIDED)
 
 @dataclass(frozen=True, slots=True)
 class ArduPilotCondition:
-    """What the commander looks at, 50 times a second."""
+    """Inputs of the commander, updated at 50 Hz."""
 
     now_s: float
     booted_s: float  # since boot
     position_valid: bool
     landed: bool
     has_home: bool
-    battery_mah: float  # left
+    battery_mah: float  # remaining
     distance_from_home_m: float  # horizontal; NaN without a home
     height_above_home_m: float
-    rc_lost_s: float  # how long the transmitter has been silent; 0 while it is heard
+    rc_lost_s: float  # time since the RC transmitter was last received; 0 while it is received
 
 
 class ArduPilotCommander:
-    """Mode and arming state. say(severity, text) sends a STATUSTEXT."""
+    """Mode, arming state and failsafes. say(severity, text) sends a STATUSTEXT."""
 
     def __init__(self, parameters: ArduPilotParameters, say: Callable[[int, str], None]) -> None:
         self._say = say
         self.mode: ArduPilotMode = ArduPilotMode.STABILIZE
-        self.pause_s = 0.0  # before the mode's descent
+        self.pause_s = 0.0  # pause before the descent of LAND
         self.armed = False
         self.armed_at_s = math.inf
         self.failsafes: list[str] = []
-        self.gcs_received_s = math.inf  # inf: never heard, and its failsafe sleeps
+        self.gcs_received_s = math.inf  # inf before the first heartbeat: the failsafe is inactive
         self._invalid_since_s = math.inf
         self._idle_since_s = math.inf
         self._troubles: set[str] = set()
@@ -80,13 +80,13 @@ class ArduPilotCommander:
         self.configure(parameters)
 
     def configure(self, parameters: ArduPilotParameters) -> None:
-        """Take over changed parameters. Raises ValueError for a failsafe action that is not simulated."""
+        """Apply changed parameters. Raises ValueError for a failsafe action that is not simulated."""
         p = parameters
         self._gcs_system = p.integer("MAV_GCS_SYSID")
         self._own_system = p.integer("MAV_SYSID")
         self._disarm_s = float(p.integer("DISARM_DELAY"))
         self._gcs_lands, self._gcs_timeout_s = self._lands(p, "FS_GCS_ENABLE", _GCS_LAND), p["FS_GCS_TIMEOUT"]
-        self._silence_s = p["UVR_SILENCE_S"] if p.integer("SCR_ENABLE") else math.inf  # ardupilot_silence.lua on its card
+        self._silence_s = p["UVR_SILENCE_S"] if p.integer("SCR_ENABLE") else math.inf  # script ardupilot_silence.lua
         self._radio_lands, self._radio_timeout_s = self._lands(p, "FS_THR_ENABLE", _RADIO_LAND), p["RC_FS_TIMEOUT"]
         self._pilots_modes_stay = bool(p.integer("FS_OPTIONS") & _KEEP_PILOTS_MODES)
         self._ekf_lands = self._lands(p, "FS_EKF_ACTION", _LAND)
@@ -108,7 +108,10 @@ class ArduPilotCommander:
     # -- requests -------------------------------------------------------------------------------------------------
 
     def request_mode(self, wanted: int, c: ArduPilotCondition) -> int:
-        """DO_SET_MODE. After a failsafe GUIDED is granted like at any other time, and the flight resumes."""
+        """Handle MAV_CMD_DO_SET_MODE; return the MAV_RESULT.
+
+        GUIDED is accepted after a failsafe, too; the flight then resumes.
+        """
         try:
             mode = ArduPilotMode(wanted)
         except ValueError:
@@ -122,7 +125,7 @@ class ArduPilotCommander:
         return ACCEPTED
 
     def request_arming(self, arm: bool, force: bool, c: ArduPilotCondition) -> int:
-        """MAV_CMD_COMPONENT_ARM_DISARM."""
+        """Handle MAV_CMD_COMPONENT_ARM_DISARM; return the MAV_RESULT."""
         if arm == self.armed:
             return ACCEPTED
         if not arm:
@@ -143,11 +146,11 @@ class ArduPilotCommander:
         return ACCEPTED
 
     def may_take_off(self, c: ArduPilotCondition) -> bool:
-        """MAV_CMD_NAV_TAKEOFF: armed, in GUIDED, and still on the ground."""
+        """Return True if MAV_CMD_NAV_TAKEOFF is accepted: armed, in GUIDED and on the ground."""
         return self.armed and self.mode is ArduPilotMode.GUIDED and c.landed
 
     def arming_refusal(self, c: ArduPilotCondition) -> str:
-        """What the pre-arm checks find wrong, '' for nothing. Also the PREARM bit."""
+        """Return the failed pre-arm check, '' if none. Also decides the PREARM bit of SYS_STATUS."""
         if c.booted_s < _SETTLED_S:
             return "AHRS: not settled"
         if not c.position_valid:
@@ -161,22 +164,28 @@ class ArduPilotCommander:
         return ""
 
     def heartbeat_from(self, system: int, now_s: float) -> None:
-        """Of the ground station named by MAV_GCS_SYSID; another vehicle part with our own id is none (measured)."""
+        """Record a heartbeat of the ground station with the id MAV_GCS_SYSID.
+
+        Another component with the vehicle's own system id does not count (measured).
+        """
         if system == self._gcs_system and system != self._own_system:
             self.gcs_received_s = now_s
 
     def admits(self, distance_m: float, height_m: float) -> bool:
-        """Whether a target so far from home and so high above it is inside the fence; NaN (no home) is."""
+        """Return True if a distance from home and height above it, m, are inside the fence.
+
+        NaN (no home) counts as inside.
+        """
         return not (distance_m > self._radius_m or height_m > self._ceiling_m)
 
     def takeover(self, mode: ArduPilotMode) -> None:
-        """A pilot's switch: wins at once."""
+        """Enter the mode of a pilot's switch at once."""
         self.mode, self.pause_s = mode, 0.0
 
     # -- 50 Hz ----------------------------------------------------------------------------------------------------
 
     def step(self, c: ArduPilotCondition) -> None:
-        """Look for trouble, disarm after landing, tell what forbids arming."""
+        """Run the failsafes, disarm after landing, report failing pre-arm checks."""
         self._invalid_since_s = math.inf if c.position_valid else min(self._invalid_since_s, c.now_s)
         if self.armed:
             self._watch(c)
@@ -188,7 +197,7 @@ class ArduPilotCommander:
                 self._say(CRITICAL, f"PreArm: {reason}")
 
     def _watch(self, c: ArduPilotCondition) -> None:
-        """Each trouble acts once, when it begins."""
+        """Check the failsafes; each acts once, when its condition begins."""
         pilots = self.mode in _PILOTS
         blind = self.mode in _NEED_POSITION and c.now_s - self._invalid_since_s >= _EKF_FAILSAFE_S
         self._judge("EKF Failsafe", blind, self._ekf_lands)
@@ -212,7 +221,7 @@ class ArduPilotCommander:
                 self.mode, self.pause_s = ArduPilotMode.LAND, 0.0 if trouble in _AT_ONCE else _PAUSE_S
 
     def _disarm_by_itself(self, c: ArduPilotCondition) -> None:
-        """LAND ends with the landing; in other modes the motors idle for DISARM_DELAY."""
+        """Disarm after landing: at once in LAND, after DISARM_DELAY in other modes."""
         if not c.landed:
             self._idle_since_s = math.inf
             return

@@ -1,4 +1,4 @@
-"""The simulated ArduCopter's parameters: built-in defaults and a Mission Planner file over them."""
+"""Parameters of the simulated ArduCopter: defaults and Mission Planner file reader."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from sitl.autopilots.parameter_table import INT32, ParameterTable
 
-# Defaults of ArduCopter 4.8-dev for what the simulated autopilot obeys or a companion reads back before arming.
+# defaults of ArduCopter 4.8-dev for parameters that the simulation uses or a companion reads before arming
 _DEFAULTS: dict[str, int | float] = {
     "AHRS_EKF_TYPE": 3, "ARMING_SKIPCHK": 0, "ATC_ANGLE_MAX": 30.0, "ATC_ANG_YAW_P": 4.5, "ATC_INPUT_TC": 0.15,
     "ATC_RATE_WPY_MAX": 60.0,
@@ -39,14 +39,20 @@ DEFAULT_FILE = Path(__file__).resolve().parents[3] / "firmware_params" / "ardupi
 
 
 class ArduPilotParameters(ParameterTable):
-    """ArduPilot's table: a value travels as the float it is. One integer type stands for its three."""
+    """Parameter table of ArduPilot: all values are sent as floats.
+
+    INT32 stands for its three integer types.
+    """
 
     def __init__(self) -> None:
         super().__init__(_DEFAULTS)
 
     @staticmethod
     def load(path: Path = DEFAULT_FILE) -> ArduPilotParameters:
-        """Defaults with a file over them. Raises ParameterError for an unknown name, a bad line or a bad value."""
+        """Return the defaults with the values of a file.
+
+        Raises ParameterError for an unknown name, an invalid line or an invalid value.
+        """
         parameters = ArduPilotParameters()
         parameters._read(path, parameters._take_line)
         return parameters

@@ -1,4 +1,4 @@
-"""The parts of the simulated ArduCopter that its messages and commands look at together."""
+"""State of the simulated ArduCopter, shared by its message builders and command handlers."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from sitl.autopilots.ardupilot.mode_controllers import ArduPilotModeControllers
 from sitl.autopilots.ardupilot.modes import ArduPilotCommander, ArduPilotCondition
 from sitl.autopilots.autopilot_state import AutopilotState
 
-_EKF_ACTIVE_S = 10.0  # from boot; until then attitude is DCM's, and poses are not looked at
+_EKF_ACTIVE_S = 10.0  # from boot; before that the attitude is from DCM, and poses are ignored
 
 
 @dataclass(slots=True, kw_only=True)
 class ArduPilotState(AutopilotState):
-    """Owned by ArduCopter. home_follows: the origin came when there was a position to make a home of."""
+    """State of the simulated ArduCopter; owned by ArduCopter.
+
+    home_follows: the origin was set while the position was valid, so home can be set.
+    """
 
     commander: ArduPilotCommander
     flight: ArduPilotModeControllers
@@ -24,21 +27,21 @@ class ArduPilotState(AutopilotState):
 
     @property
     def booted_s(self) -> float:
-        """Since boot."""
+        """Time since boot, s."""
         return self.now_s - self.boot_s
 
     @property
     def ekf_active(self) -> bool:
-        """Whether the estimator runs yet."""
+        """True once the estimator runs."""
         return self.booted_s >= _EKF_ACTIVE_S
 
     def settle_home(self) -> None:
-        """Home is where it stands, until it is armed."""
+        """Set home to the present position while disarmed."""
         if self.home_follows and not self.commander.armed:
             self.home = self.flight.home = self.estimator.position
 
     def condition(self) -> ArduPilotCondition:
-        """What the commander judges by."""
+        """Return the inputs of the commander."""
         distance_m, height_m = self.from_home_m
         return ArduPilotCondition(
             now_s=self.now_s,

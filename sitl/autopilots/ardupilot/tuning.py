@@ -1,4 +1,4 @@
-"""ArduPilot's parameters as the estimator and the position controller take them."""
+"""Conversion of ArduPilot's parameters to tunings of the estimator and the controller."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ from sitl.autopilots.ekf import EstimatorTuning
 from sitl.autopilots.position_controller import ControlGains
 
 EXTERNAL = 6  # EK3_SRC1_*: external navigation
-_FLAGS_FALL_S = 7.2  # after the last pose (measured)
-_REJECT_S = 7.0  # posRetryTimeNoVel_ms: then reset to the poses (read)
-_RATE_LOOP_S = 0.03  # of its rate controller and motors (measured 0.09 s in all with 0.05, 0.25 s with 0.15)
+_FLAGS_FALL_S = 7.2  # from the last pose to the loss of the position flags (measured)
+_REJECT_S = 7.0  # posRetryTimeNoVel_ms, after which the estimate is reset to the poses (from the sources)
+_RATE_LOOP_S = 0.03  # lag of rate controller and motors (total measured: 0.09 s for ATC_INPUT_TC 0.05, 0.25 s for 0.15)
 _VERTICAL_LIMIT_MPS2 = 5.0
-_VERTICAL_INTEGRAL = 2.0  # 1/s²: what ArduPilot's inner acceleration loop amounts to
+_VERTICAL_INTEGRAL = 2.0  # 1/s²: equivalent of ArduPilot's inner acceleration loop
 
 
 def estimator_tuning(p: ArduPilotParameters) -> EstimatorTuning:
-    """EKF3 on external navigation. Gates are in hundredths of a standard deviation."""
+    """Return the tuning of EKF3 with external navigation.
+
+    ArduPilot's gate parameters are in hundredths of a standard deviation.
+    """
     fed = p.integer("VISO_TYPE") > 0
     return EstimatorTuning(
         fuse_xy=fed and p.integer("EK3_SRC1_POSXY") == EXTERNAL,
@@ -37,7 +40,7 @@ def estimator_tuning(p: ArduPilotParameters) -> EstimatorTuning:
 
 
 def control_gains(p: ArduPilotParameters) -> ControlGains:
-    """AC_PosControl after its shaping: the lean angle is its only limit."""
+    """Return the gains of AC_PosControl after input shaping; only the lean angle is limited."""
     return ControlGains(
         xy_p=p["PSC_NE_POS_P"],
         z_p=p["PSC_D_POS_P"],
@@ -55,11 +58,14 @@ def control_gains(p: ArduPilotParameters) -> ControlGains:
 
 
 def lean_lag_s(p: ArduPilotParameters) -> float:
-    """Of the lean behind the wanted acceleration: its attitude controller smooths what it is asked for."""
+    """Return the lag (s) of the lean angle behind the wanted acceleration.
+
+    The attitude controller smooths its input.
+    """
     return p["ATC_INPUT_TC"] + _RATE_LOOP_S
 
 
 def shaping_limits(p: ArduPilotParameters) -> tuple[ShapingLimits, ShapingLimits]:
-    """Horizontal and vertical, of GUIDED."""
+    """Return the horizontal and vertical limits of GUIDED."""
     vertical = ShapingLimits(max(p["WP_SPD_UP"], p["WP_SPD_DN"]), p["WP_ACC_Z"], p["PSC_JERK_D"])
     return ShapingLimits(p["WP_SPD"], p["WP_ACC"], p["PSC_JERK_NE"]), vertical

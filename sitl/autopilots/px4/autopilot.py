@@ -24,16 +24,16 @@ from sitl.world.step_sizes import REAL
 
 __all__ = ["BOOTED_BEFORE_S", "Px4"]
 
-BOOTED_BEFORE_S = 37.5  # the autopilot's clock is not the world's: stamps must go through TIMESYNC
+BOOTED_BEFORE_S = 37.5  # the autopilot's clock differs from the world clock, so stamps need TIMESYNC
 
 
 class Px4(Autopilot):
-    """The simulated PX4. Raises ValueError for parameters whose failsafe is not simulated."""
+    """The simulated PX4. Raises ValueError if a parameter's failsafe is not simulated."""
 
     def __init__(
         self, vehicle: Quadrotor, link: ByteEnd, parameters: Px4Parameters, seed: int, step_s: float = REAL.physics_s
     ) -> None:
-        """step_s: of physics, estimator and control; well below the lags of the vehicle."""
+        """Create the autopilot. step_s: time step of physics, estimator and control, at most 20 ms."""
         self._parameters = parameters
         server = MavlinkServer(link, parameters)
         flight = Px4FlightTasks(parameters)
@@ -49,19 +49,19 @@ class Px4(Autopilot):
 
     @property
     def timesync_converged(self) -> bool:
-        """Whether the companion's stamps are believed."""
+        """True if the companion's stamps are used."""
         return self._state.timesync.converged
 
     def pilot_takes_over(self, mode: str = "POSCTL") -> None:
-        """A switch on the transmitter. Raises KeyError for an unknown mode."""
+        """Change the mode by a switch on the transmitter. Raises KeyError for an unknown mode."""
         self._state.commander.takeover(Px4Mode[mode])
 
     def pilot_disarms(self) -> None:
-        """The kill switch: motors stop, wherever the vehicle is."""
+        """Disarm by the kill switch: the motors stop, even in flight."""
         self._state.commander.request_arming(arm=False, force=True, condition=self._state.condition())
 
     def lose_land_detector(self) -> None:
-        """From now on no landing is noticed."""
+        """Disable the land detector: no landing is detected any more."""
         self._state.flight.lose_land_detector()
 
     @property

@@ -1,6 +1,6 @@
-"""PX4's commander: who decides the mode, what arming asks for, and which failsafe answers which trouble.
+"""PX4's commander: mode changes, arming checks and failsafes.
 
-Behaviour as measured on PX4 1.17; what was only read in its sources is marked so.
+The behaviour was measured on PX4 1.17, except where a comment says that it is from the sources.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from enum import IntEnum
 from sitl.autopilots.base_commands import ACCEPTED, DENIED, TEMPORARILY_REJECTED
 from sitl.autopilots.px4.parameters import Px4Parameters
 
-_OFFBOARD_PROOF_S = 1.0  # a stream must run for so long before OFFBOARD engages
+_OFFBOARD_PROOF_S = 1.0  # time a setpoint stream must run before OFFBOARD engages
 _PREARM_AFTER_ORIGIN_S = 5.0
-_POSE_LOSS_HYSTERESIS_S = 0.6  # from the flag falling to LAND (measured 0.6 to 0.9 s)
-_STREAM_LOSS_REACTION_S = (0.1, 0.8)  # beyond COM_OF_LOSS_T (measured 0.6 to 1.3 s in all)
+_POSE_LOSS_HYSTERESIS_S = 0.6  # from the loss of the position flag to LAND (measured: 0.6 to 0.9 s)
+_STREAM_LOSS_REACTION_S = (0.1, 0.8)  # in addition to COM_OF_LOSS_T (measured: 0.6 to 1.3 s in total)
 
 EMERGENCY, CRITICAL, WARNING, INFO = 0, 2, 4, 6
 
@@ -44,7 +44,7 @@ _NEED_POSITION = (Px4Mode.POSCTL, Px4Mode.OFFBOARD, Px4Mode.TAKEOFF, Px4Mode.LOI
 
 @dataclass(frozen=True, slots=True)
 class Px4Condition:
-    """What the commander looks at, 50 times a second."""
+    """Inputs of the commander, updated at 50 Hz."""
 
     now_s: float
     position_valid: bool
@@ -53,11 +53,11 @@ class Px4Condition:
     battery: float
     distance_from_home_m: float  # horizontal; NaN without a home
     height_above_home_m: float
-    rc_lost_s: float  # how long the transmitter has been silent; 0 while it is heard
+    rc_lost_s: float  # time since the RC transmitter was last received; 0 while it is received
 
 
 class OffboardStream:
-    """Proof of life of the companion: setpoints without a gap of COM_OF_LOSS_T, for at least a second."""
+    """Monitor of the setpoint stream: available after 1 s without a gap of COM_OF_LOSS_T."""
 
     def __init__(self) -> None:
         self.timeout_s = 1.0
@@ -65,39 +65,42 @@ class OffboardStream:
         self._since_s = math.inf
 
     def arrived(self, now_s: float) -> None:
-        """A usable setpoint."""
+        """Record a usable setpoint."""
         if now_s - self.last_s >= self.timeout_s:
             self._since_s = now_s
         self.last_s = now_s
 
     def available(self, now_s: float) -> bool:
-        """Whether OFFBOARD may be entered."""
+        """Return True if OFFBOARD may be entered."""
         return now_s - self.last_s < self.timeout_s and now_s - self._since_s >= _OFFBOARD_PROOF_S
 
 
 class MissionComputer:
-    """Its heartbeats: when they stop PX4 says so, and does nothing else. Sleeps until the first. say as the commander's."""
+    """Monitor of the companion's heartbeats: PX4 reports their loss and does nothing else.
+
+    Inactive before the first heartbeat. say: as for Px4Commander.
+    """
 
     def __init__(self, say: Callable[[int, str], None]) -> None:
         self._say, self._received_s, self._lost = say, math.inf, False
         self.timeout_s = 5.0
 
     def heard(self, now_s: float) -> None:
-        """One came."""
+        """Record a heartbeat."""
         self._received_s = now_s
         if self._lost:
             self._lost = False
             self._say(INFO, "Connection to mission computer regained")
 
     def step(self, now_s: float) -> None:
-        """Tell once of a silence of COM_OBC_LOSS_T."""
+        """Report the loss once, after a silence of COM_OBC_LOSS_T."""
         if not self._lost and now_s - self._received_s > self.timeout_s:
             self._lost = True
             self._say(CRITICAL, "Connection to mission computer lost")
 
 
 class Px4Commander:
-    """Mode and arming state. say(severity, text) sends a STATUSTEXT."""
+    """Mode, arming state and failsafes. say(severity, text) sends a STATUSTEXT."""
 
     def __init__(self, parameters: Px4Parameters, seed: int, say: Callable[[int, str], None]) -> None:
         self._random = random.Random(seed)
@@ -119,7 +122,7 @@ class Px4Commander:
         self.configure(parameters)
 
     def configure(self, parameters: Px4Parameters) -> None:
-        """Take over changed parameters. Raises ValueError for a failsafe action that is not simulated."""
+        """Apply changed parameters. Raises ValueError for a failsafe action that is not simulated."""
         p = parameters
         self.stream.timeout_s, self.companion.timeout_s = p["COM_OF_LOSS_T"], p["COM_OBC_LOSS_T"]
         self._offboard_action = p.integer("COM_OBL_RC_ACT")
@@ -137,7 +140,10 @@ class Px4Commander:
     # -- requests -------------------------------------------------------------------------------------------------
 
     def request_mode(self, wanted: int, condition: Px4Condition) -> int:
-        """DO_SET_MODE. The answer 0 is no proof for OFFBOARD: without a stream the mode stays, and engages later."""
+        """Handle MAV_CMD_DO_SET_MODE; return the MAV_RESULT.
+
+        ACCEPTED does not mean that OFFBOARD is active: without a setpoint stream the mode changes later.
+        """
         try:
             mode = Px4Mode(wanted)
         except ValueError:
@@ -147,7 +153,7 @@ class Px4Commander:
         if self.armed and mode is not Px4Mode.OFFBOARD and mode in _NEED_POSITION and not condition.position_valid:
             return self._refuse(mode)
         if self.armed and mode is Px4Mode.LOITER and not self.has_global(condition.now_s):
-            return self._refuse(mode)  # Hold needs a global position (read)
+            return self._refuse(mode)  # Hold needs a global position (from the sources)
         self._wanted = mode
         if mode is Px4Mode.OFFBOARD and not self.stream.available(condition.now_s):
             return ACCEPTED
@@ -155,7 +161,7 @@ class Px4Commander:
         return ACCEPTED
 
     def request_arming(self, arm: bool, force: bool, condition: Px4Condition) -> int:
-        """MAV_CMD_COMPONENT_ARM_DISARM."""
+        """Handle MAV_CMD_COMPONENT_ARM_DISARM; return the MAV_RESULT."""
         if arm == self.armed:
             return ACCEPTED
         if not arm:
@@ -176,7 +182,10 @@ class Px4Commander:
         return ACCEPTED
 
     def arming_refusal(self, condition: Px4Condition) -> str:
-        """Why the vehicle cannot be armed in the mode it was asked for; '' if it can. Also the PREARM bit."""
+        """Return the reason why arming in the requested mode fails; '' if it is possible.
+
+        Also decides the PREARM bit of SYS_STATUS.
+        """
         if self._wanted is Px4Mode.OFFBOARD and not self.stream.available(condition.now_s):
             return "No offboard signal"
         if self._wanted in (Px4Mode.LAND, Px4Mode.RTL):
@@ -192,18 +201,21 @@ class Px4Commander:
         return ""
 
     def has_global(self, now_s: float) -> bool:
-        """Whether the estimator has had an origin long enough for a global position, and knows where north is."""
+        """Return True if the global position is valid.
+
+        That needs an origin for _PREARM_AFTER_ORIGIN_S and a heading relative to north.
+        """
         return self.heading_known and now_s - self.origin_at_s >= _PREARM_AFTER_ORIGIN_S
 
     def takeover(self, mode: Px4Mode) -> None:
-        """A pilot's switch: wins at once and ends any request."""
+        """Enter the mode of a pilot's switch at once, and cancel any pending request."""
         self._wanted = mode
         self._enter(mode)
 
     # -- 50 Hz ----------------------------------------------------------------------------------------------------
 
     def step(self, condition: Px4Condition) -> None:
-        """Miss the companion, engage a pending OFFBOARD, look for trouble, disarm after landing."""
+        """Check the companion, enter a pending OFFBOARD, run the failsafes, disarm after landing."""
         now = condition.now_s
         self.companion.step(now)
         self._invalid_since_s = math.inf if condition.position_valid else min(self._invalid_since_s, now)
@@ -236,7 +248,7 @@ class Px4Commander:
         return silent >= self.stream.timeout_s + self._reaction_s
 
     def _watch_fence(self, c: Px4Condition) -> None:
-        """Inert without a home: the comparison with NaN is false."""
+        """Check the geofence; inactive without a home, since comparisons with NaN are false."""
         out = 0.0 < self._fence_xy < c.distance_from_home_m or 0.0 < self._fence_z < c.height_above_home_m
         if not out or self._fence_action < 2:
             return
@@ -263,7 +275,7 @@ class Px4Commander:
         if key in self._answered:
             return
         self._answered.add(key)
-        self._wanted = mode  # latched: the mode comes back only when somebody asks for it
+        self._wanted = mode  # latched: leaving this mode needs a new request
         self._enter(mode)
         self.failsafes.append(f"{cause}: {mode.name}")
         self._say(EMERGENCY, f"Failsafe activated: {cause}, {mode.name.lower()}")
@@ -281,7 +293,7 @@ class Px4Commander:
         self.armed_at_s = math.inf
         self._fence_since_s = math.inf
         self._say(INFO, f"Disarmed {how}")
-        if self.mode is Px4Mode.LAND:  # measured: the mode reverts, usually to OFFBOARD
+        if self.mode is Px4Mode.LAND:  # measured: the mode before LAND returns, usually OFFBOARD
             self._wanted = self._before_land
             self.mode = self._before_land
 

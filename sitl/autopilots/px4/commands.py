@@ -1,4 +1,4 @@
-"""What the simulated PX4 does with each message from outside."""
+"""Handlers of the simulated PX4 for received messages."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from sitl.autopilots.position_controller import ControlSetpoint
 from sitl.autopilots.px4.commander import Px4Mode
 from sitl.autopilots.px4.state import Px4State
 
-_DUPLICATE_ACKS = 0.5  # share of DO_SET_MODE that is acknowledged twice
+_DUPLICATE_ACKS = 0.5  # share of DO_SET_MODE commands that are acknowledged twice
 _POSE_FRAMES = (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_LOCAL_NED)
 
 
 class Px4Commands(BaseCommands):
-    """PX4's own: heartbeats, setpoints, poses, TIMESYNC, modes, arming and the origin."""
+    """Handlers of PX4: heartbeats, setpoints, poses, TIMESYNC, modes, arming and the origin."""
 
     def __init__(self, state: Px4State, server: MavlinkServer, seed: int) -> None:
         super().__init__(state, server)
@@ -43,7 +43,10 @@ class Px4Commands(BaseCommands):
             self._s.commander.companion.heard(self._s.now_s)
 
     def _setpoint(self, message: ReceivedMessage, arrival_s: float) -> None:
-        """Masked fields become NaN; a setpoint that controls nothing is no proof of life (PX4 mavlink_receiver)."""
+        """Store a setpoint for OFFBOARD; masked fields become NaN.
+
+        A setpoint without any field does not count for the stream (PX4 mavlink_receiver).
+        """
         s = self._s
         mask = message.type_mask
         if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
@@ -61,7 +64,7 @@ class Px4Commands(BaseCommands):
             self.setpoint_arrivals_s.append(arrival_s)
 
     def _odometry(self, message: ReceivedMessage, arrival_s: float) -> None:
-        """External vision. Other frames are not poses of the body and are dropped without a word."""
+        """Pass an external pose to the estimator; poses in other frames are dropped silently."""
         s = self._s
         if message.frame_id not in _POSE_FRAMES or message.child_frame_id != mavlink.MAV_FRAME_BODY_FRD:
             self.poses_refused += 1
@@ -70,7 +73,7 @@ class Px4Commands(BaseCommands):
         stamp_us = s.timesync.local_us(message.time_usec, arrival_us)
         covariance = message.pose_covariance  # upper triangle: x 0, y 6, z 11, roll 15, pitch 18, yaw 20
         position_variance = max(covariance[0], covariance[6], covariance[11]) if math.isfinite(covariance[0]) else math.nan
-        if not s.estimator.started:  # one in LOCAL_FRD is fused all the same, but there is no global position (measured)
+        if not s.estimator.started:  # LOCAL_FRD is fused, too, but gives no global position (measured)
             s.commander.heading_known = message.frame_id == mavlink.MAV_FRAME_LOCAL_NED
         s.estimator.take(
             ExternalPose(
@@ -86,7 +89,7 @@ class Px4Commands(BaseCommands):
 
     def _timesync(self, message: ReceivedMessage, arrival_s: float) -> None:
         s = self._s
-        if message.tc1 == 0:  # a question
+        if message.tc1 == 0:  # a request
             self._answer_timesync(message)
         elif message.tc1 > 0:
             arrival_us = round((arrival_s - s.boot_s) * 1e6)
@@ -95,7 +98,10 @@ class Px4Commands(BaseCommands):
     # -- origin ---------------------------------------------------------------------------------------------------
 
     def _origin(self, message: ReceivedMessage, _arrival_s: float) -> None:
-        """Before the first fused pose it drags the local height to the origin's altitude (measured: z = 488 m)."""
+        """Set the origin. Before the first fused pose it moves the local height to its altitude.
+
+        Measured: z = 488 m.
+        """
         s = self._s
         if s.commander.armed:
             return
@@ -120,7 +126,7 @@ class Px4Commands(BaseCommands):
     def _carry_out(self, command: int, p: tuple[float, ...]) -> int | None:
         s = self._s
         if command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL and p[0] == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-            return FAILED  # it comes once a second, and when it is asked for (measured)
+            return FAILED  # HEARTBEAT is sent at 1 Hz and on request only (measured)
         if command == mavlink.MAV_CMD_DO_SET_MODE:
             if not int(p[0]) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
                 return DENIED
@@ -132,5 +138,5 @@ class Px4Commands(BaseCommands):
         return None
 
     def _set_mode(self, message: ReceivedMessage, _arrival_s: float) -> None:
-        """The old message: no acknowledgement."""
+        """Handle SET_MODE, the deprecated message; it is not acknowledged."""
         self._s.commander.request_mode(message.custom_mode, self._s.condition())

@@ -1,7 +1,8 @@
-"""What PX4's flight tasks want in each mode, take-off ramp and land detector included. Local NED.
+"""Setpoints of PX4's flight modes, with take-off ramp and land detector. Local NED.
 
-OFFBOARD goes to the controller as it came: nothing limits its acceleration but the tilt. The firmware's own modes fly a
-smooth trajectory to where they want to stay, which lies ahead of a vehicle that moves (with an origin; read, see Smoothing).
+An OFFBOARD setpoint goes to the controller unchanged: only the tilt limits its acceleration. The other modes follow a
+smooth trajectory to a hold position where braking ends (if there is an origin; from the sources, see
+trajectory_smoothing.py).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _STOP = ControlSetpoint(velocity=(0.0, 0.0, 0.0))
 
 
 class Px4FlightTasks:
-    """Turns mode and setpoint into a wanted specific force and yaw rate, and knows whether the vehicle has landed."""
+    """Controller from mode and setpoint to specific force and yaw rate, with the land detector."""
 
     def __init__(self, parameters: Px4Parameters) -> None:
         self._controller = PositionController(control_gains(parameters))
@@ -34,9 +35,9 @@ class Px4FlightTasks:
         self.active = ControlSetpoint()
         self.has_flown = False
         self._mode: Px4Mode | None = None
-        self._entry: Vec3 = (0.0, 0.0, 0.0)  # where a mode of its own began
-        self._course = (0.0, 0.0)
-        self._stop_m = 0.0  # ahead of the entry, on the course
+        self._entry: Vec3 = (0.0, 0.0, 0.0)  # position at which the current mode was entered
+        self._course = (0.0, 0.0)  # horizontal unit vector of the velocity on entry; zero at rest
+        self._stop_m = 0.0  # distance of the hold position from the entry, along the course
         self._level, self._down = TrajectorySmoothing(), TrajectorySmoothing()
         self._hold_yaw = 0.0
         self._ramp_s = -1.0  # time since the take-off began, negative before
@@ -45,7 +46,7 @@ class Px4FlightTasks:
         self.configure(parameters)
 
     def configure(self, parameters: Px4Parameters) -> None:
-        """Take over changed parameters."""
+        """Apply changed parameters."""
         p = parameters
         self._controller.configure(control_gains(p))
         self._spoolup_s, self._ramp_t, self._takeoff_speed = p["COM_SPOOLUP_TIME"], p["MPC_TKO_RAMP_T"], p["MPC_TKO_SPEED"]
@@ -55,7 +56,7 @@ class Px4FlightTasks:
         self._limits = smoothing_limits(p)
 
     def estimate_jumped(self, delta: Vec3, turn_rad: float) -> None:
-        """Carry what is held along with the estimate; newer setpoints are the companion's own business."""
+        """Shift held positions and headings by a jump of the estimate, also the last setpoint."""
         self.offboard = self.offboard.shifted(delta, turn_rad)
         x, y, z = self._entry
         self._entry = (x + delta[0], y + delta[1], z + delta[2])
@@ -64,21 +65,21 @@ class Px4FlightTasks:
         self._ground_down += delta[2]
 
     def lose_land_detector(self) -> None:
-        """From now on no landing is noticed."""
+        """Disable the land detector: no landing is detected any more."""
         self._ground.blind = True
 
     @property
     def landed(self) -> bool:
-        """The land detector's word."""
+        """True if the land detector reports that the vehicle has landed."""
         return self._ground.landed
 
     @property
     def takeoff_complete(self) -> bool:
-        """Whether take-off mode reached its height."""
+        """True if TAKEOFF has reached its height."""
         return self._mode is Px4Mode.TAKEOFF and not self.landed and self._arrived
 
     def step(self, dt_s: float, armed: bool, mode: Px4Mode, estimator: Estimator | PilotView) -> tuple[Vec3, float]:
-        """Wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s)."""
+        """Return the wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s)."""
         position, velocity = estimator.position, estimator.velocity
         if mode is not self._mode:
             self._begin(mode, position, velocity, estimator.yaw)
@@ -108,7 +109,7 @@ class Px4FlightTasks:
         return force, turn
 
     def _begin(self, mode: Px4Mode, position: Vec3, velocity: Vec3, yaw: float) -> None:
-        """A trajectory from the motion there is to where braking ends."""
+        """Start a trajectory from the present motion to the position where braking ends."""
         self._mode = mode
         self._arrived = False
         speed = math.hypot(velocity[0], velocity[1])
@@ -129,7 +130,7 @@ class Px4FlightTasks:
         if mode is Px4Mode.TAKEOFF:
             top = self._ground_down - self._takeoff_height
             self._arrived = position[2] - top < 0.05
-            self._down.position = position[2]  # the ramp, not the trajectory, says how high it is
+            self._down.position = position[2]  # the take-off ramp, not the trajectory, controls the climb
         away = top - self._down.position
         limits = up if away < 0.0 else down
         self._down.step(dt_s, limits.speed_towards(away), limits)
@@ -165,7 +166,10 @@ class Px4FlightTasks:
         return True
 
     def _ramped_mps(self, mode: Px4Mode) -> float:
-        """The climb rate that the ramp allows: from so far below nought that there is no thrust (read, and flown on 1.17)."""
+        """Return the climb-rate limit (m/s) of the take-off ramp.
+
+        It starts at the negative rate for which the thrust is zero (from the sources, and confirmed in flight on 1.17).
+        """
         most = self._takeoff_speed if mode is Px4Mode.TAKEOFF else self._speed_up
         return self._no_thrust_mps + min(1.0, self._ramp_s / max(self._ramp_t, 1e-3)) * (most - self._no_thrust_mps)
 

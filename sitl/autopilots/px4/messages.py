@@ -1,4 +1,4 @@
-"""What the simulated PX4 tells: one builder per message, from the estimator's view, never from the truth."""
+"""Messages of the simulated PX4: one builder each, from the estimate, not from the truth."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _NAN21 = [math.nan] * 21
 
 
 class Px4Messages(BaseMessages):
-    """PX4's own beside the shared ones."""
+    """Builders of the messages of PX4, and their default rates."""
 
     def __init__(self, state: Px4State) -> None:
         super().__init__(state)
         self._s = state
 
     def rates(self) -> dict[int, tuple[Callable[[], Packet | None], float]]:
-        """Message id to (builder, default rate in Hz); rate 0 is sent on request only."""
+        """Return (builder, default rate in Hz) by message id; rate 0 is sent on request only."""
         return {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: (self.heartbeat, 1.0),
             mavlink.MAVLINK_MSG_ID_TIMESYNC: (self.timesync, 10.0),
@@ -54,7 +54,7 @@ class Px4Messages(BaseMessages):
         }
 
     def heartbeat(self) -> Packet:
-        """1 Hz; custom_mode is the only proof of a mode."""
+        """Return HEARTBEAT; only its custom_mode identifies the mode."""
         c = self._s.commander
         base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
         base |= (
@@ -73,16 +73,16 @@ class Px4Messages(BaseMessages):
         )
 
     def timesync(self) -> Packet:
-        """Our question; the answer teaches us the companion's clock."""
+        """Return a TIMESYNC request, whose answer gives the offset of the companion's clock."""
         return packet(mavlink.MAVLink_timesync_message, 0, self._s.boot_us * 1000)
 
     def sys_status(self) -> Packet:
-        """Sensors, battery and the PREARM bit."""
+        """Return SYS_STATUS: sensors, battery and the PREARM bit."""
         c = self._s.commander
         return self._health(c.armed or not c.arming_refusal(self._s.condition()))
 
     def odometry(self) -> Packet | None:
-        """The estimate in one message: local NED, velocity in the body."""
+        """Return ODOMETRY: position in local NED, velocity in the body frame; None without a pose."""
         s, e = self._s, self._s.estimator
         if not e.started:
             return None
@@ -95,11 +95,11 @@ class Px4Messages(BaseMessages):
         )  # fmt: skip
 
     def position_target(self) -> Packet | None:
-        """What the controller follows now."""
+        """Return POSITION_TARGET_LOCAL_NED, the setpoint of the controller; None while disarmed."""
         return self._followed(self._s.flight.active) if self._s.commander.armed else None
 
     def estimator_status(self) -> Packet:
-        """Flags and innovation test ratios."""
+        """Return ESTIMATOR_STATUS: flags and innovation test ratios."""
         e = self._s.estimator
         return packet(
             mavlink.MAVLink_estimator_status_message,
@@ -108,11 +108,11 @@ class Px4Messages(BaseMessages):
         )  # fmt: skip
 
     def extended_sys_state(self) -> Packet:
-        """Landed state."""
+        """Return EXTENDED_SYS_STATE: the landed state."""
         return self._landed_state(self._s.flight.landed, _HALF_LIFTED.get(self._s.commander.mode))
 
     def version(self) -> Packet:
-        """PX4 1.17.0."""
+        """Return AUTOPILOT_VERSION of PX4 1.17.0."""
         none = [0] * 8
         return packet(
             mavlink.MAVLink_autopilot_version_message,

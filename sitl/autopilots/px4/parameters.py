@@ -1,4 +1,4 @@
-"""The simulated PX4's parameters: built-in defaults, a QGroundControl file over them, and the wire form of a value."""
+"""Parameters of the simulated PX4: defaults, QGroundControl file reader and wire format."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sitl.autopilots.parameter_table import INT32, REAL32, ParameterError, Param
 
 __all__ = ["DEFAULT_FILE", "INT32", "REAL32", "ParameterError", "Px4Parameters"]
 
-# Defaults of PX4 v1.17 for what the simulated autopilot obeys or a companion reads back before arming.
+# defaults of PX4 v1.17 for parameters that the simulation uses or a companion reads before arming
 _DEFAULTS: dict[str, int | float] = {
     "BAT_CRIT_THR": 0.07, "BAT_EMERGEN_THR": 0.05, "BAT_LOW_THR": 0.15,
     "CBRK_FLIGHTTERM": 121212,
@@ -42,14 +42,17 @@ DEFAULT_FILE = Path(__file__).resolve().parents[3] / "firmware_params" / "px4_in
 
 
 class Px4Parameters(ParameterTable):
-    """PX4's table."""
+    """Parameter table of PX4."""
 
     def __init__(self) -> None:
         super().__init__(_DEFAULTS)
 
     @staticmethod
     def load(path: Path = DEFAULT_FILE) -> Px4Parameters:
-        """Defaults with a file over them. Raises ParameterError for an unknown name, a bad line or a bad value."""
+        """Return the defaults with the values of a file.
+
+        Raises ParameterError for an unknown name, an invalid line or an invalid value.
+        """
         parameters = Px4Parameters()
         parameters._read(path, parameters._take_line)
         return parameters
@@ -66,14 +69,14 @@ class Px4Parameters(ParameterTable):
         self.set(name, int(value) if self.kind(name) == INT32 else float(value))
 
     def on_wire(self, name: str) -> float:
-        """The float of PARAM_VALUE: PX4 puts the BYTES of an INT32 into it, not its value."""
+        """Return the float of PARAM_VALUE: PX4 puts the BYTES of an INT32 into it, not its value."""
         if self.kind(name) == INT32:
             bits: float = struct.unpack("<f", struct.pack("<i", self.integer(name)))[0]
             return bits
         return self[name]
 
     def from_wire(self, name: str, wire: float) -> float:
-        """The value meant by the float of a PARAM_SET."""
+        """Return the value of the float in a PARAM_SET."""
         if self.kind(name) == INT32:
             value: int = struct.unpack("<i", struct.pack("<f", wire))[0]
             return float(value)

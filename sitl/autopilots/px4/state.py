@@ -1,4 +1,4 @@
-"""The parts of the simulated PX4 that its messages and commands look at together."""
+"""State of the simulated PX4, shared by its message builders and command handlers."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from sitl.autopilots.px4.timesync import Px4Timesync
 
 @dataclass(slots=True, kw_only=True)
 class Px4State(AutopilotState):
-    """Owned by Px4."""
+    """State of the simulated PX4; owned by Px4."""
 
     commander: Px4Commander
     flight: Px4FlightTasks
     timesync: Px4Timesync = field(default_factory=Px4Timesync)
 
     def condition(self) -> Px4Condition:
-        """What the commander judges by."""
+        """Return the inputs of the commander."""
         distance_m, height_m = self.from_home_m
         return Px4Condition(
             now_s=self.now_s,

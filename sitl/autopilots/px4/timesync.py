@@ -1,4 +1,4 @@
-"""PX4's side of TIMESYNC: the offset between its clock and the companion's, and the stamp of a late message.
+"""PX4's side of TIMESYNC: clock offset to the companion, and conversion of its stamps.
 
 Constants and filter: PX4 src/lib/timesync (v1.17), double exponential smoothing with a gain schedule.
 """
@@ -16,7 +16,7 @@ _MAX_DEVIATIONS = 5
 
 
 class Px4Timesync:
-    """Keeps local - remote, in microseconds."""
+    """Filter of the clock offset, local - remote, µs."""
 
     def __init__(self) -> None:
         self._sequence = 0
@@ -26,23 +26,23 @@ class Px4Timesync:
 
     @property
     def converged(self) -> bool:
-        """Whether stamps of the companion are believed."""
+        """True if stamps of the companion are used."""
         return self._sequence >= _WINDOW
 
     @property
     def offset_us(self) -> float:
-        """Autopilot's clock minus companion's clock."""
+        """Autopilot's clock minus companion's clock, µs."""
         return self._offset_us
 
     def answered(self, now_us: int, remote_ns: int, sent_ns: int) -> None:
-        """An answer to our question: remote_ns is the companion's clock, sent_ns our own stamp come back."""
+        """Update with an answer (remote_ns: companion clock; sent_ns: stamp of the request)."""
         round_trip = now_us - sent_ns // 1000
         if not 0 <= round_trip < _MAX_RTT_US:
             return
         observed = (sent_ns // 1000 + now_us - 2 * (remote_ns // 1000)) / 2.0
         if self.converged and abs(self._offset_us - observed) > _MAX_DEVIATION_US:
             self._deviations += 1
-            if self._deviations > _MAX_DEVIATIONS:  # the companion's clock jumped: start again
+            if self._deviations > _MAX_DEVIATIONS:  # the companion's clock jumped: restart the filter
                 self._sequence, self._offset_us, self._skew_us, self._deviations = 0, 0.0, 0.0, 0
             return
         self._deviations = 0
@@ -62,5 +62,5 @@ class Px4Timesync:
         return p * _ALPHA[1] + (1.0 - p) * _ALPHA[0], p * _BETA[1] + (1.0 - p) * _BETA[0]
 
     def local_us(self, remote_us: int, now_us: int) -> int:
-        """The companion's stamp on our clock; the arrival time while not converged."""
+        """Return the companion's stamp on the autopilot's clock; the arrival time until converged."""
         return remote_us + round(self._offset_us) if self.converged else now_us

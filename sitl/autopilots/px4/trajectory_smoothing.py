@@ -1,7 +1,8 @@
-"""The trajectory that PX4 makes itself in Hold, Land and Takeoff: limited in acceleration and jerk, never in OFFBOARD.
+"""PX4's trajectories in Hold, Land and Takeoff, limited in acceleration and jerk.
 
-Read in PX4 1.15 to 1.17: VelocitySmoothing.cpp, PositionSmoothing.cpp, TrajMath.hpp, Navigator::preproject_stop_point().
-One simplification: the horizontal plane is one line, the course on which the mode was entered, where PX4 has two axes.
+From the sources of PX4 1.15 to 1.17: VelocitySmoothing.cpp, PositionSmoothing.cpp, TrajMath.hpp,
+Navigator::preproject_stop_point(). OFFBOARD does not use them. Simplification: horizontal motion is along one line, the
+course on entry into the mode; PX4 has two axes.
 """
 
 from __future__ import annotations
@@ -14,31 +15,37 @@ _STOP_DELAY_S = 0.6  # preproject_stop_point(): accel_delay_max / jerk
 
 @dataclass(frozen=True, slots=True)
 class SmoothingLimits:
-    """Of one line. SI."""
+    """Limits of the motion along one line; SI."""
 
     speed: float
     acceleration: float
     jerk: float
 
     def stopping_m(self, speed: float) -> float:
-        """How far ahead a mode that is to stay where it was entered puts that place."""
+        """Return the distance (m) from the entry into a mode to its hold position at a speed, m/s."""
         return speed * (speed / (2.0 * self.acceleration) + _STOP_DELAY_S)
 
     def speed_towards(self, distance_m: float) -> float:
-        """The speed (signed) at which a place so far ahead is approached (computeMaxSpeedFromDistance)."""
+        """Return the signed speed (m/s) at a distance to the goal (computeMaxSpeedFromDistance)."""
         delay = 4.0 * self.acceleration**2 / self.jerk
         most = 0.5 * (math.sqrt(delay**2 + 8.0 * self.acceleration * abs(distance_m)) - delay)
         return math.copysign(min(most, self.speed), distance_m)
 
 
 class TrajectorySmoothing:
-    """A motion along a line, in the shortest time to a wanted speed. position, velocity, acceleration: where it is now. SI."""
+    """Motion along a line that reaches a wanted speed in the shortest time; SI.
+
+    position, velocity, acceleration: the present state.
+    """
 
     def __init__(self, position: float = 0.0, velocity: float = 0.0) -> None:
         self.position, self.velocity, self.acceleration = position, velocity, 0.0
 
     def step(self, dt_s: float, wanted: float, limits: SmoothingLimits) -> None:
-        """Advance by dt_s towards a speed: jerk up to a peak of acceleration, hold it, jerk back to none, go on."""
+        """Advance by dt_s towards a wanted speed.
+
+        The phases are: jerk up to a peak acceleration, constant acceleration, jerk down to zero, constant speed.
+        """
         jerk = limits.jerk
         at_rest = self.velocity + self.acceleration * abs(self.acceleration) / (2.0 * jerk)
         way = math.copysign(1.0, wanted - at_rest)

@@ -1,4 +1,4 @@
-"""PX4's parameters as the estimator and the position controller take them."""
+"""Conversion of PX4's parameters to tunings of the estimator and the position controller."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.autopilots.px4.trajectory_smoothing import SmoothingLimits
 from sitl.world.quadrotor import GRAVITY_MPS2
 
-_REJECT_S = 1.0  # no_aid_timeout_max: then reset to vision
+_REJECT_S = 1.0  # no_aid_timeout_max, after which the estimate is reset to vision
 _RESETS_IN_AIR = 5
 
 
 def estimator_tuning(p: Px4Parameters) -> EstimatorTuning:
-    """EKF2. Measured with EKF2_NOAID_TOUT = 5 s: the position flag falls 4.7 s after the last pose."""
+    """Return the tuning of EKF2.
+
+    Measured with EKF2_NOAID_TOUT = 5 s: the position flag is lost 4.7 s after the last pose.
+    """
     control = p.integer("EKF2_EV_CTRL")
     no_aid_s = max(p["EKF2_NOAID_TOUT"], 500000.0) * 1e-6
     return EstimatorTuning(
@@ -35,7 +38,10 @@ def estimator_tuning(p: Px4Parameters) -> EstimatorTuning:
 
 
 def control_gains(p: Px4Parameters) -> ControlGains:
-    """mc_pos_control: tilt and thrust limit it, no parameter of acceleration does (read)."""
+    """Return the gains of mc_pos_control.
+
+    Acceleration is limited by tilt and thrust only, not by a parameter (from the sources).
+    """
     hover = p["MPC_THR_HOVER"]
     return ControlGains(
         xy_p=p["MPC_XY_P"],
@@ -54,7 +60,7 @@ def control_gains(p: Px4Parameters) -> ControlGains:
 
 
 def smoothing_limits(p: Px4Parameters) -> tuple[SmoothingLimits, SmoothingLimits, SmoothingLimits]:
-    """Of FlightTaskAuto: level, upwards, downwards."""
+    """Return the limits of FlightTaskAuto: horizontal, upwards, downwards."""
     jerk = p["MPC_JERK_AUTO"]
     return (
         SmoothingLimits(min(p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"]), p["MPC_ACC_HOR"], jerk),
