@@ -164,7 +164,7 @@ def fly_in_lockstep(
     meddler: LockstepHook = NOBODY,
 ) -> Flown:  # fmt: skip
     """Fly. land() is asked whether the operator wants to land now; timelapse: keep states of the surface, for recall."""
-    clock, quick = ManualClock(START_S), options.mapper == "stand-in"
+    clock, quick = ManualClock(START_S), options.mapper == "depth-only"
     pace, wires = (QUICK, direct_channels()) if quick else (REAL, memory_channels())
     ours, theirs = pipe()
     world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s, pace)
@@ -252,7 +252,7 @@ def interrupts() -> Iterator[Callable[[], bool]]:
 
 def _mapper(options: SimOptions, config: Config) -> Mapper:
     """The mapper of the options, warm."""
-    return {"neural": _neural, "stand-in": _stand_in}[options.mapper](config, options.out)
+    return {"neural": _neural, "depth-only": _depth_only}[options.mapper](config, options.out)
 
 
 def _neural(config: Config, folder: Path) -> Mapper:
@@ -265,7 +265,7 @@ def _neural(config: Config, folder: Path) -> Mapper:
     return InlineMapper(trainer, config.mapper, KeyframeFolder(folder / KEYFRAMES))
 
 
-def _stand_in(config: Config, folder: Path) -> Mapper:
+def _depth_only(config: Config, folder: Path) -> Mapper:
     from sitl.apps.depth_only_mapper import DepthOnlyMapper
 
     return DepthOnlyMapper(config)

@@ -1,4 +1,4 @@
-"""The options of `uav-recon sim`, checked, and the config of the product that they amount to."""
+"""The options of `uav-recon sim`, validated, and the product config that they give."""
 
 from __future__ import annotations
 
@@ -21,13 +21,15 @@ __all__ = ["SimOptions", "UsageError"]
 
 NOISES = ("d435i", "paper", "kinect", "none")
 CAMERAS = ("d435i", "wide", "fast", "small")
-MAPPERS = ("neural", "stand-in")
+MAPPERS = ("neural", "depth-only")
+OLD_NAMES = {"stand-in": "depth-only"}  # of a mapper: still accepted
 VARIANTS, UNCERTAINTIES = get_args(VariantName), get_args(UncertaintyName)
 AUTOPILOTS = ("px4", "ardupilot")
 BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
 RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
 HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.20, 0.35  # between the hull and what is not known free, in a plan
 MAX_MPS = 1.2
+MAX_COORDINATE_M, MAX_YAW_DEG = 1e5, 360.0  # of --start and --fence
 BLIND_MPS, SLOWEST_MPS = 0.3, 0.1  # where the camera does not look; MAX_MPS is as good as not asked for
 BLIND_MEMORY_S = 60.0  # where it is: what is steep was mostly seen longer ago than ten seconds
 FENCE_MARGIN_M = 0.10  # between the hull and the fence: what is left of the other when the vehicle strays
@@ -37,7 +39,7 @@ NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms
 
 @dataclass(frozen=True)
 class SimOptions:
-    """What the user asked for. mount_pitch_down_deg None = gimbal."""
+    """The validated options. mount_pitch_down_deg None = gimbal; start: X, Y, Z in metres, yaw in degrees."""
 
     scene: str | None
     start: tuple[float, float, float, float] | None
@@ -68,7 +70,10 @@ class SimOptions:
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
         uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = BLIND_MPS,
     ) -> SimOptions:  # fmt: skip
-        """Check the words of the command line. Raises UsageError with one line."""
+        """Validate the options of the command line. Raises UsageError with one line."""
+        mapper = OLD_NAMES.get(mapper, mapper)
+        if scene is not None and not scene.strip():
+            raise UsageError("--scene is empty: want a folder, a mesh file or random:SEED")
         chosen = camera or ("d435i" if mapper == "neural" else "fast")
         for name, value, allowed in (
             ("autopilot", autopilot, AUTOPILOTS), ("variant", variant, VARIANTS), ("depth-noise", depth_noise, NOISES),
@@ -76,18 +81,20 @@ class SimOptions:
         ):  # fmt: skip
             if value not in allowed:
                 raise UsageError(f"--{name} {value}: want one of {', '.join(allowed)}")
-        if mapper == "stand-in" and not lockstep:
-            raise UsageError("--mapper stand-in: flies in --lockstep only")
+        if mapper == "depth-only" and not lockstep:
+            raise UsageError("--mapper depth-only: needs --lockstep")
         if not RADII_M[0] <= radius <= RADII_M[1]:
-            raise UsageError(f"--radius {radius}: want {RADII_M[0]}..{RADII_M[1]} metres")
+            raise UsageError(f"--radius {radius}: want {RADII_M[0]} to {RADII_M[1]} metres")
         if not SLOWEST_MPS <= blind_speed <= MAX_MPS:
-            raise UsageError(f"--blind-speed {blind_speed}: want {SLOWEST_MPS}..{MAX_MPS} m/s")
+            raise UsageError(f"--blind-speed {blind_speed}: want {SLOWEST_MPS} to {MAX_MPS} m/s")
         if firmware is not None:
             _check_firmware(firmware, autopilot, mount, port, lockstep)
-        s = _numbers("start", start, 4)
-        f = _numbers("fence", fence, 6)
+        s = _numbers("start", "X,Y,Z,YAW", start, 4)
+        f = _numbers("fence", "X0,Y0,Z0,X1,Y1,Z1", fence, 6)
+        if s is not None and not abs(s[3]) <= MAX_YAW_DEG:
+            raise UsageError(f"--start {start}: YAW is {s[3]:g}; want -{MAX_YAW_DEG:g} to {MAX_YAW_DEG:g} degrees")
         if f is not None and any(f[i] >= f[i + 3] for i in range(3)):
-            raise UsageError(f"--fence {fence}: each upper corner number must exceed its lower one")
+            raise UsageError(f"--fence {fence}: each number of the upper corner must be larger than that of the lower corner")
         stem = "room" if scene is None else Path(scene).stem.replace(":", "-")
         folder = out or Path("flights") / f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
         return SimOptions(
@@ -102,17 +109,17 @@ class SimOptions:
         )  # fmt: skip
 
     def make_folder(self) -> None:
-        """Make the flight folder. Raises Failure if it cannot be written or holds a flight already."""
+        """Make the flight folder. Raises UsageError if it cannot be written or already contains a flight."""
         try:
             self.out.mkdir(parents=True, exist_ok=True)
             (self.out / "logs").mkdir(exist_ok=True)
         except OSError as error:
             raise UsageError(f"--out {self.out}: cannot be written ({error.strerror})") from None
         if (self.out / "report.json").exists() or (self.out / "timeline.jsonl").exists():
-            raise UsageError(f"--out {self.out}: holds a flight already")
+            raise UsageError(f"--out {self.out}: already contains a flight")
 
     def world(self, runtime: Path) -> WorldOptions:
-        """The options of the outside world."""
+        """Return the options of the simulator."""
         return WorldOptions(
             scene=self.scene, start=self.start, fence=self.fence, seed=self.seed, autopilot=self.autopilot,
             mount_pitch_down_deg=self.mount_pitch_down_deg, radius_m=self.radius_m,
@@ -122,7 +129,7 @@ class SimOptions:
         )  # fmt: skip
 
     def config(self, scene: Scene, runtime: Path) -> Config:
-        """The product's config for this flight. Raises ConfigError."""
+        """Return the product's config for this flight. Raises UserError with exit code 78."""
         gimbal = self.mount_pitch_down_deg is None
         noise_px = NOISE_PX[self.depth_noise] / (2.0 if self.camera in ("fast", "small") else 1.0)
         tree = {
@@ -174,60 +181,61 @@ class SimOptions:
 
 
 def check_jobs(jobs: int) -> int:
-    """Raises UsageError for more processes than this machine has memory for."""
+    """Return the number of processes. Raises UsageError for more than this machine has memory for."""
     most = max(2, int(memory_gb() / JOB_GB))
     if not 1 <= jobs <= most:
-        raise UsageError(f"--jobs {jobs}: want 1 to {most}; each may take {JOB_GB:g} GB of memory")
+        raise UsageError(f"--jobs {jobs}: want 1 to {most}; each may use {JOB_GB:g} GB of memory")
     return jobs
 
 
 def memory_gb() -> float:
-    """Of this machine."""
+    """Return the memory of this machine in gigabytes."""
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 def check_program(firmware: Path) -> None:
-    """Raises UsageError for a firmware that cannot be started."""
+    """Check a firmware binary. Raises UsageError if it cannot be started."""
     with readable(f"--firmware {firmware}"):
         folder, there = firmware.is_dir(), firmware.is_file()
     if not there:
-        raise UsageError(f"--firmware {firmware}: {'is a folder, want the binary in it' if folder else 'no such file'}")
+        raise UsageError(f"--firmware {firmware}: {'is a folder; want the binary in it' if folder else 'no such file'}")
     if not os.access(firmware, os.X_OK):
         raise UsageError(f"--firmware {firmware}: not executable")
 
 
 def _check_firmware(firmware: Path, autopilot: str, mount: str, port: int, lockstep: bool) -> None:
-    """Raises UsageError for a firmware that cannot be started, or cannot be flown as asked."""
+    """Check a firmware with the other options. Raises UsageError if it cannot be started or flown like that."""
     check_program(firmware)
     if lockstep:
-        raise UsageError("--firmware: flies in real time, not in --lockstep")
+        raise UsageError("--firmware: flies in real time only; leave out --lockstep")
     if mount == "gimbal":
-        raise UsageError("--firmware: wants --mount fixed:DEG, for its simulation has no gimbal")
+        raise UsageError("--firmware: needs --mount fixed:DEG; the firmware's simulation has no gimbal")
     if autopilot == "px4" and port != PX4_PORT:
-        raise UsageError(f"--port {port}: with a PX4 --firmware it is {PX4_PORT}, where its start script sends")
+        raise UsageError(f"--port {port}: want {PX4_PORT} with a PX4 --firmware; its start script sends there")
 
 
-def _numbers(name: str, text: str | None, count: int) -> tuple[float, ...] | None:
+def _numbers(name: str, form: str, text: str | None, count: int) -> tuple[float, ...] | None:
+    """Return the numbers of an option, None if it is not given. Raises UsageError."""
     if text is None:
         return None
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         numbers = ()
-    if len(numbers) != count or not all(math.isfinite(n) for n in numbers):
-        raise UsageError(f"--{name} {text}: want {count} numbers with commas between them")
+    if len(numbers) != count or not all(abs(n) <= MAX_COORDINATE_M for n in numbers):
+        raise UsageError(f"--{name} {text}: want {count} numbers {form}, each -{MAX_COORDINATE_M:g} to {MAX_COORDINATE_M:g}")
     return numbers
 
 
 def mount_pitch_deg(text: str) -> float | None:
-    """The tilt of a fixed mount, down is plus; None for a gimbal. Raises UsageError."""
+    """Return the tilt of a fixed mount in degrees, positive looks down; None for a gimbal. Raises UsageError."""
     if text == "gimbal":
         return None
     kind, _, degrees = text.partition(":")
     try:
-        pitch = float(degrees or "15")
+        pitch = float(degrees)
     except ValueError:
         pitch = math.nan
     if kind != "fixed" or not -60.0 <= pitch <= 60.0:
-        raise UsageError(f"--mount {text}: want fixed:DEG with DEG in -60..60 (down is plus), or gimbal")
+        raise UsageError(f"--mount {text}: want gimbal, or fixed:DEG with DEG -60 to 60 (positive looks down)")
     return pitch

@@ -1,4 +1,4 @@
-"""`uav-recon sweep`: many flights in quick lockstep, a line each, with an account that a second call goes on with."""
+"""`uav-recon sweep`: many flights in lockstep, a line each, with a results file that a second call continues."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sitl.scene.scene import GENERATED
 from uav_recon.app.option_validation import readable, require_writable_file
 from uav_recon.errors import EXIT_USAGE, UserError
 
-RANDOM, BUILT_IN = "random", "built-in"  # words for scenes: a new flat with each seed; the room of `sim`
+RANDOM, BUILT_IN = "random", "built-in"  # scene names: a new flat for each seed; the room of `sim`
 BAD_SHOWN = 20
 MEDIANS = ("flight_s", "path_m", "views", "explored", "recall_90_s", "times_real")
 
@@ -48,13 +48,13 @@ class SweepOptions:
         mount: str = "fixed:15", camera: str = "fast", views: int | None = None, jobs: int = 2, json: Path | None = None,
         truth: bool = False,
     ) -> SweepOptions:  # fmt: skip
-        """Check the words of the command line. Raises UsageError with one line."""
+        """Validate the options of the command line. Raises UsageError with one line."""
         try:
             sizes = tuple(float(word) for word in radii.split(","))
         except ValueError:
-            raise UsageError(f"--radii {radii}: want metres with commas between them") from None
+            raise UsageError(f"--radii {radii}: want numbers in metres, separated by commas") from None
         if not all(RADII_M[0] <= size <= RADII_M[1] for size in sizes):
-            raise UsageError(f"--radii {radii}: want {RADII_M[0]}..{RADII_M[1]} metres")
+            raise UsageError(f"--radii {radii}: want {RADII_M[0]} to {RADII_M[1]} metres")
         names = tuple(variants.split(","))
         if not set(names) <= set(VARIANTS):
             raise UsageError(f"--variants {variants}: want some of {', '.join(VARIANTS)}")
@@ -67,7 +67,7 @@ class SweepOptions:
         return SweepOptions(flights, seed0, words, sizes, names, mount, camera, views, jobs, json, truth)
 
     def cases(self) -> Iterator[Case]:
-        """All flights, in order."""
+        """Yield all flights, in order."""
         round_of = list(itertools.product(self.variants, self.radii_m, self.scenes))
         for number in range(self.flights):
             seed, (variant, radius_m, word) = self.seed0 + number // len(round_of), round_of[number % len(round_of)]
@@ -76,16 +76,16 @@ class SweepOptions:
 
 
 def _check_scene(word: str) -> None:
-    """Raises UsageError unless this is a scene, or may be one."""
+    """Check the name of a scene. Raises UsageError if there is none of that name."""
     with readable(f"--scenes {word}"):
         there = Path(word).exists()
     seed = word.removeprefix(GENERATED) if word.startswith(GENERATED) else ""
     if not (word in (RANDOM, BUILT_IN) or seed.isdecimal() or (word and there)):
-        raise UsageError(f"--scenes {word}: no such scene; want {RANDOM}, {GENERATED}SEED, {BUILT_IN}, folders, meshes")
+        raise UsageError(f"--scenes {word}: no such scene; want {RANDOM}, {GENERATED}SEED, {BUILT_IN}, a folder or a mesh file")
 
 
 def sweep(options: SweepOptions) -> int:
-    """Fly what the account lacks; returns 1 if any flight touched something or broke, else 0. Raises Failure."""
+    """Fly what the results file lacks; returns 1 if any flight had contact or an error, else 0. Raises UserError."""
     console = Console()
     require_writable_file("--json", options.json)
     records = _load(options.json)
@@ -105,7 +105,7 @@ def sweep(options: SweepOptions) -> int:
 
 
 def _fly_all(todo: list[Case], truth: bool, jobs: int) -> Iterator[Record]:
-    """Records as they come. Where a process died, each flight that was under way is flown again alone: whose fault was it?"""
+    """Yield records as they come. After the death of a process each flight in progress is repeated alone, to find the cause."""
     waiting = list(reversed(todo))
     while waiting:
         suspects: list[Case] = []
@@ -136,7 +136,7 @@ def _load(path: Path | None) -> list[Record]:
     except FileNotFoundError:
         return []
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"--json {path}: not the account of a sweep ({error})", EXIT_USAGE) from None
+        raise UserError(f"--json {path}: not a results file of `uav-recon sweep` ({error})", EXIT_USAGE) from None
 
 
 def _save(path: Path | None, records: list[Record]) -> None:
@@ -167,7 +167,7 @@ def _line(record: Record) -> str:
 
 
 def _conclude(records: list[Record], console: Console) -> int:
-    """Two lines for each scene, radius and variant; a command for each flight that went wrong. Returns the exit code."""
+    """Print two lines for each scene, radius and variant, and a command for each bad flight; returns the exit code."""
 
     def say(text: str) -> None:
         console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -183,11 +183,11 @@ def _conclude(records: list[Record], console: Console) -> int:
         clearances = [r.min_clearance_m for r in some if r.min_clearance_m is not None]
         say(
             f"{kind}, radius {radius_m:.2f} m, {variant}: {len(some)} flights, {completed} completed, {contacts} contacts, "
-            f"{broken} errors, clearance {_number(min(clearances, default=None), 3, 0)} m or more"
+            f"{broken} errors, min clearance {_number(min(clearances, default=None), 3, 0)} m"
         )
         flight_s, path_m, views, explored, recall_s, times = (_middle(some, name) for name in MEDIANS)
         say(
-            f"    medians: {flight_s} s, {path_m} m, {views} views, explored {explored}, recall .90 at {recall_s} s, "
+            f"    medians: {flight_s} s, {path_m} m, {views} views, explored {explored}, recall 0.90 after {recall_s} s, "
             f"{times} x real time"
         )
     bad = [record for record in records if record.bad]

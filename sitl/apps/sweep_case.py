@@ -1,4 +1,4 @@
-"""One flight of a sweep: what is to be flown, what came of it, and flying it in a process that may fail."""
+"""One flight of a sweep: its options, its record, and the flight in a process that may fail."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ONE_THREAD = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "M
 
 @dataclass(frozen=True)
 class Case:
-    """scene: as `sim --scene` has it, None for the built-in room. views None: as many as `sim` would take."""
+    """The options of a flight. scene: as for `sim --scene`, None for the built-in room. views None: the default of `sim`."""
 
     scene: str | None
     seed: int
@@ -26,11 +26,11 @@ class Case:
     autopilot: str = "px4"
 
     def command(self) -> str:
-        """What flies it once more, with a report."""
+        """Return the command that repeats the flight, with a report."""
         scene = [] if self.scene is None else ["--scene", self.scene]
         views = [] if self.views is None else ["--views", str(self.views)]
         words = [
-            "uav-recon", "sim", "--lockstep", "--mapper", "stand-in", *scene, "--seed", str(self.seed),
+            "uav-recon", "sim", "--lockstep", "--mapper", "depth-only", *scene, "--seed", str(self.seed),
             "--radius", f"{self.radius_m:g}", "--variant", self.variant, "--mount", self.mount, "--camera", self.camera,
             "--autopilot", self.autopilot, *views,
         ]  # fmt: skip
@@ -39,10 +39,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Record:
-    """What came of a case; error is the last line of an exception, "" where there was none. Unknown numbers are None.
+    """The result of a case. error: the first line of an exception, "" for none. Unknown numbers are None.
 
     times_real: simulated time over wall time of the flight alone; times_real_processor: over this process's own time.
-    recall_90_s: when the surface first recalled 90 % of the truth.
+    recall_90_s: time at which the surface first recalled 90 % of the truth.
     """
 
     case: Case
@@ -66,16 +66,16 @@ class Record:
 
     @property
     def bad(self) -> bool:
-        """Touched something, or broke."""
+        """True for a contact or an error."""
         return bool(self.error) or bool(self.contacts)
 
 
 def fly_case(case: Case, truth: bool) -> Record:
-    """Fly it in this process; an exception becomes the record's error. truth: measure what was explored and recalled too."""
+    """Fly a case in this process; an exception becomes the record's error. truth: also measure exploration and recall."""
     try:
         with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
             return _fly(case, Path(folder), truth)
-    except Exception as error:  # a sweep goes on: what broke is in its record, with the command that shows it
+    except Exception as error:  # the sweep continues; the record has the error and the command that repeats it
         return Record(case, error=f"{type(error).__name__}: {error}".splitlines()[0], trace=traceback.format_exc())
 
 
@@ -90,7 +90,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
 
     options = SimOptions.parse(
         scene=case.scene, seed=case.seed, radius=case.radius_m, variant=case.variant, mount=case.mount, camera=case.camera,
-        views=case.views, autopilot=case.autopilot, mapper="stand-in", lockstep=True, out=folder / "flight",
+        views=case.views, autopilot=case.autopilot, mapper="depth-only", lockstep=True, out=folder / "flight",
     )  # fmt: skip
     scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)
     options.make_folder()
@@ -110,18 +110,18 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
 
 
 def one_thread() -> None:
-    """Let each process of a sweep compute on one core; for the processes that are started from here on."""
+    """Limit each process that is started from here on to one core."""
     for name in ONE_THREAD:
         os.environ[name] = "1"
 
 
 def as_tree(record: Record) -> dict[str, object]:
-    """For JSON."""
+    """Return the record for JSON."""
     return dataclasses.asdict(record)
 
 
 def from_tree(tree: dict[str, object]) -> Record:
-    """The inverse. Raises TypeError for a tree of another shape."""
+    """Return the record of a JSON tree. Raises TypeError for a tree of another shape."""
     case = tree["case"]
     if not isinstance(case, dict):
         raise TypeError("case")

@@ -1,4 +1,4 @@
-"""How fast lockstep is: `python tests/sitl/apps/lockstep_speed.py [SCENE [VIEWS [SEED]]]`, with the mapper's stand-in.
+"""How fast lockstep is: `python tests/sitl/apps/lockstep_speed.py [SCENE [VIEWS [SEED]]]`, with the depth-only mapper.
 
 A machine that others share is not equally fast for a minute. So it is calibrated every second between two turns of the flight,
 which does not count it, and the flight's time is divided by the mean of all of these.
@@ -44,7 +44,7 @@ def main(scene_name: str | None, views: int, seed: int) -> None:
     """Fly once, print one line."""
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
         options = SimOptions.parse(
-            scene=scene_name, seed=seed, views=views, mount="fixed:15", camera="fast", mapper="stand-in", lockstep=True,
+            scene=scene_name, seed=seed, views=views, mount="fixed:15", camera="fast", mapper="depth-only", lockstep=True,
             out=Path(folder) / "flight",
         )  # fmt: skip
         scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)

@@ -30,12 +30,22 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        ({"mount": "fixed:61"}, "-60..60"),
+        ({"mount": "fixed:61"}, "-60 to 60"),
         ({"mount": "swivel"}, "gimbal"),
-        ({"mapper": "none"}, "neural, stand-in"),
-        ({"mapper": "stand-in"}, "lockstep"),
-        ({"radius": 0.01}, "0.05..0.6"),
-        ({"blind_speed": 2.0}, "--blind-speed 2.0: want 0.1..1.2 m/s"),
+        ({"mapper": "none"}, "neural, depth-only"),
+        ({"mapper": "depth-only"}, "lockstep"),
+        ({"mapper": "stand-in"}, "--mapper depth-only: needs --lockstep"),
+        ({"mount": "fixed:"}, "--mount fixed:: want gimbal, or fixed:DEG"),
+        ({"mount": "fixed"}, "--mount fixed: want gimbal, or fixed:DEG"),
+        ({"mount": "fixed:nan"}, "-60 to 60"),
+        ({"scene": ""}, "--scene is empty"),
+        ({"start": "1,2,0,1e9"}, "YAW is 1e\\+09; want -360 to 360 degrees"),
+        ({"start": "1e300,2,0,0"}, "each -100000 to 100000"),
+        ({"start": "nan,2,0,0"}, "each -100000 to 100000"),
+        ({"fence": "0,0,0,1e300,1,1"}, "each -100000 to 100000"),
+        ({"fence": "0,0,0,nan,1,1"}, "6 numbers X0,Y0,Z0,X1,Y1,Z1"),
+        ({"radius": 0.01}, "0.05 to 0.6"),
+        ({"blind_speed": 2.0}, "--blind-speed 2.0: want 0.1 to 1.2 m/s"),
         ({"camera": "d415"}, "d435i, wide"),
         ({"autopilot": "inav"}, "px4, ardupilot"),
         ({"uncertainty": "none"}, "agreement, paper, colour, information, product"),
@@ -59,7 +69,7 @@ def test_a_firmware_that_cannot_be_flown_is_said_so_in_one_line(tmp_path: Path) 
     program.chmod(0o755)
     for words, named in (
         ({"firmware": tmp_path / "none"}, "none: no such file"),
-        ({"firmware": tmp_path}, "is a folder, want the binary"),
+        ({"firmware": tmp_path}, "is a folder; want the binary"),
         ({"firmware": plain}, "readme: not executable"),
         ({"firmware": program, "lockstep": True}, "real time"),
         ({"firmware": program, "mount": "gimbal"}, "fixed:DEG"),
@@ -118,10 +128,11 @@ def test_distances_follow_the_radius(tmp_path: Path, radius_m: float, clearance_
     assert config.safety.vehicle_radius_m == options.world(tmp_path).radius_m == radius_m
 
 
-def test_a_stand_in_flies_with_the_fast_camera_unless_told() -> None:
-    quick = SimOptions.parse(mapper="stand-in", lockstep=True)
+def test_the_depth_only_mapper_flies_with_the_fast_camera_by_default() -> None:
+    quick = SimOptions.parse(mapper="depth-only", lockstep=True)
     assert quick.camera == "fast"
-    assert SimOptions.parse(mapper="stand-in", lockstep=True, camera="d435i").camera == "d435i"
+    assert SimOptions.parse(mapper="stand-in", lockstep=True).mapper == "depth-only"
+    assert SimOptions.parse(mapper="depth-only", lockstep=True, camera="d435i").camera == "d435i"
     assert (
         quick.config(SCENE, Path("/tmp")).camera.depth_noise_px
         == 0.5 * SimOptions.parse().config(SCENE, Path("/tmp")).camera.depth_noise_px
