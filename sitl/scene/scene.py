@@ -27,6 +27,8 @@ TAKEOFF_HEIGHT_M = 1.10
 PAD_TOP_M = 0.40  # below this the hull's own radius is enough
 OPEN_SHARE = 0.005
 MAX_EXTENT_M = 100.0
+MAX_YAW_DEG = 360.0
+MAX_REACH_M = 500.0  # of the fence, from the start: the range of coordinates in the product's config
 MAX_M3 = 30_000.0  # in voxels of 0.1 m: 30 million, what the product maps at most
 MAX_M2 = 12_000.0  # of surface: it is looked at every centimetre or two
 SAMPLES_M = 0.01
@@ -102,6 +104,8 @@ def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m
     point = _numbers(name, "start X,Y,Z,YAW", start, 4)
     if not ((point[:3] >= low) & (point[:3] <= high)).all():
         raise SceneError(f"{name}: start {_text(point[:3])} is outside the scene's bounds {_text(low)} to {_text(high)}")
+    if not abs(point[3]) <= MAX_YAW_DEG:
+        raise SceneError(f"{name}: start yaw {point[3]:g}: want -{MAX_YAW_DEG:g} to {MAX_YAW_DEG:g} degrees")
     floor_z = height_below(mesh.vertices, mesh.faces, point[:3] + np.array([0.0, 0.0, 0.05]))
     if floor_z is None:
         raise SceneError(f"{name}: no floor below the start {_text(point[:3])}")
@@ -114,6 +118,9 @@ def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m
         fence_min, fence_max = bounds[:3], bounds[3:]
         if not ((fence_min < scene_from_world_m) & (scene_from_world_m < fence_max)).all():
             raise SceneError(f"{name}: the start lies outside the fence {_text(fence_min)} to {_text(fence_max)}")
+        reach_m = float(np.abs(bounds - np.tile(scene_from_world_m, 2)).max())
+        if reach_m > MAX_REACH_M:
+            raise SceneError(f"{name}: the fence reaches {reach_m:.0f} m from the start; want at most {MAX_REACH_M:.0f} m")
         _check_size(name, "fence", fence_max - fence_min)
     else:
         _check_closed(name, Renderer(vertices, mesh.faces, mesh.rgb))
@@ -169,7 +176,7 @@ def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:
                 start = (float(s["x"]), float(s["y"]), float(s["z"]), math.degrees(float(s["yaw"])))
         except OSError as error:
             raise SceneError(f"{description}: cannot be read ({error.strerror})") from None
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise SceneError(f"{description}: not a scene description ({error})") from None
         except (KeyError, TypeError):
             raise SceneError(
