@@ -1,4 +1,4 @@
-"""The judge: the product's own account of a flight held against the simulator's truth, written as report.json and .html."""
+"""Evaluation of a flight against the simulator's ground truth, written as report.json and report.html."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from sitl.scene.scene import Scene
 from sitl.truth.reference_times import SEEN_WELL_S
 from sitl.truth.visibility import VisibleTruth, load_visible_truth
 from uav_recon.app import factory
+from uav_recon.app.step_display import Report as Progress
+from uav_recon.app.step_display import StepDisplay, no_report
 from uav_recon.config import Config
 from uav_recon.evaluation import metrics
 from uav_recon.evaluation.path_visibility import PathVisibility, path_visibility
@@ -37,7 +39,7 @@ CONTACT_M = 1e-3
 
 @dataclass(frozen=True)
 class FlightTruth:
-    """What the simulator saw; hull_m is NaN on the ground and on the pad."""
+    """Ground truth of a flight by the simulator; hull_m is the clearance of the hull, NaN on the ground and on the pad."""
 
     stamp_s: F64
     position_m: F64
@@ -49,7 +51,7 @@ class FlightTruth:
 
     @staticmethod
     def load(path: Path) -> FlightTruth | None:
-        """Read what the world wrote; None if it could not write."""
+        """Read the simulator's truth file; None if there is none."""
         if not path.exists():
             return None
         with np.load(path) as data:
@@ -60,28 +62,33 @@ class FlightTruth:
 
 
 def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:
-    """Hold the flight in options.out against truth and write the report beside it."""
-    with console.status("cutting truth to what the camera could see ..."):
-        cut = visible_truth(options, scene)
-    with console.status("measuring the model against truth ..."):
-        report = against_truth(flown(options, scene, wall_s, fault), options, scene, cut)
-        mesh = load_mesh(options.out)
-        report = dataclasses.replace(
-            report, quality=None if mesh is None or len(mesh.faces) == 0 else _quality(mesh, scene, cut)
-        )
-    with console.status("drawing pictures ..."):
+    """Evaluate the flight in options.out against ground truth and write the report there. Shows each step."""
+    steps = StepDisplay(console)
+    with steps.step("computing the surface that the camera can see (kept for the next flight in this scene)") as progress:
+        cut = visible_truth(options, scene, progress)
+    with steps.step("evaluating path, clearance and setpoints"):
+        report = flown(options, scene, wall_s, fault)
+    with steps.step("evaluating coverage, and recall over time") as progress:
+        report = against_truth(report, options, scene, cut, progress)
+    mesh = load_mesh(options.out)
+    if mesh is not None and len(mesh.faces):
+        with steps.step("rendering images of model and truth") as progress:
+            psnr_db = metrics.psnr_db(*_held_out_pictures(mesh, scene, cut, progress))
+        with steps.step("measuring the model against ground truth"):
+            report = dataclasses.replace(report, quality=_quality(mesh, scene, cut, psnr_db))
+    with steps.step("drawing the images of the report"):
         publish(report, options.out)
     return report
 
 
-def visible_truth(options: SimOptions, scene: Scene) -> VisibleTruth:
-    """What the camera of the options can see of the scene, from the cache or made anew."""
+def visible_truth(options: SimOptions, scene: Scene, progress: Progress = no_report) -> VisibleTruth:
+    """Return what the camera of the options can see of the scene, from the cache or computed."""
     camera: Model = "wide" if options.camera == "wide" else "d435i"  # `fast` sees what the d435i sees
-    return load_visible_truth(scene, options.mount, camera, cache_folder())
+    return load_visible_truth(scene, options.mount, camera, cache_folder(), progress)
 
 
 def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -> Report:
-    """The product's account of the flight in options.out, with what the simulator saw of it. Quick."""
+    """Return the product's report of the flight in options.out, with the simulator's path, stream and clearance. Quick."""
     card = FlightInfo(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
     report, truth = build_report(options.out, card, wall_s), FlightTruth.load(options.out / "truth.npz")
     if fault:
@@ -99,9 +106,11 @@ def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -
     )
 
 
-def against_truth(report: Report, options: SimOptions, scene: Scene, cut: VisibleTruth) -> Report:
-    """Add how much of the truth was explored, and when its surface was recalled."""
-    voxels, curve = load_map(options.out), recall_over_time(options.out, cut)
+def against_truth(
+    report: Report, options: SimOptions, scene: Scene, cut: VisibleTruth, progress: Progress = no_report
+) -> Report:
+    """Add the explored fraction of the truth, and the recall of its surface over time."""
+    voxels, curve = load_map(options.out), recall_over_time(options.out, cut, progress)
     return dataclasses.replace(
         report,
         explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut),
@@ -111,47 +120,48 @@ def against_truth(report: Report, options: SimOptions, scene: Scene, cut: Visibl
     )
 
 
-def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth) -> ReportQuality:
+def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, psnr_db: float) -> ReportQuality:
     truth = metrics.SurfaceTruth(
         surface=TriangleSurface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
         points_world=cut.points.astype(np.float64),
     )
-    psnr = metrics.psnr_db(*_held_out_pictures(mesh, scene, cut))
-    measured = metrics.measure(TriangleSurface(mesh.vertices_world, mesh.faces), truth, psnr)
+    measured = metrics.measure(TriangleSurface(mesh.vertices_world, mesh.faces), truth, psnr_db)
     return ReportQuality(**{name: getattr(measured, name) for name in ReportQuality.__dataclass_fields__})
 
 
-def recall_over_time(folder: Path, cut: VisibleTruth) -> tuple[tuple[float, int, float], ...] | None:
-    """(seconds since the order to take off, views then taken, recall) of every state of the surface that a flight kept."""
+def recall_over_time(
+    folder: Path, cut: VisibleTruth, progress: Progress = no_report
+) -> tuple[tuple[float, int, float], ...] | None:
+    """Return (seconds since the take-off command, views taken by then, recall) of every surface state that was kept."""
     timeline, states = read_timeline(folder), load_states(folder)
     start_s = timeline.took_off_s()
     if start_s is None or not states or not len(cut.points):
         return None
     truth = ElementRecall(cut.points.astype(np.float64), factory.load_config(folder / "config.toml").mapper.surface_voxel_m)
     taken_s = np.array([view.stamp_s for view in timeline.views])
-    return tuple(
-        (
-            round(state.stamp_s - start_s, 3),
-            int(np.count_nonzero(taken_s <= state.stamp_s)),
-            round(truth.of(state.position_world, state.normal_world), 5),
-        )
-        for state in states
-    )
+    curve = []
+    for number, state in enumerate(states):
+        progress(number, len(states))
+        recall = round(truth.of(state.position_world, state.normal_world), 5)
+        curve.append((round(state.stamp_s - start_s, 3), int(np.count_nonzero(taken_s <= state.stamp_s)), recall))
+    return tuple(curve)
 
 
 def _held_out_pictures(
-    mesh: TriangleMesh, scene: Scene, cut: VisibleTruth
+    mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, progress: Progress
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]:
     model = Renderer(mesh.vertices_world.astype(np.float32), mesh.faces.astype(np.int32), mesh.rgb)
     truth = Renderer(scene.vertices, scene.faces, scene.rgb)
-    return (
-        [model.render(view, cut.view_spec).rgb for view in cut.views],
-        [truth.render(view, cut.view_spec).rgb for view in cut.views],
-    )
+    of_model, of_truth = [], []
+    for number, view in enumerate(cut.views):
+        progress(number, len(cut.views))
+        of_model.append(model.render(view, cut.view_spec).rgb)
+        of_truth.append(truth.render(view, cut.view_spec).rgb)
+    return of_model, of_truth
 
 
 def _explored_fraction(voxels: VoxelMap, scene: Scene, cut: VisibleTruth) -> float | None:
-    """Share of the truth's free cells that the map knows: as free, or as occupied where true surface is within the voxel."""
+    """Return the share of the truth's free cells that the map knows: free, or occupied with true surface in the voxel."""
     cells = np.argwhere(cut.free_seen)
     centres = cut.free_origin_m + (cells + 0.5) * cut.free_cell_m
     index = voxels.grid.index(centres)
@@ -180,7 +190,7 @@ def _stream(truth: FlightTruth) -> ReportStream:
 
 
 def _lookahead(truth: FlightTruth, config: Config) -> PathVisibility:
-    """Where a gimbal looked is not in the truth."""
+    """Return the share of the path that the camera saw ahead; unknown for a gimbal, whose angle is not in the truth."""
     camera = config.camera
     if camera.mount == "gimbal":
         return PathVisibility(None, None)
@@ -209,7 +219,7 @@ def _safety(truth: FlightTruth, refusals: int, scene: Scene, looked: PathVisibil
 
 
 def summary(report: Report, folder: Path) -> str:
-    """What the launcher prints at the end."""
+    """Return the text that the launcher prints at the end."""
     quality, safety = report.quality, report.safety
 
     def figure(value: float | None, unit: str, digits: int = 2) -> str:
@@ -219,13 +229,14 @@ def summary(report: Report, folder: Path) -> str:
         f"{report.outcome}: {report.stop_reason}",
         f"flight {report.flight_time_s:.0f} s, path {report.path_length_m:.1f} m, {report.views} views, "
         f"explored {figure(report.explored_fraction, '')}",
-        f"clearance {figure(safety.min_clearance_m, ' m')}, contacts {safety.contacts}, refusals {safety.refusals}",
+        f"min clearance {figure(safety.min_clearance_m, ' m')}, contacts {safety.contacts}, "
+        f"trajectories rejected by the guard {safety.refusals}",
     ]
     if report.recall_over_time is not None:
         waited = None if report.waiting_share is None else 100.0 * report.waiting_share
         lines.append(
             f"{_time_to_recall(report, '0.90')}, last view after {figure(report.last_view_s, ' s', 0)}, "
-            f"waiting for a plan {figure(waited, ' %', 1)} of it"
+            f"{figure(waited, ' %', 1)} of this time waiting for a plan"
         )
     if quality is not None:
         lines.append(
@@ -233,7 +244,7 @@ def summary(report: Report, folder: Path) -> str:
             f"recall at 5 cm {figure(quality.recall_5cm, '', 3)}, PSNR {figure(quality.psnr_db, ' dB', 1)}"
         )
     lines.append(f"results: {folder / 'report.html'}")
-    lines.append(f"look at the flight: uav-recon review {folder}")
+    lines.append(f"replay the flight: uav-recon review {folder}")
     return "\n".join(lines)
 
 
@@ -241,4 +252,4 @@ def _time_to_recall(report: Report, recall: str) -> str:
     reached_s, times = report.time_to_recall_s[recall], report.times_oracle(recall)
     if reached_s is None:
         return f"recall {recall} not reached in flight"
-    return f"recall {recall} after {reached_s:.0f} s" + ("" if times is None else f" ({times:.1f} times the oracle)")
+    return f"recall {recall} after {reached_s:.0f} s" + ("" if times is None else f" ({times:.1f} times the oracle's time)")

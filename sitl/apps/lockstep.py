@@ -26,6 +26,7 @@ from sitl.world.step_sizes import QUICK, REAL
 from uav_recon.app import factory, operator_factory
 from uav_recon.app.flight_channels import memory_channels
 from uav_recon.app.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
+from uav_recon.app.step_display import StepDisplay
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
@@ -222,7 +223,8 @@ def fly_in_lockstep(
     wall_s, processor_s = time.perf_counter() - started_s, time.process_time() - processor_s
     if conductor.map is not None:
         save_map(options.out, conductor.map)
-    mapper.finish(options.out)
+    with StepDisplay(console).step("landed: training the final model and meshing"):
+        mapper.finish(options.out)
     journal.refused_views(clock.now_s(), mapper.refused())
     journal.close()
     log.close()

@@ -1,4 +1,4 @@
-"""`uav-recon sim`: starts the outside world and the unmodified product, watches them, judges the flight."""
+"""`uav-recon sim`: starts the simulator and the unmodified product, watches them, evaluates the flight."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.scene.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
+from uav_recon.app.step_display import StepDisplay
 from uav_recon.errors import EXIT_USAGE, UserError
 
 __all__ = ["SimOptions", "simulate"]
 
 
 def simulate(options: SimOptions) -> int:
-    """Fly as asked; returns the exit code. Raises Failure with one line for anything a user can mend."""
+    """Fly as asked; returns the exit code. Raises UserError with one line for anything that a user can correct."""
     console = Console(stderr=False)
-    _need_open3d()
-    scene = _scene(options)
+    with StepDisplay(console).step("loading the scene"):
+        _need_open3d()
+        scene = _scene(options)
     options.make_folder()
     started_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:
@@ -44,7 +46,7 @@ def simulate(options: SimOptions) -> int:
     report = judge(options, scene, time.monotonic() - started_s, fault, console)
     console.print(summary(report, options.out))
     if times_real is not None:
-        console.print(f"flown in lockstep at {times_real:.1f} times real time")
+        console.print(f"lockstep flight at {times_real:.1f} times real time")
     if fault:
         raise UserError(fault)
     return 0 if report.completed else 1
@@ -58,7 +60,7 @@ def _scene(options: SimOptions) -> Scene:
 
 
 def _need_open3d() -> None:
-    """Truth is measured with Open3D: say so before the flight, not after it."""
+    """Check that Open3D loads: the evaluation after the flight needs it. Raises UserError."""
     try:
         import open3d  # noqa: F401
     except (ImportError, OSError) as error:
@@ -70,11 +72,12 @@ def _claim_port(port: int) -> None:
         try:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
-            raise UserError(f"--port {port}: {error.strerror.lower() if error.strerror else error}") from None
+            reason = error.strerror.lower() if error.strerror else error
+            raise UserError(f"--port {port}: {reason}; is another simulation running? --port takes 1024 to 65535") from None
 
 
 def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:
-    """The outside world and the unmodified product, in the order in which they start."""
+    """Return the command lines of the simulator and the unmodified product, in the order in which they start."""
     world, flight = runtime / "world.json", ["--flight", str(options.out)]
     options.world(runtime).save(world)
     product, config = [sys.executable, "-m", "uav_recon"], ["--config", str(options.out / "config.toml")]

@@ -1,4 +1,4 @@
-"""The processes of a flight in real time: started, watched, asked to land, ended, and never left behind."""
+"""The processes of a flight in real time: started, watched, asked to land, ended, and never left running."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LANDING_S = 300.0  # from the first Ctrl-C to the mission's end, model and repor
 NICENESS = {"world": -5, "pilot": -10, "perception": -5, "mission": 0}
 GRACE_S = {"mission": 90.0, "pilot": 20.0, "perception": 5.0, "world": 20.0}  # to land, to save; in this order
 EXIT_INTERRUPTED = 130
-NOT_FLOWN = "ended before the take-off"
+NOT_FLOWN = "interrupted before take-off; nothing was flown"
 _ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY)
 
 
@@ -35,7 +35,7 @@ class _Child:
     log: Path
 
     def last_words(self) -> str:
-        """Why it ended: the signal, or the last line it left on stderr."""
+        """Return the reason for its end: the signal, or the last line on stderr."""
         code = self.process.returncode
         if code is not None and code < 0:
             return f"killed by {signal.Signals(-code).name}"
@@ -44,10 +44,10 @@ class _Child:
 
 
 class SimProcesses:
-    """World, pilot, perception and mission of one flight, by their command lines.
+    """Simulator, pilot, perception and mission of one flight, by their command lines.
 
-    Each leads a session of its own, so Ctrl-C reaches only this launcher; and each is on a leash, so none outlives it. What
-    a child starts itself ends with that child.
+    Each leads a session of its own, so Ctrl-C reaches only this launcher; and each dies with it. What a child starts itself
+    ends with that child.
     """
 
     def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path, console: Console) -> None:
@@ -58,8 +58,9 @@ class SimProcesses:
         self._patience_s = float("inf")  # until this instant, once it was interrupted
 
     def fly(self) -> str | None:
-        """Fly; returns the fault in one line, None for none. SIGINT and SIGTERM land, a second one ends all at once; before
-        the take-off the first one does, and raises Failure.
+        """Fly; returns the fault in one line, None for none. SIGINT and SIGTERM land; a second one ends all at once.
+
+        Raises UserError for an interrupt before the take-off.
         """
         before = signal.signal(signal.SIGINT, self._interrupt), signal.signal(signal.SIGTERM, self._interrupt)
         try:
@@ -102,13 +103,13 @@ class SimProcesses:
                 if self._given_up:
                     raise UserError(NOT_FLOWN, EXIT_INTERRUPTED)
                 if time.monotonic() > self._patience_s:
-                    return f"the mission did not end within {LANDING_S:.0f} s"
+                    return f"the mission did not end within {LANDING_S:.0f} s after the interrupt"
                 if not screen.show() and time.monotonic() > deadline_s:
-                    return f"not ready after {READY_TIMEOUT_S:.0f} s; see {self._logs}"
+                    return f"the vehicle was not ready within {READY_TIMEOUT_S:.0f} s; see the logs in {self._logs}"
                 time.sleep(0.2)
 
     def _grounded(self) -> bool:
-        """Whether it has not flown yet: nothing to land, nothing to save."""
+        """Return True before the take-off: nothing to land, nothing to save."""
         vehicle = self._wires.vehicle.latest()
         return vehicle is None or vehicle.phase in _ON_THE_GROUND
 
@@ -128,10 +129,10 @@ class SimProcesses:
         for child in self._children:
             if child.name == "mission" and child.process.poll() is None:
                 child.process.send_signal(signal.SIGTERM)
-        self._console.print("[yellow]landing; press Ctrl-C again to end everything at once[/]")
+        self._console.print("[yellow]landing, then writing the report; press Ctrl-C again to end all processes at once[/]")
 
     def _land_remaining(self) -> None:
-        """Whatever ended the watch, the vehicle comes down, the mission saves its model and the world its truth."""
+        """End the processes in order: the vehicle lands, the mission saves its model, the simulator its truth."""
         for name, grace_s in GRACE_S.items():
             child = self._child(name)
             if child.process.poll() is None:
@@ -139,7 +140,7 @@ class SimProcesses:
             try:
                 child.process.wait(grace_s)
             except subprocess.TimeoutExpired:
-                self._console.print(f"[red]{name} did not end within {grace_s:.0f} s[/]")
+                self._console.print(f"[red]{name} did not end within {grace_s:.0f} s and is killed[/]")
 
     def _end_all(self) -> None:
         self._kill_all()

@@ -62,7 +62,7 @@ def test_perception_that_is_asked_to_end_goes_on_until_the_pilot_has_landed_by_i
     assert prolonged == [3.0] * len(prolonged)
     assert len(prolonged) == pytest.approx(500, abs=3), "from the moment on at which it was asked"
     assert [record.message for record in caplog.records] == [
-        "asked to end: ends once it has landed, for it flies by these poses"
+        "asked to end: perception ends after the landing; the vehicle flies by its poses"
     ]
 
 
@@ -98,7 +98,7 @@ def test_a_camera_that_is_gone_in_flight_costs_no_pose_and_ends_perception_after
     assert flight.clock.now_s() == pytest.approx(20.0, abs=0.02)
     assert flight.turns == pytest.approx(2000, abs=2)
     assert [record.message for record in caplog.records] == [
-        "gone at 5.0: ends once it has landed, for it flies by these poses"
+        "gone at 5.0: perception ends after the landing; the vehicle flies by its poses"
     ]
 
 

@@ -52,7 +52,7 @@ def test_a_second_copy_ends_with_75_and_the_first_goes_on(pilot: subprocess.Pope
     second = start("pilot", config)
     _, said = second.communicate(timeout=30)
     assert second.returncode == 75
-    assert said.splitlines() == [f"uav-recon: a pilot runs already in {config.parent / 'run'}"]
+    assert said.splitlines() == [f"uav-recon: another pilot process already runs in {config.parent / 'run'}"]
     assert pilot.poll() is None
 
 

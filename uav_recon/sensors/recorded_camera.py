@@ -42,10 +42,7 @@ class _Keyframe:
 
     @staticmethod
     def read(folder: Path, entry: dict[str, Any]) -> _Keyframe:
-        depth, rgb = (
-            Intrinsics.from_tree(entry[lens])
-            for lens in ("depth_intrinsics", "rgb_intrinsics")
-        )
+        depth, rgb = (Intrinsics.from_tree(entry[lens]) for lens in ("depth_intrinsics", "rgb_intrinsics"))
         files = [folder / Path(entry[name]).name for name in ("depth", "rgb")]  # never outside the folder
         poses = [_pose(entry[name]) for name in ("rgb_from_depth", "world_from_depth")]
         return _Keyframe(int(entry["sequence"]), float(entry["stamp_s"]), files[0], depth, files[1], rgb, *poses)
