@@ -44,7 +44,7 @@ def simulate(options: SimOptions) -> int:
     from sitl.apps.flight_judge import judge, summary
 
     report = judge(options, scene, time.monotonic() - started_s, fault, console)
-    console.print(summary(report, options.out))
+    console.print(summary(report, options.out), markup=False, highlight=False, soft_wrap=True)
     if times_real is not None:
         console.print(f"lockstep flight at {times_real:.1f} times real time")
     if fault:

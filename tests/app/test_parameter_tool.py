@@ -95,7 +95,7 @@ def yes(question: str) -> bool:
 def test_a_vehicle_as_it_should_be_is_equal(name: str) -> None:
     bench, paper = Bench(name), Paper()
     assert show(bench.vehicle().compare(bench.wanted), True, paper.console) == 0
-    assert paper.text.splitlines()[-1] == f"all {len(bench.wanted)} parameters are as wanted"
+    assert paper.text.splitlines()[-1] == f"all {len(bench.wanted)} parameters have the required values"
     assert len(paper.text.splitlines()) == len(bench.wanted) + 2
 
 
@@ -121,9 +121,9 @@ def test_writing_mends_it_and_says_what_counts_from_the_next_start(name: str, lo
     assert write_to(bench.vehicle(), bench.wanted, yes, paper.console) == 0
     for one in bench.wanted:
         assert bench.value(one.name) == pytest.approx(one.value), one.name
-    assert "NOT taken" not in paper.text
+    assert "NOT accepted" not in paper.text
     boot = {"px4": "SYS_HAS_GPS", "ardupilot": "VISO_TYPE"}[name]
-    assert paper.text.splitlines()[-1] == f"reboot the autopilot: only then it obeys {boot}"
+    assert paper.text.splitlines()[-1] == f"reboot the autopilot for these to take effect: {boot}"
 
 
 def test_nothing_is_written_without_a_yes() -> None:
@@ -136,8 +136,8 @@ def test_nothing_is_written_without_a_yes() -> None:
         return False
 
     assert write_to(bench.vehicle(), bench.wanted, no, paper.console) == 1
-    assert asked == ["write 4 of them to the vehicle?"]
-    assert paper.text.splitlines()[-1] == "nothing is written"
+    assert asked == ["write 4 parameters to the vehicle?"]
+    assert paper.text.splitlines()[-1] == "nothing was written"
     assert bench.value("COM_OBL_RC_ACT") == 0
 
 
@@ -168,8 +168,8 @@ def test_a_parameter_that_the_vehicle_does_not_know_is_said_and_not_written() ->
     bench, paper = Bench("px4"), Paper()
     unknown = RequiredParameter("NOT_OF_THIS_FW", 1.0, bench.wanted[0].reason)
     assert write_to(bench.vehicle(), (*bench.wanted, unknown), yes, paper.console) == 1
-    assert paper.row("NOT_OF_THIS_FW")[2:5] == ["not", "told", "1"]
-    assert "nothing is written" in paper.text
+    assert paper.row("NOT_OF_THIS_FW")[2:5] == ["no", "answer", "1"]
+    assert "nothing was written" in paper.text
 
 
 def test_a_fraction_does_not_go_where_the_vehicle_has_an_integer() -> None:
@@ -183,13 +183,13 @@ def test_a_fraction_does_not_go_where_the_vehicle_has_an_integer() -> None:
 def test_silence_and_the_wrong_firmware_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     silent = Bench("px4")
     silent.mute = True
-    with pytest.raises(UserError, match="no autopilot heard within 10 s") as caught:
+    with pytest.raises(UserError, match="no heartbeat from an autopilot within 10 s") as caught:
         silent.vehicle()
     assert caught.value.code == 69
     assert capsys.readouterr().err == "uav-recon: memory: waiting for a heartbeat\n"
     other = Bench("ardupilot")
     other.options = ParamsOptions("px4", "memory", None)
-    with pytest.raises(UserError, match=r"link.autopilot in the config, is px4: the vehicle is ArduPilot") as caught:
+    with pytest.raises(UserError, match=r"link.autopilot in the config\) is px4, but the vehicle runs ArduPilot") as caught:
         other.vehicle()
     assert caught.value.code == 78
 
@@ -203,7 +203,7 @@ def test_a_vehicle_that_falls_silent_is_not_written_to_on() -> None:
         bench.mute = True
         return True
 
-    with pytest.raises(UserError, match="fell silent") as caught:
+    with pytest.raises(UserError, match="stopped answering") as caught:
         write_to(vehicle, bench.wanted, unplug, paper.console)
     assert caught.value.code == 69
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-QUICK_S, PERIOD_S = 2.0, 5.0  # a step that is over by then prints nothing; then a line each period
+QUICK_S, PERIOD_S = 2.0, 10.0  # a step that is over by then prints nothing; then a line each period
 Report = Callable[[int, int], None]  # what is done, of how much
 
 

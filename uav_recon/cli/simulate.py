@@ -75,7 +75,7 @@ def sim(
         ),
     ] = None,
     port: Annotated[
-        int, typer.Option(min=1024, max=65535, rich_help_panel=VEHICLE, help="UDP port of the MAVLink link on 127.0.0.1.")
+        int, typer.Option(min=1024, max=65535, metavar="N", rich_help_panel=VEHICLE, help="UDP port of the MAVLink link.")
     ] = 14540,
     radius: Annotated[
         float,
@@ -140,7 +140,7 @@ def sim(
     views: Annotated[
         int | None,
         typer.Option(
-            min=4, max=5000, rich_help_panel=PLANNER,
+            min=4, max=5000, metavar="N", rich_help_panel=PLANNER,
             help="View budget: maximum number of keyframes for the mapper. Default: 60; 120 with --scene.",
         ),
     ] = None,

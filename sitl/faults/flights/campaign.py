@@ -18,7 +18,6 @@ from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, fly
 from sitl.faults.injectors.base import Capabilities
 from sitl.faults.report.html_page import write_page
 from sitl.faults.report.scenario_result import Result, result_of
-from sitl.faults.soak import SOAKS
 from sitl.faults.table.all_scenarios import NAMED, PAIRS, ROWS, TABLE
 from sitl.faults.table.scenario import Scenario
 from sitl.runtime.worker_pool import worker_pool
@@ -99,8 +98,8 @@ def scenarios_named(only: str) -> tuple[Scenario, ...]:
     names = tuple(word.strip() for word in only.split(","))
     unknown = [name for name in names if name not in NAMED]
     if unknown:
-        known = f"{', '.join(scenario.id for scenario in (*TABLE, *SOAKS))}, or a pair such as {PAIRS[0].id}"
-        raise UsageError(f"--only {only}: no scenario {', '.join(name or repr(name) for name in unknown)}; want {known}")
+        known = f"`uav-recon faults --list` shows {TABLE[0].id} to {TABLE[-1].id}, and pairs such as {PAIRS[0].id}"
+        raise UsageError(f"--only {only}: no scenario {', '.join(name or repr(name) for name in unknown)}; {known}")
     meant = {scenario.id for name in names for scenario in NAMED[name]}
     return tuple(scenario for scenario in ROWS.values() if scenario.id in meant)
 

@@ -161,7 +161,7 @@ def test_pairs_are_flown_by_their_rows_name_and_not_by_default() -> None:
     assert "--only G10" in ROWS["G10"].why
     groups = FaultOptions.parse(only="G10", seeds=5).groups()
     assert (len(groups), sum(map(len, groups))) == (2 * 5 * 4, 2 * 5 * 45), "hall and pen, long and short"
-    with pytest.raises(UsageError, match=r"no row E1\+D8; there are A1.*G10, G9-2h.* and pairs as A1\+B1"):
+    with pytest.raises(UsageError, match=r"no scenario E1\+D8; .*faults --list` shows A1 to G10, and pairs such as A1\+B1"):
         FaultOptions.parse(only="E1+D8")
     with pytest.raises(UsageError, match="G10: not flown in real time"):
         FaultOptions.parse(only="G10", live=True)
