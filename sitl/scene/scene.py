@@ -163,7 +163,7 @@ def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
     if not there:
-        raise SceneError(f"{path}: no such scene")
+        raise SceneError(f"{path}: no such scene; want a folder with scene.json, a mesh file or {GENERATED}SEED")
     start: Numbers | None = None
     name, file = path.stem, path
     if folder:
