@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -244,6 +245,7 @@ def interrupts() -> Iterator[Callable[[], bool]]:
         pressed.append(number)
         if len(pressed) > 1:
             sys.exit(130)
+        os.write(2, b"uav-recon: landing, then writing the report; press Ctrl-C again to end at once\n")
 
     before = signal.signal(signal.SIGINT, interrupt)
     try:

@@ -176,7 +176,9 @@ def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:
                 start = (float(s["x"]), float(s["y"]), float(s["z"]), math.degrees(float(s["yaw"])))
         except OSError as error:
             raise SceneError(f"{description}: cannot be read ({error.strerror})") from None
-        except (ValueError, RecursionError) as error:
+        except RecursionError:
+            raise SceneError(f"{description}: not a scene description (nested too deeply)") from None
+        except ValueError as error:
             raise SceneError(f"{description}: not a scene description ({error})") from None
         except (KeyError, TypeError):
             raise SceneError(

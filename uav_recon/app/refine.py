@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +24,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from uav_recon.app import factory
 from uav_recon.app.option_validation import readable
 from uav_recon.app.processes import Stop, claim_file
-from uav_recon.app.step_display import Report, StepDisplay
+from uav_recon.app.step_display import Report, StepDisplay, no_report
 from uav_recon.errors import EXIT_USAGE, UserError
 
 if TYPE_CHECKING:
@@ -201,13 +202,18 @@ class _Work:
         start, began_s = refiner.steps, time.monotonic()
         saved_s, saved_at = began_s, refiner.steps
         columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[told]}"))
-        with Progress(*columns, TimeRemainingColumn(), console=self._console) as progress:
+        lines = nullcontext(no_report) if self._console.is_terminal else self._display.step("training")
+        with (
+            Progress(*columns, TimeRemainingColumn(), console=self._console, disable=not self._console.is_terminal) as progress,
+            lines as report,
+        ):
             task = progress.add_task("training", total=self._wanted.steps, completed=start, told="")
             while not refiner.done and not self._team.any(self._asked()):
                 loss = refiner.advance(SLICE_STEPS)
                 now_s = time.monotonic()
                 told = f"{(refiner.steps - start) / (now_s - began_s):.1f} steps/s, loss {loss:.3f}"
                 progress.update(task, completed=refiner.steps, told=told)
+                report(refiner.steps, self._wanted.steps)
                 if self._team.leads and now_s - saved_s > self._wanted.save_every_s:
                     checkpoints.save(refiner.state())
                     saved_s, saved_at = time.monotonic(), refiner.steps

@@ -57,7 +57,9 @@ class KeyframeFolder:
             else:
                 self._entries = json.loads(text)["keyframes"]
                 self._lines = BETWEEN.join(json.dumps(entry) for entry in self._entries)
-        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        except RecursionError:
+            raise KeyframeError(f"{path}: not a list of keyframes (nested too deeply)") from None
+        except (OSError, ValueError, KeyError, TypeError) as error:
             raise KeyframeError(f"{path}: not a list of keyframes ({error})") from None
 
     def stamp_s(self, number: int) -> float:

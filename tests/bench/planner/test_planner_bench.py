@@ -78,4 +78,4 @@ def test_the_shared_stream_meets_what_does_not_depend_on_the_machine(tmp_path: P
 def test_what_is_of_a_stream_is_refused_without_one(option: str, value: str) -> None:
     code, out, err = bench(option, value)
     assert (code, out) == (2, "")
-    assert err == f"uav-recon: {option} {value}: is of a --stream, and none is given\n"
+    assert err == f"uav-recon: {option} needs --stream\n"
