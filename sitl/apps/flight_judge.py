@@ -120,7 +120,7 @@ def against_truth(
     )
 
 
-def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, psnr_db: float) -> ReportQuality:
+def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, psnr_db: float | None) -> ReportQuality:
     truth = metrics.SurfaceTruth(
         surface=TriangleSurface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
         points_world=cut.points.astype(np.float64),

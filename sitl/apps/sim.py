@@ -23,6 +23,9 @@ __all__ = ["SimOptions", "simulate"]
 def simulate(options: SimOptions) -> int:
     """Fly as asked; returns the exit code. Raises UserError with one line for anything that a user can correct."""
     console = Console(stderr=False)
+    options.check_folder()
+    if not options.lockstep:
+        _claim_port(options.port)
     with StepDisplay(console).step("loading the scene"):
         _need_open3d()
         scene = _scene(options)
@@ -38,7 +41,6 @@ def simulate(options: SimOptions) -> int:
                 flown = fly_in_lockstep(options, config, scene, console, land)
             fault, times_real = flown.fault, flown.simulated_s / flown.wall_s
         else:
-            _claim_port(options.port)
             times_real = None
             fault = SimProcesses(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console).fly()
     from sitl.apps.flight_judge import judge, summary
@@ -68,6 +70,7 @@ def _need_open3d() -> None:
 
 
 def _claim_port(port: int) -> None:
+    """Check that the port is free. Raises UserError."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(("127.0.0.1", port))

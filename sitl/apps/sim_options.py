@@ -108,15 +108,25 @@ class SimOptions:
             firmware=None if firmware is None else firmware.absolute(), blind_mps=blind_speed,
         )  # fmt: skip
 
+    def check_folder(self) -> None:
+        """Check the flight folder before the work. Raises UsageError if it cannot be made or already contains a flight."""
+        with readable(f"--out {self.out}"):
+            if (self.out / "report.json").exists() or (self.out / "timeline.jsonl").exists():
+                raise UsageError(f"--out {self.out}: already contains a flight")
+            there = next(folder for folder in (self.out, *self.out.parents) if folder.exists())
+            if not there.is_dir():
+                raise UsageError(f"--out {self.out}: cannot be written ({there} is not a folder)")
+            if not os.access(there, os.W_OK | os.X_OK):
+                raise UsageError(f"--out {self.out}: cannot be written ({there}: permission denied)")
+
     def make_folder(self) -> None:
         """Make the flight folder. Raises UsageError if it cannot be written or already contains a flight."""
+        self.check_folder()
         try:
             self.out.mkdir(parents=True, exist_ok=True)
             (self.out / "logs").mkdir(exist_ok=True)
         except OSError as error:
             raise UsageError(f"--out {self.out}: cannot be written ({error.strerror})") from None
-        if (self.out / "report.json").exists() or (self.out / "timeline.jsonl").exists():
-            raise UsageError(f"--out {self.out}: already contains a flight")
 
     def world(self, runtime: Path) -> WorldOptions:
         """Return the options of the simulator."""

@@ -117,7 +117,8 @@ def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m
         bounds = _numbers(name, "fence of 6 numbers", fence, 6)
         fence_min, fence_max = bounds[:3], bounds[3:]
         if not ((fence_min < scene_from_world_m) & (scene_from_world_m < fence_max)).all():
-            raise SceneError(f"{name}: the start lies outside the fence {_text(fence_min)} to {_text(fence_max)}")
+            inside = f"{_text(fence_min)} to {_text(fence_max)}"
+            raise SceneError(f"{name}: the start {_text(scene_from_world_m)} lies outside the fence {inside}")
         reach_m = float(np.abs(bounds - np.tile(scene_from_world_m, 2)).max())
         if reach_m > MAX_REACH_M:
             raise SceneError(f"{name}: the fence reaches {reach_m:.0f} m from the start; want at most {MAX_REACH_M:.0f} m")

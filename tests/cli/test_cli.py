@@ -64,7 +64,8 @@ def test_an_interrupt_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ("sim --views 3", "--views 3: want 4 to 5000"),
         ("sim --views=5001", "--views 5001: want 4 to 5000"),
-        ("sim --views many", "--views many: want 4 to 5000"),
+        ("sim --views many", "--views many: want a whole number, 4 to 5000"),
+        ("sim --seed 1.5", "--seed 1.5: want a whole number, 0 or more"),
         ("sim --seed -1", "--seed -1: want 0 or more"),
         ("faults --jobs 257", "--jobs 257: want 1 to 256"),
         ("sim --radius wide", "--radius wide: "),

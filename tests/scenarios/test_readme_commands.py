@@ -10,6 +10,7 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -122,8 +123,16 @@ def test_each_command_is_accepted(words: tuple[str, ...], tmp_path: Path, monkey
     if words[0] == "params":  # the config of the vehicle is not here
         given += ["--autopilot", "px4", "--link", "udp:127.0.0.1:14540"]
     started: list[str] = []
+
+    def recorder(target: str) -> Callable[..., int]:
+        def record(*_: object, **__: object) -> int:
+            started.append(target)
+            return 0
+
+        return record
+
     for target in set(STARTED.values()):
-        monkeypatch.setattr(target, lambda *_, target=target, **__: started.append(target) or 0)
+        monkeypatch.setattr(target, recorder(target))
     done = CliRunner().invoke(app, given)
     assert done.exit_code == 0, done.output
     assert started == ([] if PRINTS & set(words) else [STARTED[name_of(words)]]), "add the command to STARTED"

@@ -268,6 +268,8 @@ def _gathered(flight: Path, config: Config, say: Callable[[str], None], progress
         folder = KeyframeFolder(flight / "keyframes")
     except KeyframeError as error:
         raise UserError(str(error)) from None
+    if not len(folder):
+        raise UserError(f"{flight}: has no keyframes (keyframes/poses.json lists none)")
     for number in range(len(folder)):
         progress(number, len(folder))
         try:

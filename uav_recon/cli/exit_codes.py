@@ -55,7 +55,8 @@ def _one_line(error: Any) -> str:
     low, high = getattr(kind, "min", None), getattr(kind, "max", None)
     if low is None:
         return f"{names[-1]} {given}: {message.partition(': ')[2].lower() or message}"
-    return f"{names[-1]} {given}: want {f'{low} or more' if high is None else f'{low} to {high}'}"
+    whole = "" if isinstance(low, float) or given.lstrip("+-").isdecimal() else "a whole number, "
+    return f"{names[-1]} {given}: want {whole}{f'{low} or more' if high is None else f'{low} to {high}'}"
 
 
 def _given(names: list[str]) -> str | None:

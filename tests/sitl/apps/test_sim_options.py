@@ -62,6 +62,17 @@ def test_a_word_out_of_range_names_what_is_allowed(words: dict[str, str], named:
     assert "\n" not in str(failure.value)
 
 
+def test_a_folder_that_cannot_be_used_is_refused_before_the_scene_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "flown").mkdir()
+    (tmp_path / "flown" / "timeline.jsonl").touch()
+    for out, named in (("file/x", "is not a folder"), ("file", "is not a folder"), ("flown", "already contains a flight")):
+        with pytest.raises(UsageError, match=named):
+            SimOptions.parse(out=tmp_path / out).check_folder()
+    SimOptions.parse(out=tmp_path / "a" / "b").check_folder()
+    assert not (tmp_path / "a").exists()
+
+
 def test_a_firmware_that_cannot_be_flown_is_said_so_in_one_line(tmp_path: Path) -> None:
     plain, program = tmp_path / "readme", tmp_path / "arducopter"
     plain.write_text("", encoding="ascii")
