@@ -1,4 +1,4 @@
-"""What went wrong, where a person can mend it: one line and an exit code."""
+"""Errors that a user can correct: one line and an exit code."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
 
 
 class UserError(Exception):
-    """Something a person can mend, in one line; code is the exit code."""
+    """An error that a user can correct, in one line; code is the exit code."""
 
     code = EXIT_FAILURE
 

@@ -18,6 +18,8 @@ from sitl.scene.scene import Scene
 from sitl.truth.reference_times import SEEN_WELL_S
 from sitl.truth.visibility import VisibleTruth, load_visible_truth
 from uav_recon.app import factory
+from uav_recon.app.step_display import Report as Progress
+from uav_recon.app.step_display import StepDisplay, no_report
 from uav_recon.config import Config
 from uav_recon.evaluation import metrics
 from uav_recon.evaluation.path_visibility import PathVisibility, path_visibility
@@ -61,23 +63,28 @@ class FlightTruth:
 
 def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:
     """Evaluate the flight in options.out against ground truth and write the report there."""
-    with console.status("cutting truth to what the camera could see ..."):
-        cut = visible_truth(options, scene)
-    with console.status("measuring the model against truth ..."):
-        report = against_truth(flown(options, scene, wall_s, fault), options, scene, cut)
-        mesh = load_mesh(options.out)
-        report = dataclasses.replace(
-            report, quality=None if mesh is None or len(mesh.faces) == 0 else _quality(mesh, scene, cut)
-        )
-    with console.status("drawing pictures ..."):
+    steps = StepDisplay(console)
+    with steps.step("computing the surface that the camera can see (kept for the next flight in this scene)") as progress:
+        cut = visible_truth(options, scene, progress)
+    with steps.step("evaluating path, clearance and setpoints"):
+        report = flown(options, scene, wall_s, fault)
+    with steps.step("evaluating coverage, and recall over time") as progress:
+        report = against_truth(report, options, scene, cut, progress)
+    mesh = load_mesh(options.out)
+    if mesh is not None and len(mesh.faces):
+        with steps.step("rendering images of model and truth") as progress:
+            psnr_db = metrics.psnr_db(*_held_out_pictures(mesh, scene, cut, progress))
+        with steps.step("measuring the model against ground truth"):
+            report = dataclasses.replace(report, quality=_quality(mesh, scene, cut, psnr_db))
+    with steps.step("drawing the images of the report"):
         publish(report, options.out)
     return report
 
 
-def visible_truth(options: SimOptions, scene: Scene) -> VisibleTruth:
+def visible_truth(options: SimOptions, scene: Scene, progress: Progress = no_report) -> VisibleTruth:
     """Return what the camera of the options can see of the scene, from the cache or computed."""
     camera: Model = "wide" if options.camera == "wide" else "d435i"  # `fast` sees what the d435i sees
-    return load_visible_truth(scene, options.mount, camera, cache_folder())
+    return load_visible_truth(scene, options.mount, camera, cache_folder(), progress)
 
 
 def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -> Report:
@@ -102,9 +109,11 @@ def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -
     )
 
 
-def against_truth(report: Report, options: SimOptions, scene: Scene, cut: VisibleTruth) -> Report:
+def against_truth(
+    report: Report, options: SimOptions, scene: Scene, cut: VisibleTruth, progress: Progress = no_report
+) -> Report:
     """Add the explored fraction of the truth, and the recall of its surface over time."""
-    voxels, curve = load_map(options.out), recall_over_time(options.out, cut)
+    voxels, curve = load_map(options.out), recall_over_time(options.out, cut, progress)
     return dataclasses.replace(
         report,
         explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut),
@@ -114,17 +123,18 @@ def against_truth(report: Report, options: SimOptions, scene: Scene, cut: Visibl
     )
 
 
-def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth) -> ReportQuality:
+def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, psnr_db: float | None) -> ReportQuality:
     truth = metrics.SurfaceTruth(
         surface=TriangleSurface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
         points_world=cut.points.astype(np.float64),
     )
-    psnr = metrics.psnr_db(*_held_out_pictures(mesh, scene, cut))
-    measured = metrics.measure(TriangleSurface(mesh.vertices_world, mesh.faces), truth, psnr)
+    measured = metrics.measure(TriangleSurface(mesh.vertices_world, mesh.faces), truth, psnr_db)
     return ReportQuality(**{name: getattr(measured, name) for name in ReportQuality.__dataclass_fields__})
 
 
-def recall_over_time(folder: Path, cut: VisibleTruth) -> tuple[tuple[float, int, float], ...] | None:
+def recall_over_time(
+    folder: Path, cut: VisibleTruth, progress: Progress = no_report
+) -> tuple[tuple[float, int, float], ...] | None:
     """Return (time, views, recall) of every stored state of the surface; None if unknown.
 
     time: seconds since the take-off command. views: number of views taken by then.
@@ -135,25 +145,25 @@ def recall_over_time(folder: Path, cut: VisibleTruth) -> tuple[tuple[float, int,
         return None
     truth = ElementRecall(cut.points.astype(np.float64), factory.load_config(folder / "config.toml").mapper.surface_voxel_m)
     taken_s = np.array([view.stamp_s for view in timeline.views])
-    return tuple(
-        (
-            round(state.stamp_s - start_s, 3),
-            int(np.count_nonzero(taken_s <= state.stamp_s)),
-            round(truth.of(state.position_world, state.normal_world), 5),
-        )
-        for state in states
-    )
+    curve = []
+    for number, state in enumerate(states):
+        progress(number, len(states))
+        recall = round(truth.of(state.position_world, state.normal_world), 5)
+        curve.append((round(state.stamp_s - start_s, 3), int(np.count_nonzero(taken_s <= state.stamp_s)), recall))
+    return tuple(curve)
 
 
 def _held_out_pictures(
-    mesh: TriangleMesh, scene: Scene, cut: VisibleTruth
+    mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, progress: Progress
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]:
     model = Renderer(mesh.vertices_world.astype(np.float32), mesh.faces.astype(np.int32), mesh.rgb)
     truth = Renderer(scene.vertices, scene.faces, scene.rgb)
-    return (
-        [model.render(view, cut.view_spec).rgb for view in cut.views],
-        [truth.render(view, cut.view_spec).rgb for view in cut.views],
-    )
+    of_model, of_truth = [], []
+    for number, view in enumerate(cut.views):
+        progress(number, len(cut.views))
+        of_model.append(model.render(view, cut.view_spec).rgb)
+        of_truth.append(truth.render(view, cut.view_spec).rgb)
+    return of_model, of_truth
 
 
 def _explored_fraction(voxels: VoxelMap, scene: Scene, cut: VisibleTruth) -> float | None:
@@ -231,13 +241,14 @@ def summary(report: Report, folder: Path) -> str:
         f"{report.outcome}: {report.stop_reason}",
         f"flight {report.flight_time_s:.0f} s, path {report.path_length_m:.1f} m, {report.views} views, "
         f"explored {figure(report.explored_fraction, '')}",
-        f"clearance {figure(safety.min_clearance_m, ' m')}, contacts {safety.contacts}, refusals {safety.refusals}",
+        f"min clearance {figure(safety.min_clearance_m, ' m')}, contacts {safety.contacts}, "
+        f"trajectories rejected by the guard {safety.refusals}",
     ]
     if report.recall_over_time is not None:
         waited = None if report.waiting_share is None else 100.0 * report.waiting_share
         lines.append(
             f"{_time_to_recall(report, '0.90')}, last view after {figure(report.last_view_s, ' s', 0)}, "
-            f"waiting for a plan {figure(waited, ' %', 1)} of it"
+            f"{figure(waited, ' %', 1)} of this time waiting for a plan"
         )
     if quality is not None:
         lines.append(
@@ -245,7 +256,7 @@ def summary(report: Report, folder: Path) -> str:
             f"recall at 5 cm {figure(quality.recall_5cm, '', 3)}, PSNR {figure(quality.psnr_db, ' dB', 1)}"
         )
     lines.append(f"results: {folder / 'report.html'}")
-    lines.append(f"look at the flight: uav-recon review {folder}")
+    lines.append(f"replay the flight: uav-recon review {folder}")
     return "\n".join(lines)
 
 
@@ -253,4 +264,4 @@ def _time_to_recall(report: Report, recall: str) -> str:
     reached_s, times = report.time_to_recall_s[recall], report.times_oracle(recall)
     if reached_s is None:
         return f"recall {recall} not reached in flight"
-    return f"recall {recall} after {reached_s:.0f} s" + ("" if times is None else f" ({times:.1f} times the oracle)")
+    return f"recall {recall} after {reached_s:.0f} s" + ("" if times is None else f" ({times:.1f} times the oracle's time)")

@@ -5,6 +5,7 @@ The objects and the MAVLink bytes are the same as in real time; the bytes pass t
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -29,6 +30,7 @@ from sitl.world.step_sizes import QUICK, REAL
 from uav_recon.app import factory, operator_factory
 from uav_recon.app.flight_channels import memory_channels
 from uav_recon.app.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
+from uav_recon.app.step_display import StepDisplay
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock, RateKeeper
 from uav_recon.config import Config
@@ -178,7 +180,7 @@ def fly_in_lockstep(
     land: returns True if the operator wants to land now. timelapse: store states of the surface, from which recall over
     time is computed. meddler: the hook of this flight.
     """
-    clock, quick = ManualClock(START_S), options.mapper == "stand-in"
+    clock, quick = ManualClock(START_S), options.mapper == "depth-only"
     pace, wires = (QUICK, direct_channels()) if quick else (REAL, memory_channels())
     ours, theirs = pipe()
     world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s, pace)
@@ -236,7 +238,8 @@ def fly_in_lockstep(
     wall_s, processor_s = time.perf_counter() - started_s, time.process_time() - processor_s
     if conductor.map is not None:
         save_map(options.out, conductor.map)
-    mapper.finish(options.out)
+    with StepDisplay(console).step("landed: training the final model and meshing"):
+        mapper.finish(options.out)
     journal.refused_views(clock.now_s(), mapper.refused())
     journal.close()
     log.close()
@@ -256,6 +259,7 @@ def interrupts() -> Iterator[Callable[[], bool]]:
         pressed.append(number)
         if len(pressed) > 1:
             sys.exit(130)
+        os.write(2, b"uav-recon: landing, then writing the report; press Ctrl-C again to end at once\n")
 
     before = signal.signal(signal.SIGINT, interrupt)
     try:
@@ -266,7 +270,7 @@ def interrupts() -> Iterator[Callable[[], bool]]:
 
 def _mapper(options: SimOptions, config: Config) -> Mapper:
     """Return the mapper of the options, with its kernels compiled."""
-    return {"neural": _neural, "stand-in": _stand_in}[options.mapper](config, options.out)
+    return {"neural": _neural, "depth-only": _depth_only}[options.mapper](config, options.out)
 
 
 def _neural(config: Config, folder: Path) -> Mapper:
@@ -279,7 +283,7 @@ def _neural(config: Config, folder: Path) -> Mapper:
     return InlineMapper(trainer, config.mapper, KeyframeFolder(folder / KEYFRAMES))
 
 
-def _stand_in(config: Config, folder: Path) -> Mapper:
+def _depth_only(config: Config, folder: Path) -> Mapper:
     from sitl.apps.depth_only_mapper import DepthOnlyMapper
 
     return DepthOnlyMapper(config)

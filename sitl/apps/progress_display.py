@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from types import TracebackType
 
 from rich.console import Console
@@ -9,7 +10,10 @@ from rich.live import Live
 from rich.text import Text
 
 from uav_recon.app.flight_channels import FlightChannels
-from uav_recon.types.vehicle import MissionProgress
+from uav_recon.types.vehicle import FlightPhase, MissionProgress
+
+LINE_PERIOD_S = 10.0  # longest time without a line, where the console is no terminal
+LANDED_S = 2.0  # after it the flight line gives way to what runs on the ground
 
 
 class ProgressDisplay:
@@ -19,6 +23,8 @@ class ProgressDisplay:
         self._console, self._wires = console, wires
         self._live = Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
         self._last = ("", -1)
+        self._begun_s = self._printed_s = time.monotonic()
+        self._landed_s: float | None = None
 
     def __enter__(self) -> ProgressDisplay:
         if self._live:
@@ -31,25 +37,36 @@ class ProgressDisplay:
 
     def show(self) -> bool:
         """Show the newest progress; return False while the mission has not reported yet."""
-        progress = self._wires.progress.latest()
+        progress, now_s = self._wires.progress.latest(), time.monotonic()
         if progress is None:
-            self._waiting()
+            waited_s = now_s - self._begun_s
+            self._put(Text(f"starting: compiling kernels, waiting for the vehicle: {waited_s:.0f} s", "dim"), ("starting", 0))
             return False
-        if self._live:
-            self._live.update(_line(progress))
-        mark = (progress.phase, progress.views // 10)
-        if mark != self._last and not self._live:
-            self._console.print(_line(progress).plain.rstrip(), markup=False, highlight=False, soft_wrap=True)
-        self._last = mark
+        landed_for_s = self._landed_for_s(now_s)
+        if landed_for_s > LANDED_S:
+            text = f"landed: training the final model, meshing, writing the report: {landed_for_s:.0f} s"
+            self._put(Text(text, "bold cyan"), ("landed", 0))
+        else:
+            self._put(_line(progress), (progress.phase, progress.views // 10))
         return True
 
-    def _waiting(self) -> None:
-        text = Text("compiling kernels and waiting for the vehicle ...", style="dim")
+    def _put(self, line: Text, mark: tuple[str, int]) -> None:
+        """Show a line: at once on a terminal, elsewhere where the mark changed or the last line is too long ago."""
+        now_s = time.monotonic()
         if self._live:
-            self._live.update(text)
-        elif self._last != ("waiting", -1):
-            self._console.print(text)
-            self._last = ("waiting", -1)
+            self._live.update(line)
+        elif mark != self._last or now_s - self._printed_s > LINE_PERIOD_S:
+            self._console.print(line.plain.rstrip(), markup=False, highlight=False, soft_wrap=True)
+            self._printed_s = now_s
+        self._last = mark
+
+    def _landed_for_s(self, now_s: float) -> float:
+        vehicle = self._wires.vehicle.latest()
+        if vehicle is None or vehicle.phase is not FlightPhase.LANDED:
+            self._landed_s = None
+        elif self._landed_s is None:
+            self._landed_s = now_s
+        return 0.0 if self._landed_s is None else now_s - self._landed_s
 
 
 def _line(progress: MissionProgress) -> Text:

@@ -14,6 +14,7 @@ from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.scene.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
+from uav_recon.app.step_display import StepDisplay
 from uav_recon.errors import EXIT_USAGE, UserError
 
 __all__ = ["SimOptions", "simulate"]
@@ -25,8 +26,12 @@ def simulate(options: SimOptions) -> int:
     Raises UserError with one line for anything that a user can correct.
     """
     console = Console(stderr=False)
-    _need_open3d()
-    scene = _scene(options)
+    options.check_folder()
+    if not options.lockstep:
+        _claim_port(options.port)
+    with StepDisplay(console).step("loading the scene"):
+        _need_open3d()
+        scene = _scene(options)
     options.make_folder()
     started_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:
@@ -39,15 +44,14 @@ def simulate(options: SimOptions) -> int:
                 flown = fly_in_lockstep(options, config, scene, console, land)
             fault, times_real = flown.fault, flown.simulated_s / flown.wall_s
         else:
-            _claim_port(options.port)
             times_real = None
             fault = SimProcesses(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console).fly()
     from sitl.apps.flight_judge import judge, summary
 
     report = judge(options, scene, time.monotonic() - started_s, fault, console)
-    console.print(summary(report, options.out))
+    console.print(summary(report, options.out), markup=False, highlight=False, soft_wrap=True)
     if times_real is not None:
-        console.print(f"flown in lockstep at {times_real:.1f} times real time")
+        console.print(f"lockstep flight at {times_real:.1f} times real time")
     if fault:
         raise UserError(fault)
     return 0 if report.completed else 1
@@ -69,11 +73,13 @@ def _need_open3d() -> None:
 
 
 def _claim_port(port: int) -> None:
+    """Check that the port is free. Raises UserError."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
-            raise UserError(f"--port {port}: {error.strerror.lower() if error.strerror else error}") from None
+            reason = error.strerror.lower() if error.strerror else error
+            raise UserError(f"--port {port}: {reason}; is another simulation running? --port takes 1024 to 65535") from None
 
 
 def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:

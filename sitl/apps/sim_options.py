@@ -21,13 +21,15 @@ __all__ = ["SimOptions", "UsageError"]
 
 NOISES = ("d435i", "paper", "kinect", "none")
 CAMERAS = ("d435i", "wide", "fast", "small")
-MAPPERS = ("neural", "stand-in")
+MAPPERS = ("neural", "depth-only")
+OLD_NAMES = {"stand-in": "depth-only"}  # of a mapper: still accepted
 VARIANTS, UNCERTAINTIES = get_args(VariantName), get_args(UncertaintyName)
 AUTOPILOTS = ("px4", "ardupilot")
 BUILT_IN_VIEWS, SCENE_VIEWS = 60, 120
 RADIUS_M, RADII_M = 0.20, (0.05, 0.60)
 HULL_MARGIN_M, SMALLEST_CLEARANCE_M = 0.20, 0.35  # from hull, and from body centre, to space not known free, in a plan
 MAX_MPS = 1.2
+MAX_COORDINATE_M, MAX_YAW_DEG = 1e5, 360.0  # of --start and --fence
 BLIND_MPS, SLOWEST_MPS = 0.3, 0.1  # default and minimum speed outside the camera's view; MAX_MPS disables the limit
 BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
 FENCE_MARGIN_M = 0.10  # between hull and fence, for position errors of the vehicle
@@ -69,6 +71,9 @@ class SimOptions:
         uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = BLIND_MPS,
     ) -> SimOptions:  # fmt: skip
         """Validate the options of the command line. Raises UsageError with one line."""
+        mapper = OLD_NAMES.get(mapper, mapper)
+        if scene is not None and not scene.strip():
+            raise UsageError("--scene is empty: want a folder, a mesh file or random:SEED")
         chosen = camera or ("d435i" if mapper == "neural" else "fast")
         for name, value, allowed in (
             ("autopilot", autopilot, AUTOPILOTS), ("variant", variant, VARIANTS), ("depth-noise", depth_noise, NOISES),
@@ -76,18 +81,20 @@ class SimOptions:
         ):  # fmt: skip
             if value not in allowed:
                 raise UsageError(f"--{name} {value}: want one of {', '.join(allowed)}")
-        if mapper == "stand-in" and not lockstep:
-            raise UsageError("--mapper stand-in: flies in --lockstep only")
+        if mapper == "depth-only" and not lockstep:
+            raise UsageError("--mapper depth-only: needs --lockstep")
         if not RADII_M[0] <= radius <= RADII_M[1]:
-            raise UsageError(f"--radius {radius}: want {RADII_M[0]}..{RADII_M[1]} metres")
+            raise UsageError(f"--radius {radius}: want {RADII_M[0]} to {RADII_M[1]} metres")
         if not SLOWEST_MPS <= blind_speed <= MAX_MPS:
-            raise UsageError(f"--blind-speed {blind_speed}: want {SLOWEST_MPS}..{MAX_MPS} m/s")
+            raise UsageError(f"--blind-speed {blind_speed}: want {SLOWEST_MPS} to {MAX_MPS} m/s")
         if firmware is not None:
             _check_firmware(firmware, autopilot, mount, port, lockstep)
-        s = _numbers("start", start, 4)
-        f = _numbers("fence", fence, 6)
+        s = _numbers("start", "X,Y,Z,YAW", start, 4)
+        f = _numbers("fence", "X0,Y0,Z0,X1,Y1,Z1", fence, 6)
+        if s is not None and not abs(s[3]) <= MAX_YAW_DEG:
+            raise UsageError(f"--start {start}: YAW is {s[3]:g}; want -{MAX_YAW_DEG:g} to {MAX_YAW_DEG:g} degrees")
         if f is not None and any(f[i] >= f[i + 3] for i in range(3)):
-            raise UsageError(f"--fence {fence}: each upper corner number must exceed its lower one")
+            raise UsageError(f"--fence {fence}: each number of the upper corner must be larger than that of the lower corner")
         stem = "room" if scene is None else Path(scene).stem.replace(":", "-")
         folder = out or Path("flights") / f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
         return SimOptions(
@@ -101,18 +108,28 @@ class SimOptions:
             firmware=None if firmware is None else firmware.absolute(), blind_mps=blind_speed,
         )  # fmt: skip
 
+    def check_folder(self) -> None:
+        """Check the flight folder before the work. Raises UsageError if it cannot be made or already contains a flight."""
+        with readable(f"--out {self.out}"):
+            if (self.out / "report.json").exists() or (self.out / "timeline.jsonl").exists():
+                raise UsageError(f"--out {self.out}: already contains a flight")
+            there = next(folder for folder in (self.out, *self.out.parents) if folder.exists())
+            if not there.is_dir():
+                raise UsageError(f"--out {self.out}: cannot be written ({there} is not a folder)")
+            if not os.access(there, os.W_OK | os.X_OK):
+                raise UsageError(f"--out {self.out}: cannot be written ({there}: permission denied)")
+
     def make_folder(self) -> None:
         """Make the flight folder.
 
         Raises UsageError if it cannot be written or already contains a flight.
         """
+        self.check_folder()
         try:
             self.out.mkdir(parents=True, exist_ok=True)
             (self.out / "logs").mkdir(exist_ok=True)
         except OSError as error:
             raise UsageError(f"--out {self.out}: cannot be written ({error.strerror})") from None
-        if (self.out / "report.json").exists() or (self.out / "timeline.jsonl").exists():
-            raise UsageError(f"--out {self.out}: holds a flight already")
 
     def world(self, runtime: Path) -> WorldOptions:
         """Return the options of the simulator."""
@@ -180,7 +197,7 @@ def check_jobs(jobs: int) -> int:
     """Return the number of processes. Raises UsageError if the memory is too small for them."""
     most = max(2, int(memory_gb() / JOB_GB))
     if not 1 <= jobs <= most:
-        raise UsageError(f"--jobs {jobs}: want 1 to {most}; each may take {JOB_GB:g} GB of memory")
+        raise UsageError(f"--jobs {jobs}: want 1 to {most}; each may use {JOB_GB:g} GB of memory")
     return jobs
 
 
@@ -194,7 +211,7 @@ def check_program(firmware: Path) -> None:
     with readable(f"--firmware {firmware}"):
         folder, there = firmware.is_dir(), firmware.is_file()
     if not there:
-        raise UsageError(f"--firmware {firmware}: {'is a folder, want the binary in it' if folder else 'no such file'}")
+        raise UsageError(f"--firmware {firmware}: {'is a folder; want the binary in it' if folder else 'no such file'}")
     if not os.access(firmware, os.X_OK):
         raise UsageError(f"--firmware {firmware}: not executable")
 
@@ -203,22 +220,23 @@ def _check_firmware(firmware: Path, autopilot: str, mount: str, port: int, locks
     """Check a firmware with the other options. Raises UsageError if it cannot fly with them."""
     check_program(firmware)
     if lockstep:
-        raise UsageError("--firmware: flies in real time, not in --lockstep")
+        raise UsageError("--firmware: flies in real time only; leave out --lockstep")
     if mount == "gimbal":
-        raise UsageError("--firmware: wants --mount fixed:DEG, for its simulation has no gimbal")
+        raise UsageError("--firmware: needs --mount fixed:DEG; the firmware's simulation has no gimbal")
     if autopilot == "px4" and port != PX4_PORT:
-        raise UsageError(f"--port {port}: with a PX4 --firmware it is {PX4_PORT}, where its start script sends")
+        raise UsageError(f"--port {port}: want {PX4_PORT} with a PX4 --firmware; its start script sends there")
 
 
-def _numbers(name: str, text: str | None, count: int) -> tuple[float, ...] | None:
+def _numbers(name: str, form: str, text: str | None, count: int) -> tuple[float, ...] | None:
+    """Return the numbers of an option, None if it is not given. Raises UsageError."""
     if text is None:
         return None
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         numbers = ()
-    if len(numbers) != count or not all(math.isfinite(n) for n in numbers):
-        raise UsageError(f"--{name} {text}: want {count} numbers with commas between them")
+    if len(numbers) != count or not all(abs(n) <= MAX_COORDINATE_M for n in numbers):
+        raise UsageError(f"--{name} {text}: want {count} numbers {form}, each -{MAX_COORDINATE_M:g} to {MAX_COORDINATE_M:g}")
     return numbers
 
 
@@ -231,9 +249,9 @@ def mount_pitch_deg(text: str) -> float | None:
         return None
     kind, _, degrees = text.partition(":")
     try:
-        pitch = float(degrees or "15")
+        pitch = float(degrees)
     except ValueError:
         pitch = math.nan
     if kind != "fixed" or not -60.0 <= pitch <= 60.0:
-        raise UsageError(f"--mount {text}: want fixed:DEG with DEG in -60..60 (down is plus), or gimbal")
+        raise UsageError(f"--mount {text}: want gimbal, or fixed:DEG with DEG -60 to 60 (positive looks down)")
     return pitch

@@ -24,7 +24,7 @@ LANDING_S = 300.0  # from the first Ctrl-C to the end of the mission, with model
 NICENESS = {"world": -5, "pilot": -10, "perception": -5, "mission": 0}
 GRACE_S = {"mission": 90.0, "pilot": 20.0, "perception": 5.0, "world": 20.0}  # time to land and to save; in this order
 EXIT_INTERRUPTED = 130
-NOT_FLOWN = "ended before the take-off"
+NOT_FLOWN = "interrupted before take-off; nothing was flown"
 _ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY)
 
 
@@ -104,9 +104,9 @@ class SimProcesses:
                 if self._given_up:
                     raise UserError(NOT_FLOWN, EXIT_INTERRUPTED)
                 if time.monotonic() > self._patience_s:
-                    return f"the mission did not end within {LANDING_S:.0f} s"
+                    return f"the mission did not end within {LANDING_S:.0f} s after the interrupt"
                 if not screen.show() and time.monotonic() > deadline_s:
-                    return f"not ready after {READY_TIMEOUT_S:.0f} s; see {self._logs}"
+                    return f"the vehicle was not ready within {READY_TIMEOUT_S:.0f} s; see the logs in {self._logs}"
                 time.sleep(0.2)
 
     def _grounded(self) -> bool:
@@ -130,7 +130,7 @@ class SimProcesses:
         for child in self._children:
             if child.name == "mission" and child.process.poll() is None:
                 child.process.send_signal(signal.SIGTERM)
-        self._console.print("[yellow]landing; press Ctrl-C again to end everything at once[/]")
+        self._console.print("[yellow]landing, then writing the report; press Ctrl-C again to end all processes at once[/]")
 
     def _land_remaining(self) -> None:
         """End the processes in order: the vehicle lands, the mission saves the model, then the rest."""
@@ -141,7 +141,7 @@ class SimProcesses:
             try:
                 child.process.wait(grace_s)
             except subprocess.TimeoutExpired:
-                self._console.print(f"[red]{name} did not end within {grace_s:.0f} s[/]")
+                self._console.print(f"[red]{name} did not end within {grace_s:.0f} s and is killed[/]")
 
     def _end_all(self) -> None:
         self._kill_all()

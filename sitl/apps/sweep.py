@@ -55,9 +55,9 @@ class SweepOptions:
         try:
             sizes = tuple(float(word) for word in radii.split(","))
         except ValueError:
-            raise UsageError(f"--radii {radii}: want metres with commas between them") from None
+            raise UsageError(f"--radii {radii}: want numbers in metres, separated by commas") from None
         if not all(RADII_M[0] <= size <= RADII_M[1] for size in sizes):
-            raise UsageError(f"--radii {radii}: want {RADII_M[0]}..{RADII_M[1]} metres")
+            raise UsageError(f"--radii {radii}: want {RADII_M[0]} to {RADII_M[1]} metres")
         names = tuple(variants.split(","))
         if not set(names) <= set(VARIANTS):
             raise UsageError(f"--variants {variants}: want some of {', '.join(VARIANTS)}")
@@ -84,7 +84,7 @@ def _check_scene(word: str) -> None:
         there = Path(word).exists()
     seed = word.removeprefix(GENERATED) if word.startswith(GENERATED) else ""
     if not (word in (RANDOM, BUILT_IN) or seed.isdecimal() or (word and there)):
-        raise UsageError(f"--scenes {word}: no such scene; want {RANDOM}, {GENERATED}SEED, {BUILT_IN}, folders, meshes")
+        raise UsageError(f"--scenes {word}: no such scene; want {RANDOM}, {GENERATED}SEED, {BUILT_IN}, a folder or a mesh file")
 
 
 def sweep(options: SweepOptions) -> int:
@@ -144,8 +144,8 @@ def _load(path: Path | None) -> list[Record]:
         return [from_tree(tree) for tree in json.loads(path.read_text(encoding="utf-8"))["flights"]]
     except FileNotFoundError:
         return []
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"--json {path}: not the account of a sweep ({error})", EXIT_USAGE) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise UserError(f"--json {path}: not a results file of `uav-recon sweep` ({error})", EXIT_USAGE) from None
 
 
 def _save(path: Path | None, records: list[Record]) -> None:
@@ -195,11 +195,11 @@ def _conclude(records: list[Record], console: Console) -> int:
         clearances = [r.min_clearance_m for r in some if r.min_clearance_m is not None]
         say(
             f"{kind}, radius {radius_m:.2f} m, {variant}: {len(some)} flights, {completed} completed, {contacts} contacts, "
-            f"{broken} errors, clearance {_number(min(clearances, default=None), 3, 0)} m or more"
+            f"{broken} errors, min clearance {_number(min(clearances, default=None), 3, 0)} m"
         )
         flight_s, path_m, views, explored, recall_s, times = (_middle(some, name) for name in MEDIANS)
         say(
-            f"    medians: {flight_s} s, {path_m} m, {views} views, explored {explored}, recall .90 at {recall_s} s, "
+            f"    medians: {flight_s} s, {path_m} m, {views} views, explored {explored}, recall 0.90 after {recall_s} s, "
             f"{times} x real time"
         )
     bad = [record for record in records if record.bad]

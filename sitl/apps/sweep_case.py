@@ -33,7 +33,7 @@ class Case:
         scene = [] if self.scene is None else ["--scene", self.scene]
         views = [] if self.views is None else ["--views", str(self.views)]
         words = [
-            "uav-recon", "sim", "--lockstep", "--mapper", "stand-in", *scene, "--seed", str(self.seed),
+            "uav-recon", "sim", "--lockstep", "--mapper", "depth-only", *scene, "--seed", str(self.seed),
             "--radius", f"{self.radius_m:g}", "--variant", self.variant, "--mount", self.mount, "--camera", self.camera,
             "--autopilot", self.autopilot, *views,
         ]  # fmt: skip
@@ -97,7 +97,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
 
     options = SimOptions.parse(
         scene=case.scene, seed=case.seed, radius=case.radius_m, variant=case.variant, mount=case.mount, camera=case.camera,
-        views=case.views, autopilot=case.autopilot, mapper="stand-in", lockstep=True, out=folder / "flight",
+        views=case.views, autopilot=case.autopilot, mapper="depth-only", lockstep=True, out=folder / "flight",
     )  # fmt: skip
     scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)
     options.make_folder()

@@ -27,6 +27,8 @@ TAKEOFF_HEIGHT_M = 1.10
 PAD_TOP_M = 0.40  # below this height above the floor the hull's radius must be free, without a margin
 OPEN_SHARE = 0.005
 MAX_EXTENT_M = 100.0
+MAX_YAW_DEG = 360.0
+MAX_REACH_M = 500.0  # of the fence, from the start: the range of coordinates in the product's config
 MAX_M3 = 30_000.0  # volume: 30 million voxels of 0.1 m, the limit of the product's map
 MAX_M2 = 12_000.0  # surface area, which is sampled every 1 to 2 cm
 SAMPLES_M = 0.01
@@ -110,6 +112,8 @@ def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m
     point = _numbers(name, "start X,Y,Z,YAW", start, 4)
     if not ((point[:3] >= low) & (point[:3] <= high)).all():
         raise SceneError(f"{name}: start {_text(point[:3])} is outside the scene's bounds {_text(low)} to {_text(high)}")
+    if not abs(point[3]) <= MAX_YAW_DEG:
+        raise SceneError(f"{name}: start yaw {point[3]:g}: want -{MAX_YAW_DEG:g} to {MAX_YAW_DEG:g} degrees")
     floor_z = height_below(mesh.vertices, mesh.faces, point[:3] + np.array([0.0, 0.0, 0.05]))
     if floor_z is None:
         raise SceneError(f"{name}: no floor below the start {_text(point[:3])}")
@@ -121,7 +125,11 @@ def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m
         bounds = _numbers(name, "fence of 6 numbers", fence, 6)
         fence_min, fence_max = bounds[:3], bounds[3:]
         if not ((fence_min < scene_from_world_m) & (scene_from_world_m < fence_max)).all():
-            raise SceneError(f"{name}: the start lies outside the fence {_text(fence_min)} to {_text(fence_max)}")
+            inside = f"{_text(fence_min)} to {_text(fence_max)}"
+            raise SceneError(f"{name}: the start {_text(scene_from_world_m)} lies outside the fence {inside}")
+        reach_m = float(np.abs(bounds - np.tile(scene_from_world_m, 2)).max())
+        if reach_m > MAX_REACH_M:
+            raise SceneError(f"{name}: the fence reaches {reach_m:.0f} m from the start; want at most {MAX_REACH_M:.0f} m")
         _check_size(name, "fence", fence_max - fence_min)
     else:
         _check_closed(name, Renderer(vertices, mesh.faces, mesh.rgb))
@@ -164,7 +172,7 @@ def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
     if not there:
-        raise SceneError(f"{path}: no such scene")
+        raise SceneError(f"{path}: no such scene; want a folder with scene.json, a mesh file or {GENERATED}SEED")
     start: Numbers | None = None
     name, file = path.stem, path
     if folder:
@@ -177,6 +185,8 @@ def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:
                 start = (float(s["x"]), float(s["y"]), float(s["z"]), math.degrees(float(s["yaw"])))
         except OSError as error:
             raise SceneError(f"{description}: cannot be read ({error.strerror})") from None
+        except RecursionError:
+            raise SceneError(f"{description}: not a scene description (nested too deeply)") from None
         except ValueError as error:
             raise SceneError(f"{description}: not a scene description ({error})") from None
         except (KeyError, TypeError):

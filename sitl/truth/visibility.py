@@ -9,6 +9,7 @@ grazing incidence and not occluded.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,7 +61,13 @@ class VisibleTruth:
     positions: F32
 
 
-def load_visible_truth(scene: Scene, mount: str, camera: d435i.Model, cache_dir: Path) -> VisibleTruth:
+def load_visible_truth(
+    scene: Scene,
+    mount: str,
+    camera: d435i.Model,
+    cache_dir: Path,
+    report: Callable[[int, int], None] = lambda done, total: None,
+) -> VisibleTruth:
     """Return the visible truth of a scene from the cache, or compute it (blocks for 10 to 30 s).
 
     mount: "gimbal", or "fixed:DEG" for a camera tilted down by DEG degrees. A cache that cannot be read or written only
@@ -71,7 +78,7 @@ def load_visible_truth(scene: Scene, mount: str, camera: d435i.Model, cache_dir:
     spec = d435i.stream_header(camera).rgb
 
     def arrays() -> Arrays:
-        cut = _cut(scene, pitch_rad, camera, spec)
+        cut = _cut(scene, pitch_rad, camera, spec, report)
         return {name: getattr(cut, name) for name in _DIMENSIONS}
 
     return VisibleTruth(free_cell_m=STEP_M, view_spec=spec, **cached(path, _DIMENSIONS, arrays))
@@ -136,7 +143,9 @@ def _draw(positions: F32, pitch_rad: float | None, count: int, seed: int) -> lis
     return [world_from_body(chosen[i], float(yaw[i])) @ mounts[i] for i in range(count)]
 
 
-def _cut(scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: CameraSpec) -> VisibleTruth:
+def _cut(
+    scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: CameraSpec, report: Callable[[int, int], None]
+) -> VisibleTruth:
     positions = reachable_positions(scene)
     renderer = Renderer(scene.vertices, scene.faces, scene.rgb)
     samples, normals = area_weighted_samples(scene.vertices, scene.faces, SAMPLES, SAMPLE_SEED)
@@ -146,7 +155,8 @@ def _cut(scene: Scene, pitch_rad: float | None, camera: d435i.Model, spec: Camer
     free = np.zeros(tuple(np.maximum(cells, 1)), np.bool_)
     depth_spec = d435i.DEPTH_SPEC
     intrinsics = np.array([depth_spec.fx, depth_spec.fy, depth_spec.cx, depth_spec.cy])
-    for world_from_camera in _draw(positions, pitch_rad, POSES, POSE_SEED):
+    for number, world_from_camera in enumerate(_draw(positions, pitch_rad, POSES, POSE_SEED)):
+        report(number, POSES)
         depth = _returned(renderer.render(world_from_camera, depth_spec, far_m=d435i.RANGE_M[1] + 1.0, colour=False))
         seen[sight.returns(np.flatnonzero(~seen), inverse(world_from_camera))] = True
         _carve(free, origin, STEP_M, depth, world_from_camera, intrinsics)

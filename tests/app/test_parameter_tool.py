@@ -101,7 +101,7 @@ def yes(question: str) -> bool:
 def test_a_vehicle_with_the_required_parameters_is_equal(name: str) -> None:
     bench, paper = Bench(name), Paper()
     assert show(bench.vehicle().compare(bench.wanted), True, paper.console) == 0
-    assert paper.text.splitlines()[-1] == f"all {len(bench.wanted)} parameters are as wanted"
+    assert paper.text.splitlines()[-1] == f"all {len(bench.wanted)} parameters have the required values"
     assert len(paper.text.splitlines()) == len(bench.wanted) + 2
 
 
@@ -127,9 +127,9 @@ def test_writing_corrects_the_parameters_and_names_those_that_need_a_reboot(name
     assert write_to(bench.vehicle(), bench.wanted, yes, paper.console) == 0
     for one in bench.wanted:
         assert bench.value(one.name) == pytest.approx(one.value), one.name
-    assert "NOT taken" not in paper.text
+    assert "NOT accepted" not in paper.text
     boot = {"px4": "SYS_HAS_GPS", "ardupilot": "VISO_TYPE"}[name]
-    assert paper.text.splitlines()[-1] == f"reboot the autopilot: only then it obeys {boot}"
+    assert paper.text.splitlines()[-1] == f"reboot the autopilot for these to take effect: {boot}"
 
 
 def test_nothing_is_written_without_confirmation() -> None:
@@ -142,8 +142,8 @@ def test_nothing_is_written_without_confirmation() -> None:
         return False
 
     assert write_to(bench.vehicle(), bench.wanted, no, paper.console) == 1
-    assert asked == ["write 4 of them to the vehicle?"]
-    assert paper.text.splitlines()[-1] == "nothing is written"
+    assert asked == ["write 4 parameters to the vehicle?"]
+    assert paper.text.splitlines()[-1] == "nothing was written"
     assert bench.value("COM_OBL_RC_ACT") == 0
 
 
@@ -174,8 +174,8 @@ def test_a_parameter_unknown_to_the_vehicle_is_reported_and_not_written() -> Non
     bench, paper = Bench("px4"), Paper()
     unknown = RequiredParameter("NOT_OF_THIS_FW", 1.0, bench.wanted[0].reason)
     assert write_to(bench.vehicle(), (*bench.wanted, unknown), yes, paper.console) == 1
-    assert paper.row("NOT_OF_THIS_FW")[2:5] == ["not", "told", "1"]
-    assert "nothing is written" in paper.text
+    assert paper.row("NOT_OF_THIS_FW")[2:5] == ["no", "answer", "1"]
+    assert "nothing was written" in paper.text
 
 
 def test_a_fraction_is_not_written_to_an_integer_parameter() -> None:
@@ -189,13 +189,13 @@ def test_a_fraction_is_not_written_to_an_integer_parameter() -> None:
 def test_silence_and_the_wrong_firmware_are_one_line_errors(capsys: pytest.CaptureFixture[str]) -> None:
     silent = Bench("px4")
     silent.mute = True
-    with pytest.raises(UserError, match="no autopilot heard within 10 s") as caught:
+    with pytest.raises(UserError, match="no heartbeat from an autopilot within 10 s") as caught:
         silent.vehicle()
     assert caught.value.code == 69
     assert capsys.readouterr().err == "uav-recon: memory: waiting for a heartbeat\n"
     other = Bench("ardupilot")
     other.options = ParamsOptions("px4", "memory", None)
-    with pytest.raises(UserError, match=r"link.autopilot in the config, is px4: the vehicle is ArduPilot") as caught:
+    with pytest.raises(UserError, match=r"link.autopilot in the config\) is px4, but the vehicle runs ArduPilot") as caught:
         other.vehicle()
     assert caught.value.code == 78
 
@@ -209,7 +209,7 @@ def test_writing_stops_when_the_vehicle_falls_silent() -> None:
         bench.mute = True
         return True
 
-    with pytest.raises(UserError, match="fell silent") as caught:
+    with pytest.raises(UserError, match="stopped answering") as caught:
         write_to(vehicle, bench.wanted, unplug, paper.console)
     assert caught.value.code == 69
 

@@ -71,7 +71,7 @@ def test_perception_asked_to_end_continues_until_the_pilot_has_landed(
     assert prolonged == [3.0] * len(prolonged)
     assert len(prolonged) == pytest.approx(500, abs=3), "from the moment on at which it was asked"
     assert [record.message for record in caplog.records] == [
-        "asked to end: ends once it has landed, for it flies by these poses"
+        "asked to end: perception ends after the landing; the vehicle flies by its poses"
     ]
 
 
@@ -107,7 +107,7 @@ def test_a_lost_camera_in_flight_costs_no_pose_and_ends_perception_after_the_lan
     assert flight.clock.now_s() == pytest.approx(20.0, abs=0.02)
     assert flight.turns == pytest.approx(2000, abs=2)
     assert [record.message for record in caplog.records] == [
-        "gone at 5.0: ends once it has landed, for it flies by these poses"
+        "gone at 5.0: perception ends after the landing; the vehicle flies by its poses"
     ]
 
 

@@ -55,7 +55,7 @@ def test_a_second_pilot_ends_with_exit_code_75_and_the_first_continues(pilot: su
     second = start("pilot", config)
     _, said = second.communicate(timeout=30)
     assert second.returncode == 75
-    assert said.splitlines() == [f"uav-recon: a pilot runs already in {config.parent / 'run'}"]
+    assert said.splitlines() == [f"uav-recon: another pilot process already runs in {config.parent / 'run'}"]
     assert pilot.poll() is None
 
 

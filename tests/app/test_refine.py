@@ -99,7 +99,7 @@ def share_in_wall_colours(rgb: ByteArray) -> float:
 def test_a_second_call_resumes_and_one_with_other_options_is_refused(flight: Path) -> None:
     assert call(flight)[0] == 0
     _, said = call(flight)
-    assert "going on after 150 of 150 steps" in said
+    assert "continuing after 150 of 150 steps" in said
     code, said = call(flight, "--steps", "151", "--voxel", "0.05", "--device", "cpu")
     assert code == 2
     assert said.splitlines()[-1].endswith("steps 150 there, 151 here; move the folder away to begin anew")
@@ -112,7 +112,7 @@ def test_damaged_checkpoints_are_named_and_training_starts_again(flight: Path) -
     code, said = call(flight)
     assert code == 0
     assert said.count("damaged, left aside") == 2
-    assert "beginning anew" in said
+    assert "starting from the beginning" in said
     assert (flight / "refined" / "mesh.ply").exists()
 
 
@@ -138,8 +138,8 @@ def test_an_invalid_option_is_a_one_line_error_with_the_range(flight: Path, argu
 
 
 @pytest.mark.parametrize(("asked", "memory_gb", "want"), [
-    ("8", 7.6, "1 to 7; each may take 1 GB of memory"),
-    ("100", 7.6, "1 to 7; each may take 1 GB of memory"),
+    ("8", 7.6, "1 to 7; each may use 1 GB of memory"),
+    ("100", 7.6, "1 to 7; each may use 1 GB of memory"),
     ("0", 128.0, "1 to 64"),
     ("65", 128.0, "1 to 64"),
 ])  # fmt: skip
@@ -169,7 +169,7 @@ def test_unusable_keyframes_are_an_error(flight: Path) -> None:
 def test_a_second_refinement_of_a_flight_is_refused(flight: Path) -> None:
     (flight / "refined").mkdir()
     lock = claim_file(flight / "refined" / refine.LOCK_FILE, "held by this test")
-    assert call(flight) == (75, f"uav-recon: a refinement of {flight} runs already\n")
+    assert call(flight) == (75, f"uav-recon: another refinement of {flight} is running\n")
     os.close(lock)
 
 
@@ -209,8 +209,8 @@ def test_a_kill_loses_little_progress_and_ctrl_c_none(flight: Path) -> None:
     again.send_signal(signal.SIGINT)
     _, said = again.communicate(timeout=60)
     assert again.returncode == 0, said
-    assert "going on after " in said
-    assert "the same command goes on from there" in said
+    assert "continuing after " in said
+    assert "the same command continues from there" in said
 
 
 @pytest.mark.slow

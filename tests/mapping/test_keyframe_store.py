@@ -87,6 +87,43 @@ def test_damage_is_named(tmp_path: Path) -> None:
         KeyframeFolder(tmp_path)
 
 
+NESTED = "[" * 100_000
+
+
+@pytest.mark.parametrize("text", [NESTED, '{"depth_unit_m": 0.001, "keyframes": [\n' + NESTED + "\n]}\n"])
+def test_poses_nested_too_deeply_are_an_error(tmp_path: Path, text: str) -> None:
+    (tmp_path / "poses.json").write_text(text)
+    with pytest.raises(KeyframeError, match=r"poses\.json: not a list of keyframes"):
+        KeyframeFolder(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("depth", "../secret.png", r"keyframe 0: file name '\.\./secret\.png' leads out of the folder"),
+        ("rgb", "/etc/secret.jpg", "leads out of the folder"),
+        ("rgb", "..", "leads out of the folder"),
+        ("rgb", "", "leads out of the folder"),
+        ("depth_intrinsics", {"fx": "400"}, "keyframe 0: intrinsics: fx '400' is not a number"),
+        ("rgb_intrinsics", {"cy": None}, "keyframe 0: intrinsics: cy None is not a number"),
+        ("rgb_intrinsics", {"fx": float("nan")}, "keyframe 0: intrinsics: fx nan is not a number"),
+        ("depth_intrinsics", {"fy": 0.0}, "keyframe 0: intrinsics: fy 0.0 is not positive"),
+        ("depth_intrinsics", {"width": 32.5}, "keyframe 0: intrinsics: width 32.5 is not a whole number"),
+        ("depth_intrinsics", "none", "keyframe 0: intrinsics"),
+    ],
+)
+def test_an_entry_that_cannot_be_used_is_named(tmp_path: Path, key: str, value: object, message: str) -> None:
+    KeyframeFolder(tmp_path / "keyframes").save(_view(0))
+    path = tmp_path / "keyframes" / "poses.json"
+    (tmp_path / "secret.png").write_bytes((tmp_path / "keyframes" / "0000_depth.png").read_bytes())
+    tree = json.loads(path.read_text())
+    entry = tree["keyframes"][0]
+    entry[key] = entry[key] | value if isinstance(value, dict) else value
+    path.write_text(json.dumps(tree))
+    with pytest.raises(KeyframeError, match=message):
+        KeyframeFolder(tmp_path / "keyframes").load(0)
+
+
 def test_a_new_map_epoch_moves_keyframes_or_leaves_them_without_a_pose(tmp_path: Path) -> None:
     writer = KeyframeFolder(tmp_path)
     for n in range(3):

@@ -39,7 +39,7 @@ def blind_and_fast_m(folder: Path) -> tuple[float, float]:
 
 
 def fly(folder: Path, blind_speed: float) -> Report:
-    options = SimOptions.parse(views=VIEWS, seed=1, lockstep=True, mapper="stand-in", out=folder, blind_speed=blind_speed)
+    options = SimOptions.parse(views=VIEWS, seed=1, lockstep=True, mapper="depth-only", out=folder, blind_speed=blind_speed)
     assert simulate(options) == 0
     return Report.load(folder / "report.json")
 

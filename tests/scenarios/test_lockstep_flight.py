@@ -105,7 +105,7 @@ def quick_flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
     for seed in (3, 3, 4):
         folder = tmp_path_factory.mktemp("quick") / "f"
         options = SimOptions.parse(
-            scene="random:7", views=VIEWS, seed=seed, radius=0.15, mapper="stand-in", lockstep=True, out=folder
+            scene="random:7", views=VIEWS, seed=seed, radius=0.15, mapper="depth-only", lockstep=True, out=folder
         )
         assert simulate(options) == 0
         with np.load(folder / "truth.npz") as truth:

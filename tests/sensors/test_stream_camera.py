@@ -186,6 +186,13 @@ def test_opening_logs_once_why_it_waits_and_stops_on_request(path: Path, caplog:
     ]
 
 
+def test_opening_repeats_what_it_waits_for(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with pytest.raises(StreamError):
+        open_stream(path, _Appears(path, 1e9), 40.0)
+    message = f"waiting for a camera stream: {path}: cannot be read (No such file or directory)"
+    assert [record.message for record in caplog.records] == [message, f"{message}; 15 s", f"{message}; 30 s"]
+
+
 def test_a_stream_behind_a_symlink_is_a_one_line_error(path: Path, writer: StreamWriter) -> None:
     path.with_name("link").symlink_to(path)
     with pytest.raises(StreamError, match="link: cannot be mapped"):

@@ -1,4 +1,4 @@
-"""What a user asked for and cannot have, in one line and with exit code 2; files and folders are looked at before the work."""
+"""Checks of options, files and folders before the work starts; errors are one line with exit code 2."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from uav_recon.errors import EXIT_USAGE, UserError
 
 
 class UsageError(UserError):
-    """An option that makes no sense."""
+    """An option with a value that cannot be used."""
 
     code = EXIT_USAGE
 
 
 @contextmanager
 def readable(name: str, code: int = EXIT_USAGE) -> Iterator[None]:
-    """What the system refuses in here is told under this name. Raises Failure with this exit code."""
+    """Turn an OSError of the block into one line with this name. Raises UserError with this exit code."""
     try:
         yield
     except OSError as error:
@@ -26,7 +26,7 @@ def readable(name: str, code: int = EXIT_USAGE) -> Iterator[None]:
 
 
 def require_writable_file(option: str, path: Path | None) -> None:
-    """See that a file can be written there, and leave what is there as it is. Raises UsageError."""
+    """Check that a file can be written; an existing one is left unchanged. Raises UsageError."""
     if path is None:
         return
     with readable(f"{option} {path}"):
@@ -42,7 +42,7 @@ def require_writable_file(option: str, path: Path | None) -> None:
 
 
 def require_writable_folder(option: str, path: Path | None) -> None:
-    """Make the folder if needed, and see that it can be written into. Raises UsageError."""
+    """Make the folder if needed and check that it can be written. Raises UsageError."""
     if path is None:
         return
     try:

@@ -1,4 +1,4 @@
-"""`uav-recon params`: the vehicle's parameters against a file, and the file's values written to the vehicle."""
+"""`uav-recon params`: compare the vehicle's parameters with a file, and write the file's values to the vehicle."""
 
 from __future__ import annotations
 
@@ -40,9 +40,7 @@ _FAMILY_OF = {"px4": 12, "ardupilot": 3}
 
 @dataclass(frozen=True)
 class ParamsOptions:
-    """What the command line says. file None: the one that comes with this package. says: the config's word on who is at the
-    other end.
-    """
+    """The options of the command line. file None: the file of this package. says: the link section of the config."""
 
     autopilot: str
     link: str
@@ -51,7 +49,7 @@ class ParamsOptions:
 
     @staticmethod
     def of(autopilot: str | None, link: str | None, file: Path | None, config: Path) -> ParamsOptions:
-        """What is not given is the config's, which is read only then. Raises Failure."""
+        """Complete the options from the config, which is read only if one is missing. Raises UserError."""
         if autopilot is not None and autopilot not in _FAMILY_OF:
             raise UserError(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", EXIT_CONFIG)
         if autopilot is not None and link is not None:
@@ -59,14 +57,14 @@ class ParamsOptions:
         with readable(str(config), EXIT_CONFIG):
             there = config.exists()
         if not there:
-            raise UserError(f"give --autopilot and --link, or a --config that says them ({config} is not there)", EXIT_CONFIG)
+            raise UserError(f"give --autopilot and --link, or a --config with both ({config}: no such file)", EXIT_CONFIG)
         says = factory.load_config(config).link
         return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters, says)
 
 
 @dataclass(frozen=True)
 class Compared:
-    """A parameter as it is wanted and as it was told; told None: the firmware does not know it, or is silent."""
+    """A required parameter beside the reported one; told None: the firmware has none of that name, or did not answer."""
 
     wanted: RequiredParameter
     told: ParameterValue | None
@@ -74,12 +72,12 @@ class Compared:
 
     @property
     def same(self) -> bool:
-        """Whether the vehicle has what is wanted."""
+        """True if the vehicle has the required value."""
         return equal(self.value, self.wanted.value)
 
 
 class Vehicle:
-    """The vehicle on the other end, on the ground. Raises Failure where it does not answer or is another one."""
+    """The vehicle at the other end of the link. Raises UserError if it does not answer or runs another firmware."""
 
     def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: AllowListFilter) -> None:
         self._clock, self._options = clock, options
@@ -88,22 +86,22 @@ class Vehicle:
         self._await_heartbeat()
 
     def compare(self, wanted: tuple[RequiredParameter, ...]) -> list[Compared]:
-        """Read all of them back, in their order."""
+        """Read the parameters from the vehicle and return them beside the required ones, in order."""
         inquiry = ParameterReader(one.name for one in wanted)
         while not inquiry.done:
             inquiry.step(self._turn(), self._link)
         if len(inquiry.silent) == len(wanted):
-            raise UserError(f"{self._options.link}: the autopilot tells no parameter", EXIT_SILENT)
+            raise UserError(f"{self._options.link}: the autopilot does not answer parameter requests", EXIT_SILENT)
         return [self._compared(one) for one in wanted]
 
     def write(self, one: Compared) -> bool:
-        """Set a parameter that was told before; whether it reads back. Raises Failure while the motors are armed."""
+        """Set a parameter that was read before; return True if it reads back. Raises UserError while the motors are armed."""
         if one.told is None:
             return False
         try:
             number = self._form.number_of(one.wanted.value, one.told.kind)
         except ValueError as error:
-            raise UserError(f"{one.wanted.name}: {error}, and the vehicle has an integer there", EXIT_CONFIG) from None
+            raise UserError(f"{one.wanted.name}: {error}, but the vehicle's parameter is an integer", EXIT_CONFIG) from None
         for _ in range(WRITE_TRIES):
             self.need_disarmed()
             self._link.set_parameter(self._clock.now_s(), ParameterValue(one.wanted.name, number, one.told.kind))
@@ -115,13 +113,13 @@ class Vehicle:
         return False
 
     def need_disarmed(self) -> None:
-        """Wait for the next heartbeat. Raises Failure unless it comes and says disarmed."""
+        """Wait for the next heartbeat. Raises UserError if none comes or the motors are armed."""
         t, asked_s = self._link.telemetry, self._clock.now_s()
         while t.heartbeat_s <= asked_s:
             if self._turn() - asked_s > FRESH_S:
-                raise UserError(f"{self._options.link}: the autopilot fell silent; nothing more is written", EXIT_SILENT)
+                raise UserError(f"{self._options.link}: the autopilot stopped answering; writing stopped", EXIT_SILENT)
         if t.armed:
-            raise UserError("the motors are armed: parameters are written on the ground, disarmed", EXIT_CONFIG)
+            raise UserError("the motors are armed: disarm before writing parameters", EXIT_CONFIG)
 
     def _compared(self, one: RequiredParameter) -> Compared:
         told = self._link.telemetry.parameters.get(one.name)
@@ -135,17 +133,17 @@ class Vehicle:
                 said = True
                 print(f"uav-recon: {self._options.link}: waiting for a heartbeat", file=sys.stderr)
             if waited_s > HEARTBEAT_S:
-                raise UserError(f"{self._options.link}: no autopilot heard within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
+                raise UserError(f"{self._options.link}: no heartbeat from an autopilot within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
         if t.firmware_family != _FAMILY_OF[self._options.autopilot]:
             name = _FAMILIES.get(t.firmware_family, f"MAV_AUTOPILOT {t.firmware_family}")
             raise UserError(
-                f"--autopilot, or link.autopilot in the config, is {self._options.autopilot}: the vehicle is {name}",
+                f"--autopilot (or link.autopilot in the config) is {self._options.autopilot}, but the vehicle runs {name}",
                 EXIT_CONFIG,
             )
         self._link.request_streams(self._clock.now_s(), ((_HEARTBEAT, 5.0),), ())  # each write waits for one
 
     def _turn(self) -> float:
-        """Wait a little, hear what came; the instant."""
+        """Wait for a moment, take in what arrived; return the time."""
         self._link.wait(TURN_S)
         now_s = self._clock.now_s()
         self._link.receive(now_s)
@@ -156,56 +154,56 @@ class Vehicle:
 
 
 def check(options: ParamsOptions, every_row: bool) -> int:
-    """Print how the vehicle compares, every row or those that differ; the exit code."""
+    """Print the comparison, every row or the differing ones; returns the exit code."""
     wanted = _wanted(options)
     compared = _on_link(options, lambda vehicle: vehicle.compare(wanted))
     return show(compared, every_row, Console())
 
 
 def write(options: ParamsOptions, confirm: Callable[[str], bool]) -> int:
-    """Write what differs, after confirm() says yes to the question, and read it back; the exit code."""
+    """Write the differing parameters after confirm() returns True, and read them back; returns the exit code."""
     wanted = _wanted(options)
     return _on_link(options, lambda vehicle: write_to(vehicle, wanted, confirm, Console()))
 
 
 def show(compared: list[Compared], every_row: bool, console: Console) -> int:
-    """The table, and a last line that sums it up; exit code 1 if anything differs."""
+    """Print the table and a summary; returns exit code 1 if any parameter differs."""
     different = [one for one in compared if not one.same]
     shown = compared if every_row else different
     if shown:
-        table = Table("", "parameter", "on the vehicle", "wanted", "unit", "why", box=None, pad_edge=False)
+        table = Table("", "parameter", "vehicle", "required", "unit", "reason", box=None, pad_edge=False)
         for one in shown:
             name, reason = one.wanted.name, one.wanted.reason
             mark = "" if one.same else "!" if reason.refused else "~"
-            has = "not told" if one.told is None else f"{one.value:.7g}"
+            has = "no answer" if one.told is None else f"{one.value:.7g}"
             style = None if one.same else "bold red" if reason.refused else "yellow"
             table.add_row(mark, name, has, f"{one.wanted.value:.7g}", reason.unit, reason.why, style=style)
         console.print(table)
     if not different:
-        console.print(f"all {len(compared)} parameters are as wanted")
+        console.print(f"all {len(compared)} parameters have the required values")
         return 0
     serious = sum(one.wanted.reason.refused for one in different)
-    console.print(f"{len(different)} of {len(compared)} parameters differ; {serious} of them (!) keep it from arming")
+    console.print(f"{len(different)} of {len(compared)} parameters differ; {serious} of them (!) block arming")
     return EXIT_DIFFERENT
 
 
 def write_to(vehicle: Vehicle, wanted: tuple[RequiredParameter, ...], confirm: Callable[[str], bool], console: Console) -> int:
-    """Read, ask, write, read back; exit code 1 if anything differs in the end."""
+    """Read, confirm, write, read back; returns exit code 1 if any parameter differs in the end."""
     compared = vehicle.compare(wanted)
     code = show(compared, False, console)
     if code == 0:
         return 0
     vehicle.need_disarmed()
     to_write = [one for one in compared if not one.same and one.told is not None]
-    if not to_write or not confirm(f"write {len(to_write)} of them to the vehicle?"):
-        console.print("nothing is written")
+    if not to_write or not confirm(f"write {len(to_write)} parameters to the vehicle?"):
+        console.print("nothing was written")
         return EXIT_DIFFERENT
     for one in to_write:
         done = vehicle.write(one)
-        console.print(f"{one.wanted.name} {one.value:.7g} -> {one.wanted.value:.7g}{'' if done else ': NOT taken'}")
+        console.print(f"{one.wanted.name} {one.value:.7g} -> {one.wanted.value:.7g}{'' if done else ': NOT accepted'}")
     boot = [one.wanted.name for one in to_write if one.wanted.reason.reboot]
     code = show(vehicle.compare(wanted), False, console)
-    console.print(f"reboot the autopilot: only then it obeys {', '.join(boot)}" if boot else "no reboot is needed")
+    console.print(f"reboot the autopilot for these to take effect: {', '.join(boot)}" if boot else "no reboot needed")
     return code
 
 
@@ -222,7 +220,7 @@ def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
     try:
         link = open_link(options.link, gate, clock, options.says.peer_host)
     except LinkError as error:
-        held = " (a pilot that runs holds its line: stop it first)" if _IN_USE.search(str(error)) else ""
+        held = " (a running pilot uses this link: stop it first)" if _IN_USE.search(str(error)) else ""
         raise UserError(f"{error}{held}", EXIT_CONFIG) from None
     try:
         return work(Vehicle(link, options, clock, gate))

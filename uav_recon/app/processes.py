@@ -1,4 +1,4 @@
-"""The loops of the processes: build with run.py, step at a rate, end in order."""
+"""Main loops of the processes: build the objects, step them at a rate, end in order."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from uav_recon import config as configuration
 from uav_recon.app import factory, memory_lock, operator_factory, systemd_notify
 from uav_recon.app.flight_channels import file_channels
 from uav_recon.app.option_validation import UsageError, readable
+from uav_recon.app.wait_notice import WaitNotice, missing_processes
 from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
 from uav_recon.config import Config
 from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, UserError
@@ -27,15 +28,15 @@ from uav_recon.interfaces import Channel, Clock
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 PERCEPTION_RATE_HZ = 100.0
-PILOT_SILENT_S = 1.0  # longer than a lost turn: a pilot that tells nothing for so long flies nothing
-STOP_AGAIN_S = 3.0  # what perception is given at each turn while it may not end; as its WatchdogSec
+PILOT_SILENT_S = 1.0  # a VehicleState older than this counts as no pilot; longer than one lost turn
+STOP_AGAIN_S = 3.0  # extension of the stop timeout at each turn while perception may not end; its WatchdogSec
 MISSION_RATE_HZ = 30.0
-PLANNER_PATIENCE_S = 2.0  # of a process that ends: a call that does not return is not waited for
+PLANNER_PATIENCE_S = 2.0  # how long a process that ends waits for a running planner call
 RECORDER_RATE_HZ = 10.0
 
 
 class Stop:
-    """SIGTERM and SIGINT, counted; the loop decides what they mean."""
+    """SIGTERM or SIGINT was received; the loop decides what it means."""
 
     def __init__(self) -> None:
         self.asked = False
@@ -43,7 +44,7 @@ class Stop:
             signal.signal(number, self._ask)
 
     def heed_no_more(self) -> None:
-        """From now on both end the process."""
+        """Restore the default handlers: both signals end the process."""
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -52,7 +53,7 @@ class Stop:
 
 
 def flight_folder(config: Config, flight: Path | None) -> Path:
-    """The folder of this flight, made if needed. Raises Failure if it cannot be."""
+    """Return the folder of this flight; make it if needed. Raises UserError if it cannot be made."""
     folder = flight or config.recording.folder / time.strftime("%Y%m%d-%H%M%S")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -62,13 +63,14 @@ def flight_folder(config: Config, flight: Path | None) -> Path:
 
 
 def claim(name: str, config: Config) -> None:
-    """Be the only process of this name on this machine, until it ends. Raises Failure with exit code 75 if it is not."""
-    claim_file(config.runtime.folder / f"{name}.lock", f"a {name} runs already in {config.runtime.folder}")
+    """Lock this process name until the process ends. Raises UserError with exit code 75 if another process holds it."""
+    claim_file(config.runtime.folder / f"{name}.lock", f"another {name} process already runs in {config.runtime.folder}")
 
 
 def claim_file(path: Path, otherwise: str) -> int:
-    """Hold a lock file until this process ends, or closes what comes back. Raises Failure with exit code 75 and these words
-    if another holds it, with 78 if it cannot be one.
+    """Hold a lock file until this process ends or closes the returned descriptor.
+
+    Raises UserError with exit code 75 and this text if another process holds it, with 78 if the file cannot be opened.
     """
     try:
         lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -83,7 +85,7 @@ def claim_file(path: Path, otherwise: str) -> int:
 
 
 def pilot(config_path: Path, flight: Path | None) -> int:
-    """Fly next to the autopilot until SIGTERM; in the air SIGTERM means: land, then end."""
+    """Run the pilot until SIGTERM; in flight SIGTERM lands first. Returns the exit code."""
     from uav_recon.autopilot.mavlink.tlog import Tlog
     from uav_recon.autopilot.mavlink.transport import LinkError, open_link
 
@@ -117,13 +119,13 @@ def pilot(config_path: Path, flight: Path | None) -> int:
 
 
 def has_told(phase: FlightPhase, vehicle: Channel[VehicleState]) -> bool:
-    """Whether this is the last that the others heard: before it hears LANDED the mission writes no report."""
+    """Return True once this phase is published: the mission writes its report only after it receives LANDED."""
     told = vehicle.latest()
     return told is not None and told.phase is phase
 
 
 def perception(config_path: Path) -> int:
-    """Turn camera and poses into odometry and posed frames until SIGTERM, or until the camera is gone, which is a Failure."""
+    """Turn camera and poses into odometry and posed frames until SIGTERM. Raises UserError once the camera is gone."""
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_channels(config.runtime.folder)
     claim("perception", config)
@@ -136,16 +138,16 @@ def perception(config_path: Path) -> int:
 
 
 def perceive(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Clock, asked: Callable[[], bool]) -> str:
-    """Step until asked to end or until the camera is gone; returns why it is, '' if it is not.
+    """Step until asked to end or until the camera is gone; return the reason why it is gone, '' if it is not.
 
-    Neither ends it as long as a vehicle flies by its poses: one that has to land without them drifts.
+    Neither ends the loop while the motors run: without these poses a landing vehicle drifts.
     """
     from uav_recon.sensors.realsense import RealSenseError
 
     rate, gone, said = RateKeeper(PERCEPTION_RATE_HZ, clock.now_s()), "", ""
     while not (why := "asked to end" if asked() else gone) or is_flown(vehicle, clock.now_s()):
         if why and not said:
-            logging.getLogger(__name__).warning("%s: ends once it has landed, for it flies by these poses", why)
+            logging.getLogger(__name__).warning("%s: perception ends after the landing; the vehicle flies by its poses", why)
         said = why
         if asked():
             systemd_notify.extend(STOP_AGAIN_S)
@@ -161,13 +163,13 @@ def perceive(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Cl
 
 
 def is_flown(vehicle: Channel[VehicleState], now_s: float) -> bool:
-    """Whether motors run, by our doing or a human's, as far as a pilot tells that still runs."""
+    """Return True if a running pilot reports armed motors, whoever armed them."""
     told = vehicle.latest()
     return told is not None and told.armed and abs(now_s - told.stamp_s) <= PILOT_SILENT_S
 
 
 def mission(config_path: Path, flight: Path | None) -> int:
-    """Fly one mission and write its folder; SIGTERM lands. Exit code 0 however the flight ended."""
+    """Fly one mission and write its folder; SIGTERM lands. Returns exit code 0, however the flight ended."""
     from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
     from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
     from uav_recon.mission.operator_commands import OperatorCommandReceiver
@@ -193,8 +195,9 @@ def mission(config_path: Path, flight: Path | None) -> int:
         factory.warm_up(config)
         conductor = factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
         systemd_notify.ready()
-        rate = RateKeeper(MISSION_RATE_HZ, clock.now_s())
+        rate, waiting = RateKeeper(MISSION_RATE_HZ, clock.now_s()), WaitNotice("mission", clock.now_s())
         while not conductor.finished:
+            waiting.update(clock.now_s(), missing_processes(wires, clock.now_s()))
             if stop.asked:
                 conductor.request_abort("the operator asked to land")
             orders.pass_on(conductor, mapper.ready(), config.mission.autostart)
@@ -220,17 +223,23 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
 
 def record(config_path: Path, flight: Path | None) -> int:
-    """Subscribe to the channels and write down what they say until SIGTERM."""
+    """Write the channels to the recording until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_channels(config.runtime.folder)
     recorder = factory.make_recorder(config, wires, flight_folder(config, flight), clock)
-    _loop(recorder.step, RECORDER_RATE_HZ, clock, lambda: stop.asked or _hung_up(sys.stdin.fileno()))
+    waiting = WaitNotice("record", clock.now_s())
+
+    def step() -> None:
+        waiting.update(clock.now_s(), missing_processes(wires, clock.now_s()))
+        recorder.step()
+
+    _loop(step, RECORDER_RATE_HZ, clock, lambda: stop.asked or _hung_up(sys.stdin.fileno()))
     recorder.close()
     return 0
 
 
 def review(flight: Path) -> int:
-    """Open a flight in the viewer. Raises Failure, with exit code 2 where there is none to be seen."""
+    """Open a flight in the viewer. Raises UserError, with exit code 2 where there is no recording."""
     from uav_recon.recording.review import ReviewError, recording_path
     from uav_recon.recording.review import review as open_review
 
@@ -261,9 +270,9 @@ def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:
 
 
 def _hung_up(pipe: int) -> bool:
-    """Whether nobody holds the other end any more: whoever started us is gone. Never of a terminal or /dev/null."""
+    """Return True once the process at the other end of the pipe is gone. Always False for a terminal or /dev/null."""
     poll = select.poll()
-    poll.register(pipe, 0)  # a hang-up is told in any case
+    poll.register(pipe, 0)  # a hang-up is reported in any case
     return bool(poll.poll(0))
 
 

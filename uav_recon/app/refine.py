@@ -1,6 +1,6 @@
-"""`uav-recon refine`: the views of a flight once more, for as long as it takes, on every GPU there is.
+"""`uav-recon refine`: train the final model on the keyframes of a flight, on the CPU or on every GPU.
 
-A composition root like run.py. With more than one GPU the command starts itself again under torchrun, one process for each.
+A composition root like factory.py. For more than one process the command restarts itself under torchrun.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,6 +24,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from uav_recon.app import factory
 from uav_recon.app.option_validation import readable
 from uav_recon.app.processes import Stop, claim_file
+from uav_recon.app.step_display import Report, StepDisplay, no_report
 from uav_recon.errors import EXIT_USAGE, UserError
 
 if TYPE_CHECKING:
@@ -46,7 +48,7 @@ WORKER = "UAV_RECON_REFINE_WORKER"  # set for the processes that torchrun starts
 
 @dataclass(frozen=True)
 class RefineOptions:
-    """The words of the command line."""
+    """The options of the command line."""
 
     flight: Path
     steps: int
@@ -56,26 +58,26 @@ class RefineOptions:
     save_every_s: float
 
     def checked(self) -> RefineOptions:
-        """Raises Failure in one line."""
+        """Return the options. Raises UserError with one line for one that cannot be used."""
         _in_range("--steps", self.steps, STEPS)
         _in_range("--voxel", self.voxel_m, VOXEL_M)
         _in_range("--save-every", self.save_every_s, SAVE_EVERY_S)
         if self.processes is not None:
             most = min(PROCESSES[1], max(2, int(memory_gb() / PROCESS_GB)))
             if not PROCESSES[0] <= self.processes <= most:
-                why = "" if most == PROCESSES[1] else f"; each may take {PROCESS_GB:g} GB of memory"
+                why = "" if most == PROCESSES[1] else f"; each may use {PROCESS_GB:g} GB of memory"
                 raise UserError(f"--processes {self.processes}: want {PROCESSES[0]} to {most}{why}", EXIT_USAGE)
         with readable(str(self.flight)):
             folder, views = self.flight.is_dir(), (self.flight / "keyframes" / "poses.json").is_file()
         if not folder:
             raise UserError(f"{self.flight}: no such flight folder", EXIT_USAGE)
         if not views:
-            raise UserError(f"{self.flight}: has no keyframes (keyframes/poses.json): not a flight with views", EXIT_USAGE)
+            raise UserError(f"{self.flight}: has no keyframes (keyframes/poses.json)", EXIT_USAGE)
         return self
 
 
 def refine(wanted: RefineOptions) -> int:
-    """Learn, mesh, write FLIGHT/refined. Raises Failure in one line for bad input. 0 also after Ctrl-C, which saves."""
+    """Train, mesh and write FLIGHT/refined; returns the exit code, 0 also after Ctrl-C, which saves. Raises UserError."""
     from uav_recon.mapping.neural.sdf_torch import distributed as team
 
     wanted.checked()
@@ -87,13 +89,13 @@ def refine(wanted: RefineOptions) -> int:
     if kind == "cuda" and processes > team.gpus():
         raise UserError(f"--processes {processes}: torch sees {team.gpus()} GPUs", EXIT_USAGE)
     if processes > 1 and WORKER not in os.environ:
-        _state(_checkpoints(wanted, kind)[2])  # what is wrong is said here, once
+        _state(_checkpoints(wanted, kind)[2])  # errors are printed here, once
         return _under_torchrun(wanted, processes)
     return _Work(wanted, team.ProcessGroup(kind), kind).run()
 
 
 def memory_gb() -> float:
-    """Of this machine."""
+    """Return the memory of this machine in gigabytes."""
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
@@ -103,7 +105,7 @@ def _in_range(name: str, value: float, allowed: tuple[float, float]) -> None:
 
 
 def _under_torchrun(wanted: RefineOptions, processes: int) -> int:
-    """The same command, once for each GPU. Ctrl-C is for this process: it leaves word in a file, which the others heed."""
+    """Run the same command in each process. Ctrl-C reaches this process only; it creates a file that stops the others."""
     stop_file = wanted.flight / REFINED / STOP_FILE
     stop_file.parent.mkdir(parents=True, exist_ok=True)
     stop_file.unlink(missing_ok=True)
@@ -130,10 +132,11 @@ class _Work:
         self._wanted, self._team, self._kind = wanted, team, kind
         self._folder = wanted.flight / REFINED
         self._console = Console(stderr=True, quiet=not team.leads)
+        self._display = StepDisplay(self._console)
         self._stop = Stop()
 
     def run(self) -> int:
-        """The whole of it; 0, or Failure."""
+        """Run all steps; returns exit code 0. Raises UserError."""
         from uav_recon.mapping.neural.sdf_torch.distributed import FullDeviceError
         from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError
         from uav_recon.mapping.neural.watertight.watertight_mesh import MeshResolutionError
@@ -144,7 +147,7 @@ class _Work:
         except (GridError, MeshResolutionError) as error:
             raise UserError(f"--voxel {self._wanted.voxel_m:g}: {error}", EXIT_USAGE) from None
         except FullDeviceError:
-            raise UserError(f"--voxel {self._wanted.voxel_m:g}: the GPU's memory is full; want a larger voxel") from None
+            raise UserError(f"--voxel {self._wanted.voxel_m:g}: the GPU's memory is full; use a larger value") from None
         except OSError as error:
             raise UserError(f"{self._folder}: cannot be written ({error.strerror})") from None
         finally:
@@ -161,9 +164,9 @@ class _Work:
         self._team.leave()
         self._stop.heed_no_more()
         if not done:
-            self._say(f"stopped after {refiner.steps} of {self._wanted.steps} steps; the same command goes on from there")
+            self._say(f"stopped after {refiner.steps} of {self._wanted.steps} steps; the same command continues from there")
         elif self._team.leads:
-            with self._console.status("closing the surface ..."):
+            with self._display.step("extracting and closing the surface"):
                 painted = ColourFusedField(refiner.field, gathered.replay, gathered.low_m, gathered.high_m)
                 mesh = closed_mesh(painted, gathered, self._wanted.voxel_m)
             self._write(mesh, painted, gathered)
@@ -173,7 +176,7 @@ class _Work:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UserError(f"{self._folder}: cannot be made ({error.strerror})") from None
-        return claim_file(self._folder / LOCK_FILE, f"a refinement of {self._wanted.flight} runs already")
+        return claim_file(self._folder / LOCK_FILE, f"another refinement of {self._wanted.flight} is running")
 
     def _prepare(self) -> tuple[TrainingData, Refiner, RefineCheckpoints]:
         from uav_recon.mapping.neural.sdf_torch.refiner import Refiner
@@ -183,29 +186,34 @@ class _Work:
         state, said = _state(checkpoints)
         for line in said:
             self._say(line)
-        with self._console.status("taking in the views ..."):
-            gathered = _gathered(self._wanted.flight, config, self._say)
+        with self._display.step("loading the keyframes") as progress:
+            gathered = _gathered(self._wanted.flight, config, self._say, progress)
             check_size(gathered, self._wanted.voxel_m)  # now, not when all is learned
             refiner = Refiner(gathered, plan, self._team)
         if state is not None:
             refiner.restore(state)
-            self._say(f"going on after {refiner.steps} of {plan.steps} steps")
+            self._say(f"continuing after {refiner.steps} of {plan.steps} steps")
         elif said:
-            self._say("beginning anew")
+            self._say("starting from the beginning")
         return gathered, refiner, checkpoints
 
     def _learn(self, refiner: Refiner, checkpoints: RefineCheckpoints) -> bool:
-        """Whether the plan was done; saved in any case."""
+        """Train; return True if all steps are done. Saves a checkpoint in any case."""
         start, began_s = refiner.steps, time.monotonic()
         saved_s, saved_at = began_s, refiner.steps
-        columns = (TextColumn("learning"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[told]}"))
-        with Progress(*columns, TimeRemainingColumn(), console=self._console) as progress:
-            task = progress.add_task("learning", total=self._wanted.steps, completed=start, told="")
+        columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[told]}"))
+        lines = nullcontext(no_report) if self._console.is_terminal else self._display.step("training")
+        with (
+            Progress(*columns, TimeRemainingColumn(), console=self._console, disable=not self._console.is_terminal) as progress,
+            lines as report,
+        ):
+            task = progress.add_task("training", total=self._wanted.steps, completed=start, told="")
             while not refiner.done and not self._team.any(self._asked()):
                 loss = refiner.advance(SLICE_STEPS)
                 now_s = time.monotonic()
                 told = f"{(refiner.steps - start) / (now_s - began_s):.1f} steps/s, loss {loss:.3f}"
                 progress.update(task, completed=refiner.steps, told=told)
+                report(refiner.steps, self._wanted.steps)
                 if self._team.leads and now_s - saved_s > self._wanted.save_every_s:
                     checkpoints.save(refiner.state())
                     saved_s, saved_at = time.monotonic(), refiner.steps
@@ -221,18 +229,18 @@ class _Work:
         from uav_recon.recording.mesh_renders import mesh_pictures
 
         write_closed_ply(self._folder / MESH_PLY, mesh)
-        with self._console.status("drawing the texture ..."):
+        with self._display.step("baking the texture and drawing images"):
             write_textured_glb(self._folder / MESH_GLB, mesh, field, TEXEL_VOXELS * self._wanted.voxel_m)
             mesh_pictures(self._folder, mesh.seen(), gathered.replay.views.position[0].astype(np.float64))
         self._say(f"{self._folder / MESH_PLY}, {MESH_GLB}: {len(mesh.faces)} faces, {100 * mesh.seen_share():.0f} % of the "
-                  "area observed, the rest closes the room")  # fmt: skip
+                  "area observed, the rest closes the surface")  # fmt: skip
 
     def _say(self, line: str) -> None:
         self._console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, RefineCheckpoints]:
-    """The flight's config, what is to be done, and where it is kept."""
+    """Return the flight's config, the plan, and its checkpoints."""
     from uav_recon.mapping.neural.sdf_torch.checkpoint import RefineCheckpoints
     from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan
 
@@ -242,7 +250,7 @@ def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, 
 
 
 def _state(checkpoints: RefineCheckpoints) -> tuple[State | None, list[str]]:
-    """The newest, and what is to be said of it. Raises Failure if it is of another run."""
+    """Return the newest checkpoint and messages about it. Raises UserError if it belongs to another run."""
     from uav_recon.mapping.neural.sdf_torch.checkpoint import CheckpointMismatchError
 
     try:
@@ -251,8 +259,8 @@ def _state(checkpoints: RefineCheckpoints) -> tuple[State | None, list[str]]:
         raise UserError(str(error), EXIT_USAGE) from None
 
 
-def _gathered(flight: Path, config: Config, say: Callable[[str], None]) -> TrainingData:
-    """Take every readable view. Raises Failure if there is none."""
+def _gathered(flight: Path, config: Config, say: Callable[[str], None], progress: Report) -> TrainingData:
+    """Load every readable keyframe. Raises UserError if there is none."""
     from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 
     trainer = factory.make_neural_mapper(config)
@@ -260,7 +268,10 @@ def _gathered(flight: Path, config: Config, say: Callable[[str], None]) -> Train
         folder = KeyframeFolder(flight / "keyframes")
     except KeyframeError as error:
         raise UserError(str(error)) from None
+    if not len(folder):
+        raise UserError(f"{flight}: has no keyframes (keyframes/poses.json lists none)")
     for number in range(len(folder)):
+        progress(number, len(folder))
         try:
             trainer.add(folder.load(number))
         except KeyframeError as error:
@@ -271,7 +282,7 @@ def _gathered(flight: Path, config: Config, say: Callable[[str], None]) -> Train
 
 
 def _digest(flight: Path, config: Config) -> str:
-    """Of what is learned from: views, box and camera."""
+    """Return a digest of the training input: keyframes, fence box and camera."""
     parts = (config.safety.fence_min_m, config.safety.fence_max_m, config.camera.depth_noise_px, config.camera.baseline_m)
     data = (flight / "keyframes" / "poses.json").read_bytes() + repr(parts).encode()
     return hashlib.sha256(data).hexdigest()[:12]

@@ -1,4 +1,4 @@
-"""How a command ends: with its exit code, or with one line that a person can act on."""
+"""The end of a command: an exit code, or one line on standard error that a person can act on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ParserError: type[Exception] = cast(Any, typer.BadParameter).__bases__[0]  # cli
 
 
 def exit_with(work: Callable[[], Any]) -> None:
-    """Do the work and end with the code it gives; a Failure becomes its line and its code."""
+    """Run the work and exit with the code it returns; a UserError is printed and gives its own code."""
     try:
         code = work()
     except UserError as failure:
@@ -28,38 +28,39 @@ def exit_with(work: Callable[[], Any]) -> None:
 
 
 def end(app: typer.Typer) -> None:
-    """Run the command line and end; what the parser refuses is one line too. Raises SystemExit."""
+    """Run the command line and exit; an error of the parser is printed as one line. Raises SystemExit."""
     try:
         sys.exit(app(standalone_mode=False) or 0)
     except ParserError as error:
-        told: Any = error
+        refused: Any = error
         if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help
-            told.show()
+            refused.show()
         else:
-            print(f"uav-recon: {_plainly(told)}", file=sys.stderr)
+            print(f"uav-recon: {_one_line(refused)}", file=sys.stderr)
     except typer.Abort:
         print("uav-recon: interrupted", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
     sys.exit(EXIT_USAGE)
 
 
-def _plainly(error: Any) -> str:
-    """An option out of its range: its name, what was given, and the range. Anything else in the parser's own words."""
+def _one_line(error: Any) -> str:
+    """Return option, value and allowed range where a value is out of range, else the parser's own words."""
     option: Any = getattr(error, "param", None)
     names = getattr(option, "opts", [])
     given = _given(names) if isinstance(error, typer.BadParameter) else None
-    said = " ".join(error.format_message().split())
+    message = " ".join(error.format_message().split())
     if given is None:
-        return said[0].lower() + said[1:]
+        return message[0].lower() + message[1:]
     kind = option if hasattr(option, "min") else option.type
     low, high = getattr(kind, "min", None), getattr(kind, "max", None)
     if low is None:
-        return f"{names[-1]} {given}: {said.partition(': ')[2].lower() or said}"
-    return f"{names[-1]} {given}: want {f'{low} or more' if high is None else f'{low} to {high}'}"
+        return f"{names[-1]} {given}: {message.partition(': ')[2].lower() or message}"
+    whole = "" if isinstance(low, float) or given.lstrip("+-").isdecimal() else "a whole number, "
+    return f"{names[-1]} {given}: want {whole}{f'{low} or more' if high is None else f'{low} to {high}'}"
 
 
 def _given(names: list[str]) -> str | None:
-    """What the command line says for an option, None if nothing."""
+    """Return the value that the command line gives for an option, None if it does not."""
     for word, following in zip(sys.argv[1:], [*sys.argv[2:], ""], strict=True):
         name, equals, value = word.partition("=")
         if name in names:

@@ -1,4 +1,4 @@
-"""`uav-recon faults` on the command line."""
+"""`uav-recon faults`: the fault-injection campaign."""
 
 from __future__ import annotations
 
@@ -7,47 +7,76 @@ from typing import Annotated
 
 import typer
 
+from uav_recon.cli import choices
 from uav_recon.cli.exit_codes import exit_with
+
+EXAMPLES = (
+    "uav-recon faults --list                                  # every scenario with its limits",
+    "uav-recon faults --only A1,B4 --seeds 3 --out faults/    # two scenarios, with an HTML report",
+    "uav-recon faults --real-time --autopilot px4             # scenarios that need real processes and signals",
+    "uav-recon faults --only B1 --autopilot ardupilot --firmware ./arducopter",
+)
+_AUTOPILOTS = (*choices.AUTOPILOTS, "both")
 
 
 def faults(
+    show_list: Annotated[
+        bool, typer.Option("--list", help="List the scenarios: fault, limits, lockstep or real time; and exit.")
+    ] = False,
     only: Annotated[
-        str | None, typer.Option(metavar="A1,B4,...", help="Rows to fly, with commas between. Default: all.")
+        str | None, typer.Option(metavar="ID,ID,...", help="Scenarios to fly, e.g. A1,B4. Default: all.")
     ] = None,
-    autopilot: Annotated[str, typer.Option(help="Firmware personality: px4, ardupilot or both.")] = "both",
+    autopilot: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed(_AUTOPILOTS), autocompletion=choices.one_of(_AUTOPILOTS), help="Simulated autopilot."
+        ),
+    ] = "both",
     seeds: Annotated[
         int,
         typer.Option(
-            min=1,
-            max=1000,
-            help="Flights a row, in lockstep three times as many of A1, B1, B4, E1 and F1; its cases take turns.",
+            min=1, max=1000,
+            help="Flights per scenario. In lockstep, A1, B1, B4, E1 and F1 get three times as many. Scenario variants are "
+            "cycled.",
         ),
     ] = 3,
     seed0: Annotated[
-        int, typer.Option("--seed0", min=0, help="First seed; one that missed is flown again with --seeds 1.")
+        int, typer.Option("--seed0", min=0, help="First seed. Repeat a failed flight with its seed and --seeds 1.")
     ] = 0,
-    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; one core each.")] = 2,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", readable=False, help="Write every figure.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Parallel processes; each uses one core.")] = 2,
+    json: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", readable=False, help="Write all measured values to FILE.")
+    ] = None,
     out: Annotated[
-        Path | None, typer.Option(readable=False, help="Folder for the report faults.html and the flights. Default: keep none.")
+        Path | None,
+        typer.Option(
+            readable=False, metavar="FOLDER", help="Write the report faults.html and keep the flights. Default: keep nothing."
+        ),
     ] = None,
     real_time: Annotated[
-        bool, typer.Option("--real-time", help="Rows of real processes and signals, one flight at a time, a minute each.")
+        bool,
+        typer.Option(
+            "--real-time", help="Fly the scenarios of real processes and signals: one flight at a time, about a minute each."
+        ),
     ] = False,
     firmware: Annotated[
         Path | None,
         typer.Option(
-            metavar="PATH",
-            readable=False,
-            help="A real firmware's simulation binary as `sim` has it, in real time; say which with --autopilot. Flies the "
-            "rows whose trouble can be had there.",
+            metavar="PATH", readable=False,
+            help="Fly a real firmware's simulation binary, as with `sim --firmware`; needs --autopilot. Flies, in real time, "
+            "the scenarios whose fault can be injected there.",
         ),
     ] = None,
-) -> None:
-    """Fly with one thing going wrong at a time; a line a row of the hazards' table, the measured figure beside its bar.
+) -> None:  # fmt: skip
+    """Run the fault-injection campaign, one fault per flight. Prints one line per scenario: measured value and pass limit.
 
-    Judged by the simulator's truth and by what was on the wire. Exit code 1 if any row failed.
+    Results are computed from the simulator's ground truth and the captured MAVLink traffic. Exit code 1 if any scenario
+    failed.
     """
+    if show_list:
+        from sitl.faults.flights.scenario_list import print_scenarios
+
+        exit_with(lambda: print_scenarios(only))
     from sitl.faults.flights.campaign import FaultOptions
     from sitl.faults.flights.campaign import faults as fly_all
 

@@ -7,64 +7,82 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from uav_recon.app import factory, operator_factory
 from uav_recon.cli.exit_codes import exit_with
 from uav_recon.errors import UserError
-from uav_recon.operator.client import CallError, send_command
-from uav_recon.operator.status import Status
-from uav_recon.operator.status_watch import Block, Lines, in_a_line
+
+if TYPE_CHECKING:
+    from uav_recon.operator.status import Status
 
 T = TypeVar("T")
 
 EXIT_NOBODY, FLOWN = 69, Path("/etc/uav_recon/config.toml")
 
-ConfigOption = Annotated[Path, typer.Option("--config", readable=False, help="What says where the pilot listens.")]
+ConfigOption = Annotated[
+    Path, typer.Option("--config", metavar="FILE", readable=False, help="Config that names the pilot's socket.")
+]
 SocketOption = Annotated[
-    Path | None, typer.Option("--socket", readable=False, help="Where the pilot listens. Default: as the config says.")
+    Path | None,
+    typer.Option("--socket", metavar="PATH", readable=False, help="The pilot's socket. Default: as in the config."),
 ]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the five commands."""
-    for name, command in (("start", start), ("hold", hold), ("return", go_home), ("land", land), ("status", status)):
-        app.command(name, rich_help_panel="In flight")(command)
-
-
 def start(config: ConfigOption = FLOWN, socket: SocketOption = None) -> None:
-    """Take off and begin; held in the air, go on. Exit code 0: done so; 1: refused, with the reason; 69: no pilot."""
+    """Start the mission, or resume it after `hold`.
+
+    Exit code 0: accepted; 1: refused (reason printed); 69: pilot not reachable.
+    """
     exit_with(lambda: _order("start", config, socket))
 
 
 def hold(config: ConfigOption = FLOWN, socket: SocketOption = None) -> None:
-    """Stay where it is, until start, return or land. Works while the mission is dead."""
+    """Hold position until start, return or land. Works without the mission process.
+
+    Exit codes as for `start`.
+    """
     exit_with(lambda: _order("hold", config, socket))
 
 
 def go_home(config: ConfigOption = FLOWN, socket: SocketOption = None) -> None:
-    """Fly home through known space and land there. Needs the mission."""
+    """Fly home through known free space and land there. Needs the mission process.
+
+    Exit codes as for `start`.
+    """
     exit_with(lambda: _order("return", config, socket))
 
 
 def land(config: ConfigOption = FLOWN, socket: SocketOption = None) -> None:
-    """Land here, now; not taken back. Works while the mission is dead."""
+    """Land at the current position. Cannot be cancelled. Works without the mission process.
+
+    Exit codes as for `start`.
+    """
     exit_with(lambda: _order("land", config, socket))
 
 
 def status(
     config: ConfigOption = FLOWN,
     socket: SocketOption = None,
-    json: Annotated[bool, typer.Option("--json", help="One line of JSON.")] = False,
-    watch: Annotated[bool, typer.Option("--watch", help="Again every second until Ctrl-C: the operator attends.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print one line of JSON.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Refresh every second until Ctrl-C. Also acts as the operator heartbeat.")
+    ] = False,
 ) -> None:
-    """How the flight stands."""
+    """Print the state of the flight: pilot, mission, autopilot mode, battery, position, views, and why it waits.
+
+    Exit code 0: answered; 69: pilot not reachable.
+    """
     exit_with(lambda: (_watch if watch else _status)(config, socket, json))
 
 
+COMMANDS: dict[str, Callable[..., None]] = {"start": start, "hold": hold, "return": go_home, "land": land, "status": status}
+
+
 def _order(word: str, config: Path, socket: Path | None) -> int:
+    from uav_recon.operator.client import send_command
+
     answer = _reached(lambda: send_command(_path(config, socket), word))
     if not answer["ok"]:
         raise UserError(f"{word} refused: {answer['said']}")
@@ -79,6 +97,9 @@ def _status(config: Path, socket: Path | None, as_json: bool) -> int:
 
 
 def _watch(config: Path, socket: Path | None, as_json: bool) -> int:
+    from uav_recon.app import operator_factory
+    from uav_recon.operator.status_watch import Block, Lines, in_a_line
+
     path, out = _path(config, socket), sys.stdout
     plain = as_json or not out.isatty()
     page = Lines(out, sys.stderr, _as_json if as_json else in_a_line) if plain else Block(out)
@@ -90,7 +111,10 @@ def _watch(config: Path, socket: Path | None, as_json: bool) -> int:
 
 
 def _asked(path: Path) -> Status:
-    """Raises CallError, or Failure where the answer is none."""
+    """Return the pilot's status. Raises CallError, or UserError where the pilot refuses."""
+    from uav_recon.operator.client import send_command
+    from uav_recon.operator.status import Status
+
     answer = send_command(path, "status")
     if not answer["ok"]:
         raise UserError(f"status refused: {answer['said']}")
@@ -102,10 +126,14 @@ def _as_json(status: Status) -> str:
 
 
 def _path(config: Path, socket: Path | None) -> Path:
+    from uav_recon.app import factory, operator_factory
+
     return socket or operator_factory.operator_socket(factory.load_config(config))
 
 
 def _reached(work: Callable[[], T]) -> T:
+    from uav_recon.operator.client import CallError
+
     try:
         return work()
     except CallError as error:

@@ -8,59 +8,84 @@ from typing import Annotated
 
 import typer
 
+from uav_recon.cli import choices
+from uav_recon.cli.commands import add, new_group
 from uav_recon.cli.exit_codes import exit_with
 
-params = typer.Typer(no_args_is_help=True, help="The vehicle's parameters: read back, compared with a file, written.")
-
 ConfigOption = Annotated[
-    Path, typer.Option("--config", readable=False, help="What says autopilot, link and file, where they are not given here.")
+    Path,
+    typer.Option(
+        "--config", metavar="FILE", readable=False, help="Config that gives autopilot, link and file where no option does."
+    ),
 ]
-AutopilotOption = Annotated[str | None, typer.Option(help="Firmware personality: px4 or ardupilot.")]
-LinkOption = Annotated[str | None, typer.Option(help="udp:HOST:PORT (listens there) or serial:DEVICE:BAUD.")]
+AutopilotOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar=choices.listed(choices.AUTOPILOTS), autocompletion=choices.one_of(choices.AUTOPILOTS),
+        help="Firmware of the vehicle. Default: as in the config.",
+    ),
+]  # fmt: skip
+LinkOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="URL", help="udp:HOST:PORT (listens there) or serial:DEVICE:BAUD. Default: as in the config."
+    ),
+]  # fmt: skip
 FileOption = Annotated[
     Path | None,
     typer.Option(
-        readable=False, help=".params of QGroundControl, .param of Mission Planner. Default: that of firmware_params/."
+        metavar="FILE", readable=False,
+        help="Parameter file: .params (QGroundControl) or .param (Mission Planner). Default: the file in firmware_params/.",
     ),
-]
+]  # fmt: skip
 FLOWN = Path("/etc/uav_recon/config.toml")
 
 
-@params.command()
 def check(
     autopilot: AutopilotOption = None, link: LinkOption = None, file: FileOption = None, config: ConfigOption = FLOWN
 ) -> None:
-    """Every parameter beside the vehicle's. Exit code 0: all as wanted; 1: some differ; 69: no answer; 78: bad input."""
+    """Show every required parameter beside the vehicle's value.
+
+    Exit code 0: all equal; 1: some differ; 69: no answer; 78: bad input.
+    """
     from uav_recon.app import parameter_tool as parameters
 
     exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config), every_row=True))
 
 
-@params.command()
 def diff(
     autopilot: AutopilotOption = None, link: LinkOption = None, file: FileOption = None, config: ConfigOption = FLOWN
 ) -> None:
-    """Only what differs; exit codes as of check. `!` keeps the vehicle from being armed, `~` does not."""
+    """Show only differing parameters. `!` blocks arming, `~` does not. Exit codes as for `check`."""
     from uav_recon.app import parameter_tool as parameters
 
     exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config), every_row=False))
 
 
-@params.command()
 def write(
     autopilot: AutopilotOption = None,
     link: LinkOption = None,
     file: FileOption = None,
     config: ConfigOption = FLOWN,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Write without asking.")] = False,
 ) -> None:
-    """Write what differs, after a question, and read it back; never while armed. Says whether a reboot is needed."""
+    """Write the differing parameters after a confirmation, and read them back. Never writes while the motors are armed.
+
+    Prints whether a reboot is needed. Exit codes as for `check`.
+    """
     from uav_recon.app import parameter_tool as parameters
 
     def confirm(question: str) -> bool:
         if not yes and not sys.stdin.isatty():
-            print("uav-recon: nobody can be asked here: --yes writes without a question", file=sys.stderr)
+            print("uav-recon: no terminal to confirm on: use --yes to write without confirmation", file=sys.stderr)
             return False
         return yes or typer.confirm(question)
 
     exit_with(lambda: parameters.write(parameters.ParamsOptions.of(autopilot, link, file, config), confirm))
+
+
+params = new_group("Compare the vehicle's parameters with the required ones, and write them.")
+_LINKED = "--autopilot px4 --link serial:/dev/ttyACM0:921600"
+add(params, check, "check", examples=("uav-recon params check", f"uav-recon params check {_LINKED}"))
+add(params, diff, "diff", examples=(f"uav-recon params diff {_LINKED}",))
+add(params, write, "write", examples=(f"uav-recon params write {_LINKED}",))

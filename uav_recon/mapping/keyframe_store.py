@@ -61,6 +61,8 @@ class KeyframeFolder:
             else:
                 self._entries = json.loads(text)["keyframes"]
                 self._lines = BETWEEN.join(json.dumps(entry) for entry in self._entries)
+        except RecursionError:
+            raise KeyframeError(f"{path}: not a list of keyframes (nested too deeply)") from None
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise KeyframeError(f"{path}: not a list of keyframes ({error})") from None
 
@@ -137,8 +139,8 @@ class KeyframeFolder:
             entry, pose = self._entries[number], self.pose(number)
             if pose is None:
                 raise KeyframeError(f"{self.folder}: keyframe {number} has no place in map epoch {self.map_epoch}")
-            depth = cv2.imread(str(self.folder / entry["depth"]), cv2.IMREAD_UNCHANGED)
-            bgr = cv2.imread(str(self.folder / entry["rgb"]), cv2.IMREAD_COLOR)
+            depth = cv2.imread(str(self._image(entry["depth"])), cv2.IMREAD_UNCHANGED)
+            bgr = cv2.imread(str(self._image(entry["rgb"])), cv2.IMREAD_COLOR)
             if depth is None or bgr is None or depth.dtype != np.uint16:
                 raise KeyframeError(f"{self.folder}: images of keyframe {number} are missing or damaged")
             depth_m = np.where(depth > 0, depth.astype(np.float32) * np.float32(0.001), np.float32(np.nan))
@@ -146,14 +148,20 @@ class KeyframeFolder:
                 float(entry["stamp_s"]),
                 int(entry["sequence"]),
                 depth_m.astype(np.float32),
-                Intrinsics(**entry["depth_intrinsics"]),
+                _read_lens(entry["depth_intrinsics"]),
                 np.ascontiguousarray(bgr[:, :, ::-1]),
-                Intrinsics(**entry["rgb_intrinsics"]),
+                _read_lens(entry["rgb_intrinsics"]),
                 _read_pose(entry["rgb_from_depth"]),
             )
             return PosedFrame(frame, pose, int(entry["map_epoch"]))
         except (IndexError, KeyError, TypeError, ValueError) as error:
             raise KeyframeError(f"{self.folder}: keyframe {number}: {error}") from None
+
+    def _image(self, name: str) -> Path:
+        """Return the path of an image. Raises ValueError for a name that leads out of the folder."""
+        if not name or name == ".." or Path(name).name != name:
+            raise ValueError(f"file name {name!r} leads out of the folder")
+        return self.folder / name
 
     def _write(self, name: str, encoded: tuple[bool, AnyArray]) -> None:
         ok, data = encoded
@@ -171,6 +179,13 @@ def write_whole(path: Path, data: bytes) -> None:
 
 def _lens(lens: Intrinsics) -> dict[str, float | int]:
     return {name: getattr(lens, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
+
+
+def _read_lens(entry: Any) -> Intrinsics:
+    try:
+        return Intrinsics.from_tree(entry)
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"intrinsics: {error}") from None
 
 
 def _pose(pose: Pose) -> dict[str, list[float]]:

@@ -1,4 +1,4 @@
-"""How the flight stands, again and again: on a terminal in one place, elsewhere a line each time."""
+"""Periodic display of the flight status: in place on a terminal, elsewhere one line per answer."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from uav_recon.interfaces import Clock
 from uav_recon.operator.client import CallError
 from uav_recon.operator.status import Status
 
-PERIOD_S, MAX_LOST = 1.0, 3  # a pilot that is started again is back before three answers are lost
+PERIOD_S, MAX_LOST = 1.0, 3  # a pilot that restarts answers again before three answers are lost
 
 
 class Page(Protocol):
-    """Where it is shown. Both raise OSError where nobody reads any more."""
+    """A display of the status. Both methods raise OSError once the reader is gone."""
 
     def show(self, status: Status) -> None:
-        """An answer."""
+        """Show an answer."""
         ...
 
     def lost(self, why: str) -> None:
-        """None came; it is asked again."""
+        """Show that an answer is missing, with the reason."""
         ...
 
 
 class Block:
-    """On a terminal: some lines, written over the ones before, none longer than the terminal is wide."""
+    """Display for a terminal: lines that overwrite the previous ones, cut to the width of the terminal."""
 
     def __init__(self, out: TextIO) -> None:
         self._out, self._height, self._lines = out, 0, list[str]()
 
     def show(self, status: Status) -> None:
-        """In the place of what was shown before."""
+        """Overwrite the previous answer."""
         self._lines = status.lines()
         self._write(self._lines)
 
     def lost(self, why: str) -> None:
-        """Below the last answer."""
+        """Add the reason below the last answer."""
         self._write([*self._lines, f"no answer: {why}"])
 
     def _write(self, lines: list[str]) -> None:
-        """In one piece, so that it does not flicker."""
+        """Write all lines at once, which avoids flicker."""
         width = shutil.get_terminal_size().columns - 1
         back = f"\x1b[{self._height}F\x1b[J" if self._height else ""
         self._out.write(back + "".join(f"{line[:width]}\n" for line in lines))
@@ -50,28 +50,28 @@ class Block:
 
 
 class Lines:
-    """In a pipe or a file: a plain line for each answer; that none came is said beside it."""
+    """Display for a pipe or a file: a plain line per answer; missing answers go to a second stream."""
 
     def __init__(self, out: TextIO, beside: TextIO, text: Callable[[Status], str]) -> None:
         self._out, self._beside, self._text = out, beside, text
 
     def show(self, status: Status) -> None:
-        """At once, not when a buffer is full."""
+        """Write one line and flush."""
         self._out.write(self._text(status) + "\n")
         self._out.flush()
 
     def lost(self, why: str) -> None:
-        """So that what reads the lines meets nothing else."""
+        """Write the reason to the second stream: a reader of the lines gets nothing else."""
         self._beside.write(f"uav-recon: no answer: {why}\n")
 
 
 def in_a_line(status: Status) -> str:
-    """All of it."""
+    """Return the whole status in one line."""
     return "  ".join(" ".join(line.split()) for line in status.lines())
 
 
 def watch(ask: Callable[[], Status], page: Page, clock: Clock) -> None:
-    """Ask once a second for ever. Raises the last CallError if the very first answer, or MAX_LOST in a row, did not come."""
+    """Ask once a second until interrupted. Raises the last CallError if the first answer, or MAX_LOST in a row, is missing."""
     lost, max_lost = 0, 1
     while True:
         begun_s = clock.now_s()

@@ -251,7 +251,7 @@ def read_timeline(folder: Path) -> Timeline:
             tree = json.loads(line)
             kind = tree.pop("event")
             found[kind].append(_KINDS[kind](**{name: _read(value) for name, value in tree.items()}))
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             torn += 1
     return Timeline(
         progress=tuple(found["progress"]),

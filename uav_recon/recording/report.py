@@ -157,7 +157,7 @@ class Report:
             return Report.from_tree(json.loads(path.read_text(encoding="utf-8")))
         except OSError as error:
             raise ReportError(f"{path}: cannot be read ({error.strerror})") from None
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ReportError(f"{path}: not JSON: {error}") from None
 
 

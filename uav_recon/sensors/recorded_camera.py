@@ -42,10 +42,7 @@ class _Keyframe:
 
     @staticmethod
     def read(folder: Path, entry: dict[str, Any]) -> _Keyframe:
-        depth, rgb = (
-            Intrinsics(**{name: entry[lens][name] for name in ("fx", "fy", "cx", "cy", "width", "height")})
-            for lens in ("depth_intrinsics", "rgb_intrinsics")
-        )
+        depth, rgb = (Intrinsics.from_tree(entry[lens]) for lens in ("depth_intrinsics", "rgb_intrinsics"))
         files = [folder / Path(entry[name]).name for name in ("depth", "rgb")]  # never outside the folder
         poses = [_pose(entry[name]) for name in ("rgb_from_depth", "world_from_depth")]
         return _Keyframe(int(entry["sequence"]), float(entry["stamp_s"]), files[0], depth, files[1], rgb, *poses)
@@ -65,7 +62,7 @@ class _Recording:
             frames = [_Keyframe.read(images, entry) for entry in tree["keyframes"] if entry["world_from_depth"] is not None]
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise RecordingError(f"{path}: not a keyframe list: {' '.join(repr(error).split())}") from None
         if not frames or any(not a.stamp_s < b.stamp_s for a, b in itertools.pairwise(frames)):
             raise RecordingError(f"{path}: wants at least one keyframe, with stamps that increase")

@@ -21,6 +21,7 @@ from uav_recon.types.pose import Pose, StampedPose
 __all__ = ["StreamCamera", "StreamError", "StreamPoses", "depth_table", "open_stream"]
 
 _log = logging.getLogger(__name__)
+_REPEAT_S = 15.0  # between two messages of the same wait
 _POLL_S = 0.05
 _EMPTY_POLLS = 8  # consecutive empty polls before the file is checked: 0.1 s at 100 Hz
 
@@ -30,7 +31,7 @@ def open_stream(path: Path, clock: Clock, timeout_s: float, stopped: Callable[[]
 
     Raises StreamError (one line) after timeout_s, or once stopped() returns True.
     """
-    start_s, said = clock.now_s(), ""
+    start_s, said, said_s = clock.now_s(), "", 0.0
     attempts = max(1, math.ceil(timeout_s / _POLL_S))
     for attempt in range(attempts):  # counted, so that it ends on any clock
         try:
@@ -38,9 +39,13 @@ def open_stream(path: Path, clock: Clock, timeout_s: float, stopped: Callable[[]
         except StreamError as error:
             if attempt + 1 == attempts:
                 break
+            waited_s = clock.now_s() - start_s
             if str(error) != said:
-                said = str(error)
+                said, said_s = str(error), waited_s
                 _log.warning("waiting for a camera stream: %s", said)
+            elif waited_s - said_s >= _REPEAT_S - 1e-9:
+                said_s = waited_s
+                _log.warning("waiting for a camera stream: %s; %.0f s", said, waited_s)
         if stopped():
             raise StreamError(f"{path}: ended while waiting for it")
         clock.sleep_until(start_s + (attempt + 1) * _POLL_S)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +37,21 @@ class Intrinsics:
             width=width,
             height=height,
         )
+
+    @staticmethod
+    def from_tree(tree: Any) -> Intrinsics:
+        """Return the intrinsics of a JSON object with fx, fy, cx, cy, width and height. Raises ValueError, KeyError or
+        TypeError for anything but finite numbers, fx and fy positive, width and height whole and positive.
+        """
+        values = {name: tree[name] for name in ("fx", "fy", "cx", "cy", "width", "height")}
+        for name, value in values.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise ValueError(f"intrinsics: {name} {value!r} is not a number")
+            if name in ("width", "height") and not isinstance(value, int):
+                raise ValueError(f"intrinsics: {name} {value!r} is not a whole number")
+            if not name.startswith("c") and value <= 0:
+                raise ValueError(f"intrinsics: {name} {value!r} is not positive")
+        return Intrinsics(**values)
 
     def pinhole_px(self) -> FloatArray:
         """fx, fy, cx, cy, (4,): as kernels take them."""

@@ -1,4 +1,4 @@
-"""`uav-recon faults`: each hazard's scenario a line a row with the figure beside its bar, and a report."""
+"""`uav-recon faults`: fly the scenarios, print a line for each with measured value and limit, and write a report."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, fly
 from sitl.faults.injectors.base import Capabilities
 from sitl.faults.report.html_page import write_page
 from sitl.faults.report.scenario_result import Result, result_of
-from sitl.faults.soak import SOAKS
 from sitl.faults.table.all_scenarios import NAMED, PAIRS, ROWS, TABLE
 from sitl.faults.table.scenario import Scenario
 from sitl.runtime.worker_pool import worker_pool
@@ -26,16 +25,20 @@ from uav_recon.app.option_validation import readable, require_writable_file, req
 from uav_recon.errors import UserError
 
 BOTH = "both"
-FIRMWARE_OFFERS = {"px4": Capabilities.PROCESSES | Capabilities.LINE, "ardupilot": Capabilities.PROCESSES | Capabilities.LINE | Capabilities.STICKS}
+FIRMWARE_OFFERS = {
+    "px4": Capabilities.PROCESSES | Capabilities.LINE,
+    "ardupilot": Capabilities.PROCESSES | Capabilities.LINE | Capabilities.STICKS,
+}
 
 
 @dataclass(frozen=True)
 class FaultOptions:
-    """Rows are flown with seeds seed0, seed0 + 1, ... and for each personality, and told in the order of the table. firmware: a
-    real one in its place, always live.
+    """What the user asked for: scenarios in the order of the table, flown for each autopilot with seeds seed0, seed0 + 1, ...
+
+    live: in real time. firmware: a real one in place of the simulated autopilot, always live.
     """
 
-    rows: tuple[Scenario, ...]
+    scenarios: tuple[Scenario, ...]
     autopilots: tuple[str, ...]
     seeds: int
     jobs: int
@@ -50,44 +53,38 @@ class FaultOptions:
         *, only: str | None = None, autopilot: str = BOTH, seeds: int = 3, jobs: int = 2, json: Path | None = None,
         out: Path | None = None, live: bool = False, firmware: Path | None = None, seed0: int = 0,
     ) -> FaultOptions:  # fmt: skip
-        """Check the words of the command line. Raises UsageError with one line."""
-        names = None if only is None else tuple(word.strip() for word in only.split(","))
-        unknown = [name for name in names or () if name not in NAMED]
-        if unknown:
-            there_are = f"{', '.join(row.id for row in (*TABLE, *SOAKS))}, and pairs as {PAIRS[0].id}"
-            raise UsageError(
-                f"--only {only}: no row {', '.join(name or repr(name) for name in unknown)}; there are {there_are}"
-            )
+        """Check the options of the command line. Raises UsageError with one line."""
         if autopilot not in (*AUTOPILOTS, BOTH):
             raise UsageError(f"--autopilot {autopilot}: want one of {', '.join((*AUTOPILOTS, BOTH))}")
         if firmware is not None:
             check_program(firmware)
             if autopilot == BOTH:
-                raise UsageError(f"--autopilot {BOTH}: with --firmware want {' or '.join(AUTOPILOTS)}, which it is")
-        personalities, flown = AUTOPILOTS if autopilot == BOTH else (autopilot,), _flown(autopilot, live, firmware)
-        wanted = TABLE if names is None else _in_order(names)
-        rows = tuple(row for row in wanted if flown(row) or not (live or firmware))
-        if not rows:
-            how = "in real time" if firmware is None else f"with a real {autopilot}"
-            raise UsageError(f"--only {only}: not flown {how}; {', '.join(r.id for r in TABLE if flown(r))} are")
+                raise UsageError(f"--autopilot {BOTH}: with --firmware want {' or '.join(AUTOPILOTS)}, the firmware's kind")
+        autopilots, can_fly = AUTOPILOTS if autopilot == BOTH else (autopilot,), _can_fly(autopilot, live, firmware)
+        wanted = TABLE if only is None else scenarios_named(only)
+        scenarios = tuple(scenario for scenario in wanted if can_fly(scenario) or not (live or firmware))
+        if not scenarios:
+            how = "in real time" if firmware is None else f"with a real {autopilot} firmware"
+            names = ", ".join(scenario.id for scenario in TABLE if can_fly(scenario))
+            raise UsageError(f"--only {only}: cannot run {how}; want one of {names}")
         one_by_one = live or firmware is not None
         jobs = 1 if one_by_one else check_jobs(jobs)
-        return FaultOptions(rows, personalities, seeds, jobs, json, out, one_by_one, firmware, seed0)
+        return FaultOptions(scenarios, autopilots, seeds, jobs, json, out, one_by_one, firmware, seed0)
 
-    def cases(self, row: Scenario, autopilot: str) -> list[FaultCase]:
-        """The flights of a row; none for one that cannot be flown here."""
-        if not _flown(autopilot, self.live, self.firmware)(row):
+    def cases(self, scenario: Scenario, autopilot: str) -> list[FaultCase]:
+        """Return the flights of a scenario; none for one that cannot be flown here."""
+        if not _can_fly(autopilot, self.live, self.firmware)(scenario):
             return []
-        numbers = range(self.seed0, self.seed0 + (self.seeds if self.live else self.seeds * row.times))
-        folders = [None if self.out is None else self.out / f"{row.id}-{autopilot}-{number}" for number in numbers]
+        numbers = range(self.seed0, self.seed0 + (self.seeds if self.live else self.seeds * scenario.times))
+        folders = [None if self.out is None else self.out / f"{scenario.id}-{autopilot}-{number}" for number in numbers]
         return [
-            FaultCase(row.id, autopilot, number, folder, self.live, self.firmware)
+            FaultCase(scenario.id, autopilot, number, folder, self.live, self.firmware)
             for number, folder in zip(numbers, folders, strict=True)
         ]
 
     def groups(self) -> list[list[FaultCase]]:
-        """All flights: those together that can be, seed by seed; in real time each is alone."""
-        cases = [case for autopilot in self.autopilots for row in self.rows for case in self.cases(row, autopilot)]
+        """Return all flights, grouped where flights share their start, seed by seed; in real time each is alone."""
+        cases = [case for autopilot in self.autopilots for one in self.scenarios for case in self.cases(one, autopilot)]
         if self.live:
             return [[case] for case in cases]
         groups: dict[Stage, list[FaultCase]] = {}
@@ -96,25 +93,30 @@ class FaultOptions:
         return list(groups.values())
 
 
-def _in_order(names: Sequence[str]) -> tuple[Scenario, ...]:
-    """The rows that are meant, in the order of the table; soaks and pairs behind it."""
-    meant = {row.id for name in names for row in NAMED[name]}
-    return tuple(row for row in ROWS.values() if row.id in meant)
+def scenarios_named(only: str) -> tuple[Scenario, ...]:
+    """Return the scenarios of a comma-separated list, in the order of the table. Raises UsageError for an unknown one."""
+    names = tuple(word.strip() for word in only.split(","))
+    unknown = [name for name in names if name not in NAMED]
+    if unknown:
+        known = f"`uav-recon faults --list` shows {TABLE[0].id} to {TABLE[-1].id}, and pairs such as {PAIRS[0].id}"
+        raise UsageError(f"--only {only}: no scenario {', '.join(name or repr(name) for name in unknown)}; {known}")
+    meant = {scenario.id for name in names for scenario in NAMED[name]}
+    return tuple(scenario for scenario in ROWS.values() if scenario.id in meant)
 
 
-def _flown(autopilot: str, live: bool, firmware: Path | None) -> Callable[[Scenario], bool]:
-    """Which rows there are."""
-    return lambda row: row.flown(live) if firmware is None else row.flown_by(FIRMWARE_OFFERS[autopilot])
+def _can_fly(autopilot: str, live: bool, firmware: Path | None) -> Callable[[Scenario], bool]:
+    """Return the check that a scenario can be flown with these options."""
+    return lambda one: one.flown(live) if firmware is None else one.flown_by(FIRMWARE_OFFERS[autopilot])
 
 
 def faults(options: FaultOptions) -> int:
-    """Fly them; returns 1 if any row failed, else 0. Raises Failure."""
+    """Fly them; returns 1 if any scenario failed, else 0. Raises UserError."""
     console, results = Console(), list[Result]()
     groups = options.groups()
     with readable(f"--out {options.out}"):
         taken = [case.out for group in groups for case in group if case.out is not None and case.out.exists()]
     if taken:
-        raise UsageError(f"--out {options.out}: holds flights already, {taken[0].name} for one")
+        raise UsageError(f"--out {options.out}: already contains flights, e.g. {taken[0].name}")
     require_writable_file("--json", options.json)
     require_writable_folder("--out", options.out)
     one_thread()
@@ -125,16 +127,25 @@ def faults(options: FaultOptions) -> int:
             _save(options, results)
     flown = [r for r in results if r.passed is not None]
     bad = [r for r in flown if not r.passed]
-    for said in sorted({r.firmware for r in flown if r.firmware}):
-        console.print(f"firmware: {options.autopilots[0]} {said}", markup=False, highlight=False)
-    console.print(f"{len(flown)} rows flown, {len(bad)} failed, {len(results) - len(flown)} not flown here")
+    for version in sorted({r.firmware for r in flown if r.firmware}):
+        console.print(f"firmware: {options.autopilots[0]} {version}", markup=False, highlight=False)
+    passed, skipped = len(flown) - len(bad), len(results) - len(flown)
+    console.print(f"scenarios: {passed} passed, {len(bad)} failed, {skipped} not flown", highlight=False)
     if not flown:
-        raise UsageError("nothing was flown: none of these rows can be flown here")
+        raise UsageError(_why_nothing_was_flown(options.scenarios))
     return 1 if bad else 0
 
 
+def _why_nothing_was_flown(scenarios: Sequence[Scenario]) -> str:
+    """Return why none of these scenarios was flown in lockstep, and how to fly those that can be flown."""
+    live = [scenario.id for scenario in scenarios if scenario.flown(live=True)]
+    if live:
+        return f"{', '.join(live)} cannot run in lockstep. Run {'it' if len(live) == 1 else 'them'} with --real-time."
+    return f"no flight: {', '.join(scenario.id for scenario in scenarios)} cannot be flown ({scenarios[0].why})"
+
+
 def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Generator[FaultRecord, None, None]:
-    """Records as they come, under a bar that tells how many there are yet to come; a flight that missed is told of at once."""
+    """Yield records as they come, with a progress bar; a flight that missed a limit is printed at once."""
     columns = (
         TextColumn("flights"),
         BarColumn(),
@@ -159,34 +170,34 @@ def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Gene
 
 
 def _results(options: FaultOptions, records: Iterator[FaultRecord]) -> Iterator[Result]:
-    """Of each row and personality, in order, as soon as its last flight and those of the rows before are over."""
-    told: dict[FaultCase, FaultRecord] = {}
+    """Yield the result of each scenario and autopilot, in order, as soon as its flights and those before are over."""
+    flown: dict[FaultCase, FaultRecord] = {}
     for autopilot in options.autopilots:
-        for row in options.rows:
-            cases = options.cases(row, autopilot)
-            while not told.keys() >= set(cases):
+        for scenario in options.scenarios:
+            cases = options.cases(scenario, autopilot)
+            while not flown.keys() >= set(cases):
                 record = next(records)
-                told[record.case] = record
-            firmware = next((told[case].firmware for case in cases if told[case].firmware), "")
+                flown[record.case] = record
+            firmware = next((flown[case].firmware for case in cases if flown[case].firmware), "")
             how = cases[0].how if cases else ""
-            yield result_of(row, autopilot, [told[case].verdict for case in cases], firmware, options.seed0, how)
+            yield result_of(scenario, autopilot, [flown[case].verdict for case in cases], firmware, options.seed0, how)
 
 
 def _missed(record: FaultRecord) -> str:
-    """What broke, and how to fly it again."""
+    """Return what a flight missed, and the options that repeat it."""
     case = record.case
     result = result_of(ROWS[case.row], case.autopilot, [record.verdict], how=case.how)
-    return f"missed: {', '.join((*result.broken(), *result.remarks))} ({result.again(case.number)})"
+    return f"missed: {', '.join((*result.broken(), *result.remarks))} (repeat: {result.again(case.number)})"
 
 
 def _line(result: Result) -> str:
     head = f"{result.row.id:4} {result.autopilot:9} {result.row.hazard[:34]:34}"
     if result.passed is None:
         return f"{head} not flown: {result.row.why}"
-    word = "pass" if result.passed else "FAIL"
+    verdict = "pass" if result.passed else "FAIL"
     more = "" if not result.remarks else "  " + "; ".join(result.remarks)
     which = f"  seed {', '.join(map(str, result.missed))}" if result.missed else ""
-    return f"{head} {result.kept:2}/{result.seeds:<2} {word}  {result.sentence()}{more}{which}"
+    return f"{head} {result.kept:2}/{result.seeds:<2} {verdict}  {result.sentence()}{more}{which}"
 
 
 def _save(options: FaultOptions, results: list[Result]) -> None:

@@ -163,7 +163,7 @@ def flight(rows: Sequence[Scenario], stage: Stage, folder: Path, split: Callable
         radius=stage.radius_m,
         variant=stage.variant,
         camera=stage.camera,
-        mapper="stand-in",
+        mapper="depth-only",
         lockstep=True,
         out=folder / "flight",
     )

@@ -78,4 +78,4 @@ def test_the_shared_stream_meets_the_limits_that_do_not_depend_on_the_machine(tm
 def test_stream_options_are_refused_without_a_stream(option: str, value: str) -> None:
     code, out, err = bench(option, value)
     assert (code, out) == (2, "")
-    assert err == f"uav-recon: {option} {value}: is of a --stream, and none is given\n"
+    assert err == f"uav-recon: {option} needs --stream\n"

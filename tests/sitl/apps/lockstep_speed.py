@@ -45,7 +45,7 @@ def main(scene_name: str | None, views: int, seed: int) -> None:
     """Fly once and print one line."""
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
         options = SimOptions.parse(
-            scene=scene_name, seed=seed, views=views, mount="fixed:15", camera="fast", mapper="stand-in", lockstep=True,
+            scene=scene_name, seed=seed, views=views, mount="fixed:15", camera="fast", mapper="depth-only", lockstep=True,
             out=Path(folder) / "flight",
         )  # fmt: skip
         scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)

@@ -30,12 +30,22 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        ({"mount": "fixed:61"}, "-60..60"),
+        ({"mount": "fixed:61"}, "-60 to 60"),
         ({"mount": "swivel"}, "gimbal"),
-        ({"mapper": "none"}, "neural, stand-in"),
-        ({"mapper": "stand-in"}, "lockstep"),
-        ({"radius": 0.01}, "0.05..0.6"),
-        ({"blind_speed": 2.0}, "--blind-speed 2.0: want 0.1..1.2 m/s"),
+        ({"mapper": "none"}, "neural, depth-only"),
+        ({"mapper": "depth-only"}, "lockstep"),
+        ({"mapper": "stand-in"}, "--mapper depth-only: needs --lockstep"),
+        ({"mount": "fixed:"}, "--mount fixed:: want gimbal, or fixed:DEG"),
+        ({"mount": "fixed"}, "--mount fixed: want gimbal, or fixed:DEG"),
+        ({"mount": "fixed:nan"}, "-60 to 60"),
+        ({"scene": ""}, "--scene is empty"),
+        ({"start": "1,2,0,9999"}, "YAW is 9999; want -360 to 360 degrees"),
+        ({"start": "1e300,2,0,0"}, "each -100000 to 100000"),
+        ({"start": "nan,2,0,0"}, "each -100000 to 100000"),
+        ({"fence": "0,0,0,1e300,1,1"}, "each -100000 to 100000"),
+        ({"fence": "0,0,0,nan,1,1"}, "6 numbers X0,Y0,Z0,X1,Y1,Z1"),
+        ({"radius": 0.01}, "0.05 to 0.6"),
+        ({"blind_speed": 2.0}, "--blind-speed 2.0: want 0.1 to 1.2 m/s"),
         ({"camera": "d415"}, "d435i, wide"),
         ({"autopilot": "inav"}, "px4, ardupilot"),
         ({"uncertainty": "none"}, "agreement, paper, colour, information, product"),
@@ -52,6 +62,17 @@ def test_an_invalid_option_names_the_allowed_values(words: dict[str, str], named
     assert "\n" not in str(failure.value)
 
 
+def test_a_folder_that_cannot_be_used_is_refused_before_the_scene_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "flown").mkdir()
+    (tmp_path / "flown" / "timeline.jsonl").touch()
+    for out, named in (("file/x", "is not a folder"), ("file", "is not a folder"), ("flown", "already contains a flight")):
+        with pytest.raises(UsageError, match=named):
+            SimOptions.parse(out=tmp_path / out).check_folder()
+    SimOptions.parse(out=tmp_path / "a" / "b").check_folder()
+    assert not (tmp_path / "a").exists()
+
+
 def test_an_unusable_firmware_is_a_one_line_error(tmp_path: Path) -> None:
     plain, program = tmp_path / "readme", tmp_path / "arducopter"
     plain.write_text("", encoding="ascii")
@@ -59,7 +80,7 @@ def test_an_unusable_firmware_is_a_one_line_error(tmp_path: Path) -> None:
     program.chmod(0o755)
     for words, named in (
         ({"firmware": tmp_path / "none"}, "none: no such file"),
-        ({"firmware": tmp_path}, "is a folder, want the binary"),
+        ({"firmware": tmp_path}, "is a folder; want the binary"),
         ({"firmware": plain}, "readme: not executable"),
         ({"firmware": program, "lockstep": True}, "real time"),
         ({"firmware": program, "mount": "gimbal"}, "fixed:DEG"),
@@ -119,9 +140,10 @@ def test_clearance_and_inset_follow_the_radius(tmp_path: Path, radius_m: float, 
 
 
 def test_the_depth_only_mapper_flies_with_the_fast_camera_by_default() -> None:
-    quick = SimOptions.parse(mapper="stand-in", lockstep=True)
+    quick = SimOptions.parse(mapper="depth-only", lockstep=True)
     assert quick.camera == "fast"
-    assert SimOptions.parse(mapper="stand-in", lockstep=True, camera="d435i").camera == "d435i"
+    assert SimOptions.parse(mapper="stand-in", lockstep=True).mapper == "depth-only"
+    assert SimOptions.parse(mapper="depth-only", lockstep=True, camera="d435i").camera == "d435i"
     assert (
         quick.config(SCENE, Path("/tmp")).camera.depth_noise_px
         == 0.5 * SimOptions.parse().config(SCENE, Path("/tmp")).camera.depth_noise_px

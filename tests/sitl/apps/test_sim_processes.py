@@ -147,7 +147,7 @@ def say(folder: Path, phase: FlightPhase) -> None:
 def test_before_the_take_off_a_signal_ends_everything(launch: Callable[[], Flight], number: signal.Signals) -> None:
     flight = launch()
     flight.process.send_signal(number)
-    assert flight.end().splitlines()[-1] == "ended before the take-off"
+    assert flight.end().splitlines()[-1] == "interrupted before take-off; nothing was flown"
     assert flight.process.returncode == 130
     assert flight.left() == set()
 

@@ -20,7 +20,7 @@ def test_more_jobs_than_fit_in_memory_are_refused(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("sitl.apps.sim_options.memory_gb", lambda: 4.1)
     assert SweepOptions.parse(jobs=5).jobs == 5
     for parse in (SweepOptions.parse, FaultOptions.parse):
-        with pytest.raises(UsageError, match=r"^--jobs 6: want 1 to 5; each may take 0\.8 GB of memory$") as caught:
+        with pytest.raises(UsageError, match=r"^--jobs 6: want 1 to 5; each may use 0\.8 GB of memory$") as caught:
             parse(jobs=6)
         assert caught.value.code == 2
 
@@ -44,8 +44,8 @@ def test_all_combinations_are_flown_before_the_next_seed() -> None:
         ({"radii": "9"}, "radii"),
         ({"variants": "fast"}, "variants"),
         ({"camera": "d415"}, "camera"),
-        ({"mount": "foo"}, "--mount foo: want fixed:DEG"),
-        ({"scenes": "/nope"}, "--scenes /nope: no such scene; want random, random:SEED, built-in, folders, meshes"),
+        ({"mount": "foo"}, "--mount foo: want gimbal, or fixed:DEG"),
+        ({"scenes": "/nope"}, "--scenes /nope: no such scene; want random, random:SEED, built-in, a folder or a mesh file"),
         ({"scenes": ""}, "--scenes : no such scene"),
         ({"scenes": "random,"}, "--scenes : no such scene"),
         ({"scenes": "random:-1"}, "--scenes random:-1: no such scene"),
@@ -93,5 +93,5 @@ def test_a_sweep_resumes_after_the_recorded_flights(tmp_path: Path, capsys: pyte
 def test_a_foreign_json_file_is_refused(tmp_path: Path) -> None:
     account = tmp_path / "sweep.json"
     account.write_text('{"flights": [{"seed": 1}]}')
-    with pytest.raises(UserError, match="not the account of a sweep"):
+    with pytest.raises(UserError, match="not a results file of `uav-recon sweep`"):
         sweep(SweepOptions.parse(flights=1, json=account))

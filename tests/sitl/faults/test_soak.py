@@ -190,9 +190,9 @@ def test_a_breath_is_no_growth_and_a_colour_image_kept_each_second_is(row: str, 
 
 
 def test_a_soak_is_flown_by_its_rows_name_in_real_time_alone_and_not_by_default() -> None:
-    assert [row.id for row in FaultOptions.parse(only="G9", live=True, seeds=1).rows] == ["G9-2h"]
-    assert [row.id for row in FaultOptions.parse(only="G9-1min,A9", live=True).rows] == ["A9", "G9-1min"]
-    assert not {row.id for row in SOAKS} & {row.id for row in FaultOptions.parse(live=True).rows}
+    assert [row.id for row in FaultOptions.parse(only="G9", live=True, seeds=1).scenarios] == ["G9-2h"]
+    assert [row.id for row in FaultOptions.parse(only="G9-1min,A9", live=True).scenarios] == ["A9", "G9-1min"]
+    assert not {row.id for row in SOAKS} & {row.id for row in FaultOptions.parse(live=True).scenarios}
     assert FaultOptions.parse(only="G9-5min").cases(ROWS["G9-5min"], "px4") == []
     assert "G9" in {row.id for row in TABLE}
     assert "--only G9 --real-time" in ROWS["G9"].why

@@ -90,6 +90,8 @@ def test_an_open_scene_needs_a_fence() -> None:
         (ROOM, (2.0, math.nan, 0.5, 0.0), None, "want a start X,Y,Z,YAW"),
         (ROOM, START, (3, 0, 0, 5, 4, 2), "outside the fence"),
         (ROOM, START, (0, 0, 0, 5, 4), "want a fence of 6 numbers"),
+        (ROOM, (2.0, 2.0, 0.5, 1e9), None, r"start yaw 1e\+09: want -360 to 360 degrees"),
+        (ROOM, START, (-1, -1, -0.1, 600, 3, 0.9), r"fence reaches 598 m from the start; want at most 500 m"),
         (Mesh(ROOM.vertices, ROOM.faces[:0], ROOM.rgb), START, None, "empty"),
         (Mesh(ROOM.vertices * 100, ROOM.faces, ROOM.rgb), START, None, "500 m across"),
         (box((0, 0, 0), (90, 90, 20)), START, None, r"scene of \(90.00, 90.00, 20.00\) m holds 162000 m3; want at most 30000"),
@@ -125,6 +127,7 @@ def test_invalid_files_are_one_line_errors(tmp_path: Path) -> None:
         "bare": None,
         "broken": "{",
         "listed": "[]",
+        "nested": "[" * 100_000,
         "pointless": '{"name": "x"}',
         "gone": '{"name": "x", "file": "x.ply"}',
     }

@@ -41,7 +41,7 @@ def bench_planner(stream: Path | None, size: str | None, stride: int | None, sca
     require_writable_file("--json", json_path)
     for option, value in (("--size", size), ("--stride", stride)):
         if stream is None and value is not None:
-            raise UsageError(f"{option} {value}: is of a --stream, and none is given")
+            raise UsageError(f"{option} needs --stream")
     recording = (
         builtin_building.fly_through() if stream is None else load(stream, size or SIZE, STRIDE if stride is None else stride)
     )

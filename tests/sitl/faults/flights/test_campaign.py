@@ -28,16 +28,16 @@ ROW = Scenario("X1", "a <hazard>", "something", bars=(GAP, CLEAR))
 
 def test_rows_come_in_the_tables_order() -> None:
     options = FaultOptions.parse(only="B4, A1", autopilot="px4", seeds=2, out=Path("/somewhere"))
-    assert [row.id for row in options.rows] == ["A1", "B4"]
+    assert [row.id for row in options.scenarios] == ["A1", "B4"]
     cases = options.cases(ROWS["A1"], "px4")
     assert [case.number for case in cases] == [0, 1, 2, 3, 4, 5]
     assert cases[1].out == Path("/somewhere/A1-px4-1")
     assert options.cases(ROWS["A4"], "px4") == []
     assert FaultOptions.parse().autopilots == AUTOPILOTS
-    assert {row.id for row in FaultOptions.parse(live=True).rows} == {*(f"A{k}" for k in range(1, 12)), "C2", "D6", "G2", "G3"}
-    with pytest.raises(UsageError, match="B4: not flown in real time"):
+    assert {row.id for row in FaultOptions.parse(live=True).scenarios} == {*(f"A{k}" for k in range(1, 12)), "C2", "D6", "G2", "G3"}
+    with pytest.raises(UsageError, match="B4: cannot run in real time"):
         FaultOptions.parse(only="B4", live=True)
-    assert FaultOptions.parse().rows == TABLE
+    assert FaultOptions.parse().scenarios == TABLE
 
 
 def test_a_real_firmware_flies_what_it_has_the_means_for(tmp_path: Path) -> None:
@@ -51,13 +51,13 @@ def test_a_real_firmware_flies_what_it_has_the_means_for(tmp_path: Path) -> None
     with pytest.raises(UsageError, match="--autopilot both: with --firmware want px4 or ardupilot"):
         FaultOptions.parse(firmware=binary)
     copter = FaultOptions.parse(autopilot="ardupilot", firmware=binary, jobs=4)
-    names = {row.id for row in copter.rows}
+    names = {row.id for row in copter.scenarios}
     assert {"A1", "A6", "B1", "B4", "C4", "D2", "E1", "G6"} <= names
     assert not names & {"E5", "E7", "F1", "F2", "D7", "G9", "B11"}, "they need the insides of a simulated one, or are none"
     assert (copter.live, copter.jobs) == (True, 1)
     assert copter.cases(ROWS["B1"], "ardupilot")[0].firmware == binary
-    assert "E1" not in {row.id for row in FaultOptions.parse(autopilot="px4", firmware=binary).rows}, "nobody holds its sticks"
-    with pytest.raises(UsageError, match="E7: not flown with a real ardupilot"):
+    assert "E1" not in {row.id for row in FaultOptions.parse(autopilot="px4", firmware=binary).scenarios}, "nobody holds its sticks"
+    with pytest.raises(UsageError, match="E7: cannot run with a real ardupilot firmware"):
         FaultOptions.parse(only="E7", autopilot="ardupilot", firmware=binary)
 
 
@@ -77,7 +77,7 @@ def test_what_rows_have_in_common_is_flown_once() -> None:
 
 def test_twenty_seeds_are_sixty_of_the_five_rows_that_take_most_turns() -> None:
     options = FaultOptions.parse(seeds=20)
-    often = [row.id for row in options.rows if len(options.cases(row, "px4")) == 60]
+    often = [row.id for row in options.scenarios if len(options.cases(row, "px4")) == 60]
     assert often == ["A1", "B1", "B4", "E1", "F1"]
 
 
@@ -88,31 +88,39 @@ def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: 
     assert options.cases(ROWS["B3"], "px4")[0].out == tmp_path / "B3-px4-7"
     record = FaultRecord(FaultCase("B3", "px4", 7), ScenarioVerdict((0.30, 0.0), ("contact",)))
     assert _missed(record).startswith(
-        "missed: motion of the error 0.30 <= 0.05 m, contact (--only B3 --autopilot px4 --seeds 1 --seed0 7)"
+        "missed: motion of the error 0.30 <= 0.05 m, contact (repeat: --only B3 --autopilot px4 --seeds 1 --seed0 7)"
     )
     assert "seed 7, 9" in _line(
         result_of(ROWS["B3"], "px4", [record.verdict, ScenarioVerdict((0.0, 0.0), ()), record.verdict], first=7)
     )
 
 
-@pytest.mark.parametrize("row", ["B6", "A5", "G9"])
-def test_where_nothing_is_flown_at_all_nothing_has_passed(row: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(UsageError, match="nothing was flown"):
+@pytest.mark.parametrize(
+    ("row", "reason"),
+    [
+        ("B6", r"no flight: B6 cannot be flown \(waits for perception\)"),
+        ("A5", r"A5 cannot run in lockstep\. Run it with --real-time\."),
+        ("G9", r"G9-2h cannot run in lockstep\. Run it with --real-time\."),
+        ("A4,A5", r"A4, A5 cannot run in lockstep\. Run them with --real-time\."),
+    ],
+)
+def test_where_nothing_is_flown_at_all_nothing_has_passed(row: str, reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(UsageError, match=reason):
         faults(FaultOptions.parse(only=row, autopilot="px4", seeds=1))
     told = capsys.readouterr().out
-    assert row in told
+    assert row.partition(",")[0] in told
     assert "not flown: " in told
 
 
 def test_flights_that_are_there_are_not_flown_over(tmp_path: Path) -> None:
     (tmp_path / "A1-px4-0").mkdir()
-    with pytest.raises(UsageError, match="holds flights already, A1-px4-0"):
+    with pytest.raises(UsageError, match="already contains flights, e.g. A1-px4-0"):
         faults(FaultOptions.parse(only="A1", autopilot="px4", seeds=1, out=tmp_path))
 
 
 @pytest.mark.parametrize(
     ("words", "named"),
-    [({"only": "A1,Z9"}, "Z9"), ({"only": "A1,"}, "no row ''"), ({"autopilot": "inav"}, "autopilot")],
+    [({"only": "A1,Z9"}, "Z9"), ({"only": "A1,"}, "no scenario ''"), ({"autopilot": "inav"}, "autopilot")],
 )
 def test_a_word_that_is_unknown_is_told(words: dict[str, str], named: str) -> None:
     with pytest.raises(UsageError, match=named):
@@ -170,7 +178,7 @@ def test_what_never_came_is_null_and_breaks_the_bar() -> None:
 def test_a_row_that_cannot_be_flown_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert json.dumps(result_of(ROWS["A5"], "px4", []).tree()), "one that has bars, but flies in real time alone"
     options = FaultOptions.parse(only="G7", autopilot="px4", jobs=1, json=tmp_path / "f.json", out=tmp_path / "out")
-    with pytest.raises(UsageError, match="nothing was flown"):
+    with pytest.raises(UsageError, match="G7 cannot be flown"):
         faults(options)
     assert "not flown: T3" in capsys.readouterr().out
     row = json.loads((tmp_path / "f.json").read_text())["rows"][0]
@@ -203,5 +211,5 @@ def test_the_page_shows_how_much_of_each_bar_is_used_up_and_how_to_fly_what_miss
 def test_what_missed_is_flown_again_the_same_way(live: bool, firmware: Path | None, how: str) -> None:
     case = FaultCase("B3", "px4", 7, live=live, firmware=firmware)
     verdict, again = ScenarioVerdict((0.30, 0.0), ()), f"--only B3 --autopilot px4 {how}--seeds 1 --seed0 7"
-    assert f"({again})" in _missed(FaultRecord(case, verdict))
+    assert f"(repeat: {again})" in _missed(FaultRecord(case, verdict))
     assert again in html.unescape(render([result_of(ROWS["B3"], "px4", [verdict], first=7, how=case.how)]))

@@ -155,13 +155,13 @@ def test_a_reaction_is_a_bar_of_its_own_row() -> None:
 
 
 def test_pairs_are_flown_by_their_rows_name_and_not_by_default() -> None:
-    assert FaultOptions.parse(only="G10").rows == PAIRS
-    assert [row.id for row in FaultOptions.parse(only="B1+E5, A1").rows] == ["A1", "B1+E5"]
-    assert not set(FaultOptions.parse().rows) & set(PAIRS)
+    assert FaultOptions.parse(only="G10").scenarios == PAIRS
+    assert [row.id for row in FaultOptions.parse(only="B1+E5, A1").scenarios] == ["A1", "B1+E5"]
+    assert not set(FaultOptions.parse().scenarios) & set(PAIRS)
     assert "--only G10" in ROWS["G10"].why
     groups = FaultOptions.parse(only="G10", seeds=5).groups()
     assert (len(groups), sum(map(len, groups))) == (2 * 5 * 4, 2 * 5 * 45), "hall and pen, long and short"
-    with pytest.raises(UsageError, match=r"no row E1\+D8; there are A1.*G10, G9-2h.* and pairs as A1\+B1"):
+    with pytest.raises(UsageError, match=r"no scenario E1\+D8; .*faults --list` shows A1 to G10, and pairs such as A1\+B1"):
         FaultOptions.parse(only="E1+D8")
     with pytest.raises(UsageError, match="G10: not flown in real time"):
         FaultOptions.parse(only="G10", live=True)

@@ -1,0 +1,29 @@
+"""The words that options with a fixed set of values take, for help and shell completion; whoever uses an option checks it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+AUTOPILOTS = ("px4", "ardupilot")
+VARIANTS = ("adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp")
+DEPTH_NOISES = ("d435i", "paper", "kinect", "none")
+CAMERAS = ("d435i", "wide", "fast", "small")
+MAPPERS = ("neural", "depth-only")
+UNCERTAINTIES = ("agreement", "paper", "colour", "information", "product")
+MOUNTS = ("fixed:15", "gimbal")
+DEVICES = ("auto", "cpu", "cuda")
+
+
+def one_of(words: tuple[str, ...]) -> Callable[[str], list[str]]:
+    """Return a completion for the last word of a comma-separated list: the words that begin with it."""
+
+    def complete(incomplete: str) -> list[str]:
+        before, comma, last = incomplete.rpartition(",")
+        return [f"{before}{comma}{word}" for word in words if word.startswith(last)]
+
+    return complete
+
+
+def listed(words: tuple[str, ...]) -> str:
+    """Return the words for a help text: `a|b|c`."""
+    return "|".join(words)

@@ -1,0 +1,97 @@
+"""The processes of a vehicle, and the commands for a flight folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from uav_recon.cli import choices
+from uav_recon.cli.exit_codes import exit_with
+
+CONFIG = Path("/etc/uav_recon/config.toml")
+# who opens a path judges it, in one line and with the exit code that it has: readable=False
+ConfigOption = Annotated[
+    Path,
+    typer.Option("--config", metavar="FILE", readable=False, help="TOML config; `uav-recon config write` lists every key."),
+]
+FlightOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--flight", metavar="FOLDER", readable=False, help="Flight folder. Default: a dated folder in recording.folder."
+    ),
+]
+FlightArgument = Annotated[Path, typer.Argument(metavar="FLIGHT", readable=False, help="A flight folder.")]
+REVIEW_EXAMPLES = ("uav-recon review flights/room-20260101-120000",)
+REFINE_EXAMPLES = (
+    "uav-recon refine flights/room-20260101-120000                 # 8000 steps, 1 cm triangles",
+    "uav-recon refine flights/room-20260101-120000 --steps 500 --voxel 0.02     # a quick look",
+    "uav-recon refine flights/room-20260101-120000 --device cuda --processes 2",
+)
+
+
+def pilot(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None:
+    """Run the pilot process: the only MAVLink link, the guard and the setpoint stream."""
+    from uav_recon.app import processes
+
+    exit_with(lambda: processes.pilot(config, flight))
+
+
+def perception(config: ConfigOption = CONFIG) -> None:
+    """Run the perception process: camera frames, poses and odometry."""
+    from uav_recon.app import processes
+
+    exit_with(lambda: processes.perception(config))
+
+
+def mission(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None:
+    """Run the mission process: voxel map, planner and state machine; mapper and recorder are its child processes."""
+    from uav_recon.app import processes
+
+    exit_with(lambda: processes.mission(config, flight))
+
+
+def record(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None:
+    """Run the recorder, which the mission starts: it writes the channels to flight.rrd."""
+    from uav_recon.app import processes
+
+    exit_with(lambda: processes.record(config, flight))
+
+
+def review(flight: FlightArgument) -> None:
+    """Open a flight in the rerun viewer: map, path, model, camera images and values on one timeline."""
+    from uav_recon.app import processes
+
+    exit_with(lambda: processes.review(flight))
+
+
+def refine(
+    flight: FlightArgument,
+    steps: Annotated[int, typer.Option(help="Training steps, 1 to 1000000.")] = 8000,
+    voxel: Annotated[float, typer.Option(metavar="M", help="Edge length of the triangles in metres, 0.005 to 0.05.")] = 0.01,
+    device: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed(choices.DEVICES), autocompletion=choices.one_of(choices.DEVICES),
+            help="auto uses every GPU that is found, otherwise the CPU.",
+        ),
+    ] = "auto",
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Train in N processes (torchrun), 1 to 64; each needs 1 GB of memory. Default: one per GPU."
+        ),
+    ] = None,
+    save_every: Annotated[float, typer.Option(metavar="S", help="Seconds between checkpoints, 1 to 3600.")] = 60.0,
+) -> None:  # fmt: skip
+    """Train the final model of a flight at full quality and write FLIGHT/refined/mesh.ply and mesh.glb.
+
+    The mesh is watertight. Faces that no view observed are marked (mesh.ply: property `observed`; mesh.glb: primitive
+    `unseen`) and are not part of any measured value. Ctrl-C saves a checkpoint; the same command continues from it, also
+    after a kill.
+    """
+    from uav_recon.app import refine as refinement
+
+    wanted = refinement.RefineOptions(flight, steps, voxel, device, processes, save_every)
+    exit_with(lambda: refinement.refine(wanted))

@@ -1,0 +1,236 @@
+"""`uav-recon sim` and `uav-recon sweep`: flights in simulation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from uav_recon.cli import choices
+from uav_recon.cli.exit_codes import exit_with
+
+SIM_EXAMPLES = (
+    "uav-recon sim                                            # the built-in room, in real time",
+    "uav-recon sim --lockstep --views 20 --seed 3             # repeatable; the same seed gives the same flight",
+    "uav-recon sim --lockstep --mapper depth-only             # without the neural mapper: much faster",
+    "uav-recon sim --scene random:7 --variant explore         # a generated flat",
+    "uav-recon sim --scene room.ply --start 1.5,2,0,90        # your own mesh: metres, z up",
+    "uav-recon sim --autopilot ardupilot --firmware ./arducopter",
+)
+SWEEP_EXAMPLES = (
+    "uav-recon sweep --flights 20",
+    "uav-recon sweep --scenes built-in,random --radii 0.15,0.20 --json sweep.json",
+)
+SCENE, VEHICLE, CAMERA, PLANNER, RUN = "Scene", "Vehicle and autopilot", "Camera", "Mapping and planning", "Run"
+CameraOption = Annotated[
+    str,
+    typer.Option(
+        metavar=choices.listed(choices.CAMERAS),
+        autocompletion=choices.one_of(choices.CAMERAS),
+        help="Simulated camera; see `sim --help`.",
+    ),
+]
+
+
+def sim(
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATH|random:SEED", rich_help_panel=SCENE,
+            help="Folder with scene.json, mesh file (.ply .obj .glb .stl; metres, z up) or random:SEED for a generated flat. "
+            "Default: the built-in room.",
+        ),
+    ] = None,
+    list_scenes: Annotated[
+        bool, typer.Option("--list-scenes", rich_help_panel=SCENE, help="List the scenes that can be flown, and exit.")
+    ] = False,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,YAW", rich_help_panel=SCENE,
+            help="Take-off position in metres and heading in degrees, in the mesh's frame. Required for a mesh file.",
+        ),
+    ] = None,
+    fence: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X0,Y0,Z0,X1,Y1,Z1", rich_help_panel=SCENE,
+            help="Fence: lower and upper corner in metres, in the mesh's frame. Required where the mesh is open.",
+        ),
+    ] = None,
+    autopilot: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed(choices.AUTOPILOTS), autocompletion=choices.one_of(choices.AUTOPILOTS),
+            rich_help_panel=VEHICLE, help="Simulated autopilot.",
+        ),
+    ] = "px4",
+    firmware: Annotated[
+        Path | None,
+        typer.Option(
+            readable=False, metavar="PATH", rich_help_panel=VEHICLE,
+            help="Fly a real firmware instead of the simulated autopilot: the binary of ArduCopter SITL, or bin/px4 of a "
+            "build with SIH. It brings its own vehicle dynamics. Say which firmware it is with --autopilot.",
+        ),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(min=1024, max=65535, metavar="N", rich_help_panel=VEHICLE, help="UDP port of the MAVLink link.")
+    ] = 14540,
+    radius: Annotated[
+        float,
+        typer.Option(
+            metavar="M", rich_help_panel=VEHICLE,
+            help="Radius of the vehicle in metres, 0.05 to 0.6. Planning clearance and fence inset follow from it.",
+        ),
+    ] = 0.20,
+    blind_speed: Annotated[
+        float,
+        typer.Option(
+            metavar="M/S", rich_help_panel=VEHICLE,
+            help="Speed limit outside the camera's field of view, 0.1 to 1.2 m/s. Below 1.2 the vehicle yaws into the "
+            "direction of travel on long legs. 1.2 disables the limit; flights are then about a third shorter.",
+        ),
+    ] = 0.3,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar=choices.listed(choices.CAMERAS), autocompletion=choices.one_of(choices.CAMERAS), rich_help_panel=CAMERA,
+            help="d435i: colour narrower than depth. wide: one registered RGB-D camera. fast: a d435i at a quarter of its "
+            "pixels, 6 Hz, no colour. small: the same with colour. Default: d435i; fast with --mapper depth-only.",
+        ),
+    ] = None,
+    mount: Annotated[
+        str,
+        typer.Option(
+            metavar="fixed:DEG|gimbal", autocompletion=choices.one_of(choices.MOUNTS), rich_help_panel=CAMERA,
+            help="Camera mount. DEG is the tilt, -60 to 60; positive looks down.",
+        ),
+    ] = "fixed:15",
+    depth_noise: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed(choices.DEPTH_NOISES), autocompletion=choices.one_of(choices.DEPTH_NOISES),
+            rich_help_panel=CAMERA, help="Noise model of the depth images.",
+        ),
+    ] = "d435i",
+    mapper: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed(choices.MAPPERS), autocompletion=choices.one_of(choices.MAPPERS), rich_help_panel=PLANNER,
+            help="neural: learn the surface. depth-only: surface straight from depth images, no model and no recording; "
+            "needs --lockstep.",
+        ),
+    ] = "neural",
+    variant: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME", autocompletion=choices.one_of(choices.VARIANTS), rich_help_panel=PLANNER,
+            help="Planner: the paper's adaptive (V5), merged (V4), reconstruct (V3), explore (V2), explore-yaw (V1), or "
+            "a baseline: explore-then-refine, evpp, vpp.",
+        ),
+    ] = "adaptive",
+    uncertainty: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME", autocompletion=choices.one_of(choices.UNCERTAINTIES), rich_help_panel=PLANNER,
+            help="Measure of surface uncertainty for the planner: agreement, paper, colour, information or product.",
+        ),
+    ] = "agreement",
+    views: Annotated[
+        int | None,
+        typer.Option(
+            min=4, max=5000, metavar="N", rich_help_panel=PLANNER,
+            help="View budget: maximum number of keyframes for the mapper. Default: 60; 120 with --scene.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int,
+        typer.Option(
+            min=0, rich_help_panel=RUN, help="Seed of wind, noise and training. In lockstep, one seed gives one flight."
+        ),
+    ] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(readable=False, metavar="FOLDER", rich_help_panel=RUN, help="Flight folder. Default: flights/SCENE-DATE."),
+    ] = None,
+    lockstep: Annotated[
+        bool,
+        typer.Option("--lockstep", rich_help_panel=RUN, help="Run in one process on a simulated clock: repeatable and faster."),
+    ] = False,
+    live: Annotated[
+        bool, typer.Option("--live", rich_help_panel=RUN, help="Open the rerun viewer and show the flight while it runs.")
+    ] = False,
+) -> None:  # fmt: skip
+    """Fly a whole mission in simulation and write a flight folder with model, report and recording.
+
+    Scene, camera and autopilot are simulated. The pilot, perception and mission processes are the programs that run on a
+    drone. Ctrl-C lands and still writes the report; a second Ctrl-C ends all processes at once.
+
+    Exit code 0: mission completed; 1: not completed, or a process failed; 2: bad option; 130: interrupted before take-off.
+    """
+    if list_scenes:
+        from sitl.apps.scene_list import print_scenes
+
+        exit_with(print_scenes)
+    from sitl.apps.sim import SimOptions, simulate
+
+    exit_with(
+        lambda: simulate(
+            SimOptions.parse(
+                scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
+                mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, uncertainty=uncertainty, radius=radius,
+                lockstep=lockstep, live=live, port=port, firmware=firmware, blind_speed=blind_speed,
+            )
+        )
+    )  # fmt: skip
+
+
+def sweep(
+    flights: Annotated[int, typer.Option(min=1, max=100000, help="Number of flights.")] = 500,
+    seed0: Annotated[int, typer.Option(min=0, help="First seed.")] = 0,
+    scenes: Annotated[
+        str,
+        typer.Option(
+            metavar="S,S,...", help="Scenes: random (a new flat for each seed), random:SEED, built-in, folders, mesh files."
+        ),
+    ] = "random",
+    radii: Annotated[str, typer.Option(metavar="M,M,...", help="Radii of the vehicle in metres, 0.05 to 0.6.")] = "0.20",
+    variants: Annotated[
+        str,
+        typer.Option(
+            metavar="V,V,...", autocompletion=choices.one_of(choices.VARIANTS), help="Planner variants; see `sim --help`."
+        ),
+    ] = "adaptive",
+    mount: Annotated[
+        str,
+        typer.Option(metavar="fixed:DEG|gimbal", autocompletion=choices.one_of(choices.MOUNTS), help="Camera mount."),
+    ] = "fixed:15",
+    camera: CameraOption = "fast",
+    views: Annotated[int | None, typer.Option(min=4, max=5000, help="View budget. Default: as `sim`.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Parallel processes; each uses one core.")] = 2,
+    json: Annotated[
+        Path | None,
+        typer.Option(readable=False, metavar="FILE", help="Results file. Flights that it already contains are not repeated."),
+    ] = None,
+    truth: Annotated[
+        bool,
+        typer.Option("--truth", help="Also measure explored fraction and recall. Adds up to a minute for each new scene."),
+    ] = False,
+) -> None:
+    """Fly many missions in lockstep with the depth-only mapper; print a line for each and a summary table.
+
+    Flights go through scenes, radii and variants, then repeat with the next seed. Exit code 1 if any flight had contact or
+    failed with an error; the command that repeats such a flight is printed.
+    """
+    from sitl.apps.sweep import SweepOptions
+    from sitl.apps.sweep import sweep as fly_all
+
+    exit_with(
+        lambda: fly_all(
+            SweepOptions.parse(
+                flights=flights, seed0=seed0, scenes=scenes, radii=radii, variants=variants, mount=mount, camera=camera,
+                views=views, jobs=jobs, json=json, truth=truth,
+            )
+        )
+    )  # fmt: skip

@@ -1,0 +1,31 @@
+"""The version of this program: the package's, and the commit it was installed from or runs in."""
+
+from __future__ import annotations
+
+import json
+from importlib import metadata
+from pathlib import Path
+
+from uav_recon.bench import host_info
+
+PACKAGE = "uav-recon"
+_SOURCE = Path(__file__).parents[2]
+
+
+def version_line() -> str:
+    """Return `uav-recon VERSION`, with the commit where it is known."""
+    try:
+        package = metadata.distribution(PACKAGE)
+    except metadata.PackageNotFoundError:
+        return f"{PACKAGE} (not installed)"
+    in_working_tree = (_SOURCE / ".git").exists()  # an installed copy may lie inside a repository of somebody else
+    commit = host_info.commit() if in_working_tree else _installed_commit(package)
+    return f"{PACKAGE} {package.version}" + ("" if commit in ("", "unknown") else f" (commit {commit})")
+
+
+def _installed_commit(package: metadata.Distribution) -> str:
+    """Return the commit that pip noted for an installation from a repository, "" for any other."""
+    try:
+        return str(json.loads(package.read_text("direct_url.json") or "{}")["vcs_info"]["commit_id"])[:7]
+    except (ValueError, KeyError, TypeError):
+        return ""
