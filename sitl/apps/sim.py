@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import socket
 import sys
 import tempfile
@@ -14,13 +15,19 @@ from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.scene.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
+from uav_recon.app.option_validation import require_writable_file
+from uav_recon.bench import result_file
 from uav_recon.errors import EXIT_USAGE, UserError
 
 __all__ = ["SimOptions", "simulate"]
 
 
-def simulate(options: SimOptions) -> int:
-    """Fly as asked; returns the exit code. Raises Failure with one line for anything a user can mend."""
+def simulate(options: SimOptions, json: Path | None = None) -> int:
+    """Fly as asked and return the exit code; json: where to write the report with its result header.
+
+    Raises UserError with one line for anything that a user can correct.
+    """
+    require_writable_file("--json", json)
     console = Console(stderr=False)
     _need_open3d()
     scene = _scene(options)
@@ -43,6 +50,9 @@ def simulate(options: SimOptions) -> int:
 
     report = judge(options, scene, time.monotonic() - started_s, fault, console)
     console.print(summary(report, options.out))
+    if json is not None:
+        flight = {"completed": report.completed, "times_real": times_real, "report": dataclasses.asdict(report)}
+        result_file.save(json, flight)
     if times_real is not None:
         console.print(f"flown in lockstep at {times_real:.1f} times real time")
     if fault:

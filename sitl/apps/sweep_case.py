@@ -42,7 +42,7 @@ class Record:
     """What came of a case; error is the last line of an exception, "" where there was none. Unknown numbers are None.
 
     times_real: simulated time over wall time of the flight alone; times_real_processor: over this process's own time.
-    recall_90_s: when the surface first recalled 90 % of the truth.
+    recall_90_s: when the surface first recalled 90 % of the truth. commit: that flew it, as host_info.commit() gives it.
     """
 
     case: Case
@@ -61,6 +61,7 @@ class Record:
     planning_s: float | None = None
     times_real: float | None = None
     times_real_processor: float | None = None
+    commit: str = ""
     error: str = ""
     trace: str = ""
 

@@ -118,6 +118,7 @@ def sim(
             "build with SIH. Its vehicle flies in its own physics, and the camera follows.",
         ),
     ] = None,
+    json: JsonOption = None,
 ) -> None:
     """Fly a whole mission in simulation and write a flight folder with model, report and recording.
 
@@ -132,7 +133,8 @@ def sim(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
                 mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, uncertainty=uncertainty, radius=radius,
                 lockstep=lockstep, live=live, port=port, firmware=firmware, blind_speed=blind_speed,
-            )
+            ),
+            json,
         )
     )  # fmt: skip
 
