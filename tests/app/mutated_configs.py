@@ -1,4 +1,6 @@
-"""Start the pilot on N broken configs: `python tests/app/mutated_configs.py [N]`. Exit code 1: one ended the wrong way.
+"""Start the pilot on N broken configs: `python tests/app/mutated_configs.py [N]`.
+
+Exit code 1: one ended the wrong way. --json FILE writes the counts.
 
 Each is the flown config with one thing wrong: a bound passed by the least that a float can tell, a number that is none, a word
 for a number and a number for a word, a key missing or misspelt, two numbers the wrong way round. The pilot's serial line ends
@@ -7,6 +9,7 @@ here, so that what it sends is seen.
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import pty
@@ -25,6 +28,7 @@ from typing import Any
 import tomli_w
 from annotated_types import Ge, Gt, Le, Lt
 
+from uav_recon.bench import result_file
 from uav_recon.config import Config, load
 
 FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
@@ -209,7 +213,7 @@ def end_of(mutant: Mutant, folder: Path, line: SerialLine) -> End:
     return End(fault, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall_s)
 
 
-def main(count: int) -> int:
+def main(count: int, json: Path | None = None) -> int:
     """Try so many, spread over all of them, and print. Returns the exit code."""
     everything = mutants()
     tried = everything[:: max(len(everything) // count, 1)][:count]
@@ -223,8 +227,15 @@ def main(count: int) -> int:
         print(f"{name} to the end: {sorted(took_s)[len(took_s) // 2]:.2f} s, {max(took_s):.2f} s at most")
     for mutant, end in bad:
         print(f"{mutant.words}: {end.fault}")
+    if json is not None:
+        longest_s = {name: max(getattr(end, f"{name}_s") for end in ends) for name in ("processor", "wall")}
+        result_file.save(json, {"configs": len(ends), "wrong": len(bad), "longest_s": longest_s})
     return int(bool(bad) or max(end.processor_s for end in ends) > LONGEST_S)
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 200))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("count", type=int, nargs="?", default=200)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    sys.exit(main(options.count, options.json))
