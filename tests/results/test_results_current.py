@@ -179,3 +179,10 @@ def test_durations_of_commands_are_written_and_a_failed_one_has_none(tmp_path: P
     assert tree["header"]["contention"] == 1.0
     save(path, {"seconds": 1.0})
     assert json.loads(path.read_text(encoding="utf-8"))["seconds"] == 1.0
+
+
+@pytest.mark.parametrize("name", ["docs/limitations.md", "docs/hazards.md", "results/README.md", "results/notes/README.md"])
+def test_links_of_a_page_lead_somewhere(name: str) -> None:
+    page = ROOT / name
+    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), f"{name}: {target}"
