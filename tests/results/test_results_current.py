@@ -91,7 +91,7 @@ def test_a_figure_is_compared_with_its_requirement() -> None:
     assert evaluate(claim(Figure("median", "stages/0/ms")), {"planner": result()}).passed, "reported only"
     named = Figure("of b", "rows/name=b/ms", at_most=2.0, divided_by="stages/0/ms", scale=100.0)
     rows = [{"name": "a", "ms": 9.0}, {"name": "b", "ms": 0.015}]
-    assert evaluate(claim(named), {"planner": result(rows=rows)}).values == (pytest.approx(1.0),)
+    assert list(evaluate(claim(named), {"planner": result(rows=rows)}).values) == pytest.approx([1.0])
     word = Figure("outcome", "outcome", equals="completed")
     assert evaluate(claim(word), {"planner": result(outcome="completed")}).passed
     assert not evaluate(claim(word), {"planner": result(outcome="aborted: battery")}).passed
