@@ -1,7 +1,7 @@
 # Short names for the commands of every day; the README and .ci/run do not need them.
 PYTHON ?= .venv/bin/python
 
-.PHONY: install test lint safety hostile soak sim clean
+.PHONY: install test lint safety hostile soak sim results measure measure-long clean
 
 install:
 	python3 -m venv .venv
@@ -24,7 +24,7 @@ safety:
 	$(PYTHON) -m coverage report --show-missing --fail-under=100
 	rm -f mutation.sqlite
 	$(PYTHON) -m cosmic_ray.cli init tests/safety/mutation.toml mutation.sqlite
-	$(PYTHON) tests/safety/mutants.py mutation.sqlite
+	$(PYTHON) tests/safety/mutants.py mutation.sqlite $(if $(JSON),--json $(JSON))
 
 # A million hostile proposals to the guard, ten megabytes of garbage and forged frames to the link, two hundred broken configs
 # to the pilot; fails for one that has an effect.
@@ -38,6 +38,22 @@ hostile:
 SOAK ?= G9-2h
 soak:
 	$(PYTHON) -m uav_recon faults --only $(SOAK) --real-time --autopilot px4 --seeds 1 --out flights/$(SOAK)
+
+# results/README.md, results/history.csv, docs/hazards.md and the figures in README.md, from results/claims.toml and
+# results/current/*.json. Writes nothing if nothing was measured since.
+results:
+	$(PYTHON) -m results.generate
+
+# Measures claims: each command of results/claims.toml writes its results/current/*.json. On a machine with nothing else to do
+# about half an hour, `measure-long` about eight hours more. RUNS="planner help" measures these only.
+RUNS ?=
+measure:
+	$(PYTHON) -m results.measure $(RUNS)
+	$(PYTHON) -m results.generate
+
+measure-long:
+	$(PYTHON) -m results.measure --long $(RUNS)
+	$(PYTHON) -m results.generate
 
 sim:
 	$(PYTHON) -m uav_recon sim

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import socket
 import sys
 import tempfile
@@ -14,17 +15,20 @@ from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.scene.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
+from uav_recon.app.option_validation import require_writable_file
 from uav_recon.app.step_display import StepDisplay
+from uav_recon.bench import result_file
 from uav_recon.errors import EXIT_USAGE, UserError
 
 __all__ = ["SimOptions", "simulate"]
 
 
-def simulate(options: SimOptions) -> int:
+def simulate(options: SimOptions, json: Path | None = None) -> int:
     """Run one flight and return the exit code.
 
-    Raises UserError with one line for anything that a user can correct.
+    json: file for the report with its result header. Raises UserError with one line for anything that a user can correct.
     """
+    require_writable_file("--json", json)
     console = Console(stderr=False)
     options.check_folder()
     if not options.lockstep:
@@ -50,6 +54,9 @@ def simulate(options: SimOptions) -> int:
 
     report = judge(options, scene, time.monotonic() - started_s, fault, console)
     console.print(summary(report, options.out), markup=False, highlight=False, soft_wrap=True)
+    if json is not None:
+        flight = {"completed": report.completed, "times_real": times_real, "report": dataclasses.asdict(report)}
+        result_file.save(json, flight)
     if times_real is not None:
         console.print(f"lockstep flight at {times_real:.1f} times real time")
     if fault:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 from collections.abc import Iterator
@@ -19,6 +20,9 @@ from sitl.apps.sweep_case import Case, Record, as_tree, fly_case, from_tree, one
 from sitl.runtime.worker_pool import worker_pool
 from sitl.scene.scene import GENERATED
 from uav_recon.app.option_validation import readable, require_writable_file
+from uav_recon.bench import host_info, result_file
+from uav_recon.bench.machine_calibration import Calibration, calibrate
+from uav_recon.bench.result_file import result_header
 from uav_recon.errors import EXIT_USAGE, UserError
 
 RANDOM, BUILT_IN = "random", "built-in"  # scene names: a new flat for each seed; the room of `sim`
@@ -101,13 +105,15 @@ def sweep(options: SweepOptions) -> int:
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=len(todo))
         one_thread()
+        calibration, commit = calibrate(), host_info.commit()
         for record in _fly_all(todo, options.truth, options.jobs):
-            records.append(record)
-            _save(options.json, records)
+            records.append(dataclasses.replace(record, commit=commit))
+            _save(options.json, records, calibration)
             progress.console.print(_line(record), markup=False, highlight=False, soft_wrap=True)
             progress.advance(task)
     wanted = set(options.cases())
-    return _conclude([record for record in records if record.case in wanted], console)
+    records = [record for record in records if record.case in wanted]
+    return _conclude(records, console)
 
 
 def _fly_all(todo: list[Case], truth: bool, jobs: int) -> Iterator[Record]:
@@ -148,15 +154,32 @@ def _load(path: Path | None) -> list[Record]:
         raise UserError(f"--json {path}: not a results file of `uav-recon sweep` ({error})", EXIT_USAGE) from None
 
 
-def _save(path: Path | None, records: list[Record]) -> None:
-    if path is None:
-        return
-    temporary = path.with_name(path.name + ".new")
-    try:
-        temporary.write_text(json.dumps({"flights": [as_tree(r) for r in records]}, indent=1), encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        raise UserError(f"--json {path}: cannot be written ({error.strerror})") from None
+def _save(path: Path | None, records: list[Record], calibration: Calibration) -> None:
+    if path is not None:
+        flights = [as_tree(record) for record in records]
+        result_file.save(path, {"summary": summary(records), "flights": flights}, result_header(calibration))
+
+
+def summary(records: list[Record]) -> dict[str, object]:
+    """Return counts over all flights, their smallest clearance and explored share, and the commits that flew them."""
+    clearances = [record.min_clearance_m for record in records if record.min_clearance_m is not None]
+    explored = [record.explored for record in records if record.explored is not None]
+    return {
+        "flights": len(records),
+        "completed": sum(record.outcome == "completed" for record in records),
+        "not_completed": sum(record.outcome != "completed" for record in records),
+        "contacts": sum(record.contacts or 0 for record in records),
+        "errors": sum(bool(record.error) for record in records),
+        "min_clearance_m": min(clearances, default=None),
+        "min_explored": min(explored, default=None),
+        "median_flight_s": _median([record.flight_s for record in records]),
+        "commits": sorted({record.commit for record in records}),
+    }
+
+
+def _median(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None
 
 
 def _number(value: float | None, digits: int, width: int) -> str:

@@ -46,7 +46,7 @@ class Record:
 
     error: the first line of an exception, "" without one.
     times_real: simulated time divided by wall time of the flight alone; times_real_processor: by its processor time.
-    recall_90_s: time at which the surface first recalled 90 % of the truth.
+    recall_90_s: time at which the surface first recalled 90 % of the truth. commit: of the flight, see host_info.commit().
     """
 
     case: Case
@@ -65,6 +65,7 @@ class Record:
     planning_s: float | None = None
     times_real: float | None = None
     times_real_processor: float | None = None
+    commit: str = ""
     error: str = ""
     trace: str = ""
 

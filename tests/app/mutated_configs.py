@@ -8,6 +8,7 @@ serial line is in this process, so that everything the pilot sends is seen.
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import pty
@@ -26,6 +27,7 @@ from typing import Any
 import tomli_w
 from annotated_types import Ge, Gt, Le, Lt
 
+from uav_recon.bench import result_file
 from uav_recon.config import Config, load
 
 FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
@@ -216,7 +218,7 @@ def end_of(mutant: Mutant, folder: Path, line: SerialLine) -> End:
     return End(fault, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall_s)
 
 
-def main(count: int) -> int:
+def main(count: int, json: Path | None = None) -> int:
     """Try count mutants, spread over all of them, and print a summary. Return the exit code."""
     everything = mutants()
     tried = everything[:: max(len(everything) // count, 1)][:count]
@@ -230,8 +232,15 @@ def main(count: int) -> int:
         print(f"{name} to the end: {sorted(took_s)[len(took_s) // 2]:.2f} s, {max(took_s):.2f} s at most")
     for mutant, end in bad:
         print(f"{mutant.words}: {end.fault}")
+    if json is not None:
+        longest_s = {name: max(getattr(end, f"{name}_s") for end in ends) for name in ("processor", "wall")}
+        result_file.save(json, {"configs": len(ends), "wrong": len(bad), "longest_s": longest_s})
     return int(bool(bad) or max(end.processor_s for end in ends) > LONGEST_S)
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 200))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("count", type=int, nargs="?", default=200)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    sys.exit(main(options.count, options.json))

@@ -1,4 +1,4 @@
-"""Hostile setpoint proposals: `python tests/safety/hostile_proposals.py [N [SEED]]`. Prints the results; exit 1: a violation.
+"""Hostile setpoint proposals: `python tests/safety/hostile_proposals.py [N [SEED]] [--json FILE]`. Exit 1: a violation.
 
 Half of them are random numbers of every size, NaN and infinities among them, before and after their time; half are small
 steps from what flew last, so that they reach the checks behind the first. The space has walls, holes and a person walking.
@@ -6,16 +6,19 @@ steps from what flew last, so that they reach the checks behind the first. The s
 
 from __future__ import annotations
 
+import argparse
 import copy
 import dataclasses
 import itertools
 import math
 import sys
 from collections import Counter, deque
+from pathlib import Path
 
 import numpy as np
 from guard_rooms import BOUNDS, DT, GRID, HULL_RADIUS_M, everything, frame, guard_of, known_free, proposal, situation
 
+from uav_recon.bench import result_file
 from uav_recon.safety.guard import GuardInputs, SetpointProposal
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
@@ -175,9 +178,15 @@ def _kind(reason: str) -> str:
 
 
 if __name__ == "__main__":
-    number, chosen = (int(word) for word in [*sys.argv[1:], *("1000000", "1")[len(sys.argv) - 1 :]])
-    fates, found = attack(number, chosen)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("count", type=int, nargs="?", default=1_000_000)
+    parser.add_argument("seed", type=int, nargs="?", default=1)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    fates, found = attack(options.count, options.seed)
     print(f"{fates.total()} proposals, {fates['flown']} flown, {len(found)} violations")
     for reason, times in fates.most_common(16):
         print(f"{times:9d}  {reason}")
+    if options.json:
+        result_file.save(options.json, {"proposals": fates.total(), "violations": len(found), "outcomes": dict(fates)})
     sys.exit(bool(found))

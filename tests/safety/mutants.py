@@ -1,4 +1,6 @@
-"""The mutants of a cosmic-ray session, each tried in a forked process: `python tests/safety/mutants.py SESSION [SECONDS]`.
+"""Mutants of a cosmic-ray session: `python tests/safety/mutants.py SESSION [SECONDS]`.
+
+Each is tried in a forked process. --json FILE writes the counts.
 
 cosmic-ray makes the mutants and keeps the answers; only the trying is done here, because a process of its own for each of
 three thousand takes hours for its imports. Tries what has no answer yet, in a shuffled order, so that a run cut short after
@@ -10,6 +12,7 @@ draw at random are not run: the same mutant dies each time or never.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import functools
 import gc
@@ -33,6 +36,7 @@ from cosmic_ray.plugins import get_operator
 from cosmic_ray.work_db import WorkDB, use_db
 from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkResult
 
+from uav_recon.bench import result_file
 from uav_recon.types.pose import Pose
 
 HERE = Path(__file__).parent
@@ -174,7 +178,7 @@ def name_of(mutant: MutationSpec) -> str:
     return f"{mutant.module_path}:{row}:{column} {operator} #{mutant.occurrence}: {line}"
 
 
-def main(session: str, seconds: float) -> int:
+def main(session: str, seconds: float, json: Path | None = None) -> int:
     """Try what is left, then print. Returns the exit code."""
     with use_db(session, WorkDB.Mode.open) as db:
         trial, code = Trial(db, seconds), 1
@@ -183,10 +187,10 @@ def main(session: str, seconds: float) -> int:
         finally:
             if trial.is_forked():
                 os._exit(code)
-        return report(db) if code == pytest.ExitCode.NO_TESTS_COLLECTED else code
+        return report(db, json) if code == pytest.ExitCode.NO_TESTS_COLLECTED else code
 
 
-def report(db: Any) -> int:
+def report(db: Any, json: Path | None) -> int:
     """Print survivors and score. Returns the exit code."""
     mutants = {item.job_id: item.mutations[0] for item in db.work_items}
     answers = dict(db.results)
@@ -197,8 +201,16 @@ def report(db: Any) -> int:
     score = 1.0 - len(alive) / max(len(tried), 1)
     left_out = len(answers) - len(tried)
     print(f"{len(mutants)} mutants, {left_out} left out, {len(tried)} tried, {len(alive)} survived: score {score:.2%}")
+    if json is not None:
+        counts = {"mutants": len(mutants), "left_out": left_out, "tried": len(tried), "survived": len(alive), "score": score}
+        result_file.save(json, counts)
     return int(score < WANTED)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1], float(sys.argv[2]) if len(sys.argv) > 2 else float("inf")))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("session")
+    parser.add_argument("seconds", type=float, nargs="?", default=float("inf"))
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    sys.exit(main(options.session, options.seconds, options.json))

@@ -161,6 +161,10 @@ def sim(
     live: Annotated[
         bool, typer.Option("--live", rich_help_panel=RUN, help="Open the rerun viewer and show the flight while it runs.")
     ] = False,
+    json: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", readable=False, rich_help_panel=RUN, help="Write the report with commit and machine to FILE."),
+    ] = None,
 ) -> None:  # fmt: skip
     """Fly a whole mission in simulation and write a flight folder with model, report and recording.
 
@@ -181,7 +185,8 @@ def sim(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
                 mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, uncertainty=uncertainty, radius=radius,
                 lockstep=lockstep, live=live, port=port, firmware=firmware, blind_speed=blind_speed,
-            )
+            ),
+            json,
         )
     )  # fmt: skip
 

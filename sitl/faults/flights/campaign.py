@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
@@ -22,6 +21,9 @@ from sitl.faults.table.all_scenarios import NAMED, PAIRS, ROWS, TABLE
 from sitl.faults.table.scenario import Scenario
 from sitl.runtime.worker_pool import worker_pool
 from uav_recon.app.option_validation import readable, require_writable_file, require_writable_folder
+from uav_recon.bench import result_file
+from uav_recon.bench.machine_calibration import Calibration, calibrate
+from uav_recon.bench.result_file import result_header
 from uav_recon.errors import UserError
 
 BOTH = "both"
@@ -120,11 +122,12 @@ def faults(options: FaultOptions) -> int:
     require_writable_file("--json", options.json)
     require_writable_folder("--out", options.out)
     one_thread()
+    calibration = calibrate()
     with contextlib.closing(_fly_all(groups, options.jobs, console)) as records:
         for result in _results(options, records):
             results.append(result)
             console.print(_line(result), markup=False, highlight=False, soft_wrap=True)
-            _save(options, results)
+            _save(options, results, calibration)
     flown = [r for r in results if r.passed is not None]
     bad = [r for r in flown if not r.passed]
     for version in sorted({r.firmware for r in flown if r.firmware}):
@@ -200,10 +203,23 @@ def _line(result: Result) -> str:
     return f"{head} {result.kept:2}/{result.seeds:<2} {verdict}  {result.sentence()}{more}{which}"
 
 
-def _save(options: FaultOptions, results: list[Result]) -> None:
+def summary(results: Sequence[Result]) -> dict[str, int]:
+    """Return the counts of a campaign; a scenario counts once for each simulated autopilot that flew it."""
+    flown = [result for result in results if result.passed is not None]
+    return {
+        "scenarios": len(flown),
+        "scenarios_failed": sum(not result.passed for result in flown),
+        "flights": sum(result.seeds for result in flown),
+        "flights_failed": sum(len(result.missed) for result in flown),
+        "contacts": sum(result.contacts for result in flown),
+    }
+
+
+def _save(options: FaultOptions, results: list[Result], calibration: Calibration) -> None:
     try:
         if options.json is not None:
-            options.json.write_text(json.dumps({"rows": [r.tree() for r in results]}, indent=1), encoding="utf-8")
+            rows = [result.tree() for result in results]
+            result_file.save(options.json, {"summary": summary(results), "rows": rows}, result_header(calibration))
         if options.out is not None:
             options.out.mkdir(parents=True, exist_ok=True)
             write_page(options.out / "faults.html", results)

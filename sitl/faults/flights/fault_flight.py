@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sitl.camera.d435i import Model
-from sitl.faults.flights.collect_evidence import evidence_of
 from sitl.faults.fault import Fault
 from sitl.faults.fault_director import FaultDirector, alone
 from sitl.faults.flight_evidence import FlightEvidence
+from sitl.faults.flights.collect_evidence import evidence_of
 from sitl.faults.injectors.operator_silence import TIMEOUT_S
 from sitl.faults.judges.invariants import violations
 from sitl.faults.table.all_scenarios import ROWS

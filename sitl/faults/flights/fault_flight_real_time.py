@@ -13,9 +13,9 @@ from rich.console import Console
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.faults.flight_evidence import FlightEvidence
+from sitl.faults.flights.scenario_world_process import WorldProcessOptions
 from sitl.faults.injectors.base import Capabilities
 from sitl.faults.process_registry import Exit, ProcessRegistry
-from sitl.faults.flights.scenario_world_process import WorldProcessOptions
 from sitl.faults.table.arenas import arena
 from sitl.faults.table.scenario import Scenario
 from uav_recon import config as product_config
@@ -72,7 +72,9 @@ class Supervised(SimProcesses):
                 self._roster.tell(self._pids, self._exits)
 
 
-def flight_in_real_time(row: Scenario, options: SimOptions, runtime: Path, number: int, firmware: Path | None = None) -> FlightEvidence:
+def flight_in_real_time(
+    row: Scenario, options: SimOptions, runtime: Path, number: int, firmware: Path | None = None
+) -> FlightEvidence:
     """Fly a row's trouble with processes. options: whose folder is made. firmware: a real one, for the simulated autopilot.
     Raises Failure.
     """

@@ -8,7 +8,7 @@ import random
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.faults.injectors.base import Injector, InjectionContext
+from sitl.faults.injectors.base import InjectionContext, Injector
 from uav_recon.config import Config
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 

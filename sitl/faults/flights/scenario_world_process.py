@@ -13,10 +13,10 @@ from pathlib import Path
 from sitl.apps.world_process import WorldOptions, binary_of, make_world, make_world_of, run
 from sitl.autopilots.byte_links import UdpPeer
 from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
-from sitl.faults.flights.collect_evidence import evidence_of
 from sitl.faults.fault import Fault
 from sitl.faults.fault_director import FaultDirector
 from sitl.faults.flight_evidence import FlightEvidence
+from sitl.faults.flights.collect_evidence import evidence_of
 from sitl.faults.process_registry import ProcessRegistry
 from sitl.faults.table.all_scenarios import ROWS
 from sitl.faults.table.arenas import arena
@@ -67,7 +67,9 @@ def fly(order: WorldProcessOptions) -> FlightEvidence:
     return evidence_of(meddler, product_config.load(Path(order.config)), Path(options.truth), options.radius_m)
 
 
-def _outside(order: WorldProcessOptions, options: WorldOptions, product: AutopilotSideProxy, ends: contextlib.ExitStack) -> tuple[OutsideWorld, Relay | None]:
+def _outside(
+    order: WorldProcessOptions, options: WorldOptions, product: AutopilotSideProxy, ends: contextlib.ExitStack
+) -> tuple[OutsideWorld, Relay | None]:
     """The world with what flies in it, and what carries its words if that is a program of its own."""
     scene = arena(ROWS[order.row].arena, options.radius_m)
     if order.firmware is None:

@@ -10,12 +10,14 @@ from dataclasses import dataclass
 from sitl.faults.table.scenario import Limit, Scenario, ScenarioVerdict
 
 REAL_FIRMWARE = "T1"
+CONTACT = "contact"  # how the message of invariants.violations() begins for a flight that touched something
 
 
 @dataclass(frozen=True)
 class Result:
     """passed None: not flown. worst: of each bar over the flights. missed: numbers of flights that did not pass; remarks: what
     else broke. firmware: version of a real one, "" for none. how: the words that say how it was flown, "" for in lockstep.
+    contacts: number of flights that touched something.
     """
 
     row: Scenario
@@ -27,6 +29,7 @@ class Result:
     remarks: tuple[str, ...]
     firmware: str = ""
     how: str = ""
+    contacts: int = 0
 
     @property
     def kept(self) -> int:
@@ -77,6 +80,7 @@ class Result:
             "seeds": self.seeds,
             "passed": self.passed,
             "missed": list(self.missed),
+            "contacts": self.contacts,
             "figure": _number(head[1]) if head else None,
             "bar": head[0].limit_of(self.autopilot) if head else None,
             "unit": head[0].unit if head else "",
@@ -107,8 +111,9 @@ def result_of(
         worst.append(max((v.figures[k] for v in verdicts), key=lambda figure: bar.badness(figure, autopilot)))
     missed = tuple(n for n, verdict in enumerate(verdicts, first) if not verdict.passed(row, autopilot))
     said = Counter(words for verdict in verdicts for words in verdict.broken)
+    contacts = sum(any(words.startswith(CONTACT) for words in verdict.broken) for verdict in verdicts)
     remarks = tuple(words if count == 1 else f"{words} ({count} times)" for words, count in said.items())
-    return Result(row, autopilot, len(verdicts), missed, not missed, tuple(worst), remarks, firmware, how)
+    return Result(row, autopilot, len(verdicts), missed, not missed, tuple(worst), remarks, firmware, how, contacts)
 
 
 def _number(value: float) -> float | None:

@@ -1,4 +1,4 @@
-"""Hostile traffic on the link: `python tests/autopilot/link/hostile_traffic.py [BYTES [FORGED [SEED]]]`. Exit 1: an effect.
+"""Hostile traffic on the link: `python tests/autopilot/link/hostile_traffic.py [BYTES [FORGED [SEED]]] [--json FILE]`.
 
 Bursts of random bytes, rich in the bytes that frames begin with, and among them forged frames: of other vehicles and other
 components, of MAVLink 1, and orders that no autopilot gives to a companion. After each burst the true autopilot speaks on, no
@@ -7,11 +7,13 @@ faster than it does in flight, and the time until it is heard is taken.
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import resource
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from pymavlink.dialects.v20 import common as wire
@@ -20,6 +22,7 @@ from uav_recon.autopilot.firmware.px4 import PX4
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import NoLog
+from uav_recon.bench import result_file
 
 BURST = 1 << 15  # bytes: a thirtieth of a second of a megabyte a second
 _TAKEN_S = 0.010  # for a burst, so that a turn with a third of it in it leaves the stream its time
@@ -166,14 +169,27 @@ def bombard(size: int, forged: int, seed: int) -> Outcome:
 
 
 if __name__ == "__main__":
-    bytes_wanted, frames_wanted, chosen = (
-        int(word) for word in [*sys.argv[1:], *("10000000", "500", "1")[len(sys.argv) - 1 :]]
-    )
-    found = bombard(bytes_wanted, frames_wanted, chosen)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("bytes", type=int, nargs="?", default=10_000_000)
+    parser.add_argument("forged", type=int, nargs="?", default=500)
+    parser.add_argument("seed", type=int, nargs="?", default=1)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    found = bombard(options.bytes, options.forged, options.seed)
     late_s, taken_s = np.array(found.heard_after_s), float(np.quantile(found.taken_s, 0.99))
-    print(f"{len(late_s) * BURST} bytes, {frames_wanted} forged frames: {len(found.effects)} effects")
+    print(f"{len(late_s) * BURST} bytes, {options.forged} forged frames: {len(found.effects)} effects")
     print(f"heard again after {np.median(late_s) * 1e3:.0f} ms, {late_s.max() * 1e3:.0f} ms at most")
     print(f"{BURST} bytes, {BURST * 1e-3:.0f} ms of a megabyte a second, are taken in within {taken_s * 1e3:.1f} ms (99 %)")
     print(f"process grown by {found.grown_bytes / 1e6:.1f} MB, {found.waited_bytes} bytes waiting at most")
     print(*found.effects, sep="\n", end="")
+    if options.json:
+        measured = {
+            "bytes": len(late_s) * BURST,
+            "forged": options.forged,
+            "effects": len(found.effects),
+            "max_received_after_s": float(late_s.max()),
+            "burst_p99_s": taken_s,
+            "grown_mb": found.grown_bytes / 1e6,
+        }
+        result_file.save(options.json, measured)
     sys.exit(bool(found.effects) or late_s.max() > 0.05 or found.grown_bytes > 5e6 or taken_s > _TAKEN_S)

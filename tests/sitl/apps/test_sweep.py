@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sitl.apps.sim_options import UsageError
-from sitl.apps.sweep import SweepOptions, sweep
+from sitl.apps.sweep import SweepOptions, summary, sweep
 from sitl.apps.sweep_case import Case, Record, as_tree, fly_case, from_tree
 from sitl.faults.flights.campaign import FaultOptions
 from uav_recon.errors import UserError
@@ -95,3 +95,16 @@ def test_a_foreign_json_file_is_refused(tmp_path: Path) -> None:
     account.write_text('{"flights": [{"seed": 1}]}')
     with pytest.raises(UserError, match="not a results file of `uav-recon sweep`"):
         sweep(SweepOptions.parse(flights=1, json=account))
+
+
+def test_a_summary_counts_all_flights_and_names_their_commits() -> None:
+    records = [
+        Record(BROKEN, "completed", contacts=0, min_clearance_m=0.2, flight_s=10.0, commit="abc"),
+        Record(BROKEN, "aborted: battery", contacts=2, min_clearance_m=0.0, flight_s=30.0, commit="def"),
+        Record(BROKEN, error="OSError: gone", commit="abc"),
+    ]
+    told = summary(records)
+    assert (told["flights"], told["completed"], told["not_completed"]) == (3, 1, 2)
+    assert (told["contacts"], told["errors"], told["min_clearance_m"]) == (2, 1, 0.0)
+    assert (told["min_explored"], told["median_flight_s"]) == (None, 20.0)
+    assert told["commits"] == ["abc", "def"]

@@ -17,10 +17,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from uav_recon.app.option_validation import UsageError
-from uav_recon.bench import host_info
+from uav_recon.bench import host_info, result_file
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper import seeded_views, training_run
-from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH, MapperBench, write_json
+from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH, MapperBench
 from uav_recon.bench.mapper.mapper_tables import figure
 from uav_recon.bench.planner.planner_tables import narrow_table
 from uav_recon.evaluation.triangle_surface import TriangleSurface
@@ -93,7 +93,7 @@ def bench_endurance(wanted: MapperBench, hours: float, period_s: float) -> int:
     )
     if wanted.json is not None:
         about = {"machine": host_info.processor(), "commit": host_info.commit()}
-        write_json(asdict(result) | {"about": about}, wanted.json)
+        result_file.save(wanted.json, asdict(result) | {"about": about})
     return 0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
@@ -14,10 +13,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from uav_recon.app.option_validation import UsageError, require_writable_file
-from uav_recon.bench import host_info
+from uav_recon.bench import host_info, result_file
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run, tsdf_baseline
-from uav_recon.errors import EXIT_FAILURE, UserError
 from uav_recon.evaluation.triangle_surface import TriangleSurface
 
 PRINTED_WIDTH = 100  # if the output is not a terminal
@@ -81,16 +79,8 @@ def bench_mapper(wanted: MapperBench) -> int:
     result["about"] = _about(scene, wanted) | {"compile_s": compile_s} | result["about"]
     mapper_tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
     if wanted.json is not None:
-        write_json(result, wanted.json)
+        result_file.save(wanted.json, result)
     return 0
-
-
-def write_json(result: Result, path: Path) -> None:
-    """Write a result as JSON. Raises UserError if the file cannot be written."""
-    try:
-        path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
 
 
 def ticking(progress: Progress, name: str, total: int) -> training_run.Tick:

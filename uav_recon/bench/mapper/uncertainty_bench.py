@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from uav_recon.app.option_validation import UsageError
-from uav_recon.bench import host_info
+from uav_recon.bench import host_info, result_file
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run
-from uav_recon.bench.mapper.mapper_bench import VIEWS, MapperBench, ticking, write_json
+from uav_recon.bench.mapper.mapper_bench import VIEWS, MapperBench, ticking
 from uav_recon.bench.mapper.sparsification import ause, spearman
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 
@@ -59,7 +59,7 @@ def bench_uncertainty(wanted: MapperBench, after: tuple[int, ...]) -> int:
     result: Result = {"about": about, "partial_maps": maps}
     mapper_tables.show_uncertainties(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
     if wanted.json is not None:
-        write_json(result, wanted.json)
+        result_file.save(wanted.json, result)
     return 0
 
 

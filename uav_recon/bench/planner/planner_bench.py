@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,14 +14,13 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from uav_recon.app.option_validation import UsageError, require_writable_file
-from uav_recon.bench import host_info
+from uav_recon.bench import host_info, result_file
 from uav_recon.bench.machine_calibration import Calibration, calibrate
 from uav_recon.bench.planner import builtin_building, path_lengths, planner_tables, scaling, tours
 from uav_recon.bench.planner.map_agreement import agreement
 from uav_recon.bench.planner.recorded_stream import SIZE, STRIDE, Recording, load
 from uav_recon.bench.planner.replay import judged_views, mapped_of, timed_plans, timed_stages
 from uav_recon.bench.planner.stages import MOUNTS_RAD, STAGES, warm_up
-from uav_recon.errors import EXIT_FAILURE, UserError
 from uav_recon.planning.tour import atsp
 from uav_recon.types.maps import UNKNOWN
 
@@ -65,24 +63,8 @@ def bench_planner(stream: Path | None, size: str | None, stride: int | None, sca
         result |= _growth(recording, progress) if scale else _replay(recording, calibration, progress)
     planner_tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
     if json_path is not None:
-        _write(result, json_path)
+        result_file.save(json_path, result)
     return 0
-
-
-def _write(result: Result, path: Path) -> None:
-    try:
-        path.write_text(json.dumps(_without_nan(result), indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
-
-
-def _without_nan(value: Any) -> Any:
-    """Replace NaN (not measured) by None, because JSON has no NaN."""
-    if isinstance(value, dict):
-        return {key: _without_nan(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(inner) for inner in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _replay(recording: Recording, calibration: Calibration, progress: Progress) -> Result:

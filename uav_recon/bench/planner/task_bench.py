@@ -7,7 +7,6 @@ everywhere is uncertain and every plan searches for the maximum number of tasks.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -20,7 +19,7 @@ from rich.progress import track
 
 from uav_recon.app import factory
 from uav_recon.app.option_validation import UsageError, readable, require_writable_file
-from uav_recon.bench import host_info
+from uav_recon.bench import host_info, result_file
 from uav_recon.bench.machine_calibration import calibrate
 from uav_recon.bench.planner.planner_tables import narrow_table
 from uav_recon.bench.planner.stage_timing import Stopwatch, TimingSummary
@@ -75,7 +74,7 @@ def bench_tasks(flight: Path, json_path: Path | None) -> int:
     }
     _show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
     if json_path is not None:
-        json_path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        result_file.save(json_path, result)
     return 0
 
 

@@ -23,9 +23,9 @@ from rich.console import Console
 
 from uav_recon import config as configuration
 from uav_recon.app.option_validation import UsageError, require_writable_file
-from uav_recon.bench import host_info
+from uav_recon.bench import host_info, result_file
 from uav_recon.bench.machine_calibration import calibrate
-from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH, write_json
+from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH
 from uav_recon.bench.planner.planner_tables import narrow_table
 from uav_recon.bench.setpoints import load as setpoint_load
 from uav_recon.config import Config
@@ -94,7 +94,7 @@ def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path |
             "machine": host_info.processor(), "commit": host_info.commit(), "calibration_cpu": factor, "minutes": minutes,
             "negative": negative, "autopilot": autopilot,
         }  # fmt: skip
-        write_json({**asdict(measured), "bars_ms": BARS_MS, "kept": measured.kept, "about": about}, json)
+        result_file.save(json, {**asdict(measured), "bars_ms": BARS_MS, "kept": measured.kept, "about": about})
     return int(measured.kept == negative)
 
 

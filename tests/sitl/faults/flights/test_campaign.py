@@ -12,10 +12,11 @@ import pytest
 from made_up_evidence import evidence
 
 from sitl.apps.sim_options import AUTOPILOTS, UsageError
-from sitl.faults.flights.campaign import FaultOptions, _line, _missed, faults
-from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, fly_together
 from sitl.faults.flight_evidence import FlightEvidence
+from sitl.faults.flights.campaign import FaultOptions, _line, _missed, faults, summary
+from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, fly_together
 from sitl.faults.judges import reaction_metrics as m
+from sitl.faults.judges.invariants import violations
 from sitl.faults.report.html_page import render
 from sitl.faults.report.scenario_result import result_of
 from sitl.faults.table.all_scenarios import ROWS, TABLE
@@ -34,7 +35,13 @@ def test_rows_come_in_the_tables_order() -> None:
     assert cases[1].out == Path("/somewhere/A1-px4-1")
     assert options.cases(ROWS["A4"], "px4") == []
     assert FaultOptions.parse().autopilots == AUTOPILOTS
-    assert {row.id for row in FaultOptions.parse(live=True).scenarios} == {*(f"A{k}" for k in range(1, 12)), "C2", "D6", "G2", "G3"}
+    assert {row.id for row in FaultOptions.parse(live=True).scenarios} == {
+        *(f"A{k}" for k in range(1, 12)),
+        "C2",
+        "D6",
+        "G2",
+        "G3",
+    }
     with pytest.raises(UsageError, match="B4: cannot run in real time"):
         FaultOptions.parse(only="B4", live=True)
     assert FaultOptions.parse().scenarios == TABLE
@@ -56,7 +63,9 @@ def test_a_real_firmware_flies_what_it_has_the_means_for(tmp_path: Path) -> None
     assert not names & {"E5", "E7", "F1", "F2", "D7", "G9", "B11"}, "they need the insides of a simulated one, or are none"
     assert (copter.live, copter.jobs) == (True, 1)
     assert copter.cases(ROWS["B1"], "ardupilot")[0].firmware == binary
-    assert "E1" not in {row.id for row in FaultOptions.parse(autopilot="px4", firmware=binary).scenarios}, "nobody holds its sticks"
+    assert "E1" not in {row.id for row in FaultOptions.parse(autopilot="px4", firmware=binary).scenarios}, (
+        "nobody holds its sticks"
+    )
     with pytest.raises(UsageError, match="E7: cannot run with a real ardupilot firmware"):
         FaultOptions.parse(only="E7", autopilot="ardupilot", firmware=binary)
 
@@ -150,7 +159,11 @@ def test_a_program_that_breaks_fails_its_rows_and_says_with_what(monkeypatch: py
 
 
 def test_a_row_is_as_good_as_its_worst_flight() -> None:
-    result = result_of(ROW, "px4", [ScenarioVerdict((0.03, 0.5), ()), ScenarioVerdict((0.30, 0.45), ()), ScenarioVerdict((0.05, 0.7), ("contact",))])
+    result = result_of(
+        ROW,
+        "px4",
+        [ScenarioVerdict((0.03, 0.5), ()), ScenarioVerdict((0.30, 0.45), ()), ScenarioVerdict((0.05, 0.7), ("contact",))],
+    )
     assert (result.kept, result.seeds, result.passed, result.missed) == (1, 3, False, (1, 2))
     assert result.tree()["missed"] == [1, 2]
     assert result.worst == (0.30, 0.45)
@@ -213,3 +226,11 @@ def test_what_missed_is_flown_again_the_same_way(live: bool, firmware: Path | No
     verdict, again = ScenarioVerdict((0.30, 0.0), ()), f"--only B3 --autopilot px4 {how}--seeds 1 --seed0 7"
     assert f"(repeat: {again})" in _missed(FaultRecord(case, verdict))
     assert again in html.unescape(render([result_of(ROWS["B3"], "px4", [verdict], first=7, how=case.how)]))
+
+
+def test_the_summary_counts_flights_that_touched_something() -> None:
+    touched = tuple(violations(evidence(boxes_m=np.zeros(600))))
+    assert any(words.startswith("contact") for words in touched)
+    verdicts = [ScenarioVerdict((0.03, 0.5), ()), ScenarioVerdict((0.03, 0.5), touched)]
+    told = summary([result_of(ROW, "px4", verdicts), result_of(ROW, "ardupilot", [])])
+    assert told == {"scenarios": 1, "scenarios_failed": 1, "flights": 2, "flights_failed": 1, "contacts": 1}

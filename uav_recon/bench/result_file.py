@@ -1,0 +1,106 @@
+"""JSON files of measured values, each with a header that states what was run, where and when.
+
+Every command with `--json` writes its file here, so that `results/generate.py` can read all of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_recon.bench import host_info
+from uav_recon.bench.machine_calibration import Calibration, calibrate
+from uav_recon.errors import EXIT_FAILURE, UserError
+
+HEADER = "header"
+PROGRAM = "uav-recon"
+
+
+@dataclass(frozen=True)
+class ResultHeader:
+    """Origin of a result.
+
+    command: as typed; an absolute path below the working directory is made relative, any other is cut to its name.
+    commit, changed: of the source tree (host_info.revision). date: end of the run, UTC, ISO 8601.
+    speed_ratio: processor time of the calibration jobs here / on the reference machine; above 1 this machine is slower.
+    contention: wall time / processor time of the same jobs; above 1 other programs used the cores.
+    seconds: wall time from the start of the process to the writing of the file.
+    """
+
+    command: str
+    commit: str
+    changed: bool
+    date: str
+    processor: str
+    cores: int
+    memory_gib: float
+    speed_ratio: float
+    contention: float
+    seconds: float
+
+
+def result_header(calibration: Calibration | None = None) -> ResultHeader:
+    """Return the header of a run that ends now; calibrates (half a second) if no calibration is given."""
+    measured = calibration or calibrate()
+    head, changed = host_info.revision()
+    return ResultHeader(
+        command=command_line(sys.argv, Path.cwd()),
+        commit=head,
+        changed=changed,
+        date=datetime.now(timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        processor=host_info.processor_name(),
+        cores=os.cpu_count() or 0,
+        memory_gib=round(host_info.memory_gib(), 1),
+        speed_ratio=round(measured.cpu_factor, 3),
+        contention=round(measured.factor / measured.cpu_factor, 3),
+        seconds=round(host_info.process_age_s(), 1),
+    )
+
+
+def command_line(words: Sequence[str], folder: Path) -> str:
+    """Return the words of a process as one shell line without paths of this machine; see ResultHeader.command."""
+    program = Path(words[0])
+    ours = program.name in ("__main__.py", PROGRAM)
+    first = [PROGRAM] if ours else ["python", _short(words[0], folder)]
+    return shlex.join([*first, *(_short(word, folder) for word in words[1:])])
+
+
+def save(path: Path, values: Mapping[str, Any], header: ResultHeader | None = None) -> None:
+    """Write header and values, whole or not at all; a number that is not finite becomes null.
+
+    Raises UserError if the file cannot be written.
+    """
+    tree = {HEADER: dataclasses.asdict(header or result_header()), **_strict(dict(values))}
+    temporary = path.with_name(path.name + ".new")
+    try:
+        temporary.write_text(json.dumps(tree, indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise UserError(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
+
+
+def _short(word: str, folder: Path) -> str:
+    path = Path(word)
+    if not path.is_absolute():
+        return word
+    return str(path.relative_to(folder)) if path.is_relative_to(folder) else path.name
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _strict(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(inner) for inner in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
