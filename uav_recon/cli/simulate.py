@@ -163,7 +163,7 @@ def sim(
     ] = False,
     json: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", readable=False, rich_help_panel=RUN, help="Write the report with commit and machine to FILE."),
+        typer.Option(metavar="FILE", readable=False, rich_help_panel=RUN, help="Write the report, commit and machine to FILE."),
     ] = None,
 ) -> None:  # fmt: skip
     """Fly a whole mission in simulation and write a flight folder with model, report and recording.

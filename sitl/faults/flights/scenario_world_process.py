@@ -1,4 +1,7 @@
-"""The outside world of a fault row in real time, with its trouble in it: `python -m sitl.faults.flights.scenario_world_process ORDER.json`."""
+"""The simulator process of a real-time fault scenario.
+
+Run as `python -m sitl.faults.flights.scenario_world_process OPTIONS.json`.
+"""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ def test_where_nothing_is_flown_at_all_nothing_has_passed(row: str, reason: str,
 
 def test_flights_that_are_there_are_not_flown_over(tmp_path: Path) -> None:
     (tmp_path / "A1-px4-0").mkdir()
-    with pytest.raises(UsageError, match="already contains flights, e.g. A1-px4-0"):
+    with pytest.raises(UsageError, match=r"already contains flights, e\.g\. A1-px4-0"):
         faults(FaultOptions.parse(only="A1", autopilot="px4", seeds=1, out=tmp_path))
 
 
