@@ -1,7 +1,6 @@
 """Read the channels of a flight: files in the runtime folder that hold the newest value of each kind.
 
-Give the runtime folder of a running flight, for example /run/uav_recon. Without a folder this example publishes odometry
-itself. Writes the odometry that was read as CSV.
+The second argument is the runtime folder of a flight, for example /run/uav_recon; without it this example publishes itself.
 """
 
 import csv
@@ -31,12 +30,9 @@ def publish(folder: Path) -> None:
         time.sleep(1.0 / 30.0)
 
 
-def main(out: str = "odom.csv", folder: str = "") -> None:
+def read(folder: Path, out: str) -> None:
     """Poll the channels at 100 Hz for DURATION_S."""
-    runtime = Path(folder or tempfile.mkdtemp(prefix="uav_recon_channels_"))
-    if not folder:
-        threading.Thread(target=publish, args=(runtime,), daemon=True).start()
-    channels, read, rows = file_channels(runtime), 0, []
+    channels, read, rows = file_channels(folder), 0, []
     end_s = time.monotonic() + DURATION_S
     while time.monotonic() < end_s:
         newest = channels.odom.latest()  # never blocks; a reader that is slow misses values
@@ -46,8 +42,19 @@ def main(out: str = "odom.csv", folder: str = "") -> None:
         time.sleep(0.01)
     with Path(out).open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([["stamp_s", "x_m", "y_m", "z_m", "yaw_rad", "quality"], *rows])
-    print(f"read {len(rows)} of {read} odometry values; the map is {'there' if channels.voxels.latest() else 'not there'}")
-    print(f"wrote {out}")
+    print(f"wrote {out}: {len(rows)} of {read} odometry values; map {'present' if channels.voxels.latest() else 'absent'}")
+
+
+def main(out: str = "odom.csv", folder: str = "") -> None:
+    """Read a flight's channels, or those that this example publishes."""
+    if folder:
+        read(Path(folder), out)
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        publisher = threading.Thread(target=publish, args=(Path(temporary),))
+        publisher.start()
+        read(Path(temporary), out)
+        publisher.join()
 
 
 if __name__ == "__main__":

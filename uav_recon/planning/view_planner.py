@@ -36,7 +36,7 @@ from uav_recon.planning.tour.stopping_rule import NOT_WORTH
 from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
 from uav_recon.planning.view_history import ViewHistory
-from uav_recon.types.argument_checks import require_box, require_number, require_pose
+from uav_recon.types.argument_checks import require_box, require_kind, require_number, require_pose
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.pose import Pose
@@ -101,6 +101,7 @@ class ViewPlanner:
         yaw_rate_radps: of the vehicle, for the order of the views. Raises ValueError for an invalid argument.
         """
         low, high = require_box(box_min_m, box_max_m)
+        require_kind("camera", camera, Camera)
         if variant not in (names := get_args(VariantName)):
             raise ValueError(f"variant: {variant!r}, expected one of {', '.join(names)}")
         require_number("clearance_m", clearance_m, 0.3, 1.0)
@@ -144,9 +145,8 @@ class ViewPlanner:
         accept() with a path that is flown. Raises ValueError for a value of another type.
         """
         pose = require_pose("world_from_body", world_from_body)
-        if not isinstance(voxels, VoxelMap):
-            raise ValueError(f"voxels: {type(voxels).__name__}, expected a VoxelMap (OccupancyMapper.map)")
-        return self.plan(PlanRequest(voxels, surface, pose.translation_m, pose.yaw_rad(), views))
+        newest = require_kind("voxels", voxels, VoxelMap, "OccupancyMapper.map")
+        return self.plan(PlanRequest(newest, surface, pose.translation_m, pose.yaw_rad(), views))
 
     def accept(self, path: ViewPath) -> None:
         """Remember what the views of a path made by plan() are to settle."""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
+
+T = TypeVar("T")
 
 
 def require_number(name: str, value: float, low: float = -math.inf, high: float = math.inf) -> float:
@@ -45,8 +48,13 @@ def require_box(box_min_m: ArrayLike, box_max_m: ArrayLike) -> tuple[FloatArray,
     return low, high
 
 
+def require_kind(name: str, value: object, kind: type[T], hint: str = "") -> T:
+    """Return the value if it is of a class. hint: how to get such a value."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{name}: {type(value).__name__}, expected {kind.__name__}{hint and f' ({hint})'}")
+    return value
+
+
 def require_pose(name: str, value: object) -> Pose:
     """Return the value if it is a Pose, which is finite by construction."""
-    if not isinstance(value, Pose):
-        raise ValueError(f"{name}: {type(value).__name__}, expected a Pose (Pose.from_matrix takes a 4x4 matrix)")
-    return value
+    return require_kind(name, value, Pose, "Pose.from_matrix takes a 4x4 matrix")

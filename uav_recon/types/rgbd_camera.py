@@ -8,7 +8,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uav_recon.types.argument_checks import require_number, require_pose, require_vector
+from uav_recon.types.argument_checks import require_kind, require_number, require_pose, require_vector
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray, frozen
 from uav_recon.types.pose import Pose
@@ -133,11 +133,10 @@ class Camera:
 
 def _require_intrinsics(name: str, value: object) -> None:
     """Raise ValueError unless the value is the intrinsics of a possible image."""
-    if not isinstance(value, Intrinsics):
-        raise ValueError(f"{name}: {type(value).__name__}, expected Intrinsics")
+    intrinsics = require_kind(name, value, Intrinsics)
     for number in ("fx", "fy"):
-        require_number(f"{name}.{number}", getattr(value, number), 1e-3, 1e6)
+        require_number(f"{name}.{number}", getattr(intrinsics, number), 1e-3, 1e6)
     for number in ("cx", "cy"):
-        require_number(f"{name}.{number}", getattr(value, number), -1e6, 1e6)
+        require_number(f"{name}.{number}", getattr(intrinsics, number), -1e6, 1e6)
     for number in ("width", "height"):
-        require_number(f"{name}.{number}", getattr(value, number), 2, 16384)
+        require_number(f"{name}.{number}", getattr(intrinsics, number), 2, 16384)

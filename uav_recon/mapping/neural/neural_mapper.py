@@ -46,7 +46,7 @@ from uav_recon.mapping.neural.surface.uncertainty import (
 )
 from uav_recon.mapping.neural.training_data import TrainingData
 from uav_recon.mapping.neural.training_step import NumbaTrainingStep
-from uav_recon.types.argument_checks import require_box, require_number
+from uav_recon.types.argument_checks import require_box, require_kind, require_number
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
@@ -87,6 +87,7 @@ class NeuralMapper:
         box_min_m, box_max_m (3,): bounding box of the room, in world, metres. Raises ValueError for an invalid box.
         """
         low, high = require_box(box_min_m, box_max_m)
+        require_kind("camera", camera, Camera)
         return cls(MapperConfig(seed=seed), low, high, camera.depth_noise_px, camera.baseline_m)
 
     def _begin(self, uncertainty: UncertaintyName) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from uav_recon.config import VoxelConfig
 from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
-from uav_recon.types.argument_checks import require_box, require_number, require_vector
+from uav_recon.types.argument_checks import require_box, require_kind, require_number, require_vector
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import AnyArray
 from uav_recon.types.maps import GridSpec, VoxelMap
@@ -37,6 +37,7 @@ class OccupancyMapper:
         max_range_m: float = _DEFAULTS.max_range_m,
     ) -> None:
         low, high = require_box(box_min_m, box_max_m)
+        self.camera = require_kind("camera", camera, Camera)
         require_number("resolution_m", resolution_m, 0.01, 1.0)
         require_number("max_range_m", max_range_m, resolution_m, 100.0)
         grid = GridSpec.covering(low - _DEFAULTS.margin_m, high + _DEFAULTS.margin_m, resolution_m)
@@ -44,7 +45,6 @@ class OccupancyMapper:
             raise ValueError(
                 f"resolution_m: {resolution_m:g} makes {math.prod(grid.shape)} voxels, expected {MAX_VOXELS} at most"
             )
-        self.camera = camera
         sensor = DepthSensor(camera.depth_min_m, camera.depth_noise_px, camera.baseline_m)
         self._occupancy = OccupancyMap(grid, sensor, max_range_m, low.tolist(), high.tolist(), _DEFAULTS.distance_cap_m)
 
@@ -53,6 +53,7 @@ class OccupancyMapper:
 
         About 0.4 ms for 320x240. Raises ValueError if the depth does not have the size that its intrinsics give.
         """
+        require_kind("keyframe", keyframe, PosedFrame, "Camera.keyframe makes one")
         lens, shape = keyframe.frame.depth_intrinsics, keyframe.frame.depth_m.shape
         if shape != (lens.height, lens.width):
             raise ValueError(f"depth_m: shape {shape}, expected {(lens.height, lens.width)}")
