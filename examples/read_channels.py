@@ -3,7 +3,6 @@
 The second argument is the runtime folder of a flight, for example /run/uav_recon; without it this example publishes itself.
 """
 
-import csv
 import sys
 import tempfile
 import threading
@@ -40,8 +39,7 @@ def read(folder: Path, out: str) -> None:
             read = channels.odom.sequence()
             rows.append([newest.stamp_s, *newest.odom_from_body.translation_m, newest.odom_from_body.yaw_rad(), newest.quality])
         time.sleep(0.01)
-    with Path(out).open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([["stamp_s", "x_m", "y_m", "z_m", "yaw_rad", "quality"], *rows])
+    np.savetxt(out, np.reshape(rows, (-1, 6)), delimiter=",", header="stamp_s,x_m,y_m,z_m,yaw_rad,quality", comments="")
     print(f"wrote {out}: {len(rows)} of {read} odometry values; map {'present' if channels.voxels.latest() else 'absent'}")
 
 

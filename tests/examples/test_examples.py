@@ -56,7 +56,7 @@ def is_stream(path: Path) -> None:
 
 
 def is_odometry(path: Path) -> None:
-    rows = list(csv.DictReader(path.open(encoding="utf-8")))
+    rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
     assert len(rows) > 20
     stamps_s = [float(row["stamp_s"]) for row in rows]
     assert stamps_s == sorted(set(stamps_s))

@@ -364,10 +364,12 @@ class NeuralMapper:
         """Compile every kernel on a small separate mapper."""
         config = self._config.model_copy(update={"prior_model": None})
         small = NeuralMapper(config, np.zeros(3), np.ones(3), self._noise_px, self._baseline_m)
-        small.add(_wall())
-        small.train(1)
+        for _ in range(2):  # a pose is refined from the second view on
+            small.add(_wall())
+            small.train(1)
         small.surface()
         small.mesh(0.05)
+        small.painted().rgb(np.full((2, 3), 0.5, dtype=np.float32))  # the mesh may be empty
         small._keep(small._album.most_useful())
 
     def _keep(self, which: BoolArray) -> None:
