@@ -33,7 +33,7 @@ def render(camera: Camera, world_from_camera: Pose) -> tuple[FloatArray, ByteArr
 def main(out: str = "room.ply") -> None:
     """Learn from twelve views around the room's middle."""
     warm_up()
-    camera = Camera.d435i()
+    camera = Camera.d435i(pitch_down_rad=0.0)  # level: it sees floor and ceiling
     mapper = NeuralMapper.for_box(ROOM_MIN_M, ROOM_MAX_M, camera)
     for yaw_rad in np.arange(12) * np.pi / 6:
         body = Pose.from_yaw(yaw_rad, np.array([2.0, 1.5, 1.2]) - 0.8 * np.array([np.cos(yaw_rad), np.sin(yaw_rad), 0.0]))
