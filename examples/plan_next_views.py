@@ -1,7 +1,4 @@
-"""Explore a synthetic room: map, plan the next views, move there, repeat until nothing is left to see.
-
-Draws the room with the positions of the views. A real vehicle flies along `path.waypoints_world` instead of jumping.
-"""
+"""Explore a synthetic room: map, plan the next views, move there, repeat. Draws the walls, the path and the views."""
 
 import sys
 
@@ -14,7 +11,7 @@ from uav_recon.types.maps import OCCUPIED
 
 ROOM_MIN_M, ROOM_MAX_M = np.zeros(3), np.array([6.0, 4.0, 2.5])
 WALL_MIN_M, WALL_MAX_M = np.array([3.0, 0.0, 0.0]), np.array([3.2, 2.4, 2.5])  # hides the other half of the room
-BUDGET = 60
+BUDGET = 100
 
 
 def render(camera: Camera, world_from_camera: Pose) -> FloatArray:
@@ -34,7 +31,7 @@ def main(out: str = "views.png") -> None:
     planner = ViewPlanner.for_box(ROOM_MIN_M, ROOM_MAX_M, camera)
     bodies = [Pose.from_yaw(yaw_rad, np.array([1.2, 1.2, 1.2])) for yaw_rad in np.arange(8) * np.pi / 4]
     mapper.declare_free(bodies[0].translation_m)  # the body stands there
-    seen = 0
+    seen, flown = 0, [bodies[0].translation_m[None]]
     while True:
         for body in bodies[seen:]:
             mapper.add_depth(render(camera, camera.world_from_camera(body)), camera.world_from_camera(body))
@@ -45,13 +42,15 @@ def main(out: str = "views.png") -> None:
             print(path.reason)
             break
         planner.accept(path)
+        flown += path.waypoints_world
         bodies += [Pose.from_yaw(view.yaw_rad, view.position_world) for view in path.viewpoints]
 
-    axes = Figure(figsize=(7, 5)).add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-    axes.plot(*mapper.points(OCCUPIED)[:, :2].T, "s", color="0.8", markersize=3)
-    positions = np.array([body.translation_m for body in bodies])
-    axes.quiver(*positions[:, :2].T, *np.array([(np.cos(b.yaw_rad()), np.sin(b.yaw_rad())) for b in bodies]).T)
-    axes.plot(*positions[:, :2].T, "-o")
+    axes = Figure(figsize=(8, 6)).add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    walls = mapper.points(OCCUPIED)
+    axes.plot(*walls[np.abs(walls[:, 2] - 1.2) < 0.1][:, :2].T, "s", color="0.6", markersize=4)
+    axes.plot(*np.concatenate(flown)[:, :2].T, linewidth=0.8)
+    views = np.array([[*body.translation_m[:2], np.cos(body.yaw_rad()), np.sin(body.yaw_rad())] for body in bodies])
+    axes.quiver(*views.T, np.arange(len(views)), scale=30.0, width=0.004)
     axes.figure.savefig(out)
     print(f"wrote {out}")
 

@@ -129,7 +129,7 @@ def test_the_planner_finds_views_until_the_room_is_known() -> None:
     assert isinstance(planner.plan_views(mapper.map, body, 5), NothingLeft)  # nothing is known to be free
     mapper.declare_free(MIDDLE_M)
     planned, known_m3 = 0, 0.0
-    for _ in range(30):
+    for _ in range(100):
         pose = CAMERA.world_from_camera(body)
         mapper.add_depth(room_depth(CAMERA.depth, pose), pose)
         path = planner.plan_views(mapper.map, body, 1)
