@@ -22,7 +22,8 @@ def render(camera: Camera, world_from_camera: Pose) -> FloatArray:
     wall_m = np.maximum((ROOM_MIN_M - origin) / rays, (ROOM_MAX_M - origin) / rays).min(axis=-1)
     faces_m = np.stack([(CABINET_MIN_M - origin) / rays, (CABINET_MAX_M - origin) / rays])
     enter_m, leave_m = faces_m.min(axis=0).max(axis=-1), faces_m.max(axis=0).min(axis=-1)
-    return np.where((enter_m > 0.0) & (enter_m < leave_m), enter_m, wall_m)
+    depth_m: FloatArray = np.where((enter_m > 0.0) & (enter_m < leave_m), enter_m, wall_m)
+    return depth_m
 
 
 def main(out: str = "occupancy.png") -> None:

@@ -11,7 +11,6 @@ from uav_recon.types.maps import OCCUPIED
 
 ROOM_MIN_M, ROOM_MAX_M = np.zeros(3), np.array([6.0, 4.0, 2.5])
 WALL_MIN_M, WALL_MAX_M = np.array([3.0, 0.0, 0.0]), np.array([3.2, 2.4, 2.5])  # hides the other half of the room
-BUDGET = 100
 
 
 def render(camera: Camera, world_from_camera: Pose) -> FloatArray:
@@ -20,11 +19,12 @@ def render(camera: Camera, world_from_camera: Pose) -> FloatArray:
     room_m = np.maximum((ROOM_MIN_M - origin) / rays, (ROOM_MAX_M - origin) / rays).min(axis=-1)
     faces_m = np.stack([(WALL_MIN_M - origin) / rays, (WALL_MAX_M - origin) / rays])
     enter_m, leave_m = faces_m.min(axis=0).max(axis=-1), faces_m.max(axis=0).min(axis=-1)
-    return np.where((enter_m > 0.0) & (enter_m < leave_m), enter_m, room_m)
+    depth_m: FloatArray = np.where((enter_m > 0.0) & (enter_m < leave_m), enter_m, room_m)
+    return depth_m
 
 
 def main(out: str = "views.png") -> None:
-    """Explore with at most BUDGET views."""
+    """Explore until no view is worth a flight."""
     warm_up()
     camera = Camera.d435i()
     mapper = OccupancyMapper(camera, ROOM_MIN_M, ROOM_MAX_M)
@@ -36,7 +36,7 @@ def main(out: str = "views.png") -> None:
         for body in bodies[seen:]:
             mapper.add_depth(render(camera, camera.world_from_camera(body)), camera.world_from_camera(body))
         seen = len(bodies)
-        path = planner.plan_views(mapper.map, bodies[-1], BUDGET - seen)
+        path = planner.plan_views(mapper.map, bodies[-1], views=10)
         print(f"{seen} views, {mapper.explored_m3:.1f} of {np.prod(ROOM_MAX_M):.1f} m3 known")
         if isinstance(path, NothingLeft):
             print(path.reason)
@@ -45,13 +45,14 @@ def main(out: str = "views.png") -> None:
         flown += path.waypoints_world
         bodies += [Pose.from_yaw(view.yaw_rad, view.position_world) for view in path.viewpoints]
 
-    axes = Figure(figsize=(8, 6)).add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    figure = Figure(figsize=(8, 6))
+    axes = figure.add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)")
     walls = mapper.points(OCCUPIED)
     axes.plot(*walls[np.abs(walls[:, 2] - 1.2) < 0.1][:, :2].T, "s", color="0.6", markersize=4)
     axes.plot(*np.concatenate(flown)[:, :2].T, linewidth=0.8)
     views = np.array([[*body.translation_m[:2], np.cos(body.yaw_rad()), np.sin(body.yaw_rad())] for body in bodies])
     axes.quiver(*views.T, np.arange(len(views)), scale=30.0, width=0.004)
-    axes.figure.savefig(out)
+    figure.savefig(out)
     print(f"wrote {out}")
 
 

@@ -23,11 +23,12 @@ MAX_LINES = 60
 
 
 def is_map(path: Path) -> None:
-    """Free in the middle, occupied at all four walls, unknown outside."""
+    """Free in the room, occupied at the walls, unknown outside and in the cabinet."""
     grey = np.asarray(Image.open(path).convert("L"))[::-1][::10, ::10].T
     assert (grey[6:30, 6:20] == 255).all()
     assert (grey == 0).sum() > 100
-    assert grey[0, 0] == 128
+    assert grey[0, 0] == grey[41, 36] == 128
+    assert grey[41, 10] == 255
 
 
 def is_image(path: Path) -> None:
