@@ -234,7 +234,7 @@ def travel_time_model(config: Config) -> TravelTimeModel:
 
 def camera_geometry(config: Config) -> CameraGeometry:
     """The depth camera of the config as the planner knows it."""
-    from uav_recon.planning.camera_frustum import CameraGeometry
+    from uav_recon.planning.camera_frustum import RANGE_SHARE, CameraGeometry
 
     camera = config.camera
     low, high = (camera.pitch_down_deg,) * 2 if camera.mount == "fixed" else (-camera.gimbal_limit_deg, camera.gimbal_limit_deg)
@@ -244,7 +244,7 @@ def camera_geometry(config: Config) -> CameraGeometry:
         position_body_m=np.array(camera.position_body_m),
         pitch_min_rad=math.radians(low),
         pitch_max_rad=math.radians(high),
-        range_m=config.voxels.max_range_m * 0.9,
+        range_m=config.voxels.max_range_m * RANGE_SHARE,
         near_m=camera.depth_min_m,
     )
 

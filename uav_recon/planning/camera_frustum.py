@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import FloatArray, frozen
+from uav_recon.types.rgbd_camera import Camera
 
-# share of the half-frustum's tangent that is used, so that a small pose error does not push a cell out of the image
-EDGE_MARGIN = 0.95
+EDGE_MARGIN = 0.95  # of the half-frustum's tangent: what a small error of pose would push out of the picture is not promised
+RANGE_SHARE = 0.9  # of the map's range: to which an unknown voxel is expected to be decided
 # order of the numbers in CameraGeometry.lens()
 TAN_H, TAN_V, NEAR, RANGE, CAM_X, CAM_Y, CAM_Z, PITCH_MIN, PITCH_MAX, COS_MIN, SIN_MIN, COS_MAX, SIN_MAX = range(13)
 
@@ -42,6 +44,20 @@ class CameraGeometry:
         object.__setattr__(self, "position_body_m", frozen(np.asarray(self.position_body_m, dtype=np.float64)))
         if self.pitch_max_rad < self.pitch_min_rad:
             raise ValueError(f"camera pitch range is empty: {self.pitch_min_rad} to {self.pitch_max_rad} rad")
+
+    @staticmethod
+    def of(camera: Camera, max_range_m: float) -> CameraGeometry:
+        """Return the geometry of a camera on its fixed mount. max_range_m: range of the occupancy map."""
+        lens = camera.depth
+        return CameraGeometry(
+            hfov_rad=2.0 * math.atan(0.5 * lens.width / lens.fx),
+            vfov_rad=2.0 * math.atan(0.5 * lens.height / lens.fy),
+            position_body_m=camera.position_body_m,
+            pitch_min_rad=camera.pitch_down_rad,
+            pitch_max_rad=camera.pitch_down_rad,
+            range_m=max_range_m * RANGE_SHARE,
+            near_m=camera.depth_min_m,
+        )
 
     def lens(self, resolution_m: float, range_m: float) -> FloatArray:
         """Pack the parameters for a kernel, lengths in voxels: (13,) in the order TAN_H ... SIN_MAX."""

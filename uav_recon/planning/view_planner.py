@@ -6,10 +6,13 @@ Paper, sections III-A to III-C.
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Sequence
+from typing import get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.geometry import traversal
@@ -36,8 +39,11 @@ from uav_recon.planning.tour.stopping_rule import NOT_WORTH
 from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
 from uav_recon.planning.view_history import ViewHistory
+from uav_recon.types.argument_checks import require_box, require_kind, require_number, require_pose
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
+from uav_recon.types.pose import Pose
+from uav_recon.types.rgbd_camera import Camera
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, ViewPath, Viewpoint
 
 TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # for warm_up()
@@ -82,6 +88,36 @@ class ViewPlanner:
         self._frame: tuple[object, ...] = ()
         self._offered: tuple[ViewPath, tuple[CandidateView, ...]] | None = None
 
+    @classmethod
+    def for_box(
+        cls,
+        box_min_m: ArrayLike,
+        box_max_m: ArrayLike,
+        camera: Camera,
+        *,
+        variant: VariantName = "adaptive",
+        clearance_m: float = 0.35,
+        max_range_m: float = 5.0,
+        speed_mps: float = 1.0,
+        yaw_rate_radps: float = math.radians(45.0),
+    ) -> ViewPlanner:
+        """Return a planner for a box and a camera, with the defaults of the configuration.
+
+        box_min_m, box_max_m (3,): the space to explore, in world, metres. variant: see config.VariantName. clearance_m:
+        distance from the body's centre to anything not known free. max_range_m: that of the occupancy map. speed_mps,
+        yaw_rate_radps: of the vehicle, for the order of the views. Raises ValueError for an invalid argument.
+        """
+        low, high = require_box(box_min_m, box_max_m)
+        require_kind("camera", camera, Camera)
+        if variant not in (names := get_args(VariantName)):
+            raise ValueError(f"variant: {variant!r}, expected one of {', '.join(names)}")
+        require_number("clearance_m", clearance_m, 0.3, 1.0)
+        require_number("max_range_m", max_range_m, 0.1, 100.0)
+        require_number("speed_mps", speed_mps, 0.05, 3.0)
+        require_number("yaw_rate_radps", yaw_rate_radps, 0.01, 10.0)
+        config = PlannerConfig(variant=variant, clearance_m=clearance_m)
+        return cls(config, low, high, CameraGeometry.of(camera, max_range_m), YawWhileFlying(speed_mps, yaw_rate_radps))
+
     @property
     def explores(self) -> bool:
         """Return True if the variant generates frontier tasks."""
@@ -109,6 +145,18 @@ class ViewPlanner:
         path = self._path(request, harvest.mode, tasks, nodes, start_s, tasks_made_s)
         self._offered = path, tuple(tasks[node - 1] for node in nodes)
         return path
+
+    def plan_views(
+        self, voxels: VoxelMap, world_from_body: Pose, views: int, surface: SurfaceElements | None = None
+    ) -> ViewPath | NothingLeft:
+        """Choose at most ``views`` next views from a body at rest, and the path to them; NothingLeft with a reason else.
+
+        voxels: the newest map. surface: the newest surface of a neural mapper; without it only frontiers are planned. Call
+        accept() with a path that is flown. Raises ValueError for a value of another type.
+        """
+        pose = require_pose("world_from_body", world_from_body)
+        newest = require_kind("voxels", voxels, VoxelMap, "OccupancyMapper.map")
+        return self.plan(PlanRequest(newest, surface, pose.translation_m, pose.yaw_rad(), views))
 
     def accept(self, path: ViewPath) -> None:
         """Store what the views of a path made by plan() should settle."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.mapping.neural.keyframes.exposure_compensation import ExposureCompensation
@@ -44,10 +46,12 @@ from uav_recon.mapping.neural.surface.uncertainty import (
 )
 from uav_recon.mapping.neural.training_data import TrainingData
 from uav_recon.mapping.neural.training_step import NumbaTrainingStep
+from uav_recon.types.argument_checks import require_box, require_kind, require_number
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
+from uav_recon.types.rgbd_camera import Camera
 
 ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish steps at which the poses are refined
 ALIGN_ROUNDS = 3  # for gathered(), over all views at once
@@ -75,6 +79,16 @@ class NeuralMapper:
         self.refusals = RejectCounts()
         self.steps, self.map_epoch = 0, 0
         self._begin(config.uncertainty)
+
+    @classmethod
+    def for_box(cls, box_min_m: ArrayLike, box_max_m: ArrayLike, camera: Camera, *, seed: int = 0) -> NeuralMapper:
+        """Return a mapper for a box and a camera, with the defaults of the configuration.
+
+        box_min_m, box_max_m (3,): bounding box of the room, in world, metres. Raises ValueError for an invalid box.
+        """
+        low, high = require_box(box_min_m, box_max_m)
+        require_kind("camera", camera, Camera)
+        return cls(MapperConfig(seed=seed), low, high, camera.depth_noise_px, camera.baseline_m)
 
     def _begin(self, uncertainty: UncertaintyName) -> None:
         """Start an empty map that contains no view yet."""
@@ -259,6 +273,17 @@ class NeuralMapper:
             self.steps += 1
         return loss
 
+    def train_for(self, seconds: float) -> int:
+        """Run training steps for a time; returns their number (0 before the first view). The time decides the result.
+
+        Raises ValueError for a time that is negative or not finite.
+        """
+        require_number("seconds", seconds, 0.0)
+        before, end_s = self.steps, time.perf_counter() + seconds
+        while self._taken and time.perf_counter() < end_s:
+            self.train(1)
+        return self.steps - before
+
     def polish(self, steps: int) -> None:
         """Train for a number of steps with a learning rate that falls to FINAL_RATE.
 
@@ -297,8 +322,12 @@ class NeuralMapper:
         """
         return whole_surface(self.field, self._evidence, voxel_m)
 
-    def mesh(self, voxel_m: float) -> TriangleMesh:
-        """Return the triangles of the surface, extracted from the current field."""
+    def mesh(self, voxel_m: float | None = None) -> TriangleMesh:
+        """Return the triangles of the surface, extracted from the current field.
+
+        voxel_m: edge of the extraction grid; by default config.mesh_voxel_m, 2 cm.
+        """
+        voxel_m = self._config.mesh_voxel_m if voxel_m is None else voxel_m
         self._album.place_images()
         return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._album.images, self.painted())
 
@@ -335,10 +364,12 @@ class NeuralMapper:
         """Compile every kernel on a small separate mapper."""
         config = self._config.model_copy(update={"prior_model": None})
         small = NeuralMapper(config, np.zeros(3), np.ones(3), self._noise_px, self._baseline_m)
-        small.add(_wall())
-        small.train(1)
+        for _ in range(2):  # a pose is refined from the second view on
+            small.add(_wall())
+            small.train(1)
         small.surface()
         small.mesh(0.05)
+        small.painted().rgb(np.full((2, 3), 0.5, dtype=np.float32))  # the mesh may be empty
         small._keep(small._album.most_useful())
 
     def _keep(self, which: BoolArray) -> None:

@@ -70,7 +70,7 @@ class Frontiers:
         tiles = voxels.changed_tiles(self._revision)
         self._revision = voxels.revision
         scan(voxels.state, self._known, self.faces, self._low, self._high, tiles, voxels.revision, self.closed, self._dirty)
-        blocks = np.argwhere(self._dirty)
+        blocks = np.ascontiguousarray(np.argwhere(self._dirty))  # of one block it is C-ordered, of several F-ordered
         asked = around(self._dirty, tiles, BLOCK // TILE)
         if len(blocks):
             self._dirty[:] = 0
