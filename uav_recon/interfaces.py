@@ -10,6 +10,7 @@ from uav_recon.types.camera import Frame, ImuSample, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection, Pose, StampedPose
+from uav_recon.types.reason import Reason
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import MissionProgress
@@ -200,17 +201,17 @@ class OccupancyMapInterface(Protocol):
 
 
 class MotionPlannerInterface(Protocol):
-    """Pure: paths to trajectories under limits. A str answer is the reason why there is none."""
+    """Pure: paths to trajectories under limits. A Reason says why there is none."""
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | str:
+    ) -> Trajectory | Reason:
         """From rest at ``start`` through every view of the path to rest at the last."""
         ...
 
     def onward(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | str:
+    ) -> Trajectory | Reason:
         """Follow ``flying`` until ``leave_s``, then go on, in motion, through every view of the path to rest at the last."""
         ...
 
@@ -264,11 +265,11 @@ class Journal(Protocol):
         """A keyframe."""
         ...
 
-    def phase(self, stamp_s: float, phase: str, note: str) -> None:
+    def phase(self, stamp_s: float, phase: str, note: Reason | None) -> None:
         """A change of phase."""
         ...
 
-    def refusal(self, stamp_s: float, reason: str) -> None:
+    def refusal(self, stamp_s: float, reason: Reason) -> None:
         """Something that was turned down."""
         ...
 
@@ -276,6 +277,6 @@ class Journal(Protocol):
         """How many keyframes the mapper did not take, by reason in words."""
         ...
 
-    def outcome(self, stamp_s: float, outcome: str, stop_reason: str) -> None:
-        """The last line."""
+    def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:
+        """The last line. aborted: None for a flight that was completed."""
         ...

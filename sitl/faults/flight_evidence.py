@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -45,8 +45,8 @@ class FlightEvidence:
     autopilot, behind the troubles. heard: (instant, custom mode, armed) of heartbeats that reached the product. boxes_m
     (K,): how near the hull is to the obstacles of the trouble, inf without one and on the ground. standing_m (K,): where the
     body would stand on what is straight below it, while it lands and after; 0 is the floor. notes: what the injectors
-    measured themselves, by its name. firmware: version of a real one, "" for none. stop_reason: why the product says that
-    it ended, for a judge that asks whether it said so; "" for nothing.
+    measured themselves, by its name. firmware: version of a real one, "" for none. stop_codes: why the product says that
+    it ended, for a judge that asks whether it said so. reported: (instant, codes) of its STATUSTEXTs.
     """
 
     onset_s: float
@@ -71,7 +71,8 @@ class FlightEvidence:
     boot_s: float = 0.0
     notes: dict[str, float] = field(default_factory=dict)
     firmware: str = ""
-    stop_reason: str = ""
+    stop_codes: tuple[str, ...] = ()
+    reported: tuple[tuple[float, tuple[str, ...]], ...] = ()
 
     @cached_property
     def speed_mps(self) -> F64:
@@ -120,6 +121,10 @@ class FlightEvidence:
         """Whether the autopilot was landing (K,)."""
         return np.array(["LAND" in mode for mode in self.mode], dtype=np.bool_)
 
+    def reported_s(self, codes: Collection[str]) -> list[float]:
+        """Return the instants of the STATUSTEXTs with one of these codes."""
+        return [stamp_s for stamp_s, found in self.reported if not set(found).isdisjoint(codes)]
+
     def since(self, mask: Bools, from_s: float) -> float:
         """Seconds from an instant to the first turn after it in which mask (K,) holds; inf for never."""
         found = np.flatnonzero(mask & (self.stamp_s >= from_s))
@@ -127,9 +132,15 @@ class FlightEvidence:
 
 
 def gather(
-    meddler: FaultDirector, limits: GuardLimits, hull_s: F64, hull_m: F64, radius_m: float, stop_reason: str
+    meddler: FaultDirector,
+    limits: GuardLimits,
+    hull_s: F64,
+    hull_m: F64,
+    radius_m: float,
+    stop_codes: tuple[str, ...],
+    codes_in: Callable[[str], tuple[str, ...]],
 ) -> FlightEvidence:
-    """Of a flight that is over. hull_m: against the scene; obstacles of the trouble are added here."""
+    """Of a flight that is over. hull_m: against the scene; obstacles of the trouble are added. codes_in: of a STATUSTEXT."""
     world, ledger, tap = meddler.theatre.world, meddler.ledger, meddler.proxy
     assert tap is not None
     stamps = np.array([m.stamp_s for m in ledger])
@@ -138,6 +149,7 @@ def gather(
     airborne, boxes_m = armed & (positions[:, 2] > 0.05), np.full(len(stamps), math.inf)
     for obstacle in meddler.theatre.obstacles:
         boxes_m[airborne] = np.minimum(boxes_m[airborne], obstacle.hull_m(stamps[airborne], positions[airborne], radius_m))
+    wire = decode(tap.sent)
     return FlightEvidence(
         onset_s=meddler.onset_s,
         end_s=meddler.end_s,
@@ -154,14 +166,15 @@ def gather(
         charge=np.array([m.charge for m in ledger]),
         failsafes=tuple(world.flyer.failsafes),
         texts=tuple(world.flyer.texts),
-        wire=decode(tap.sent),
+        wire=wire,
         arrived_s=setpoints_in(tap.arrived),
         heard=tuple(modes_told(tap.heard)),
         limits=limits,
         boot_s=world.flyer.boot_s,
         notes=dict(meddler.theatre.notes),
         firmware=world.flyer.version,
-        stop_reason=stop_reason,
+        stop_codes=stop_codes,
+        reported=tuple((stamp_s, codes_in(text)) for stamp_s, text in wire.texts),
     )
 
 

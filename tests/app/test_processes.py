@@ -145,7 +145,7 @@ def test_an_operator_is_told_how_it_stands_and_what_is_missing(pilot: subprocess
     assert json.loads(say("status --json", config).stdout)["pilot"] == "connecting"
     for word, why in (
         ("start", "not ready: no heartbeat from the autopilot"),
-        ("land", "it is on the ground (connecting): nothing to land"),
+        ("land", "on the ground (connecting): nothing to land"),
     ):
         refused = say(word, config)
         assert (refused.returncode, refused.stderr) == (1, f"uav-recon: {word} refused: {why}\n")

@@ -19,6 +19,7 @@ from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.planning.variants import Variant
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import PlanMode, TaskKind
 
 MAX_FRONTIERS, MAX_TASKS = 24, 40  # the nearest ones: the horizon executes only the first few
@@ -55,7 +56,7 @@ class TaskSource(Protocol):
         """Look for tasks."""
         ...
 
-    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
+    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """Why frontiers have no view, by reason; slow, for the end."""
         ...
 
@@ -84,7 +85,7 @@ class ClusterTasks:
         surface = self._surfaces.propose(situation, question.surface, question.looks, widening)
         return GeneratedTasks(mode, (explore + surface[:spare])[:MAX_TASKS], widening)
 
-    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
+    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """See Source."""
         if TaskKind.EXPLORE not in self._variant.kinds:
             return Counter()
@@ -118,6 +119,6 @@ class GainField:
             PlanMode.MERGED, self._views.propose(question.situation, frontiers, question.surface, question.looks)
         )
 
-    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
+    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """See Source."""
         return self._reasons.reasons(situation.voxels, situation.space, frontiers)

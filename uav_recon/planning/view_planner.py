@@ -29,12 +29,13 @@ from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.planning.route_planning import route_to
 from uav_recon.planning.task_generation import ClusterTasks, GainField, TaskQuery, TaskSource, places_of
 from uav_recon.planning.tour import atsp, travel_time
-from uav_recon.planning.tour.stopping_rule import NOT_WORTH
 from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
 from uav_recon.planning.view_history import ViewHistory
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, ViewPath, Viewpoint
 
 TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # to warm up with
@@ -84,7 +85,7 @@ class ViewPlanner:
         """Choose the next views and the way to them. About a millisecond, more with surface; never raises for a map."""
         start_s = self._timer()
         situation = self._look(request)
-        if isinstance(situation, str):
+        if isinstance(situation, Reason):
             return self._nothing(situation, start_s, start_s)
         harvest = self._source.propose(
             TaskQuery(situation, self.frontiers, self._ways, request.surface, self.visited.surface_looks, request.views_left)
@@ -114,15 +115,15 @@ class ViewPlanner:
         """The shortest way to a place; its last waypoint is the flyable voxel nearest to it. Promises and remembers nothing."""
         start_s = self._timer()
         situation = self._look(dataclasses.replace(request, views_left=1))
-        if isinstance(situation, str):
+        if isinstance(situation, Reason):
             return self._nothing(situation, start_s, start_s)
         proposal = route_to(situation, goal)
         if proposal is None:
-            return self._nothing("no known-free way leads there", start_s, start_s)
+            return self._nothing(Reason(ReasonCode.NO_KNOWN_PATH), start_s, start_s)
         self._ways.update(situation.exit_cells, request.position_world, places_of([proposal]))
         return self._path(request, PlanMode.EXPLORE, [proposal], [1], start_s, start_s)
 
-    def _look(self, request: PlanRequest) -> PlanningContext | str:
+    def _look(self, request: PlanRequest) -> PlanningContext | Reason:
         """Bring everything up to date with the map; where one may fly, or why no plan can start from here."""
         voxels = request.voxels
         frame = (voxels.grid.shape, voxels.grid.resolution_m, *voxels.grid.origin_world_m.tolist())
@@ -133,11 +134,11 @@ class ViewPlanner:
         self.frontiers.touch(self.visited.settle(request))
         self.frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.visited.exhausted)
         if request.views_left <= 0:
-            return "no view is left in the budget"
+            return Reason(ReasonCode.NO_VIEWS_LEFT)
         self.space.update(voxels)
         exit_cells = self.space.stand(request.position_world)
         if exit_cells is None:
-            return "the vehicle stands in space that is not known free, with no known-free way to where it may fly"
+            return Reason(ReasonCode.START_NOT_FREE)
         return PlanningContext(voxels, self.space, exit_cells, request.position_world)
 
     def _committed(self, situation: PlanningContext, request: PlanRequest) -> list[CandidateView]:
@@ -190,21 +191,23 @@ class ViewPlanner:
             step_s=self._timer() - start_s,
         )
 
-    def _why(self, situation: PlanningContext, not_worth: int) -> str:
-        """'14 frontiers left: 9 too narrow, 5 outside the fence', or that there is none; and surface not worth its flight."""
+    def _why(self, situation: PlanningContext, not_worth: int) -> Reason:
+        """How many frontiers are left and why, or that there is none; and surface tasks that are not worth their flight."""
         counts = {
             **dict(sorted(self._source.reasons(situation, self.frontiers).items())),
             **count_rejected_frontiers(situation.voxels.state, self.frontiers.faces, self.visited.exhausted),
         }
         total = sum(counts.values())
-        said = f"{total} frontier{'s' if total > 1 else ''} left: " if total else "no frontiers left"
-        said += ", ".join(f"{n} {why}" for why, n in counts.items() if n)
-        return said + (f"; {not_worth} surface task{'s' if not_worth > 1 else ''} {NOT_WORTH}" if not_worth else "")
+        details = [Reason(code, (n,)) for code, n in counts.items() if n]
+        details += [Reason(ReasonCode.SURFACE_NOT_WORTH, (not_worth,))] if not_worth else []
+        if not total:
+            return Reason(ReasonCode.NO_FRONTIERS_LEFT, details=tuple(details))
+        return Reason(ReasonCode.FRONTIERS_LEFT, (total,), tuple(details))
 
     def _box(self, grid: GridSpec, inset_m: float) -> tuple[IntArray, IntArray]:
         return fence_box(grid, self.fence_m[0] + inset_m, self.fence_m[1] - inset_m)
 
-    def _nothing(self, reason: str, start_s: float, tasks_made_s: float) -> NothingLeft:
+    def _nothing(self, reason: Reason, start_s: float, tasks_made_s: float) -> NothingLeft:
         return NothingLeft(reason, task_s=tasks_made_s - start_s, step_s=self._timer() - start_s)
 
 

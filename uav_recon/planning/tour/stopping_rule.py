@@ -16,7 +16,6 @@ import numpy as np
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.tasks import Task, TaskKind
 
-NOT_WORTH = "not worth their flight"  # the reason, beside a count of surface tasks
 VIEW_S = 0.5  # at a view: braking, the picture, and off again
 SHORTEST_TOUR_S = 10.0  # a shorter one is reckoned as this long: one good view next to the vehicle sets no standard
 _NONE = (0, 0)
